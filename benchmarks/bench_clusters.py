@@ -13,7 +13,7 @@ from contextlib import ExitStack
 
 import numpy as np
 
-from benchmarks.figures import Asked, Figure, table
+from benchmarks.figures import Figure, Limit, table
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.engine import FloatArray
@@ -95,7 +95,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         what=f"a robot among {many} in cells, to one among {few} in one world",
         unit="",
         samples=_ratios(cpu[-1], cpu[0]),
-        asked=None if is_short else Asked("median", "<=", 1.3),
+        limit=None if is_short else Limit("median", "<=", 1.3),
     )
     yield from _with_a_worker(many, is_short=is_short)
 

@@ -132,9 +132,9 @@ def _run(container: str, robots: int, seconds: int) -> tuple[float, float, list[
             raise RuntimeError(f"no fleet was spawned: {done.stderr}")
         names = [f"{MODEL}{i}" for i in range(robots)]
         words = [(name,) if container == "one by one" else ("--pool", "1") for name in names]
-        joined = ("--connect", server.endpoint, "--quiet", "--on-release", "stop")
+        connected = ("--connect", server.endpoint, "--quiet", "--on-release", "stop")
         start_s = time.perf_counter()
-        agents = [stack.enter_context(running("agent", *one, *joined)) for one in words]
+        agents = [stack.enter_context(running("agent", *one, *connected)) for one in words]
         wait_for_agents(server, names)
         wait_s = time.perf_counter() - start_s
         pids = [agent.pid for agent in agents]

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 
 import psutil
 
-from benchmarks.figures import Asked, Figure, table
+from benchmarks.figures import Figure, Limit, table
 from benchmarks.ten_robots import CIRCLE, ROBOTS, ROBOTS_WHEN_SHORT
-from tests.integration.processes import joined, read_json_line, running
+from tests.integration.processes import connected, read_json_line, running
 from tests.integration.robots import Robot, robot
 from zensim.proto.bus import BusSubscription
 from zensim.proto.topic_catalog import TF
@@ -30,9 +30,9 @@ SECONDS_WHEN_SHORT = 2
 COMMANDS_HZ = 10
 MEGABYTES = 1e-6
 VERBS = {"serve": "server", "agent": "agents", "view": "page", "up": "up"}
-FACTOR = Asked("mean", ">=", 0.99)
-CPU = Asked("mean", "<=", 1.0)
-RSS = Asked("max", "<=", 70.0)
+FACTOR = Limit("mean", ">=", 0.99)
+CPU = Limit("mean", "<=", 1.0)
+RSS = Limit("max", "<=", 70.0)
 BARE = """
 import msgspec, sys, time, typer, zenoh
 config = zenoh.Config.from_json5('{mode: "client", connect: {endpoints: ["%s"]}}')
@@ -56,11 +56,11 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure real-time factor, CPU and memory."""
     seconds = SECONDS_WHEN_SHORT if is_short else SECONDS
     robots = ROBOTS_WHEN_SHORT if is_short else ROBOTS
-    wish = ("--robots", str(robots), "--listen", "tcp/127.0.0.1:0", "--viewer-port", "0")
-    with running("up", "--json", "--no-open", *wish) as up:
+    arguments = ("--robots", str(robots), "--listen", "tcp/127.0.0.1:0", "--viewer-port", "0")
+    with running("up", "--json", "--no-open", *arguments) as up:
         endpoint = str(read_json_line(up)["endpoint"])
         groups = _groups(psutil.Process(up.pid))
-        with joined(endpoint) as bus:
+        with connected(endpoint) as bus:
             client = SimClient(bus)
             standing = _watched(groups, client, seconds, lambda: None)
             found = [robot(bus, f"box_bot{i}") for i in range(robots)]
@@ -120,13 +120,13 @@ def _command(robots: list[Robot], tf: BusSubscription) -> None:
 def _second_figures(when: str, seen: Seconds) -> Iterator[Figure]:
     ours = [cores for group, cores in seen.cores.items() if group in VERBS.values()]
     yield Figure(
-        what=f"{when}: real-time factor", unit="", samples=tuple(seen.factor), asked=FACTOR
+        what=f"{when}: real-time factor", unit="", samples=tuple(seen.factor), limit=FACTOR
     )
     yield Figure(
         what=f"{when}: CPU, all processes",
         unit="cores",
         samples=tuple(sum(second) for second in zip(*ours, strict=True)),
-        asked=CPU,
+        limit=CPU,
     )
     for group, cores in seen.cores.items():
         yield Figure(what=f"{when}: CPU, {group}", unit="cores", samples=tuple(cores))
@@ -139,7 +139,7 @@ def _memory_figures(groups: Groups) -> Iterator[Figure]:
             what=f"RSS, {group}",
             unit="MB",
             samples=tuple(one.rss * MEGABYTES for one in used),
-            asked=RSS if group == "agents" else None,
+            limit=RSS if group == "agents" else None,
         )
         yield Figure(
             what=f"USS, {group}", unit="MB", samples=tuple(one.uss * MEGABYTES for one in used)

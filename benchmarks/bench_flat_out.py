@@ -10,13 +10,13 @@ import time
 from collections.abc import Callable, Iterator
 
 from benchmarks.bodies import CONFIG, Bodies
-from benchmarks.figures import Asked, Figure, table
+from benchmarks.figures import Figure, Limit, table
 from benchmarks.ten_robots import ROBOTS, Fleet, fleet
 
 __all__ = ["rows", "table"]
 
 WINDOWS = 8
-FACTOR = Asked("median", ">=", 15.0)
+FACTOR = Limit("median", ">=", 15.0)
 """Of ten robots with ten agents."""
 TEN = f"{ROBOTS} robots"
 WINDOW_S = 1.0
@@ -32,25 +32,31 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     for robots in (1,) if is_short else (1, ROBOTS):
         with fleet(robots, "--rtf", "0") as found:
             found.circle()
-            served = [_served(found, window_s) for _ in range(windows)]
+            run_fleet_server = [_served(found, window_s) for _ in range(windows)]
         bodies = Bodies(robots)
-        driven = [_stepped(bodies.step_and_drive, window_s) for _ in range(windows)]
+        running_agents = [_stepped(bodies.step_and_drive, window_s) for _ in range(windows)]
         bare = [_stepped(bodies.step, window_s) for _ in range(windows)]
         bodies.engine.close()
-        yield from _figures("1 robot" if robots == 1 else TEN, served, driven, bare)
+        yield from _figures(
+            "1 robot" if robots == 1 else TEN, run_fleet_server, running_agents, bare
+        )
 
 
 def _figures(
-    whom: str, served: list[float], driven: list[float], bare: list[float]
+    label: str, run_fleet_server: list[float], running_agents: list[float], bare: list[float]
 ) -> Iterator[Figure]:
-    factors = {"served": served, "floor, driven": driven, "floor, only stepped": bare}
+    factors = {
+        "served": run_fleet_server,
+        "floor, driven": running_agents,
+        "floor, only stepped": bare,
+    }
     for what, samples in factors.items():
-        asked = FACTOR if what == "served" and whom == TEN else None
+        limit = FACTOR if what == "served" and label == TEN else None
         yield Figure(
-            what=f"{whom}: {what}", unit="x real time", samples=tuple(samples), asked=asked
+            what=f"{label}: {what}", unit="x real time", samples=tuple(samples), limit=limit
         )
-    share = statistics.median(served) / statistics.median(driven)
-    yield Figure(what=f"{whom}: served / floor, driven", unit="", samples=(share,))
+    share = statistics.median(run_fleet_server) / statistics.median(running_agents)
+    yield Figure(what=f"{label}: served / floor, driven", unit="", samples=(share,))
 
 
 def _served(found: Fleet, window_s: float) -> float:

@@ -18,8 +18,8 @@ import msgspec
 
 from benchmarks import figures
 from benchmarks.bodies import CONFIG
-from benchmarks.figures import Asked, Figure, written
-from benchmarks.fleet_server import Served, Spent, served
+from benchmarks.figures import Figure, Limit, written
+from benchmarks.fleet_server import FleetServer, Spent, run_fleet_server
 from benchmarks.pybullet_floor import PlainLoop, Turn
 from benchmarks.ten_robots import CIRCLE, MILLISECONDS
 from zensim.sim_server.server_config import CONTROL_HZ, ServerConfig
@@ -36,8 +36,8 @@ PARTS = ("engine", "command", "read-back", "messages", "encode", "put", "take")
 REST = "the rest"
 MOVES = 0.5
 """Of the speed that was commanded; below it a robot does not count as driving."""
-SHARE = Asked("median", ">=", 0.9)
-GROWTH = Asked("median", "<=", 1.3)
+SHARE = Limit("median", ">=", 0.9)
+GROWTH = Limit("median", "<=", 1.3)
 GROWTH_FROM, GROWTH_TO = 100, 1000
 
 
@@ -53,7 +53,7 @@ class Case(msgspec.Struct, frozen=True):
         return msgspec.structs.replace(CONFIG, control_hz=self.control_hz)
 
     @property
-    def whom(self) -> str:
+    def label(self) -> str:
         """What a figure calls it."""
         robots = "1 robot" if self.robots == 1 else f"{self.robots} robots"
         is_usual = self.control_hz == CONTROL_HZ
@@ -72,7 +72,7 @@ SHARE_OF = Case(100, control_hz=50.0)
 class Parts(msgspec.Struct, frozen=True):
     """Where the time of a step goes: medians [CPU ms]."""
 
-    whom: str
+    label: str
     own_ms: Mapping[str, float]
 
 
@@ -81,7 +81,7 @@ def rows(*, is_short: bool) -> Iterator[Figure | Parts]:
     costs: dict[int, float] = {}
     for case in CASES_WHEN_SHORT if is_short else CASES:
         turns = _taken_in_turn(case, is_short=is_short)
-        cost = statistics.median(_cpu_ms(turn) for turn in turns.served) / case.robots
+        cost = statistics.median(_cpu_ms(turn) for turn in turns.run_fleet_server) / case.robots
         costs.setdefault(case.robots, cost)
         yield from _figures(case, turns)
         yield _parts(case, turns.looks)
@@ -90,7 +90,7 @@ def rows(*, is_short: bool) -> Iterator[Figure | Parts]:
             what=f"CPU a robot and step, {GROWTH_TO} robots / {GROWTH_FROM} robots",
             unit="",
             samples=(costs[GROWTH_TO] / costs[GROWTH_FROM],),
-            asked=GROWTH,
+            limit=GROWTH,
         )
 
 
@@ -99,7 +99,7 @@ def table(found: Iterable[Figure | Parts]) -> str:
     all_rows = list(found)
     head = f"| of a step [CPU ms] | {' | '.join((*PARTS, REST))} |\n|{'---|' * (len(PARTS) + 2)}\n"
     lines = "".join(
-        f"| {row.whom} | {' | '.join(written(ms) for ms in row.own_ms.values())} |\n"
+        f"| {row.label} | {' | '.join(written(ms) for ms in row.own_ms.values())} |\n"
         for row in all_rows
         if isinstance(row, Parts)
     )
@@ -109,7 +109,7 @@ def table(found: Iterable[Figure | Parts]) -> str:
 class Turns(msgspec.Struct, frozen=True):
     """What was measured of one size; the first three in turn."""
 
-    served: list[Spent]
+    run_fleet_server: list[Spent]
     floor: list[Turn]
     alike: list[Turn]
     """The floor with the server's settings."""
@@ -122,23 +122,23 @@ def _taken_in_turn(case: Case, *, is_short: bool) -> Turns:
     if is_short:
         turn_s, turns = TURN_WHEN_SHORT_S, TURNS_WHEN_SHORT
     found = Turns([], [], [], [])
-    with served(count, "--control-hz", f"{case.control_hz:g}") as server:
+    with run_fleet_server(count, "--control-hz", f"{case.control_hz:g}") as server:
         plain = PlainLoop(count, step_ns=config.step_ns, control_steps=config.control_steps)
         try:
             begin(server, count)
             begin(plain, count)
             for _ in range(turns):
-                found.served.append(server.turn(turn_s))
+                found.run_fleet_server.append(server.turn(turn_s))
                 found.floor.append(plain.turn(turn_s))
                 found.alike.append(plain.turn_as_served(turn_s))
         finally:
             plain.close()
-        server.look_inside()
+        server.time_parts()
         found.looks.extend(server.turn(turn_s) for _ in range(LOOKS))
     return found
 
 
-def begin(loop: Served | PlainLoop, count: int) -> None:
+def begin(loop: FleetServer | PlainLoop, count: int) -> None:
     """Go on until all robots drive.
 
     Raises:
@@ -153,25 +153,28 @@ def begin(loop: Served | PlainLoop, count: int) -> None:
 
 
 def _figures(case: Case, turns: Turns) -> Iterator[Figure]:
-    whom, step_s = case.whom, CONFIG.step_ns * 1e-9
-    each: dict[str, list[Turn]] = {"served": [*turns.served], "floor": turns.floor}
+    label, step_s = case.label, CONFIG.step_ns * 1e-9
+    each: dict[str, list[Turn]] = {"served": [*turns.run_fleet_server], "floor": turns.floor}
     for what, some in each.items():
         factors = tuple(turn.steps * step_s / turn.wall_s for turn in some)
-        yield Figure(what=f"{whom}, {what}: real-time factor", unit="", samples=factors)
+        yield Figure(what=f"{label}, {what}: real-time factor", unit="", samples=factors)
         costs = tuple(_cpu_ms(turn) for turn in some)
-        yield Figure(what=f"{whom}, {what}: a step", unit="CPU ms", samples=costs)
+        yield Figure(what=f"{label}, {what}: a step", unit="CPU ms", samples=costs)
     network = tuple(
-        (turn.process_cpu_s - turn.cpu_s) / turn.steps * MILLISECONDS for turn in turns.served
+        (turn.process_cpu_s - turn.cpu_s) / turn.steps * MILLISECONDS
+        for turn in turns.run_fleet_server
     )
-    yield Figure(what=f"{whom}, served: a step, other threads", unit="CPU ms", samples=network)
+    yield Figure(what=f"{label}, served: a step, other threads", unit="CPU ms", samples=network)
     yield Figure(
-        what=f"{whom}: floor / served",
+        what=f"{label}: floor / served",
         unit="",
-        samples=_shares(turns.floor, turns.served),
-        asked=SHARE if case == SHARE_OF else None,
+        samples=_shares(turns.floor, turns.run_fleet_server),
+        limit=SHARE if case == SHARE_OF else None,
     )
-    shares = _shares(turns.alike, turns.served)
-    yield Figure(what=f"{whom}: floor with the server's settings / served", unit="", samples=shares)
+    shares = _shares(turns.alike, turns.run_fleet_server)
+    yield Figure(
+        what=f"{label}: floor with the server's settings / served", unit="", samples=shares
+    )
 
 
 def _shares(floors: list[Turn], turns: list[Spent]) -> tuple[float, ...]:
@@ -180,15 +183,15 @@ def _shares(floors: list[Turn], turns: list[Spent]) -> tuple[float, ...]:
 
 def _parts(case: Case, looks: list[Spent]) -> Parts:
     own_ms = {
-        part: statistics.median(look.parts_s.get(part, 0.0) / look.steps for look in looks)
+        part: statistics.median(sample.parts_s.get(part, 0.0) / sample.steps for sample in looks)
         * MILLISECONDS
         for part in PARTS
     }
-    rest = (look.cpu_s - sum(look.parts_s.values()) for look in looks)
+    rest = (sample.cpu_s - sum(sample.parts_s.values()) for sample in looks)
     own_ms[REST] = statistics.median(
-        rest_s / look.steps * MILLISECONDS for rest_s, look in zip(rest, looks, strict=True)
+        rest_s / sample.steps * MILLISECONDS for rest_s, sample in zip(rest, looks, strict=True)
     )
-    return Parts(case.whom, own_ms)
+    return Parts(case.label, own_ms)
 
 
 def _cpu_ms(turn: Turn) -> float:

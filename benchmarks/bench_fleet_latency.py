@@ -10,8 +10,8 @@ import time
 from collections.abc import Callable, Iterator
 
 from benchmarks.echo_process import echo
-from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet_server import Served, served
+from benchmarks.figures import Figure, Limit, table
+from benchmarks.fleet_server import FleetServer, run_fleet_server
 from benchmarks.ten_robots import milliseconds
 from zensim.proto.messages.simulation_messages import State
 
@@ -36,13 +36,13 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure requests at several sizes."""
     seconds = SECONDS_WHEN_SHORT if is_short else SECONDS
     for count, step_hz, dynamics, limit_ms in CASES_WHEN_SHORT if is_short else CASES:
-        whom = f"{count} robots, dynamics {dynamics}, {step_hz:g} Hz"
-        wish = ("--rtf", "1", "--step-hz", f"{step_hz:g}", "--dynamics", dynamics)
-        with served(count, *wish) as server:
-            yield from _states(whom, server, seconds, Asked("median", "<=", limit_ms))
+        label = f"{count} robots, dynamics {dynamics}, {step_hz:g} Hz"
+        arguments = ("--rtf", "1", "--step-hz", f"{step_hz:g}", "--dynamics", dynamics)
+        with run_fleet_server(count, *arguments) as server:
+            yield from _states(label, server, seconds, Limit("median", "<=", limit_ms))
 
 
-def _states(whom: str, server: Served, seconds: float, asked: Asked) -> Iterator[Figure]:
+def _states(label: str, server: FleetServer, seconds: float, limit: Limit) -> Iterator[Figure]:
     client = server.client
     client.set_simulation_state(State.PLAYING)
     time.sleep(SETTLE_S)
@@ -50,9 +50,9 @@ def _states(whom: str, server: Served, seconds: float, asked: Asked) -> Iterator
     with echo(client.bus) as asker:
         floor = _timed(asker.call, seconds)
     factor = client.info().real_time_factor
-    yield Figure(what=f"{whom}: get_entity_state", unit="ms", samples=took, asked=asked)
-    yield Figure(what=f"{whom}: floor, call of an echo", unit="ms", samples=floor)
-    yield Figure(what=f"{whom}: real-time factor", unit="", samples=(factor,))
+    yield Figure(what=f"{label}: get_entity_state", unit="ms", samples=took, limit=limit)
+    yield Figure(what=f"{label}: floor, call of an echo", unit="ms", samples=floor)
+    yield Figure(what=f"{label}: real-time factor", unit="", samples=(factor,))
 
 
 def _timed(call: Callable[[], object], seconds: float) -> tuple[float, ...]:

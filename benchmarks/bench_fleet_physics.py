@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from benchmarks.bench_fleet import begin
-from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet_server import Spent, served
+from benchmarks.figures import Figure, Limit, table
+from benchmarks.fleet_server import Spent, run_fleet_server
 
 __all__ = ["rows", "table"]
 
@@ -24,21 +24,21 @@ TURNS_WHEN_SHORT, TURN_WHEN_SHORT_S = 2, 0.1
 class Case:
     """A fleet, how its server is started, and what is asked of it."""
 
-    whom: str
+    label: str
     robots: int
     step_hz: float
     serve: tuple[str, ...] = ()
-    asked: Asked | None = None
+    limit: Limit | None = None
 
 
 KINEMATIC = ("--dynamics", "kinematic")
 CASES = (
     Case("1000 robots, one PyBullet world", 1000, 100.0, ("--clusters", "off")),
     Case("1000 robots, PyBullet in cells", 1000, 100.0, ("--clusters", "on")),
-    Case("1000 robots, MuJoCo", 1000, 100.0, ("--engine", "mujoco"), Asked("median", ">=", 1.3)),
+    Case("1000 robots, MuJoCo", 1000, 100.0, ("--engine", "mujoco"), Limit("median", ">=", 1.3)),
     Case("1000 robots, dynamics auto", 1000, 100.0, ("--dynamics", "auto")),
-    Case("1000 robots, kinematic", 1000, 50.0, KINEMATIC, Asked("median", ">=", 25.0)),
-    Case("10,000 robots, kinematic", 10_000, 50.0, KINEMATIC, Asked("median", ">=", 3.0)),
+    Case("1000 robots, kinematic", 1000, 50.0, KINEMATIC, Limit("median", ">=", 25.0)),
+    Case("10,000 robots, kinematic", 10_000, 50.0, KINEMATIC, Limit("median", ">=", 3.0)),
 )
 SHORT_CASES = (Case("2 robots, kinematic", 2, 50.0, KINEMATIC),)
 
@@ -48,27 +48,27 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     turns, turn_s = (TURNS_WHEN_SHORT, TURN_WHEN_SHORT_S) if is_short else (TURNS, TURN_S)
     for case in SHORT_CASES if is_short else CASES:
         arguments = ("--step-hz", f"{case.step_hz:g}", *case.serve)
-        with served(case.robots, *arguments) as server:
+        with run_fleet_server(case.robots, *arguments) as server:
             begin(server, case.robots)
             spans = [server.turn(turn_s) for _ in range(turns)]
         yield from _figures(case, spans)
 
 
 def _figures(case: Case, turns: list[Spent]) -> Iterator[Figure]:
-    whom = f"{case.whom}, {case.step_hz:g} Hz"
+    label = f"{case.label}, {case.step_hz:g} Hz"
     yield Figure(
-        what=f"{whom}: real-time factor",
+        what=f"{label}: real-time factor",
         unit="",
         samples=tuple(turn.steps / case.step_hz / turn.wall_s for turn in turns),
-        asked=case.asked,
+        limit=case.limit,
     )
     yield Figure(
-        what=f"{whom}: a robot and step",
+        what=f"{label}: a robot and step",
         unit="us",
         samples=tuple(turn.wall_s / turn.steps / case.robots * 1e6 for turn in turns),
     )
     yield Figure(
-        what=f"{whom}: CPU",
+        what=f"{label}: CPU",
         unit="cores",
         samples=tuple((turn.process_cpu_s + turn.children_cpu_s) / turn.wall_s for turn in turns),
     )

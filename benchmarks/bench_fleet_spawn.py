@@ -18,13 +18,13 @@ import psutil
 
 from benchmarks.bench_fleet_traffic import POOLS, pool
 from benchmarks.bodies import CONFIG
-from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet_server import Served, served, spawn
+from benchmarks.figures import Figure, Limit, table
+from benchmarks.fleet_server import FleetServer, run_fleet_server, spawn
 from benchmarks.fleet_users import Tally
-from benchmarks.installation import crowd, staffed
-from benchmarks.lateness import Lateness, watched
+from benchmarks.installation import run_fleet_users, run_installation
+from benchmarks.lateness import Lateness, record_lateness
 from benchmarks.pybullet_floor import PlainLoop
-from benchmarks.ten_robots import SPACING_M, milliseconds, soon
+from benchmarks.ten_robots import SPACING_M, milliseconds, poll_until
 from tests.integration.processes import zensim
 from zensim.proto.bus import BusSubscription
 from zensim.proto.messages.simulation_messages import State
@@ -33,15 +33,15 @@ __all__ = ["rows", "table"]
 
 RUNS = 2
 FULL, AUTO, MUJOCO = "full, 240 Hz", "dynamics auto, 100 Hz", "MuJoCo, full, 100 Hz"
-AUTO_WISH = ("--dynamics", "auto", "--step-hz", "100")
-MUJOCO_WISH = ("--engine", "mujoco", "--step-hz", "100")
+AUTO_ARGUMENTS = ("--dynamics", "auto", "--step-hz", "100")
+MUJOCO_ARGUMENTS = ("--engine", "mujoco", "--step-hz", "100")
 COUNTS, COUNTS_WHEN_SHORT = (100, 1000), (2, 5)
 KIBIBYTES, SECONDS = 1.0 / 1024.0, 1e-3
 GOAL = 1000
-SPAWNED = Asked("median", "<=", 3.0)
-WAITED = Asked("max", "<=", 50.0)
-MEMORY = Asked("median", "<=", 150.0)
-MOVED = Asked("max", "<=", 10.0)
+SPAWNED = Limit("median", "<=", 3.0)
+WAITED = Limit("max", "<=", 50.0)
+MEMORY = Limit("median", "<=", 150.0)
+MOVED = Limit("max", "<=", 10.0)
 COMMANDS_HZ = 2.0
 CROWD_S = 60.0
 FAR_M, APART_M = 1000.0, 10.0
@@ -65,8 +65,8 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         yield from _spawned(FULL, (), COUNTS_WHEN_SHORT, runs=1)
         yield from _moved(2, pools=1, runs=1)
     else:
-        yield from _spawned(AUTO, AUTO_WISH, COUNTS, runs=RUNS)
-        yield from _spawned(MUJOCO, MUJOCO_WISH, COUNTS, runs=RUNS)
+        yield from _spawned(AUTO, AUTO_ARGUMENTS, COUNTS, runs=RUNS)
+        yield from _spawned(MUJOCO, MUJOCO_ARGUMENTS, COUNTS, runs=RUNS)
         yield from _spawned(FULL, (), COUNTS, runs=1)
         yield from _moved(GOAL, pools=POOLS, runs=RUNS)
 
@@ -78,8 +78,8 @@ def _spawned(
     seen = {count: Spawns() for count in counts}
     for _ in range(runs):
         with (
-            served(1, "--rtf", "1", *serve) as server,
-            watched(server.client.bus) as lateness,
+            run_fleet_server(1, "--rtf", "1", *serve) as server,
+            record_lateness(server.client.bus) as lateness,
         ):
             for count, spawns in seen.items():
                 _spawn(server, lateness, count, spawns)
@@ -89,7 +89,7 @@ def _spawned(
         yield from _figures(f"{count} robots, {how}", spawns, is_goal=count == GOAL)
 
 
-def _spawn(server: Served, lateness: Lateness, count: int, spawns: Spawns) -> None:
+def _spawn(server: FleetServer, lateness: Lateness, count: int, spawns: Spawns) -> None:
     """Spawn a fleet while time runs, and let it stand afterwards: it may be too large to pace."""
     client = server.client
     before = _held(server)
@@ -107,7 +107,7 @@ def _spawn(server: Served, lateness: Lateness, count: int, spawns: Spawns) -> No
     spawns.robot_kib.append(held / count * KIBIBYTES)
 
 
-def _held(server: Served) -> int:
+def _held(server: FleetServer) -> int:
     """Tell the memory [bytes] that nobody but a server's processes uses."""
     process = psutil.Process(server.process.pid)
     family = (process, *process.children(recursive=True))
@@ -117,35 +117,35 @@ def _held(server: Served) -> int:
 def _moved(count: int, *, pools: int, runs: int) -> Iterator[Figure]:
     """Measure from `zensim fleet` on until every robot has moved on a command of its own."""
     seen = [_all_moved(count, pools) for _ in range(runs)]
-    whom = f"{count} robots, {AUTO}, {pools} pools"
+    label = f"{count} robots, {AUTO}, {pools} pools"
     yield Figure(
-        what=f"{whom}: fleet command to all have moved",
+        what=f"{label}: fleet command to all have moved",
         unit="s",
         samples=tuple(took_s for took_s, _ in seen),
-        asked=MOVED if count == GOAL else None,
+        limit=MOVED if count == GOAL else None,
     )
     yield Figure(
-        what=f"{whom}: moved on their own cmd_vel",
+        what=f"{label}: moved on their own cmd_vel",
         unit="",
         samples=tuple(moved for _, moved in seen),
-        asked=Asked("min", ">=", count),
+        limit=Limit("min", ">=", count),
     )
 
 
 def _all_moved(count: int, pools: int) -> tuple[float, int]:
     """Return the time [s] until all had moved, or that was waited for, and how many had."""
-    wish = ("--count", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
+    arguments = ("--count", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
     with (
-        staffed(AUTO_WISH, (pool(10.0),) * pools) as crew,
-        crowd(crew.bus, count, COMMANDS_HZ) as (tallies, _),
+        run_installation(AUTO_ARGUMENTS, (pool(10.0),) * pools) as crew,
+        run_fleet_users(crew.bus, count, COMMANDS_HZ) as (tallies, _),
     ):
-        soon(tallies.newest, CROWD_S)
+        poll_until(tallies.newest, CROWD_S)
         start_s = time.monotonic()
-        done = zensim("fleet", "box_bot", *wish, "--connect", crew.bus.endpoint)
+        done = zensim("fleet", "box_bot", *arguments, "--connect", crew.bus.endpoint)
         if done.returncode:
             raise RuntimeError(f"no fleet was spawned: {done.stderr}")
         while True:
-            tally = soon(lambda: _newest(tallies), CROWD_S)
+            tally = poll_until(lambda: _newest(tallies), CROWD_S)
             if tally.moved == count or tally.wall_s > start_s + CROWD_S:
                 return tally.wall_s - start_s, tally.moved
 
@@ -166,26 +166,26 @@ def _floor_s(count: int) -> float:
     return took_ms * SECONDS
 
 
-def _figures(whom: str, spawns: Spawns, *, is_goal: bool) -> Iterator[Figure]:
+def _figures(label: str, spawns: Spawns, *, is_goal: bool) -> Iterator[Figure]:
     yield Figure(
-        what=f"{whom}: request to all spawned",
+        what=f"{label}: request to all spawned",
         unit="s",
         samples=tuple(spawns.took_s),
-        asked=SPAWNED if is_goal else None,
+        limit=SPAWNED if is_goal else None,
     )
     floor = tuple(spawns.floor_s)
-    yield Figure(what=f"{whom}: floor, put into PyBullet", unit="s", samples=floor)
+    yield Figure(what=f"{label}: floor, put into PyBullet", unit="s", samples=floor)
     quiet = tuple(spawns.quiet_ms)
-    yield Figure(what=f"{whom}: longest wait, quiet", unit="ms", samples=quiet)
+    yield Figure(what=f"{label}: longest wait, quiet", unit="ms", samples=quiet)
     yield Figure(
-        what=f"{whom}: longest wait, spawning",
+        what=f"{label}: longest wait, spawning",
         unit="ms",
         samples=tuple(spawns.waited_ms),
-        asked=WAITED if is_goal else None,
+        limit=WAITED if is_goal else None,
     )
     yield Figure(
-        what=f"{whom}: memory a robot",
+        what=f"{label}: memory a robot",
         unit="KiB",
         samples=tuple(spawns.robot_kib),
-        asked=MEMORY if is_goal else None,
+        limit=MEMORY if is_goal else None,
     )

@@ -10,9 +10,9 @@ import random
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from benchmarks.figures import Asked, Figure, table
+from benchmarks.figures import Figure, Limit, table
 from benchmarks.fleet_server import spawn
-from benchmarks.installation import Span, crowd, observed, staffed
+from benchmarks.installation import Span, observe, run_fleet_users, run_installation
 from benchmarks.motion import PATIENCE_S, SPEED, response_ms
 from benchmarks.ten_robots import MILLISECONDS
 from tests.integration.processes import eventually
@@ -26,20 +26,20 @@ POOLS = 2
 SECONDS, SECONDS_FOR_TEN, SECONDS_WHEN_SHORT = 60.0, 15.0, 1.0
 CLAIM_S = 60.0
 SEED = 13
-FACTOR = Asked("median", ">=", 0.99)
+FACTOR = Limit("median", ">=", 0.99)
 
 
 @dataclass(frozen=True)
 class Case:
     """An installation, and what is asked of it."""
 
-    whom: str
+    label: str
     robots: int
     """With the one that is measured."""
     serve: tuple[str, ...]
     agents: tuple[tuple[str, ...], ...]
     seconds: float
-    answer: Asked | None = None
+    answer: Limit | None = None
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
@@ -53,7 +53,7 @@ def cases(*, is_short: bool) -> Sequence[Case]:
     if is_short:
         return (Case("2 robots, 1 pool, 50 Hz", 2, (), (pool(50.0),), SECONDS_WHEN_SHORT),)
     agents = tuple((f"box_bot{i}",) for i in range(10))
-    quickly, in_time = Asked("median", "<=", 15.0), Asked("p99", "<=", 60.0)
+    quickly, in_time = Limit("median", "<=", 15.0), Limit("p99", "<=", 60.0)
     coarse = ("--step-hz", "100", "--dynamics", "auto")
     return (
         Case("10 robots, 10 agents", 10, (), agents, SECONDS_FOR_TEN, quickly),
@@ -76,14 +76,14 @@ def pool(hz: float) -> tuple[str, ...]:
 def _measured(case: Case) -> Iterator[Figure]:
     took_ms: list[float] = []
     others = case.robots - 1
-    with staffed(case.serve, case.agents) as crew:
+    with run_installation(case.serve, case.agents) as crew:
         spawn(crew.client, case.robots)
         eventually(lambda: crew.client.info().claimed == case.robots, CLAIM_S, "claiming")
         single = robot(crew.bus, f"box_bot{others}")
-        with crowd(crew.bus, others, COMMANDS_HZ) as (tallies, pid):
+        with run_fleet_users(crew.bus, others, COMMANDS_HZ) as (tallies, pid):
             everybody = replace(crew, pids={**crew.pids, "users": (pid,)})
             command = _commands(single, took_ms)
-            spans = observed(everybody, tallies, others, case.seconds, command)
+            spans = observe(everybody, tallies, others, case.seconds, command)
     yield from _figures(case, spans, took_ms)
 
 
@@ -102,24 +102,24 @@ def _commands(single: Robot, took_ms: list[float]) -> Callable[[], None]:
 
 
 def _figures(case: Case, spans: list[Span], took_ms: list[float]) -> Iterator[Figure]:
-    whom = case.whom
+    label = case.label
     factors = tuple(span.factor for span in spans)
-    yield Figure(what=f"{whom}: real-time factor", unit="", samples=factors, asked=FACTOR)
+    yield Figure(what=f"{label}: real-time factor", unit="", samples=factors, limit=FACTOR)
     yield Figure(
-        what=f"{whom}: cmd_vel to odom that moves",
+        what=f"{label}: cmd_vel to odom that moves",
         unit="ms",
         samples=tuple(took_ms),
-        asked=case.answer,
+        limit=case.answer,
     )
     moved = spans[-1].moved
-    everybody = Asked("min", ">=", case.robots - 1)
-    yield Figure(what=f"{whom}: others that moved", unit="", samples=(moved,), asked=everybody)
+    everybody = Limit("min", ">=", case.robots - 1)
+    yield Figure(what=f"{label}: others that moved", unit="", samples=(moved,), limit=everybody)
     for group in spans[0].cores:
         cores = tuple(span.cores[group] for span in spans)
-        yield Figure(what=f"{whom}: CPU, {group}", unit="cores", samples=cores)
+        yield Figure(what=f"{label}: CPU, {group}", unit="cores", samples=cores)
     for what, samples in {
         "cmd_vel in": tuple(span.commands_hz for span in spans),
         "odom out": tuple(span.odom_hz for span in spans),
         "tf out": tuple(span.tf_hz for span in spans),
     }.items():
-        yield Figure(what=f"{whom}: {what}", unit="1/s", samples=samples)
+        yield Figure(what=f"{label}: {what}", unit="1/s", samples=samples)

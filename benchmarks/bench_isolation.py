@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from benchmarks import large_robot
-from benchmarks.figures import Asked, Figure, table
+from benchmarks.figures import Figure, Limit, table
 from benchmarks.ten_robots import (
     ROBOTS,
     ROBOTS_WHEN_SHORT,
@@ -28,7 +28,7 @@ from benchmarks.ten_robots import (
     latest_steps,
     longest_work,
     milliseconds,
-    observed_in_turn,
+    observe_in_turns,
     stats_of,
 )
 from tests.hostile.case import Case, alone, solid
@@ -53,7 +53,7 @@ FAR_M = 500.0
 QUIET_S = 4.5
 NO_NAME = "no-name"
 """Refused for its name, once the description has been read."""
-LATE = Asked("max", "<=", 20.0)
+LATE = Limit("max", "<=", 20.0)
 LARGEST = 16
 """Hostile descriptions, the longest of them: 40 kB to 9 MB."""
 
@@ -61,7 +61,7 @@ LARGEST = 16
 Act = Callable[[], object]
 
 
-class Watched:
+class ObservedFleet:
     """A fleet, and what its steps suffered while something was done."""
 
     def __init__(self, found: Fleet) -> None:
@@ -73,7 +73,7 @@ class Watched:
     def during(self, acts: dict[str, Act]) -> None:
         """Act in turn, and watch the steps meanwhile."""
         timed = (partial(self._timed, what, act) for what, act in acts.items())
-        for what, seen in zip(acts, observed_in_turn(self._stats, timed), strict=True):
+        for what, seen in zip(acts, observe_in_turns(self._stats, timed), strict=True):
             self.seconds.setdefault(what, []).extend(seen)
 
     def _timed(self, what: str, act: Act) -> None:
@@ -88,14 +88,14 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         fleet(ROBOTS_WHEN_SHORT if is_short else ROBOTS) as found,
     ):
         found.circle()
-        watched, path = Watched(found), Path(folder)
-        watched.during({"nothing else": partial(sleep, 0.5 if is_short else QUIET_S)})
+        record_lateness, path = ObservedFleet(found), Path(folder)
+        record_lateness.during({"nothing else": partial(sleep, 0.5 if is_short else QUIET_S)})
         for run in range(1 if is_short else RUNS):
             for what, is_held in (("robot", False), ("scene", True)):
                 cargo = a_cargo(path, 2 * run + is_held, is_held=is_held, **size)
-                watched.during(_acts(watched.client, cargo, what))
-            watched.during(_refusals(watched.client, path, run))
-    yield from _figures(watched)
+                record_lateness.during(_acts(record_lateness.client, cargo, what))
+            record_lateness.during(_refusals(record_lateness.client, path, run))
+    yield from _figures(record_lateness)
 
 
 def a_cargo(
@@ -163,11 +163,11 @@ def _refused(client: SimClient, order: SpawnEntityOrder) -> None:
         raise RuntimeError(f"'{order.name}' was spawned")
 
 
-def _figures(watched: Watched) -> Iterator[Figure]:
-    for what, seconds in watched.seconds.items():
+def _figures(record_lateness: ObservedFleet) -> Iterator[Figure]:
+    for what, seconds in record_lateness.seconds.items():
         yield longest_work(what, seconds, LATE)
-    for what, seconds in watched.seconds.items():
+    for what, seconds in record_lateness.seconds.items():
         yield latest_steps(what, seconds, LATE)
-    for what, took_ms in watched.took_ms.items():
+    for what, took_ms in record_lateness.took_ms.items():
         if not what.endswith("else"):
             yield Figure(what=f"{what}: request to reply", unit="ms", samples=tuple(took_ms))

@@ -12,18 +12,18 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from benchmarks.bench_spawn import LONGEST_PAUSE_S, Spawner, an_order
-from benchmarks.figures import Asked, Figure, table
+from benchmarks.figures import Figure, Limit, table
 from benchmarks.ten_robots import (
     MILLISECONDS,
     ROBOTS,
     ROBOTS_WHEN_SHORT,
     fleet,
     latest_steps,
-    observed,
+    observe,
     stats_of,
 )
 from tests.integration.journals import kill_hard, serving_with_journal
-from tests.integration.processes import START_S, free_endpoint, joined, running
+from tests.integration.processes import START_S, connected, free_endpoint, running
 from zensim.spawner.client.sim_client import SimClient
 
 __all__ = ["rows", "table"]
@@ -53,19 +53,19 @@ def _driven(what: str, arguments: Sequence[str], *, is_short: bool) -> Iterator[
     with fleet(ROBOTS_WHEN_SHORT if is_short else ROBOTS, *arguments) as found:
         found.circle()
         spawner, stats = Spawner(found.server.client), stats_of(found)
-        quiet = observed(stats, lambda: time.sleep(count * LONGEST_PAUSE_S))
-        busy = observed(stats, lambda: spawner.work(count))
+        quiet = observe(stats, lambda: time.sleep(count * LONGEST_PAUSE_S))
+        busy = observe(stats, lambda: spawner.work(count))
     yield Figure(
         what=f"spawn request to reply, {what}",
         unit="ms",
         samples=tuple(spawner.spawn_ms),
-        asked=Asked("p99", "<=", 50.0),
+        limit=Limit("p99", "<=", 50.0),
     )
     yield Figure(
         what=f"delete request to reply, {what}", unit="ms", samples=tuple(spawner.delete_ms)
     )
     yield latest_steps(f"{what}, no spawns", quiet)
-    yield latest_steps(f"{what}, with spawns", busy, Asked("max", "<=", 20.0))
+    yield latest_steps(f"{what}, with spawns", busy, Limit("max", "<=", 20.0))
 
 
 def _sync_ms(path: Path) -> float:
@@ -87,7 +87,7 @@ def _starts(folder: Path, *, is_short: bool) -> Iterator[Figure]:
         what=f"exec to the first list of {count} robots, after a kill",
         unit="s",
         samples=tuple(_first_list_s(folder, endpoint) for _ in range(times)),
-        asked=Asked("max", "<=", 3.0),
+        limit=Limit("max", "<=", 3.0),
     )
 
 
@@ -95,7 +95,7 @@ def _first_list_s(folder: Path, endpoint: str) -> float:
     start_s = time.monotonic()
     with (
         running("serve", "--listen", endpoint, "--journal", str(folder)) as process,
-        joined(endpoint, process) as bus,
+        connected(endpoint, process) as bus,
     ):
         client = SimClient(bus)
         client.wait_for_server(START_S)

@@ -12,9 +12,9 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from benchmarks.figures import Asked, Figure, table
+from benchmarks.figures import Figure, Limit, table
 from benchmarks.ten_robots import MILLISECONDS
-from tests.integration.processes import free_endpoint, joined, running
+from tests.integration.processes import connected, free_endpoint, running
 from zensim.proto.bus import Bus
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveState
@@ -69,20 +69,20 @@ def _pool_figures(bus: Bus, listener: Bus, robots: int, rounds: int) -> Iterator
     name = f"{robots} robots: "
     answered = _cpu_ms(rounds, lambda: pool.advance(next(states)))
     yield _figure(f"{name}a state answered", answered)
-    heard = _cpu_ms(rounds, lambda: pool.advance(next(states)), before=command_all)
-    yield _figure(f"{name}a state answered, each robot has a new command", heard)
+    received = _cpu_ms(rounds, lambda: pool.advance(next(states)), before=command_all)
+    yield _figure(f"{name}a state answered, each robot has a new command", received)
     unheard = _cpu_ms(rounds, pool.publish, before=lambda: pool.advance(next(states)))
     yield _figure(f"{name}odometry and tf told, nobody listens", unheard)
     heard_by = [listener.subscribe(f"*/{topic}", 8) for topic in TOPICS]
     for _ in range(DECLARED_IN):
         pool.reply_to_queries()
         time.sleep(0.001)
-    told, floor = _interleaved(bus, robots, rounds, pool, states)
-    asked = Asked("median", "<=", 5.0) if robots == max(SIZES) else None
-    yield _figure(f"{name}odometry and tf told, one listens to all", told)
+    received, floor = _interleaved(bus, robots, rounds, pool, states)
+    limit = Limit("median", "<=", 5.0) if robots == max(SIZES) else None
+    yield _figure(f"{name}odometry and tf told, one listens to all", received)
     yield _figure(f"{name}floor, as many ready payloads put", floor)
-    extra = tuple(one - other for one, other in zip(told, floor, strict=True))
-    yield _figure(f"{name}told, beyond its floor", extra, asked)
+    extra = tuple(one - other for one, other in zip(received, floor, strict=True))
+    yield _figure(f"{name}told, beyond its floor", extra, limit)
     for one in heard_by:
         one.close()
 
@@ -100,14 +100,14 @@ def _interleaved(
             for one in puts:
                 one.send(payload)
 
-    told: list[float] = []
+    received: list[float] = []
     floor: list[float] = []
     for _ in range(rounds):
-        told += _cpu_ms(1, pool.publish, before=lambda: pool.advance(next(states)))
+        received += _cpu_ms(1, pool.publish, before=lambda: pool.advance(next(states)))
         floor += _cpu_ms(1, put_all)
         # So that neither finds the other's messages still on their way.
         time.sleep(0.02)
-    return tuple(told), tuple(floor)
+    return tuple(received), tuple(floor)
 
 
 @contextmanager
@@ -115,8 +115,8 @@ def _buses() -> Iterator[tuple[Bus, Bus]]:
     endpoint = free_endpoint()
     with (
         running("router", "--listen", endpoint) as process,
-        joined(endpoint, process) as bus,
-        joined(endpoint) as listener,
+        connected(endpoint, process) as bus,
+        connected(endpoint) as listener,
     ):
         yield bus, listener
 
@@ -158,5 +158,5 @@ def _cpu_ms(
     return tuple(took)
 
 
-def _figure(what: str, samples: tuple[float, ...], asked: Asked | None = None) -> Figure:
-    return Figure(what=what, unit="CPU ms", samples=samples, asked=asked)
+def _figure(what: str, samples: tuple[float, ...], limit: Limit | None = None) -> Figure:
+    return Figure(what=what, unit="CPU ms", samples=samples, limit=limit)

@@ -15,7 +15,7 @@ from unittest.mock import patch
 import numpy as np
 
 from benchmarks import large_robot
-from benchmarks.figures import Asked, Figure, table
+from benchmarks.figures import Figure, Limit, table
 from zensim.proto.messages.model_messages import Model, ReportStatus
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.pipeline import parse_description
@@ -53,17 +53,17 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         yield Figure(what=f"read a URDF of {links} links", unit="ms", samples=samples)
     yield from _report(REPEATS_WHEN_SHORT if is_short else REPEATS)
     yield _meshes(1 if is_short else RUNS)
-    crowd = CROWD_WHEN_SHORT if is_short else CROWD
+    run_fleet_users = CROWD_WHEN_SHORT if is_short else CROWD
     model = read_urdf(read_builtin_model("box_bot"))
-    spawns = [_spawns(model, crowd) for _ in range(1 if is_short else WORLDS)]
+    spawns = [_spawns(model, run_fleet_users) for _ in range(1 if is_short else WORLDS)]
     first = tuple(world[0] for world in spawns)
     last = tuple(sample for world in spawns for sample in world[-LAST:])
     yield Figure(what="put the first box_bot into the engine", unit="ms", samples=first)
     yield Figure(
-        what=f"put box_bot number {crowd} into the engine",
+        what=f"put box_bot number {run_fleet_users} into the engine",
         unit="ms",
         samples=last,
-        asked=Asked("median", "<=", 1.5),
+        limit=Limit("median", "<=", 1.5),
     )
 
 

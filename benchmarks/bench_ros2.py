@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import zenoh
 
-from benchmarks.figures import Asked, Figure, table
+from benchmarks.figures import Figure, Limit, table
 from benchmarks.machine import thread_used_s, used_s
 from benchmarks.motion import MOVES
 from benchmarks.ten_robots import CIRCLE, MILLISECONDS, SPACING_M
@@ -38,8 +38,8 @@ __all__ = ["rows", "table"]
 ROBOTS, ROBOTS_WHEN_SHORT = 100, 3
 WINDOWS, WINDOW_S = 8, 2.0
 MOVED_S = 60.0
-UNSEEN = Asked("median", "<=", 1.03)
-SEEN = Asked("median", "<=", 1.15)
+UNSEEN = Limit("median", "<=", 1.03)
+SEEN = Limit("median", "<=", 1.15)
 FACE = ("0/**",)
 PLAIN = ("*/*", "tf", *(f"sim/default/{name}" for name in ("clock", "model_states", "link_states")))
 """The same, without ROS 2."""
@@ -83,16 +83,16 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     yield from _passing_on(f"{robots} robots, one looks at all", quiet, alike)
 
 
-def _ticks(whom: str, turns: Sequence[tuple[Costs, Costs]], asked: Asked) -> Iterator[Figure]:
+def _ticks(label: str, turns: Sequence[tuple[Costs, Costs]], limit: Limit) -> Iterator[Figure]:
     for number, face in enumerate(("floor, no ROS 2", "ROS 2")):
         samples = tuple(turn[number][TICK] for turn in turns)
-        yield Figure(what=f"{whom}: {TICK}, {face}", unit="CPU ms a step", samples=samples)
+        yield Figure(what=f"{label}: {TICK}, {face}", unit="CPU ms a step", samples=samples)
     ratio = tuple(faced[TICK] / plain[TICK] for plain, faced in turns)
-    yield Figure(what=f"{whom}: {TICK}, ROS 2 / floor", unit="", samples=ratio, asked=asked)
+    yield Figure(what=f"{label}: {TICK}, ROS 2 / floor", unit="", samples=ratio, limit=limit)
 
 
 def _passing_on(
-    whom: str, quiet: Sequence[tuple[Costs, Costs]], seen: Sequence[tuple[Costs, Costs]]
+    label: str, quiet: Sequence[tuple[Costs, Costs]], seen: Sequence[tuple[Costs, Costs]]
 ) -> Iterator[Figure]:
     """Say what being looked at costs, beyond what each part does anyway."""
     for part in (ROUTER, POOL):
@@ -102,11 +102,11 @@ def _passing_on(
         ]
         for number, face in enumerate(("floor, plain keys", "ROS 2")):
             samples = tuple(one[number] for one in extra)
-            yield Figure(what=f"{whom}: {part}, {face}", unit="CPU ms a step", samples=samples)
+            yield Figure(what=f"{label}: {part}, {face}", unit="CPU ms a step", samples=samples)
         ratio = tuple(faced / plain for plain, faced in extra)
-        yield Figure(what=f"{whom}: {part}, ROS 2 / floor", unit="", samples=ratio)
+        yield Figure(what=f"{label}: {part}, ROS 2 / floor", unit="", samples=ratio)
     ratio = tuple(sum(faced.values()) / sum(plain.values()) for plain, faced in seen)
-    yield Figure(what=f"{whom}: {ALL}, ROS 2 / floor, plain keys", unit="", samples=ratio)
+    yield Figure(what=f"{label}: {ALL}, ROS 2 / floor, plain keys", unit="", samples=ratio)
 
 
 @contextmanager
@@ -168,11 +168,11 @@ def _turns(both: Sequence[Driven], windows: int, window_s: float) -> list[tuple[
     return [(_costs(both[0], window_s), _costs(both[1], window_s)) for _ in range(windows)]
 
 
-def _costs(driven: Driven, window_s: float) -> Costs:
-    steps, before_s = driven.server.steps(), driven.used_s()
+def _costs(running_agents: Driven, window_s: float) -> Costs:
+    steps, before_s = running_agents.server.steps(), running_agents.used_s()
     time.sleep(window_s)
-    steps = driven.server.steps() - steps
+    steps = running_agents.server.steps() - steps
     return {
         part: (spent_s - before_s[part]) / steps * MILLISECONDS
-        for part, spent_s in driven.used_s().items()
+        for part, spent_s in running_agents.used_s().items()
     }

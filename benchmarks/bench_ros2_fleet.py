@@ -13,11 +13,11 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 
 from benchmarks.bench_fleet_traffic import POOLS, pool
-from benchmarks.figures import Asked, Figure, table
+from benchmarks.figures import Figure, Limit, table
 from benchmarks.fleet_server import CALL_TIMEOUT_S, PATIENCE_S, spawn
 from benchmarks.machine import used_s
-from benchmarks.ten_robots import POLL_S, soon
-from tests.integration.processes import free_endpoint, joined, running
+from benchmarks.ten_robots import POLL_S, poll_until
+from tests.integration.processes import connected, free_endpoint, running
 from zensim.proto.bus import Bus
 from zensim.proto.ros2.rmw_keys import OFF
 from zensim.spawner.client.sim_client import SimClient
@@ -35,8 +35,8 @@ TOKENS_OF_SESSION = 1000
 """About as many as a pool has on each of its own."""
 DEPTH = 1 << 17
 SETTLED_S = 3.0
-READY = Asked("max", "<=", 5.0)
-FOUND = Asked("max", "<=", 5.0)
+READY = Limit("max", "<=", 5.0)
+FOUND = Limit("max", "<=", 5.0)
 
 
 @dataclass
@@ -56,21 +56,21 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             with _started(robots, domain) as (bus, start):
                 start(starts[face], pattern, place)
                 if domain != OFF:
-                    looks.append(_look_late(bus, robots))
+                    looks.append(_join_late(bus, robots))
     yield from _figures(f"{robots} robots, {POOLS} pools", starts)
-    counts, watched, floor = zip(*looks, strict=True)
+    counts, record_lateness, floor = zip(*looks, strict=True)
     late = f"{robots} robots: {max(counts)} tokens"
-    yield Figure(what=f"{late} watched, late", unit="s", samples=watched, asked=FOUND)
+    yield Figure(what=f"{late} watched, late", unit="s", samples=record_lateness, limit=FOUND)
     yield Figure(what=f"{late} watched, late: floor, short keys", unit="s", samples=floor)
 
 
-def _figures(whom: str, starts: dict[str, Starts]) -> Iterator[Figure]:
+def _figures(label: str, starts: dict[str, Starts]) -> Iterator[Figure]:
     for face, found in starts.items():
-        asked = READY if face == "ROS 2" else None
+        limit = READY if face == "ROS 2" else None
         samples = tuple(found.ready_s)
-        yield Figure(what=f"{whom}: ready, {face}", unit="s", samples=samples, asked=asked)
+        yield Figure(what=f"{label}: ready, {face}", unit="s", samples=samples, limit=limit)
         used = tuple(found.used_s)
-        yield Figure(what=f"{whom}: CPU of the pools until then, {face}", unit="s", samples=used)
+        yield Figure(what=f"{label}: CPU of the pools until then, {face}", unit="s", samples=used)
 
 
 Start = Callable[[Starts, str, int], None]
@@ -82,7 +82,7 @@ def _started(robots: int, domain: str) -> Iterator[tuple[Bus, Start]]:
     endpoint, ros = free_endpoint(), ("--ros-domain", domain)
     with ExitStack() as stack:
         router = stack.enter_context(running("router", "--listen", endpoint))
-        bus = stack.enter_context(joined(endpoint, router))
+        bus = stack.enter_context(connected(endpoint, router))
         stack.enter_context(running("serve", "--connect", endpoint, *SERVE, *ros))
         client = SimClient(bus, timeout_s=CALL_TIMEOUT_S)
         client.wait_for_server(PATIENCE_S)
@@ -90,19 +90,19 @@ def _started(robots: int, domain: str) -> Iterator[tuple[Bus, Start]]:
 
         def start(found: Starts, pattern: str, place: int) -> None:
             words = ("agent", *pool(HZ), "--connect", endpoint, "--quiet", *ros)
-            heard = bus.subscribe(pattern, DEPTH)
+            odom = bus.subscribe(pattern, DEPTH)
             began_s = time.monotonic()
             pids = [stack.enter_context(running(*words)).pid for _ in range(POOLS)]
-            told: set[str] = set()
+            arrived: set[str] = set()
 
             def is_ready() -> bool | None:
-                told.update(sample.key.split("/")[place] for sample in heard.take())
-                return len(told) == robots or None
+                arrived.update(sample.key.split("/")[place] for sample in odom.take())
+                return len(arrived) == robots or None
 
-            soon(is_ready, PATIENCE_S)
+            poll_until(is_ready, PATIENCE_S)
             found.ready_s.append(time.monotonic() - began_s)
             found.used_s.append(sum(used_s(pid) for pid in pids))
-            heard.close()
+            odom.close()
 
         yield bus, start
 
@@ -122,7 +122,7 @@ def _settled(bus: Bus, least: int) -> int:
     return len(alive)
 
 
-def _look_late(bus: Bus, robots: int) -> tuple[int, float, float]:
+def _join_late(bus: Bus, robots: int) -> tuple[int, float, float]:
     """Return how many tokens there are, and the time [s] to see them and as many plain ones."""
     count = _settled(bus, robots)
     seen_s = _seen_s(bus.endpoint, TOKENS, count)
@@ -140,7 +140,7 @@ def _look_late(bus: Bus, robots: int) -> tuple[int, float, float]:
 def _seen_s(endpoint: str, pattern: str, count: int) -> float:
     """Join, and watch until so many tokens have been seen; return the time [s]."""
     began_s = time.monotonic()
-    with joined(endpoint) as bus:
+    with connected(endpoint) as bus:
         _settled_at(bus, pattern, count)
         return time.monotonic() - began_s
 
@@ -153,5 +153,5 @@ def _settled_at(bus: Bus, pattern: str, count: int) -> None:
         seen.update(token for token, is_alive in watch.take() if is_alive)
         return len(seen) >= count or None
 
-    soon(has_all, PATIENCE_S)
+    poll_until(has_all, PATIENCE_S)
     watch.close()

@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.bodies import standing_at
 from benchmarks.circling_driver import WHEEL_SPEEDS
-from benchmarks.figures import Asked, Figure, table
+from benchmarks.figures import Figure, Limit, table
 from benchmarks.ten_robots import SPACING_M
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
@@ -33,7 +33,7 @@ ROBOT_STEPS = 6000
 DOZE_STEPS = 200
 """After which who stands sleeps."""
 CONFIG = EngineConfig(round(1e9 / STEP_HZ))
-SHARE = Asked("median", "<=", 0.1)
+SHARE = Limit("median", "<=", 0.1)
 
 
 class Fleet:
@@ -99,5 +99,5 @@ def _of(robots: int, *, is_short: bool) -> Iterator[Figure]:
         what=f"{robots} robots: standing / driving",
         unit="",
         samples=tuple(one / other for one, other in zip(standing, driving, strict=True)),
-        asked=None if is_short else SHARE,
+        limit=None if is_short else SHARE,
     )

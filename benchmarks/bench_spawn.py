@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from functools import partial
 
 from benchmarks.bodies import Bodies, standing_at
-from benchmarks.figures import Asked, Figure, table
+from benchmarks.figures import Figure, Limit, table
 from benchmarks.ten_robots import (
     MILLISECONDS,
     ROBOTS,
@@ -22,7 +22,7 @@ from benchmarks.ten_robots import (
     latest_steps,
     longest_work,
     milliseconds,
-    observed,
+    observe,
     stats_of,
 )
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder
@@ -85,23 +85,23 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         found.circle()
         spawner = Spawner(found.server.client)
         stats = stats_of(found)
-        quiet = observed(stats, lambda: time.sleep(count * LONGEST_PAUSE_S))
-        busy = observed(stats, lambda: spawner.work(count))
+        quiet = observe(stats, lambda: time.sleep(count * LONGEST_PAUSE_S))
+        busy = observe(stats, lambda: spawner.work(count))
     yield Figure(
         what="spawn request to reply",
         unit="ms",
         samples=tuple(spawner.spawn_ms),
-        asked=Asked("p99", "<=", 50.0),
+        limit=Limit("p99", "<=", 50.0),
     )
     yield _floor(robots, count)
     yield Figure(what="delete request to reply", unit="ms", samples=tuple(spawner.delete_ms))
     yield from _steps("without spawns", quiet, None)
-    yield from _steps("with spawns", busy, Asked("max", "<=", 20.0))
+    yield from _steps("with spawns", busy, Limit("max", "<=", 20.0))
 
 
-def _steps(when: str, seen: list[Stats], asked: Asked | None) -> Iterator[Figure]:
-    yield longest_work(when, seen, asked)
-    yield latest_steps(when, seen, asked)
+def _steps(when: str, seen: list[Stats], limit: Limit | None) -> Iterator[Figure]:
+    yield longest_work(when, seen, limit)
+    yield latest_steps(when, seen, limit)
     yield Figure(
         what=f"longest step of each second, {when}",
         unit="ms",

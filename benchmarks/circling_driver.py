@@ -11,7 +11,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from benchmarks.ten_robots import POLL_S, soon
+from benchmarks.ten_robots import POLL_S, poll_until
 from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, open_bus
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
@@ -33,7 +33,7 @@ def drive(bus: Bus, names: tuple[str, ...]) -> NoReturn:
     snapshots = bus.subscribe(SNAPSHOT.key(WORLD))
     encoding = make_encoding(DriveCommand, Format.MSGPACK)
     commands = bus.advertise(DRIVE_COMMAND.key(WORLD, AGENT), encoding)
-    count = soon(lambda: _claim(bus, names), CALL_TIMEOUT_S)
+    count = poll_until(lambda: _claim(bus, names), CALL_TIMEOUT_S)
     sys.stdout.write(f"claimed {count}\n")
     sys.stdout.flush()
     speeds = np.tile(WHEEL_SPEEDS, count).astype("<f8").tobytes()
@@ -62,6 +62,6 @@ def _claim(bus: Bus, names: tuple[str, ...]) -> int | None:
 
 if __name__ == "__main__":
     die_with_supervisor(os.environ)
-    with open_bus(BusConfig(connect=(sys.argv[1],))) as joined:
-        token = joined.token(keys.alive_agent(WORLD, AGENT))
-        drive(joined, tuple(f"box_bot{i}" for i in range(int(sys.argv[2]))))
+    with open_bus(BusConfig(connect=(sys.argv[1],))) as connected:
+        token = connected.token(keys.alive_agent(WORLD, AGENT))
+        drive(connected, tuple(f"box_bot{i}" for i in range(int(sys.argv[2]))))

@@ -35,24 +35,24 @@ class Document:
 
     def write(self) -> list[Section]:
         """Read the command line and measure what it names; everything at full length: the page."""
-        wish = self._wish()
+        arguments = self._parse_arguments()
         # What it starts ends with it, even when it is killed.
         os.environ[PARENT_PID_VARIABLE] = str(os.getpid())
         load_before, sections = machine.load(), []
-        for name in wish.names or self.names:
-            sections.append(self.make(name, is_short=wish.short))
+        for name in arguments.names or self.names:
+            sections.append(self.make(name, is_short=arguments.short))
             sys.stdout.write(sections[-1].text + "\n")
             sys.stdout.flush()
-        if not wish.names and not wish.short:
+        if not arguments.names and not arguments.short:
             self.path.write_text(page(sections, load_before, self.head), encoding="utf-8")
         return sections
 
-    def _wish(self) -> argparse.Namespace:
+    def _parse_arguments(self) -> argparse.Namespace:
         known = ", ".join(self.names)
         parser = argparse.ArgumentParser(prog=f"python -m {self.program}")
         parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {known}")
         parser.add_argument("--short", action="store_true", help=self.short)
-        wish = parser.parse_args()
-        if unknown := set(wish.names) - set(self.names):
+        arguments = parser.parse_args()
+        if unknown := set(arguments.names) - set(self.names):
             parser.error(f"unknown: {', '.join(sorted(unknown))}; there are {known}")
-        return wish
+        return arguments

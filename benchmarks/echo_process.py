@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import NoReturn
 
 from benchmarks.machine import ROOT
-from benchmarks.ten_robots import POLL_S, soon
+from benchmarks.ten_robots import POLL_S, poll_until
 from zensim.proto.bus import Bus, BusConfig, open_bus
 from zensim.proto.process_limits import die_with_supervisor
 
@@ -44,7 +44,7 @@ class Echo:
     def ping(self) -> None:
         """Put, and wait for what is put back."""
         self._ping.send(b"x" * 52)
-        soon(self._pong.newest, 2.0)
+        poll_until(self._pong.newest, 2.0)
 
 
 @contextmanager
@@ -54,7 +54,7 @@ def echo(bus: Bus) -> Iterator[Echo]:
     process = subprocess.Popen(command, cwd=ROOT)
     try:
         asker = Echo(bus)
-        soon(lambda: bus.get(CALL) or None)
+        poll_until(lambda: bus.get(CALL) or None)
         asker.ping()
         yield asker
     finally:

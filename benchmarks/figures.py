@@ -21,21 +21,21 @@ LEAST_FOR_P99 = 100
 HEAD = ("figure", "asked", "seen", "median", "p10 to p90", "p99", "min to max", "n")
 
 
-class Asked(msgspec.Struct, frozen=True):
+class Limit(msgspec.Struct, frozen=True):
     """A limit on one statistic of a figure."""
 
     statistic: Statistic
     relation: Literal["<=", ">="]
-    limit: float
+    bound: float
     is_timed: bool = False
     """Whether other programs on the machine can break it."""
 
     def __str__(self) -> str:
-        return f"{self.statistic} {self.relation} {self.limit:g}"
+        return f"{self.statistic} {self.relation} {self.bound:g}"
 
     def is_met(self, value: float) -> bool:
         """Whether a value of the statistic is within the limit."""
-        return value <= self.limit if self.relation == "<=" else value >= self.limit
+        return value <= self.bound if self.relation == "<=" else value >= self.bound
 
 
 class Figure(msgspec.Struct, frozen=True, kw_only=True):
@@ -44,7 +44,7 @@ class Figure(msgspec.Struct, frozen=True, kw_only=True):
     what: str
     unit: str
     samples: tuple[float, ...]
-    asked: Asked | None = None
+    limit: Limit | None = None
 
     def __str__(self) -> str:
         return f"{self.what} [{self.unit}]" if self.unit else self.what
@@ -56,7 +56,7 @@ class Figure(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def is_missed(self) -> bool:
         """Whether something was asked that was not seen."""
-        return self.asked is not None and not self.asked.is_met(self.value(self.asked.statistic))
+        return self.limit is not None and not self.limit.is_met(self.value(self.limit.statistic))
 
 
 def table(figures: Iterable[Figure]) -> str:
@@ -67,14 +67,14 @@ def table(figures: Iterable[Figure]) -> str:
 
 def missed(figure: Figure) -> str:
     """Say in a line what was asked and what was seen instead."""
-    if figure.asked is None:
+    if figure.limit is None:
         raise ValueError(f"nothing was asked of '{figure}'")
-    return f"{figure}: asked {figure.asked}, seen {written(figure.value(figure.asked.statistic))}"
+    return f"{figure}: asked {figure.limit}, seen {written(figure.value(figure.limit.statistic))}"
 
 
 def missed_among(figures: Iterable[Figure], *, is_short: bool) -> tuple[str, ...]:
     """Say what was missed; of a short run only what other programs cannot be to blame for."""
-    judged = (one for one in figures if one.asked and not (is_short and one.asked.is_timed))
+    judged = (one for one in figures if one.limit and not (is_short and one.limit.is_timed))
     return tuple(missed(one) for one in judged if one.is_missed)
 
 
@@ -88,7 +88,7 @@ def _cells(figure: Figure) -> tuple[str, ...]:
     count = len(figure.samples)
     return (
         str(figure),
-        str(figure.asked or ""),
+        str(figure.limit or ""),
         _seen(figure),
         written(figure.value("median")),
         f"{written(low)} to {written(high)}",
@@ -99,7 +99,7 @@ def _cells(figure: Figure) -> tuple[str, ...]:
 
 
 def _seen(figure: Figure) -> str:
-    if figure.asked is None:
+    if figure.limit is None:
         return ""
     verdict = "**missed**" if figure.is_missed else "met"
-    return f"{written(figure.value(figure.asked.statistic))}, {verdict}"
+    return f"{written(figure.value(figure.limit.statistic))}, {verdict}"

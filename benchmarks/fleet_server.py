@@ -16,8 +16,8 @@ import psutil
 from benchmarks.machine import ROOT, used_s
 from benchmarks.pybullet_floor import Turn
 from benchmarks.ten_robots import SPACING_M
-from benchmarks.watched_server import Used, mark
-from tests.integration.processes import end, free_endpoint, joined
+from benchmarks.watched_server import Usage, mark
+from tests.integration.processes import connected, end, free_endpoint
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.proto.process_limits import PARENT_PID_VARIABLE
@@ -42,7 +42,7 @@ class Spent(Turn):
     parts_s: dict[str, float]
 
 
-class Served:
+class FleetServer:
     """One watched server."""
 
     def __init__(self, process: "subprocess.Popen[str]", client: SimClient) -> None:
@@ -67,7 +67,7 @@ class Served:
             },
         )
 
-    def look_inside(self) -> None:
+    def time_parts(self) -> None:
         """Have the parts of the loop timed too, from the next turn on."""
         self.process.send_signal(signal.SIGUSR1)
 
@@ -80,21 +80,21 @@ class Served:
         children = psutil.Process(self.process.pid).children(recursive=True)
         return sum(used_s(child.pid) for child in children)
 
-    def _enter(self, state: State) -> Used:
+    def _enter(self, state: State) -> Usage:
         self.client.set_simulation_state(state)
         line = line_with(mark(state), self.process)
-        return msgspec.json.decode(line.removeprefix(mark(state)), type=Used)
+        return msgspec.json.decode(line.removeprefix(mark(state)), type=Usage)
 
 
 @contextmanager
-def served(count: int, *serve_arguments: str) -> Iterator[Served]:
+def run_fleet_server(count: int, *serve_arguments: str) -> Iterator[FleetServer]:
     """Run a server that stands, with robots far apart and one process that drives them all."""
     endpoint = free_endpoint()
     arguments = ("--paused", "--rtf", "0", "--listen", endpoint, *serve_arguments)
     with ExitStack() as stack:
         process = stack.enter_context(program("watched_server", *arguments))
-        bus = stack.enter_context(joined(endpoint, process))
-        found = Served(process, SimClient(bus, timeout_s=CALL_TIMEOUT_S))
+        bus = stack.enter_context(connected(endpoint, process))
+        found = FleetServer(process, SimClient(bus, timeout_s=CALL_TIMEOUT_S))
         found.client.wait_for_server(PATIENCE_S)
         spawn(found.client, count)
         driver = stack.enter_context(program("circling_driver", endpoint, str(count)))

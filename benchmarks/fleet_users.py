@@ -22,7 +22,7 @@ from zensim.proto.topic_catalog import CMD_VEL, ODOM, TF
 
 TALLY = "bench/tally"
 DEPTH = 262_144
-TELL_EVERY_S = 1.0
+PUBLISH_EVERY_S = 1.0
 
 
 class Tally(msgspec.Struct):
@@ -37,15 +37,15 @@ class Tally(msgspec.Struct):
     """By the host's monotonic clock, when this was told."""
 
 
-class Crowd:
+class FleetUsers:
     """Everybody who commands a robot or looks at it."""
 
-    def __init__(self, bus: Bus, mouth: Bus, names: list[str]) -> None:
+    def __init__(self, bus: Bus, publishing_bus: Bus, names: list[str]) -> None:
         self.tally = Tally()
         self._odom = bus.subscribe(ODOM.key("*"), DEPTH)
         self._tf = bus.subscribe(TF.key("*"), DEPTH)
         encoding = make_encoding(Twist, Format.CDR)
-        self._cmd_vels = [mouth.advertise(CMD_VEL.key(name), encoding) for name in names]
+        self._cmd_vels = [publishing_bus.advertise(CMD_VEL.key(name), encoding) for name in names]
         self._stand = {ODOM.key(name) for name in names}
 
     def command(self) -> None:
@@ -56,15 +56,15 @@ class Crowd:
             cmd_vel.send(payload)
         self.tally.commands += len(self._cmd_vels)
 
-    def look(self) -> None:
+    def receive(self) -> None:
         """Take what has come."""
         self.tally.tf += _count(self._tf)
         for sample in self._odom.take():
             self.tally.odom += 1
             if sample.key in self._stand:
-                self._see(sample.key, decode(Odometry, sample.payload, sample.encoding))
+                self._note_motion(sample.key, decode(Odometry, sample.payload, sample.encoding))
 
-    def _see(self, key: str, odom: Odometry) -> None:
+    def _note_motion(self, key: str, odom: Odometry) -> None:
         linear = odom.twist.twist.linear
         if math.hypot(linear.x, linear.y) > MOVES:
             self._stand.discard(key)
@@ -75,26 +75,34 @@ def _count(subscription: BusSubscription) -> int:
     return len(subscription.take())
 
 
-def _serve(bus: Bus, mouth: Bus, names: list[str], hz: float) -> NoReturn:
-    crowd, was_all = Crowd(bus, mouth, names), False
-    told = bus.advertise(TALLY, "application/msgpack")
-    command_s = tell_s = time.monotonic()
+def _serve(bus: Bus, publishing_bus: Bus, names: list[str], hz: float) -> NoReturn:
+    users, was_all = FleetUsers(bus, publishing_bus, names), False
+    publisher = bus.advertise(TALLY, "application/msgpack")
+    command_s = publish_s = time.monotonic()
     while True:
-        crowd.look()
+        users.receive()
         now_s = time.monotonic()
         if now_s >= command_s:
             command_s = max(command_s + 1.0 / hz, now_s)
-            crowd.command()
-        is_all = crowd.tally.moved == len(names)
-        if now_s >= tell_s or is_all > was_all:
-            tell_s, was_all = now_s + TELL_EVERY_S, is_all
-            crowd.tally.wall_s = now_s
-            told.send(msgspec.msgpack.encode(crowd.tally))
+            users.command()
+        is_all = users.tally.moved == len(names)
+        if now_s >= publish_s or is_all > was_all:
+            publish_s, was_all = now_s + PUBLISH_EVERY_S, is_all
+            users.tally.wall_s = now_s
+            publisher.send(msgspec.msgpack.encode(users.tally))
         time.sleep(POLL_S)
 
 
 if __name__ == "__main__":
     die_with_supervisor(os.environ)
     # A session matches each message that comes against all publishers that it has.
-    with open_bus(BusConfig(connect=(sys.argv[1],))) as joined, joined.open_session() as mouth:
-        _serve(joined, mouth, [f"box_bot{i}" for i in range(int(sys.argv[2]))], float(sys.argv[3]))
+    with (
+        open_bus(BusConfig(connect=(sys.argv[1],))) as connected,
+        connected.open_session() as publishing_bus,
+    ):
+        _serve(
+            connected,
+            publishing_bus,
+            [f"box_bot{i}" for i in range(int(sys.argv[2]))],
+            float(sys.argv[3]),
+        )

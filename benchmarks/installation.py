@@ -12,8 +12,8 @@ import psutil
 from benchmarks.fleet_server import PATIENCE_S, program
 from benchmarks.fleet_users import TALLY, Tally
 from benchmarks.machine import used_s
-from benchmarks.ten_robots import soon
-from tests.integration.processes import free_endpoint, joined, running
+from benchmarks.ten_robots import poll_until
+from tests.integration.processes import connected, free_endpoint, running
 from zensim.proto.bus import Bus, BusSubscription
 from zensim.spawner.client.sim_client import SimClient
 
@@ -24,7 +24,7 @@ ALL_MOVE_S = 30.0
 
 
 @dataclass(frozen=True)
-class Crew:
+class Installation:
     """Who runs, by what it does."""
 
     bus: Bus
@@ -37,16 +37,18 @@ class Crew:
 
 
 @contextmanager
-def staffed(serve: Sequence[str], agents: Sequence[Sequence[str]]) -> Iterator[Crew]:
+def run_installation(
+    serve: Sequence[str], agents: Sequence[Sequence[str]]
+) -> Iterator[Installation]:
     """Run a router, a server and agents, each started with these arguments; no robot is there."""
     endpoint = free_endpoint()
     with ExitStack() as stack:
         router = stack.enter_context(running("router", "--listen", endpoint))
-        bus = stack.enter_context(joined(endpoint, router))
+        bus = stack.enter_context(connected(endpoint, router))
         server = stack.enter_context(running("serve", "--connect", endpoint, *serve))
         client = SimClient(bus, timeout_s=CALL_TIMEOUT_S)
         client.wait_for_server(PATIENCE_S)
-        staff = [
+        agents_started = [
             stack.enter_context(running("agent", *words, "--connect", endpoint, "--quiet"))
             for words in agents
         ]
@@ -54,13 +56,13 @@ def staffed(serve: Sequence[str], agents: Sequence[Sequence[str]]) -> Iterator[C
         pids = {
             "router": (router.pid,),
             "server": (server.pid, *(child.pid for child in children)),
-            "agents": tuple(agent.pid for agent in staff),
+            "agents": tuple(agent.pid for agent in agents_started),
         }
-        yield Crew(bus, client, pids)
+        yield Installation(bus, client, pids)
 
 
 @contextmanager
-def crowd(bus: Bus, count: int, hz: float) -> Iterator[tuple[BusSubscription, int]]:
+def run_fleet_users(bus: Bus, count: int, hz: float) -> Iterator[tuple[BusSubscription, int]]:
     """Run the users of a fleet, who command each robot this often; return their tallies and pid."""
     tallies = bus.subscribe(TALLY, TALLIES)
     with program("fleet_users", bus.endpoint, str(count), f"{hz:g}") as process:
@@ -82,41 +84,47 @@ class Span:
 
 
 @dataclass(frozen=True)
-class _Look:
+class _Sample:
     wall_s: float
     time_s: float
     used_s: Mapping[str, float]
     tally: Tally
 
 
-def observed(
-    crew: Crew, tallies: BusSubscription, robots: int, seconds: float, act: Callable[[], object]
+def observe(
+    installation: Installation,
+    tallies: BusSubscription,
+    robots: int,
+    seconds: float,
+    act: Callable[[], object],
 ) -> list[Span]:
     """Act again and again, once so many robots have moved; return what every second was."""
     give_up_s = time.monotonic() + ALL_MOVE_S
 
-    def begun() -> _Look | None:
-        found = _look(crew, tallies)
+    def begun() -> _Sample | None:
+        found = _take_sample(installation, tallies)
         is_late = time.monotonic() > give_up_s
         return found if found is not None and (is_late or found.tally.moved == robots) else None
 
-    looks = [soon(begun, 2.0 * ALL_MOVE_S)]
-    while looks[-1].wall_s - looks[0].wall_s < seconds:
+    samples = [poll_until(begun, 2.0 * ALL_MOVE_S)]
+    while samples[-1].wall_s - samples[0].wall_s < seconds:
         act()
-        if (found := _look(crew, tallies)) is not None:
-            looks.append(found)
-    return [_span(before, after) for before, after in pairwise(looks)]
+        if (found := _take_sample(installation, tallies)) is not None:
+            samples.append(found)
+    return [_span(before, after) for before, after in pairwise(samples)]
 
 
-def _look(crew: Crew, tallies: BusSubscription) -> _Look | None:
+def _take_sample(installation: Installation, tallies: BusSubscription) -> _Sample | None:
     """Look at everything when a tally has come."""
     if (sample := tallies.newest()) is None:
         return None
     tally = msgspec.msgpack.decode(sample.payload, type=Tally)
-    return _Look(time.monotonic(), crew.client.info().sim_time_s, crew.used_s(), tally)
+    return _Sample(
+        time.monotonic(), installation.client.info().sim_time_s, installation.used_s(), tally
+    )
 
 
-def _span(before: _Look, after: _Look) -> Span:
+def _span(before: _Sample, after: _Sample) -> Span:
     wall_s = after.wall_s - before.wall_s
     told_s = after.tally.wall_s - before.tally.wall_s
     return Span(

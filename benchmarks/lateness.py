@@ -45,7 +45,7 @@ class Lateness:
 
 
 @contextmanager
-def watched(bus: Bus) -> Iterator[Lateness]:
+def record_lateness(bus: Bus) -> Iterator[Lateness]:
     """Take the drive states of the circling robots as they come; at real-time factor 1."""
     states, seen, is_over = bus.subscribe(DRIVE_STATE.key(WORLD, AGENT), DEPTH), Lateness(), False
 

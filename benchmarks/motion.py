@@ -4,7 +4,7 @@ import math
 import random
 import time
 
-from benchmarks.ten_robots import milliseconds, soon
+from benchmarks.ten_robots import milliseconds, poll_until
 from tests.integration.robots import Robot
 from zensim.proto.messages.standard_messages import Odometry
 
@@ -26,7 +26,9 @@ def response_ms(robot: Robot, phase: random.Random, speed: float) -> float:
 
     def respond() -> None:
         robot.command(speed)
-        soon(lambda: any(_ahead(odom, speed) > MOVES for odom in robot.read()) or None, PATIENCE_S)
+        poll_until(
+            lambda: any(_ahead(odom, speed) > MOVES for odom in robot.read()) or None, PATIENCE_S
+        )
 
     took_ms = milliseconds(respond)
     stop(robot)
@@ -43,7 +45,7 @@ def stop(robot: Robot) -> None:
     robot.command(0.0)
     stood: list[Odometry] = []
 
-    def stands() -> bool | None:
+    def is_at_rest() -> bool | None:
         for odom in robot.read():
             twist = odom.twist.twist
             if max(abs(twist.linear.x), abs(twist.angular.z)) > STANDS:
@@ -52,4 +54,4 @@ def stop(robot: Robot) -> None:
                 stood.append(odom)
         return len(stood) >= STANDS_FOR or None
 
-    soon(stands, PATIENCE_S)
+    poll_until(is_at_rest, PATIENCE_S)

@@ -6,7 +6,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
 
-from benchmarks.figures import Asked, Figure
+from benchmarks.figures import Figure, Limit
 from tests.integration.processes import Server, running, serving, wait_for_agents
 from tests.integration.robots import Robot, robot
 from zensim.proto.bus import BusSubscription
@@ -46,9 +46,9 @@ def fleet(count: int, *serve_arguments: str) -> Iterator[Fleet]:
         if done.returncode:
             raise RuntimeError(f"no fleet was spawned: {done.stderr}")
         names = [f"box_bot{i}" for i in range(count)]
-        joined = ("--connect", server.endpoint, "--quiet", "--cmd-vel-timeout", "0")
+        connected = ("--connect", server.endpoint, "--quiet", "--cmd-vel-timeout", "0")
         for name in names:
-            stack.enter_context(running("agent", name, *joined))
+            stack.enter_context(running("agent", name, *connected))
         wait_for_agents(server, names)
         yield Fleet(server, [robot(server.bus, name) for name in names])
 
@@ -58,41 +58,41 @@ def stats_of(found: Fleet) -> BusSubscription:
     return found.server.bus.subscribe(STATS.key("default"), 4096)
 
 
-def observed(stats: BusSubscription, act: Callable[[], object]) -> list[Stats]:
+def observe(stats: BusSubscription, act: Callable[[], object]) -> list[Stats]:
     """Act, and return the statistics of the seconds that it took."""
-    return next(observed_in_turn(stats, [act]))
+    return next(observe_in_turns(stats, [act]))
 
 
-def observed_in_turn(
+def observe_in_turns(
     stats: BusSubscription, acts: Iterable[Callable[[], object]]
 ) -> Iterator[list[Stats]]:
     """Carry out one act after another; return the statistics of the seconds of each."""
     # From the end of a window of the server on, to the end of the one in which it ends.
     stats.take()
-    soon(stats.newest)
+    poll_until(stats.newest)
     for act in acts:
         act()
         seen = stats.take()
-        seen += soon(lambda: stats.take() or None)
+        seen += poll_until(lambda: stats.take() or None)
         yield [decode(Stats, sample.payload, sample.encoding) for sample in seen]
 
 
-def latest_steps(when: str, seen: list[Stats], asked: Asked | None = None) -> Figure:
+def latest_steps(when: str, seen: list[Stats], limit: Limit | None = None) -> Figure:
     """Say how late the latest step of each second was."""
     samples = tuple(stats.late_max_s * MILLISECONDS for stats in seen)
     return Figure(
-        what=f"latest step of each second, {when}", unit="ms", samples=samples, asked=asked
+        what=f"latest step of each second, {when}", unit="ms", samples=samples, limit=limit
     )
 
 
-def longest_work(when: str, seen: list[Stats], asked: Asked | None = None) -> Figure:
+def longest_work(when: str, seen: list[Stats], limit: Limit | None = None) -> Figure:
     """Say for how long the loop's own work held a step up in each second: CPU time."""
     samples = tuple(stats.busy_max_s * MILLISECONDS for stats in seen)
     what = f"longest own work before a step of each second, {when}"
-    return Figure(what=what, unit="CPU ms", samples=samples, asked=asked)
+    return Figure(what=what, unit="CPU ms", samples=samples, limit=limit)
 
 
-def soon(ask: Callable[[], T | None], within_s: float = 10.0) -> T:
+def poll_until(ask: Callable[[], T | None], within_s: float = 10.0) -> T:
     """Ask until there is an answer, often enough to time it.
 
     Raises:

@@ -31,7 +31,7 @@ def mark(state: State) -> str:
     return f"used until {State(state).name}: "
 
 
-class Used(msgspec.Struct, frozen=True):
+class Usage(msgspec.Struct, frozen=True):
     """What a server has used since it began [s], and how far it got."""
 
     steps: int
@@ -43,12 +43,12 @@ class Used(msgspec.Struct, frozen=True):
     """CPU time of the loop by part; empty until asked for."""
 
 
-class Watch:
+class UsageReporter:
     """Listens in on the one world of this process."""
 
     def __init__(self) -> None:
         self._stopwatch = Stopwatch()
-        self._is_asked = self._is_in = False
+        self._is_requested = self._is_in = False
         self._enter = SimulationClock.change_state
         self._make_world = World.__init__
         self._worlds: list[World] = []
@@ -63,17 +63,17 @@ class Watch:
             watch._worlds.append(world)
 
         def enter(clock: SimulationClock, state: State) -> None:
-            if watch._is_asked and not watch._is_in:
-                watch._look_inside(watch._worlds[0])
+            if watch._is_requested and not watch._is_in:
+                watch._time_parts(watch._worlds[0])
             watch._enter(clock, state)
-            watch._say(clock, state)
+            watch._report(clock, state)
 
         World.__init__ = make_world  # type: ignore[method-assign, assignment]
         SimulationClock.change_state = enter  # type: ignore[method-assign, assignment]
 
-    def _say(self, clock: SimulationClock, state: State) -> None:
+    def _report(self, clock: SimulationClock, state: State) -> None:
         parts_s = {name: ns * 1e-9 for name, ns in self._stopwatch.spent_ns.items()}
-        used = Used(
+        used = Usage(
             clock.steps,
             time.thread_time(),
             time.process_time(),
@@ -83,7 +83,7 @@ class Watch:
         sys.stdout.write(f"{mark(state)}{msgspec.json.encode(used).decode()}\n")
         sys.stdout.flush()
 
-    def _look_inside(self, world: World) -> None:
+    def _time_parts(self, world: World) -> None:
         self._is_in = True
         watch, engine = self._stopwatch, world.engine
         for name, part in ENGINE_PARTS.items():
@@ -96,12 +96,12 @@ class Watch:
             (AgentSessions, "serve", "take"),
         ):
             setattr(owner, name, watch.timed(part, getattr(owner, name)))
-        told = watch.timed_each("messages", World.drive_states)
-        World.drive_states = told  # type: ignore[method-assign]
+        received = watch.timed_each("messages", World.drive_states)
+        World.drive_states = received  # type: ignore[method-assign]
 
 
 if __name__ == "__main__":
     die_with_supervisor(os.environ)
-    Watch().install()
+    UsageReporter().install()
     sys.argv[1:] = ["serve", *sys.argv[1:]]
     main()

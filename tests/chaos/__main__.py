@@ -31,7 +31,7 @@ causes those of that section alone. *n* is the number of samples.
 """
 
 
-def suffer(name: str, *, is_short: bool) -> Section:
+def run_faults(name: str, *, is_short: bool) -> Section:
     """Inject one family of faults, and return its section.
 
     The short form ignores limits that depend on the load of the machine.
@@ -49,7 +49,7 @@ def suffer(name: str, *, is_short: bool) -> Section:
 DOCUMENT = Document(
     program="tests.chaos",
     names=NAMES,
-    make=suffer,
+    make=run_faults,
     short="a few faults each",
     path=ROOT / "docs" / "chaos.md",
     head=HEAD,

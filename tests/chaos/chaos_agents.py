@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from benchmarks.figures import Asked, Figure
+from benchmarks.figures import Figure, Limit
 from tests.integration.processes import Server, agent_of, eventually, running, serving
 from tests.integration.robots import Robot, robot
 
@@ -42,7 +42,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         what="kill of the agent to wheels at zero",
         unit="s",
         samples=tuple(took),
-        asked=Asked("max", "<=", TIMEOUT_S + MARGIN_S, is_timed=True),
+        limit=Limit("max", "<=", TIMEOUT_S + MARGIN_S, is_timed=True),
     )
 
 

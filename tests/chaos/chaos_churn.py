@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import psutil
 
-from benchmarks.figures import Asked, Figure
+from benchmarks.figures import Figure, Limit
 from tests.integration.processes import Server, serving
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 
@@ -31,11 +31,11 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         what=f"growth of the server's memory over {rounds} rounds",
         unit="MB",
         samples=(end - begin,),
-        asked=Asked("max", "<=", 10.0),
+        limit=Limit("max", "<=", 10.0),
     )
     yield Figure(what="of it in the first tenth", unit="MB", samples=(filled - begin,))
     yield Figure(
-        what="entities left", unit="", samples=(float(left),), asked=Asked("max", "<=", 0.0)
+        what="entities left", unit="", samples=(float(left),), limit=Limit("max", "<=", 0.0)
     )
 
 

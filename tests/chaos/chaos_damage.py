@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from benchmarks.figures import Asked, Figure
+from benchmarks.figures import Figure, Limit
 from tests.integration.journals import kill_hard, serving_with_journal
 from tests.integration.processes import command_line, end, eventually, free_endpoint, zensim
 
@@ -44,12 +44,12 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         whole = Path(scratch, "whole")
         _fill(whole)
         for what, damage in (("cut", cut), ("with a flipped bit", flip)):
-            faults, refused = _suffer(whole, Path(scratch), damage, copies)
+            faults, refused = _damage_copy(whole, Path(scratch), damage, copies)
             yield Figure(
                 what=f"journals {what} that led to anything but a start or one line, of {copies}",
                 unit="",
                 samples=(float(faults),),
-                asked=Asked("max", "<=", 0.0),
+                limit=Limit("max", "<=", 0.0),
             )
             yield Figure(
                 what=f"journals {what} that were refused", unit="", samples=(float(refused),)
@@ -67,7 +67,7 @@ def _fill(folder: Path) -> None:
         kill_hard(server)
 
 
-def _suffer(whole: Path, scratch: Path, damage: Damage, copies: int) -> tuple[int, int]:
+def _damage_copy(whole: Path, scratch: Path, damage: Damage, copies: int) -> tuple[int, int]:
     chance, faults, refused = random.Random(SEED), 0, 0
     for number in range(copies):
         folder = scratch / "copy"

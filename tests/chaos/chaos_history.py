@@ -14,9 +14,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-from benchmarks.figures import Asked, Figure
+from benchmarks.figures import Figure, Limit
 from tests.chaos.history import Answer, Kind, Operation, first_fault
-from tests.chaos.persistence import POLL_S, Mortal, ask, mortal
+from tests.chaos.persistence import POLL_S, RestartableServer, ask, run_restartable_server
 from tests.integration.processes import START_S
 from zensim.proto import service_catalog
 from zensim.proto.bus import Bus, BusConfig, open_bus
@@ -35,7 +35,7 @@ KILLS, KILLS_WHEN_SHORT = sys.maxsize, 2
 SEED = 31
 
 
-class Fate(NamedTuple):
+class KillSchedule(NamedTuple):
     """Range of a server's lifetime, and maximum number of kills."""
 
     life_s: tuple[float, float]
@@ -49,54 +49,58 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     life_s = LIFE_WHEN_SHORT_S if is_short else LIFE_S
     with tempfile.TemporaryDirectory() as folder:
         most = KILLS_WHEN_SHORT if is_short else KILLS
-        histories, kills = _loose(Path(folder), clients, operations, Fate(life_s, most))
+        histories, kills = _run_clients(
+            Path(folder), clients, operations, KillSchedule(life_s, most)
+        )
     faults = [name for name, history in histories.items() if first_fault(history) is not None]
     yield Figure(
         what="names whose history nothing explains",
         unit="",
         samples=(float(len(faults)),),
-        asked=Asked("max", "<=", 0.0),
+        limit=Limit("max", "<=", 0.0),
     )
     count = sum(map(len, histories.values()))
     yield Figure(
         what="operations answered",
         unit="",
         samples=(float(count),),
-        asked=Asked("min", ">=", clients * operations),
+        limit=Limit("min", ">=", clients * operations),
     )
     yield Figure(
         what="times that the server was killed meanwhile",
         unit="",
         samples=(float(kills),),
-        asked=Asked("min", ">=", 1.0),
+        limit=Limit("min", ">=", 1.0),
     )
 
 
-def _loose(
-    folder: Path, clients: int, operations: int, fate: Fate
+def _run_clients(
+    folder: Path, clients: int, operations: int, schedule: KillSchedule
 ) -> tuple[dict[str, list[Operation]], int]:
     histories: dict[str, list[Operation]] = {name: [] for name in NAMES}
-    with mortal(folder) as (server, endpoint), ThreadPoolExecutor(clients) as pool:
+    with run_restartable_server(folder) as (server, endpoint), ThreadPoolExecutor(clients) as pool:
         with open_bus(BusConfig(connect=(endpoint,))) as bus:
             SimClient(bus).wait_for_server(START_S)
         work = [pool.submit(_client, endpoint, i, operations) for i in range(clients)]
-        kills = _kill_until(server, endpoint, fate, lambda: all(one.done() for one in work))
+        kills = _kill_until(server, endpoint, schedule, lambda: all(one.done() for one in work))
         for one in work:
             for name, operation in one.result():
                 histories[name].append(operation)
     return histories, kills
 
 
-def _kill_until(server: Mortal, endpoint: str, fate: Fate, is_over: Callable[[], bool]) -> int:
+def _kill_until(
+    server: RestartableServer, endpoint: str, schedule: KillSchedule, is_over: Callable[[], bool]
+) -> int:
     """Kill the server repeatedly, each time some time after its first reply."""
     moment, kills = random.Random(SEED), 0
-    while kills < fate.kills and not is_over():
-        _wait(moment.uniform(*fate.life_s), is_over)
+    while kills < schedule.kills and not is_over():
+        _wait(moment.uniform(*schedule.life_s), is_over)
         if is_over():
             break
-        server.die()
+        server.kill()
         kills += 1
-        server.rise()
+        server.restart()
         with open_bus(BusConfig(connect=(endpoint,))) as bus:
             SimClient(bus).wait_for_server(START_S)
     return kills
@@ -109,17 +113,17 @@ def _wait(seconds: float, is_over: Callable[[], bool]) -> None:
 
 
 def _client(endpoint: str, number: int, operations: int) -> list[tuple[str, Operation]]:
-    draw, told = random.Random(SEED + number), []
+    draw, received = random.Random(SEED + number), []
     with open_bus(BusConfig(connect=(endpoint,))) as bus:
         for i in range(operations):
             name, kind = draw.choice(NAMES), draw.choice(KINDS)
             asked_s = time.monotonic()
-            answer = _ask(bus, kind, name, f"{number}.{i}")
-            told.append((name, Operation(kind, asked_s, time.monotonic(), answer)))
-    return told
+            answer = _call(bus, kind, name, f"{number}.{i}")
+            received.append((name, Operation(kind, asked_s, time.monotonic(), answer)))
+    return received
 
 
-def _ask(bus: Bus, kind: Kind, name: str, request_id: str) -> Answer:
+def _call(bus: Bus, kind: Kind, name: str, request_id: str) -> Answer:
     try:
         if kind == "spawn":
             order = SpawnEntityOrder(name=name, entity_resource=Resource(uri="box_bot"))

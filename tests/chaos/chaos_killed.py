@@ -14,8 +14,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from benchmarks.figures import Asked, Figure
-from tests.chaos.persistence import ANSWER_S, Mortal, ask, mortal
+from benchmarks.figures import Figure, Limit
+from tests.chaos.persistence import ANSWER_S, RestartableServer, ask, run_restartable_server
 from tests.integration.processes import START_S, eventually, zensim
 from zensim.proto import service_catalog
 from zensim.proto.bus import Bus, BusConfig, BusSubscription, NoServer, open_bus
@@ -75,7 +75,7 @@ class Churn:
 
 
 @dataclass
-class Toll:
+class KillCosts:
     """Losses and durations of the kills."""
 
     lost: int = 0
@@ -87,7 +87,7 @@ class Toll:
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Kill the server, start it again, and compare."""
     with tempfile.TemporaryDirectory() as folder:
-        toll = _toll(
+        toll = _measure_kills(
             Path(folder),
             ROUNDS_WHEN_SHORT if is_short else ROUNDS,
             ROBOTS_WHEN_SHORT if is_short else ROBOTS,
@@ -97,25 +97,28 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             what=f"acknowledged {what}",
             unit="",
             samples=(float(count),),
-            asked=Asked("max", "<=", 0.0),
+            limit=Limit("max", "<=", 0.0),
         )
     yield Figure(
         what="simulation time lost with a kill",
         unit="s",
         samples=tuple(toll.old_s),
-        asked=Asked("max", "<=", 0.55, is_timed=True),
+        limit=Limit("max", "<=", 0.55, is_timed=True),
     )
     yield Figure(
         what="start to the first list answered",
         unit="s",
         samples=tuple(toll.back_s),
-        asked=Asked("max", "<=", 3.0, is_timed=True),
+        limit=Limit("max", "<=", 3.0, is_timed=True),
     )
 
 
-def _toll(folder: Path, rounds: int, robots: int) -> Toll:
-    moment, toll = random.Random(SEED), Toll()
-    with mortal(folder) as (server, endpoint), open_bus(BusConfig(connect=(endpoint,))) as bus:
+def _measure_kills(folder: Path, rounds: int, robots: int) -> KillCosts:
+    moment, toll = random.Random(SEED), KillCosts()
+    with (
+        run_restartable_server(folder) as (server, endpoint),
+        open_bus(BusConfig(connect=(endpoint,))) as bus,
+    ):
         client = SimClient(bus)
         client.wait_for_server(START_S)
         done = zensim(
@@ -138,22 +141,24 @@ def _toll(folder: Path, rounds: int, robots: int) -> Toll:
     return toll
 
 
-def _kill_once(server: Mortal, bus: Bus, clock: BusSubscription, churn: Churn, toll: Toll) -> None:
-    heard = eventually(lambda: _clocks(clock) or None, START_S, "a clock")
-    server.die()
-    last = [*heard, *_clocks(clock)][-1]
+def _kill_once(
+    server: RestartableServer, bus: Bus, clock: BusSubscription, churn: Churn, toll: KillCosts
+) -> None:
+    received = eventually(lambda: _clocks(clock) or None, START_S, "a clock")
+    server.kill()
+    last = [*received, *_clocks(clock)][-1]
     begin_s = time.monotonic()
     before = churn.acknowledged()
-    server.rise()
+    server.restart()
     names = _first_list(bus)
     toll.back_s.append(time.monotonic() - begin_s)
     _compare(names, before, churn, toll)
-    told = eventually(
+    received = eventually(
         lambda: [one for one in _clocks(clock) if one.epoch > last.epoch] or None,
         START_S,
         "a new epoch",
     )
-    toll.old_s.append(max(0.0, _seconds(last) - _seconds(told[0])))
+    toll.old_s.append(max(0.0, _seconds(last) - _seconds(received[0])))
 
 
 def _first_list(bus: Bus) -> tuple[str, ...]:
@@ -171,7 +176,7 @@ def _first_list(bus: Bus) -> tuple[str, ...]:
 
 
 def _compare(
-    names: tuple[str, ...], before: tuple[set[str], set[str]], churn: Churn, toll: Toll
+    names: tuple[str, ...], before: tuple[set[str], set[str]], churn: Churn, toll: KillCosts
 ) -> None:
     """Compare a list with what was acknowledged before its request."""
     standing, gone = before

@@ -8,8 +8,8 @@ bytes of every odometry message of every robot, and where every body and joint i
 import sys
 from collections.abc import Iterator
 
-from benchmarks.figures import Asked, Figure
-from tests.integration.repeatable_run import Said, drive, run_lockstep_fleet
+from benchmarks.figures import Figure, Limit
+from tests.integration.repeatable_run import RunResult, drive, run_lockstep_fleet
 
 RUNS, RUNS_WHEN_SHORT = 10, 2
 ROBOTS, ROBOTS_WHEN_SHORT = 20, 3
@@ -25,7 +25,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         what=f"different hashes of {len(runs)} runs of {steps} steps with {robots} robots",
         unit="",
         samples=(float(len({said.hash for said in runs})),),
-        asked=Asked("max", "<=", 1.0),
+        limit=Limit("max", "<=", 1.0),
     )
     yield Figure(
         what=f"odometry messages of each robot, hash {runs[0].hash[:16]}",
@@ -34,7 +34,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     )
 
 
-def _run(robots: int, steps: int) -> Said:
+def _run(robots: int, steps: int) -> RunResult:
     with run_lockstep_fleet(robots) as server:
         said = drive(server, robots, steps)
     sys.stderr.write(f"{said.hash}\n")

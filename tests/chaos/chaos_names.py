@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
-from benchmarks.figures import Asked, Figure
+from benchmarks.figures import Figure, Limit
 from tests.integration.processes import serving
 from zensim.proto.bus import BusConfig, open_bus
 from zensim.proto.messages.result_messages import ServiceError
@@ -34,13 +34,13 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
                 what=f"answers {what} of {clients}, {statistic}",
                 unit="",
                 samples=samples,
-                asked=Asked(statistic, relation, expected),  # type: ignore[arg-type]
+                limit=Limit(statistic, relation, expected),  # type: ignore[arg-type]
             )
     yield Figure(
         what="entities for each name",
         unit="",
         samples=(entities / len(counts),),
-        asked=Asked("max", "<=", 1.0),
+        limit=Limit("max", "<=", 1.0),
     )
 
 

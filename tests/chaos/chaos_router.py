@@ -8,9 +8,9 @@ simulation time must not go back meanwhile.
 import time
 from collections.abc import Iterator
 
-from benchmarks.figures import Asked, Figure
-from tests.chaos.recovery import ROBOTS, ROBOTS_WHEN_SHORT, crew
-from tests.integration.processes import free_endpoint, joined, running
+from benchmarks.figures import Figure, Limit
+from tests.chaos.recovery import ROBOTS, ROBOTS_WHEN_SHORT, run_driven_fleet
+from tests.integration.processes import connected, free_endpoint, running
 
 ROUNDS, ROUNDS_WHEN_SHORT = 20, 1
 DOWN_S, DOWN_WHEN_SHORT_S = 5.0, 1.0
@@ -24,8 +24,8 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         process = router.__enter__()
         try:
             with (
-                joined(endpoint, process),
-                crew(endpoint, ROBOTS_WHEN_SHORT if is_short else ROBOTS) as found,
+                connected(endpoint, process),
+                run_driven_fleet(endpoint, ROBOTS_WHEN_SHORT if is_short else ROBOTS) as found,
             ):
                 found.drive_s()
                 for _ in range(ROUNDS_WHEN_SHORT if is_short else ROUNDS):
@@ -43,11 +43,11 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         what="router started to all robots driving",
         unit="s",
         samples=tuple(back),
-        asked=Asked("max", "<=", 5.0, is_timed=True),
+        limit=Limit("max", "<=", 5.0, is_timed=True),
     )
     yield Figure(
         what="times that the clock went back",
         unit="",
         samples=(steps_back,),
-        asked=Asked("max", "<=", 0.0),
+        limit=Limit("max", "<=", 0.0),
     )

@@ -9,8 +9,8 @@ import signal
 import time
 from collections.abc import Iterator
 
-from benchmarks.figures import Asked, Figure
-from tests.chaos.recovery import ROBOTS, ROBOTS_WHEN_SHORT, Crew, crew
+from benchmarks.figures import Figure, Limit
+from tests.chaos.recovery import ROBOTS, ROBOTS_WHEN_SHORT, DrivenFleet, run_driven_fleet
 from tests.integration.processes import kill, serving
 
 ROUNDS, ROUNDS_WHEN_SHORT = 5, 1
@@ -23,7 +23,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     back, rates = [], []
     with (
         serving() as server,
-        crew(server.endpoint, ROBOTS_WHEN_SHORT if is_short else ROBOTS) as found,
+        run_driven_fleet(server.endpoint, ROBOTS_WHEN_SHORT if is_short else ROBOTS) as found,
     ):
         found.drive_s()
         for _ in range(ROUNDS_WHEN_SHORT if is_short else ROUNDS):
@@ -31,7 +31,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             time.sleep(DOWN_WHEN_SHORT_S if is_short else DOWN_S)
             found.read_clock()
             last = found.clock.last[1]
-            found.clock.told.clear()
+            found.clock.received.clear()
             kill(server.process.pid, signal.SIGCONT)
             went_on_s = time.monotonic()
             back.append(found.drive_s())
@@ -41,24 +41,24 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         what="server going on to all robots driving",
         unit="s",
         samples=tuple(back),
-        asked=Asked("max", "<=", 5.0, is_timed=True),
+        limit=Limit("max", "<=", 5.0, is_timed=True),
     )
     yield Figure(
         what="steps in the second after, of those in any other",
         unit="",
         samples=tuple(rates),
-        asked=Asked("max", "<=", 1.1),
+        limit=Limit("max", "<=", 1.1),
     )
     yield Figure(
         what="times that the clock went back",
         unit="",
         samples=(steps_back,),
-        asked=Asked("max", "<=", 0.0),
+        limit=Limit("max", "<=", 0.0),
     )
 
 
-def _steps_in_first_second(found: Crew, went_on_s: float, last: int) -> float:
+def _steps_in_first_second(found: DrivenFleet, went_on_s: float, last: int) -> float:
     while time.monotonic() < went_on_s + 1.0:
         found.read_clock()
-    early = [step for told_s, step in found.clock.told if told_s < went_on_s + 1.0]
+    early = [step for told_s, step in found.clock.received if told_s < went_on_s + 1.0]
     return (max(early, default=last) - last) / NOMINAL_STEPS

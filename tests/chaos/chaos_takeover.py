@@ -8,7 +8,7 @@ its holder stays the second one. When the second leaves, the first must drive ag
 import signal
 from collections.abc import Iterator
 
-from benchmarks.figures import Asked, Figure
+from benchmarks.figures import Figure, Limit
 from tests.chaos.chaos_agents import MOVING_M_S, STANDING_M_S, speed_of
 from tests.integration.processes import Server, agent_of, eventually, kill, running, serving
 from tests.integration.robots import Robot, robot
@@ -33,35 +33,35 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         what="times that the woken agent was accepted beside the new one",
         unit="",
         samples=tuple(intruded),
-        asked=Asked("max", "<=", 0.0),
+        limit=Limit("max", "<=", 0.0),
     )
     yield Figure(
         what="fastest that the robot moved although its holder let it stand",
         unit="m/s",
         samples=tuple(strayed),
-        asked=Asked("max", "<=", STANDING_M_S),
+        limit=Limit("max", "<=", STANDING_M_S),
     )
     yield Figure(
         what="second agent gone to first agent driving again",
         unit="s",
         samples=tuple(returned),
-        asked=Asked("max", "<=", 5.0, is_timed=True),
+        limit=Limit("max", "<=", 5.0, is_timed=True),
     )
 
 
 def _round(server: Server) -> tuple[int, float, float]:
-    joined = ("--connect", server.endpoint, "--cmd-vel-timeout", "0")
-    with running("agent", "r1", "--name", "first", *joined) as first:
+    connected = ("--connect", server.endpoint, "--cmd-vel-timeout", "0")
+    with running("agent", "r1", "--name", "first", *connected) as first:
         eventually(lambda: agent_of(server, "r1") == "first", 30.0, "claiming")
         driver = robot(server.bus, "r1")
         _drive(server, driver)
         kill(first.pid, signal.SIGSTOP)
         try:
-            with running("agent", "r1", "--name", "second", *joined):
+            with running("agent", "r1", "--name", "second", *connected):
                 eventually(lambda: agent_of(server, "r1") == "second", 30.0, "taking over")
-                _stand(server)
+                _wait_until_at_rest(server)
                 kill(first.pid, signal.SIGCONT)
-                intrusions, fastest = _watch(server)
+                intrusions, fastest = _observe(server)
         finally:
             kill(first.pid, signal.SIGCONT)
         left_s = server.client.info().sim_time_s
@@ -78,7 +78,7 @@ def _drive(server: Server, driver: Robot) -> None:
     eventually(is_moving, 20.0, "moving")
 
 
-def _stand(server: Server) -> None:
+def _wait_until_at_rest(server: Server) -> None:
     """Wait until the robot is at rest; it rocks when it stops."""
     since_s = server.client.info().sim_time_s
 
@@ -92,7 +92,7 @@ def _stand(server: Server) -> None:
     eventually(is_calm, 20.0, "standing")
 
 
-def _watch(server: Server) -> tuple[int, float]:
+def _observe(server: Server) -> tuple[int, float]:
     begin_s, intrusions, fastest = server.client.info().sim_time_s, 0, 0.0
     while server.client.info().sim_time_s < begin_s + WATCHED_S:
         intrusions += agent_of(server, "r1") != "second"

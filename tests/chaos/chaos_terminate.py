@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from benchmarks.figures import Asked, Figure
-from tests.chaos.recovery import ROBOTS_WHEN_SHORT, crew
+from benchmarks.figures import Figure, Limit
+from tests.chaos.recovery import ROBOTS_WHEN_SHORT, run_driven_fleet
 from tests.integration.page_client import connect_page, encode_camera
 from tests.integration.processes import (
     END_S,
     START_S,
     children,
+    connected,
     eventually,
     free_endpoint,
-    joined,
     running,
 )
 from zensim.proto import keys
@@ -48,13 +48,13 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             what=f"{what}: SIGTERM to the end",
             unit="s",
             samples=tuple(ends[what][0] for ends in rounds),
-            asked=Asked("max", "<=", limit_s, is_timed=True),
+            limit=Limit("max", "<=", limit_s, is_timed=True),
         )
     yield Figure(
         what="statuses other than 0, tokens and processes left",
         unit="",
         samples=tuple(float(sum(faults for _, faults in ends.values())) for ends in rounds),
-        asked=Asked("max", "<=", 0.0),
+        limit=Limit("max", "<=", 0.0),
     )
 
 
@@ -64,10 +64,10 @@ def _round() -> dict[str, tuple[float, int]]:
     there = ("--connect", endpoint)
     with ExitStack() as stack:
         router = stack.enter_context(running("router", "--listen", endpoint))
-        bus = stack.enter_context(joined(endpoint, router))
+        bus = stack.enter_context(connected(endpoint, router))
         folder = stack.enter_context(TemporaryDirectory())
         server = stack.enter_context(running("serve", *there, "--journal", folder))
-        found = stack.enter_context(crew(endpoint, ROBOTS_WHEN_SHORT))
+        found = stack.enter_context(run_driven_fleet(endpoint, ROBOTS_WHEN_SHORT))
         waiting = stack.enter_context(running("agent", "r9", "--name", "patient", *there))
         view = stack.enter_context(running("view", *there, "--port", "0"))
         assert view.stdout is not None

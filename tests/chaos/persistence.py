@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tests.integration.processes import free_endpoint, joined, kill, running
+from tests.integration.processes import connected, free_endpoint, kill, running
 from zensim.proto.bus import Bus, NoServer
 from zensim.proto.service_catalog import Request, Response, Service
 
@@ -39,7 +39,7 @@ def ask(
         time.sleep(POLL_S)
 
 
-class Mortal:
+class RestartableServer:
     """A server with a journal, connected to a separate router."""
 
     def __init__(self, endpoint: str, folder: Path) -> None:
@@ -47,13 +47,13 @@ class Mortal:
         self._stack = ExitStack()
         self.process = self._start()
 
-    def die(self) -> None:
+    def kill(self) -> None:
         """Kill the server."""
         kill(self.process.pid, signal.SIGKILL)
         self.process.wait()
         self._stack.close()
 
-    def rise(self) -> None:
+    def restart(self) -> None:
         """Restart the server."""
         self.process = self._start()
 
@@ -66,11 +66,11 @@ class Mortal:
 
 
 @contextmanager
-def mortal(folder: Path) -> Iterator[tuple[Mortal, str]]:
+def run_restartable_server(folder: Path) -> Iterator[tuple[RestartableServer, str]]:
     """Run a router and a server that may be killed; yield the server and the endpoint."""
     endpoint = free_endpoint()
-    with running("router", "--listen", endpoint) as router, joined(endpoint, router):
-        server = Mortal(endpoint, folder)
+    with running("router", "--listen", endpoint) as router, connected(endpoint, router):
+        server = RestartableServer(endpoint, folder)
         try:
             yield server, endpoint
         finally:

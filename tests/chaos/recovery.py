@@ -25,18 +25,18 @@ class Clock:
 
     last: tuple[int, int] = (0, 0)
     steps_back: int = 0
-    told: list[tuple[float, int]] = field(default_factory=list)
+    received: list[tuple[float, int]] = field(default_factory=list)
     """Wall time [s] and step of messages since the list was cleared."""
 
     def note(self, now_s: float, epoch: int, step: int) -> None:
         """Record the received messages."""
         self.steps_back += (epoch, step) < self.last
         self.last = (epoch, step)
-        self.told.append((now_s, step))
+        self.received.append((now_s, step))
 
 
 @dataclass
-class Crew:
+class DrivenFleet:
     """Robots with one agent each, observed by a session that must also reconnect."""
 
     bus: Bus
@@ -73,23 +73,25 @@ class Crew:
 
 
 @contextmanager
-def crew(endpoint: str, count: int) -> Iterator[Crew]:
+def run_driven_fleet(endpoint: str, count: int) -> Iterator[DrivenFleet]:
     """Spawn robots on a running server, and run an agent for each."""
-    joined = ("--connect", endpoint)
+    connected = ("--connect", endpoint)
     names = [f"box_bot{i}" for i in range(count)]
     with ExitStack() as stack:
         bus = stack.enter_context(open_bus(BusConfig(connect=(endpoint,))))
         client = SimClient(bus, timeout_s=START_S)
         client.wait_for_server(START_S)
-        done = zensim("fleet", "box_bot", "--count", str(count), "--spacing", "3", *joined)
+        done = zensim("fleet", "box_bot", "--count", str(count), "--spacing", "3", *connected)
         assert done.returncode == 0, done.stderr
-        agents = [stack.enter_context(running("agent", name, "--quiet", *joined)) for name in names]
-        clock, told = Clock(), bus.subscribe(CLOCK.key("default"), 4096)
+        agents = [
+            stack.enter_context(running("agent", name, "--quiet", *connected)) for name in names
+        ]
+        clock, received = Clock(), bus.subscribe(CLOCK.key("default"), 4096)
 
         def read_clock() -> None:
-            for sample in told.take():
+            for sample in received.take():
                 message = decode(WorldClock, sample.payload, sample.encoding)
                 clock.note(time.monotonic(), message.epoch, message.step)
 
         robots = [robot(bus, name) for name in names]
-        yield Crew(bus, client, agents, robots, clock, read_clock)
+        yield DrivenFleet(bus, client, agents, robots, clock, read_clock)

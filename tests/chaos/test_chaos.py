@@ -2,12 +2,12 @@
 
 import pytest
 
-from tests.chaos.__main__ import NAMES, suffer
+from tests.chaos.__main__ import NAMES, run_faults
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_limits_hold_under_faults(name: str) -> None:
-    section = suffer(name, is_short=True)
+    section = run_faults(name, is_short=True)
 
     assert section.missed == ()
     assert "| " in section.text

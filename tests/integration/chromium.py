@@ -200,7 +200,7 @@ class Chromium:
 
 
 @contextmanager
-def opened(url: str) -> Iterator[Tab]:
+def open_page(url: str) -> Iterator[Tab]:
     """Open a viewer page in a separate browser."""
     with Chromium() as browser:
         tab = browser.tab()

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tests.integration.processes import START_S, Server, joined, running
+from tests.integration.processes import START_S, Server, connected, running
 from zensim.spawner.client.sim_client import SimClient
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ def serving_with_journal(
 ) -> Iterator[Server]:
     """Run a server with a journal until the block ends."""
     command = ("serve", "--listen", endpoint, "--journal", str(folder), *arguments)
-    with running(*command, prefix=prefix) as process, joined(endpoint, process) as bus:
+    with running(*command, prefix=prefix) as process, connected(endpoint, process) as bus:
         client = SimClient(bus, timeout_s=START_S)
         client.wait_for_server(START_S)
         yield Server(process, endpoint, bus, client)

@@ -36,9 +36,9 @@ def eventually(ask: Callable[[], T | None], within_s: float, what: str = "it") -
     within_s = max(within_s, LEAST_PATIENCE_S)
     deadline = time.monotonic() + within_s
     while True:
-        answer = ask()
-        if answer is not None and answer is not False:
-            return answer
+        response = ask()
+        if response is not None and response is not False:
+            return response
         assert time.monotonic() < deadline, f"{what} did not happen within {within_s:g} s"
         time.sleep(POLL_S)
 
@@ -67,7 +67,7 @@ def zensim(
     )
 
 
-def here(*arguments: str) -> "subprocess.CompletedProcess[str]":
+def run_in_process(*arguments: str) -> "subprocess.CompletedProcess[str]":
     """Run a command in this process; its unexpected exceptions are raised."""
     result = CliRunner().invoke(build(arguments[0]), arguments, prog_name="zensim")
     if result.exception is not None and not isinstance(result.exception, SystemExit):
@@ -77,7 +77,7 @@ def here(*arguments: str) -> "subprocess.CompletedProcess[str]":
     )
 
 
-def without(library: str, folder: Path) -> tuple[str, ...]:
+def without_library(library: str, folder: Path) -> tuple[str, ...]:
     """Make a command prefix under which a library cannot be imported."""
     block = f"import sys\nsys.modules[{library!r}] = None\n"
     (folder / "sitecustomize.py").write_text(block)
@@ -158,7 +158,7 @@ class Server:
 
     def zensim(self, *arguments: str) -> "subprocess.CompletedProcess[str]":
         """Run a command against this server; short ones run in this process."""
-        run = here if arguments[0] in SHORT else zensim
+        run = run_in_process if arguments[0] in SHORT else zensim
         return run(*arguments, "--connect", self.endpoint)
 
     def steps(self) -> int:
@@ -172,7 +172,7 @@ def serving(*arguments: str, prefix: Sequence[str] = (), endpoint: str = "") -> 
     endpoint = endpoint or free_endpoint()
     with (
         running("serve", "--listen", endpoint, *arguments, prefix=prefix) as process,
-        joined(endpoint, process) as bus,
+        connected(endpoint, process) as bus,
     ):
         client = SimClient(bus, timeout_s=START_S)
         client.wait_for_server(START_S)
@@ -180,7 +180,7 @@ def serving(*arguments: str, prefix: Sequence[str] = (), endpoint: str = "") -> 
 
 
 @contextmanager
-def joined(endpoint: str, process: "subprocess.Popen[str] | None" = None) -> Iterator[Bus]:
+def connected(endpoint: str, process: "subprocess.Popen[str] | None" = None) -> Iterator[Bus]:
     """Connect to an endpoint as soon as a router listens on it."""
 
     def attempt() -> Bus | None:
@@ -196,7 +196,7 @@ def joined(endpoint: str, process: "subprocess.Popen[str] | None" = None) -> Ite
 
 
 @contextmanager
-def driven(
+def running_agents(
     server: Server, *names: str, options: Sequence[str] = ()
 ) -> Iterator[dict[str, "subprocess.Popen[str]"]]:
     """Run an agent for each entity; enter the block when all are claimed."""

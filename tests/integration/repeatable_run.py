@@ -35,7 +35,7 @@ LOCKSTEP = ("--paused", "--lockstep", "--on-miss", "wait", "--seed", str(SEED))
 
 
 @dataclass(frozen=True)
-class Said:
+class RunResult:
     """Result of one run.
 
     Attributes:
@@ -89,20 +89,22 @@ def run_lockstep_fleet(
         yield server
 
 
-def drive(server: Server, robots: int, steps: int) -> Said:
+def drive(server: Server, robots: int, steps: int) -> RunResult:
     """Drive all robots with different commands; hash their odometry."""
     odom = server.bus.subscribe(ODOM.key("*"), DEPTH)
     fleet = [robot(server.bus, f"box_bot{i}") for i in range(robots)]
     # An agent that replies has matched the subscriber and published the initial pose.
     eventually(lambda: len(server.bus.get(ODOM.key("*"))) == robots, START_S, "odometry")
     odom.take()
-    heard = _Heard(odom)
+    received = OdometryHasher(odom)
     draws = random.Random(SEED)
     for begin in range(0, steps, CHUNK):
         _command(fleet, draws)
-        server.client.simulate_steps(min(CHUNK, steps - begin), on_progress=lambda _: heard.take())
-        heard.take()
-    return Said(dict(heard.counts), heard.digests(), state_hash(server.bus))
+        server.client.simulate_steps(
+            min(CHUNK, steps - begin), on_progress=lambda _: received.take()
+        )
+        received.take()
+    return RunResult(dict(received.counts), received.digests(), state_hash(server.bus))
 
 
 def state_hash(bus: Bus) -> str:
@@ -118,7 +120,7 @@ def _command(fleet: list[Robot], draws: random.Random) -> None:
         found.command(draws.uniform(-0.3, 0.6), draws.uniform(-1.0, 1.0))
 
 
-class _Heard:
+class OdometryHasher:
     """Hashes messages on arrival."""
 
     def __init__(self, odom: BusSubscription) -> None:

@@ -12,8 +12,8 @@ import zenoh
 from tests.integration.processes import end
 
 ANSWER_S = 10.0
-Ask = Callable[..., dict[str, object] | None]
-Do = Callable[..., Any]
+CallService = Callable[..., dict[str, object] | None]
+CallObserver = Callable[..., Any]
 
 
 class Router(Protocol):
@@ -25,7 +25,7 @@ class Router(Protocol):
 
 
 @contextmanager
-def observing(server: Router, domain: int, type_hash: str = "") -> Iterator[Do]:
+def run_observer(server: Router, domain: int, type_hash: str = "") -> Iterator[CallObserver]:
     """Run the independent client, and yield a function that calls its methods.
 
     Args:
@@ -42,7 +42,7 @@ def observing(server: Router, domain: int, type_hash: str = "") -> Iterator[Do]:
         text=True,
     )
 
-    def do(what: str, **given: object) -> object:
+    def observe(what: str, **given: object) -> object:
         assert process.stdin is not None
         assert process.stdout is not None
         process.stdin.write(json.dumps({"do": what, **given}) + "\n")
@@ -50,7 +50,7 @@ def observing(server: Router, domain: int, type_hash: str = "") -> Iterator[Do]:
         return json.loads(process.stdout.readline())
 
     try:
-        yield do
+        yield observe
     finally:
         if process.stdin is not None:
             process.stdin.close()
@@ -58,20 +58,20 @@ def observing(server: Router, domain: int, type_hash: str = "") -> Iterator[Do]:
 
 
 @contextmanager
-def ros_client(server: Router, domain: int = 0) -> Iterator[Ask]:
+def ros_client(server: Router, domain: int = 0) -> Iterator[CallService]:
     """Run the independent client, and yield a function that calls services."""
-    with observing(server, domain) as do:
-        yield asking(do)
+    with run_observer(server, domain) as observe:
+        yield make_service_call(observe)
 
 
-def asking(do: Do) -> Ask:
+def make_service_call(observe: CallObserver) -> CallService:
     """Make a function that calls services with the client."""
 
     def ask(name: str, kind: str, type_hash: str, /, **fields: object) -> dict[str, object] | None:
-        answer: dict[str, object] | None = do(
+        response: dict[str, object] | None = observe(
             "call", name=name, kind=kind, type_hash=type_hash, fields=fields
         )
-        return answer
+        return response
 
     return ask
 
@@ -102,8 +102,8 @@ def replies(
         return [reply.ok for reply in found if reply.ok is not None]
 
 
-def result_of(answer: dict[str, object] | None) -> int:
-    assert answer is not None
-    result = answer["result"]
+def result_of(response: dict[str, object] | None) -> int:
+    assert response is not None
+    result = response["result"]
     assert isinstance(result, dict)
     return int(result["result"])

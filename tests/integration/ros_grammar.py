@@ -21,7 +21,7 @@ ENDPOINT = re.compile(
     "@ros2_lv/([0-9]+)/([0-9a-f]+)/([0-9]+)/([0-9]+)/(MP|MS|SS|SC)/%"
     f"/(%|{NAME})/({WORD})/({NAME})/{TYPE}/(RIHS01_[0-9a-f]{{64}}|TypeHashNotSupported)/({QOS})"
 )
-HUMBLES = "TypeHashNotSupported"
+HUMBLE_HASH = "TypeHashNotSupported"
 LONGEST = 247
 """Maximum number of characters of a topic with its namespace."""
 VERSION_1 = {
@@ -37,12 +37,12 @@ VERSION_1 = {
 """Published hashes of types that differ between simulation_interfaces 1.x and 2.1."""
 
 
-class NoToken(AssertionError):
+class InvalidToken(AssertionError):
     """A token that rmw_zenoh would reject."""
 
 
 @dataclass(frozen=True)
-class Owner:
+class TokenNode:
     """A node."""
 
     domain: int
@@ -52,10 +52,10 @@ class Owner:
 
 
 @dataclass(frozen=True)
-class Told:
+class TokenEndpoint:
     """A publisher, subscription, server or client."""
 
-    owner: Owner
+    node: TokenNode
     number: int
     kind: str
     name: str
@@ -69,57 +69,59 @@ class Told:
         """Key of its data."""
         package, kind, name = self.ros_type.split("/")
         dds = f"{package}::{kind}::dds_::{name}_"
-        return f"{self.owner.domain}{self.name}/{dds}/{self.type_hash}"
+        return f"{self.node.domain}{self.name}/{dds}/{self.type_hash}"
 
 
-def parse_endpoints(tokens: Iterable[str]) -> list[Told]:
+def parse_endpoints(tokens: Iterable[str]) -> list[TokenEndpoint]:
     """Parse all tokens of a network, and check their consistency.
 
     Raises:
         NoToken: A token is malformed or inconsistent with others.
     """
-    owners: set[Owner] = set()
+    nodes: set[TokenNode] = set()
     endpoints = []
     for token in tokens:
         if found := NODE.fullmatch(token):
             domain, zid, number, again, namespace, name = found.groups()
             if number != again:
-                raise NoToken(f"a node of two numbers: {token}")
-            owners.add(Owner(int(domain), zid, int(number), _full(namespace, name)))
+                raise InvalidToken(f"node_number {token}")
+            nodes.add(TokenNode(int(domain), zid, int(number), _full(namespace, name)))
         else:
             endpoints.append(_endpoint(token))
-    numbers = [(one.zid, one.number) for one in owners]
-    numbers += [(one.owner.zid, one.number) for one in endpoints]
+    numbers = [(one.zid, one.number) for one in nodes]
+    numbers += [(one.node.zid, one.number) for one in endpoints]
     if len(set(numbers)) < len(numbers):
-        raise NoToken("two have one number")
+        raise InvalidToken("duplicate_number")
     for one in endpoints:
-        if one.owner not in owners:
-            raise NoToken(f"nobody is the node of {one}")
+        if one.node not in nodes:
+            raise InvalidToken(f"unknown_node {one}")
     return endpoints
 
 
-def check_hash(told: Told, *, has_hashes: bool) -> None:
+def check_hash(endpoint: TokenEndpoint, *, has_hashes: bool) -> None:
     """Compare a type hash with an independent implementation or the published value.
 
     Raises:
         NoToken: The hashes differ.
     """
-    find = hash_of_message if told.kind in ("MP", "MS") else hash_of_service
-    known = {find(told.ros_type), VERSION_1.get(told.ros_type)} if has_hashes else {HUMBLES}
-    if told.type_hash not in known:
-        raise NoToken(f"the hash of {told} is none of {known}")
+    find = hash_of_message if endpoint.kind in ("MP", "MS") else hash_of_service
+    known = (
+        {find(endpoint.ros_type), VERSION_1.get(endpoint.ros_type)} if has_hashes else {HUMBLE_HASH}
+    )
+    if endpoint.type_hash not in known:
+        raise InvalidToken(f"hash {endpoint}; expected {known}")
 
 
-def _endpoint(token: str) -> Told:
+def _endpoint(token: str) -> TokenEndpoint:
     found = ENDPOINT.fullmatch(token)
     if found is None:
-        raise NoToken(token)
+        raise InvalidToken(token)
     domain, zid, node, number, kind, namespace, name, topic = found.groups()[:8]
     package, folder, type_name, type_hash = found.groups()[8:12]
     if len(topic) > LONGEST:
-        raise NoToken(f"{len(topic)} characters: {token}")
-    return Told(
-        Owner(int(domain), zid, int(node), _full(namespace, name)),
+        raise InvalidToken(f"topic_length {len(topic)}: {token}")
+    return TokenEndpoint(
+        TokenNode(int(domain), zid, int(node), _full(namespace, name)),
         int(number),
         kind,
         topic.replace("%", "/"),

@@ -40,9 +40,9 @@ class Observer(Client):
         super().__init__(port, domain)
         self._type_hash = type_hash
         self._at = {"domain_id": domain, "router_ip": HOST, "router_port": port}
-        self._tellers: dict[tuple[str, str], ROS2Publisher] = {}
-        self._listeners: dict[str, ROS2Subscriber] = {}
-        self._heard: dict[str, list[object]] = {}
+        self._publishers: dict[tuple[str, str], ROS2Publisher] = {}
+        self._subscribers: dict[str, ROS2Subscriber] = {}
+        self._received: dict[str, list[object]] = {}
 
     def topics(self) -> dict[str, list[str]]:
         """List topics and their types, as `ros2 topic list -t`."""
@@ -57,40 +57,40 @@ class Observer(Client):
         found = get_topic_info(topic, **self._at, timeout=LOOK_S, verbose=True)
         return [vars(one) for one in found.publishers] if found else []
 
-    def hear(self, topic: str, kind: str, count: int, within_s: float, qos: str) -> list[object]:
+    def receive(self, topic: str, kind: str, count: int, within_s: float, qos: str) -> list[object]:
         """Subscribe, and return the first `count` distinct messages."""
-        came: list[object] = []
-        heard: dict[str, object] = {}
-        subscriber = ROS2Subscriber(topic, kind, came.append, **self._declared(kind, qos))
+        messages: list[object] = []
+        received: dict[str, object] = {}
+        subscriber = ROS2Subscriber(topic, kind, messages.append, **self._declared(kind, qos))
         deadline = time.monotonic() + within_s
-        while len(heard) < count and time.monotonic() < deadline:
+        while len(received) < count and time.monotonic() < deadline:
             time.sleep(POLL_S)
-            while came:
-                message = self._plain(came.pop(0), kind)
-                heard[json.dumps(message)] = message
+            while messages:
+                message = self._plain(messages.pop(0), kind)
+                received[json.dumps(message)] = message
         subscriber.close()
-        return [*heard.values()][:count]
+        return [*received.values()][:count]
 
-    def listen(self, topic: str, kind: str, qos: str) -> None:
+    def subscribe(self, topic: str, kind: str, qos: str) -> None:
         """Subscribe permanently."""
-        heard = self._heard.setdefault(topic, [])
-        self._listeners[topic] = ROS2Subscriber(
+        received = self._received.setdefault(topic, [])
+        self._subscribers[topic] = ROS2Subscriber(
             topic,
             kind,
-            lambda message: heard.append(self._plain(message, kind)),
+            lambda message: received.append(self._plain(message, kind)),
             **self._declared(kind, qos),
         )
 
-    def heard(self, topic: str) -> list[object]:
+    def received(self, topic: str) -> list[object]:
         """List the messages received since `listen`, oldest first."""
-        return list(self._heard[topic])
+        return list(self._received[topic])
 
-    def tell(self, topic: str, kind: str, fields: OfRos) -> None:
+    def publish(self, topic: str, kind: str, fields: OfRos) -> None:
         """Publish one message."""
-        if (topic, kind) not in self._tellers:
-            self._tellers[topic, kind] = ROS2Publisher(topic, kind, **self._declared(kind, ""))
+        if (topic, kind) not in self._publishers:
+            self._publishers[topic, kind] = ROS2Publisher(topic, kind, **self._declared(kind, ""))
         values = {name: self._value(what, fields.get(name)) for name, what in self._fields(kind)}
-        self._tellers[topic, kind].publish(**values)
+        self._publishers[topic, kind].publish(**values)
 
     def _declared(self, kind: str, qos: str) -> dict[str, OfRos]:
         if kind in INTERFACES:
@@ -111,8 +111,8 @@ def main() -> None:
     try:
         for line in sys.stdin:
             given = json.loads(line)
-            answer = getattr(observer, given.pop("do"))(**given)
-            sys.stdout.write(json.dumps(answer) + "\n")
+            response = getattr(observer, given.pop("do"))(**given)
+            sys.stdout.write(json.dumps(response) + "\n")
             sys.stdout.flush()
     finally:
         observer.close()

@@ -23,11 +23,11 @@ TOKEN_PARTS = 13
 
 
 class BrokenRule(AssertionError):
-    """A message or token that rmw_zenoh would reject."""
+    """A message or token that rmw_zenoh would reject; the text begins with a code."""
 
 
 @dataclass(frozen=True)
-class Heard:
+class ReceivedSample:
     """A received sample."""
 
     key: str
@@ -36,7 +36,7 @@ class Heard:
 
 
 @dataclass(frozen=True)
-class Announced:
+class PublisherToken:
     """A publisher, described by its token."""
 
     node: str
@@ -46,24 +46,24 @@ class Announced:
     is_latched: bool
 
 
-def to_received_sample(sample: zenoh.Sample) -> Heard:
+def to_received_sample(sample: zenoh.Sample) -> ReceivedSample:
     attachment = sample.attachment.to_bytes() if sample.attachment else b""
-    return Heard(str(sample.key_expr), sample.payload.to_bytes(), attachment)
+    return ReceivedSample(str(sample.key_expr), sample.payload.to_bytes(), attachment)
 
 
-def announced(token: str, *, has_hashes: bool = True) -> Announced:
+def parse_publisher_token(token: str, *, has_hashes: bool = True) -> PublisherToken:
     """Parse the token of a publisher; humble has no type hashes."""
     parts = token.split("/")
     if len(parts) != TOKEN_PARTS or parts[0] != ADMIN_SPACE or parts[5] != "MP":
-        raise BrokenRule(f"no token of a publisher: {token}")
+        raise BrokenRule(f"invalid_token {token}")
     try:
         qos = QosProfile.decode(parts[12])
     except ValueError as error:
-        raise BrokenRule(f"qos of {token}: {error}") from error
+        raise BrokenRule(f"qos {token}: {error}") from error
     ros_type, name = dds_to_ros_type(parts[10]), demangle_name(parts[9])
     if parts[11] != (hash_of_message(ros_type) if has_hashes else OF_HUMBLE):
-        raise BrokenRule(f"hash of {token}")
-    return Announced(
+        raise BrokenRule(f"hash {token}")
+    return PublisherToken(
         f"{demangle_name(parts[7])}/{parts[8]}".replace("//", "/"),
         name,
         ros_type,
@@ -73,30 +73,30 @@ def announced(token: str, *, has_hashes: bool = True) -> Announced:
 
 
 def check_topic(
-    tokens: list[str], samples: list[Heard], *, has_hashes: bool = True
-) -> list[Announced]:
+    tokens: list[str], samples: list[ReceivedSample], *, has_hashes: bool = True
+) -> list[PublisherToken]:
     """Check the publishers of a topic, and the samples on its key.
 
     Raises:
         BrokenRule: The key has no publisher, or a sample would be dropped.
     """
-    publishers = [announced(token, has_hashes=has_hashes) for token in tokens]
+    publishers = [parse_publisher_token(token, has_hashes=has_hashes) for token in tokens]
     keys = {publisher.key for publisher in publishers}
     gids = {gid_of(token) for token in tokens}
     numbers: dict[bytes, int] = {}
     if not samples:
-        raise BrokenRule("nothing came")
+        raise BrokenRule("no_samples")
     for sample in samples:
         if sample.key not in keys:
-            raise BrokenRule(f"nobody announced {sample.key}")
+            raise BrokenRule(f"unknown_key {sample.key}")
         if len(sample.attachment) != ATTACHMENT_BYTES:
-            raise BrokenRule(f"{len(sample.attachment)} bytes are attached")
+            raise BrokenRule(f"attachment_size {len(sample.attachment)}")
         read = Attachment.from_bytes(sample.attachment)
         if read.gid not in gids:
-            raise BrokenRule(f"no publisher has the gid {read.gid.hex()}")
+            raise BrokenRule(f"unknown_gid {read.gid.hex()}")
         before = numbers.get(read.gid)
         if before is not None and read.sequence_id != before + 1:
-            raise BrokenRule(f"message {read.sequence_id} came after {before}")
+            raise BrokenRule(f"sequence {read.sequence_id} after {before}")
         numbers[read.gid] = read.sequence_id
     return publishers
 
@@ -115,4 +115,4 @@ def check_bytes(ros_type: str, payload: bytes) -> None:
     """
     message = HUMBLE.deserialize_cdr(payload, ros_type)
     if bytes(HUMBLE.serialize_cdr(message, ros_type)) != payload:
-        raise BrokenRule(f"a {ros_type} that rosbags writes otherwise")
+        raise BrokenRule(f"rosbags_bytes {ros_type}")

@@ -7,7 +7,7 @@ import zenoh.ext
 
 from tests.integration.processes import Server, eventually
 from tests.integration.ros_interfaces import OF_HUMBLE
-from tests.integration.ros_rules import Heard, announced, to_received_sample
+from tests.integration.ros_rules import ReceivedSample, parse_publisher_token, to_received_sample
 
 ODOMETRY, TF = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 TYPES = {
@@ -34,7 +34,7 @@ def publishers_of(session: zenoh.Session, topic: str) -> list[str]:
     return tokens(session, f"@ros2_lv/0/*/*/*/MP/*/*/*/{topic.replace('/', '%')}/**")
 
 
-def subscribed(
+def subscribe_transient_local(
     session: zenoh.Session, key: str, hear: Callable[[zenoh.Sample], object]
 ) -> "zenoh.ext.AdvancedSubscriber[None]":
     """Subscribe to a transient_local topic like rmw_zenoh."""
@@ -50,28 +50,30 @@ def subscribed(
 
 def key_of(token: str) -> str:
     """Find the data key of a publisher of any distribution."""
-    return announced(token, has_hashes=OF_HUMBLE not in token).key
+    return parse_publisher_token(token, has_hashes=OF_HUMBLE not in token).key
 
 
-def read_late_joining(session: zenoh.Session, topic: str, count: int) -> list[Heard]:
+def read_late_joining(session: zenoh.Session, topic: str, count: int) -> list[ReceivedSample]:
     """Subscribe to a transient_local topic like rmw_zenoh, and wait for earlier samples."""
     key = key_of(publishers_of(session, topic)[0])
-    came: list[Heard] = []
-    joiner = subscribed(session, key, lambda sample: came.append(to_received_sample(sample)))
-    eventually(lambda: len(came) >= count, SIGHT_S, f"late joining of {topic}")
+    samples: list[ReceivedSample] = []
+    joiner = subscribe_transient_local(
+        session, key, lambda sample: samples.append(to_received_sample(sample))
+    )
+    eventually(lambda: len(samples) >= count, SIGHT_S, f"late joining of {topic}")
     joiner.undeclare()
-    return came
+    return samples
 
 
-def captured(session: zenoh.Session, topic: str, count: int = 3) -> list[Heard]:
+def receive_samples(session: zenoh.Session, topic: str, count: int = 3) -> list[ReceivedSample]:
     if topic in LATCHED or topic.endswith(("/tf_static", "/robot_description", "/status")):
         return read_late_joining(session, topic, 1)
     key = key_of(publishers_of(session, topic)[0])
     channel = zenoh.handlers.FifoChannel(4096)
     subscriber = session.declare_subscriber(key, channel)
-    came = [to_received_sample(subscriber.recv()) for _ in range(count)]
+    samples = [to_received_sample(subscriber.recv()) for _ in range(count)]
     subscriber.undeclare()
-    return came
+    return samples
 
 
 def place_of(server: Server, name: str) -> float:

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from tests.integration.chromium import opened
+from tests.integration.chromium import open_page
 
 ROBOTS = "Object.keys(window.__viserSceneTree.getState()).some(p => p.startsWith('/robots/'))"
 SOFTWARE_NOTE = """
@@ -17,7 +17,7 @@ SETTLED = "new Promise(done => setTimeout(done, 2500))"
 
 def screenshot(url: str) -> bytes:
     """Take a screenshot of the page as soon as it shows robots."""
-    with opened(url) as tab:
+    with open_page(url) as tab:
         tab.until(ROBOTS)
         tab.evaluate(SOFTWARE_NOTE)
         tab.evaluate(SETTLED)

@@ -11,11 +11,11 @@ from tests.integration.processes import (
     END_S,
     Server,
     agent_of,
-    driven,
+    connected,
     eventually,
     free_endpoint,
-    joined,
     running,
+    running_agents,
     serving,
     wait_for_agents,
 )
@@ -54,7 +54,7 @@ def status_after(process: "subprocess.Popen[str]", number: signal.Signals) -> in
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_agent_exits_with_0_when_terminated(server: Server, number: signal.Signals) -> None:
-    with driven(server, "r1") as agents:
+    with running_agents(server, "r1") as agents:
         name = agent_of(server, "r1")
 
         assert status_after(agents["r1"], number) == 0
@@ -88,7 +88,7 @@ def test_agent_names_the_missing_entity_after_its_timeout(server: Server) -> Non
 
 
 def test_agent_is_refused_an_entity_with_another_agent(server: Server) -> None:
-    with driven(server, "r2"):
+    with running_agents(server, "r2"):
         done = server.zensim("agent", "r2", "--wait", "0.3")
 
     assert done.returncode == 1
@@ -96,7 +96,7 @@ def test_agent_is_refused_an_entity_with_another_agent(server: Server) -> None:
 
 
 def test_agent_claims_an_entity_again_after_deletion_and_spawn(server: Server) -> None:
-    with driven(server, "r3"):
+    with running_agents(server, "r3"):
         server.zensim("delete", "r3")
         eventually(lambda: server.bus.get("r3/odom") == [], 5.0, "falling silent")
 
@@ -114,16 +114,16 @@ def test_agent_publishes_to_late_joiners_within_its_memory_limit(server: Server)
         "r4/joint_states": JointState,
         "r4/robot_description": String,
     }
-    with driven(server, "r4") as agents:
+    with running_agents(server, "r4") as agents:
         listener = server.bus.subscribe("r4/tf_static")
 
         eventually(lambda: server.bus.get("r4/odom") != [], 5.0, "odometry")
-        answers = server.bus.get("r4/*")
-        announced = eventually(listener.newest, 5.0, "tf_static")
+        responses = server.bus.get("r4/*")
+        parse_publisher_token = eventually(listener.newest, 5.0, "tf_static")
         memory_bytes = psutil.Process(agents["r4"].pid).memory_info().rss
 
-    assert {answer.key for answer in answers} == set(kinds)
-    for sample in (announced, *answers):
+    assert {response.key for response in responses} == set(kinds)
+    for sample in (parse_publisher_token, *responses):
         decode(kinds[sample.key], sample.payload, sample.encoding)
     assert memory_bytes < MAX_MEMORY_BYTES
 
@@ -134,7 +134,7 @@ def test_agent_survives_its_server_and_may_start_before_it() -> None:
         for _ in range(2):
             with (
                 running("serve", "--listen", endpoint) as process,
-                joined(endpoint, process) as bus,
+                connected(endpoint, process) as bus,
             ):
                 server = Server(process, endpoint, bus, SimClient(bus))
                 server.zensim("spawn", "box_bot", "-n", "r1")

@@ -12,10 +12,10 @@ import zenoh
 
 from tests.integration.processes import (
     Server,
-    driven,
     eventually,
     free_endpoint,
     running,
+    running_agents,
     serving,
     zensim,
 )
@@ -216,7 +216,7 @@ def test_agent_keeps_running_when_cmd_vel_is_malformed(
     server: Server, session: zenoh.Session
 ) -> None:
     server.zensim("spawn", "box_bot", "--name", "r7", "-x", "20")
-    with driven(server, "r7"):
+    with running_agents(server, "r7"):
         driver = robot(server.bus, "r7")
         for payload in (*GARBAGE, b'{"linear": {"x": 1e999}}', b'{"linear": {"x": NaN}}'):
             session.put("r7/cmd_vel", payload)

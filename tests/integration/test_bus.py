@@ -81,11 +81,11 @@ def test_samples_arrive_in_order_when_the_subscription_is_deep(router: Bus, clie
 
     found: list[Sample] = []
 
-    def have_all_come() -> bool:
+    def have_all_arrived() -> bool:
         found.extend(listener.take())
         return len(found) == 10
 
-    eventually(have_all_come, 5.0, "arriving")
+    eventually(have_all_arrived, 5.0, "arriving")
     assert [sample.payload[0] for sample in found] == list(range(10))
     assert {sample.key for sample in found} == {"r1/odom"}
     assert {sample.encoding for sample in found} == {"application/cdr"}

@@ -35,16 +35,16 @@ def stranger(router: Bus) -> Iterator[zenoh.Session]:
 def one_call(queue: BusQueryQueue) -> BusQuery:
     found: list[BusQuery] = []
 
-    def has_come() -> bool:
+    def has_arrived() -> bool:
         found.extend(queue.take())
         return bool(found)
 
-    eventually(has_come, 5.0, "being asked")
+    eventually(has_arrived, 5.0, "being asked")
     return found[0]
 
 
 def test_attachment_is_transmitted_with_its_sample(router: Bus) -> None:
-    heard = router.subscribe("r1/odom", depth=10)
+    received = router.subscribe("r1/odom", depth=10)
     with router.open_session() as beside:
         publisher = beside.advertise("r1/odom", "")
         eventually(lambda: publisher.is_matched, 5.0, "matching")
@@ -54,11 +54,11 @@ def test_attachment_is_transmitted_with_its_sample(router: Bus) -> None:
 
         samples: list[Sample] = []
 
-        def have_come() -> bool:
-            samples.extend(heard.take())
+        def have_arrived() -> bool:
+            samples.extend(received.take())
             return len(samples) == 2
 
-        eventually(have_come, 5.0, "arriving")
+        eventually(have_arrived, 5.0, "arriving")
     assert [sample.attachment for sample in samples] == [ATTACHMENT, b""]
 
 
@@ -114,5 +114,5 @@ def test_reply_carries_an_attachment(router: Bus, stranger: zenoh.Session) -> No
 
     one_call(queue).reply(b"yes", "", attachment=ATTACHMENT)
 
-    answers = [reply.ok for reply in replies if reply.ok]
-    assert [bytes(answer.attachment.to_bytes()) for answer in answers] == [ATTACHMENT]
+    responses = [reply.ok for reply in replies if reply.ok]
+    assert [bytes(response.attachment.to_bytes()) for response in responses] == [ATTACHMENT]

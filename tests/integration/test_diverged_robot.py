@@ -4,7 +4,7 @@ import math
 import struct
 from pathlib import Path
 
-from tests.integration.processes import driven, eventually, serving
+from tests.integration.processes import eventually, running_agents, serving
 from tests.integration.robots import drive_for, robot
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.telemetry_messages import Event, Snapshot
@@ -36,7 +36,7 @@ def test_diverged_robot_is_frozen_while_others_drive(tmp_path: Path) -> None:
     file.write_text(mismatched(), encoding="utf-8")
     with serving() as server:
         assert server.zensim("spawn", "box_bot", "--name", "r1").returncode == 0
-        with driven(server, "r1"):
+        with running_agents(server, "r1"):
             events = server.bus.subscribe(EVENTS.key("default"), 1000)
             shown = server.bus.subscribe(SNAPSHOT.key("default"), 100_000)
             other = robot(server.bus, "r1")
@@ -45,8 +45,8 @@ def test_diverged_robot_is_frozen_while_others_drive(tmp_path: Path) -> None:
 
             (course,) = drive_for(server.client, [other], linear=0.2, angular=0.0, sim_s=4.0)
 
-            heard = [decode(Event, one.payload, one.encoding) for one in events.take()]
-            warned = [event for event in heard if event.kind == "warning"]
+            received = [decode(Event, one.payload, one.encoding) for one in events.take()]
+            warned = [event for event in received if event.kind == "warning"]
             assert [event.entity for event in warned if "frozen" in event.message] == ["bad"]
             assert math.isclose(course.forward_m, 0.8, rel_tol=0.03)
             snapshots = eventually(shown.take, 10.0, "a snapshot")

@@ -8,9 +8,9 @@ import zenoh
 
 from tests.integration.processes import (
     Server,
+    connected,
     eventually,
     free_endpoint,
-    joined,
     kill,
     running,
     serving,
@@ -45,8 +45,8 @@ def run_doctor(endpoint: str, *arguments: str) -> tuple[ExitCode, list[dict[str,
 def run_failing_doctor(endpoint: str, *arguments: str) -> tuple[ExitCode, str, str]:
     """Run the doctor on a faulty network; the fault is the last finding."""
     status, found = run_doctor(endpoint, *arguments)
-    assert [one["mark"] for one in found].count("run_failing_doctor") == 1
-    assert found[-1]["mark"] == "run_failing_doctor"
+    assert [one["mark"] for one in found].count("wrong") == 1
+    assert found[-1]["mark"] == "wrong"
     assert found[-1]["advice"]
     return status, found[-1]["what"], found[-1]["found"]
 
@@ -72,7 +72,7 @@ def test_doctor_reports_a_listener_other_than_a_router() -> None:
 
 def test_doctor_reports_a_router_without_a_server_and_with_another_world() -> None:
     endpoint = free_endpoint()
-    with running("router", "--listen", endpoint), joined(endpoint):
+    with running("router", "--listen", endpoint), connected(endpoint):
         status, what, _ = run_failing_doctor(endpoint)
         assert (status, what) == (ExitCode.UNREACHABLE, "server")
 

@@ -1,6 +1,6 @@
 """Robots of other drives receive twists over the network."""
 
-from tests.integration.processes import driven, serving
+from tests.integration.processes import running_agents, serving
 from tests.integration.robots import Robot, place, robot, stamp_s, yaw
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.standard_messages import Twist, Vector3
@@ -15,7 +15,7 @@ def test_robots_of_two_drives_receive_twists_over_the_network() -> None:
         for name, y in (("omni_bot", "0"), ("car_bot", "3")):
             where = ("-x", "0", "-y", y, "-z", HEIGHT_M)
             assert server.zensim("spawn", name, "--name", name, *where).returncode == 0
-        with driven(server, "omni_bot", "car_bot"):
+        with running_agents(server, "omni_bot", "car_bot"):
             omni, car = robot(server.bus, "omni_bot"), robot(server.bus, "car_bot")
 
             _drive(omni, car)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.integration.processes import Server, driven, eventually, serving
+from tests.integration.processes import Server, eventually, running_agents, serving
 from tests.integration.robots import Robot, drive_for, place, robot
 from zensim.proto.messages.entity_messages import EntityState
 from zensim.proto.messages.standard_messages import Point, Pose, Twist
@@ -19,7 +19,7 @@ def server() -> Iterator[Server]:
     with serving("--paused") as found:
         layout = ("--count", "10", "--layout", "grid", "--spacing", "5")
         assert found.zensim("fleet", "box_bot", *layout).returncode == 0
-        with driven(found, *TEN):
+        with running_agents(found, *TEN):
             yield found
 
 

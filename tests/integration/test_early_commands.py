@@ -2,7 +2,7 @@
 
 import math
 
-from tests.integration.processes import Server, driven, eventually, serving
+from tests.integration.processes import Server, eventually, running_agents, serving
 from tests.integration.robots import Robot, robot
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
 
@@ -16,7 +16,7 @@ SOON_S = 20.0
 def test_robot_moves_before_the_next_drive_state_when_commanded_between_states() -> None:
     with serving("--control-hz", "1") as server:
         assert server.zensim("fleet", "box_bot", "--count", "1").returncode == 0
-        with driven(server, NAME, options=("--cmd-vel-timeout", "0")):
+        with running_agents(server, NAME, options=("--cmd-vel-timeout", "0")):
             found = robot(server.bus, NAME)
 
             waits = [_waited_ns(server, found, 0.2 * (-1) ** i) for i in range(TRIES)]

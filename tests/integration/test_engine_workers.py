@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
-from tests.integration.processes import END_S, Server, driven, eventually, serving
+from tests.integration.processes import END_S, Server, eventually, running_agents, serving
 from tests.integration.robots import robot
 from zensim.sim_server.physics.engine_factory import MAX_CELL_BODIES
 
@@ -36,7 +36,7 @@ def test_robots_drive_in_each_process_until_the_server_is_stopped(
     server: Server,
 ) -> None:
     names = ("box_bot0", f"box_bot{FLEET - 1}")
-    with driven(server, *names):
+    with running_agents(server, *names):
         robots = [robot(server.bus, name) for name in names]
         starts = [found.now().pose.pose.position.x for found in robots]
 

@@ -5,7 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.integration.processes import Server, driven, free_endpoint, serving, without, zensim
+from tests.integration.processes import (
+    Server,
+    free_endpoint,
+    running_agents,
+    serving,
+    without_library,
+    zensim,
+)
 from tests.integration.robots import drive_for, robot
 from zensim.proto.exit_codes import ExitCode
 
@@ -15,7 +22,7 @@ TWO = ("box_bot0", "box_bot1")
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A server with default options where PyBullet is not installed."""
-    with serving(prefix=without("pybullet", tmp_path_factory.mktemp("bare"))) as found:
+    with serving(prefix=without_library("pybullet", tmp_path_factory.mktemp("bare"))) as found:
         yield found
 
 
@@ -28,7 +35,7 @@ def test_robots_follow_their_commands_on_mujoco(server: Server) -> None:
     spawned = server.zensim("fleet", "box_bot", "--count", "2", "--spacing", "2")
     assert spawned.returncode == 0, spawned.stderr
 
-    with driven(server, *TWO):
+    with running_agents(server, *TWO):
         robots = [robot(server.bus, name) for name in TWO]
         ahead = drive_for(server.client, robots, linear=0.2, angular=0.0, sim_s=5.0)
         turned = drive_for(server.client, robots, linear=0.0, angular=1.0, sim_s=5.0)
@@ -42,9 +49,9 @@ def test_robots_follow_their_commands_on_mujoco(server: Server) -> None:
 def test_server_names_installed_engines_when_its_engine_is_missing(
     engine: str, other: str, tmp_path: Path
 ) -> None:
-    asked = ("serve", "--engine", engine, "--listen", free_endpoint())
+    request = ("serve", "--engine", engine, "--listen", free_endpoint())
 
-    done = zensim(*asked, prefix=without(engine, tmp_path))
+    done = zensim(*request, prefix=without_library(engine, tmp_path))
 
     assert done.returncode == ExitCode.USAGE
     (line,) = done.stderr.splitlines()

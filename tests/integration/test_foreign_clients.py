@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.integration.processes import driven, eventually, running, serving, zensim
+from tests.integration.processes import eventually, running, running_agents, serving, zensim
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plain_zenoh.py"
 
@@ -18,7 +18,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "plain_zenoh.py"
 def test_plain_zenoh_program_drives_and_reads_robots() -> None:
     with serving() as server:
         server.zensim("fleet", "box_bot", "--count", "4", "--spacing", "2")
-        with driven(server, "box_bot2", "box_bot3"):
+        with running_agents(server, "box_bot2", "box_bot3"):
             done = subprocess.run(
                 [sys.executable, str(EXAMPLE), server.endpoint, "box_bot3"],
                 capture_output=True,
@@ -41,35 +41,47 @@ def _ip(*arguments: str) -> None:
 def two_hosts() -> Iterator[tuple[list[str], list[str], str]]:
     """Make two linked network namespaces; return their command prefixes and the first address."""
     tag = f"zs{os.getpid()}"
-    here, there = f"{tag}a", f"{tag}b"
+    run_in_process, there = f"{tag}a", f"{tag}b"
     with ExitStack() as stack:
-        for name in (here, there):
+        for name in (run_in_process, there):
             _ip("netns", "add", name)
             stack.callback(_ip, "netns", "del", name)
-        _ip("link", "add", here, "netns", here, "type", "veth", "peer", there, "netns", there)
-        for name, address in ((here, "10.87.0.1/24"), (there, "10.87.0.2/24")):
+        _ip(
+            "link",
+            "add",
+            run_in_process,
+            "netns",
+            run_in_process,
+            "type",
+            "veth",
+            "peer",
+            there,
+            "netns",
+            there,
+        )
+        for name, address in ((run_in_process, "10.87.0.1/24"), (there, "10.87.0.2/24")):
             _ip("-n", name, "addr", "add", address, "dev", name)
             _ip("-n", name, "link", "set", name, "up")
             _ip("-n", name, "link", "set", "lo", "up")
-        prefixes = [["ip", "netns", "exec", name] for name in (here, there)]
+        prefixes = [["ip", "netns", "exec", name] for name in (run_in_process, there)]
         yield prefixes[0], prefixes[1], "10.87.0.1"
 
 
 @pytest.mark.root
 def test_robot_is_driven_from_a_remote_host() -> None:
-    with two_hosts() as (here, there, address):
+    with two_hosts() as (run_in_process, there, address):
         endpoint = f"tcp/{address}:7447"
-        joined = ("--connect", endpoint)
-        with running("serve", "--listen", endpoint, prefix=here):
-            spawned = zensim("spawn", "box_bot", "-n", "r1", *joined, prefix=there)
+        connected = ("--connect", endpoint)
+        with running("serve", "--listen", endpoint, prefix=run_in_process):
+            spawned = zensim("spawn", "box_bot", "-n", "r1", *connected, prefix=there)
             assert spawned.returncode == 0, spawned.stderr
             with (
-                running("agent", "r1", *joined, prefix=there),
-                running("drive", "r1", "0.3", "0", *joined, prefix=there),
+                running("agent", "r1", *connected, prefix=there),
+                running("drive", "r1", "0.3", "0", *connected, prefix=there),
             ):
 
                 def has_moved() -> bool:
-                    listed = zensim("list", "--json", *joined, prefix=there)
+                    listed = zensim("list", "--json", *connected, prefix=there)
                     return bool(json.loads(listed.stdout)[0]["x"] > 0.2)
 
                 eventually(has_moved, 30.0, "moving")

@@ -60,14 +60,14 @@ def test_server_replies_to_a_hostile_description_and_keeps_stepping(
 ) -> None:
     order = SpawnEntityOrder("hostile", entity_resource=Resource(resource_string=case.text))
 
-    answer = answer_to(server, order)
+    response = answer_to(server, order)
 
     slug = (
         "request.size"
         if len(case.text.encode("utf-8", "surrogatepass")) > MAX_REQUEST_BYTES
         else case.slug
     )
-    assert answer.startswith(f"{slug}: ") if slug else answer == ""
+    assert response.startswith(f"{slug}: ") if slug else response == ""
 
 
 def answer_to(server: Server, order: SpawnEntityOrder) -> str:
@@ -90,5 +90,5 @@ def test_server_refuses_an_expansion_bomb_and_keeps_stepping(server: Server, nam
     with zenoh.open(config) as session:
         replies = list(session.get("sim/default/spawn_entity", payload=BOMBS[name], timeout=5.0))
 
-    (answer,) = [reply.ok.payload.to_bytes() for reply in replies if reply.ok]
-    assert b"result" in answer
+    (response,) = [reply.ok.payload.to_bytes() for reply in replies if reply.ok]
+    assert b"result" in response

@@ -14,9 +14,9 @@ from tests.integration.journals import kill_hard, last_line, serving_with_journa
 from tests.integration.processes import (
     END_S,
     Server,
-    driven,
     eventually,
     free_endpoint,
+    running_agents,
     wait_for_agents,
     zensim,
 )
@@ -65,7 +65,7 @@ def test_agent_resumes_driving_after_the_server_was_killed(tmp_path: Path) -> No
     endpoint = free_endpoint()
     with serving_with_journal(tmp_path, endpoint) as server:
         server.client.spawn(an_order("r0"))
-        with driven(server, "r0"):
+        with running_agents(server, "r0"):
             kill_hard(server)
             with serving_with_journal(tmp_path, endpoint) as again:
                 wait_for_agents(again, ["r0"])

@@ -10,10 +10,10 @@ from tests.integration.processes import (
     Server,
     agent_of,
     command_line,
-    driven,
     eventually,
     kill,
     running,
+    running_agents,
     serving,
     wait_for_agents,
     zensim,
@@ -33,7 +33,7 @@ def speed(server: Server, name: str) -> float:
 def test_robot_stops_and_can_be_claimed_when_its_agent_is_killed() -> None:
     with serving() as server:
         server.zensim("spawn", "box_bot", "--name", "r1")
-        with driven(server, "r1") as agents:
+        with running_agents(server, "r1") as agents:
             driver = robot(server.bus, "r1")
 
             def is_moving() -> bool:
@@ -46,7 +46,7 @@ def test_robot_stops_and_can_be_claimed_when_its_agent_is_killed() -> None:
             eventually(lambda: speed(server, "r1") < 0.01, 5.0, "stopping")
             assert server.steps() - killed_at <= STOP_STEPS
 
-        with driven(server, "r1"):
+        with running_agents(server, "r1"):
             driver = robot(server.bus, "r1")
             eventually(is_moving, 10.0, "moving again")
 
@@ -74,7 +74,7 @@ def test_server_keeps_running_when_a_spawner_is_killed_during_a_call() -> None:
 def test_agent_claims_again_when_its_entity_is_spawned_again() -> None:
     with serving() as server:
         server.zensim("spawn", "box_bot", "--name", "r1")
-        with driven(server, "r1"):
+        with running_agents(server, "r1"):
             server.client.delete("r1")
             server.zensim("spawn", "box_bot", "--name", "r1")
 
@@ -84,7 +84,7 @@ def test_agent_claims_again_when_its_entity_is_spawned_again() -> None:
 def test_second_agent_is_refused_when_a_robot_is_driven() -> None:
     with serving() as server:
         server.zensim("spawn", "box_bot", "--name", "r1")
-        with driven(server, "r1"):
+        with running_agents(server, "r1"):
             first = agent_of(server, "r1")
 
             second = server.zensim("agent", "r1", "--wait", "1")
@@ -144,9 +144,9 @@ def test_up_restarts_an_agent_that_died() -> None:
         agent.kill()
 
         assert up.stderr is not None
-        said = eventually(up.stderr.readline, 10.0, "a note")
-        while "-9" not in said:
-            said = up.stderr.readline()
+        message = eventually(up.stderr.readline, 10.0, "a note")
+        while "-9" not in message:
+            message = up.stderr.readline()
         eventually(lambda: len(psutil.Process(up.pid).children()) == 2, 10.0, "coming back")
 
 

@@ -9,8 +9,8 @@ from ipaddress import IPv4Address, IPv4Network
 
 import pytest
 
-from tests.integration.processes import Server, driven, eventually, serving
-from tests.integration.repeatable_run import Said, drive, run_lockstep_fleet
+from tests.integration.processes import Server, eventually, running_agents, serving
+from tests.integration.repeatable_run import RunResult, drive, run_lockstep_fleet
 from zensim.proto.bus import with_free_port
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.simulation_messages import State
@@ -28,20 +28,20 @@ TEST_NETWORK = IPv4Network("198.18.0.0/15")
 """Address range reserved for benchmarks, RFC 2544."""
 
 
-def run(*, processes: int = 0, endpoint: str = "", prefix: tuple[str, ...] = ()) -> Said:
+def run(*, processes: int = 0, endpoint: str = "", prefix: tuple[str, ...] = ()) -> RunResult:
     with run_lockstep_fleet(
         ROBOTS, processes=processes, endpoint=endpoint, prefix=prefix
     ) as server:
         return drive(server, ROBOTS, STEPS)
 
 
-def run_pooled() -> Said:
+def run_pooled() -> RunResult:
     with run_lockstep_fleet(ROBOTS, is_pooled=True) as server:
         return drive(server, ROBOTS, STEPS)
 
 
 @pytest.fixture(scope="module")
-def said() -> Said:
+def message() -> RunResult:
     """Drive each robot by a separate agent."""
     found = run()
     assert set(found.odoms.values()) == {STEPS // PERIOD}
@@ -73,23 +73,25 @@ def _ip(*arguments: str) -> None:
     subprocess.run(["ip", *arguments], check=True, capture_output=True)
 
 
-def test_same_requests_give_the_same_bytes_when_one_agent_drives_all(said: Said) -> None:
-    assert run(processes=1) == said
+def test_same_requests_give_the_same_bytes_when_one_agent_drives_all(message: RunResult) -> None:
+    assert run(processes=1) == message
 
 
-def test_same_requests_give_the_same_bytes_when_a_pool_drives_all(said: Said) -> None:
+def test_same_requests_give_the_same_bytes_when_a_pool_drives_all(message: RunResult) -> None:
     one, other = run_pooled(), run_pooled()
 
     assert one == other
-    assert (one.odoms, one.state) == (said.odoms, said.state)
+    assert (one.odoms, one.state) == (message.odoms, message.state)
 
 
 @pytest.mark.root
-def test_same_requests_give_the_same_bytes_when_the_agents_are_on_another_host(said: Said) -> None:
+def test_same_requests_give_the_same_bytes_when_the_agents_are_on_another_host(
+    message: RunResult,
+) -> None:
     with make_remote_host() as (address, prefix):
         endpoint = with_free_port(f"tcp/{address}:0")
 
-        assert run(endpoint=endpoint, prefix=prefix) == said
+        assert run(endpoint=endpoint, prefix=prefix) == message
 
 
 @contextmanager
@@ -128,13 +130,13 @@ def awaits_only(server: Server, stem: str) -> bool:
 def test_run_continues_while_agents_join_die_and_return(on_miss: str) -> None:
     with locked(on_miss, "r1", "r2") as server:
         assert goes_on(server)
-        with driven(server, "r1"):
+        with running_agents(server, "r1"):
             assert goes_on(server)
-            with driven(server, "r2") as late:
+            with running_agents(server, "r2") as late:
                 assert goes_on(server)
                 late["r2"].kill()
                 assert goes_on(server)
-            with driven(server, "r2"):
+            with running_agents(server, "r2"):
                 assert goes_on(server)
                 server.client.delete("r2")
                 assert goes_on(server)
@@ -143,7 +145,7 @@ def test_run_continues_while_agents_join_die_and_return(on_miss: str) -> None:
 
 
 def test_waiting_server_blocks_for_a_suspended_agent_until_its_lease_expires() -> None:
-    with locked("wait", "r1", "r2") as server, driven(server, "r1", "r2") as agents:
+    with locked("wait", "r1", "r2") as server, running_agents(server, "r1", "r2") as agents:
         agents["r1"].send_signal(signal.SIGSTOP)
 
         eventually(lambda: awaits_only(server, "agent_r1"), SOON_S, "waiting")
@@ -155,7 +157,7 @@ def test_waiting_server_blocks_for_a_suspended_agent_until_its_lease_expires() -
 
 
 def test_holding_server_counts_what_a_stopped_agent_misses() -> None:
-    with locked("hold", "r1", timeout_s=0.05) as server, driven(server, "r1") as agents:
+    with locked("hold", "r1", timeout_s=0.05) as server, running_agents(server, "r1") as agents:
         agents["r1"].send_signal(signal.SIGSTOP)
 
         misses = eventually(lambda: stats(server).misses or None, SOON_S, "missing")
@@ -166,7 +168,7 @@ def test_holding_server_counts_what_a_stopped_agent_misses() -> None:
 
 
 def test_failing_server_pauses_and_plays_on_request() -> None:
-    with locked("fail", "r1", timeout_s=0.3) as server, driven(server, "r1") as agents:
+    with locked("fail", "r1", timeout_s=0.3) as server, running_agents(server, "r1") as agents:
         events = server.bus.subscribe("sim/default/events", 256)
         agents["r1"].send_signal(signal.SIGSTOP)
 

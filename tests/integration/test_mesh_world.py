@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from tests.integration.chromium import opened
+from tests.integration.chromium import open_page
 from tests.integration.processes import (
     START_S,
     Server,
+    connected,
     eventually,
-    joined,
     read_json_line,
     running,
     serving,
@@ -91,9 +91,9 @@ def test_visual_mesh_of_a_world_can_be_fetched(server: Server) -> None:
     (model,) = server.client.models(("ring",)).models
     mesh = model.links[0].visuals[0].mesh
 
-    answer = server.bus.call(GET_ASSET, GetAssetRequest(mesh), world="default")
+    response = server.bus.call(GET_ASSET, GetAssetRequest(mesh), world="default")
 
-    assert len(answer.data) == answer.total == 84 + 50 * len(RING.faces)
+    assert len(response.data) == response.total == 84 + 50 * len(RING.faces)
 
 
 def test_robot_of_a_mesh_is_placed_on_its_lowest_corner(server: Server, folder: Path) -> None:
@@ -111,7 +111,7 @@ def test_light_of_a_world_is_returned_with_its_models(server: Server) -> None:
 
 @pytest.mark.browser
 def test_page_draws_the_meshes_and_the_sky_of_a_world(server: Server) -> None:
-    with viewing(server.endpoint) as (url, _), opened(url) as tab:
+    with viewing(server.endpoint) as (url, _), open_page(url) as tab:
         tab.until(f"{BATCHES}.length > 0", PATIENCE_S)
 
         def are_seen() -> bool:
@@ -134,7 +134,7 @@ def test_up_finds_the_models_of_its_world_and_runs_in_real_time(folder: Path) ->
     path = ("--model-path", str(folder / "models"))
     with running(*wish, "--world", str(folder / "slow.world"), "--json", *path) as up:
         endpoint = str(read_json_line(up)["endpoint"])
-        with joined(endpoint) as bus:
+        with connected(endpoint) as bus:
             info = SimClient(bus).info()
 
     assert (info.target_real_time_factor, info.entities) == (0.5, 2)

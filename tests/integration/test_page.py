@@ -73,8 +73,8 @@ def a_scene(*names: str) -> tuple[RenderedFleet, RenderedFrame]:
 
 
 def names_of(page: ViewerPage) -> object:
-    with urllib.request.urlopen(f"{url_of(page)}/names") as answer:
-        return msgspec.json.decode(answer.read())
+    with urllib.request.urlopen(f"{url_of(page)}/names") as response:
+        return msgspec.json.decode(response.read())
 
 
 def test_page_is_watched_while_a_client_has_it_open(page: ViewerPage) -> None:
@@ -165,8 +165,8 @@ def test_page_refuses_share_requests(
 
 
 def test_page_may_fetch_from_its_own_server_only(page: ViewerPage) -> None:
-    with urllib.request.urlopen(url_of(page)) as answer:
-        policy, body = answer.headers["Content-Security-Policy"], answer.read()
+    with urllib.request.urlopen(url_of(page)) as response:
+        policy, body = response.headers["Content-Security-Policy"], response.read()
 
     assert "default-src 'none'" in policy
     assert f"connect-src 'self' ws://127.0.0.1:{page.port} " in policy

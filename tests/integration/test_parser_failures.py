@@ -76,10 +76,10 @@ def answer_when(server: Server, name: str, act: Callable[[psutil.Process], None]
     reader = find_parser(server)
     reader.suspend()
     with ThreadPoolExecutor(1) as pool:
-        answer = pool.submit(answer_to, server, an_order(name))
+        response = pool.submit(answer_to, server, an_order(name))
         eventually(lambda: unread_bytes(reader.pid) > 0, 5.0, "handing over")
         act(reader)
-        return answer.result()
+        return response.result()
 
 
 def unread_bytes(process_id: int) -> int:
@@ -96,16 +96,16 @@ def unread_bytes(process_id: int) -> int:
 def test_spawn_is_refused_and_the_next_succeeds_when_the_parser_hangs(server: Server) -> None:
     before = server.steps()
 
-    answer = answer_when(server, "hung", lambda _: None)
+    response = answer_when(server, "hung", lambda _: None)
 
-    assert answer.startswith("reader.timeout: ")
+    assert response.startswith("reader.timeout: ")
     assert server.steps() > before
 
 
 def test_spawn_is_refused_and_the_next_succeeds_when_the_parser_is_killed(server: Server) -> None:
-    answer = answer_when(server, "killed", lambda reader: reader.send_signal(signal.SIGKILL))
+    response = answer_when(server, "killed", lambda reader: reader.send_signal(signal.SIGKILL))
 
-    assert answer.startswith("reader.crashed: ")
+    assert response.startswith("reader.crashed: ")
 
 
 def test_spawn_succeeds_after_the_parser_was_killed(server: Server) -> None:
@@ -134,9 +134,9 @@ def test_spawn_is_refused_and_the_next_succeeds_when_a_mesh_exceeds_memory(
     send_files(server.client, cargo.bundle)
     order = add_payload(cargo, SpawnEntityOrder("large"), "")
 
-    reader, answer = find_parser(server), answer_to(server, order)
-    while answer == SLOW:  # as the message says: on a busy machine, retry
-        reader, answer = find_parser(server), answer_to(server, order)
+    reader, response = find_parser(server), answer_to(server, order)
+    while response == SLOW:  # as the message says: on a busy machine, retry
+        reader, response = find_parser(server), answer_to(server, order)
 
-    assert answer.startswith("reader.memory: ")
+    assert response.startswith("reader.memory: ")
     assert find_parser(server) == reader

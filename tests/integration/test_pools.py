@@ -11,8 +11,8 @@ import psutil
 from tests.integration.processes import (
     Server,
     agent_of,
+    connected,
     eventually,
-    joined,
     read_json_line,
     running,
     serving,
@@ -51,9 +51,9 @@ def spawn(server: Server) -> None:
 
 def shares(server: Server) -> list[int]:
     """Count the robots of each agent, in descending order."""
-    driven = Counter(agent_of(server, name) for name in server.client.entities())
-    del driven[""]
-    return sorted(driven.values(), reverse=True)
+    running_agents = Counter(agent_of(server, name) for name in server.client.entities())
+    del running_agents[""]
+    return sorted(running_agents.values(), reverse=True)
 
 
 def wait_for_shares(server: Server, *sizes: int) -> None:
@@ -135,16 +135,16 @@ def test_late_joiners_discover_the_robots_of_every_pool() -> None:
         for topic in ("odom", "tf", "tf_static", "joint_states", "robot_description"):
             every = [f"{name}/{topic}" for name in NAMES]
             eventually(partial(_are_told, server, every), SOON_S, f"answers to */{topic}")
-            answers = [server.bus.get(key) for key in every]
-            assert [one.key for (one,) in answers] == every
-        announced: Counter[str] = Counter()
+            responses = [server.bus.get(key) for key in every]
+            assert [one.key for (one,) in responses] == every
+        parse_publisher_token: Counter[str] = Counter()
 
         def all_announced() -> bool:
-            announced.update(sample.key for sample in listener.take())
-            return len(announced) == ROBOTS
+            parse_publisher_token.update(sample.key for sample in listener.take())
+            return len(parse_publisher_token) == ROBOTS
 
         eventually(all_announced, SOON_S, "announcements")
-        assert set(announced.values()) == {1}
+        assert set(parse_publisher_token.values()) == {1}
 
 
 def _are_told(server: Server, every: list[str]) -> bool:
@@ -159,13 +159,13 @@ def test_pool_publishes_odometry_at_the_given_rate() -> None:
         running("agent", "--pool", "0", *rates, "--connect", server.endpoint),
     ):
         spawn(server)
-        heard = robot(server.bus, NAMES[0])
-        begin = heard.now()
+        received = robot(server.bus, NAMES[0])
+        begin = received.now()
         found: list[Odometry] = []
         tf = server.bus.subscribe(f"{NAMES[0]}/tf", 10_000)
 
         def long_enough() -> bool:
-            found.extend(heard.read())
+            found.extend(received.read())
             return bool(found) and _seconds(found[-1]) - _seconds(begin) > 10.0
 
         eventually(long_enough, SOON_S, "ten simulated seconds")
@@ -217,17 +217,17 @@ def test_up_pooled_starts_all_robots_and_restarts_a_dead_pool() -> None:
         pool.kill()
 
         assert up.stderr is not None
-        said = eventually(up.stderr.readline, 10.0, "a note")
-        while "-9" not in said:
-            said = up.stderr.readline()
-        with joined(str(ready["endpoint"])) as bus:
+        message = eventually(up.stderr.readline, 10.0, "a note")
+        while "-9" not in message:
+            message = up.stderr.readline()
+        with connected(str(ready["endpoint"])) as bus:
             odom = bus.subscribe("*/odom", 1000)
-            heard: set[str] = set()
+            received: set[str] = set()
 
             def all_tell() -> bool:
                 for sample in odom.take():
                     decode(Odometry, sample.payload, sample.encoding)
-                    heard.add(sample.key)
-                return len(heard) == ROBOTS
+                    received.add(sample.key)
+                return len(received) == ROBOTS
 
             eventually(all_tell, SOON_S, "odometry of all")

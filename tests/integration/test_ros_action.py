@@ -12,9 +12,21 @@ import pytest
 import zenoh
 
 from tests.integration.processes import Server, eventually, serving
-from tests.integration.ros_client_process import Ask, Do, asking, observing, replies, session_of
+from tests.integration.ros_client_process import (
+    CallObserver,
+    CallService,
+    make_service_call,
+    replies,
+    run_observer,
+    session_of,
+)
 from tests.integration.ros_rules import check_bytes, check_topic, to_received_sample
-from tests.integration.ros_subscriptions import SIGHT_S, TRANSIENT_LOCAL, publishers_of, subscribed
+from tests.integration.ros_subscriptions import (
+    SIGHT_S,
+    TRANSIENT_LOCAL,
+    publishers_of,
+    subscribe_transient_local,
+)
 from tests.proto.ros_hashes import hash_of_message, hash_of_service
 from tests.proto.ros_oracle import HUMBLE
 from zensim.proto.messages.simulation_messages import State
@@ -36,8 +48,8 @@ def server() -> Iterator[Server]:
 
 
 @pytest.fixture
-def do(server: Server) -> Iterator[Do]:
-    with observing(server, 0) as found:
+def observe(server: Server) -> Iterator[CallObserver]:
+    with run_observer(server, 0) as found:
         yield found
 
 
@@ -45,80 +57,88 @@ def goal_of(number: int) -> dict[str, object]:
     return {"uuid": [number, *range(15)]}
 
 
-def send(ask: Ask, number: int, steps: int) -> dict[str, object]:
+def send(call_service: CallService, number: int, steps: int) -> dict[str, object]:
     kind = f"{STEPS}_SendGoal"
-    answer = ask(
+    response = call_service(
         f"{UNDER}/send_goal", kind, hash_of_service(kind), goal_id=goal_of(number), steps=steps
     )
-    assert answer is not None
-    return answer
+    assert response is not None
+    return response
 
 
-def result(ask: Ask, number: int) -> dict[str, object]:
+def result(call_service: CallService, number: int) -> dict[str, object]:
     kind = f"{STEPS}_GetResult"
-    answer = ask(f"{UNDER}/get_result", kind, hash_of_service(kind), goal_id=goal_of(number))
-    assert answer is not None
-    return answer
+    response = call_service(
+        f"{UNDER}/get_result", kind, hash_of_service(kind), goal_id=goal_of(number)
+    )
+    assert response is not None
+    return response
 
 
-def cancel(ask: Ask, number: int) -> dict[str, object]:
+def cancel(call_service: CallService, number: int) -> dict[str, object]:
     kind = "action_msgs/srv/CancelGoal"
     info = {"goal_id": goal_of(number)}
-    answer = ask(f"{UNDER}/cancel_goal", kind, hash_of_service(kind), goal_info=info)
-    assert answer is not None
-    return answer
+    response = call_service(f"{UNDER}/cancel_goal", kind, hash_of_service(kind), goal_info=info)
+    assert response is not None
+    return response
 
 
-def told_of(heard: list[dict[str, list[dict[str, object]]]], number: int) -> list[object]:
+def told_of(received: list[dict[str, list[dict[str, object]]]], number: int) -> list[object]:
     """List the statuses of one goal, without repetitions."""
     all_told = [
         one["status"]
-        for message in heard
+        for message in received
         for one in message["status_list"]
         if one["goal_info"]["goal_id"] == goal_of(number)  # type: ignore[index]
     ]
     return [one for at, one in enumerate(all_told) if at == 0 or one != all_told[at - 1]]
 
 
-def test_goal_is_accepted_reports_progress_and_succeeds(server: Server, do: Do) -> None:
-    ask = asking(do)
-    do("listen", topic=FEEDBACK, kind=f"{STEPS}_FeedbackMessage", qos="")
-    do("listen", topic=STATUS, kind=STATUSES, qos=TRANSIENT_LOCAL)
+def test_goal_is_accepted_reports_progress_and_succeeds(
+    server: Server, observe: CallObserver
+) -> None:
+    call_service = make_service_call(observe)
+    observe("subscribe", topic=FEEDBACK, kind=f"{STEPS}_FeedbackMessage", qos="")
+    observe("subscribe", topic=STATUS, kind=STATUSES, qos=TRANSIENT_LOCAL)
     before = server.steps()
 
-    sent = send(ask, 1, 30)
-    ended = result(ask, 1)
+    sent = send(call_service, 1, 30)
+    ended = result(call_service, 1)
 
     assert sent["accepted"]
     assert sent["stamp"] != {"sec": 0, "nanosec": 0}
     assert ended == {"status": SUCCEEDED, "result": {"result": OK, "error_message": ""}}
     assert server.steps() == before + 30
-    eventually(lambda: told_of(do("heard", topic=STATUS), 1)[-1:] == [SUCCEEDED], SIGHT_S, "status")
-    assert told_of(do("heard", topic=STATUS), 1) == [EXECUTING, SUCCEEDED]
-    last = do("heard", topic=FEEDBACK)[-1]
+    eventually(
+        lambda: told_of(observe("received", topic=STATUS), 1)[-1:] == [SUCCEEDED], SIGHT_S, "status"
+    )
+    assert told_of(observe("received", topic=STATUS), 1) == [EXECUTING, SUCCEEDED]
+    last = observe("received", topic=FEEDBACK)[-1]
     assert last["goal_id"] == goal_of(1)
     assert (last["completed_steps"], last["remaining_steps"]) == (30, 0)
 
 
-def test_feedback_follows_rmw_rules_and_matches_rosbags_bytes(server: Server, do: Do) -> None:
+def test_feedback_follows_rmw_rules_and_matches_rosbags_bytes(
+    server: Server, observe: CallObserver
+) -> None:
     with session_of(server) as session:
         channel = session.declare_subscriber(f"0{FEEDBACK}/*/*", zenoh.handlers.FifoChannel(64))
-        send(asking(do), 5, 20)
-        came = [to_received_sample(channel.recv())]
+        send(make_service_call(observe), 5, 20)
+        samples = [to_received_sample(channel.recv())]
         channel.undeclare()
-        told = publishers_of(session, FEEDBACK)
+        received = publishers_of(session, FEEDBACK)
 
-    (publisher,) = check_topic(told, came)
+    (publisher,) = check_topic(received, samples)
     assert (publisher.name, publisher.ros_type) == (FEEDBACK, f"{STEPS}_FeedbackMessage")
-    check_bytes(publisher.ros_type, came[0].payload)
+    check_bytes(publisher.ros_type, samples[0].payload)
 
 
-def test_canceled_goal_is_listed_and_ends_canceled(do: Do) -> None:
-    ask = asking(do)
-    send(ask, 2, ENDLESS)
+def test_canceled_goal_is_listed_and_ends_canceled(observe: CallObserver) -> None:
+    call_service = make_service_call(observe)
+    send(call_service, 2, ENDLESS)
 
-    canceled = cancel(ask, 2)
-    ended = result(ask, 2)
+    canceled = cancel(call_service, 2)
+    ended = result(call_service, 2)
 
     assert canceled["return_code"] == 0
     named = canceled["goals_canceling"]
@@ -127,17 +147,17 @@ def test_canceled_goal_is_listed_and_ends_canceled(do: Do) -> None:
     assert ended["status"] == CANCELED
 
 
-def test_unsent_goal_is_unknown(do: Do) -> None:
-    ask = asking(do)
+def test_unsent_goal_is_unknown(observe: CallObserver) -> None:
+    call_service = make_service_call(observe)
 
-    assert cancel(ask, 99)["return_code"] == REJECTED_AS_UNKNOWN
-    assert result(ask, 99)["status"] == 0
+    assert cancel(call_service, 99)["return_code"] == REJECTED_AS_UNKNOWN
+    assert result(call_service, 99)["status"] == 0
 
 
-def test_goal_is_refused_while_time_runs(server: Server, do: Do) -> None:
+def test_goal_is_refused_while_time_runs(server: Server, observe: CallObserver) -> None:
     server.client.set_simulation_state(State.PLAYING)
     try:
-        assert not send(asking(do), 3, 10)["accepted"]
+        assert not send(make_service_call(observe), 3, 10)["accepted"]
     finally:
         server.client.set_simulation_state(State.PAUSED)
 
@@ -148,17 +168,19 @@ def statuses_of(sample: zenoh.Sample, number: int) -> list[int]:
     return [one.status for one in listed if one.goal_info.goal_id.uuid[0] == number]
 
 
-def test_rmw_subscriber_receives_each_status_change(server: Server, do: Do) -> None:
+def test_rmw_subscriber_receives_each_status_change(server: Server, observe: CallObserver) -> None:
     key = f"0{STATUS}/action_msgs::msg::dds_::GoalStatusArray_/{hash_of_message(STATUSES)}"
-    came: list[list[int]] = []
+    samples: list[list[int]] = []
 
     with session_of(server) as session:
-        joiner = subscribed(session, key, lambda sample: came.append(statuses_of(sample, 4)))
-        eventually(lambda: bool(came), SIGHT_S, "what was before")
-        send(asking(do), 4, ENDLESS)
-        eventually(lambda: came[-1] == [EXECUTING], SIGHT_S, "the beginning")
-        cancel(asking(do), 4)
-        eventually(lambda: came[-1] == [CANCELED], SIGHT_S, "the end")
+        joiner = subscribe_transient_local(
+            session, key, lambda sample: samples.append(statuses_of(sample, 4))
+        )
+        eventually(lambda: bool(samples), SIGHT_S, "what was before")
+        send(make_service_call(observe), 4, ENDLESS)
+        eventually(lambda: samples[-1] == [EXECUTING], SIGHT_S, "the beginning")
+        cancel(make_service_call(observe), 4)
+        eventually(lambda: samples[-1] == [CANCELED], SIGHT_S, "the end")
         joiner.undeclare()
 
 
@@ -171,8 +193,10 @@ def test_bridge_sends_a_goal_on_plain_keys_and_discovers_the_action(server: Serv
 
     (sent,) = replies(server, f"{UNDER}/send_goal".strip("/"), payload, None)
 
-    answer: Any = HUMBLE.deserialize_cdr(sent.payload.to_bytes(), f"{name}_Response")
-    assert answer.accepted
-    told = {"/".join(route.split("/")[3:]) for route in server.bus.list_tokens("@/*/@ros2_lv/**")}
-    assert "AS/simulate_steps/simulation_interfaces§action§SimulateSteps" in told
-    assert not [route for route in told if "_action" in route]
+    response: Any = HUMBLE.deserialize_cdr(sent.payload.to_bytes(), f"{name}_Response")
+    assert response.accepted
+    received = {
+        "/".join(route.split("/")[3:]) for route in server.bus.list_tokens("@/*/@ros2_lv/**")
+    }
+    assert "AS/simulate_steps/simulation_interfaces§action§SimulateSteps" in received
+    assert not [route for route in received if "_action" in route]

@@ -16,9 +16,9 @@ import zenoh
 
 from tests.integration import ros_interfaces as ros
 from tests.integration.processes import free_endpoint
-from tests.integration.ros_client_process import observing, replies, session_of
-from tests.integration.ros_grammar import NoToken, check_hash, parse_endpoints
-from tests.integration.ros_rules import BrokenRule, Heard, check_topic, to_received_sample
+from tests.integration.ros_client_process import replies, run_observer, session_of
+from tests.integration.ros_grammar import InvalidToken, check_hash, parse_endpoints
+from tests.integration.ros_rules import BrokenRule, ReceivedSample, check_topic, to_received_sample
 from tests.integration.ros_subscriptions import tokens
 from tests.proto.ros_hashes import hash_of_message
 from zensim.proto.bus import Bus, BusConfig, BusPublisher, open_bus
@@ -41,7 +41,7 @@ EVERY_S = 0.02
 
 
 @dataclass(frozen=True)
-class Ways:
+class Fault:
     """One fault: functions that alter attachments, tokens and keys."""
 
     attachment: Callable[[bytes], bytes] = bytes
@@ -68,16 +68,16 @@ def without_endpoints(token: str) -> str:
     return token if "/NN/" in token else f"nothing/{abs(hash(token))}"
 
 
-FINE = Ways()
+NO_FAULT = Fault()
 BROKEN = {
-    "attachment": replace(FINE, attachment=lambda _: b""),
-    "attachment that is short": replace(FINE, attachment=lambda attached: attached[:-1]),
-    "gid": replace(FINE, attachment=lambda attached: attached[:17] + bytes(len(attached[17:]))),
-    "tokens": replace(FINE, token=without_endpoints),
-    "complete flag": replace(FINE, is_complete=False),
-    "hash": replace(FINE, key=no_pattern),
-    "hash in tokens": replace(FINE, token=token_of_other_hash),
-    "qos string": replace(FINE, token=lambda token: token.removesuffix(":,:,:,,")),
+    "attachment": replace(NO_FAULT, attachment=lambda _: b""),
+    "attachment that is short": replace(NO_FAULT, attachment=lambda attached: attached[:-1]),
+    "gid": replace(NO_FAULT, attachment=lambda attached: attached[:17] + bytes(len(attached[17:]))),
+    "tokens": replace(NO_FAULT, token=without_endpoints),
+    "complete flag": replace(NO_FAULT, is_complete=False),
+    "hash": replace(NO_FAULT, key=no_pattern),
+    "hash in tokens": replace(NO_FAULT, token=token_of_other_hash),
+    "qos string": replace(NO_FAULT, token=lambda token: token.removesuffix(":,:,:,,")),
 }
 FOUND = {
     "attachment": {"by the rules", "signed"},
@@ -95,68 +95,68 @@ FOUND = {
 class BrokenPublisher:
     """Publishes payloads with an altered attachment."""
 
-    def __init__(self, publisher: BusPublisher, ways: Ways) -> None:
-        self._publisher, self._ways = publisher, ways
+    def __init__(self, publisher: BusPublisher, fault: Fault) -> None:
+        self._publisher, self._fault = publisher, fault
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401
         return getattr(self._publisher, name)
 
     def send(self, payload: bytes, attachment: bytes = b"", *stamp: Any) -> None:  # noqa: ANN401
-        self._publisher.send(payload, self._ways.attachment(attachment), *stamp)
+        self._publisher.send(payload, self._fault.attachment(attachment), *stamp)
 
 
 class BrokenCall:
     """A request whose reply has an altered attachment."""
 
-    def __init__(self, call: Any, ways: Ways) -> None:  # noqa: ANN401
-        self._call, self._ways = call, ways
+    def __init__(self, call: Any, fault: Fault) -> None:  # noqa: ANN401
+        self._call, self._fault = call, fault
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401
         return getattr(self._call, name)
 
     def reply(self, payload: bytes, encoding: str, key: str = "", attachment: bytes = b"") -> None:
-        self._call.reply(payload, encoding, key, attachment=self._ways.attachment(attachment))
+        self._call.reply(payload, encoding, key, attachment=self._fault.attachment(attachment))
 
 
 class BrokenQueue:
     """A queue of broken calls."""
 
-    def __init__(self, queue: Any, ways: Ways) -> None:  # noqa: ANN401
-        self._queue, self._ways = queue, ways
+    def __init__(self, queue: Any, fault: Fault) -> None:  # noqa: ANN401
+        self._queue, self._fault = queue, fault
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401
         return getattr(self._queue, name)
 
     def take(self) -> list[BrokenCall]:
-        return [BrokenCall(call, self._ways) for call in self._queue.take()]
+        return [BrokenCall(call, self._fault) for call in self._queue.take()]
 
 
 class BrokenBus:
     """A bus with a fault."""
 
-    def __init__(self, bus: Bus, ways: Ways) -> None:
-        self._bus, self._ways = bus, ways
+    def __init__(self, bus: Bus, fault: Fault) -> None:
+        self._bus, self._fault = bus, fault
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401
         return getattr(self._bus, name)
 
     def advertise(self, key: str, encoding: str) -> BrokenPublisher:
-        return BrokenPublisher(self._bus.advertise(self._ways.key(key), encoding), self._ways)
+        return BrokenPublisher(self._bus.advertise(self._fault.key(key), encoding), self._fault)
 
     def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> BrokenQueue:
-        is_complete = is_complete and self._ways.is_complete
-        queue = self._bus.serve(self._ways.key(key), depth, is_complete=is_complete)
-        return BrokenQueue(queue, self._ways)
+        is_complete = is_complete and self._fault.is_complete
+        queue = self._bus.serve(self._fault.key(key), depth, is_complete=is_complete)
+        return BrokenQueue(queue, self._fault)
 
     def token(self, key: str) -> Any:  # noqa: ANN401
-        return self._bus.token(self._ways.token(key))
+        return self._bus.token(self._fault.token(key))
 
 
 @contextmanager
-def telling(ways: Ways) -> Iterator[Bus]:
+def publishing(fault: Fault) -> Iterator[Bus]:
     """Publish odometry and reply to services, on a network with a fault."""
     with open_bus(BusConfig(mode="router", listen=(free_endpoint(),))) as router:
-        bus = cast("Bus", BrokenBus(router, ways))
+        bus = cast("Bus", BrokenBus(router, fault))
         side, is_over = start_server_node(bus, RosSettings()), threading.Event()
         odom = side.topics.publisher(Topic("r1/odom", Odometry))
         response, message = (
@@ -164,13 +164,13 @@ def telling(ways: Ways) -> Iterator[Bus]:
             make_sample_message(Odometry),
         )
 
-        def go_on() -> None:
+        def run() -> None:
             while not is_over.wait(EVERY_S):
                 odom.send(encode(message, Format.CDR))
                 for call in (call for source in side.sources for call in source.take()):
                     call.reply(response, "application/cdr")
 
-        thread = threading.Thread(target=go_on)
+        thread = threading.Thread(target=run)
         thread.start()
         try:
             yield router
@@ -182,49 +182,56 @@ def telling(ways: Ways) -> Iterator[Bus]:
 
 def find_complaints(router: Bus) -> set[str]:
     """Check the odometry of a robot and a service; return the names of failed checks."""
-    with observing(router, 0) as do, session_of(router) as session:
-        told = tokens(session, "@ros2_lv/**")
-        asked = {"name": "/delete_entity", "kind": DELETE, "type_hash": ros.DELETE_HASH}
-        heard = {"topic": "/r1/odom", "kind": ODOMETRY, "count": 1, "within_s": WAIT_S, "qos": ""}
+    with run_observer(router, 0) as observe, session_of(router) as session:
+        found_tokens = tokens(session, "@ros2_lv/**")
+        request = {"name": "/delete_entity", "kind": DELETE, "type_hash": ros.DELETE_HASH}
+        subscription = {
+            "topic": "/r1/odom",
+            "kind": ODOMETRY,
+            "count": 1,
+            "within_s": WAIT_S,
+            "qos": "",
+        }
         found = {
-            "listed": "/r1/odom" in do("topics") and "/delete_entity" in do("services"),
-            "heard": bool(do("hear", **heard)),
-            "answered": do("call", fields={"entity": "x"}, within_s=WAIT_S, **asked) is not None,
-            "by the rules": are_kept(told, samples_of(session)),
+            "listed": "/r1/odom" in observe("topics") and "/delete_entity" in observe("services"),
+            "heard": bool(observe("receive", **subscription)),
+            "answered": observe("call", fields={"entity": "x"}, within_s=WAIT_S, **request)
+            is not None,
+            "by the rules": follows_rules(found_tokens, samples_of(session)),
             "signed": is_signed(replies(router, DELETE_KEY, EMPTY, ASKED)),
         }
     return {name for name, is_fine in found.items() if not is_fine}
 
 
-def samples_of(session: zenoh.Session) -> list[Heard]:
+def samples_of(session: zenoh.Session) -> list[ReceivedSample]:
     channel = session.declare_subscriber("0/r1/odom/*/*", zenoh.handlers.FifoChannel(64))
-    came = [to_received_sample(channel.recv()) for _ in range(3)]
+    samples = [to_received_sample(channel.recv()) for _ in range(3)]
     channel.undeclare()
-    return came
+    return samples
 
 
-def are_kept(told: list[str], came: list[Heard]) -> bool:
+def follows_rules(found_tokens: list[str], samples: list[ReceivedSample]) -> bool:
     try:
-        for one in parse_endpoints(told):
+        for one in parse_endpoints(found_tokens):
             check_hash(one, has_hashes=True)
-        check_topic([one for one in told if "/MP/" in one and "%odom" in one], came)
-    except (BrokenRule, NoToken):
+        check_topic([one for one in found_tokens if "/MP/" in one and "%odom" in one], samples)
+    except (BrokenRule, InvalidToken):
         return False
     return True
 
 
-def is_signed(answers: list[zenoh.Sample]) -> bool:
+def is_signed(responses: list[zenoh.Sample]) -> bool:
     """Check that the reply has the sequence number and gid of the request."""
-    attached = [one.attachment.to_bytes() if one.attachment else b"" for one in answers]
+    attached = [one.attachment.to_bytes() if one.attachment else b"" for one in responses]
     return [(one[:8], one[16:]) for one in attached] == [(ASKED[:8], ASKED[16:])]
 
 
 def test_unbroken_network_has_no_complaints() -> None:
-    with telling(FINE) as router:
+    with publishing(NO_FAULT) as router:
         assert find_complaints(router) == set()
 
 
 @pytest.mark.parametrize("what", BROKEN)
 def test_each_fault_is_found_by_an_independent_client(what: str) -> None:
-    with telling(BROKEN[what]) as router:
+    with publishing(BROKEN[what]) as router:
         assert find_complaints(router) == FOUND[what]

@@ -8,7 +8,13 @@ import pytest
 
 from tests.integration import ros_interfaces as ros
 from tests.integration.processes import START_S, Server, eventually, running, serving
-from tests.integration.ros_client_process import Do, asking, observing, result_of, session_of
+from tests.integration.ros_client_process import (
+    CallObserver,
+    make_service_call,
+    result_of,
+    run_observer,
+    session_of,
+)
 from tests.integration.ros_grammar import parse_endpoints
 from tests.integration.ros_subscriptions import SIGHT_S, tokens
 from zensim.proto.messages.result_messages import ResultCode
@@ -39,19 +45,19 @@ def network() -> Iterator[Network]:
         other.wait_for_server(START_S)
         server.zensim("spawn", "box_bot", "-n", "a1")
         stack.enter_context(running("agent", "a1", "--connect", server.endpoint))
-        with observing(server, 7) as do:
-            spawn(do, "b1")
+        with run_observer(server, 7) as observe:
+            spawn(observe, "b1")
         stack.enter_context(running("agent", "b1", *joining))
         eventually(lambda: bool(other.entity_model("b1").agent), START_S, "claiming")
         eventually(lambda: bool(server.client.entity_model("a1").agent), START_S, "claiming")
         yield Network(server, other)
 
 
-def spawn(do: Do, name: str) -> None:
+def spawn(observe: CallObserver, name: str) -> None:
     resource = {"uri": "box_bot"}
     given = {"name": name, "entity_resource": resource, "initial_pose": AT_ORIGIN}
-    answer = asking(do)("/spawn_entity", SPAWN, ros.SPAWN_V2_HASH, **given)
-    assert result_of(answer) == ResultCode.OK
+    response = make_service_call(observe)("/spawn_entity", SPAWN, ros.SPAWN_V2_HASH, **given)
+    assert result_of(response) == ResultCode.OK
 
 
 @pytest.fixture(params=DOMAINS)
@@ -60,35 +66,35 @@ def domain(request: pytest.FixtureRequest) -> int:
 
 
 @pytest.fixture
-def do(network: Network, domain: int) -> Iterator[Do]:
-    with observing(network.server, domain) as found:
+def observe(network: Network, domain: int) -> Iterator[CallObserver]:
+    with run_observer(network.server, domain) as found:
         yield found
 
 
-def test_domain_lists_its_own_robot_only(do: Do, domain: int) -> None:
-    (stranger,) = {*DOMAINS.values()} - {DOMAINS[domain]}
-    eventually(lambda: f"/{DOMAINS[domain]}/odom" in do("topics"), SIGHT_S, "topics")
+def test_domain_lists_its_own_robot_only(observe: CallObserver, domain: int) -> None:
+    (other,) = {*DOMAINS.values()} - {DOMAINS[domain]}
+    eventually(lambda: f"/{DOMAINS[domain]}/odom" in observe("topics"), SIGHT_S, "topics")
 
-    topics = do("topics")
+    topics = observe("topics")
 
-    assert [topic for topic in topics if topic.startswith(f"/{stranger}/")] == []
-    assert len(do("publishers", topic="/clock")) == 1
-
-
-def test_services_are_those_of_the_domain(do: Do, domain: int) -> None:
-    answer = asking(do)("/get_entities", GET_ENTITIES, ros.GET_ENTITIES_HASH)
-
-    assert answer is not None
-    assert answer["entities"] == [DOMAINS[domain]]
+    assert [topic for topic in topics if topic.startswith(f"/{other}/")] == []
+    assert len(observe("publishers", topic="/clock")) == 1
 
 
-def test_frames_are_those_of_the_domain(do: Do, domain: int) -> None:
+def test_services_are_those_of_the_domain(observe: CallObserver, domain: int) -> None:
+    response = make_service_call(observe)("/get_entities", GET_ENTITIES, ros.GET_ENTITIES_HASH)
+
+    assert response is not None
+    assert response["entities"] == [DOMAINS[domain]]
+
+
+def test_frames_are_those_of_the_domain(observe: CallObserver, domain: int) -> None:
     qos = ":1:,1:,:,:,,"
     given = {"kind": "tf2_msgs/msg/TFMessage", "count": 2, "within_s": 2.0, "qos": qos}
 
-    heard = do("hear", topic="/tf_static", **given)
+    received = observe("receive", topic="/tf_static", **given)
 
-    children = {edge["child_frame_id"] for message in heard for edge in message["transforms"]}
+    children = {edge["child_frame_id"] for message in received for edge in message["transforms"]}
     assert {child.partition("/")[0] for child in children} == {DOMAINS[domain]}
 
 
@@ -96,7 +102,7 @@ def test_tokens_are_of_one_domain_each(network: Network) -> None:
     with session_of(network.server) as session:
         graph = parse_endpoints(tokens(session, "@ros2_lv/**"))
 
-    agents = {(one.owner.domain, one.owner.name) for one in graph}
+    agents = {(one.node.domain, one.node.name) for one in graph}
     assert agents == {(0, "/zensim"), (0, "/a1/agent"), (7, "/zensim"), (7, "/b1/agent")}
 
 
@@ -105,11 +111,11 @@ def test_command_in_another_domain_moves_no_robot(network: Network) -> None:
 
     def has_moved() -> bool:
         with_twist = {"kind": "geometry_msgs/msg/Twist", "fields": {"linear": {"x": 0.5}}}
-        stranger("tell", topic="/b1/cmd_vel", **with_twist)
-        stranger("tell", topic="/a1/cmd_vel", **with_twist)
+        observe_b("publish", topic="/b1/cmd_vel", **with_twist)
+        observe_b("publish", topic="/a1/cmd_vel", **with_twist)
         return network.server.client.entity_state("a1").pose.position.x > 0.2
 
-    with observing(network.server, 0) as stranger:
+    with run_observer(network.server, 0) as observe_b:
         eventually(has_moved, 20.0, "driving")
 
     after = network.other.entity_state("b1").pose.position.x

@@ -11,8 +11,14 @@ from typing import Any
 import pytest
 
 from tests.integration import ros_interfaces as ros
-from tests.integration.processes import Server, driven, eventually, serving
-from tests.integration.ros_client_process import Ask, Do, asking, observing, replies
+from tests.integration.processes import Server, eventually, running_agents, serving
+from tests.integration.ros_client_process import (
+    CallObserver,
+    CallService,
+    make_service_call,
+    replies,
+    run_observer,
+)
 from tests.integration.ros_subscriptions import SIGHT_S
 from tests.proto.ros_hashes import hash_of_service
 from tests.proto.ros_oracle import HUMBLE
@@ -31,8 +37,8 @@ def server() -> Iterator[Server]:
 
 
 @pytest.fixture(scope="module")
-def do(server: Server) -> Iterator[Do]:
-    with observing(server, 0, ros.OF_HUMBLE) as found:
+def observe(server: Server) -> Iterator[CallObserver]:
+    with run_observer(server, 0, ros.OF_HUMBLE) as found:
         yield found
 
 
@@ -47,12 +53,14 @@ def description_by_the_script(namespace: str) -> str:
     return ET.tostring(root, encoding="unicode")
 
 
-def spawned(ask: Ask, name: str, type_hash: str = ros.OF_HUMBLE, **fields: object) -> Any:  # noqa: ANN401
-    return ask("/spawn_entity", SPAWN, type_hash, name=name, **fields)
+def spawned(
+    call_service: CallService, name: str, type_hash: str = ros.OF_HUMBLE, **fields: object
+) -> Any:  # noqa: ANN401
+    return call_service("/spawn_entity", SPAWN, type_hash, name=name, **fields)
 
 
-def test_service_is_available_to_a_waiting_script(do: Do) -> None:
-    listed = do("services")
+def test_service_is_available_to_a_waiting_script(observe: CallObserver) -> None:
+    listed = observe("services")
 
     assert {SPAWN, DELETE} <= {*listed["/spawn_entity"], *listed["/delete_entity"]}
     assert listed["/unpause_physics"] == [EMPTY]
@@ -60,12 +68,12 @@ def test_service_is_available_to_a_waiting_script(do: Do) -> None:
 
 @pytest.mark.parametrize("orientation", [{}, {"w": 1.0}], ids=["all zero", "by default"])
 def test_tutorial_script_spawns_robots_in_a_row(
-    server: Server, do: Do, orientation: dict[str, float]
+    server: Server, observe: CallObserver, orientation: dict[str, float]
 ) -> None:
     names = [f"box_bot{number}" for number in range(3)]
-    told = [
+    received = [
         spawned(
-            asking(do),
+            make_service_call(observe),
             name,
             xml=description_by_the_script(name),
             robot_namespace=name,
@@ -74,76 +82,87 @@ def test_tutorial_script_spawns_robots_in_a_row(
         for x, name in enumerate(names)
     ]
     places = [server.client.entity_state(name).pose.position.x for name in names]
-    gone = [asking(do)("/delete_entity", DELETE, ros.OF_HUMBLE, name=name) for name in names]
+    gone = [
+        make_service_call(observe)("/delete_entity", DELETE, ros.OF_HUMBLE, name=name)
+        for name in names
+    ]
 
-    assert [one["success"] for one in told] == [True] * 3, told
+    assert [one["success"] for one in received] == [True] * 3, received
     assert places == pytest.approx([0.0, 1.0, 2.0], abs=0.05)
     assert [one and one["success"] for one in gone] == [True] * 3
 
 
 def test_robot_of_the_script_publishes_tf_and_odometry_in_its_namespace(
-    server: Server, do: Do
+    server: Server, observe: CallObserver
 ) -> None:
     name = "box_bot7"
     xml = description_by_the_script(name)
     pose = {"position": {"y": 4.0, "z": 0.01}, "orientation": {"w": 1.0}}
-    spawned(asking(do), name, xml=xml, robot_namespace=name, initial_pose=pose)
+    spawned(make_service_call(observe), name, xml=xml, robot_namespace=name, initial_pose=pose)
     given = {"count": 1, "within_s": SIGHT_S, "qos": ""}
 
-    with driven(server, name, options=HUMBLES):
-        (odom,) = do("hear", topic=f"/{name}/odom", kind="nav_msgs/msg/Odometry", **given)
-        (tf,) = do("hear", topic=f"/{name}/tf", kind="tf2_msgs/msg/TFMessage", **given)
-    asking(do)("/delete_entity", DELETE, ros.OF_HUMBLE, name=name)
+    with running_agents(server, name, options=HUMBLES):
+        (odom,) = observe("receive", topic=f"/{name}/odom", kind="nav_msgs/msg/Odometry", **given)
+        (tf,) = observe("receive", topic=f"/{name}/tf", kind="tf2_msgs/msg/TFMessage", **given)
+    make_service_call(observe)("/delete_entity", DELETE, ros.OF_HUMBLE, name=name)
 
     assert odom["header"]["frame_id"] == "odom"
     assert odom["pose"]["pose"]["position"]["y"] == pytest.approx(4.0, abs=0.05)
     assert tf["transforms"][0]["header"]["frame_id"] == "odom"
 
 
-def test_spawn_entity_py_spawns_waits_unpauses_and_deletes(server: Server, do: Do) -> None:
-    ask = asking(do)
-    ask("/pause_physics", EMPTY, ros.OF_HUMBLE)
+def test_spawn_entity_py_spawns_waits_unpauses_and_deletes(
+    server: Server, observe: CallObserver
+) -> None:
+    call_service = make_service_call(observe)
+    call_service("/pause_physics", EMPTY, ros.OF_HUMBLE)
     pose = {"position": {"x": -3.0, "z": 0.06}, "orientation": {"z": 1.0, "w": 0.0}}
 
-    told = spawned(
-        ask, "e1", xml=read_builtin_model("box_bot"), initial_pose=pose, reference_frame="world"
+    received = spawned(
+        call_service,
+        "e1",
+        xml=read_builtin_model("box_bot"),
+        initial_pose=pose,
+        reference_frame="world",
     )
-    ask("/unpause_physics", EMPTY, ros.OF_HUMBLE)
+    call_service("/unpause_physics", EMPTY, ros.OF_HUMBLE)
     states = {"topic": "/model_states", "kind": "gazebo_msgs/msg/ModelStates", "qos": ""}
-    (seen,) = do("hear", count=1, within_s=SIGHT_S, **states)
+    (seen,) = observe("receive", count=1, within_s=SIGHT_S, **states)
     before = server.steps()
     eventually(lambda: server.steps() > before, SIGHT_S, "time going on")
-    gone = ask("/delete_entity", DELETE, ros.OF_HUMBLE, name="e1")
+    gone = call_service("/delete_entity", DELETE, ros.OF_HUMBLE, name="e1")
 
-    assert told["success"], told
+    assert received["success"], received
     assert "e1" in seen["name"]
     assert seen["pose"][seen["name"].index("e1")]["position"]["x"] == pytest.approx(-3.0, abs=0.01)
     assert gone is not None
     assert gone["success"]
 
 
-def test_duplicate_name_is_refused_with_a_message(do: Do) -> None:
-    ask = asking(do)
-    spawned(ask, "twin", xml=read_builtin_model("box_bot"), initial_pose=FORWARD)
+def test_duplicate_name_is_refused_with_a_message(observe: CallObserver) -> None:
+    call_service = make_service_call(observe)
+    spawned(call_service, "twin", xml=read_builtin_model("box_bot"), initial_pose=FORWARD)
 
-    again = spawned(ask, "twin", xml=read_builtin_model("box_bot"), initial_pose=FORWARD)
-    ask("/delete_entity", DELETE, ros.OF_HUMBLE, name="twin")
+    again = spawned(call_service, "twin", xml=read_builtin_model("box_bot"), initial_pose=FORWARD)
+    call_service("/delete_entity", DELETE, ros.OF_HUMBLE, name="twin")
 
     assert not again["success"]
     assert "twin" in again["status_message"]
 
 
-def test_distribution_with_hashes_calls_by_hash(do: Do) -> None:
-    told = spawned(
-        asking(do),
+def test_distribution_with_hashes_calls_by_hash(observe: CallObserver) -> None:
+    received = spawned(
+        make_service_call(observe),
         "hashed",
         hash_of_service(SPAWN),
         xml=read_builtin_model("box_bot"),
         **{"initial_pose": FORWARD},
     )
-    gone = asking(do)("/delete_entity", DELETE, hash_of_service(DELETE), name="hashed")
+    gone = make_service_call(observe)(
+        "/delete_entity", DELETE, hash_of_service(DELETE), name="hashed"
+    )
 
-    assert told["success"]
+    assert received["success"]
     assert gone is not None
     assert gone["success"]
 
@@ -158,7 +177,7 @@ def test_bridge_spawns_and_deletes_on_plain_keys(server: Server) -> None:
         "bridged", read_builtin_model("box_bot"), "bridged", pose, ""
     )
 
-    told = [
+    received = [
         answer_to(server, "gazebo/spawn_entity", request, "SpawnEntity"),
         answer_to(
             server,
@@ -168,10 +187,10 @@ def test_bridge_spawns_and_deletes_on_plain_keys(server: Server) -> None:
         ),
     ]
 
-    assert [one.success for one in told] == [True, True], told
+    assert [one.success for one in received] == [True, True], received
 
 
 def answer_to(server: Server, key: str, request: object, kind: str) -> Any:  # noqa: ANN401
     payload = bytes(HUMBLE.serialize_cdr(request, f"gazebo_msgs/msg/{kind}_Request"))
-    (answer,) = replies(server, key, payload, None)
-    return HUMBLE.deserialize_cdr(answer.payload.to_bytes(), f"gazebo_msgs/msg/{kind}_Response")
+    (response,) = replies(server, key, payload, None)
+    return HUMBLE.deserialize_cdr(response.payload.to_bytes(), f"gazebo_msgs/msg/{kind}_Response")

@@ -14,16 +14,22 @@ import zenoh
 
 from tests.integration.processes import (
     Server,
-    driven,
     eventually,
     running,
+    running_agents,
     serving,
     wait_for_agents,
 )
 from tests.integration.ros_client_process import replies, session_of
-from tests.integration.ros_grammar import HUMBLES, NoToken, Told, check_hash, parse_endpoints
+from tests.integration.ros_grammar import (
+    HUMBLE_HASH,
+    InvalidToken,
+    TokenEndpoint,
+    check_hash,
+    parse_endpoints,
+)
 from tests.integration.ros_rules import check_bytes, check_topic
-from tests.integration.ros_subscriptions import SIGHT_S, captured, publishers_of, tokens
+from tests.integration.ros_subscriptions import SIGHT_S, publishers_of, receive_samples, tokens
 from tests.integration.test_ground_truth import P3D
 from tests.proto.ros_oracle import HUMBLE, message_name
 from zensim.sim_server.description.builtin_models import read_builtin_model
@@ -71,7 +77,7 @@ def server(distribution: str, tmp_path_factory: pytest.TempPathFactory) -> Itera
     with serving("--ros-domain", "0", *ros) as found:
         write_with_truth(file, found)
         with (
-            driven(found, "r1", options=ros),
+            running_agents(found, "r1", options=ros),
             running("agent", "--pool", "0", "--connect", found.endpoint, *ros),
         ):
             wait_for_agents(found, ("r2", "r3"))
@@ -93,27 +99,27 @@ def session(server: Server) -> Iterator[zenoh.Session]:
 
 
 @pytest.fixture(scope="module")
-def graph(session: zenoh.Session) -> list[Told]:
+def graph(session: zenoh.Session) -> list[TokenEndpoint]:
     return parse_endpoints(tokens(session, "@ros2_lv/**"))
 
 
-def test_each_token_matches_the_grammar_and_the_other_tokens(graph: list[Told]) -> None:
-    nodes = {one.owner.name for one in graph}
+def test_each_token_matches_the_grammar_and_the_other_tokens(graph: list[TokenEndpoint]) -> None:
+    nodes = {one.node.name for one in graph}
     pools = {name for name in nodes if re.fullmatch(r"/zensim_pool_[0-9a-f]{8}_1", name)}
 
     assert len(pools) == 1
     assert nodes - pools == {"/zensim", *(f"{robot}/agent" for robot in ROBOTS)}
-    assert {one.owner.domain for one in graph} == {0}
+    assert {one.node.domain for one in graph} == {0}
 
 
 def test_each_hash_matches_an_independent_implementation(
-    graph: list[Told], distribution: str
+    graph: list[TokenEndpoint], distribution: str
 ) -> None:
     for one in graph:
         check_hash(one, has_hashes=distribution != "humble")
 
 
-def test_published_topics_are_the_documented_ones(graph: list[Told]) -> None:
+def test_published_topics_are_the_documented_ones(graph: list[TokenEndpoint]) -> None:
     published = [one for one in graph if one.kind == "MP"]
 
     assert {one.name: one.ros_type for one in published} == PUBLISHED
@@ -122,51 +128,53 @@ def test_published_topics_are_the_documented_ones(graph: list[Told]) -> None:
         assert one.qos == (TRANSIENT_LOCAL_1 if is_latched else RELIABLE_10), one
 
 
-def test_robots_subscribe_to_commands_of_both_types(graph: list[Told]) -> None:
-    heard = {(one.name, one.ros_type) for one in graph if one.kind == "MS"}
+def test_robots_subscribe_to_commands_of_both_types(graph: list[TokenEndpoint]) -> None:
+    received = {(one.name, one.ros_type) for one in graph if one.kind == "MS"}
 
     kinds = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
-    assert heard == {(f"{robot}/cmd_vel", kind) for robot in ROBOTS for kind in kinds}
+    assert received == {(f"{robot}/cmd_vel", kind) for robot in ROBOTS for kind in kinds}
 
 
 @pytest.mark.parametrize("topic", [topic for topic in PUBLISHED if topic != SILENT])
 def test_each_topic_follows_rmw_rules_and_matches_rosbags_bytes(
     session: zenoh.Session, distribution: str, topic: str
 ) -> None:
-    came = captured(session, topic)
+    samples = receive_samples(session, topic)
 
-    check_topic(publishers_of(session, topic), came, has_hashes=distribution != "humble")
-    for heard in came:
-        check_bytes(PUBLISHED[topic], heard.payload)
+    check_topic(publishers_of(session, topic), samples, has_hashes=distribution != "humble")
+    for received in samples:
+        check_bytes(PUBLISHED[topic], received.payload)
 
 
-def test_each_service_replies_to_unreadable_requests(server: Server, graph: list[Told]) -> None:
+def test_each_service_replies_to_unreadable_requests(
+    server: Server, graph: list[TokenEndpoint]
+) -> None:
     served = [one for one in graph if one.kind == "SS"]
     assert len({one.key for one in served}) == len(served) > 30
 
     for one in served:
-        (answer,) = replies(server, one.key, HEADER, struct.pack("<qqB", SEQUENCE, 7, 16) + GID)
-        check_response(one, answer)
+        (reply,) = replies(server, one.key, HEADER, struct.pack("<qqB", SEQUENCE, 7, 16) + GID)
+        check_response(one, reply)
 
 
-def check_response(told: Told, answer: zenoh.Sample) -> None:
-    assert str(answer.key_expr) == told.key
-    assert answer.attachment is not None
-    sequence, time_ns, length = struct.unpack("<qqB", answer.attachment.to_bytes()[:17])
-    assert (sequence, length, answer.attachment.to_bytes()[17:]) == (SEQUENCE, 16, GID)
+def check_response(endpoint: TokenEndpoint, reply: zenoh.Sample) -> None:
+    assert str(reply.key_expr) == endpoint.key
+    assert reply.attachment is not None
+    sequence, time_ns, length = struct.unpack("<qqB", reply.attachment.to_bytes()[:17])
+    assert (sequence, length, reply.attachment.to_bytes()[17:]) == (SEQUENCE, 16, GID)
     assert time_ns > 7
-    kind = message_name(f"{told.ros_type}_Response")
-    payload = answer.payload.to_bytes()
+    kind = message_name(f"{endpoint.ros_type}_Response")
+    payload = reply.payload.to_bytes()
     response: Any = HUMBLE.deserialize_cdr(payload, kind)
-    assert bytes(HUMBLE.serialize_cdr(response, kind)) == payload, told
+    assert bytes(HUMBLE.serialize_cdr(response, kind)) == payload, endpoint
     if hasattr(response, "result") and hasattr(response.result, "error_message"):
-        assert response.result.error_message, told
+        assert response.result.error_message, endpoint
 
 
 def test_other_domains_have_no_token(session: zenoh.Session) -> None:
-    told = tokens(session, "@ros2_lv/**")
+    found = tokens(session, "@ros2_lv/**")
 
-    assert {token.split("/")[1] for token in told} == {"0"}
+    assert {token.split("/")[1] for token in found} == {"0"}
 
 
 @pytest.mark.parametrize(
@@ -187,16 +195,16 @@ def test_other_domains_have_no_token(session: zenoh.Session) -> None:
 def test_grammar_finds_a_broken_token(
     session: zenoh.Session, distribution: str, old: str, new: str
 ) -> None:
-    told = tokens(session, "@ros2_lv/0/*/*/*/*/*/%team%r1/**")
-    old = old.replace("RIHS01_3", HUMBLES) if distribution == "humble" else old
-    assert parse_endpoints(told)
+    found = tokens(session, "@ros2_lv/0/*/*/*/*/*/%team%r1/**")
+    old = old.replace("RIHS01_3", HUMBLE_HASH) if distribution == "humble" else old
+    assert parse_endpoints(found)
 
-    with pytest.raises(NoToken):
-        parse_endpoints([token.replace(old, new) for token in told])
+    with pytest.raises(InvalidToken):
+        parse_endpoints([token.replace(old, new) for token in found])
 
 
 def test_grammar_misses_the_node_of_an_endpoint(session: zenoh.Session) -> None:
-    told = tokens(session, "@ros2_lv/0/*/*/*/*/*/%r2/**")
+    found = tokens(session, "@ros2_lv/0/*/*/*/*/*/%r2/**")
 
-    with pytest.raises(NoToken, match="node"):
-        parse_endpoints([token for token in told if "/NN/" not in token])
+    with pytest.raises(InvalidToken, match="unknown_node"):
+        parse_endpoints([token for token in found if "/NN/" not in token])

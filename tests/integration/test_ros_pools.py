@@ -13,10 +13,10 @@ from tests.integration.ros_subscriptions import (
     LATCHED,
     SIGHT_S,
     TYPES,
-    captured,
     place_of,
     publishers_of,
     read_late_joining,
+    receive_samples,
     tokens,
 )
 from tests.proto.ros_oracle import HUMBLE
@@ -49,39 +49,41 @@ def session(server: Server) -> Iterator[zenoh.Session]:
 
 @pytest.mark.parametrize("topic", OF_POOL)
 def test_topic_of_a_pool_follows_the_rules_of_rmw(session: zenoh.Session, topic: str) -> None:
-    came = captured(session, topic)
+    samples = receive_samples(session, topic)
 
-    publishers = check_topic(publishers_of(session, topic), came)
+    publishers = check_topic(publishers_of(session, topic), samples)
 
     assert {(one.name, one.ros_type) for one in publishers} == {(topic, TYPES[topic])}
-    for heard in came:
-        check_bytes(TYPES[topic], heard.payload)
+    for received in samples:
+        check_bytes(TYPES[topic], received.payload)
 
 
 def test_late_joiner_of_a_pool_receives_its_own_robot_only(session: zenoh.Session) -> None:
-    came = read_late_joining(session, "/r2/tf_static", 1)
+    samples = read_late_joining(session, "/r2/tf_static", 1)
 
-    assert [heard.key.split("/")[1] for heard in came] == ["r2"]
+    assert [received.key.split("/")[1] for received in samples] == ["r2"]
 
 
-@pytest.mark.parametrize(("topic", "told"), [("/tf_static", "base_footprint"), ("/tf", "odom")])
+@pytest.mark.parametrize(("topic", "suffix"), [("/tf_static", "base_footprint"), ("/tf", "odom")])
 def test_frames_that_all_robots_share_begin_with_their_names(
-    session: zenoh.Session, topic: str, told: str
+    session: zenoh.Session, topic: str, suffix: str
 ) -> None:
-    came = (
+    samples = (
         read_late_joining(session, topic, 3)[:3]
         if topic in LATCHED
-        else captured(session, topic, 9)
+        else receive_samples(session, topic, 9)
     )
 
-    roots = {root for heard in came for root in roots_of(heard.payload) if root.endswith(told)}
-    assert roots == {f"{name}/{told}" for name in ROBOTS}
+    roots = {
+        root for sample in samples for root in roots_of(sample.payload) if root.endswith(suffix)
+    }
+    assert roots == {f"{name}/{suffix}" for name in ROBOTS}
 
 
 def test_frames_of_all_robots_are_in_one_message(session: zenoh.Session) -> None:
-    (heard,) = captured(session, "/tf", 1)
+    (received,) = receive_samples(session, "/tf", 1)
 
-    assert {f"{name}/odom" for name in ROBOTS} <= roots_of(heard.payload)
+    assert {f"{name}/odom" for name in ROBOTS} <= roots_of(received.payload)
 
 
 def roots_of(payload: bytes) -> set[str]:

@@ -11,13 +11,19 @@ import pytest
 from tests.integration import ros_interfaces as ros
 from tests.integration.processes import (
     Server,
-    driven,
     eventually,
     running,
+    running_agents,
     serving,
     wait_for_agents,
 )
-from tests.integration.ros_client_process import Do, observing, result_of, ros_client, session_of
+from tests.integration.ros_client_process import (
+    CallObserver,
+    result_of,
+    ros_client,
+    run_observer,
+    session_of,
+)
 from tests.integration.ros_subscriptions import (
     SIGHT_S,
     TF,
@@ -26,7 +32,7 @@ from tests.integration.ros_subscriptions import (
     key_of,
     place_of,
     publishers_of,
-    subscribed,
+    subscribe_transient_local,
 )
 from zensim.proto.messages.result_messages import ResultCode
 
@@ -55,7 +61,7 @@ class Installation:
         """Run agents for some robots; a pool claims all robots."""
         with ExitStack() as stack:
             if not self.is_pooled:
-                stack.enter_context(driven(server, *names, options=self.options))
+                stack.enter_context(running_agents(server, *names, options=self.options))
             wait_for_agents(server, names)
             yield
 
@@ -83,34 +89,34 @@ def server(installation: Installation) -> Iterator[Server]:
 
 
 @pytest.fixture(scope="module")
-def do(server: Server, installation: Installation) -> Iterator[Do]:
-    with observing(server, 0, installation.type_hash) as found:
+def observe(server: Server, installation: Installation) -> Iterator[CallObserver]:
+    with run_observer(server, 0, installation.type_hash) as found:
         yield found
 
 
-def test_topics_are_listed_with_their_types(do: Do) -> None:
+def test_topics_are_listed_with_their_types(observe: CallObserver) -> None:
     def are_all_there() -> bool:
-        return TYPES.keys() | {"/r2/cmd_vel"} <= set(do("topics"))
+        return TYPES.keys() | {"/r2/cmd_vel"} <= set(observe("topics"))
 
     eventually(are_all_there, SIGHT_S, "tokens")
-    listed = do("topics")
+    listed = observe("topics")
 
     assert {topic: listed[topic] for topic in TYPES} == {k: [v] for k, v in TYPES.items()}
     assert listed["/r2/cmd_vel"] == ["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"]
 
 
 @pytest.mark.parametrize("topic", HEARD)
-def test_messages_are_received(do: Do, topic: str) -> None:
+def test_messages_are_received(observe: CallObserver, topic: str) -> None:
     kind = TYPES[topic.replace("/r2/", "/r1/")]
 
-    assert len(do("hear", topic=topic, kind=kind, count=3, within_s=SIGHT_S, qos="")) == 3
+    assert len(observe("receive", topic=topic, kind=kind, count=3, within_s=SIGHT_S, qos="")) == 3
 
 
-def test_late_joiner_receives_the_static_transforms_of_all_robots(do: Do) -> None:
+def test_late_joiner_receives_the_static_transforms_of_all_robots(observe: CallObserver) -> None:
     given = {"kind": TF, "within_s": SIGHT_S, "qos": TRANSIENT_LOCAL}
 
-    shared = do("hear", topic="/tf_static", count=2, **given)
-    own = do("hear", topic="/r2/tf_static", count=1, **given)
+    shared = observe("receive", topic="/tf_static", count=2, **given)
+    own = observe("receive", topic="/r2/tf_static", count=1, **given)
 
     roots = {message["transforms"][0]["header"]["frame_id"] for message in shared}
     assert roots == {"r1/base_footprint", "r2/base_footprint"}
@@ -118,13 +124,13 @@ def test_late_joiner_receives_the_static_transforms_of_all_robots(do: Do) -> Non
 
 
 @pytest.mark.parametrize("kind", ["Twist", "TwistStamped"])
-def test_robot_is_driven_alone(do: Do, server: Server, kind: str) -> None:
+def test_robot_is_driven_alone(observe: CallObserver, server: Server, kind: str) -> None:
     before, other = place_of(server, "r2"), place_of(server, "r1")
     twist = {"linear": {"x": 0.5}}
     fields = {"twist": twist} if kind == "TwistStamped" else twist
 
     def has_moved() -> bool:
-        do("tell", topic="/r2/cmd_vel", kind=f"geometry_msgs/msg/{kind}", fields=fields)
+        observe("publish", topic="/r2/cmd_vel", kind=f"geometry_msgs/msg/{kind}", fields=fields)
         return abs(place_of(server, "r2") - before) > 0.05
 
     eventually(has_moved, 20.0, f"driving by {kind}")
@@ -132,12 +138,12 @@ def test_robot_is_driven_alone(do: Do, server: Server, kind: str) -> None:
 
 
 def test_early_subscriber_receives_latched_messages(
-    do: Do, server: Server, installation: Installation
+    observe: CallObserver, server: Server, installation: Installation
 ) -> None:
     kinds = {"/r3/tf_static": TF, "/r3/robot_description": "std_msgs/msg/String"}
     for topic, kind in kinds.items():
-        do("listen", topic=topic, kind=kind, qos=TRANSIENT_LOCAL)
-    came: list[str] = []
+        observe("subscribe", topic=topic, kind=kind, qos=TRANSIENT_LOCAL)
+    samples: list[str] = []
 
     with session_of(server) as session:
         keys = [
@@ -145,17 +151,21 @@ def test_early_subscriber_receives_latched_messages(
             for topic in kinds
         ]
         joiners = [
-            subscribed(session, key, lambda sample: came.append(str(sample.key_expr)))
+            subscribe_transient_local(
+                session, key, lambda sample: samples.append(str(sample.key_expr))
+            )
             for key in keys
         ]
         server.zensim("spawn", "box_bot", "-n", "r3", "-y", "3")
         with installation.driving(server, "r3"):
-            eventually(lambda: set(came) == set(keys), SIGHT_S, "rmw's subscribers")
-            eventually(lambda: all(do("heard", topic=one) for one in kinds), SIGHT_S, "the kit's")
+            eventually(lambda: set(samples) == set(keys), SIGHT_S, "rmw's subscribers")
+            eventually(
+                lambda: all(observe("received", topic=one) for one in kinds), SIGHT_S, "the kit's"
+            )
         server.zensim("delete", "r3")
         for joiner in joiners:
             joiner.undeclare()
-    assert sorted(came) == sorted(keys)
+    assert sorted(samples) == sorted(keys)
 
 
 @pytest.mark.parametrize(
@@ -176,10 +186,16 @@ def test_robot_is_spawned_listed_and_deleted(
     # Humble has 1.x only; clients of 2.1 have hashes.
     type_hash = installation.hash_of(published) if kind == ros.SPAWN_V1 else published
 
-    with ros_client(server) as ask:
-        spawned = ask("/spawn_entity", kind, type_hash, name="s", initial_pose=AT_SIDE, **resource)
-        there = ask("/get_entities", GET_ENTITIES, installation.hash_of(ros.GET_ENTITIES_HASH))
-        deleted = ask("/delete_entity", DELETE, installation.hash_of(ros.DELETE_HASH), entity="s")
+    with ros_client(server) as call_service:
+        spawned = call_service(
+            "/spawn_entity", kind, type_hash, name="s", initial_pose=AT_SIDE, **resource
+        )
+        there = call_service(
+            "/get_entities", GET_ENTITIES, installation.hash_of(ros.GET_ENTITIES_HASH)
+        )
+        deleted = call_service(
+            "/delete_entity", DELETE, installation.hash_of(ros.DELETE_HASH), entity="s"
+        )
 
     assert (result_of(spawned), result_of(deleted)) == (ResultCode.OK, ResultCode.OK)
     assert there is not None

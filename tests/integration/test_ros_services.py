@@ -8,7 +8,7 @@ import pytest
 
 from tests.integration import ros_interfaces as ros
 from tests.integration.processes import Server, serving
-from tests.integration.ros_client_process import Ask, replies, result_of, ros_client
+from tests.integration.ros_client_process import CallService, replies, result_of, ros_client
 from tests.proto.ros_oracle import rewritten_by_ros
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.messages.result_messages import ResultCode
@@ -35,16 +35,16 @@ def server() -> Iterator[Server]:
 
 
 @pytest.fixture(scope="module")
-def ask(server: Server) -> Iterator[Ask]:
+def call_service(server: Server) -> Iterator[CallService]:
     with ros_client(server) as found:
         yield found
 
 
-def listed(ask: Ask) -> list[object]:
-    answer = ask("/get_entities", GET_ENTITIES, ros.GET_ENTITIES_HASH)
-    assert result_of(answer) == ResultCode.OK
-    assert answer is not None
-    entities = answer["entities"]
+def listed(call_service: CallService) -> list[object]:
+    response = call_service("/get_entities", GET_ENTITIES, ros.GET_ENTITIES_HASH)
+    assert result_of(response) == ResultCode.OK
+    assert response is not None
+    entities = response["entities"]
     assert isinstance(entities, list)
     return entities
 
@@ -61,27 +61,29 @@ def listed(ask: Ask) -> list[object]:
 def test_ros_client_spawns_lists_and_deletes_in_each_version(
     server: Server, kind: str, type_hash: str, resource: dict[str, object]
 ) -> None:
-    with ros_client(server) as ask:
-        spawned = ask(
+    with ros_client(server) as call_service:
+        spawned = call_service(
             "/spawn_entity", kind, type_hash, name="v", initial_pose=AT_ORIGIN, **resource
         )
-        there = listed(ask)
-        deleted = ask("/delete_entity", DELETE, ros.DELETE_HASH, entity="v")
+        there = listed(call_service)
+        deleted = call_service("/delete_entity", DELETE, ros.DELETE_HASH, entity="v")
 
         assert result_of(spawned) == ResultCode.OK
         assert there == ["v"]
         assert result_of(deleted) == ResultCode.OK
-        assert listed(ask) == []
+        assert listed(call_service) == []
 
 
-def test_ros_client_receives_a_code_when_refused(ask: Ask) -> None:
-    answer = ask("/delete_entity", DELETE, ros.DELETE_HASH, entity="nobody")
+def test_ros_client_receives_a_code_when_refused(call_service: CallService) -> None:
+    response = call_service("/delete_entity", DELETE, ros.DELETE_HASH, entity="nobody")
 
-    assert result_of(answer) == ResultCode.NOT_FOUND
+    assert result_of(response) == ResultCode.NOT_FOUND
 
 
-def test_script_of_gazebo_spawns_and_deletes_under_the_same_names(ask: Ask) -> None:
-    spawned = ask(
+def test_script_of_gazebo_spawns_and_deletes_under_the_same_names(
+    call_service: CallService,
+) -> None:
+    spawned = call_service(
         "/spawn_entity",
         "gazebo_msgs/srv/SpawnEntity",
         ros.OF_HUMBLE,
@@ -91,9 +93,11 @@ def test_script_of_gazebo_spawns_and_deletes_under_the_same_names(ask: Ask) -> N
         initial_pose={"position": {"x": 5.0, "z": 1.0}, "orientation": {"w": 1.0}},
         reference_frame="world",
     )
-    there = listed(ask)
-    deleted = ask("/delete_entity", "gazebo_msgs/srv/DeleteEntity", ros.OF_HUMBLE, name="g")
-    again = ask("/delete_entity", "gazebo_msgs/srv/DeleteEntity", ros.OF_HUMBLE, name="g")
+    there = listed(call_service)
+    deleted = call_service(
+        "/delete_entity", "gazebo_msgs/srv/DeleteEntity", ros.OF_HUMBLE, name="g"
+    )
+    again = call_service("/delete_entity", "gazebo_msgs/srv/DeleteEntity", ros.OF_HUMBLE, name="g")
 
     assert spawned is not None
     assert spawned["success"], spawned["status_message"]
@@ -105,8 +109,8 @@ def test_script_of_gazebo_spawns_and_deletes_under_the_same_names(ask: Ask) -> N
     assert "g" in str(again["status_message"])
 
 
-def test_state_of_version_1_is_set_and_read_back(ask: Ask) -> None:
-    ask(
+def test_state_of_version_1_is_set_and_read_back(call_service: CallService) -> None:
+    call_service(
         "/spawn_entity",
         SPAWN,
         ros.SPAWN_V2_HASH,
@@ -116,20 +120,20 @@ def test_state_of_version_1_is_set_and_read_back(ask: Ask) -> None:
     )
     state = {"pose": {"position": {"x": 9.0, "z": 0.03}, "orientation": {"w": 1.0}}}
 
-    done = ask(
+    done = call_service(
         "/set_entity_state",
         "simulation_interfaces/srv/SetEntityState",
         ros.SET_STATE_V1_HASH,
         entity="s",
         state=state,
     )
-    read = ask(
+    read = call_service(
         "/get_entity_state",
         "simulation_interfaces/srv/GetEntityState",
         ros.GET_STATE_HASH,
         entity="s",
     )
-    ask("/delete_entity", DELETE, ros.DELETE_HASH, entity="s")
+    call_service("/delete_entity", DELETE, ros.DELETE_HASH, entity="s")
 
     assert result_of(done) == ResultCode.OK
     assert read is not None
@@ -138,30 +142,30 @@ def test_state_of_version_1_is_set_and_read_back(ask: Ask) -> None:
 
 
 def test_reply_has_sequence_number_and_gid_of_the_request_and_its_own_time(server: Server) -> None:
-    asked = write_attachment(Attachment(41, 7, GID))
+    request = write_attachment(Attachment(41, 7, GID))
     payload = encode(DeleteEntityRequest("nobody"), Format.CDR)
     before_ns = time.time_ns()
 
-    (reply,) = replies(server, DELETE_KEY, payload, asked)
+    (reply,) = replies(server, DELETE_KEY, payload, request)
 
     assert reply.attachment is not None
-    told = read_attachment(reply.attachment.to_bytes())
-    assert told is not None
-    assert (told.sequence_number, told.gid) == (41, GID)
-    assert before_ns <= told.source_time_ns <= time.time_ns()
+    received = read_attachment(reply.attachment.to_bytes())
+    assert received is not None
+    assert (received.sequence_number, received.gid) == (41, GID)
+    assert before_ns <= received.source_time_ns <= time.time_ns()
     assert str(reply.key_expr) == DELETE_KEY
     written = reply.payload.to_bytes()
     assert rewritten_by_ros(written, "simulation_interfaces/srv/DeleteEntity_Response") == written
 
 
 def test_malformed_request_gets_a_response_with_a_code(server: Server) -> None:
-    asked = write_attachment(Attachment(1, 0, GID))
+    request = write_attachment(Attachment(1, 0, GID))
 
-    (reply,) = replies(server, DELETE_KEY, b"\x00\x01\x00\x00\xff\xff\xff\x7f", asked)
+    (reply,) = replies(server, DELETE_KEY, b"\x00\x01\x00\x00\xff\xff\xff\x7f", request)
 
-    answer = decode(DeleteEntityResponse, reply.payload.to_bytes(), CDR_ENCODING_NAME)
-    assert answer.result.result == ResultCode.OPERATION_FAILED
-    assert "malformed" in answer.result.error_message
+    response = decode(DeleteEntityResponse, reply.payload.to_bytes(), CDR_ENCODING_NAME)
+    assert response.result.result == ResultCode.OPERATION_FAILED
+    assert "malformed" in response.result.error_message
 
 
 def test_service_with_another_hash_does_not_reply(server: Server) -> None:
@@ -188,8 +192,10 @@ def test_other_domain_receives_no_messages(server: Server) -> None:
     assert found == []
 
 
-def test_bridge_calls_on_plain_keys_in_either_version(server: Server, ask: Ask) -> None:
-    ask(
+def test_bridge_calls_on_plain_keys_in_either_version(
+    server: Server, call_service: CallService
+) -> None:
+    call_service(
         "/spawn_entity",
         SPAWN,
         ros.SPAWN_V2_HASH,
@@ -202,8 +208,8 @@ def test_bridge_calls_on_plain_keys_in_either_version(server: Server, ask: Ask) 
     (deleted,) = replies(server, "delete_entity", payload, None)
     (of_gazebo,) = replies(server, "gazebo/delete_entity", payload, None)
 
-    answer = decode(DeleteEntityResponse, deleted.payload.to_bytes(), CDR_ENCODING_NAME)
-    assert answer.result.result == ResultCode.OK
+    response = decode(DeleteEntityResponse, deleted.payload.to_bytes(), CDR_ENCODING_NAME)
+    assert response.result.result == ResultCode.OK
     assert of_gazebo.payload.to_bytes()[4] == 0, "success is the first byte"
 
 

@@ -7,18 +7,24 @@ from dataclasses import replace
 import pytest
 import zenoh
 
-from tests.integration.processes import Server, driven, eventually, serving
-from tests.integration.ros_client_process import Do, asking, observing, result_of, session_of
+from tests.integration.processes import Server, eventually, running_agents, serving
+from tests.integration.ros_client_process import (
+    CallObserver,
+    make_service_call,
+    result_of,
+    run_observer,
+    session_of,
+)
 from tests.integration.ros_interfaces import SPAWN_V2_HASH
-from tests.integration.ros_rules import BrokenRule, Heard, check_bytes, check_topic
+from tests.integration.ros_rules import BrokenRule, ReceivedSample, check_bytes, check_topic
 from tests.integration.ros_subscriptions import (
     LATCHED,
     ODOMETRY,
     SIGHT_S,
     TYPES,
-    captured,
     publishers_of,
     read_late_joining,
+    receive_samples,
     tokens,
 )
 from zensim.proto.messages.result_messages import SpawnCode
@@ -37,13 +43,13 @@ def server() -> Iterator[Server]:
     with serving("--ros-domain", "0", "--ros-bridge") as found:
         for name in ("r1", "r2"):
             found.zensim("spawn", "box_bot", "-n", name, "-y", name[1:])
-        with driven(found, "r1", "r2", options=("--ros-bridge",)):
+        with running_agents(found, "r1", "r2", options=("--ros-bridge",)):
             yield found
 
 
 @pytest.fixture(scope="module")
-def ask(server: Server) -> Iterator[Do]:
-    with observing(server, 0) as found:
+def ask(server: Server) -> Iterator[CallObserver]:
+    with run_observer(server, 0) as found:
         yield found
 
 
@@ -53,14 +59,14 @@ def session(server: Server) -> Iterator[zenoh.Session]:
         yield found
 
 
-def test_services_are_listed_with_their_types(ask: Do) -> None:
+def test_services_are_listed_with_their_types(ask: CallObserver) -> None:
     listed = ask("services")
 
     assert "simulation_interfaces/srv/SpawnEntity" in listed["/spawn_entity"]
     assert "gazebo_msgs/srv/SpawnEntity" in listed["/spawn_entity"]
 
 
-def test_each_robot_is_a_node(ask: Do, session: zenoh.Session) -> None:
+def test_each_robot_is_a_node(ask: CallObserver, session: zenoh.Session) -> None:
     (publisher,) = ask("publishers", topic="/r1/odom")
 
     assert (publisher["node_namespace"], publisher["node_name"]) == ("/r1", "agent")
@@ -74,65 +80,66 @@ def test_late_rmw_subscriber_receives_the_last_value_once(
 ) -> None:
     count = 2 if topic == "/tf_static" else 1
 
-    came = read_late_joining(session, topic, count)
+    samples = read_late_joining(session, topic, count)
 
-    assert len(came) == count
+    assert len(samples) == count
     assert all(
-        publisher.is_latched for publisher in check_topic(publishers_of(session, topic), came)
+        publisher.is_latched for publisher in check_topic(publishers_of(session, topic), samples)
     )
 
 
 @pytest.mark.parametrize(
-    ("broken", "complaint"),
+    ("broken", "code"),
     [
-        (lambda one: replace(one, attachment=b""), "0 bytes are attached"),
-        (lambda one: replace(one, attachment=one.attachment[:-1]), "32 bytes"),
-        (lambda one: replace(one, key=one.key[:-1] + "x"), "nobody announced"),
-        (lambda one: replace(one, key=one.key.removeprefix("0")), "nobody announced"),
+        (lambda one: replace(one, attachment=b""), "attachment_size 0"),
+        (lambda one: replace(one, attachment=one.attachment[:-1]), "attachment_size 32"),
+        (lambda one: replace(one, key=one.key[:-1] + "x"), "unknown_key"),
+        (lambda one: replace(one, key=one.key.removeprefix("0")), "unknown_key"),
     ],
 )
 def test_rules_find_a_broken_sample(
-    session: zenoh.Session, broken: Callable[[Heard], Heard], complaint: str
+    session: zenoh.Session, broken: Callable[[ReceivedSample], ReceivedSample], code: str
 ) -> None:
-    came, told = captured(session, "/r1/odom"), publishers_of(session, "/r1/odom")
+    samples, tokens_found = receive_samples(session, "/r1/odom"), publishers_of(session, "/r1/odom")
 
-    with pytest.raises(BrokenRule, match=complaint):
-        check_topic(told, [broken(one) for one in came])
+    with pytest.raises(BrokenRule, match=code):
+        check_topic(tokens_found, [broken(one) for one in samples])
 
 
 @pytest.mark.parametrize(
-    ("broken", "complaint"),
+    ("broken", "code"),
     [
-        (lambda _: [], "nobody announced"),
-        (lambda told: [told[0].replace("RIHS01_3", "RIHS01_4")], "hash"),
-        (lambda told: [told[0].replace("::,10:,:,:,,", "::,10")], "qos"),
-        (lambda told: [told[0].replace("/MP/", "/MS/")], "no token"),
-        (lambda told: [told[0].replace("%odom", "%odometry")], "nobody announced"),
+        (lambda _: [], "unknown_key"),
+        (lambda tokens_found: [tokens_found[0].replace("RIHS01_3", "RIHS01_4")], "hash"),
+        (lambda tokens_found: [tokens_found[0].replace("::,10:,:,:,,", "::,10")], "qos"),
+        (lambda tokens_found: [tokens_found[0].replace("/MP/", "/MS/")], "invalid_token"),
+        (lambda tokens_found: [tokens_found[0].replace("%odom", "%odometry")], "unknown_key"),
     ],
 )
 def test_rules_find_a_broken_token(
-    session: zenoh.Session, broken: Callable[[list[str]], list[str]], complaint: str
+    session: zenoh.Session, broken: Callable[[list[str]], list[str]], code: str
 ) -> None:
-    came, told = captured(session, "/r1/odom"), publishers_of(session, "/r1/odom")
+    samples, tokens_found = receive_samples(session, "/r1/odom"), publishers_of(session, "/r1/odom")
 
-    with pytest.raises(BrokenRule, match=complaint):
-        check_topic(broken(told), came)
+    with pytest.raises(BrokenRule, match=code):
+        check_topic(broken(tokens_found), samples)
 
 
 def test_rules_find_a_lost_message_and_foreign_bytes(session: zenoh.Session) -> None:
-    came, told = captured(session, "/r1/odom"), publishers_of(session, "/r1/odom")
+    samples, tokens_found = receive_samples(session, "/r1/odom"), publishers_of(session, "/r1/odom")
 
-    with pytest.raises(BrokenRule, match="came after"):
-        check_topic(told, [came[0], came[2]])
+    with pytest.raises(BrokenRule, match="sequence"):
+        check_topic(tokens_found, [samples[0], samples[2]])
     with pytest.raises(BrokenRule, match="rosbags"):
-        check_bytes(ODOMETRY, came[0].payload + b"\0")
+        check_bytes(ODOMETRY, samples[0].payload + b"\0")
 
 
 def test_other_domain_lists_no_endpoints(server: Server) -> None:
-    with observing(server, 7) as ask:
+    with run_observer(server, 7) as ask:
         assert (ask("topics"), ask("services")) == ({}, {})
         assert (
-            ask("hear", topic="/clock", kind=TYPES["/clock"], count=1, within_s=1.0, qos="") == []
+            ask("receive", topic="/clock", kind=TYPES["/clock"], count=1, within_s=1.0, qos="")
+            == []
         )
 
 
@@ -140,11 +147,11 @@ def test_tokens_are_removed_with_the_agent_and_with_the_robot(
     server: Server, session: zenoh.Session
 ) -> None:
     server.zensim("spawn", "box_bot", "-n", "r3", "-y", "3")
-    with driven(server, "r3") as agents:
+    with running_agents(server, "r3") as agents:
         eventually(lambda: bool(publishers_of(session, "/r3/odom")), SIGHT_S, "coming")
         agents["r3"].kill()
         eventually(lambda: not publishers_of(session, "/r3/odom"), SIGHT_S, "withdrawal")
-    with driven(server, "r3"):
+    with running_agents(server, "r3"):
         eventually(lambda: bool(publishers_of(session, "/r3/odom")), SIGHT_S, "return")
         server.zensim("delete", "r3")
         eventually(lambda: not tokens(session, "@ros2_lv/0/*/*/*/*/*/%r3/**"), SIGHT_S, "leaving")
@@ -153,29 +160,29 @@ def test_tokens_are_removed_with_the_agent_and_with_the_robot(
 def test_bridge_discovers_routes(server: Server) -> None:
     routes = server.bus.list_tokens("@/*/@ros2_lv/**")
 
-    told = {"/".join(route.split("/")[3:6]) for route in routes}
-    assert "MP/clock/rosgraph_msgs§msg§Clock" in told
-    assert "MP/r1§tf_static/tf2_msgs§msg§TFMessage" in told
-    assert "MS/r2§cmd_vel/geometry_msgs§msg§Twist" in told
-    assert "SS/spawn_entity/simulation_interfaces§srv§SpawnEntity" in told
-    assert "SS/gazebo§spawn_entity/gazebo_msgs§srv§SpawnEntity" in told
+    found = {"/".join(route.split("/")[3:6]) for route in routes}
+    assert "MP/clock/rosgraph_msgs§msg§Clock" in found
+    assert "MP/r1§tf_static/tf2_msgs§msg§TFMessage" in found
+    assert "MS/r2§cmd_vel/geometry_msgs§msg§Twist" in found
+    assert "SS/spawn_entity/simulation_interfaces§srv§SpawnEntity" in found
+    assert "SS/gazebo§spawn_entity/gazebo_msgs§srv§SpawnEntity" in found
     assert [route for route in routes if not ROUTE.fullmatch(route)] == []
 
 
 @pytest.mark.parametrize("name", ["1robot", "my-robot", "r1 ", "_r1", "r" * 65, "a/b", "a//b", "é"])
 def test_name_that_ros_refuses_is_refused_at_the_spawn(server: Server, name: str) -> None:
-    answer = server.zensim("spawn", "box_bot", "-n", name)
+    response = server.zensim("spawn", "box_bot", "-n", name)
 
-    assert answer.returncode != 0
-    assert "is not valid" in answer.stderr
+    assert response.returncode != 0
+    assert "is not valid" in response.stderr
 
 
 @pytest.mark.parametrize("namespace", ["a//b", "a/1b", "a-b/c", "//a", "a/", "~a", "a b", "a/*"])
 def test_namespace_that_ros_refuses_is_refused_at_the_spawn(server: Server, namespace: str) -> None:
-    answer = server.zensim("spawn", "box_bot", "-n", "fine", "--namespace", namespace)
+    response = server.zensim("spawn", "box_bot", "-n", "fine", "--namespace", namespace)
 
-    assert answer.returncode != 0
-    assert "is not valid" in answer.stderr
+    assert response.returncode != 0
+    assert "is not valid" in response.stderr
 
 
 @pytest.mark.parametrize(
@@ -188,13 +195,13 @@ def test_namespace_that_ros_refuses_is_refused_at_the_spawn(server: Server, name
     ],
 )
 def test_ros_client_receives_code_and_slug_for_refused_names(
-    ask: Do, fields: dict[str, str], code: SpawnCode, slug: str
+    ask: CallObserver, fields: dict[str, str], code: SpawnCode, slug: str
 ) -> None:
     resource = {"entity_resource": {"uri": "box_bot"}}
     kind = "simulation_interfaces/srv/SpawnEntity"
 
-    answer = asking(ask)("/spawn_entity", kind, SPAWN_V2_HASH, **fields, **resource)
+    response = make_service_call(ask)("/spawn_entity", kind, SPAWN_V2_HASH, **fields, **resource)
 
-    assert result_of(answer) == code
-    assert answer is not None
-    assert slug in str(answer["result"])
+    assert result_of(response) == code
+    assert response is not None
+    assert slug in str(response["result"])

@@ -13,15 +13,21 @@ import zenoh
 
 from tests.integration.processes import (
     Server,
-    driven,
     eventually,
     running,
+    running_agents,
     serving,
     wait_for_agents,
 )
 from tests.integration.robots import drive_for, robot
 from tests.integration.ros_client_process import session_of
-from tests.integration.ros_subscriptions import SIGHT_S, TF, key_of, publishers_of, subscribed
+from tests.integration.ros_subscriptions import (
+    SIGHT_S,
+    TF,
+    key_of,
+    publishers_of,
+    subscribe_transient_local,
+)
 from tests.proto.ros_oracle import HUMBLE
 from zensim.sim_server.description.builtin_models import read_builtin_model
 
@@ -46,7 +52,7 @@ def server(
             stack.enter_context(running("agent", "--pool", "0", "--connect", found.endpoint))
             wait_for_agents(found, ROBOTS)
         else:
-            stack.enter_context(driven(found, *ROBOTS))
+            stack.enter_context(running_agents(found, *ROBOTS))
         drive_for(
             found.client,
             [robot(found.bus, name) for name in ROBOTS],
@@ -88,7 +94,7 @@ def listener(server: Server) -> Iterator[Listener]:
     found = Listener()
     with session_of(server) as session:
         keys = [key_of(publishers_of(session, topic)[0]) for topic in ("/tf", "/tf_static")]
-        subscriptions = [subscribed(session, key, found.hear) for key in keys]
+        subscriptions = [subscribe_transient_local(session, key, found.hear) for key in keys]
         bases = [f"{name}/{frame}" for name in ROBOTS for frame in ("base_footprint", "base_link")]
         eventually(lambda: set(bases) <= set(found.newest), SIGHT_S, "transforms")
         eventually(lambda: roots_of(found) == {"world"}, SIGHT_S, "one root")

@@ -3,9 +3,9 @@
 from tests.integration.processes import (
     START_S,
     Server,
+    connected,
     eventually,
     free_endpoint,
-    joined,
     running,
     wait_for_agents,
     zensim,
@@ -36,7 +36,7 @@ def test_router_may_start_last_and_may_restart() -> None:
         running("agent", "r1", *connect),
         running("serve", *connect) as process,
     ):
-        with running("router", "--listen", endpoint) as router, joined(endpoint) as bus:
+        with running("router", "--listen", endpoint) as router, connected(endpoint) as bus:
             server = Server(process, endpoint, bus, SimClient(bus))
             server.client.wait_for_server(START_S)
             assert zensim("spawn", "box_bot", "--name", "r1", *connect).returncode == 0
@@ -45,7 +45,7 @@ def test_router_may_start_last_and_may_restart() -> None:
             steps = server.steps()
             router.kill()
             router.wait()
-        with running("router", "--listen", endpoint), joined(endpoint) as bus:
+        with running("router", "--listen", endpoint), connected(endpoint) as bus:
             server = Server(process, endpoint, bus, SimClient(bus))
             server.client.wait_for_server(START_S)
             assert server.steps() > steps

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from tests.feature_checks import FEATURE_CHECKS
-from tests.integration.processes import Server, agent_of, driven, eventually, serving
+from tests.integration.processes import Server, agent_of, eventually, running_agents, serving
 from tests.integration.robots import robot
 from zensim.proto import keys
 from zensim.proto.bus import BusSubscription
@@ -60,8 +60,8 @@ def a_fleet(*names: str, info: EntityInfo | None = None) -> SpawnEntitiesOrder:
 
 
 def spawned_in(events: BusSubscription, found: list[Event]) -> list[Event]:
-    told = [decode(Event, sample.payload, sample.encoding) for sample in events.take()]
-    found.extend(event for event in told if event.kind == "spawned")
+    received = [decode(Event, sample.payload, sample.encoding) for sample in events.take()]
+    found.extend(event for event in received if event.kind == "spawned")
     return found
 
 
@@ -76,9 +76,9 @@ def test_batch_is_spawned_between_two_steps(server: Server) -> None:
     events, found = server.bus.subscribe(EVENTS.key("default"), 1000), list[Event]()
     names = [f"r{i}" for i in range(20)]
 
-    answer = server.client.spawn_all(a_fleet(*names))
+    response = server.client.spawn_all(a_fleet(*names))
 
-    assert [one.entity_name for one in answer.results] == names
+    assert [one.entity_name for one in response.results] == names
     eventually(lambda: len(spawned_in(events, found)) == len(names), 5.0, "events")
     assert len({event.step for event in found}) == 1
 
@@ -86,10 +86,10 @@ def test_batch_is_spawned_between_two_steps(server: Server) -> None:
 def test_batch_is_not_spawned_when_one_entity_fails(server: Server) -> None:
     server.client.spawn_all(a_fleet("r0"))
 
-    answer = server.client.spawn_all(a_fleet("a", "r0", "b"))
+    response = server.client.spawn_all(a_fleet("a", "r0", "b"))
 
-    assert answer.result.result == SpawnEntitiesCode.ENTITIES_SPAWN_FAILED
-    assert [one.result.result for one in answer.results] == [4, SpawnCode.NAME_NOT_UNIQUE, 4]
+    assert response.result.result == SpawnEntitiesCode.ENTITIES_SPAWN_FAILED
+    assert [one.result.result for one in response.results] == [4, SpawnCode.NAME_NOT_UNIQUE, 4]
     assert server.client.entities() == ("r0",)
 
 
@@ -141,7 +141,7 @@ def test_a_robot_is_spawned_in_the_frame_of_a_link_of_another(server: Server) ->
 def test_deleting_keeps_claims_and_poses_of_others(server: Server) -> None:
     client = server.client
     client.spawn_all(a_fleet("r0", "r1", "r2"))
-    with driven(server, "r1"):
+    with running_agents(server, "r1"):
         odom = robot(server.bus, "r1")
         agent = agent_of(server, "r1")
         before = client.entity_state("r1").pose.position
@@ -161,14 +161,14 @@ def test_deleting_keeps_claims_and_poses_of_others(server: Server) -> None:
 
 def test_json_request_gets_a_json_reply(server: Server) -> None:
     server.client.spawn_all(a_fleet("r0", "r1"))
-    asked = {"filters": {"filter": "1$"}, "reference_frame": "r0"}
+    request = {"filters": {"filter": "1$"}, "reference_frame": "r0"}
 
     (sample,) = server.bus.get(
-        keys.service("default", "get_entities_states"), payload=json.dumps(asked).encode()
+        keys.service("default", "get_entities_states"), payload=json.dumps(request).encode()
     )
 
-    answer = json.loads(sample.payload)
-    assert answer["entities"] == ["r1"]
-    assert answer["states"][0]["header"]["frame_id"] == "r0"
-    assert answer["states"][0]["pose"]["position"]["x"] == pytest.approx(1.0, abs=0.01)
-    assert answer["result"]["result"] == ResultCode.OK
+    response = json.loads(sample.payload)
+    assert response["entities"] == ["r1"]
+    assert response["states"][0]["header"]["frame_id"] == "r0"
+    assert response["states"][0]["pose"]["position"]["x"] == pytest.approx(1.0, abs=0.01)
+    assert response["result"]["result"] == ResultCode.OK

@@ -34,8 +34,8 @@ def test_robot_is_pushed_for_the_requested_duration() -> None:
         wrench = Wrench(Vector3(0.0, 0.0, 20.0 * gazebo.link_properties("r1::base_link").mass))
         before = gazebo.entity_state("r1").pose.position.z
 
-        said = gazebo.apply_link_wrench("r1::base_link", wrench, duration_s=0.25)
-        assert said.startswith("from ")
+        message = gazebo.apply_link_wrench("r1::base_link", wrench, duration_s=0.25)
+        assert message.startswith("from ")
         server.client.step(60)
         risen = gazebo.entity_state("r1")
         server.client.step(240)
@@ -76,9 +76,9 @@ def test_states_are_published_and_returned() -> None:
         model_sample = eventually(models.newest, 5.0, "hearing models")
         link_sample = eventually(links.newest, 5.0, "hearing links")
 
-        told = decode(ModelStates, model_sample.payload, model_sample.encoding)
-        assert told.name == ("r1", "r2")
-        assert told.pose[1].position.x == pytest.approx(2.0, abs=0.05)
+        received = decode(ModelStates, model_sample.payload, model_sample.encoding)
+        assert received.name == ("r1", "r2")
+        assert received.pose[1].position.x == pytest.approx(2.0, abs=0.05)
         parts = decode(LinkStates, link_sample.payload, link_sample.encoding)
         assert "r2::base_link" in parts.name
         assert len(parts.name) == len(parts.pose) == len(parts.twist)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.integration.processes import END_S, Server, agent_of, driven, eventually, serving
+from tests.integration.processes import END_S, Server, agent_of, eventually, running_agents, serving
 from tests.integration.robots import robot
 from zensim.proto.messages.entity_messages import TagsFilter
 from zensim.proto.messages.result_messages import (
@@ -46,7 +46,7 @@ def drives(server: Server, name: str) -> None:
 def test_agent_waits_and_claims_again_when_its_world_is_replaced() -> None:
     with serving() as server:
         server.zensim("spawn", "box_bot", "--name", "r1")
-        with driven(server, "r1"):
+        with running_agents(server, "r1"):
             drives(server, "r1")
             before = server.client.info()
 

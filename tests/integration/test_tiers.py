@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.integration.journals import kill_hard, serving_with_journal
-from tests.integration.processes import Server, driven, eventually, free_endpoint, serving
+from tests.integration.processes import Server, eventually, free_endpoint, running_agents, serving
 from tests.integration.robots import robot
 from zensim.proto.messages.entity_messages import GetEntityInfoRequest
 from zensim.proto.messages.model_messages import Dynamics
@@ -62,7 +62,7 @@ def test_robot_switches_to_full_dynamics_before_contact_without_odometry_jump() 
     with serving("--dynamics", "auto") as server:
         server.client.spawn(an_order("r0", 0.0, ""))
         server.client.spawn(an_order("r1", 0.6, ""))
-        with driven(server, "r0"):
+        with running_agents(server, "r0"):
             driver = robot(server.bus, "r0")
 
             def has_met() -> bool:

