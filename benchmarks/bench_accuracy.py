@@ -19,7 +19,7 @@ MILLIMETRES = 1e3
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure a straight course and a turn on the spot."""
+    """Measure straight driving and turning on the spot."""
     sim_s = 1.0 if is_short else SIM_S
     with fleet(ROBOTS_WHEN_SHORT if is_short else ROBOTS) as found:
         straight = drive_for(

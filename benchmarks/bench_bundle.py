@@ -35,7 +35,7 @@ PERCENT = 100.0
 
 
 class Run(msgspec.Struct, frozen=True):
-    """How long one bundle took [ms]."""
+    """Durations of one bundle [ms]."""
 
     gather_ms: float
     send_ms: float

@@ -28,9 +28,9 @@ APART_M = 1.0
 WHEEL_RAD_S = 8.0
 STANDS_AT_M = 0.06
 TURNS, ROBOT_STEPS = 9, 12_000
-"""How often each is measured, and how long: robots times steps."""
+"""Number of turns, and their length: robots times steps."""
 SETTLED = 60
-"""Steps before anything is measured: cells that are too full give robots away meanwhile."""
+"""Unmeasured steps at the start: overfull cells hand over robots."""
 CASES: tuple[tuple[str, int, Clustering], ...] = (
     ("one world", 100, "off"),
     ("one world", 400, "off"),
@@ -45,7 +45,7 @@ SHORT_CASES: tuple[tuple[str, int, Clustering], ...] = (
 
 
 class Fleet:
-    """An engine and the robots in it."""
+    """An engine and its robots."""
 
     def __init__(self, robots: int, clusters: Clustering, workers: int) -> None:
         choice = EngineOptions(engine="pybullet", clusters=clusters, workers=workers)
@@ -60,7 +60,7 @@ class Fleet:
         self.targets = self._targets()
 
     def go(self, steps: int) -> tuple[float, float]:
-        """Drive; find the processor's and the wall's time [us a robot and step]."""
+        """Drive; return CPU and wall time [us per robot and step]."""
         cpu_s, wall_s = time.process_time(), time.perf_counter()
         for _ in range(steps):
             self.steps += 1
@@ -84,7 +84,7 @@ class Fleet:
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure what a robot costs in one world and in cells, alone and with a worker."""
+    """Measure the cost per robot in one world and in cells, without and with a worker."""
     cases = SHORT_CASES if is_short else CASES
     spent = _in_turns([(robots, clusters, 0) for _, robots, clusters in cases], is_short=is_short)
     cpu = [[cpu_us for cpu_us, _ in turns] for turns in spent]

@@ -24,7 +24,7 @@ SEED = 4
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure the way from cmd_vel to odom, and the network's share of it."""
+    """Measure the latency from cmd_vel to odom, and the network's share."""
     count = SAMPLES_WHEN_SHORT if is_short else SAMPLES
     phase = random.Random(SEED)
     with fleet(ROBOTS_WHEN_SHORT if is_short else ROBOTS) as found:

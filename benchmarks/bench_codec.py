@@ -43,7 +43,7 @@ TWIST = Twist(Vector3(0.5), Vector3(z=-0.25))
 
 
 class Row(msgspec.Struct, frozen=True):
-    """One line of the table."""
+    """One row of the table."""
 
     message: str
     format: str
@@ -53,7 +53,7 @@ class Row(msgspec.Struct, frozen=True):
 
 
 def samples() -> dict[str, msgspec.Struct]:
-    """List what is measured, filled as in use."""
+    """List the measured messages, filled as in use."""
     transform = Transform(Vector3(1.25, -0.5, 0.1), POSE.orientation)
     return {
         "Odometry": Odometry(
@@ -75,7 +75,7 @@ def samples() -> dict[str, msgspec.Struct]:
 
 
 def rows(*, is_short: bool) -> Iterator[Row]:
-    """Measure each sample in each format, and by rosbags."""
+    """Measure each sample in each format, and with rosbags."""
     repeats = REPEATS_WHEN_SHORT if is_short else REPEATS
     for name, message in samples().items():
         for format_ in Format:
@@ -84,7 +84,7 @@ def rows(*, is_short: bool) -> Iterator[Row]:
 
 
 def table(rows: Iterable[Row]) -> str:
-    """Write measurements as a table in Markdown."""
+    """Format measurements as a Markdown table."""
     lines = [
         f"Median of runs of {INNER} calls, {REPEATS} of them at full length, with p10 to p90.",
         "",

@@ -45,7 +45,7 @@ CONTAINERS: dict[str, Callable[[MemoryBus, int], Robots]] = {
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure the work of a state, then the processes."""
+    """Measure the work per state, then the processes."""
     for robots in (1, ROBOTS):
         for name, make in CONTAINERS.items():
             states = STATES_WHEN_SHORT if is_short else STATES
@@ -54,7 +54,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     starts: dict[str, list[float]] = {name: [] for name in CONTAINERS}
     waits: dict[str, list[float]] = {name: [] for name in CONTAINERS}
     cores: dict[str, list[float]] = {name: [] for name in CONTAINERS}
-    # In turns, so that other programs disturb both alike.
+    # In turns, so that other load affects both equally.
     for _ in range(1 if is_short else RUNS):
         for name in CONTAINERS:
             wait_s, start_s, seconds = _run(name, robots, 1 if is_short else SECONDS)
@@ -107,7 +107,7 @@ def _cpu_us(
 def _claims(robots: int) -> tuple[Claim, ...]:
     model = read_urdf(read_builtin_model(MODEL))
     claims = [Claim(i + 1, f"r{i}", f"r{i}", model, "<robot/>") for i in range(robots)]
-    # Every state makes odometry and tf due.
+    # Odometry and tf are due at every state.
     return override_rates(claims, RateOverrides(0.0, 0.0))
 
 
@@ -125,7 +125,7 @@ def _states(robots: int) -> Iterator[DriveState]:
 
 
 def _run(container: str, robots: int, seconds: int) -> tuple[float, float, list[float]]:
-    """Return the wall and CPU time [s] until all is claimed, and the CPU [cores] of each second."""
+    """Return wall and CPU time [s] until all robots are claimed, and CPU [cores] per second."""
     layout = ("--count", str(robots), "--layout", "grid", "--spacing", str(SPACING_M))
     with serving() as server, ExitStack() as stack:
         if (done := server.zensim("fleet", MODEL, *layout)).returncode:
@@ -154,6 +154,6 @@ def _drive(server: Server, names: list[str], pids: list[int], seconds: int) -> l
             for subscription in others:
                 subscription.take()
             time.sleep(1.0 / COMMANDS_HZ)
-        if second:  # in the first, publishers are declared
+        if second:  # publishers are declared in the first
             cores.append((sum(map(used_s, pids)) - before_s) / (time.perf_counter() - start_s))
     return cores

@@ -46,7 +46,7 @@ Groups = Mapping[str, list[psutil.Process]]
 
 @dataclass
 class Seconds:
-    """What each second was."""
+    """Measurements of each second."""
 
     factor: list[float] = field(default_factory=list)
     cores: dict[str, list[float]] = field(default_factory=dict)
@@ -73,7 +73,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 
 def _groups(up: psutil.Process) -> Groups:
-    """Sort the processes by what they were started for; theirs are with them."""
+    """Group the processes and their descendants by command."""
     groups: dict[str, list[psutil.Process]] = {group: [] for group in VERBS.values()}
     groups["up"].append(up)
     for child in up.children():
@@ -86,7 +86,7 @@ def _groups(up: psutil.Process) -> Groups:
 def _watched(
     groups: Groups, client: SimClient, seconds: int, command: Callable[[], None]
 ) -> Seconds:
-    """Look once a second, and command in between."""
+    """Sample once per second, and command in between."""
     seen = Seconds(cores={group: [] for group in (*groups, "this process")})
     every = {**groups, "this process": [psutil.Process()]}
     before = {group: _worked_s(members) for group, members in every.items()}

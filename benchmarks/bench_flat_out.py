@@ -17,16 +17,16 @@ __all__ = ["rows", "table"]
 
 WINDOWS = 8
 FACTOR = Limit("median", ">=", 15.0)
-"""Of ten robots with ten agents."""
+"""Limit for ten robots with ten agents."""
 TEN = f"{ROBOTS} robots"
 WINDOW_S = 1.0
 WINDOW_WHEN_SHORT_S = 0.2
 STEPS_AT_ONCE = 24
-"""Between two looks at the clock; whole control periods."""
+"""Steps between two clock readings; whole control periods."""
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure a lone robot and a fleet of ten."""
+    """Measure one robot and a fleet of ten."""
     window_s = WINDOW_WHEN_SHORT_S if is_short else WINDOW_S
     windows = 2 if is_short else WINDOWS
     for robots in (1,) if is_short else (1, ROBOTS):

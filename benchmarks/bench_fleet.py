@@ -26,35 +26,35 @@ from zensim.sim_server.server_config import CONTROL_HZ, ServerConfig
 
 TURN_S, LONG_TURN_S, TURN_WHEN_SHORT_S = 0.3, 2.0, 0.1
 TURNS, LONG_TURNS, TURNS_WHEN_SHORT = 15, 4, 3
-"""Short and many: what else runs on the machine then harms both sides alike."""
+"""Many short turns, so that other load affects both sides equally."""
 LONG_FROM = 500
-"""Robots from which a step takes so long that a turn needs more time."""
+"""Number of robots from which turns are longer."""
 LOOKS = 3
 BEGIN_S = 0.6
 TRIES = 5
 PARTS = ("engine", "command", "read-back", "messages", "encode", "put", "take")
 REST = "the rest"
 MOVES = 0.5
-"""Of the speed that was commanded; below it a robot does not count as driving."""
+"""Share of the commanded speed below which a robot does not count as driving."""
 SHARE = Limit("median", ">=", 0.9)
 GROWTH = Limit("median", "<=", 1.3)
 GROWTH_FROM, GROWTH_TO = 100, 1000
 
 
 class Case(msgspec.Struct, frozen=True):
-    """So many robots, told so often."""
+    """A number of robots and a rate of drive states."""
 
     robots: int
     control_hz: float = CONTROL_HZ
 
     @property
     def config(self) -> ServerConfig:
-        """What its server is told."""
+        """Configuration of its server."""
         return msgspec.structs.replace(CONFIG, control_hz=self.control_hz)
 
     @property
     def label(self) -> str:
-        """What a figure calls it."""
+        """Label in the figures."""
         robots = "1 robot" if self.robots == 1 else f"{self.robots} robots"
         is_usual = self.control_hz == CONTROL_HZ
         return robots if is_usual else f"{robots}, told at {self.control_hz:g} Hz"
@@ -70,14 +70,14 @@ SHARE_OF = Case(100, control_hz=50.0)
 
 
 class Parts(msgspec.Struct, frozen=True):
-    """Where the time of a step goes: medians [CPU ms]."""
+    """Time of a step by part: medians [CPU ms]."""
 
     label: str
     own_ms: Mapping[str, float]
 
 
 def rows(*, is_short: bool) -> Iterator[Figure | Parts]:
-    """Measure fleets of several sizes, and how the cost of a robot grows with them."""
+    """Measure fleets of several sizes, and the growth of the cost per robot."""
     costs: dict[int, float] = {}
     for case in CASES_WHEN_SHORT if is_short else CASES:
         turns = _taken_in_turn(case, is_short=is_short)
@@ -95,7 +95,7 @@ def rows(*, is_short: bool) -> Iterator[Figure | Parts]:
 
 
 def table(found: Iterable[Figure | Parts]) -> str:
-    """Write the figures, and below them a row of parts for each size."""
+    """Format the figures, and a row of parts for each size."""
     all_rows = list(found)
     head = f"| of a step [CPU ms] | {' | '.join((*PARTS, REST))} |\n|{'---|' * (len(PARTS) + 2)}\n"
     lines = "".join(
@@ -107,12 +107,12 @@ def table(found: Iterable[Figure | Parts]) -> str:
 
 
 class Turns(msgspec.Struct, frozen=True):
-    """What was measured of one size; the first three in turn."""
+    """Measurements of one size; the first three in turns."""
 
     run_fleet_server: list[Spent]
     floor: list[Turn]
     alike: list[Turn]
-    """The floor with the server's settings."""
+    """Floor with the server's settings."""
     looks: list[Spent]
 
 
@@ -139,10 +139,10 @@ def _taken_in_turn(case: Case, *, is_short: bool) -> Turns:
 
 
 def begin(loop: FleetServer | PlainLoop, count: int) -> None:
-    """Go on until all robots drive.
+    """Advance until all robots drive.
 
     Raises:
-        RuntimeError: Some do not.
+        RuntimeError: Some robots do not drive.
     """
     for _ in range(TRIES):
         loop.turn(BEGIN_S)

@@ -23,10 +23,10 @@ CASES = (
     (100, 100.0, "full", 1.0),
     (1000, 100.0, "auto", 5.0),
 )
-"""Robots, steps a simulated second, dynamics, and what is asked of the median answer [ms]."""
+"""Robots, steps per simulated second, dynamics, and limit of the median response time [ms]."""
 CASES_WHEN_SHORT = ((2, 240.0, "full", 1.0),)
 SECONDS, SECONDS_WHEN_SHORT = 4.0, 0.5
-"""For each size and kind of request."""
+"""Samples per size and kind of request."""
 LONGEST_PAUSE_S = 0.02
 SETTLE_S = 1.0
 SEED = 11

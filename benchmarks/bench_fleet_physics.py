@@ -22,7 +22,7 @@ TURNS_WHEN_SHORT, TURN_WHEN_SHORT_S = 2, 0.1
 
 @dataclass(frozen=True)
 class Case:
-    """A fleet, how its server is started, and what is asked of it."""
+    """A fleet, the arguments of its server, and its limit."""
 
     label: str
     robots: int
@@ -44,7 +44,7 @@ SHORT_CASES = (Case("2 robots, kinematic", 2, 50.0, KINEMATIC),)
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure how fast each goes."""
+    """Measure the real-time factor of each case."""
     turns, turn_s = (TURNS_WHEN_SHORT, TURN_WHEN_SHORT_S) if is_short else (TURNS, TURN_S)
     for case in SHORT_CASES if is_short else CASES:
         arguments = ("--step-hz", f"{case.step_hz:g}", *case.serve)

@@ -45,12 +45,12 @@ MOVED = Limit("max", "<=", 10.0)
 COMMANDS_HZ = 2.0
 CROWD_S = 60.0
 FAR_M, APART_M = 1000.0, 10.0
-"""How far fleets begin from the robot that drives; from each other, times their sizes."""
+"""Distance of fleets from the driving robot, and from each other per size [m]."""
 
 
 @dataclass
 class Spawns:
-    """What fleets of one size took."""
+    """Durations and memory of fleets of one size."""
 
     took_s: list[float] = field(default_factory=list)
     quiet_ms: list[float] = field(default_factory=list)
@@ -60,7 +60,7 @@ class Spawns:
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure how fleets come to be, and how soon they move."""
+    """Measure spawning of fleets, and the time until they move."""
     if is_short:
         yield from _spawned(FULL, (), COUNTS_WHEN_SHORT, runs=1)
         yield from _moved(2, pools=1, runs=1)
@@ -74,7 +74,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 def _spawned(
     how: str, serve: tuple[str, ...], counts: tuple[int, ...], *, runs: int
 ) -> Iterator[Figure]:
-    """Spawn fleets of two sizes, the larger beside the smaller."""
+    """Spawn fleets of two sizes next to each other."""
     seen = {count: Spawns() for count in counts}
     for _ in range(runs):
         with (
@@ -90,7 +90,7 @@ def _spawned(
 
 
 def _spawn(server: FleetServer, lateness: Lateness, count: int, spawns: Spawns) -> None:
-    """Spawn a fleet while time runs, and let it stand afterwards: it may be too large to pace."""
+    """Spawn a fleet while time runs, then pause: large fleets may not run in real time."""
     client = server.client
     before = _held(server)
     client.set_simulation_state(State.PLAYING)
@@ -108,14 +108,14 @@ def _spawn(server: FleetServer, lateness: Lateness, count: int, spawns: Spawns) 
 
 
 def _held(server: FleetServer) -> int:
-    """Tell the memory [bytes] that nobody but a server's processes uses."""
+    """Get the memory [bytes] unique to the server's processes (USS)."""
     process = psutil.Process(server.process.pid)
     family = (process, *process.children(recursive=True))
     return sum(one.memory_full_info().uss for one in family)
 
 
 def _moved(count: int, *, pools: int, runs: int) -> Iterator[Figure]:
-    """Measure from `zensim fleet` on until every robot has moved on a command of its own."""
+    """Measure from `zensim fleet` until every robot has moved on its command."""
     seen = [_all_moved(count, pools) for _ in range(runs)]
     label = f"{count} robots, {AUTO}, {pools} pools"
     yield Figure(
@@ -133,7 +133,7 @@ def _moved(count: int, *, pools: int, runs: int) -> Iterator[Figure]:
 
 
 def _all_moved(count: int, pools: int) -> tuple[float, int]:
-    """Return the time [s] until all had moved, or that was waited for, and how many had."""
+    """Return the time [s] until all moved or the timeout, and how many moved."""
     arguments = ("--count", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
     with (
         run_installation(AUTO_ARGUMENTS, (pool(10.0),) * pools) as crew,

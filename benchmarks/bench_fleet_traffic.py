@@ -22,7 +22,7 @@ __all__ = ["rows", "table"]
 
 COMMANDS_HZ = 10.0
 POOLS = 2
-"""As many as there are cores on the machine that the goals are for."""
+"""One pool per core of the machine that the limits are for."""
 SECONDS, SECONDS_FOR_TEN, SECONDS_WHEN_SHORT = 60.0, 15.0, 1.0
 CLAIM_S = 60.0
 SEED = 13
@@ -31,11 +31,11 @@ FACTOR = Limit("median", ">=", 0.99)
 
 @dataclass(frozen=True)
 class Case:
-    """An installation, and what is asked of it."""
+    """An installation, and its limits."""
 
     label: str
     robots: int
-    """With the one that is measured."""
+    """Including the measured robot."""
     serve: tuple[str, ...]
     agents: tuple[tuple[str, ...], ...]
     seconds: float
@@ -49,7 +49,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 
 def cases(*, is_short: bool) -> Sequence[Case]:
-    """List what is measured."""
+    """List the measured installations."""
     if is_short:
         return (Case("2 robots, 1 pool, 50 Hz", 2, (), (pool(50.0),), SECONDS_WHEN_SHORT),)
     agents = tuple((f"box_bot{i}",) for i in range(10))
@@ -69,7 +69,7 @@ def cases(*, is_short: bool) -> Sequence[Case]:
 
 
 def pool(hz: float) -> tuple[str, ...]:
-    """Say how to start a pool whose robots tell odometry and tf this often."""
+    """Make the arguments of a pool with this odometry and tf rate."""
     return ("--pool", "0", "--odom-hz", f"{hz:g}", "--tf-hz", f"{hz:g}")
 
 
@@ -88,7 +88,7 @@ def _measured(case: Case) -> Iterator[Figure]:
 
 
 def _commands(single: Robot, took_ms: list[float]) -> Callable[[], None]:
-    """Make a function that commands a robot and keeps how long its answer took."""
+    """Make a function that commands a robot and records its response time."""
     phase = random.Random(SEED)
 
     def command() -> None:

@@ -52,17 +52,17 @@ MESHES_WHEN_SHORT = len(large_robot.ENDINGS)
 FAR_M = 500.0
 QUIET_S = 4.5
 NO_NAME = "no-name"
-"""Refused for its name, once the description has been read."""
+"""Refused for its name, after the description was parsed."""
 LATE = Limit("max", "<=", 20.0)
 LARGEST = 16
-"""Hostile descriptions, the longest of them: 40 kB to 9 MB."""
+"""The longest hostile descriptions: 40 kB to 9 MB."""
 
 
 Act = Callable[[], object]
 
 
 class ObservedFleet:
-    """A fleet, and what its steps suffered while something was done."""
+    """A fleet, and the delays of its steps during actions."""
 
     def __init__(self, found: Fleet) -> None:
         self.client = SimClient(found.server.bus, timeout_s=60.0)
@@ -71,7 +71,7 @@ class ObservedFleet:
         self._stats = stats_of(found)
 
     def during(self, acts: dict[str, Act]) -> None:
-        """Act in turn, and watch the steps meanwhile."""
+        """Run actions in turns, and record the steps meanwhile."""
         timed = (partial(self._timed, what, act) for what, act in acts.items())
         for what, seen in zip(acts, observe_in_turns(self._stats, timed), strict=True):
             self.seconds.setdefault(what, []).extend(seen)
@@ -81,7 +81,7 @@ class ObservedFleet:
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure robots, scenes, and what is refused."""
+    """Measure robots, scenes, and refusals."""
     size = {"links": 4, "count": MESHES_WHEN_SHORT} if is_short else {}
     with (
         TemporaryDirectory() as folder,
@@ -106,7 +106,7 @@ def a_cargo(
     links: int = large_robot.LINKS,
     count: int = large_robot.MESHES,
 ) -> SpawnPayload:
-    """Write a robot and its meshes, and gather them as `zensim spawn` does."""
+    """Write a robot and its meshes, and collect them like `zensim spawn`."""
     for name, data in large_robot.meshes(seed, count).items():
         folder.joinpath(name).write_bytes(data)
     return _cargo(folder, large_robot.text(links, count, is_held=is_held))
@@ -135,7 +135,7 @@ def _acts(client: SimClient, cargo: SpawnPayload, what: str) -> dict[str, Act]:
 
 
 def _refusals(client: SimClient, folder: Path, run: int) -> dict[str, Act]:
-    """Share what is refused out among the runs."""
+    """Distribute the refused inputs over the runs."""
     texts = sorted(corpus(), key=lambda case: len(case.text))[-LARGEST:]
     meshes = list(bad_meshes())
     return {

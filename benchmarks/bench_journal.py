@@ -35,7 +35,7 @@ SYNCED_BYTES = 64 * 1024
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure replies and steps with and without a journal, and starts."""
+    """Measure replies and steps with and without a journal, and restarts."""
     with tempfile.TemporaryDirectory() as folder:
         kept = ("--journal", f"{folder}/driven")
         for what, arguments in (("without journal", ()), ("with journal", kept)):

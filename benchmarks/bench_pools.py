@@ -30,16 +30,16 @@ __all__ = ["rows", "table"]
 SIZES = (100, 1000)
 ROUNDS, ROUNDS_WHEN_SHORT = 60, 2
 SINGLE = 100
-"""Robots that are driven one by one."""
+"""Robots with single agents."""
 PERIOD_NS = 10_000_000
 TOPICS = ("odom", "tf")
 DECLARED_IN = 400
-"""Looks within which all publishers are declared."""
+"""Rounds until all publishers are declared."""
 MODEL = "box_bot"
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure pools of several sizes, and agents."""
+    """Measure pools of several sizes, and single agents."""
     rounds = ROUNDS_WHEN_SHORT if is_short else ROUNDS
     for robots in (10,) if is_short else SIZES:
         with _buses() as (bus, listener):
@@ -90,7 +90,7 @@ def _pool_figures(bus: Bus, listener: Bus, robots: int, rounds: int) -> Iterator
 def _interleaved(
     bus: Bus, robots: int, rounds: int, pool: PooledRobots, states: Iterator[DriveState]
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Tell, and put bare payloads, turn by turn."""
+    """Publish telemetry and prepared payloads in turns."""
     payload = encode(Odometry(), Format.CDR)
     encoding = make_encoding(Odometry, Format.CDR)
     puts = [bus.advertise(f"f{number}/odom", encoding) for number in range(robots)]
@@ -105,7 +105,7 @@ def _interleaved(
     for _ in range(rounds):
         received += _cpu_ms(1, pool.publish, before=lambda: pool.advance(next(states)))
         floor += _cpu_ms(1, put_all)
-        # So that neither finds the other's messages still on their way.
+        # So that messages of one do not delay the other.
         time.sleep(0.02)
     return tuple(received), tuple(floor)
 
@@ -126,7 +126,7 @@ def _claims(robots: int) -> Sequence[Claim]:
     claims = [
         Claim(number + 1, f"r{number}", f"r{number}", model, "<robot/>") for number in range(robots)
     ]
-    # Every state makes odometry and tf due.
+    # Odometry and tf are due at every state.
     return override_rates(claims, RateOverrides(0.0, 0.0))
 
 
@@ -147,7 +147,7 @@ def _states(robots: int) -> Iterator[DriveState]:
 def _cpu_ms(
     rounds: int, act: Callable[[], object], before: Callable[[], object] | None = None
 ) -> tuple[float, ...]:
-    """Act again and again; return the CPU time [ms] of this thread for each."""
+    """Call repeatedly; return the CPU time [ms] of this thread per call."""
     took = []
     for _ in range(rounds):
         if before is not None:

@@ -38,14 +38,14 @@ CROWD = 1000
 CROWD_WHEN_SHORT = 50
 WORLDS = 3
 LAST = 20
-"""How many of the last spawns stand for the thousandth."""
+"""Number of last spawns averaged as the thousandth."""
 STEP_NS = 4_166_667
 ROW = 40
-"""Robots in a row, one metre apart."""
+"""Distance of robots in a row: one metre."""
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure reading, then spawning."""
+    """Measure parsing, then spawning."""
     for links in LINKS:
         text = a_caterpillar(links)
         repeats = REPEATS_WHEN_SHORT if is_short else REPEATS
@@ -90,7 +90,7 @@ def _meshes(repeats: int) -> Figure:
 
 
 class Silence(ParseReport):
-    """A report that nothing is noted in."""
+    """A report that discards its entries."""
 
     def unread_tag(self, subject: str, tag: str, known: Iterable[str]) -> None:
         """See `ParseReport`."""
@@ -100,7 +100,7 @@ class Silence(ParseReport):
 
 
 def a_caterpillar(links: int) -> str:
-    """Write a robot whose legs hang from one body: every fifth turns, the rest is fixed."""
+    """Write a robot with many legs on one body: every fifth joint turns, the rest are fixed."""
     body = (
         '<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
         '</inertial><collision><geometry><box size="1 1 1"/></geometry></collision>'

@@ -42,33 +42,33 @@ UNSEEN = Limit("median", "<=", 1.03)
 SEEN = Limit("median", "<=", 1.15)
 FACE = ("0/**",)
 PLAIN = ("*/*", "tf", *(f"sim/default/{name}" for name in ("clock", "model_states", "link_states")))
-"""The same, without ROS 2."""
+"""Without ROS 2."""
 TICK, ROUTER, POOL = "the tick", "the server's other threads", "the pool"
 ALL = "both processes"
 
 
 @dataclass(frozen=True)
 class Driven:
-    """A server, and a pool that drives all its robots."""
+    """A server and a pool that drives all its robots."""
 
     server: Server
     pool: int
-    """Its process."""
+    """Process of the server."""
 
     def used_s(self) -> dict[str, float]:
-        """Tell the CPU time of each part so far."""
-        # The loop has the server's main thread.
+        """Get the accumulated CPU time of each part."""
+        # The loop runs in the main thread.
         pid = self.server.process.pid
         tick_s = thread_used_s(pid, pid)
         return {TICK: tick_s, ROUTER: used_s(pid) - tick_s, POOL: used_s(self.pool)}
 
 
 Costs = dict[str, float]
-"""CPU of each part a step [ms]."""
+"""CPU time of each part per step [ms]."""
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure both, side by side in time."""
+    """Measure both in turns."""
     robots = ROBOTS_WHEN_SHORT if is_short else ROBOTS
     windows, window_s = (1, 0.2) if is_short else (WINDOWS, WINDOW_S)
     with ExitStack() as stack:
@@ -94,7 +94,7 @@ def _ticks(label: str, turns: Sequence[tuple[Costs, Costs]], limit: Limit) -> It
 def _passing_on(
     label: str, quiet: Sequence[tuple[Costs, Costs]], seen: Sequence[tuple[Costs, Costs]]
 ) -> Iterator[Figure]:
-    """Say what being looked at costs, beyond what each part does anyway."""
+    """Find the additional cost of a subscriber for each part."""
     for part in (ROUTER, POOL):
         anyway = [statistics.median(turn[number][part] for turn in quiet) for number in (0, 1)]
         extra = [
@@ -124,7 +124,7 @@ def _driven(robots: int, domain: str) -> Iterator[Driven]:
 
 
 def _circle(bus: Bus, names: Sequence[str]) -> None:
-    """Let all drive circles until told otherwise: robots that stand sleep, and cost nothing."""
+    """Drive all in circles: robots at rest sleep, and cost nothing."""
     encoding = make_encoding(Twist, Format.CDR)
     outlets = [bus.advertise(CMD_VEL.key(name), encoding) for name in names]
     snapshots = bus.subscribe(SNAPSHOT.key("default"))
@@ -150,14 +150,14 @@ def _all_move(sample: Sample) -> bool:
 
 @contextmanager
 def _looking(server: Server, patterns: Sequence[str]) -> Iterator[None]:
-    """Listen, and throw all away."""
+    """Subscribe, and discard all messages."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([server.endpoint]))
     with zenoh.open(config) as session:
         channel: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)
         subscribers = [session.declare_subscriber(one, channel) for one in patterns]
-        # Publishers are declared when somebody listens.
+        # Publishers are declared when a subscriber matches.
         time.sleep(WINDOW_S)
         yield
         for subscriber in subscribers:

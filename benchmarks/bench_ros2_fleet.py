@@ -29,10 +29,10 @@ RUNS = 3
 HZ = 10.0
 SERVE = ("--dynamics", "auto", "--step-hz", "100")
 DOMAINS = {"floor, no ROS 2": (OFF, "*/odom", 0), "ROS 2": ("0", "0/*/odom/**", 1)}
-"""How pools are started, where their odometry is, and which chunk of its key names the robot."""
+"""Arguments of pools, key of their odometry, and index of the key chunk with the robot's name."""
 TOKENS, PLAIN = "@ros2_lv/0/**", "bench/token"
 TOKENS_OF_SESSION = 1000
-"""About as many as a pool has on each of its own."""
+"""About the number of tokens per session of a pool."""
 DEPTH = 1 << 17
 SETTLED_S = 3.0
 READY = Limit("max", "<=", 5.0)
@@ -41,14 +41,14 @@ FOUND = Limit("max", "<=", 5.0)
 
 @dataclass
 class Starts:
-    """What fleets took to be ready [s], and what their pools used for it."""
+    """Time [s] until fleets are ready, and CPU time of their pools."""
 
     ready_s: list[float] = field(default_factory=list)
     used_s: list[float] = field(default_factory=list)
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure with and without ROS 2 in turns, then who joins late."""
+    """Measure with and without ROS 2 in turns, then late joiners."""
     robots, runs = (ROBOTS_WHEN_SHORT, 1) if is_short else (ROBOTS, RUNS)
     starts, looks = {face: Starts() for face in DOMAINS}, []
     for _ in range(runs):
@@ -78,7 +78,7 @@ Start = Callable[[Starts, str, int], None]
 
 @contextmanager
 def _started(robots: int, domain: str) -> Iterator[tuple[Bus, Start]]:
-    """Run a router and a server with robots, and offer to start the pools."""
+    """Run a router and a server with robots; yield a function that starts the pools."""
     endpoint, ros = free_endpoint(), ("--ros-domain", domain)
     with ExitStack() as stack:
         router = stack.enter_context(running("router", "--listen", endpoint))
@@ -108,7 +108,7 @@ def _started(robots: int, domain: str) -> Iterator[tuple[Bus, Start]]:
 
 
 def _settled(bus: Bus, least: int) -> int:
-    """Count the tokens once there are so many and no more come or go."""
+    """Count the tokens when there are enough and they no longer change."""
     watch, alive = bus.watch_tokens(TOKENS, DEPTH), set[str]()
     changed_s = began_s = time.monotonic()
     while len(alive) < least or time.monotonic() < changed_s + SETTLED_S:
@@ -123,10 +123,10 @@ def _settled(bus: Bus, least: int) -> int:
 
 
 def _join_late(bus: Bus, robots: int) -> tuple[int, float, float]:
-    """Return how many tokens there are, and the time [s] to see them and as many plain ones."""
+    """Return the number of tokens, and the time [s] to receive them and as many plain ones."""
     count = _settled(bus, robots)
     seen_s = _seen_s(bus.endpoint, TOKENS, count)
-    # A token goes when nobody holds it.
+    # A token is undeclared when its object is deleted.
     held = []
     with ExitStack() as stack:
         for start in range(0, count, TOKENS_OF_SESSION):
@@ -138,7 +138,7 @@ def _join_late(bus: Bus, robots: int) -> tuple[int, float, float]:
 
 
 def _seen_s(endpoint: str, pattern: str, count: int) -> float:
-    """Join, and watch until so many tokens have been seen; return the time [s]."""
+    """Join, and wait for this number of tokens; return the time [s]."""
     began_s = time.monotonic()
     with connected(endpoint) as bus:
         _settled_at(bus, pattern, count)

@@ -29,15 +29,15 @@ STEP_HZ = 100
 SIZES, SIZES_WHEN_SHORT = (100, 1000), (2,)
 TURNS, TURNS_WHEN_SHORT = 7, 2
 ROBOT_STEPS = 6000
-"""Of a turn: robots times steps."""
+"""Length of a turn: robots times steps."""
 DOZE_STEPS = 200
-"""After which who stands sleeps."""
+"""Steps after which robots at rest sleep."""
 CONFIG = EngineConfig(round(1e9 / STEP_HZ))
 SHARE = Limit("median", "<=", 0.1)
 
 
 class Fleet:
-    """An engine and the robots in it."""
+    """An engine and its robots."""
 
     def __init__(self, engine: Engine, robots: int) -> None:
         self.engine = engine
@@ -46,7 +46,7 @@ class Fleet:
         self.bodies = tuple(self._add(place.x, place.y) for place in places)
 
     def turns(self, speeds: FloatArray, settle_steps: int, *, is_short: bool) -> tuple[float, ...]:
-        """Go on with these wheel speeds; find the processor's time [us a robot and step]."""
+        """Advance with these wheel speeds; return CPU time [us per robot and step]."""
         self._go(speeds, settle_steps)
         turns = TURNS_WHEN_SHORT if is_short else TURNS
         steps = 5 if is_short else max(10, ROBOT_STEPS // len(self.bodies))
@@ -67,7 +67,7 @@ class Fleet:
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure fleets that drive, that stand, and of which half drives."""
+    """Measure fleets that drive, that rest, and half of which drive."""
     for robots in SIZES_WHEN_SHORT if is_short else SIZES:
         yield from _of(robots, is_short=is_short)
 

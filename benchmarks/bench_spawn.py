@@ -38,13 +38,13 @@ __all__ = ["rows", "table"]
 SPAWNS = 200
 SPAWNS_WHEN_SHORT = 10
 LONGEST_PAUSE_S = 0.1
-"""Before a spawn and before a delete: a pair every 0.1 s."""
+"""Pause before a spawn and before a delete: a pair every 0.1 s."""
 FAR_M = 1000.0
 SEED = 5
 
 
 class Spawner:
-    """Spawns and deletes at random moments, and remembers how long it took."""
+    """Spawns and deletes at random moments, and records the durations."""
 
     def __init__(self, client: SimClient) -> None:
         self.spawn_ms: list[float] = []
@@ -53,7 +53,7 @@ class Spawner:
         self._phase = random.Random(SEED)
 
     def work(self, count: int) -> None:
-        """Spawn and delete, one after the other."""
+        """Spawn and delete alternately."""
         for number in range(count):
             order = an_order(number)
             self._pause()
@@ -66,7 +66,7 @@ class Spawner:
 
 
 def an_order(number: int) -> SpawnEntityOrder:
-    """Make the request that `zensim spawn` would make."""
+    """Make the request of `zensim spawn`."""
     name = f"far{number}"
     return SpawnEntityOrder(
         name,
@@ -78,7 +78,7 @@ def an_order(number: int) -> SpawnEntityOrder:
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure spawns, deletes, and what steps suffer from them."""
+    """Measure spawns, deletes, and the resulting delays of steps."""
     count = SPAWNS_WHEN_SHORT if is_short else SPAWNS
     robots = ROBOTS_WHEN_SHORT if is_short else ROBOTS
     with fleet(robots) as found:

@@ -32,7 +32,7 @@ SERVER = "import zenoh, msgspec, rich, typer, numpy, pybullet, yourdfpy, lxml.et
 
 @dataclass(frozen=True)
 class Run:
-    """How long one `zensim up` took, from its exec and by itself, and to end; and its CPU time."""
+    """Durations of one `zensim up`: from exec, as reported, and to exit; and its CPU time."""
 
     wall_s: float
     ready_s: float

@@ -42,7 +42,7 @@ What was tried where a figure is missed, and what the limit is, stands in [fleet
 
 
 class Section(msgspec.Struct, frozen=True):
-    """What one benchmark has to say."""
+    """Result of one benchmark."""
 
     text: str
     missed: tuple[str, ...]
@@ -64,7 +64,7 @@ def measure(name: str, *, is_short: bool) -> Section:
 
 
 def page(sections: list[Section], load_before: str, head: str = HEAD) -> str:
-    """Write the document."""
+    """Format the document."""
     facts = "".join(f"| {what} | {fact} |\n" for what, fact in machine.description(load_before))
     misses = [line for section in sections for line in section.missed]
     verdict = "".join(f"- {line}\n" for line in misses) or "Nothing.\n"

@@ -11,15 +11,15 @@ from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.server_config import ServerConfig, make_server_bus_config
 
 CONFIG = ServerConfig(bus=make_server_bus_config("", ""))
-"""As a server that is told nothing."""
+"""Default settings of a server."""
 HEIGHT_M = 0.06
-"""Of the root, when the wheels touch the ground."""
+"""Height of the root when the wheels touch the ground."""
 WHEELS = 2
 WHEEL_SPEED = 5.0
 
 
 class Bodies:
-    """A row of box_bots in a PyBullet of this process."""
+    """A row of box_bots in a PyBullet engine of this process."""
 
     def __init__(self, count: int) -> None:
         model = read_urdf(read_builtin_model("box_bot"))
@@ -29,16 +29,16 @@ class Bodies:
         self.drive()
 
     def drive(self) -> None:
-        """Set the wheel speeds of all."""
+        """Set the wheel speeds of all robots."""
         self.engine.command(self._bodies, self._targets)
 
     def step(self, steps: int) -> None:
-        """Step, and do nothing else."""
+        """Step without commands."""
         for _ in range(steps):
             self.engine.step()
 
     def step_and_drive(self, steps: int) -> None:
-        """Step, and read and command all bodies each control period."""
+        """Step; read and command all bodies in each control period."""
         for step in range(steps):
             self.engine.step()
             if step % CONFIG.control_steps == 0:

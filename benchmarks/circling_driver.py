@@ -1,7 +1,7 @@
 """Process that drives box_bots in circles in one claim, as cheaply as possible.
 
-`python -m benchmarks.circling_driver ENDPOINT COUNT` claims box_bot0 and so on, prints a line, and answers
-every drive state with the same wheel speeds. It also subscribes to the world's snapshots.
+`python -m benchmarks.circling_driver ENDPOINT COUNT` claims box_bot0 and so on, prints a line, and
+replies to every drive state with the same wheel speeds. It also subscribes to the snapshots.
 """
 
 import os
@@ -28,7 +28,7 @@ WHEEL_SPEEDS = (4.93, 6.5)
 
 
 def drive(bus: Bus, names: tuple[str, ...]) -> NoReturn:
-    """Claim robots, then drive them until told to end."""
+    """Claim robots, then drive them until terminated."""
     states = bus.subscribe(DRIVE_STATE.key(WORLD, AGENT))
     snapshots = bus.subscribe(SNAPSHOT.key(WORLD))
     encoding = make_encoding(DriveCommand, Format.MSGPACK)
@@ -49,7 +49,7 @@ def drive(bus: Bus, names: tuple[str, ...]) -> NoReturn:
 
 
 def _claim(bus: Bus, names: tuple[str, ...]) -> int | None:
-    """Claim robots, and say how many; None when the server has not seen the token yet."""
+    """Claim robots, and return how many; None if the server has not received the token yet."""
     request = ClaimEntityRequest(AGENT, names)
     try:
         found = bus.call(CLAIM_ENTITY, request, world=WORLD, timeout_s=CALL_TIMEOUT_S)

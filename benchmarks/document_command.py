@@ -14,29 +14,29 @@ from zensim.proto.process_limits import PARENT_PID_VARIABLE
 
 
 class Make(Protocol):
-    """Makes one section."""
+    """Function that makes one section."""
 
     def __call__(self, name: str, *, is_short: bool) -> Section:
-        """Measure, and tell what was found."""
+        """Measure, and return the section."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Document:
-    """What can be measured, and where all of it is written."""
+    """The sections of a page, and its path."""
 
     program: str
-    """As it is run: the module."""
+    """Module to run."""
     names: Sequence[str]
     make: Make
     short: str
-    """What the short form says."""
+    """Help text of the short form."""
     path: Path
     head: str
 
     def write(self) -> list[Section]:
-        """Read the command line and measure what it names; everything at full length: the page."""
+        """Measure the named sections; write the page after all ran at full length."""
         arguments = self._parse_arguments()
-        # What it starts ends with it, even when it is killed.
+        # Child processes exit with this one, even if it is killed.
         os.environ[PARENT_PID_VARIABLE] = str(os.getpid())
         load_before, sections = machine.load(), []
         for name in arguments.names or self.names:

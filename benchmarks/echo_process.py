@@ -1,4 +1,4 @@
-"""Echo process: the least that a request through the network can cost.
+"""Echo process: the minimum cost of a request through the network.
 
 `python -m benchmarks.echo_process ENDPOINT` joins there.
 """
@@ -24,7 +24,7 @@ TEXT = "text/plain"
 
 
 class Echo:
-    """The asker's side."""
+    """Client of the echo process."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
@@ -32,17 +32,17 @@ class Echo:
         self._pong = bus.subscribe(PONG)
 
     def call(self) -> None:
-        """Ask, and wait for the answer."""
+        """Send a request, and wait for the reply."""
         if not self._bus.get(CALL, payload=b"x" * 32):
             raise TimeoutError("the echo does not answer")
 
     def put(self, data: bytes) -> None:
-        """Give something away, and wait until it was taken."""
+        """Send a request, and wait for its acknowledgement."""
         if not self._bus.get(SINK, payload=data):
             raise TimeoutError("the echo takes nothing")
 
     def ping(self) -> None:
-        """Put, and wait for what is put back."""
+        """Publish, and wait for the echo."""
         self._ping.send(b"x" * 52)
         poll_until(self._pong.newest, 2.0)
 

@@ -1,4 +1,4 @@
-"""Figures: what was measured, the limit, and how both are written."""
+"""Measured figures, their limits, and their format."""
 
 import statistics
 from collections.abc import Callable, Iterable
@@ -17,7 +17,7 @@ STATISTICS: dict[Statistic, Callable[[list[float]], float]] = {
     "max": lambda ordered: ordered[-1],
 }
 LEAST_FOR_P99 = 100
-"""Of fewer samples the 99th percentile is the worst one."""
+"""With fewer samples, the 99th percentile is the maximum."""
 HEAD = ("figure", "asked", "seen", "median", "p10 to p90", "p99", "min to max", "n")
 
 
@@ -28,7 +28,7 @@ class Limit(msgspec.Struct, frozen=True):
     relation: Literal["<=", ">="]
     bound: float
     is_timed: bool = False
-    """Whether other programs on the machine can break it."""
+    """Whether it depends on the load of the machine."""
 
     def __str__(self) -> str:
         return f"{self.statistic} {self.relation} {self.bound:g}"
@@ -50,36 +50,36 @@ class Figure(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.what} [{self.unit}]" if self.unit else self.what
 
     def value(self, statistic: Statistic) -> float:
-        """Find a statistic of the samples."""
+        """Compute a statistic of the samples."""
         return STATISTICS[statistic](sorted(self.samples))
 
     @property
     def is_missed(self) -> bool:
-        """Whether something was asked that was not seen."""
+        """Whether the limit is exceeded."""
         return self.limit is not None and not self.limit.is_met(self.value(self.limit.statistic))
 
 
 def table(figures: Iterable[Figure]) -> str:
-    """Write figures as a table in Markdown."""
+    """Format figures as a Markdown table."""
     head = f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}\n"
     return head + "".join(f"| {' | '.join(_cells(figure))} |\n" for figure in figures)
 
 
 def missed(figure: Figure) -> str:
-    """Say in a line what was asked and what was seen instead."""
+    """Format the limit and the measured value in one line."""
     if figure.limit is None:
         raise ValueError(f"nothing was asked of '{figure}'")
     return f"{figure}: asked {figure.limit}, seen {written(figure.value(figure.limit.statistic))}"
 
 
 def missed_among(figures: Iterable[Figure], *, is_short: bool) -> tuple[str, ...]:
-    """Say what was missed; of a short run only what other programs cannot be to blame for."""
+    """List exceeded limits; in a short run only those independent of the machine's load."""
     judged = (one for one in figures if one.limit and not (is_short and one.limit.is_timed))
     return tuple(missed(one) for one in judged if one.is_missed)
 
 
 def written(number: float) -> str:
-    """Write a number with three digits that say something."""
+    """Format a number with three significant digits."""
     return f"{number:.0f}" if abs(number) >= 1000 else f"{number:.3g}"
 
 

@@ -1,4 +1,4 @@
-"""A server with a fleet that drives circles, played and paused in short turns."""
+"""A server with a fleet driving in circles, played and paused in short turns."""
 
 import math
 import os
@@ -26,31 +26,31 @@ from zensim.spawner.spawn.spawn_client import read_payload, spawn_many
 from zensim.spawner.spawn.spawn_poses import make_fleet_layout
 
 PATIENCE_S = 120.0
-"""A server starts slowly on a machine that others keep busy."""
+"""Servers start slowly on a busy machine."""
 CALL_TIMEOUT_S = 60.0
-"""A step of a large fleet takes long, and so does what waits for it."""
+"""Calls wait for steps, which are long for large fleets."""
 
 
 @dataclass(frozen=True)
 class Spent(Turn):
-    """What the steps of a turn took of a server."""
+    """Resources used by the steps of a turn."""
 
     process_cpu_s: float
-    """With the router's threads."""
+    """Including the router's threads."""
     children_cpu_s: float
-    """Of the processes that the server started, among them those that step cells."""
+    """CPU time of child processes, including cell workers."""
     parts_s: dict[str, float]
 
 
 class FleetServer:
-    """One watched server."""
+    """A server that reports its resource usage."""
 
     def __init__(self, process: "subprocess.Popen[str]", client: SimClient) -> None:
         self.process = process
         self.client = client
 
     def turn(self, seconds: float) -> Spent:
-        """Let time run for a while."""
+        """Play for some wall time."""
         used_before_s = self._children_used_s()
         before = self._enter(State.PLAYING)
         time.sleep(seconds)
@@ -68,11 +68,11 @@ class FleetServer:
         )
 
     def time_parts(self) -> None:
-        """Have the parts of the loop timed too, from the next turn on."""
+        """Also time the parts of the loop, from the next turn on."""
         self.process.send_signal(signal.SIGUSR1)
 
     def speeds(self) -> list[float]:
-        """Ask how fast each robot goes [m/s]."""
+        """Get the speed of each robot [m/s]."""
         linear = [state.twist.linear for state in self.client.entity_states().values()]
         return [math.hypot(one.x, one.y) for one in linear]
 
@@ -88,7 +88,7 @@ class FleetServer:
 
 @contextmanager
 def run_fleet_server(count: int, *serve_arguments: str) -> Iterator[FleetServer]:
-    """Run a server that stands, with robots far apart and one process that drives them all."""
+    """Run a paused server with robots far apart and one process that drives them all."""
     endpoint = free_endpoint()
     arguments = ("--paused", "--rtf", "0", "--listen", endpoint, *serve_arguments)
     with ExitStack() as stack:
@@ -109,7 +109,7 @@ def spawn(
     prefix: str = "box_bot",
     at: tuple[float, float] = (0.0, 0.0),
 ) -> None:
-    """Put robots on a grid that begins somewhere [m], all between two steps.
+    """Spawn robots on a grid with this origin [m], all between two steps.
 
     Raises:
         RuntimeError: Some were refused.
@@ -125,7 +125,7 @@ def spawn(
 
 @contextmanager
 def program(name: str, *arguments: str) -> Iterator["subprocess.Popen[str]"]:
-    """Run a program of the benchmarks until the end of the block."""
+    """Run a benchmark program until the block ends."""
     process = subprocess.Popen(
         [sys.executable, "-m", f"benchmarks.{name}", *arguments],
         cwd=ROOT,
@@ -142,10 +142,10 @@ def program(name: str, *arguments: str) -> Iterator["subprocess.Popen[str]"]:
 
 
 def line_with(beginning: str, process: "subprocess.Popen[str]") -> str:
-    """Read lines until one begins so.
+    """Read lines until one has this prefix.
 
     Raises:
-        RuntimeError: The process ended before.
+        RuntimeError: The process exited before.
     """
     assert process.stdout is not None
     for line in process.stdout:

@@ -1,7 +1,7 @@
-"""Process that plays all users of a fleet: commands robots, and subscribes to all odometry and tf.
+"""Process with all users of a fleet: commands robots, and subscribes to all odometry and tf.
 
-`python -m benchmarks.fleet_users ENDPOINT COUNT HZ` drives box_bot0 and so on in circles, and publishes
-counts of sent and received messages on `bench/tally`: each second, and once all robots have moved.
+`python -m benchmarks.fleet_users ENDPOINT COUNT HZ` drives box_bot0 and so on in circles, and
+publishes counts of sent and received messages on `bench/tally`: each second, and once all moved.
 """
 
 import math
@@ -26,19 +26,19 @@ PUBLISH_EVERY_S = 1.0
 
 
 class Tally(msgspec.Struct):
-    """Messages since the start."""
+    """Message counts since the start."""
 
     commands: int = 0
     odom: int = 0
     tf: int = 0
     moved: int = 0
-    """Robots that have shown that they move."""
+    """Robots whose odometry has shown motion."""
     wall_s: float = 0.0
-    """By the host's monotonic clock, when this was told."""
+    """Monotonic time of publication."""
 
 
 class FleetUsers:
-    """Everybody who commands a robot or looks at it."""
+    """All users of a fleet: commands, and subscriptions to odometry and tf."""
 
     def __init__(self, bus: Bus, publishing_bus: Bus, names: list[str]) -> None:
         self.tally = Tally()
@@ -49,7 +49,7 @@ class FleetUsers:
         self._stand = {ODOM.key(name) for name in names}
 
     def command(self) -> None:
-        """Let every robot drive in a circle."""
+        """Command every robot to drive in a circle."""
         linear, angular = CIRCLE
         payload = encode(Twist(Vector3(x=linear), Vector3(z=angular)), Format.CDR)
         for cmd_vel in self._cmd_vels:
@@ -57,7 +57,7 @@ class FleetUsers:
         self.tally.commands += len(self._cmd_vels)
 
     def receive(self) -> None:
-        """Take what has come."""
+        """Process the received messages."""
         self.tally.tf += _count(self._tf)
         for sample in self._odom.take():
             self.tally.odom += 1
@@ -95,7 +95,7 @@ def _serve(bus: Bus, publishing_bus: Bus, names: list[str], hz: float) -> NoRetu
 
 if __name__ == "__main__":
     die_with_supervisor(os.environ)
-    # A session matches each message that comes against all publishers that it has.
+    # A session matches each received message against all of its publishers.
     with (
         open_bus(BusConfig(connect=(sys.argv[1],))) as connected,
         connected.open_session() as publishing_bus,

@@ -1,4 +1,4 @@
-"""A whole installation in separate processes: router, server, agents, and a fleet's users."""
+"""An installation in separate processes: router, server, agents, and users of a fleet."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,19 +20,19 @@ from zensim.spawner.client.sim_client import SimClient
 CALL_TIMEOUT_S = 60.0
 TALLIES = 256
 ALL_MOVE_S = 30.0
-"""So long after the first command all should move; if not, that is a finding."""
+"""Time after the first command until all must move; otherwise a finding."""
 
 
 @dataclass(frozen=True)
 class Installation:
-    """Who runs, by what it does."""
+    """Running processes by role."""
 
     bus: Bus
     client: SimClient
     pids: Mapping[str, tuple[int, ...]]
 
     def used_s(self) -> dict[str, float]:
-        """Tell the CPU time of each group so far."""
+        """Get the accumulated CPU time of each group."""
         return {group: sum(used_s(pid) for pid in pids) for group, pids in self.pids.items()}
 
 
@@ -40,7 +40,7 @@ class Installation:
 def run_installation(
     serve: Sequence[str], agents: Sequence[Sequence[str]]
 ) -> Iterator[Installation]:
-    """Run a router, a server and agents, each started with these arguments; no robot is there."""
+    """Run a router, a server without robots, and agents with these arguments."""
     endpoint = free_endpoint()
     with ExitStack() as stack:
         router = stack.enter_context(running("router", "--listen", endpoint))
@@ -63,7 +63,7 @@ def run_installation(
 
 @contextmanager
 def run_fleet_users(bus: Bus, count: int, hz: float) -> Iterator[tuple[BusSubscription, int]]:
-    """Run the users of a fleet, who command each robot this often; return their tallies and pid."""
+    """Run the users of a fleet with this command rate; yield their tallies and pid."""
     tallies = bus.subscribe(TALLY, TALLIES)
     with program("fleet_users", bus.endpoint, str(count), f"{hz:g}") as process:
         yield tallies, process.pid
@@ -72,7 +72,7 @@ def run_fleet_users(bus: Bus, count: int, hz: float) -> Iterator[tuple[BusSubscr
 
 @dataclass(frozen=True)
 class Span:
-    """About a second of an installation at work."""
+    """Measurements of about one second of an installation."""
 
     factor: float
     cores: Mapping[str, float]
@@ -80,7 +80,7 @@ class Span:
     odom_hz: float
     tf_hz: float
     moved: int
-    """Robots that have moved so far."""
+    """Robots that have moved."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def observe(
     seconds: float,
     act: Callable[[], object],
 ) -> list[Span]:
-    """Act again and again, once so many robots have moved; return what every second was."""
+    """Act repeatedly after this number of robots moved; return measurements of every second."""
     give_up_s = time.monotonic() + ALL_MOVE_S
 
     def begun() -> _Sample | None:
@@ -115,7 +115,7 @@ def observe(
 
 
 def _take_sample(installation: Installation, tallies: BusSubscription) -> _Sample | None:
-    """Look at everything when a tally has come."""
+    """Sample all figures when a tally was received."""
     if (sample := tallies.newest()) is None:
         return None
     tally = msgspec.msgpack.decode(sample.payload, type=Tally)

@@ -1,4 +1,4 @@
-"""A large robot with its own files: a hundred links, twenty fine meshes."""
+"""A large robot with mesh files: a hundred links, twenty fine meshes."""
 
 import numpy as np
 import trimesh
@@ -8,7 +8,7 @@ from tests.hostile.case import BODY, joint, link, solid
 LINKS = 100
 MESHES = 20
 RINGS = 71
-"""Around a ball of 20,160 triangles."""
+"""Segments of a ball of 20,160 triangles."""
 ENDINGS = ("stl", "obj", "dae", "glb")
 ROUGHNESS = 0.05
 RADIUS_M = 0.1
@@ -16,25 +16,25 @@ ROW, APART_M = 10, 0.3
 
 
 def meshes(seed: int, count: int = MESHES) -> dict[str, bytes]:
-    """Make rough balls, each another, by the names that `text` gives them."""
+    """Make different rough balls, by the names used in `text`."""
     rng = np.random.default_rng(seed)
     return {_name(i): _exported(a_ball(rng), _name(i)) for i in range(count)}
 
 
 def a_ball(rng: np.random.Generator) -> trimesh.Trimesh:
-    """Make a ball whose surface is rough."""
+    """Make a ball with a rough surface."""
     ball = trimesh.creation.uv_sphere(radius=RADIUS_M, count=[RINGS, RINGS])
     ball.vertices *= 1.0 + ROUGHNESS * rng.standard_normal((len(ball.vertices), 1))
     return ball
 
 
 def text(links: int = LINKS, count: int = MESHES, *, is_held: bool = False) -> str:
-    """Write links around a first, which collide and are drawn as meshes; every fifth turns.
+    """Write links around a root, with collision and visual meshes; every fifth joint turns.
 
     Args:
-        links: How many.
-        count: Of the meshes, which links use in turn.
-        is_held: Whether nothing moves: collisions are the triangles themselves then.
+        links: Number of links.
+        count: Number of meshes, which links use in turn.
+        is_held: Whether the model is static: triangles collide without approximation.
     """
     world = link("world", "") + joint("held", "world", "l0", "fixed") if is_held else ""
     bodies = "".join(link(f"l{i}", BODY + _shape(i % count)) for i in range(links))

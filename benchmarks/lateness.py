@@ -1,4 +1,4 @@
-"""How long a driven robot waits for its next step, as seen by a subscriber."""
+"""Delay of a driven robot's next step, as seen by a subscriber."""
 
 import threading
 import time
@@ -19,20 +19,20 @@ PERIOD_S = CONFIG.control_steps * CONFIG.step_ns * 1e-9
 
 
 class Lateness:
-    """When each drive state came."""
+    """Arrival times of drive states."""
 
     def __init__(self) -> None:
         self._came: list[tuple[float, float]] = []
 
     def note(self, now_s: float, time_s: float) -> None:
-        """Keep when a state came, and of which simulation time it tells."""
+        """Record the arrival and simulation time of a state."""
         self._came.append((now_s, time_s))
 
     def longest_ms(self, start_s: float, end_s: float) -> float:
-        """Find how much later than due a state came at worst, or had not come yet at the end.
+        """Find the maximum delay of a state, including one missing at the end.
 
         Raises:
-            IndexError: None came before the end.
+            IndexError: No state arrived before the end.
         """
         came = [(now_s, time_s) for now_s, time_s in self._came if now_s <= end_s]
         came.append((end_s, came[-1][1] + PERIOD_S))
@@ -46,7 +46,7 @@ class Lateness:
 
 @contextmanager
 def record_lateness(bus: Bus) -> Iterator[Lateness]:
-    """Take the drive states of the circling robots as they come; at real-time factor 1."""
+    """Record the drive states of the circling robots, at real-time factor 1."""
     states, seen, is_over = bus.subscribe(DRIVE_STATE.key(WORLD, AGENT), DEPTH), Lateness(), False
 
     def listen() -> None:

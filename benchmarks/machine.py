@@ -1,4 +1,4 @@
-"""The machine on which figures were measured, and its other load."""
+"""Description of the machine, and its other load."""
 
 import os
 import platform
@@ -17,7 +17,7 @@ LIBRARIES = ("eclipse-zenoh", "pybullet", "msgspec", "numpy", "viser")
 
 
 def load() -> str:
-    """Write the load average of now."""
+    """Format the current load average."""
     return ", ".join(f"{number:.2f}" for number in os.getloadavg())
 
 
@@ -35,18 +35,18 @@ def description(load_before: str) -> Iterator[tuple[str, str]]:
 
 
 class Work(msgspec.Struct, frozen=True):
-    """CPU time [s] that was used on this machine so far, and how much of it by this program."""
+    """CPU time [s] used on this machine so far, and by this program."""
 
     wall_s: float
     all_s: float
     own_s: float
-    """With the processes that it started and that have ended."""
+    """Including its exited child processes."""
 
 
 def work() -> Work:
-    """Look at the counters of now."""
+    """Read the current counters."""
     all_, own, wall_s = psutil.cpu_times(), os.times(), time.monotonic()
-    # Without iowait, in which a core is free, and guests, which user time has already.
+    # Without iowait, when a core is idle, and guest time, which user time includes.
     kinds = ("user", "nice", "system", "irq", "softirq", "steal")
     busy_s = sum(float(getattr(all_, kind, 0.0)) for kind in kinds)
     own_s = own.user + own.system + own.children_user + own.children_system
@@ -54,19 +54,19 @@ def work() -> Work:
 
 
 def others_cores(before: Work, after: Work) -> float:
-    """Find how many cores others kept busy in between."""
+    """Find the number of cores used by others in between."""
     others_s = (after.all_s - after.own_s) - (before.all_s - before.own_s)
     return max(0.0, others_s / (after.wall_s - before.wall_s))
 
 
 def used_s(pid: int) -> float:
-    """Tell the CPU time [s] of a running process, all of its threads, to the nanosecond."""
-    # How Linux numbers the clock of another process.
+    """Get the CPU time [s] of all threads of a process, with nanosecond resolution."""
+    # Linux clock id of another process.
     return time.clock_gettime((~pid << 3) | 2)
 
 
 def thread_used_s(pid: int, thread: int) -> float:
-    """Tell the CPU time [s] of a thread of a running process, to its last change or tick."""
+    """Get the CPU time [s] of a thread, as of its last context switch or tick."""
     stat = Path(f"/proc/{pid}/task/{thread}/schedstat").read_text(encoding="ascii")
     return int(stat.split()[0]) * 1e-9
 

@@ -13,14 +13,14 @@ MOVES = 0.01
 """Speed [m/s] from which odometry shows motion."""
 STANDS = 0.001
 STANDS_FOR = 8
-"""Odometry in a row that shows no motion before a robot stands: it rocks when it stops."""
+"""Consecutive odometry messages without motion at rest; robots rock when they stop."""
 LONGEST_PAUSE_S = 0.05
 PATIENCE_S = 20.0
-"""Where a fleet is too large to be paced, simulation time creeps."""
+"""Simulation time is slow for large fleets."""
 
 
 def response_ms(robot: Robot, phase: random.Random, speed: float) -> float:
-    """Command a robot that stands, wait until it moves, and stop it."""
+    """Command a robot at rest, wait until it moves, and stop it."""
     time.sleep(phase.uniform(0.0, LONGEST_PAUSE_S))
     robot.read()
 
@@ -36,12 +36,12 @@ def response_ms(robot: Robot, phase: random.Random, speed: float) -> float:
 
 
 def _ahead(odom: Odometry, speed: float) -> float:
-    """Find the speed in the direction that was commanded."""
+    """Find the speed in the commanded direction."""
     return math.copysign(odom.twist.twist.linear.x, odom.twist.twist.linear.x * speed)
 
 
 def stop(robot: Robot) -> None:
-    """Wait until a robot stands."""
+    """Stop a robot, and wait until it is at rest."""
     robot.command(0.0)
     stood: list[Odometry] = []
 

@@ -1,4 +1,4 @@
-"""Time of one thread by part: each part's own time, without that of the parts inside it."""
+"""CPU time of one thread by part, excluding nested parts."""
 
 import time
 from collections.abc import Callable, Generator, Iterator
@@ -10,7 +10,7 @@ T = TypeVar("T")
 
 
 class Stopwatch:
-    """Sums up the CPU time [ns] of this thread by part."""
+    """Accumulates the CPU time [ns] of this thread by part."""
 
     def __init__(self, now_ns: Callable[[], int] = time.thread_time_ns) -> None:
         self.spent_ns: dict[str, int] = {}
@@ -20,7 +20,7 @@ class Stopwatch:
 
     @contextmanager
     def part(self, name: str) -> Iterator[None]:
-        """Count what happens within as this part's."""
+        """Attribute the time of a block to a part."""
         self._enter(name)
         try:
             yield
@@ -28,7 +28,7 @@ class Stopwatch:
             self._leave()
 
     def timed(self, name: str, call: Callable[P, T]) -> Callable[P, T]:
-        """Make a function that counts as this part."""
+        """Wrap a function to attribute its time to a part."""
 
         def counted(*args: P.args, **kwargs: P.kwargs) -> T:
             self._enter(name)
@@ -42,7 +42,7 @@ class Stopwatch:
     def timed_each(
         self, name: str, call: Callable[P, Iterator[T]]
     ) -> Callable[P, Generator[T, None, None]]:
-        """Make an iterating function whose own work counts as this part, not its caller's."""
+        """Wrap a generator function to attribute its own time to a part."""
 
         def counted(*args: P.args, **kwargs: P.kwargs) -> Generator[T, None, None]:
             items = self.timed(name, call)(*args, **kwargs)
@@ -61,7 +61,7 @@ class Stopwatch:
         self._open.pop()
 
     def _charge(self) -> None:
-        """Give the time since the last change to the innermost part."""
+        """Attribute the time since the last change to the innermost part."""
         now_ns = self._now_ns()
         if self._open:
             name = self._open[-1]

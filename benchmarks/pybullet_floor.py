@@ -22,18 +22,18 @@ from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.spawner.spawn.spawn_poses import make_fleet_layout
 
 FEW_ITERATIONS = 10
-"""Of the solver: the fewest with which box_bots still drive where they should."""
+"""Minimum solver iterations for accurate driving of box_bots."""
 WHEEL_EFFORTS = (0.1, 0.1)
 
 
 @dataclass(frozen=True)
 class Turn:
-    """Some steps, and what they took."""
+    """A number of steps, and their cost."""
 
     steps: int
     wall_s: float
     cpu_s: float
-    """Of the loop's thread."""
+    """CPU time of the loop's thread."""
 
 
 class PlainLoop:
@@ -49,12 +49,12 @@ class PlainLoop:
             base = standing_at(place.x)
             base[1] = place.y
             self._bodies.append(self._engine.add(model, base))
-        # Told by the engine, so that they roll as freely as the server's: those that stand do not.
+        # Commanded through the engine, which releases the rolling resistance of robots at rest.
         self._engine.command(self._bodies, np.tile(WHEEL_SPEEDS, count))
         self._wheels = [self._moving(body) for body in self._bodies]
 
     def turn(self, least_s: float, iterations: int = FEW_ITERATIONS) -> Turn:
-        """Go on for whole control periods, with so many iterations of the solver at most."""
+        """Advance by whole control periods, with a maximum number of solver iterations."""
         pybullet.setPhysicsEngineParameter(
             numSolverIterations=iterations, physicsClientId=self._client
         )
@@ -68,11 +68,11 @@ class PlainLoop:
         return Turn(steps, wall_s, time.thread_time() - start_cpu_s)
 
     def turn_as_served(self, least_s: float) -> Turn:
-        """Go on with the settings of the server."""
+        """Advance with the settings of the server."""
         return self.turn(least_s, SOLVER_ITERATIONS)
 
     def speeds(self) -> list[float]:
-        """Read how fast each robot goes [m/s]."""
+        """Get the speed of each robot [m/s]."""
         velocities = [
             pybullet.getBaseVelocity(body, physicsClientId=self._client)[0] for body in self._bodies
         ]

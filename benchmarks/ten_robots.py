@@ -1,4 +1,4 @@
-"""Ten box_bots and their programs as real processes, and close observation of them."""
+"""Ten box_bots with real processes, and their statistics."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -19,27 +19,27 @@ ROBOTS = 10
 ROBOTS_WHEN_SHORT = 2
 SPACING_M = 5.0
 CIRCLE = (0.2, 0.5)
-"""Linear [m/s] and angular [rad/s] of a robot that drives and stays where it is: r = 0.4 m."""
+"""Linear [m/s] and angular [rad/s] velocity on a circle of r = 0.4 m."""
 POLL_S = 0.0003
 MILLISECONDS = 1e3
 
 
 @dataclass(frozen=True)
 class Fleet:
-    """A server and robots with an agent each, standing."""
+    """A server and robots at rest with one agent each."""
 
     server: Server
     robots: list[Robot]
 
     def circle(self) -> None:
-        """Let every robot drive in a circle until told otherwise."""
+        """Command every robot to drive in a circle."""
         for found in self.robots:
             found.command(*CIRCLE)
 
 
 @contextmanager
 def fleet(count: int, *serve_arguments: str) -> Iterator[Fleet]:
-    """Run a server, robots far apart, and agents that let a command stand."""
+    """Run a server, robots far apart, and agents without a command timeout."""
     layout = ("--count", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
     with serving(*serve_arguments) as server, ExitStack() as stack:
         done = server.zensim("fleet", "box_bot", *layout)
@@ -54,20 +54,20 @@ def fleet(count: int, *serve_arguments: str) -> Iterator[Fleet]:
 
 
 def stats_of(found: Fleet) -> BusSubscription:
-    """Listen to what the server says of itself each second."""
+    """Subscribe to the server's statistics of each second."""
     return found.server.bus.subscribe(STATS.key("default"), 4096)
 
 
 def observe(stats: BusSubscription, act: Callable[[], object]) -> list[Stats]:
-    """Act, and return the statistics of the seconds that it took."""
+    """Act, and return the statistics of the seconds meanwhile."""
     return next(observe_in_turns(stats, [act]))
 
 
 def observe_in_turns(
     stats: BusSubscription, acts: Iterable[Callable[[], object]]
 ) -> Iterator[list[Stats]]:
-    """Carry out one act after another; return the statistics of the seconds of each."""
-    # From the end of a window of the server on, to the end of the one in which it ends.
+    """Run actions in turn; return the statistics of the seconds of each."""
+    # From the end of a statistics window to the end of that in which the action ends.
     stats.take()
     poll_until(stats.newest)
     for act in acts:
@@ -78,7 +78,7 @@ def observe_in_turns(
 
 
 def latest_steps(when: str, seen: list[Stats], limit: Limit | None = None) -> Figure:
-    """Say how late the latest step of each second was."""
+    """Make a figure of the latest step of each second."""
     samples = tuple(stats.late_max_s * MILLISECONDS for stats in seen)
     return Figure(
         what=f"latest step of each second, {when}", unit="ms", samples=samples, limit=limit
@@ -86,17 +86,17 @@ def latest_steps(when: str, seen: list[Stats], limit: Limit | None = None) -> Fi
 
 
 def longest_work(when: str, seen: list[Stats], limit: Limit | None = None) -> Figure:
-    """Say for how long the loop's own work held a step up in each second: CPU time."""
+    """Make a figure of the loop's longest own work before a step in each second: CPU time."""
     samples = tuple(stats.busy_max_s * MILLISECONDS for stats in seen)
     what = f"longest own work before a step of each second, {when}"
     return Figure(what=what, unit="CPU ms", samples=samples, limit=limit)
 
 
 def poll_until(ask: Callable[[], T | None], within_s: float = 10.0) -> T:
-    """Ask until there is an answer, often enough to time it.
+    """Poll until a function returns a value, with a short period.
 
     Raises:
-        TimeoutError: There was none.
+        TimeoutError: No value within the timeout.
     """
     deadline = time.monotonic() + within_s
     while (answer := ask()) is None:

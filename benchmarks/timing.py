@@ -25,7 +25,7 @@ class Timing(msgspec.Struct, frozen=True):
 def measure(call: Callable[[], object], repeats: int, inner: int) -> Timing:
     """Time `repeats` runs of `inner` calls each, after one run that is not counted.
 
-    The garbage collector rests meanwhile, so that no call pays for the litter of others.
+    The garbage collector is disabled, so that no call pays for the garbage of others.
     """
     was_collecting = gc.isenabled()
     gc.disable()
@@ -39,7 +39,7 @@ def measure(call: Callable[[], object], repeats: int, inner: int) -> Timing:
 
 
 def quantile(ordered: list[float], share: float) -> float:
-    """Find the number below which a share of the others is."""
+    """Compute a quantile of sorted numbers."""
     return ordered[round(share * (len(ordered) - 1))]
 
 

@@ -27,24 +27,24 @@ ENGINE_PARTS = {"step": "engine", "command": "command", "read": "read-back"}
 
 
 def mark(state: State) -> str:
-    """Begin the line that tells of a state that was entered."""
+    """Make the prefix of the line that reports a new state."""
     return f"used until {State(state).name}: "
 
 
 class Usage(msgspec.Struct, frozen=True):
-    """What a server has used since it began [s], and how far it got."""
+    """Resources used since the start [s], and number of steps."""
 
     steps: int
     loop_cpu_s: float
     process_cpu_s: float
-    """All threads: the loop's, and those of the router inside."""
+    """CPU time of all threads, including the router's."""
     wall_s: float
     parts_s: dict[str, float]
-    """CPU time of the loop by part; empty until asked for."""
+    """CPU time of the loop by part; empty until requested."""
 
 
 class UsageReporter:
-    """Listens in on the one world of this process."""
+    """Reports the resource usage of the world in this process."""
 
     def __init__(self) -> None:
         self._stopwatch = Stopwatch()
@@ -54,7 +54,7 @@ class UsageReporter:
         self._worlds: list[World] = []
 
     def install(self) -> None:
-        """Hear of every change of state."""
+        """Report at every change of state."""
         signal.signal(signal.SIGUSR1, lambda *_: setattr(self, "_is_asked", True))
         watch = self
 

@@ -50,7 +50,7 @@ def test_history_has_a_fault(operations: list[Operation], fault: int) -> None:
     assert first_fault(operations) == operations[fault]
 
 
-def test_history_of_a_true_register_is_explained_however_slow_the_answers() -> None:
+def test_history_of_a_correct_register_is_linearizable_with_slow_replies() -> None:
     draw = random.Random(3)
     operations, is_there = [], False
     for moment in range(400):

@@ -1,1 +1,1 @@
-"""What the whole repository must keep: budgets, pins, schemas, documents, imports."""
+"""Rules of the whole repository: budgets, pins, schemas, documents, imports."""

@@ -1,4 +1,4 @@
-"""The files of this repository, for the tests that read them."""
+"""The files of this repository."""
 
 import subprocess
 from pathlib import Path
@@ -8,7 +8,7 @@ PACKAGES = ("deploy", "proto", "robot_agent", "sim_server", "spawner", "zensim")
 
 
 def files() -> list[Path]:
-    """List what git tracks or would track, without what was deleted and not yet committed."""
+    """List files that git tracks or would track, without deleted ones."""
     listing = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT,
@@ -21,10 +21,10 @@ def files() -> list[Path]:
 
 
 def text_of(path: Path) -> str:
-    """Read a file as text; bytes that are none, as in a picture, become marks."""
+    """Read a file as text; invalid bytes become replacement characters."""
     return path.read_text(encoding="utf-8", errors="replace")
 
 
 def shown(path: Path) -> str:
-    """Name a file as a reader of the repository would."""
+    """Get the path of a file in the repository."""
     return path.relative_to(ROOT).as_posix()

@@ -1,4 +1,4 @@
-"""Slugs of refusals: those that the code raises, and those that the document lists."""
+"""Slugs of refusals: raised by the code, and listed in the document."""
 
 import ast
 import re
@@ -10,13 +10,13 @@ SOURCE = ROOT / "sim_server"
 DOCUMENT = ROOT / "docs" / "refusals.md"
 ROW = re.compile(r"^\| `([a-z_]+\.[a-z_<>0-9]+)` \|", re.MULTILINE)
 FORMATS = ("urdf", "sdf")
-"""Kinds of documents that strict_xml is told to expect."""
+"""Kinds of documents passed to strict_xml."""
 PREFIXED = ("PluginTags",)
-"""Callables whose `slug` is the first half of those that they raise."""
+"""Callables whose `slug` argument is a prefix of the slugs that they raise."""
 
 
 def raised_slugs() -> set[str]:
-    """List what is passed as `slug`, or is a class's `slug`; names in an f-string become <tag>."""
+    """List `slug` arguments and class attributes; names in an f-string become <tag>."""
     return {
         slug
         for path in SOURCE.rglob("*.py")

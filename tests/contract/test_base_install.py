@@ -1,4 +1,4 @@
-"""What must work without the extras, on a machine that has no physics engine and no page."""
+"""Commands without the extras, without a physics engine and a page."""
 
 import subprocess
 import sys

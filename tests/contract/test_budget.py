@@ -1,4 +1,4 @@
-"""How long a function may be, and what no tracked file may hold."""
+"""Limits of functions and of the content of tracked files."""
 
 import ast
 import re
@@ -9,7 +9,7 @@ from tests.contract.repository import PACKAGES, ROOT, files, shown, text_of
 
 MAX_FUNCTION_LINES = 40
 MAX_FILE_BYTES = 1_000_000
-# Written apart, so that this file does not hold what it looks for.
+# Split, so that this file does not match itself.
 POSTPONED = re.compile(r"\b(?:TO" r"DO|FIX" r"ME|XX" r"X)\b")
 SKIPPED = re.compile(r"\bpytest\.(?:mark\.)?(?:sk" r"ip|xf" r"ail)")
 SECRET = re.compile(
@@ -50,15 +50,15 @@ def test_function_is_at_most_40_lines() -> None:
     assert too_long == []
 
 
-def test_no_file_puts_work_off() -> None:
+def test_no_file_contains_todo_marks() -> None:
     assert lines_that_match(POSTPONED) == []
 
 
-def test_no_test_is_left_out() -> None:
+def test_no_test_is_skipped() -> None:
     assert lines_that_match(SKIPPED) == []
 
 
-def test_no_file_holds_a_secret() -> None:
+def test_no_file_contains_a_secret() -> None:
     assert lines_that_match(SECRET) == []
 
 

@@ -1,4 +1,4 @@
-"""What our code imports against what pyproject.toml asks for."""
+"""Imports of the code against dependencies in pyproject.toml."""
 
 import ast
 import sys

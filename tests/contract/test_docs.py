@@ -55,12 +55,12 @@ def help_of(verb: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("path", documents(), ids=shown)
-def test_document_links_to_what_exists(path: Path) -> None:
+def test_links_of_a_document_exist(path: Path) -> None:
     assert broken_links(path) == []
 
 
 @pytest.mark.parametrize(("verb", "options"), sorted(commands_shown().items()))
-def test_command_that_documents_show_exists(verb: str, options: set[str]) -> None:
+def test_documented_command_exists(verb: str, options: set[str]) -> None:
     answer = help_of(verb)
 
     assert answer.returncode == 0, answer.stderr
@@ -68,13 +68,13 @@ def test_command_that_documents_show_exists(verb: str, options: set[str]) -> Non
     assert options <= known
 
 
-def test_readme_begins_with_the_two_commands() -> None:
+def test_readme_begins_with_two_commands() -> None:
     head = text_of(ROOT / "README.md").splitlines()[:8]
 
     assert [line for line in head if line.startswith("make ")] == ["make demo", "make test"]
 
 
-def test_change_log_keeps_its_form() -> None:
+def test_change_log_has_its_format() -> None:
     text = text_of(ROOT / "CHANGELOG.md")
 
     headings = re.findall(r"^## (.+)$", text, re.MULTILINE)
@@ -87,7 +87,7 @@ def test_change_log_keeps_its_form() -> None:
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "docs" / "adr").glob("*.md")), ids=shown)
-def test_decision_is_a_page_of_context_decision_consequences(path: Path) -> None:
+def test_decision_record_has_its_format(path: Path) -> None:
     text = text_of(path)
 
     parts = re.findall(r"^\*\*(\w+)\.\*\*", text, re.MULTILINE)

@@ -1,4 +1,4 @@
-"""The committed golden bytes are read as the examples that they were written from."""
+"""The committed golden bytes decode to their sample messages."""
 
 import json
 from typing import TypeAlias
@@ -26,7 +26,7 @@ def committed_bytes(kind: type[msgspec.Struct], format_: Format) -> bytes:
     return text.encode() if format_ is Format.JSON else bytes.fromhex(text)
 
 
-def test_golden_encoding_is_that_of_cdr() -> None:
+def test_golden_encoding_is_cdr() -> None:
     named = {name: one["encoding"] for name, one in COMMITTED.items() if "encoding" in one}
 
     assert named == {
@@ -36,19 +36,17 @@ def test_golden_encoding_is_that_of_cdr() -> None:
     }
 
 
-def test_golden_bytes_are_those_of_the_types_that_travel() -> None:
+def test_golden_bytes_cover_all_message_types() -> None:
     assert make_golden() == COMMITTED
 
 
 @pytest.mark.parametrize(("kind", "format_"), SAMPLES)
-def test_golden_bytes_are_what_encode_writes(kind: type[msgspec.Struct], format_: Format) -> None:
+def test_golden_bytes_match_encode(kind: type[msgspec.Struct], format_: Format) -> None:
     assert encode(make_sample_message(kind), format_) == committed_bytes(kind, format_)
 
 
 @pytest.mark.parametrize(("kind", "format_"), SAMPLES)
-def test_golden_bytes_are_read_and_written_again(
-    kind: type[msgspec.Struct], format_: Format
-) -> None:
+def test_golden_bytes_survive_a_round_trip(kind: type[msgspec.Struct], format_: Format) -> None:
     payload = committed_bytes(kind, format_)
 
     read = decode(kind, payload, make_encoding(kind, format_))

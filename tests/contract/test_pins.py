@@ -1,4 +1,4 @@
-"""Pinned requirements against what pyproject.toml asks for."""
+"""Pinned requirements against dependencies in pyproject.toml."""
 
 import re
 from importlib.metadata import requires
@@ -46,7 +46,7 @@ def versions(name: str, python: str) -> dict[str, str]:
 
 @pytest.mark.parametrize("python", PYTHONS)
 @pytest.mark.parametrize("name", EXTRAS)
-def test_pins_hold_every_dependency_of_the_extra(name: str, python: str) -> None:
+def test_pins_contain_every_dependency_of_the_extra(name: str, python: str) -> None:
     asked = [Requirement(line) for line in requires("zensim") or []]
     wanted = [need for need in asked if any(applies(need, python, extra) for extra in EXTRAS[name])]
 
@@ -68,7 +68,7 @@ def test_pins_agree_with_those_of_dev(name: str, python: str) -> None:
 
 
 @pytest.mark.parametrize("name", EXTRAS)
-def test_pin_is_exact_and_hashed_and_names_no_address(name: str) -> None:
+def test_pin_is_exact_and_hashed_without_url(name: str) -> None:
     text = (PINS / f"{name}.txt").read_text().replace("\\\n", "")
 
     entries = [line for line in text.splitlines() if not line.startswith("#")]

@@ -1,4 +1,4 @@
-"""Each slug that a refusal can have is in docs/refusals.md, and each one there can be had."""
+"""docs/refusals.md lists exactly the slugs that the code raises."""
 
 from tests.contract.slugs import listed_slugs, raised_slugs
 
@@ -7,7 +7,7 @@ def test_document_lists_every_slug_that_the_code_raises() -> None:
     assert raised_slugs() - set(listed_slugs()) == set()
 
 
-def test_document_lists_no_slug_that_nothing_raises() -> None:
+def test_document_lists_no_unused_slug() -> None:
     assert set(listed_slugs()) - raised_slugs() == set()
 
 

@@ -1,4 +1,4 @@
-"""The numbers of simulation_interfaces 2.1, written down here a second time."""
+"""Result codes of simulation_interfaces 2.1, copied independently."""
 
 from enum import IntEnum
 
@@ -109,9 +109,7 @@ FEATURES = {
         (Feature, FEATURES),
     ],
 )
-def test_numbers_are_those_of_simulation_interfaces(
-    family: type[IntEnum], numbers: dict[str, int]
-) -> None:
+def test_codes_match_simulation_interfaces(family: type[IntEnum], numbers: dict[str, int]) -> None:
     assert {member.name: member.value for member in family} == numbers
 
 
@@ -127,7 +125,7 @@ def test_numbers_are_those_of_simulation_interfaces(
         ("get_available_worlds", GetAvailableWorldsCode),
     ],
 )
-def test_service_answers_its_own_codes(service: str, family: type[IntEnum]) -> None:
+def test_service_returns_its_own_codes(service: str, family: type[IntEnum]) -> None:
     assert SERVICES[service].codes is family
 
 

@@ -1,4 +1,4 @@
-"""The committed description of the wire is what the code says, and stays small."""
+"""The committed schemas match the code, and stay small."""
 
 import importlib
 import json
@@ -24,7 +24,7 @@ def modules_with_structs() -> set[str]:
     }
 
 
-def test_committed_schemas_are_what_the_code_says() -> None:
+def test_committed_schemas_match_the_code() -> None:
     assert schema.find_stale() == [], "run 'python -m zensim.proto.schema' and commit what it wrote"
 
 
@@ -44,7 +44,7 @@ def test_schemas_cover_every_module_that_defines_messages() -> None:
     assert modules_with_structs() == described
 
 
-def test_schemas_refer_to_nothing_that_they_do_not_define() -> None:
+def test_schemas_refer_to_defined_types_only() -> None:
     text = (schema.SCHEMAS / "messages.json").read_text(encoding="utf-8")
     defined = json.loads(text)["$defs"].keys()
 

@@ -1,4 +1,4 @@
-"""docs/services.md against the services: one row each, with an example that can be sent."""
+"""docs/services.md has a row for each service, with a valid example request."""
 
 import json
 import re
@@ -21,7 +21,7 @@ def page_rows() -> dict[str, str]:
 
 
 def row_without_example(name: str) -> str:
-    """Write the row of a service but for its last column."""
+    """Format the row of a service without its last column."""
     service = SERVICES[name]
     (features,) = (one.features for one in SERVICE_TABLE if one.service.name == name)
     codes = ", ".join(f"{code.name} {code.value}" for code in service.codes)
@@ -29,17 +29,17 @@ def row_without_example(name: str) -> str:
     return f"| `{name}` | {messages} | {codes} | {', '.join(f.name for f in features)} |"
 
 
-def test_page_has_a_row_for_each_service_and_no_other() -> None:
+def test_page_has_exactly_one_row_per_service() -> None:
     assert set(page_rows()) == set(SERVICES)
 
 
 @pytest.mark.parametrize("name", SERVICES)
-def test_row_says_what_the_code_says(name: str) -> None:
+def test_row_matches_the_code(name: str) -> None:
     assert page_rows()[name].startswith(row_without_example(name))
 
 
 @pytest.mark.parametrize("name", SERVICES)
-def test_example_is_a_request(name: str) -> None:
+def test_example_is_a_valid_request(name: str) -> None:
     found = EXAMPLE.search(page_rows()[name])
     assert found, "the last column holds an example in JSON"
 

@@ -47,7 +47,7 @@ def write_ros2_rows(topic: TopicSpec) -> list[str]:
 
 def make_sample(key: str, kind: type[msgspec.Struct], format_: Format) -> Sample:
     message = make_sample_message(kind)
-    # Bytes hold arrays of a length that their neighbours determine.
+    # Bytes contain arrays whose length depends on other fields.
     is_array = [
         name for name in kind.__struct_fields__ if isinstance(getattr(message, name), bytes)
     ]
@@ -57,7 +57,7 @@ def make_sample(key: str, kind: type[msgspec.Struct], format_: Format) -> Sample
 
 @pytest.fixture(scope="module")
 def imported_topics() -> dict[str, set[str]]:
-    """The topics that each package imports from the catalog."""
+    """List the topics that each package imports from the catalog."""
     found: dict[str, set[str]] = {package: set() for package in PACKAGES.values()}
     for path in files():
         package = next((one for one in found if shown(path).startswith(one)), "")

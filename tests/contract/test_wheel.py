@@ -1,4 +1,4 @@
-"""The wheel, installed outside the checkout and beside PyPI's proto-plus."""
+"""The wheel, installed outside the checkout together with PyPI's proto-plus."""
 
 import os
 import shutil
@@ -25,7 +25,7 @@ BARE_NAMES = ("deploy", "proto", "robot_agent", "sim_server", "spawner")
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build the wheel from what git would commit: the build leaves files beside its sources."""
+    """Build the wheel from a copy of the tracked files: the build writes into its sources."""
     folder = tmp_path_factory.mktemp("wheel")
     listing = subprocess.run(
         ["git", "ls-files", "-co", "--exclude-standard"],
@@ -52,7 +52,7 @@ def python(wheel: Path) -> Path:
     home = wheel.parent / "environment"
     venv.create(home, with_pip=False)
     (packages,) = home.glob("lib/python3.*/site-packages")
-    # A path in a .pth file is not searched for further .pth files: the checkout stays out.
+    # A path in a .pth file is not searched for further .pth files: the checkout is excluded.
     (packages / "dependencies.pth").write_text(sysconfig.get_path("purelib"), encoding="utf-8")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(packages)
@@ -80,7 +80,7 @@ def test_wheel_holds_one_top_level_name_and_its_data(wheel: Path) -> None:
     assert names >= DATA
 
 
-def test_wheel_and_proto_plus_are_both_whole(python: Path) -> None:
+def test_wheel_and_proto_plus_are_both_complete(python: Path) -> None:
     code = (
         "import proto, zensim.proto.bus\n"
         "class Point(proto.Message):\n"
@@ -96,7 +96,7 @@ def test_wheel_and_proto_plus_are_both_whole(python: Path) -> None:
     assert Path(path).is_relative_to(python.parent.parent)
 
 
-def test_programs_of_the_wheel_import_no_bare_name(python: Path) -> None:
+def test_programs_of_the_wheel_import_only_from_zensim(python: Path) -> None:
     code = (
         "import pkgutil, importlib, sys, zensim\n"
         "for module in pkgutil.walk_packages(zensim.__path__, 'zensim.'):\n"

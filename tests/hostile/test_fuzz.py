@@ -73,7 +73,7 @@ def damaged(text: str, chance: random.Random) -> str:
 
 @given(seed=st.sampled_from(SEEDS), chance=st.randoms(use_true_random=False))
 @settings(max_examples=settings().max_examples * 5)
-def test_damaged_description_is_read_or_refused(seed: str, chance: random.Random) -> None:
+def test_damaged_description_is_parsed_or_refused(seed: str, chance: random.Random) -> None:
     assert_read_or_refused(damaged(seed, chance))
 
 
@@ -91,5 +91,5 @@ def elements(children: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
 
 @given(inside=st.lists(st.recursive(st.just(""), elements, max_leaves=15), max_size=6))
 @settings(max_examples=settings().max_examples * 5)
-def test_random_tags_are_read_or_refused(inside: list[str]) -> None:
+def test_random_tags_are_parsed_or_refused(inside: list[str]) -> None:
     assert_read_or_refused(f"<robot name='r'>{''.join(inside)}</robot>")

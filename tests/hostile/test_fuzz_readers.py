@@ -8,7 +8,7 @@ RUNS = 200
 
 
 @pytest.mark.parametrize("reader", READERS)
-def test_reader_reads_or_refuses_whatever_it_is_given(reader: str) -> None:
+def test_parser_accepts_or_refuses_damaged_input(reader: str) -> None:
     found = fuzz(reader, runs=RUNS, seed=7)
 
     assert found.total() == RUNS
@@ -16,10 +16,10 @@ def test_reader_reads_or_refuses_whatever_it_is_given(reader: str) -> None:
     assert len(found) > 1
 
 
-def test_same_seed_gives_the_same_ends() -> None:
+def test_same_seed_gives_the_same_outcomes() -> None:
     assert fuzz("bundle", runs=50, seed=1) == fuzz("bundle", runs=50, seed=1)
 
 
-def test_every_reader_has_its_share_of_the_runs() -> None:
+def test_every_parser_gets_its_share_of_the_runs() -> None:
     assert set(SHARES) == set(READERS)
     assert sum(SHARES.values()) == pytest.approx(1.0)

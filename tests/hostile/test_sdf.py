@@ -40,7 +40,7 @@ def test_sdf_robot_is_refused_with_its_slug(case: Case) -> None:
 
 @given(seed=st.sampled_from(SEEDS), chance=st.randoms(use_true_random=False))
 @settings(max_examples=settings().max_examples * 5)
-def test_damaged_sdf_robot_is_read_or_refused(seed: str, chance: random.Random) -> None:
+def test_damaged_sdf_robot_is_parsed_or_refused(seed: str, chance: random.Random) -> None:
     refusal = refusal_of(damaged(seed, chance))
 
     assert refusal is None or refusal.message.startswith(f"{refusal.slug}: ")

@@ -40,7 +40,7 @@ def test_description_is_refused_with_its_slug(case: Case) -> None:
     assert (refusal.slug if refusal else "") == case.slug
 
 
-def test_refusals_are_one_line_of_some_length() -> None:
+def test_refusals_are_one_line_of_limited_length() -> None:
     for case in CASES:
         if refusal := refusal_of(case.text):
             assert refusal.message.startswith(f"{case.slug}: "), case.name
@@ -48,7 +48,7 @@ def test_refusals_are_one_line_of_some_length() -> None:
             assert len(refusal.message) <= LONGEST_MESSAGE, case.name
 
 
-def test_reading_opens_no_socket_and_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parsing_opens_no_socket_and_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[str] = []
     monkeypatch.setattr(socket, "socket", lambda *_: opened.append("socket"))
     monkeypatch.setattr("builtins.open", lambda name, *_, **__: opened.append(str(name)))

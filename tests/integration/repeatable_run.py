@@ -69,7 +69,7 @@ def run_lockstep_fleet(
     """Run a paused world in lockstep, with robots and their agents.
 
     Args:
-        robots: How many.
+        robots: Number of robots.
         processes: Number of agents; 0 = one per robot.
         endpoint: Endpoint of the server; defaults to loopback.
         prefix: Command prefix of the agents.
