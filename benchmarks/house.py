@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import textwrap
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,6 +23,8 @@ from pathlib import Path
 
 from benchmarks.machine import ROOT
 
+GLOSSARY = ROOT / "docs" / "glossary.md"
+MODULES_HEAD = "## Modules\n\n"
 PROGRAMS = ("proto", "sim_server", "spawner", "robot_agent", "deploy", "zensim")
 SHARED_NAMES = {"cli", "__init__", "__main__"}
 """Names that mean the same in every program."""
@@ -252,6 +255,20 @@ def _record_flows(programs: RecordedPrograms, root: Path) -> dict[str, list[str]
     }
 
 
+def write_module_list(root: Path) -> str:
+    """Write the glossary's list of modules: name and first sentence of each docstring."""
+    packages = defaultdict[str, list[str]](list)
+    for name, path in sorted(list_modules(root).items()):
+        if path.stem not in {"__init__", "__main__"}:
+            package, _, module = name.rpartition(".")
+            doc = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+            first = " ".join(doc.partition("\n\n")[0].split())
+            line = textwrap.fill(f"- `{module}`: {first}", 120, subsequent_indent="  ")
+            packages[package].append(line)
+    parts = [f"### `{package}`\n\n" + "\n".join(lines) for package, lines in packages.items()]
+    return "\n\n".join(parts) + "\n"
+
+
 def measure(root: Path) -> dict[str, str]:
     """Measure the syntax trees of a checkout: figure by name."""
     modules = list_modules(root)
@@ -273,8 +290,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("checkout", nargs="?", type=Path, default=ROOT)
     parser.add_argument("--static", action="store_true", help="do not run any program")
     parser.add_argument("--list", action="store_true", help="name what is counted")
+    parser.add_argument("--modules", action="store_true", help="rewrite the glossary's modules")
     options = parser.parse_args(arguments)
     root = options.checkout.resolve()
+    if options.modules:
+        text = GLOSSARY.read_text(encoding="utf-8").partition(MODULES_HEAD)[0]
+        GLOSSARY.write_text(text + MODULES_HEAD + write_module_list(ROOT), encoding="utf-8")
+        return
     flows = {} if options.static else find_flows(root)
     figures = measure(root) | {name: f"{len(files)}" for name, files in flows.items()}
     rows = [f"| {name} | {found} | {TARGETS[name]} |" for name, found in figures.items()]
