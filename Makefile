@@ -61,9 +61,10 @@ test: setup packages ## all tests
 		sudo $(BIN)/python -B -m pytest -p no:cacheprovider -m root; \
 	fi
 
-lint: setup ## style of the code
+lint: setup ## style of the code, and dead code
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
+	$(BIN)/vulture
 
 fmt: setup ## format the code and mend what can be mended
 	$(BIN)/ruff check --fix

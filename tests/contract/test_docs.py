@@ -19,6 +19,7 @@ COMMAND = re.compile(
 OPTION = re.compile(r"(?<=\s)--?[A-Za-z][\w-]*")
 CHANGES = {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
 MAX_ADR_LINES = 45
+MAX_COLUMNS = 120
 
 
 def documents() -> list[Path]:
@@ -95,3 +96,15 @@ def test_decision_record_has_its_format(path: Path) -> None:
     assert text.startswith(f"# {int(path.name[:4])}. ")
     assert parts == ["Context", "Decision", "Consequences"]
     assert text.count("\n") <= MAX_ADR_LINES
+
+
+def test_lines_of_documents_are_short() -> None:
+    """Rows of tables cannot be wrapped, and a link may be longer than a line."""
+    long = [
+        f"{shown(path)}:{number}"
+        for path in documents()
+        for number, line in enumerate(text_of(path).splitlines(), start=1)
+        if len(line) > MAX_COLUMNS and not line.startswith("|") and " " in line.strip()
+    ]
+
+    assert long == []
