@@ -20,6 +20,11 @@ OPTION = re.compile(r"(?<=\s)--?[A-Za-z][\w-]*")
 CHANGES = {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
 MAX_ADR_LINES = 45
 MAX_COLUMNS = 120
+SOURCE_PATH = re.compile(
+    r"`((?:proto|sim_server|spawner|robot_agent|deploy|tests|benchmarks)/[\w/.-]+)`"
+)
+FLOW_FILES = {"Spawn": 42, "cmd_vel": 24, "Tick": 24}
+"""Most files that a reader opens to follow a flow of docs/architecture.md."""
 
 
 def documents() -> list[Path]:
@@ -99,12 +104,30 @@ def test_decision_record_has_its_format(path: Path) -> None:
 
 
 def test_lines_of_documents_are_short() -> None:
-    """Rows of tables cannot be wrapped, and a link may be longer than a line."""
+    """Code and rows of tables cannot be wrapped, and a link may be longer than a line."""
     long = [
         f"{shown(path)}:{number}"
         for path in documents()
-        for number, line in enumerate(text_of(path).splitlines(), start=1)
+        for number, line in enumerate(FENCE.sub("", text_of(path)).splitlines(), start=1)
         if len(line) > MAX_COLUMNS and not line.startswith("|") and " " in line.strip()
     ]
 
     assert long == []
+
+
+@pytest.mark.parametrize("path", documents(), ids=shown)
+def test_source_that_a_document_names_exists(path: Path) -> None:
+    named = SOURCE_PATH.findall(text_of(path))
+
+    assert [name for name in named if not (ROOT / name).exists() and "NEW_" not in name] == []
+
+
+@pytest.mark.parametrize(("flow", "most"), FLOW_FILES.items())
+def test_flow_is_followed_in_few_files(flow: str, most: int) -> None:
+    text = text_of(ROOT / "docs" / "architecture.md")
+    _, _, described = text.partition(f"**{flow}.**")
+
+    files = SOURCE_PATH.findall(re.split(r"^\*\*|^## ", described, flags=re.MULTILINE)[0])
+
+    assert 10 < len(files) <= most
+    assert len(set(files)) == len(files)
