@@ -19,7 +19,7 @@ from zensim.proto.messages.simulation_messages import State
 from zensim.proto.process_limits import die_with_supervisor
 from zensim.sim_server.physics.engine import Engine
 from zensim.sim_server.runtime import loop_channels
-from zensim.sim_server.runtime.agent_sessions import AgentSessions
+from zensim.sim_server.runtime.loop import AgentSessions
 from zensim.sim_server.world.simulated_world import World
 from zensim.sim_server.world.simulation_clock import SimulationClock
 

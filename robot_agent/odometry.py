@@ -58,7 +58,7 @@ def find_world_motion(
     """Find the true motion: pose in the world, velocities in the base.
 
     Args:
-        state: Of the root link, columns as in `proto.messages.agent_messages.STATE_COLUMNS`.
+        state: Of the root link, columns as in `zensim.proto.messages.agent_messages.STATE_COLUMNS`.
         base_in_root: Fixed pose of the robot's base in its root link.
         xp: Arithmetic of the columns.
     """

@@ -10,12 +10,7 @@ from zensim.proto.codec.cdr_template import CdrTemplate
 from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.model_messages import Model, Origin
-from zensim.proto.messages.standard_messages import (
-    String,
-    TFMessage,
-    Time,
-    TransformStamped,
-)
+from zensim.proto.messages.standard_messages import String, TFMessage, Time, TransformStamped
 from zensim.proto.rate_limiter import RateLimiter
 from zensim.proto.rigid_transforms import find_yaw, from_axis_angle
 from zensim.proto.ros2.ros_settings import RosSettings

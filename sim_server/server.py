@@ -29,8 +29,7 @@ from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_factory import create_world_engine
 from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
 from zensim.sim_server.ros2_node.server_node import start_server_node
-from zensim.sim_server.runtime.linux_scheduling import request_short_time_slice
-from zensim.sim_server.runtime.loop import ServerLoop
+from zensim.sim_server.runtime.loop import ServerLoop, request_short_time_slice
 from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
 from zensim.sim_server.server_config import (
     ServerConfig,

@@ -33,7 +33,7 @@ class CdrBatch:
 
         Args:
             templates: One per row, of one type, with sequences of equal lengths.
-            numbers: Paths of the float64 fields to fill in; see `proto.codec.cdr_layout`.
+            numbers: Paths of the float64 fields to fill in; see `zensim.proto.codec.cdr_layout`.
             stamps: Paths of the `Time` fields to fill in.
         """
         paths = tuple(numbers), tuple(stamps)

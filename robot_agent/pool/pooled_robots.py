@@ -1,36 +1,384 @@
 """The robots of a pool: groups in arrays, and single robots that no group can hold."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count
 
+import msgspec
 import numpy as np
 
-from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
+from zensim.proto import keys
+from zensim.proto.cmd_vel_decoding import decode_twist
+from zensim.proto.codec.message_codec import Format, MalformedPayload, make_encoding
+from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveCommand, DriveState
 from zensim.proto.messages.model_messages import Model
-from zensim.proto.network_protocols import AgentNetwork
+from zensim.proto.messages.standard_messages import TFMessage, Twist, TwistStamped
+from zensim.proto.network_protocols import AgentNetwork, Sample
+from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
 from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.proto.topic_catalog import CMD_VEL, TopicSpec
-from zensim.proto.topic_endpoints import make_topic_factory
+from zensim.proto.topic_endpoints import TopicSubscription, make_topic_factory
 from zensim.robot_agent.drive_state_decoder import RobotState, unpack_claims
-from zensim.robot_agent.pool.fleet_cmd_vel import FleetCmdVel
-from zensim.robot_agent.pool.fleet_publisher import FleetTopicPublisher, RosFleetPublisher
-from zensim.robot_agent.pool.group_key import (
-    GroupKey,
-    make_group_key,
+from zensim.robot_agent.pool.fleet_publisher import (
+    FleetTopicPublisher,
+    RosFleetPublisher,
+    TopicMember,
 )
-from zensim.robot_agent.pool.group_telemetry import StaticTopics
-from zensim.robot_agent.pool.robot_group import (
-    GroupMember,
-    PoolDriveState,
-    PoolStateLayout,
-    RobotGroup,
+from zensim.robot_agent.pool.group_bases import GroupBaseController
+from zensim.robot_agent.pool.group_key import GroupKey, make_group_key
+from zensim.robot_agent.pool.group_telemetry import FindPublisher, GroupTelemetry, StaticTopics
+from zensim.robot_agent.pool.robot_rows import (
+    NEW_ROW,
+    FloatArray,
+    IntArray,
+    remap_floats,
+    remap_ints,
 )
-from zensim.robot_agent.pool.robot_rows import NEW_ROW, FloatArray
 from zensim.robot_agent.robots import NODE_NAME, SENSOR_TYPES, Robot, log_malformed_commands
-from zensim.robot_agent.topic_remapping import find_topic_keys
+from zensim.robot_agent.topic_remapping import RobotTopicKeys, find_topic_keys
+
+FLEET_CMD_VEL_DEPTH = 8192
+TWIST_COLUMNS = 6
+TWIST_BYTES = 52
+TWIST_DTYPE = np.dtype([("header", "S4"), ("numbers", "<f8", TWIST_COLUMNS)])
+LITTLE_ENDIAN = b"\x00\x01"
+PLAIN_ENCODINGS = frozenset({make_encoding(Twist, Format.CDR), Format.CDR.value, "zenoh/bytes", ""})
+"""Encodings with which 52 bytes of CDR are a Twist."""
+
+
+class FleetCmdVel:
+    """The current velocity commands, a row per robot; zero until the first one."""
+
+    def __init__(self, network: AgentNetwork, timeout_ns: int, domain: int | None = None) -> None:
+        """Create it without subscriptions.
+
+        Args:
+            network: Session of the subscriptions.
+            timeout_ns: Simulation time for which a command is valid; 0 = for ever.
+            domain: ROS 2 domain to subscribe in, too; None = none.
+        """
+        self._domain = domain
+        self._network = network
+        self._timeout_ns = timeout_ns
+        self._subscriptions: dict[str, TopicSubscription] = {}
+        self._rows: dict[str, tuple[int, ...]] = {}
+        self._twists = np.zeros((0, TWIST_COLUMNS))
+        self._received_ns = np.zeros(0, dtype=np.int64)
+        self._faults: dict[str, tuple[int, str]] = {}
+
+    def listen(self, key: str) -> None:
+        """Subscribe to a key; its robot gets a row later."""
+        pattern = keys.make_pattern(key)
+        if pattern not in self._subscriptions:
+            self._subscriptions[pattern] = self._subscribe(pattern)
+
+    def _subscribe(self, pattern: str) -> TopicSubscription:
+        plain = self._network.subscribe(pattern, FLEET_CMD_VEL_DEPTH)
+        if self._domain is None:
+            return TopicSubscription(plain, ())
+        ros_keys = [
+            make_data_key(self._domain, pattern, kind.ros_type, ANY_HASH)
+            for kind in (Twist, TwistStamped)
+        ]
+        return TopicSubscription(
+            plain, [self._network.subscribe(one, FLEET_CMD_VEL_DEPTH) for one in ros_keys]
+        )
+
+    def remap(self, robots: Sequence[str], before: IntArray) -> None:
+        """Remap rows; see `remap_floats`.
+
+        Args:
+            robots: The key of each row; empty for a robot that is not in a group.
+            before: Former row of each.
+        """
+        self._twists = remap_floats(self._twists, before)
+        self._received_ns = remap_ints(self._received_ns, before)
+        self._rows = {}
+        for row, key in enumerate(robots):
+            if not key:
+                continue
+            self._rows[key] = (*self._rows.get(key, ()), row)
+            self.listen(key)
+        patterns = {keys.make_pattern(key) for key in self._rows}
+        for pattern in [one for one in self._subscriptions if one not in patterns]:
+            self._subscriptions.pop(pattern).close()
+
+    def reset(self) -> None:
+        """Forget all commands; those that wait in a subscription still count."""
+        self._twists[:] = 0.0
+
+    def at(self, time_ns: int) -> FloatArray:
+        """Find the commands (n, 6) at a simulation time."""
+        received = self._take_samples()
+        if received:
+            self._store_newest(received, time_ns)
+        if self._timeout_ns:
+            self._twists[time_ns - self._received_ns > self._timeout_ns] = 0.0
+        return self._twists
+
+    def take_malformed_reports(self) -> Iterator[tuple[str, str]]:
+        """Describe the malformed commands since the last call, by key."""
+        faults, self._faults = self._faults, {}
+        for key, (faulty, reason) in faults.items():
+            yield key, f"malformed={faulty} reason={reason!r}"
+
+    def _take_samples(self) -> dict[tuple[int, ...], list[Sample]]:
+        received: dict[tuple[int, ...], list[Sample]] = {}
+        for subscription in self._subscriptions.values():
+            for sample in subscription.take():
+                # The pattern matches robots of other pools, too.
+                if (rows := self._rows.get(sample.key)) is not None:
+                    received.setdefault(rows, []).append(sample)
+        return received
+
+    def _store_newest(self, received: dict[tuple[int, ...], list[Sample]], time_ns: int) -> None:
+        plain = {
+            rows: samples for rows, samples in received.items() if _is_plain_twist(samples[-1])
+        }
+        if plain:
+            packed = b"".join([samples[-1].payload for samples in plain.values()])
+            numbers = np.frombuffer(packed, dtype=TWIST_DTYPE)["numbers"]
+            is_finite = np.isfinite(numbers).all(axis=1)
+            for rows, fits in zip(list(plain), is_finite.tolist(), strict=True):
+                if not fits:
+                    del plain[rows]
+            self._store(list(plain), numbers[is_finite], time_ns)
+        for rows in received.keys() - plain.keys():
+            if (twist := self._decode_newest(received[rows])) is not None:
+                linear, angular = twist.linear, twist.angular
+                row = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
+                self._store([rows], np.array([row]), time_ns)
+
+    def _store(self, robots: list[tuple[int, ...]], twists: FloatArray, time_ns: int) -> None:
+        rows = [row for several in robots for row in several]
+        if len(rows) != len(robots):
+            twists = np.repeat(twists, [len(several) for several in robots], axis=0)
+        self._twists[rows] = twists
+        self._received_ns[rows] = time_ns
+
+    def _decode_newest(self, samples: list[Sample]) -> Twist | None:
+        """Decode the newest valid command: a malformed one does not hide the one before it."""
+        for sample in reversed(samples):
+            if (twist := self._decode(sample)) is not None:
+                return twist
+        return None
+
+    def _decode(self, sample: Sample) -> Twist | None:
+        try:
+            return decode_twist(sample.payload, sample.encoding)
+        except MalformedPayload as error:
+            faulty, _ = self._faults.get(sample.key, (0, ""))
+            self._faults[sample.key] = (faulty + 1, str(error))
+            return None
+
+
+def _is_plain_twist(sample: Sample) -> bool:
+    return (
+        len(sample.payload) == TWIST_BYTES
+        and sample.payload[:2] == LITTLE_ENDIAN
+        and sample.encoding in PLAIN_ENCODINGS
+    )
+
+
+@dataclass(eq=False)
+class GroupMember:
+    """One robot of a group."""
+
+    claim: Claim
+    group_key: GroupKey
+    topic_keys: RobotTopicKeys
+    row: int = NEW_ROW
+    """In its group."""
+    place: int = NEW_ROW
+    """In its pool."""
+    topics: tuple[TopicMember, ...] = ()
+    static_topics: tuple[TopicMember, ...] = ()
+    templates: Sequence[msgspec.Struct] = ()
+    """One per topic."""
+    shared_tf: TFMessage | None = None
+    """Its transforms on the shared topic."""
+    node: RosNode | None = None
+    """In the ROS 2 graph."""
+
+
+@dataclass(frozen=True)
+class PoolDriveState:
+    """A drive state in arrays; flat where robots differ in the count of numbers."""
+
+    time_ns: int
+    base: FloatArray
+    """(n, STATE_COLUMNS)."""
+    positions: FloatArray
+    velocities: FloatArray
+    twists: FloatArray
+    """(n, 6)."""
+
+
+@dataclass(frozen=True)
+class GroupSlots:
+    """Indices of a group's rows in the arrays of its pool."""
+
+    places: IntArray
+    """(n,)."""
+    joints: IntArray
+    """(n, joint_count)."""
+    targets: IntArray
+    """(n, target_count)."""
+
+
+@dataclass(frozen=True)
+class _DueTelemetry:
+    """Telemetry that is due at the last state."""
+
+    rows: IntArray
+    positions: FloatArray
+    velocities: FloatArray
+    time_ns: int
+
+
+class RobotGroup:
+    """States of equal robots to targets and telemetry."""
+
+    def __init__(
+        self, group_key: GroupKey, find_publisher: FindPublisher, node: RosNode | None = None
+    ) -> None:
+        self._bases = GroupBaseController(group_key)
+        self._telemetry = GroupTelemetry(group_key, self._bases, find_publisher, node)
+        self._slots: GroupSlots | None = None
+        self._due: _DueTelemetry | None = None
+
+    def remap(self, members: Sequence[GroupMember], slots: GroupSlots) -> None:
+        """Set the robots, one per row, and their indices in the pool."""
+        before = np.array([member.row for member in members], dtype=np.int64)
+        self._slots, self._due = slots, None
+        self._bases.remap(before)
+        for row, member in enumerate(members):
+            member.row = row
+            if not member.topics:
+                member.topics = self._declare_topics(member)
+        self._remap_topics(members, before)
+
+    def reset(self) -> None:
+        """Reset all robots; time may have gone back."""
+        self._due = None
+        self._bases.reset()
+        self._telemetry.reset()
+
+    def advance(self, state: PoolDriveState, targets: FloatArray) -> None:
+        """Take a state; write the targets of its robots into those of the pool."""
+        if (slots := self._slots) is None:
+            return
+        positions, velocities = state.positions[slots.joints], state.velocities[slots.joints]
+        rows = self._bases.update(
+            state.time_ns,
+            base=state.base[slots.places],
+            positions=positions,
+            velocities=velocities,
+            twists=state.twists[slots.places],
+        )
+        targets[slots.targets] = self._bases.targets
+        self._due = _DueTelemetry(rows, positions, velocities, state.time_ns)
+
+    def publish(self) -> None:
+        """Publish what is due at the last state."""
+        if (due := self._due) is not None:
+            self._due = None
+            self._telemetry.publish(
+                due.rows, positions=due.positions, velocities=due.velocities, time_ns=due.time_ns
+            )
+
+    def release(self, member: GroupMember) -> None:
+        """Undeclare a robot's topics."""
+        for topic, topic_member in zip(self._telemetry.topics, member.topics, strict=False):
+            topic.publisher.remove(topic_member)
+        member.topics = ()
+
+    def close(self) -> None:
+        """Undeclare the shared topic; robots were released, or are in other groups."""
+        self._telemetry.close()
+
+    def _declare_topics(self, member: GroupMember) -> tuple[TopicMember, ...]:
+        found = []
+        listed = self._telemetry.list_keys(member.topic_keys)
+        for topic, key in zip(self._telemetry.topics, listed, strict=True):
+            found.append(TopicMember(key, topic, node=member.node))
+            topic.publisher.add(found[-1])
+        return tuple(found)
+
+    def _remap_topics(self, members: Sequence[GroupMember], before: IntArray) -> None:
+        new = [member for member in members if not member.templates]
+        models = {id(one.claim.model): one.claim.model for one in new}
+        templates = {key: self._telemetry.make_templates(model) for key, model in models.items()}
+        for one in new:
+            one.templates = templates[id(one.claim.model)]
+            one.shared_tf = self._telemetry.make_shared_template(
+                one.claim.model, one.claim.namespace
+            )
+        for number, topic in enumerate(self._telemetry.topics):
+            topic.remap(
+                [member.topics[number] for member in members],
+                [member.templates[number] for member in members],
+                before,
+            )
+        shared = [one.shared_tf for one in members if one.shared_tf is not None]
+        self._telemetry.remap_shared(shared, before)
+
+
+FLOAT_BYTES = 8
+
+
+class PoolStateLayout:
+    """Robots in the order of a state's claims, and the start of their joints and targets."""
+
+    def __init__(self, joint_counts: Sequence[int], target_counts: Sequence[int]) -> None:
+        self._joints = np.concatenate([[0], np.cumsum(joint_counts)]).astype(np.int64)
+        self._targets = np.concatenate([[0], np.cumsum(target_counts)]).astype(np.int64)
+
+    @property
+    def target_total(self) -> int:
+        """Count of numbers in a command."""
+        return int(self._targets[-1])
+
+    def find_group_slots(self, places: Sequence[int]) -> GroupSlots:
+        """Find the indices of robots with equal counts of joints and targets."""
+        at = np.array(places, dtype=np.int64)
+        joints, targets = self._joints, self._targets
+        return GroupSlots(
+            at,
+            joints[at, None] + np.arange(joints[at[0] + 1] - joints[at[0]]),
+            targets[at, None] + np.arange(targets[at[0] + 1] - targets[at[0]]),
+        )
+
+    def find_slices(self, place: int) -> tuple[slice, slice]:
+        """Find the joints and the targets of one robot."""
+        joints, targets = self._joints[place : place + 2], self._targets[place : place + 2]
+        return slice(*joints.tolist()), slice(*targets.tolist())
+
+    def read(self, state: DriveState, twists: FloatArray) -> PoolDriveState:
+        """Unpack a state into arrays.
+
+        Raises:
+            MalformedPayload: The count of numbers does not match the claims.
+        """
+        rows, joints = len(self._joints) - 1, int(self._joints[-1])
+        return PoolDriveState(
+            state.time_ns,
+            _unpack_floats(state.base, rows * STATE_COLUMNS).reshape(rows, STATE_COLUMNS),
+            _unpack_floats(state.joint_positions, joints),
+            _unpack_floats(state.joint_velocities, joints),
+            twists,
+        )
+
+
+def _unpack_floats(numbers: bytes, count: int) -> FloatArray:
+    if len(numbers) != count * FLOAT_BYTES:
+        raise MalformedPayload(
+            f"drive state does not fit its claims: {len(numbers)} bytes for {count} numbers"
+        )
+    return np.frombuffer(numbers, dtype="<f8")
+
 
 LOG = logging.getLogger("zensim.agent")
 GROUP_NODE_PREFIX = "zensim_pool"

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import logging
 import time
+from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import msgspec
+import numpy as np
 
 from zensim.proto.child_process import run_in_fork
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.sim_server.errors import SimError
 from zensim.sim_server.journal.batch_writer import BatchWriter, WriterThread
-from zensim.sim_server.journal.change_tracker import ChangeTracker
 from zensim.sim_server.journal.journal_contents import (
     JournalContents,
     MeshRestorer,
@@ -22,7 +26,16 @@ from zensim.sim_server.journal.journal_contents import (
     read_contents,
     restore_world,
 )
-from zensim.sim_server.journal.journal_records import ExcludedEntityRow
+from zensim.sim_server.journal.journal_records import (
+    ClockRow,
+    EntityChange,
+    ExcludedEntityRow,
+    JournaledEntity,
+    JournalRecord,
+    RecordedMotion,
+    ResponseRow,
+    WorldRow,
+)
 from zensim.sim_server.journal.sqlite_store import (
     FILES,
     SqliteStore,
@@ -31,15 +44,367 @@ from zensim.sim_server.journal.sqlite_store import (
     sync_folder,
 )
 from zensim.sim_server.journal_protocol import JournaledResponse
+from zensim.sim_server.world.spawn_request import ValidatedSpawn
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
-    from zensim.sim_server.journal.journal_records import JournaledEntity
     from zensim.sim_server.parser_process.asset_store import AssetStore
-    from zensim.sim_server.physics.engine import Engine
+    from zensim.sim_server.physics.engine import Engine, FloatArray
     from zensim.sim_server.service_parts import ServerParts
     from zensim.sim_server.world.simulated_world import World
+
+LOG = logging.getLogger(__name__)
+MOTION_PERIOD_S = 0.4
+"""Period of recording states: with the time of a commit at most 0.5 s."""
+MAX_MOTION_DELAY_NS = 40_000_000
+"""Longest delay of a recording to a control step, whose states are read anyway."""
+BOND_TIMEOUT_S = 10.0
+"""Time after a restart for clients to renew their bonds."""
+
+TRANSIENT_STATES = (State.LOADING_WORLD, State.QUITTING)
+"""States that are not recorded: no server starts in them."""
+
+
+class RecordQueue(Protocol):
+    """The writer of records, see `WriterThread`."""
+
+    durable: int
+    commits: int
+    failure: tuple[int, str] | None
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether records are written."""
+
+    def submit(self, record: JournalRecord) -> None:
+        """Queue a record."""
+
+    def close(self) -> bool:
+        """Write the queued records and end; return whether that worked."""
+
+
+class WriterEnded(RuntimeError):
+    """The writer thread has ended; the server must end, too."""
+
+
+class ChangeTracker:
+    """Records the changes of one world."""
+
+    def __init__(
+        self,
+        parts: ServerParts,
+        writer: RecordQueue,
+        *,
+        position: int,
+        known: Iterable[JournaledEntity] = (),
+        earlier_responses: tuple[JournaledResponse, ...] = (),
+        wall_s: Callable[[], float],
+    ) -> None:
+        self.position = position
+        """Of the newest record."""
+        self.earlier_responses = earlier_responses
+        self._parts = parts
+        self._writer = writer
+        self._wall_s = wall_s
+        self._generation = 0
+        self._known = {one.entity.name: one for one in known}
+        self._next_ordinal = max((one.ordinal for one in self._known.values()), default=0) + 1
+        self._outstanding: deque[JournalRecord] = deque()
+        self._seen: tuple[object, ...] = ()
+        self._world: WorldRow | None = None
+        self._clock: ClockRow | None = None
+        self._motion: RecordedMotion | None = None
+        self._motion_seen: tuple[int, ...] = ()
+        self._motion_due_ns = 0
+        self._is_failing = False
+        self._commits = 0
+        self._bonds_due_ns = parts.pacing.now_ns() + round(BOND_TIMEOUT_S * NANOSECONDS)
+
+    @property
+    def durable(self) -> int:
+        """The last durable position."""
+        return self._writer.durable
+
+    @property
+    def is_failing(self) -> bool:
+        """Whether the last record could not be written, and none was written since."""
+        if self._is_failing and self._writer.commits > self._commits:
+            self._is_failing = False
+            LOG.warning("journal written again world=%s", self._parts.world.name)
+        return self._is_failing
+
+    def record(
+        self,
+        response: JournaledResponse | None = None,
+        expired: tuple[tuple[str, bytes], ...] = (),
+        *,
+        is_requested: bool = False,
+    ) -> int:
+        """See `ChangeJournal.record`."""
+        if not is_requested and self._fingerprint() == self._seen:
+            return self.position
+        changes, former = self._find_changes(), self._motion
+        world, clock = self._find_new_world(), self._find_new_clock()
+        has_moved = self._motion_fingerprint() != self._motion_seen
+        if changes or world or clock or response or expired or (is_requested and has_moved):
+            self._submit(
+                JournalRecord(
+                    self._generation,
+                    self.position + 1,
+                    changes,
+                    world,
+                    clock,
+                    self._take_motion() if has_moved else None,
+                    self._make_response_row(response),
+                    expired,
+                    is_requested,
+                    former,
+                )
+            )
+        return self.position
+
+    def poll(self) -> str:
+        """See `ChangeJournal.poll`; records states, too, when they are due.
+
+        Raises:
+            WriterEnded: The writer thread has ended.
+        """
+        if not self._writer.is_alive:
+            raise WriterEnded("the writer thread of the journal has ended")
+        reason = self._handle_failure()
+        self._drop_durable()
+        self._end_lost_bonds()
+        self.record()
+        if self._is_motion_due():
+            self._record_motion()
+        return reason
+
+    def retry(self) -> int:
+        """Write a record now, to test the disk; return the number of the attempt."""
+        self._submit(JournalRecord(self._generation, self.position, motion=self._take_motion()))
+        return self._generation
+
+    def is_decided(self, attempt: int) -> bool:
+        """Whether the result of an attempt is known."""
+        return not self.is_failing or self._generation > attempt
+
+    def close(self) -> bool:
+        """Write all changes and end; return whether that worked."""
+        self.record()
+        self._record_motion()
+        return self._writer.close()
+
+    def _make_response_row(self, response: JournaledResponse | None) -> ResponseRow | None:
+        if response is None:
+            return None
+        return ResponseRow(
+            # Durable positions only increase, and a record has at most one response.
+            number=self.position + 1,
+            service=response.service,
+            request_id=response.request_id,
+            payload=response.payload,
+            encoding=response.encoding,
+            at_s=self._wall_s(),
+        )
+
+    def _submit(self, record: JournalRecord) -> None:
+        if record.position > self.position:
+            self._outstanding.append(record)
+            self.position = record.position
+        self._writer.submit(record)
+
+    def _end_lost_bonds(self) -> None:
+        """Delete the entities of bonds that were not renewed after a restart."""
+        if not self._bonds_due_ns or self._parts.pacing.now_ns() < self._bonds_due_ns:
+            return
+        self._bonds_due_ns = 0
+        for bond in self._parts.bonds.entities.keys() - self._parts.bonds.alive:
+            self._parts.bonds.end(bond)
+
+    def _drop_durable(self) -> None:
+        durable = self._writer.durable
+        while self._outstanding and self._outstanding[0].position <= durable:
+            self._outstanding.popleft()
+
+    def _fingerprint(self) -> tuple[object, ...]:
+        """Cheap values that differ when something has changed."""
+        world = self._parts.world
+        factor = self._parts.pacing.target_real_time_factor
+        return (
+            world.entities.roster_number,
+            world.clock.epoch,
+            world.clock.state,
+            factor,
+            id(self._parts.current_world.model),
+        )
+
+    def _motion_fingerprint(self) -> tuple[int, ...]:
+        world = self._parts.world
+        return (world.placement_count, world.clock.epoch)
+
+    def _find_changes(self) -> tuple[EntityChange, ...]:
+        self._seen = self._fingerprint()
+        present = {entity.name: entity for entity in self._parts.world.entities}
+        changes = [
+            EntityChange(name, journaled, None)
+            for name, journaled in self._known.items()
+            if name not in present
+        ]
+        for name, entity in present.items():
+            before = self._known.get(name)
+            if before is not None and before.entity is entity:
+                continue
+            after = JournaledEntity(
+                self._find_ordinal(before, entity.born_ns),
+                entity,
+                self._bond_of(name),
+                self._parts.descriptions.provider.find_parse_key(entity.model),
+            )
+            if before is None or not before.has_same_row(after):
+                changes.append(EntityChange(name, before, after))
+            self._known[name] = after
+        for change in changes:
+            if change.after is None:
+                del self._known[change.name]
+        return tuple(changes)
+
+    def _find_ordinal(self, before: JournaledEntity | None, born_ns: int) -> int:
+        if before is not None and before.entity.born_ns == born_ns:
+            return before.ordinal
+        self._next_ordinal += 1
+        return self._next_ordinal - 1
+
+    def _bond_of(self, name: str) -> str:
+        born_ns = self._parts.world.entities.find(name).born_ns
+        for bond, held in self._parts.bonds.entities.items():
+            if (name, born_ns) in held:
+                return bond
+        return ""
+
+    def _find_new_world(self) -> WorldRow | None:
+        world, current = self._parts.world, self._parts.current_world
+        if self._world is not None and self._world.source is current.model:
+            return None
+        self._world = WorldRow(
+            name=world.name,
+            source=current.model,
+            step_hz=NANOSECONDS / world.clock.step_ns,
+            seed=current.seed,
+            resource=current.resource,
+        )
+        return self._world
+
+    def _find_new_clock(self) -> ClockRow | None:
+        world, last = self._parts.world, self._clock
+        factor = self._parts.pacing.target_real_time_factor
+        state = int(world.clock.state)
+        if last is not None and world.clock.state in TRANSIENT_STATES:
+            state = last.state
+        now = (world.clock.epoch, state, factor)
+        if last is not None and (last.epoch, last.state, last.real_time_factor) == now:
+            return None
+        self._clock = ClockRow(
+            epoch=world.clock.epoch, steps=world.clock.steps, state=state, real_time_factor=factor
+        )
+        return self._clock
+
+    def _is_motion_due(self) -> bool:
+        """Whether to record states: preferably at a control step, when they are read anyway."""
+        late_ns = self._parts.pacing.now_ns() - self._motion_due_ns
+        return late_ns >= (0 if self._parts.world.is_control_step else MAX_MOTION_DELAY_NS)
+
+    def _record_motion(self) -> None:
+        self._motion_due_ns = self._parts.pacing.now_ns() + round(MOTION_PERIOD_S * NANOSECONDS)
+        if self._is_failing:
+            self._seen = ()  # changes that could not be written are submitted again
+            self.record()
+        world, last = self._parts.world, self._motion
+        is_old = last is None or (last.epoch, last.steps) != (world.clock.epoch, world.clock.steps)
+        is_old = is_old or last is None or last.names != world.entities.index.names
+        if is_old or self._motion_fingerprint() != self._motion_seen or self._is_failing:
+            self._submit(JournalRecord(self._generation, self.position, motion=self._take_motion()))
+
+    def _take_motion(self) -> RecordedMotion:
+        world = self._parts.world
+        roster, reading = world.entities.index, world.states()
+        self._motion_seen = self._motion_fingerprint()
+        self._motion = RecordedMotion(
+            world.clock.epoch, world.clock.steps, roster.names, roster.joint_count, reading
+        )
+        return self._motion
+
+    def _handle_failure(self) -> str:
+        failure = self._writer.failure
+        if failure is None or failure[0] < self._generation:
+            return ""
+        if not self._is_failing:
+            LOG.warning("journal not written reason=%s", failure[1])
+        self._generation += 1
+        self._is_failing = True
+        self._commits = self._writer.commits
+        self._drop_durable()
+        while self._outstanding:
+            self._revert(self._outstanding.pop())
+        self.position = self._writer.durable
+        self._motion_seen = ()
+        self._seen = self._fingerprint()
+        return failure[1]
+
+    def _revert(self, record: JournalRecord) -> None:
+        """Undo the changes of a request; other changes, times and worlds are submitted again."""
+        self._world = None if record.world is not None else self._world
+        self._clock = None if record.clock is not None else self._clock
+        for change in reversed(record.changes):
+            self._known.pop(change.name, None)
+            if change.before is not None:
+                self._known[change.name] = change.before
+            if record.is_requested and record.world is None:
+                self._undo(change, record.former)
+
+    def _undo(self, change: EntityChange, former: RecordedMotion | None) -> None:
+        name, world, before, after = change.name, self._parts.world, change.before, change.after
+        is_there = name in world.entities
+        if before is not None and after is not None and before.ordinal == after.ordinal:
+            if is_there:
+                world.set_info(name, before.entity.info)
+            return
+        if after is not None and is_there:
+            world.delete(name)
+        if before is not None:
+            self._respawn(before, former)
+
+    def _respawn(self, journaled: JournaledEntity, former: RecordedMotion | None) -> None:
+        entity, world = journaled.entity, self._parts.world
+        try:
+            respawned = world.spawn(
+                ValidatedSpawn(
+                    *(entity.name, entity.namespace, entity.model, entity.initial),
+                    description=entity.description,
+                    born_ns=entity.born_ns,
+                    belongs_to_world=entity.belongs_to_world,
+                    info=entity.info,
+                )
+            )
+        except SimError as error:
+            LOG.warning("entity not restored name=%s reason=%s", entity.name, error)
+            return
+        self._known[entity.name] = replace(journaled, entity=respawned)
+        if (state := find_recorded_state(former, entity.name)) is not None:
+            world.place(entity.name, *state)
+
+
+def find_recorded_state(
+    motion: RecordedMotion | None, name: str
+) -> tuple[FloatArray, FloatArray] | None:
+    """Find the state row (13,) and joint positions of an entity in recorded states."""
+    if motion is None or name not in motion.names:
+        return None
+    row = motion.names.index(name)
+    start = int(np.sum(motion.joint_counts[:row]))
+    joints = slice(start, start + int(motion.joint_counts[row]))
+    return motion.states.base[row].copy(), motion.states.joint_positions[joints].copy()
+
 
 DEADLINE_S = 10.0
 """For one attempt."""
@@ -77,7 +442,6 @@ def _find_first_crash(attempts: Sequence[Callable[[], None]], excluded: list[int
     return last if status else None
 
 
-LOG = logging.getLogger(__name__)
 RESTORE_MARK_FILE = "restoring"
 """Exists during a restore: a server that finds it crashed while restoring."""
 RESPONSE_LIFETIME_S = 3600.0

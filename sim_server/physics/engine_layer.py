@@ -1,4 +1,3 @@
-# ruff: noqa: D102 - see `Engine`
 """Base of layers around an engine."""
 
 from collections.abc import Callable, Sequence
@@ -6,6 +5,8 @@ from dataclasses import replace
 
 from zensim.proto.messages.model_messages import Model, TierName
 from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
+
+# ruff: noqa: D102 - see `Engine`
 
 
 class EngineLayer(Engine):

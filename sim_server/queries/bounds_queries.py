@@ -7,11 +7,7 @@ from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.standard_messages import Vector3
 from zensim.proto.se3 import FloatArray
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.scene.convex_shapes import (
-    UNIT_CUBE,
-    ConvexShape,
-    find_extreme_points,
-)
+from zensim.sim_server.scene.convex_shapes import UNIT_CUBE, ConvexShape, find_extreme_points
 from zensim.sim_server.scene.scene import Region, make_region
 
 MAX_BOUNDS_POINTS = 1000

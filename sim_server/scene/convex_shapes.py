@@ -101,7 +101,7 @@ def to_convex_shape(shape: Shape, meshes: MeshVertices) -> ConvexShape:
 
 
 def list_collision_shapes(model: Model, meshes: MeshVertices) -> Iterator[tuple[str, ConvexShape]]:
-    """List the collisions of a model but planes: name of the link, and shape in the link's frame."""
+    """List the collisions of a model but planes: link name, and shape in the link's frame."""
     for link in model.links:
         for shape in link.collisions:
             if shape.kind != "plane":

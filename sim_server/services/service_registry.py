@@ -21,7 +21,6 @@ from zensim.proto.service_catalog import SERVICES, Request, Response, Service
 from zensim.sim_server.errors import IncorrectState
 from zensim.sim_server.service_parts import DeferredResponse, ServerParts
 from zensim.sim_server.services import (
-    asset_services,
     claim_services,
     entity_services,
     gazebo_services,
@@ -189,9 +188,9 @@ SERVICE_TABLE = (
     make_entry(service_catalog.CLAIM_ENTITY, claim_services.claim_entity),
     make_entry(service_catalog.CLAIM_SHARE, claim_services.claim_share),
     make_entry(service_catalog.GET_MODELS, entity_services.get_models),
-    make_entry(service_catalog.MISSING_ASSETS, asset_services.missing_assets),
-    make_entry(service_catalog.PUT_ASSET, asset_services.put_asset),
-    make_entry(service_catalog.GET_ASSET, asset_services.get_asset),
+    make_entry(service_catalog.MISSING_ASSETS, spawn_services.missing_assets),
+    make_entry(service_catalog.PUT_ASSET, spawn_services.put_asset),
+    make_entry(service_catalog.GET_ASSET, spawn_services.get_asset),
     make_entry(service_catalog.INFO, simulation_services.get_server_info),
 )
 FEATURES = tuple(sorted(feature for one in SERVICE_TABLE for feature in one.features))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from zensim.proto.messages import spawn_messages
+from zensim.proto.messages import asset_messages, spawn_messages
 from zensim.proto.messages.entity_messages import BoundsType
 from zensim.proto.messages.model_messages import Model, ReportEntry
 from zensim.proto.messages.result_messages import Result, ResultCode, SpawnCode, SpawnEntitiesCode
@@ -26,6 +26,7 @@ from zensim.proto.se3 import IDENTITY_POSE
 from zensim.sim_server.description.builtin_models import list_builtin_models
 from zensim.sim_server.description.model_geometry import find_ground_clearance
 from zensim.sim_server.errors import IncorrectState, ModelError, RequestRefused, SimError
+from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.queries.bounds_queries import make_bounds
 from zensim.sim_server.queries.frame_queries import pose_to_world
@@ -34,6 +35,35 @@ from zensim.sim_server.service_parts import DeferredResponse, Descriptions, Spaw
 from zensim.sim_server.world.entity import Entity, check_entity_info
 from zensim.sim_server.world.pose_conversion import is_zero_quaternion, pose_to_row
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
+
+
+def missing_assets(
+    store: AssetStore, request: asset_messages.MissingAssetsRequest
+) -> asset_messages.MissingAssetsResponse:
+    """List the files that the server does not have."""
+    missing = store.missing(request.sha256s)
+    return asset_messages.MissingAssetsResponse(
+        Result(), tuple(name for name, _ in missing), tuple(received for _, received in missing)
+    )
+
+
+def put_asset(
+    store: AssetStore, request: asset_messages.PutAssetRequest
+) -> asset_messages.PutAssetResponse:
+    """Store a piece of a file."""
+    received = store.put(
+        request.sha256, offset=request.offset, total=request.total, data=request.data
+    )
+    return asset_messages.PutAssetResponse(Result(), received)
+
+
+def get_asset(
+    store: AssetStore, request: asset_messages.GetAssetRequest
+) -> asset_messages.GetAssetResponse:
+    """Return a piece of a file."""
+    data = store.read(request.sha256, request.offset, asset_messages.MAX_CHUNK_BYTES)
+    return asset_messages.GetAssetResponse(Result(), data, store.size(request.sha256))
+
 
 UNDERGROUND_M = 0.001
 MAX_NAMED = 3

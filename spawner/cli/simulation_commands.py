@@ -8,11 +8,7 @@ import typer
 
 from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
 from zensim.proto.exit_codes import exit_on_failure
-from zensim.proto.messages.simulation_messages import (
-    Feature,
-    ResetScope,
-    State,
-)
+from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.spawner.cli.command_session import ClientOptions, open_client, print_json
 from zensim.spawner.cli.terminal_output import step_progress

@@ -20,12 +20,7 @@ from zensim.proto.messages.standard_messages import (
     ns_from_time,
 )
 from zensim.proto.rigid_transforms import to_rpy
-from zensim.spawner.cli.command_session import (
-    ClientOptions,
-    EntityName,
-    open_client,
-    print_json,
-)
+from zensim.spawner.cli.command_session import ClientOptions, EntityName, open_client, print_json
 from zensim.spawner.spawn.spawn_poses import make_pose
 
 app = make_app("state")

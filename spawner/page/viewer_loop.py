@@ -1,11 +1,19 @@
 """Loop of the viewer; it subscribes only while a client has the page open."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from hashlib import sha256
 from typing import Final, Protocol
 
+import msgspec
+import numpy as np
+
+from zensim.proto import keys
 from zensim.proto.bus import BusError
-from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.cmd_vel_decoding import decode_twist
+from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.messages.asset_messages import GetAssetRequest
+from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import ServiceError, SetSimulationStateCode
 from zensim.proto.messages.simulation_messages import (
     ResetScope,
@@ -15,8 +23,11 @@ from zensim.proto.messages.simulation_messages import (
     State,
     StepSimulationRequest,
 )
-from zensim.proto.network_protocols import ViewerNetwork
+from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse, Snapshot
+from zensim.proto.network_protocols import CallingNetwork, Sample, Subscription, ViewerNetwork
 from zensim.proto.service_catalog import (
+    GET_ASSET,
+    GET_MODELS,
     RESET_SIMULATION,
     SET_SIMULATION_STATE,
     STEP_SIMULATION,
@@ -24,19 +35,270 @@ from zensim.proto.service_catalog import (
     Response,
     Service,
 )
-from zensim.spawner.page.data_source import (
-    CALL_TIMEOUT_S,
-    MeshFetcher,
-    MonotonicClock,
-    ViewerDataSource,
+from zensim.proto.stl import read_corners, stl_size
+from zensim.proto.topic_catalog import CMD_VEL, SNAPSHOT
+from zensim.spawner.page.model_visuals import (
+    NO_MESHES,
+    TriangleMesh,
+    TriangleMeshes,
+    weld_triangles,
 )
 from zensim.spawner.page.render_state import (
     LastCommand,
+    MismatchedSnapshot,
     RenderedFleet,
     RenderedFrame,
     SimulationStatus,
+    UnknownEntity,
+    make_fleet,
+    make_frame,
 )
 from zensim.spawner.page.side_panel import Button
+
+MESH_CALL_TIMEOUT_S: Final = 0.8
+MESH_RETRY_S: Final = 1.0
+MAX_MESH_BYTES: Final = stl_size(60_000)
+"""Limit of one mesh; servers send no larger ones."""
+MESH_BUDGET_BYTES: Final = 128 << 20
+"""Limit of all meshes; without its mesh a robot is drawn by its collision shapes."""
+
+
+class MeshFetcher:
+    """Fetches the meshes of models in chunks; call `fetch` periodically.
+
+    Attributes:
+        meshes: By sha256; replaced when all available meshes have been fetched.
+    """
+
+    def __init__(
+        self,
+        network: CallingNetwork,
+        world: str,
+        clock: Callable[[], float],
+        budget_bytes: int = MESH_BUDGET_BYTES,
+    ) -> None:
+        self._network, self._world, self._clock = network, world, clock
+        self._budget_bytes = budget_bytes
+        self._pending: dict[str, bytearray] = {}
+        self._sizes: dict[str, int] = {}
+        self._next_call_at = 0.0
+        self._found: dict[str, TriangleMesh] = {}
+        self.meshes: TriangleMeshes = NO_MESHES
+
+    def set_models(self, models: Iterable[Model]) -> None:
+        """Set the models whose meshes are fetched; failed meshes are retried."""
+        named = list_visual_meshes(models)
+        self._found = {name: mesh for name, mesh in self._found.items() if name in named}
+        self._sizes = {name: size for name, size in self._sizes.items() if name in self._found}
+        self._pending = {
+            name: self._pending.get(name, bytearray()) for name in named if name not in self._found
+        }
+        self._publish()
+
+    def fetch(self) -> None:
+        """Fetch one chunk of the first pending mesh."""
+        if not self._pending or self._clock() < self._next_call_at:
+            return
+        name, data = next(iter(self._pending.items()))
+        try:
+            response = self._network.call(
+                GET_ASSET,
+                GetAssetRequest(name, len(data)),
+                world=self._world,
+                timeout_s=MESH_CALL_TIMEOUT_S,
+            )
+        except ServiceError:
+            self._finish(name, None)
+            return
+        except (BusError, TimeoutError, MalformedPayload):
+            self._next_call_at = self._clock() + MESH_RETRY_S
+            return
+        data += response.data
+        if not self._has_room(response.total) or not response.data:
+            self._finish(name, None)
+        elif len(data) >= response.total:
+            self._finish(name, _read_mesh(name, bytes(data)))
+
+    def _has_room(self, total: int) -> bool:
+        return total <= MAX_MESH_BYTES and sum(self._sizes.values()) + total <= self._budget_bytes
+
+    def _finish(self, name: str, mesh: TriangleMesh | None) -> None:
+        data = self._pending.pop(name)
+        if mesh is not None:
+            self._found[name], self._sizes[name] = mesh, len(data)
+        self._publish()
+
+    def _publish(self) -> None:
+        if not self._pending and self._found.keys() != self.meshes.keys():
+            self.meshes = dict(self._found)
+
+
+def list_visual_meshes(models: Iterable[Model]) -> dict[str, None]:
+    """List the sha256 of all visual meshes, in order."""
+    links = (link for model in models for link in model.links)
+    shapes = (shape for link in links for shape in link.visuals if shape.kind == "mesh")
+    return dict.fromkeys(shape.mesh for shape in shapes)
+
+
+def _read_mesh(name: str, data: bytes) -> TriangleMesh | None:
+    """Decode a mesh; None if its hash differs or it is malformed."""
+    if sha256(data).hexdigest() != name:
+        return None
+    try:
+        corners = read_corners(data)
+    except ValueError:
+        return None
+    return weld_triangles(corners) if len(corners) and bool(np.isfinite(corners).all()) else None
+
+
+CALL_TIMEOUT_S: Final = 0.8
+"""Short, so that Ctrl-C takes effect within a second."""
+MIN_FRAME_PERIOD_S: Final = 0.025
+"""Minimum time between frames: 30 snapshots/s are all shown, of 60/s every other."""
+MODELS_RETRY_S: Final = 0.2
+SERVER_TIMEOUT_S: Final = 3.0
+"""A server sends snapshots at 2 Hz even when paused."""
+
+MonotonicClock = Callable[[], float]
+_FleetInputs = tuple[tuple[str, ...], GetModelsResponse, TriangleMeshes]
+"""Arguments of `make_fleet`."""
+
+
+class ViewState(msgspec.Struct, frozen=True, eq=False):
+    """Everything to show at one step."""
+
+    fleet: RenderedFleet
+    frame: RenderedFrame
+    status: SimulationStatus
+
+
+class CommandMonitor:
+    """Monitors the velocity commands of one robot."""
+
+    def __init__(self, samples: Subscription) -> None:
+        self._samples = samples
+        self._command: tuple[float, float] | None = None
+        self._received_at = 0.0
+
+    def last(self, now: float) -> LastCommand | None:
+        """Return the last valid command, if any."""
+        sample = self._samples.newest()
+        if sample is not None:
+            self._receive(sample, now)
+        return LastCommand(*self._command, age_s=now - self._received_at) if self._command else None
+
+    def close(self) -> None:
+        """Close all subscriptions."""
+        self._samples.close()
+
+    def _receive(self, sample: Sample, now: float) -> None:
+        try:
+            twist = decode_twist(sample.payload, sample.encoding)
+        except MalformedPayload:
+            return
+        self._command, self._received_at = (twist.linear.x, twist.angular.z), now
+
+
+class ViewerDataSource:
+    """Subscriptions to one world; open while a viewer client is connected."""
+
+    def __init__(
+        self, network: ViewerNetwork, world: str, clock: MonotonicClock, fetcher: MeshFetcher
+    ) -> None:
+        self._network, self._world, self._clock = network, world, clock
+        self._fetcher = fetcher
+        self._tokens = network.watch_tokens(keys.alive_server(world))
+        self._snapshots = network.subscribe(SNAPSHOT.key(world))
+        self._models: GetModelsResponse | None = None
+        self._next_call_at = self._next_frame_at = clock()
+        self._received_at = clock()
+        self._fleet = RenderedFleet()
+        self._fleet_inputs: _FleetInputs | None = None
+        self._monitors: dict[str, CommandMonitor] = {}
+        self.error_text = ""
+        """Error of the last call for models; empty = success."""
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether the server has published nothing for `SERVER_TIMEOUT_S`."""
+        return self._clock() - self._received_at > SERVER_TIMEOUT_S
+
+    def close(self) -> None:
+        """Close all subscriptions."""
+        self._tokens.close()
+        self._snapshots.close()
+        for monitor in self._monitors.values():
+            monitor.close()
+
+    def newest(self) -> ViewState | None:
+        """Return the newest valid snapshot, if there is one and the frame period has passed."""
+        self._watch_server()
+        if not self.is_silent:
+            self._fetcher.fetch()
+        if self._clock() < self._next_frame_at:
+            return None
+        sample = self._snapshots.newest()
+        if sample is None:
+            return None
+        self._received_at = self._clock()
+        self._next_frame_at = self._received_at + MIN_FRAME_PERIOD_S
+        try:
+            snapshot = decode(Snapshot, sample.payload, sample.encoding)
+            return self._view(snapshot)
+        except (MalformedPayload, UnknownEntity, MismatchedSnapshot):
+            return None
+
+    def commands(self, entities: frozenset[str]) -> dict[str, LastCommand]:
+        """Subscribe to the commands of exactly these entities; return the last of each."""
+        namespaces = {e: m.namespace for e, m in self._fleet.members.items() if e in entities}
+        for gone in self._monitors.keys() - namespaces.keys():
+            self._monitors.pop(gone).close()
+        for entity in namespaces.keys() - self._monitors.keys():
+            samples = self._network.subscribe(CMD_VEL.key(namespaces[entity]))
+            self._monitors[entity] = CommandMonitor(samples)
+        now = self._clock()
+        commands = {entity: monitor.last(now) for entity, monitor in self._monitors.items()}
+        return {entity: command for entity, command in commands.items() if command is not None}
+
+    def _watch_server(self) -> None:
+        for _, is_alive in self._tokens.take():
+            if is_alive:
+                self._models = None
+                self._received_at = self._clock()
+            else:
+                self._received_at = float("-inf")
+
+    def _view(self, snapshot: Snapshot) -> ViewState | None:
+        if self._models is None or snapshot.roster != self._models.roster:
+            self._request_models()
+        if self._models is None:
+            return None
+        inputs = (snapshot.names, self._models, self._fetcher.meshes)
+        if inputs != self._fleet_inputs:
+            self._fleet = make_fleet(*inputs)
+            self._fleet_inputs = inputs
+        status = SimulationStatus(
+            state=snapshot.state,
+            sim_time_s=snapshot.time_ns / 1e9,
+            real_time_factor=snapshot.real_time_factor,
+            robots=len(self._fleet.robots),
+            entities=len(snapshot.names),
+        )
+        return ViewState(self._fleet, make_frame(self._fleet, snapshot), status)
+
+    def _request_models(self) -> None:
+        if self._clock() < self._next_call_at:
+            return
+        try:
+            self._models = self._network.call(
+                GET_MODELS, GetModelsRequest(), world=self._world, timeout_s=CALL_TIMEOUT_S
+            )
+            self._fetcher.set_models(self._models.models)
+            self.error_text = ""
+        except (BusError, ServiceError, TimeoutError, MalformedPayload) as error:
+            self.error_text = f"cannot get the models of the robots: {error}"
+        self._next_call_at = self._clock() + MODELS_RETRY_S
+
 
 IDLE_S: Final = 0.1
 """Period of the loop without clients."""

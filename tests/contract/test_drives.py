@@ -25,10 +25,7 @@ from zensim.sim_server.description.plugins.plugin_registry import DRIVE_PLUGINS
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.actuation import make_actuation
 from zensim.sim_server.physics.kinematic.kinematic_robots import compute_steered_twists
-from zensim.sim_server.physics.kinematic.planar_vehicle import (
-    make_mesh_reader,
-    make_planar_vehicle,
-)
+from zensim.sim_server.physics.kinematic.planar_vehicle import make_mesh_reader, make_planar_vehicle
 
 
 def read_model(name: str) -> Model:

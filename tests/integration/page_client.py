@@ -5,7 +5,7 @@ import viser
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
-from zensim.spawner.page.scene_setup import FOV_RAD, START_CAMERA
+from zensim.spawner.page.viewer_page import FOV_RAD, START_CAMERA
 
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 

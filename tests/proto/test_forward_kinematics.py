@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 
 from tests.models import a_body, a_cart, a_state, an_arm
-from zensim.proto.forward_kinematics import (
-    compute_link_poses,
-    compute_link_states,
-)
+from zensim.proto.forward_kinematics import compute_link_poses, compute_link_states
 from zensim.proto.messages.model_messages import Frame, Joint, JointKind, Link, Model, Origin
 from zensim.proto.se3 import FloatArray, compose, from_rpy, multiply, rotate
 

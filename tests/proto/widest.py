@@ -5,14 +5,7 @@ from typing import Annotated, ClassVar
 import msgspec
 
 from tests.proto.ros_oracle import define
-from zensim.proto.messages.scalar_types import (
-    Int8,
-    Int32,
-    UInt8,
-    UInt16,
-    UInt32,
-    UInt64,
-)
+from zensim.proto.messages.scalar_types import Int8, Int32, UInt8, UInt16, UInt32, UInt64
 from zensim.proto.messages.standard_messages import Point
 
 Int16 = Annotated[int, msgspec.Meta(ge=-0x8000, le=0x7FFF, extra={"cdr": "h"})]

@@ -4,11 +4,7 @@ import msgspec
 import pytest
 
 from tests.robot_agent.models import AT_REST, DRIVE, WHEELS, two_wheeler
-from zensim.proto.messages.drive_messages import (
-    Compat,
-    Limits,
-    PlanarMove,
-)
+from zensim.proto.messages.drive_messages import Compat, Limits, PlanarMove
 from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.robot_agent.base_controller import BaseController
 from zensim.robot_agent.drive_state_decoder import RobotState

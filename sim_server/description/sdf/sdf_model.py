@@ -43,12 +43,14 @@ from zensim.sim_server.description.sdf.sdf_includes import (
     mark_versions,
     no_includes,
 )
-from zensim.sim_server.description.sdf.sdf_joints import (
+from zensim.sim_server.description.sdf.sdf_links import (
+    DEFAULT_INERTIAL,
     JointElement,
+    LinkElement,
     SdfJointReader,
+    SdfLinkReader,
     find_spanning_tree,
 )
-from zensim.sim_server.description.sdf.sdf_links import DEFAULT_INERTIAL, LinkElement, SdfLinkReader
 from zensim.sim_server.description.sdf.sdf_schema import report_unused_tags
 from zensim.sim_server.description.sdf.sdf_values import (
     read_flag,
@@ -311,8 +313,8 @@ def _find_model(sdf: Element, report: ParseReport) -> Element:
     if len(models) != 1 or (len(owner) != 1 and owner is sdf):
         content = ", ".join(f"<{child.tag[:40]}>" for child in list(owner)[:5]) or "nothing"
         raise ModelError(
-            f"<{owner.tag}> contains {content}; a robot file contains one <model> and nothing else; "
-            "load a world with zensim serve --world",
+            f"<{owner.tag}> contains {content}; a robot file contains one <model> and nothing "
+            "else; load a world with zensim serve --world",
             code=SpawnCode.UNSUPPORTED_FORMAT,
             slug="sdf.model",
         )

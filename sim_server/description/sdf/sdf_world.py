@@ -85,7 +85,8 @@ def read_named_pose(frame: Element, name: str, origin: Origin) -> BoundedPose:
     if is_long or len(tags) > MAX_TAGS:
         raise ModelError(
             f"frame {quote(name)} has {len(tags)} tags and {len(description)} characters of "
-            f"description; use at most {MAX_TAGS} of {MAX_TAG_LENGTH}, and {MAX_DESCRIPTION_LENGTH}",
+            f"description; use at most {MAX_TAGS} of {MAX_TAG_LENGTH}, "
+            f"and {MAX_DESCRIPTION_LENGTH}",
             slug="sdf.named_pose",
         )
     pose = Pose(Point(*origin.position), Quaternion(*origin.orientation))

@@ -5,6 +5,7 @@ The only importer of yourdfpy.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from io import BytesIO
 from typing import TYPE_CHECKING, get_args
 
@@ -27,7 +28,14 @@ from zensim.proto.messages.model_messages import (
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.se3 import FloatArray, from_matrix
 from zensim.sim_server.description.joint_reduction import LumpedModel, reduce_joints
-from zensim.sim_server.description.link_surfaces import read_named_colours, read_visual_colour
+from zensim.sim_server.description.link_surfaces import SURFACE_TAG_NAMES as SURFACE_TAGS
+from zensim.sim_server.description.link_surfaces import (
+    SurfaceParameters,
+    SurfaceTagReader,
+    find_gazebo_colour,
+    read_named_colours,
+    read_visual_colour,
+)
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
 from zensim.sim_server.description.model_geometry import make_origin
 from zensim.sim_server.description.parsed_model import (
@@ -40,31 +48,375 @@ from zensim.sim_server.description.parsed_model import (
     order_as_tree,
 )
 from zensim.sim_server.description.plugins.plugin_registry import make_model
+from zensim.sim_server.description.plugins.sensor_tags import SensorElement
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.strict_parsing import (
+    parse_flag,
     parse_xml,
     quote,
     read_numbers,
     to_single_line,
 )
-from zensim.sim_server.description.urdf.gazebo_extensions import (
-    GazeboExtensions,
-    apply_surfaces,
-    read_gazebo_extensions,
-)
-from zensim.sim_server.description.urdf.urdf_schema import (
-    INERTIAL,
-    JOINT,
-    LINK,
-    UrdfElementRule,
-    check_urdf_schema,
-)
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from lxml.etree import _Element as Element
 
     from zensim.proto.messages.model_messages import Quat
+
+NumberCounts = tuple[int, ...]
+TEXT: NumberCounts = ()
+ONE: NumberCounts = (1,)
+THREE: NumberCounts = (3,)
+MAX_TEXT_LENGTH = 256
+
+
+class UrdfElementRule(msgspec.Struct, frozen=True):
+    """Attributes and children of one element."""
+
+    attributes: dict[str, NumberCounts] = {}
+    """Allowed counts of numbers by name; `TEXT` for text."""
+    required: tuple[str, ...] = ()
+    """Attributes that must not be missing or empty."""
+    children: dict[str, UrdfElementRule] = {}
+    needed: tuple[str, ...] = ()
+    """Children that must not be missing."""
+    many: tuple[str, ...] = ()
+    """Children that may be repeated."""
+    unread: str = ""
+    """Reason why the element has no effect; empty when it has one."""
+    is_opaque: bool = False
+    """Its contents are not checked here."""
+
+
+ORIGIN = UrdfElementRule(attributes={"xyz": THREE, "rpy": THREE})
+COLOUR = UrdfElementRule(attributes={"rgba": (3, 4)})
+TEXTURE = UrdfElementRule(attributes={"filename": TEXT}, unread="textures are not drawn")
+MATERIAL = UrdfElementRule(
+    attributes={"name": TEXT}, children={"color": COLOUR, "texture": TEXTURE}
+)
+GEOMETRY = UrdfElementRule(
+    children={
+        "box": UrdfElementRule(attributes={"size": THREE}, required=("size",)),
+        "sphere": UrdfElementRule(attributes={"radius": ONE}, required=("radius",)),
+        "cylinder": UrdfElementRule(
+            attributes={"radius": ONE, "length": ONE}, required=("radius", "length")
+        ),
+        "capsule": UrdfElementRule(
+            attributes={"radius": ONE, "length": ONE}, required=("radius", "length")
+        ),
+        "mesh": UrdfElementRule(
+            attributes={"filename": TEXT, "scale": (1, 3)}, required=("filename",)
+        ),
+    }
+)
+COLLISION = UrdfElementRule(
+    attributes={"name": TEXT},
+    children={"origin": ORIGIN, "geometry": GEOMETRY},
+    needed=("geometry",),
+)
+VISUAL = msgspec.structs.replace(COLLISION, children={**COLLISION.children, "material": MATERIAL})
+MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+INERTIAL = UrdfElementRule(
+    children={
+        "origin": ORIGIN,
+        "mass": UrdfElementRule(attributes={"value": ONE}, required=("value",)),
+        "inertia": UrdfElementRule(
+            attributes=dict.fromkeys(MOMENTS, ONE), required=("ixx", "iyy", "izz")
+        ),
+    },
+    needed=("mass", "inertia"),
+)
+LINK = UrdfElementRule(
+    attributes={"name": TEXT},
+    required=("name",),
+    children={
+        "inertial": INERTIAL,
+        "visual": VISUAL,
+        "collision": COLLISION,
+        "contact": UrdfElementRule(
+            is_opaque=True, unread="Bullet only; set friction by <mu1> in <gazebo>"
+        ),
+    },
+    many=("visual", "collision"),
+)
+JOINT_END = UrdfElementRule(attributes={"link": TEXT}, required=("link",))
+JOINT = UrdfElementRule(
+    attributes={"name": TEXT, "type": TEXT},
+    required=("name", "type"),
+    children={
+        "origin": ORIGIN,
+        "parent": JOINT_END,
+        "child": JOINT_END,
+        "axis": UrdfElementRule(attributes={"xyz": THREE}),
+        "limit": UrdfElementRule(
+            attributes=dict.fromkeys(("lower", "upper", "effort", "velocity"), ONE)
+        ),
+        "dynamics": UrdfElementRule(attributes={"damping": ONE, "friction": ONE}),
+        "mimic": UrdfElementRule(
+            attributes={"joint": TEXT, "multiplier": ONE, "offset": ONE},
+            required=("joint",),
+        ),
+        "calibration": UrdfElementRule(
+            attributes=dict.fromkeys(("rising", "falling", "reference_position"), ONE),
+            unread="real encoders only",
+        ),
+        "safety_controller": UrdfElementRule(
+            attributes=dict.fromkeys(
+                ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"), ONE
+            ),
+            unread="real controllers only",
+        ),
+    },
+    needed=("parent", "child"),
+)
+ROBOT = UrdfElementRule(
+    attributes={"name": TEXT, "version": TEXT},
+    required=("name",),
+    children={
+        "link": LINK,
+        "joint": JOINT,
+        "material": msgspec.structs.replace(MATERIAL, required=("name",)),
+        "gazebo": UrdfElementRule(is_opaque=True),
+        "transmission": UrdfElementRule(is_opaque=True, unread="ros_control is not used"),
+        "ros2_control": UrdfElementRule(is_opaque=True, unread="ros2_control is not used"),
+        "sensor": UrdfElementRule(is_opaque=True, unread="no simulator reads it outside <gazebo>"),
+    },
+    many=("link", "joint", "material", "gazebo", "transmission", "ros2_control", "sensor"),
+)
+
+
+def check_urdf_schema(robot: Element, report: ParseReport) -> None:
+    """Check all tags and attributes outside <gazebo>; tags without effect are reported.
+
+    Raises:
+        ModelError: A required tag or attribute is missing, or a value is not a number.
+    """
+    _check_element(robot, ROBOT, "robot", report)
+
+
+def _check_element(element: Element, tag: UrdfElementRule, where: str, report: ParseReport) -> None:
+    if tag.unread:
+        report.ignored(where, tag.unread)
+    if tag.is_opaque:
+        return
+    _check_attributes(element, tag, where, report)
+    if tag is GEOMETRY:
+        _check_geometry(element, where, report)
+    seen: set[str] = set()
+    for child in element:
+        _check_child(child, tag, where, report)
+        if child.tag in seen and child.tag in tag.children and child.tag not in tag.many:
+            report.suspicious(
+                _describe_place(where, child), "given more than once; the first is used"
+            )
+        seen.add(child.tag)
+    for needed in tag.needed:
+        if needed not in seen:
+            raise ModelError(f"{where} has no <{needed}>; add one", slug=f"urdf.{needed}")
+
+
+def _check_child(child: Element, tag: UrdfElementRule, where: str, report: ParseReport) -> None:
+    if child.tag in tag.children:
+        _check_element(child, tag.children[child.tag], _describe_place(where, child), report)
+    else:
+        report.unread_tag(where, child.tag, tag.children)
+
+
+def _check_attributes(
+    element: Element, tag: UrdfElementRule, where: str, report: ParseReport
+) -> None:
+    for name, value in element.attrib.items():
+        if name not in tag.attributes:
+            report.unknown(f"{where}: attribute {name[:80]}", "not read")
+        elif counts := tag.attributes[name]:
+            read_numbers(value, counts=counts, where=f"{where}, {name}", slug="urdf.number")
+        elif len(value) > MAX_TEXT_LENGTH or not value.isprintable():
+            raise ModelError(
+                f"{where}, {name}: {value[:40]!r}... cannot be used; "
+                f"write at most {MAX_TEXT_LENGTH} printable characters",
+                slug="urdf.text",
+            )
+    for name in tag.required:
+        if not (element.get(name) or "").strip():
+            raise ModelError(f'{where} has no {name}; write {name}="..."', slug=f"urdf.{name}")
+
+
+def _check_geometry(geometry: Element, where: str, report: ParseReport) -> None:
+    shapes = [child.tag for child in geometry]
+    if not shapes or shapes[0] not in GEOMETRY.children:
+        content = f"<{shapes[0][:80]}>" if shapes else "nothing"
+        raise ModelError(
+            f"{where} contains {content}; write one of {', '.join(GEOMETRY.children)}",
+            slug="urdf.geometry",
+        )
+    if len(shapes) > 1:
+        report.suspicious(where, f"{len(shapes)} shapes; the first is used")
+
+
+def _describe_place(where: str, child: Element) -> str:
+    if where != "robot":
+        return f"{where}, {child.tag}"
+    name = child.get("name")
+    return f"{child.tag} {name[:80]!r}" if name else f"{child.tag} at line {child.sourceline}"
+
+
+_NO_EFFECT = "Gazebo tag without effect"
+KEEP_JOINT_TAGS = ("preserveFixedJoint", "disableFixedJointLumping")
+LINK_TAGS = (*SURFACE_TAGS, "material", "sensor")
+UNUSED_LINK_TAGS = dict.fromkeys(("laserRetro", "maxContacts", "max_contacts"), _NO_EFFECT)
+UNUSED_JOINT_TAGS = dict.fromkeys(
+    (
+        "cfmDamping", "dampingFactor", "erp", "fudgeFactor", "implicitSpringDamper",
+        "initial_joint_position", "provideFeedback", "springReference", "springStiffness",
+        "stopCfm", "stopErp",
+    ),
+    _NO_EFFECT,
+)  # fmt: skip
+MODEL_TAGS = ("plugin", "static", "self_collide")
+UNUSED_MODEL_TAGS = {
+    "allow_auto_disable": _NO_EFFECT,
+    "enable_wind": _NO_EFFECT,
+    "pose": "the pose is set by the spawn request",
+}
+
+
+@dataclass
+class GazeboExtensions:
+    """Contents of the <gazebo> blocks.
+
+    Attributes:
+        surface_texts: Texts of surface tags, by link.
+        surfaces: The same, read.
+        colours: By link; they override the colours of URDF materials, as in Gazebo.
+        kept_joints: Fixed joints that are not lumped.
+        plugins: Of the model.
+        sensors: Of links.
+        is_static: The robot does not move.
+        self_collides: All links collide with each other.
+    """
+
+    surface_texts: dict[str, dict[str, str]] = field(default_factory=dict)
+    surfaces: dict[str, SurfaceParameters] = field(default_factory=dict)
+    colours: dict[str, Quat] = field(default_factory=dict)
+    kept_joints: set[str] = field(default_factory=set)
+    plugins: list[Element] = field(default_factory=list)
+    sensors: list[SensorElement] = field(default_factory=list)
+    is_static: bool = False
+    self_collides: bool = False
+
+
+def read_gazebo_extensions(
+    robot: Element, parts: ParsedModel, report: ParseReport
+) -> GazeboExtensions:
+    """Read all <gazebo> blocks; the last of equal tags is used.
+
+    Raises:
+        ModelError: A friction is not a number >= 0.
+    """
+    blocks = GazeboExtensions()
+    links = {link.name for link in parts.links}
+    joints = {joint.name for joint in parts.joints}
+    for block in robot.findall("gazebo"):
+        reference = block.get("reference")
+        for child in block:
+            if reference is None:
+                _read_model_tag(child, blocks, report)
+            elif reference in links:
+                _read_link_tag(reference, child, blocks, report)
+            elif reference in joints:
+                _read_joint_tag(reference, child, blocks, report)
+        if reference is not None and reference not in links | joints:
+            report.suspicious(
+                f"gazebo {reference[:80]!r}", "no link or joint has this name; block not read"
+            )
+    for link, texts in blocks.surface_texts.items():
+        tags = SurfaceTagReader(texts, subject=f"gazebo {link!r}", slug="gazebo.mu1", report=report)
+        blocks.surfaces[link] = tags.read()
+    return blocks
+
+
+def apply_surfaces(links: Iterable[Link], blocks: GazeboExtensions) -> tuple[Link, ...]:
+    """Apply the surfaces and colours of the blocks to links before lumping."""
+    return tuple(_apply_surface(link, blocks) for link in links)
+
+
+def _apply_surface(link: Link, blocks: GazeboExtensions) -> Link:
+    replace = msgspec.structs.replace
+    if link.name in blocks.surfaces:
+        link = blocks.surfaces[link.name].apply_to_link(link)
+    if link.name in blocks.colours:
+        colour = blocks.colours[link.name]
+        link = replace(link, visuals=tuple(replace(shape, rgba=colour) for shape in link.visuals))
+    return replace(link, self_collides=True) if blocks.self_collides else link
+
+
+def _read_model_tag(child: Element, blocks: GazeboExtensions, report: ParseReport) -> None:
+    if child.tag == "plugin":
+        blocks.plugins.append(child)
+    elif child.tag == "static":
+        blocks.is_static = bool(parse_flag(_element_text(child)))
+        report.applied("gazebo: <static>", "the robot does not move" if blocks.is_static else "")
+    elif child.tag == "self_collide":
+        blocks.self_collides = bool(parse_flag(_element_text(child)))
+        report.applied("gazebo: <self_collide>")
+    elif child.tag in UNUSED_MODEL_TAGS:
+        report.ignored(f"gazebo: <{child.tag}>", UNUSED_MODEL_TAGS[child.tag])
+    else:
+        report.unread_tag("gazebo", child.tag, (*MODEL_TAGS, *UNUSED_MODEL_TAGS))
+
+
+def _read_link_tag(
+    link: str, child: Element, blocks: GazeboExtensions, report: ParseReport
+) -> None:
+    subject = f"gazebo {link!r}"
+    if child.tag in SURFACE_TAGS:
+        blocks.surface_texts.setdefault(link, {})[SURFACE_TAGS[child.tag]] = _element_text(child)
+    elif child.tag == "material":
+        _read_material(link, child, blocks, report)
+    elif child.tag == "sensor":
+        blocks.sensors.append(SensorElement(link, child))
+    elif child.tag == "plugin":
+        report.suspicious(
+            f"{subject}: <plugin>", "not read in a block with a reference; remove the reference"
+        )
+    elif child.tag in UNUSED_LINK_TAGS:
+        report.ignored(f"{subject}: <{child.tag}>", UNUSED_LINK_TAGS[child.tag])
+    else:
+        report.unread_tag(subject, child.tag, (*LINK_TAGS, *UNUSED_LINK_TAGS))
+
+
+def _read_material(
+    link: str, child: Element, blocks: GazeboExtensions, report: ParseReport
+) -> None:
+    subject, name = f"gazebo {link!r}: <material>", _element_text(child)
+    colour = find_gazebo_colour(name)
+    if colour is None:
+        report.unknown(subject, f"no colour is named {name[:80]!r}")
+    else:
+        blocks.colours[link] = colour
+        report.applied(subject, name)
+
+
+def _read_joint_tag(
+    joint: str, child: Element, blocks: GazeboExtensions, report: ParseReport
+) -> None:
+    subject = f"gazebo {joint!r}"
+    if child.tag in KEEP_JOINT_TAGS:
+        if parse_flag(_element_text(child)):
+            blocks.kept_joints.add(joint)
+        report.applied(f"{subject}: <{child.tag}>")
+    elif child.tag in UNUSED_JOINT_TAGS:
+        report.ignored(f"{subject}: <{child.tag}>", UNUSED_JOINT_TAGS[child.tag])
+    else:
+        report.unread_tag(subject, child.tag, (*KEEP_JOINT_TAGS, *UNUSED_JOINT_TAGS))
+
+
+def _element_text(child: Element) -> str:
+    return (child.text or child.get("value") or "").strip()
+
 
 ROUND_SIZE_ATTRIBUTES = {
     "sphere": ("radius",),

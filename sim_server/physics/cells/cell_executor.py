@@ -144,7 +144,7 @@ class WorkerCellExecutor:
             self._workers.append(CellWorkerClient(self._orders, len(self._workers) + 1))
 
     def make(self) -> Engine:
-        """See `CellExecutor.make`; the process with the fewest cells gets it, of equals a worker."""
+        """See `CellExecutor.make`; the process with the fewest cells gets it, a worker first."""
         if self._own:
             self.start()
         emptiest = min(self._workers, key=lambda worker: worker.cells, default=None)

@@ -13,9 +13,7 @@ from zensim.proto.messages.drive_messages import DiffDrive, WheelPair
 from zensim.proto.messages.model_messages import Joint, Link, Model, Origin, Shape
 from zensim.proto.rigid_transforms import rotate, transform_point
 from zensim.proto.stl import read_corners
-from zensim.sim_server.description.model_geometry import (
-    find_link_poses,
-)
+from zensim.sim_server.description.model_geometry import find_link_poses
 from zensim.sim_server.physics.actuation import make_actuation
 from zensim.sim_server.physics.engine import EngineRefused, FloatArray
 from zensim.sim_server.scene.footprints import Footprint, MeshTriangles, measure_footprint

@@ -279,7 +279,7 @@ class TierIndexMapCache:
         return mapping
 
     def invalidate(self) -> None:
-        """Drop all maps after bodies changed; forget tuples that were not used since the last time."""
+        """Drop all maps after bodies changed; forget tuples that were not used since."""
         kept = list(self._kept.items())
         self._kept.clear()
         for number, (bodies, numbers, mapping) in kept:

@@ -55,7 +55,7 @@ class TieredEngine(EngineLayer):
         return int((self._bodies.rows.tier == Tier.KINEMATIC).sum())
 
     def add(self, model: Model, base: FloatArray) -> int:
-        """See `Engine.add`; also refuses a model that requires the kinematic tier and cannot use it."""
+        """See `Engine.add`; refuses a model that needs the kinematic tier and cannot use it."""
         bodies, plan = self._bodies, self._plans.plan(model)
         is_auto = self._plans.dynamics(model) == "auto"
         number = -1
@@ -85,7 +85,7 @@ class TieredEngine(EngineLayer):
         self._inner.show(numbers[numbers >= 0].tolist())
 
     def find_overlaps(self, body: int) -> Sequence[int]:
-        """See `Engine.find_overlaps`; kinematic bodies are added to the full engine if discs overlap."""
+        """See `Engine.find_overlaps`; kinematic bodies whose discs overlap join the engine."""
         bodies = self._bodies
         full = bodies.rows.full
         guests, is_by_edge = (

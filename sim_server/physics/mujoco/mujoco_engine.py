@@ -1,18 +1,22 @@
 """The Engine over MuJoCo. The only module that imports mujoco."""
 
 import math
-from collections.abc import Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
+from typing import Generic, Protocol, TypeVar
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.se3 import conjugate, rotate
-from zensim.sim_server.physics.actuation import make_actuation
+from zensim.sim_server.physics.actuation import impose_planar_twists, make_actuation
 from zensim.sim_server.physics.blueprint import BlueprintCache, check_mesh_files
 from zensim.sim_server.physics.engine import (
     BodyStates,
@@ -22,14 +26,15 @@ from zensim.sim_server.physics.engine import (
     FloatArray,
 )
 from zensim.sim_server.physics.engine_config import EngineConfig
-from zensim.sim_server.physics.link_forces import make_link_forces
+from zensim.sim_server.physics.link_forces import LinkForce, make_link_forces
 from zensim.sim_server.physics.mujoco.body_selection import (
     QPOS_POSE_ORDER,
     BodySelection,
     MujocoBody,
+    StateGather,
     make_body_selection,
+    make_state_gather,
 )
-from zensim.sim_server.physics.mujoco.compile_cache import CompileCache
 from zensim.sim_server.physics.mujoco.convex_pieces import load_convex_pieces
 from zensim.sim_server.physics.mujoco.mjcf import (
     MAX_PARTS,
@@ -54,6 +59,8 @@ from zensim.sim_server.physics.mujoco.slot_layout import (
 )
 from zensim.sim_server.physics.mujoco.slot_state import (
     MAX_STATE_VALUE,
+    POSITION_ERP,
+    ActuatorTargets,
     activate_motors,
     activate_slot,
     copy_slot_states,
@@ -63,7 +70,197 @@ from zensim.sim_server.physics.mujoco.slot_state import (
     is_within_limits,
     make_zero_targets,
 )
-from zensim.sim_server.physics.mujoco.step_inputs import make_step_inputs
+
+MAX_CACHED_MODELS = 24
+PRECOMPILE_MIN_SLOTS, PRECOMPILE_MAX_SLOTS = 16, 256
+"""Slots of an archetype: fewer compile fast, and cells have no more."""
+
+Compiled = TypeVar("Compiled")
+CompileKey = tuple[SlotCounts, EngineConfig]
+
+
+class CompileCache(Generic[Compiled]):
+    """Least recently used cache of compiled models, shared by the engines of a process."""
+
+    def __init__(self, compile_model: Callable[[SlotCounts, EngineConfig], Compiled]) -> None:
+        """Make a cache; `compile_model` raises ValueError, and releases the interpreter's lock."""
+        self._compile = compile_model
+        self._compiled_models: OrderedDict[CompileKey, Future[Compiled]] = OrderedDict()
+        self._thread = ThreadPoolExecutor(1, "mujoco-compile")
+
+    def is_ready(self, counts: SlotCounts, config: EngineConfig) -> bool:
+        """Whether `compile` would not wait; if not, start compiling on the thread."""
+        return self._start((counts, config)).done()
+
+    def compile(self, counts: SlotCounts, config: EngineConfig) -> Compiled:
+        """Find or compile a model; raises ValueError if MuJoCo cannot compile it."""
+        key = counts, config
+        if (found := self._compiled_models.get(key)) is None:
+            found = self._compiled_models[key] = Future()
+            _compile_into(found, self._compile, key)
+        self._compiled_models.move_to_end(key)
+        while len(self._compiled_models) > MAX_CACHED_MODELS:
+            self._compiled_models.popitem(last=False)
+        return found.result()
+
+    def compile_ahead(self, counts: SlotCounts, archetype: Archetype, config: EngineConfig) -> None:
+        """Start compiling models with twice and four times the slots of an archetype."""
+        slots = dict(counts)[archetype]
+        if slots < PRECOMPILE_MIN_SLOTS:
+            return
+        for more in (2 * slots, 4 * slots):
+            if more <= PRECOMPILE_MAX_SLOTS:
+                self._start((tuple({**dict(counts), archetype: more}.items()), config))
+
+    def _start(self, key: CompileKey) -> "Future[Compiled]":
+        if (found := self._compiled_models.get(key)) is None:
+            found = self._compiled_models[key] = self._thread.submit(self._compile, *key)
+        return found
+
+
+def _compile_into(
+    future: "Future[Compiled]",
+    compile_model: Callable[[SlotCounts, EngineConfig], Compiled],
+    key: CompileKey,
+) -> None:
+    try:
+        future.set_result(compile_model(*key))
+    except ValueError as error:
+        future.set_exception(error)
+
+
+class MjBodyMotions(Protocol):
+    """Arrays of `mujoco.MjData` about the motion of bodies."""
+
+    cvel: FloatArray
+    xipos: FloatArray
+    ximat: FloatArray
+    subtree_com: FloatArray
+    xfrc_applied: FloatArray
+
+
+@dataclass(frozen=True)
+class LinkForceArrays:
+    """`LinkForce` as arrays, by the index (n,) of MuJoCo's bodies."""
+
+    bodies: IndexArray
+    gravity_forces: FloatArray
+    arms: FloatArray
+    linear_dampings: FloatArray
+    angular_dampings: FloatArray
+
+    def __len__(self) -> int:
+        """Number of links with forces."""
+        return len(self.bodies)
+
+    def apply(self, data: MjBodyMotions, roots: npt.NDArray[np.int32]) -> None:
+        """Add the forces of the next step; `roots` (bodies,) is the root of each body."""
+        bodies = self.bodies
+        spins = data.cvel[bodies, :3]
+        # MuJoCo's velocities refer to the centre of mass of the whole robot.
+        arms = data.xipos[bodies] - data.subtree_com[roots[bodies]]
+        linear = data.cvel[bodies, 3:] + np.cross(spins, arms)
+        rotations = data.ximat[bodies].reshape(-1, 3, 3)
+        data.xfrc_applied[bodies] += self.wrenches(rotations, linear, spins)
+
+    def wrenches(
+        self, rotations: FloatArray, linear: FloatArray, angular: FloatArray
+    ) -> FloatArray:
+        """Find forces and torques (n, 6) at the centres of mass, in the world.
+
+        Args:
+            rotations: (n, 3, 3) of the principal axes in the world.
+            linear: (n, 3) of the centres of mass.
+            angular: (n, 3).
+        """
+        arms = np.einsum("nij,nj->ni", rotations, self.arms)
+        spins = np.einsum("nji,nj->ni", rotations, angular)
+        damping = np.einsum("nij,nj->ni", rotations, self.angular_dampings * spins)
+        forces = self.gravity_forces - self.linear_dampings[:, None] * linear
+        return np.concatenate([forces, np.cross(arms, self.gravity_forces) - damping], axis=1)
+
+
+def make_link_force_arrays(loads: Iterable[tuple[int, LinkForce]]) -> LinkForceArrays:
+    """Make arrays of link forces, each with the index of its body."""
+    found = list(loads)
+    return LinkForceArrays(
+        np.array([body for body, _ in found], np.intp),
+        np.array([load.gravity_force for _, load in found]).reshape(-1, 3),
+        np.array([load.arm for _, load in found]).reshape(-1, 3),
+        np.array([load.linear_damping for _, load in found]),
+        np.array([load.angular_damping for _, load in found]).reshape(-1, 3),
+    )
+
+
+@dataclass(frozen=True)
+class StepInputs:
+    """Indexes of all that a step has to set.
+
+    Attributes:
+        motors: Indexes in qvel of degrees of freedom with friction, in the order of MuJoCo's rows.
+        position_motors, position_qpos: Which of them hold an angle, and their indexes in qpos.
+        twisted_roots: Roots with a planar twist.
+        link_forces: Gravity compensation and damping.
+    """
+
+    motors: IndexArray
+    position_motors: IndexArray
+    position_qpos: IndexArray
+    twisted_roots: StateGather
+    link_forces: LinkForceArrays
+
+    def speeds(self, targets: ActuatorTargets, qpos: FloatArray, dt_s: float) -> FloatArray:
+        """Find the target speed of each motor in this step; 0 for joints with friction only."""
+        speeds = targets.speeds[self.motors]
+        if len(self.position_motors):
+            errors = targets.angles[self.motors[self.position_motors]] - qpos[self.position_qpos]
+            speeds[self.position_motors] = POSITION_ERP / dt_s * errors
+        return speeds
+
+    def impose_twists(self, targets: ActuatorTargets, qpos: FloatArray, qvel: FloatArray) -> None:
+        """Set the planar velocity of roots in `qvel`."""
+        rows = self.twisted_roots.read_bases(
+            np.empty((len(self.twisted_roots.free), 13)), qpos, qvel
+        )
+        indexes = self.twisted_roots.twists
+        twists = targets.twists[indexes[:, :3]]
+        arms = np.zeros((len(rows), 3))
+        velocities = impose_planar_twists(rows[:, 7:], rows[:, 3:7], arms, twists)
+        qvel[indexes[:, :3]] = velocities[:, :3]
+        qvel[indexes[:, 3:]] = rotate(conjugate(rows[:, 3:7]), velocities[:, 3:])
+
+
+def make_step_inputs(
+    bodies: Iterable[MujocoBody],
+    targets: ActuatorTargets,
+    friction: FloatArray,
+    qpos_indexes: IndexArray,
+) -> StepInputs:
+    """Collect the inputs of the active bodies.
+
+    Args:
+        bodies: Active bodies.
+        targets: Of all degrees of freedom.
+        friction: Of each degree of freedom.
+        qpos_indexes: Index in qpos of the joint of each degree of freedom.
+    """
+    bodies = list(bodies)
+    motors = np.flatnonzero(friction > 0.0)
+    position_motors = np.flatnonzero(targets.is_position[motors])
+    free = [body.address for body in bodies if body.address.is_free]
+    return StepInputs(
+        motors,
+        position_motors,
+        qpos_indexes[motors[position_motors]],
+        make_state_gather(
+            [address for address in free if targets.is_twist_imposed[address.start.velocities]]
+        ),
+        make_link_force_arrays(
+            (body.address.start.bodies + body.address.layout.bodies[load.part + 1], load)
+            for body in bodies
+            for load in body.loads
+        ),
+    )
 
 
 def find_near_geometries(centres: FloatArray, radii: FloatArray, own: IndexArray) -> IndexArray:

@@ -13,10 +13,9 @@ from tests.sim_server.fakes import (
     make_parts,
 )
 from zensim.sim_server.journal.batch_writer import BatchWriter
-from zensim.sim_server.journal.change_tracker import ChangeTracker
 from zensim.sim_server.journal.journal_contents import JournalContents, read_contents
 from zensim.sim_server.journal.journal_records import JournalRecord
-from zensim.sim_server.journal.server_journal import Journal
+from zensim.sim_server.journal.server_journal import ChangeTracker, Journal
 from zensim.sim_server.journal.sqlite_store import SqliteStore, open_store
 from zensim.sim_server.runtime.loop import ServerLoop
 from zensim.sim_server.world.simulated_world import World

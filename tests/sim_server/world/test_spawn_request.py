@@ -3,11 +3,7 @@
 import pytest
 
 from zensim.sim_server.errors import NameNotUnique, NameRefused, NamespaceRefused
-from zensim.sim_server.world.spawn_request import (
-    MAX_RENAMES,
-    check_free_namespace,
-    find_free_name,
-)
+from zensim.sim_server.world.spawn_request import MAX_RENAMES, check_free_namespace, find_free_name
 
 
 def test_name_is_kept_when_it_is_free() -> None:

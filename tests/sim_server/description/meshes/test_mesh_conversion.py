@@ -12,11 +12,13 @@ from zensim.sim_server.description.meshes.mesh_conversion import (
     MAX_PIECE_TRIANGLES,
     MAX_STATIC_TRIANGLES_OF_MODEL,
     MeshConversions,
+    Triangles,
     convert_meshes,
     convex_hull,
     decimate,
+    read_mesh,
+    write_stl,
 )
-from zensim.sim_server.description.meshes.mesh_formats import Triangles, read_mesh, write_stl
 from zensim.sim_server.errors import ModelError
 
 BOX = trimesh.creation.box((1.0, 2.0, 3.0))

@@ -17,12 +17,7 @@ from tests.sim_server.description.robots import (
     subjects,
 )
 from tests.sim_server.description.sdf_robots import PIONEER
-from zensim.proto.messages.drive_messages import (
-    DiffDrive,
-    Limits,
-    RosBlock,
-    WheelPair,
-)
+from zensim.proto.messages.drive_messages import DiffDrive, Limits, RosBlock, WheelPair
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.sdf.sdf_model import read_sdf_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf

@@ -2,16 +2,8 @@
 
 import pytest
 
-from tests.sim_server.description.robots import (
-    a_cart,
-    a_plugin,
-    mentions,
-    subjects,
-)
-from zensim.proto.messages.drive_messages import (
-    PlanarMove,
-    RosBlock,
-)
+from tests.sim_server.description.robots import a_cart, a_plugin, mentions, subjects
+from zensim.proto.messages.drive_messages import PlanarMove, RosBlock
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 
 PLANAR = "libgazebo_ros_planar_move.so"

@@ -12,11 +12,7 @@ from tests.sim_server.description.robots import (
     report_of,
     subjects,
 )
-from zensim.proto.messages.drive_messages import (
-    AckermannDrive,
-    TricycleDrive,
-    WheelPair,
-)
+from zensim.proto.messages.drive_messages import AckermannDrive, TricycleDrive, WheelPair
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import ModelError
 

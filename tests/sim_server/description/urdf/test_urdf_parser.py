@@ -1,4 +1,4 @@
-"""URDF texts become models, or errors with a slug."""
+"""Unknown, unused and missing elements of URDF."""
 
 import logging
 import math
@@ -13,11 +13,13 @@ from tests.sim_server.description.robots import (
     a_collision,
     a_joint,
     a_link,
+    a_reference,
     a_robot,
     a_visual,
     an_inertial,
     link_names,
     mentions,
+    report_of,
     subjects,
 )
 from zensim.proto.messages.model_messages import DiffDrive, Frame, Model, Origin, WheelPair
@@ -29,6 +31,97 @@ from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.strict_parsing import parse_xml
 from zensim.sim_server.description.urdf.urdf_parser import read_links_and_joints, read_urdf
 from zensim.sim_server.errors import ModelError
+
+BODY = a_link("body", an_inertial() + a_collision())
+CASTER = a_link("caster", a_collision()) + a_joint("j", ("body", "caster"))
+
+
+def frictions(*parts: str) -> list[float]:
+    return [shape.friction for shape in read_urdf(a_robot(*parts)).links[0].collisions]
+
+
+def test_friction_stays_with_its_own_collision_when_links_merge() -> None:
+    block = a_reference("caster", "<mu1>0</mu1>")
+
+    assert frictions(BODY, CASTER, block) == [1.0, 0.0]
+
+
+@pytest.mark.parametrize("tag", ["<mu1> 0.5 </mu1>", '<mu1 value="0.5"/>'])
+def test_friction_is_read_when_written_as_text_or_value(tag: str) -> None:
+    assert frictions(BODY, a_reference("body", tag)) == [0.5]
+
+
+def test_last_friction_is_used_when_two_blocks_have_one() -> None:
+    blocks = a_reference("body", "<mu1>0.5</mu1>") + a_reference("body", "<mu1>0.25</mu1>")
+
+    assert frictions(BODY, blocks) == [0.25]
+
+
+@pytest.mark.parametrize("value", ["-1", "nan", "slippery", ""])
+def test_friction_is_refused_when_it_is_invalid(value: str) -> None:
+    with pytest.raises(ModelError, match="'body', mu1") as caught:
+        read_urdf(a_robot(BODY, a_reference("body", f"<mu1>{value}</mu1>")))
+
+    assert caught.value.slug == "gazebo.mu1"
+
+
+@pytest.mark.parametrize("tag", ["preserveFixedJoint", "disableFixedJointLumping"])
+def test_fixed_joint_is_kept_when_asked_for(tag: str) -> None:
+    model = read_urdf(a_robot(BODY, CASTER, a_reference("j", f"<{tag}>true</{tag}>")))
+
+    assert link_names(model) == ["body", "caster"]
+    assert model.joints[0].kind == "fixed"
+
+
+def test_fixed_joint_is_lumped_when_keeping_is_switched_off() -> None:
+    block = a_reference("j", "<preserveFixedJoint>false</preserveFixedJoint>")
+
+    assert link_names(read_urdf(a_robot(BODY, CASTER, block))) == ["body"]
+
+
+def test_robot_is_static_when_its_block_sets_it() -> None:
+    assert read_urdf(a_robot(BODY, "<gazebo><static>true</static></gazebo>")).is_static
+
+
+def test_report_lists_the_effect_of_each_gazebo_tag() -> None:
+    entries = report_of(
+        a_robot(
+            BODY,
+            CASTER,
+            a_reference("body", "<mu1>1</mu1><kp>1e6</kp><mu_1>1</mu_1><zebra/>"),
+            a_reference("body", "<material>Gazebo/Red</material>"),
+            a_reference("body", "<material>Gazebo/Plaid</material>"),
+            a_reference("body", '<sensor type="imu" name="s"><any/></sensor>'),
+            a_reference("body", '<plugin name="p" filename="f"/>'),
+            a_reference("j", "<stopCfm>0</stopCfm><preserveFixedJoints>1</preserveFixedJoints>"),
+            a_reference("ghost", "<mu1>1</mu1>"),
+            "<gazebo><self_collide>1</self_collide><zebra/></gazebo>",
+        )
+    )
+
+    assert subjects(entries, "applied")[-4:] == [
+        "gazebo 'body': <material>",
+        "gazebo: <self_collide>",
+        "gazebo 'body': <mu1>",
+        "gazebo 'body': <kp>",
+    ]
+    assert subjects(entries, "ignored") == ["gazebo 'j': <stopCfm>", "sensor 's' on 'body'"]
+    assert subjects(entries, "unknown") == [
+        "gazebo 'body': <zebra>",
+        "gazebo 'body': <material>",
+        "gazebo: <zebra>",
+    ]
+    assert subjects(entries, "suspicious") == [
+        "gazebo 'body': <mu_1>",
+        "gazebo 'body': <plugin>",
+        "gazebo 'j': <preserveFixedJoints>",
+        "gazebo 'ghost'",
+    ]
+    assert mentions(entries, "applied", "<kp>", "1e+06 N/m")
+    assert mentions(entries, "unknown", "'Gazebo/Plaid'")
+    assert mentions(entries, "suspicious", "<mu_1>", "<mu1>")
+    assert mentions(entries, "suspicious", "<preserveFixedJoints>", "<preserveFixedJoint>")
+
 
 MESH = '<geometry><mesh filename="package://r/body.stl" scale="2"/></geometry>'
 
@@ -371,3 +464,118 @@ def test_missing_collision_mesh_is_left_out_only_when_allowed() -> None:
     assert (caught.value.code, caught.value.slug) == (SpawnCode.MISSING_ASSETS, "mesh.missing")
     assert [shape.kind for shape in model.links[0].collisions] == ["sphere"]
     assert mentions(model.report, "suspicious", "link 'a'", "collision", "body.stl")
+
+
+PAIR = a_link("a", an_inertial()) + a_link("b", an_inertial())
+
+
+def slug_of(text: str) -> str:
+    with pytest.raises(ModelError) as caught:
+        read_urdf(text)
+    assert "\n" not in caught.value.message
+    return caught.value.slug
+
+
+@pytest.mark.parametrize(
+    ("text", "slug"),
+    [
+        ("<robot/>", "urdf.name"),
+        (a_robot("<link/>"), "urdf.name"),
+        (a_robot('<link name="  "/>'), "urdf.name"),
+        (a_robot(a_link("a"), "<joint/>"), "urdf.name"),
+        (a_robot(PAIR, '<joint name="j"/>'), "urdf.type"),
+        (a_robot(PAIR, '<joint name="j" type="fixed"><child link="b"/></joint>'), "urdf.parent"),
+        (a_robot(PAIR, '<joint name="j" type="fixed"><parent link="a"/></joint>'), "urdf.child"),
+        (a_robot(PAIR, '<joint name="j" type="fixed"><parent/><child/></joint>'), "urdf.link"),
+        (a_robot(a_link("a", "<inertial/>")), "urdf.mass"),
+        (a_robot(a_link("a", '<inertial><mass value="1"/></inertial>')), "urdf.inertia"),
+        (a_robot(a_link("a", "<inertial><mass/></inertial>")), "urdf.value"),
+        (a_robot(a_link("a", "<collision/>")), "urdf.geometry"),
+        (a_robot(a_link("a", a_collision("<geometry/>"))), "urdf.geometry"),
+        (a_robot(a_link("a", a_visual("<geometry><cone/></geometry>"))), "urdf.geometry"),
+        (a_robot(a_link("a", a_visual("<geometry><box/></geometry>"))), "urdf.size"),
+        (a_robot(a_link("a", a_visual("<geometry><mesh/></geometry>"))), "urdf.filename"),
+        (a_robot("<material/>"), "urdf.name"),
+    ],
+)
+def test_schema_refuses_a_missing_element(text: str, slug: str) -> None:
+    assert slug_of(text) == slug
+
+
+@pytest.mark.parametrize(
+    "inside",
+    [
+        an_inertial(mass="nan"),
+        an_inertial(mass="1 2"),
+        an_inertial(diagonal="1,0"),
+        a_collision('<geometry><box size="1 1"/></geometry>'),
+        a_collision('<geometry><sphere radius="inf"/></geometry>'),
+        a_collision(BALL, '<origin xyz="0 0"/>'),
+        a_collision(BALL, '<origin rpy="0 0 nan"/>'),
+        a_visual(BALL, '<material name="m"><color rgba="1 1"/></material>'),
+        a_visual('<geometry><mesh filename="m.stl" scale="1 1"/></geometry>'),
+    ],
+)
+def test_schema_refuses_a_link_with_an_invalid_number(inside: str) -> None:
+    assert slug_of(a_robot(a_link("a", inside))) == "urdf.number"
+
+
+@pytest.mark.parametrize(
+    "inside",
+    [
+        '<limit lower="x"/>',
+        '<dynamics damping="nan"/>',
+        '<axis xyz="1 0"/>',
+        '<mimic joint="k" multiplier="two"/>',
+        '<calibration rising="up"/>',
+        '<safety_controller k_velocity=""/>',
+    ],
+)
+def test_schema_refuses_a_joint_with_an_invalid_number(inside: str) -> None:
+    joint = a_joint("j", ("a", "b"), "continuous", inside)
+
+    assert slug_of(a_robot(PAIR, joint)) == "urdf.number"
+
+
+@pytest.mark.parametrize("name", ["n" * 257, "a&#10;b", "a&#9;b"])
+def test_schema_refuses_a_long_or_unprintable_name(name: str) -> None:
+    assert slug_of(a_robot(f'<link name="{name}"/>')) == "urdf.text"
+
+
+def test_unknown_elements_are_reported() -> None:
+    link = a_link("a", "<pose>0 0 0</pose>" + a_visual(BALL, "<collision/>"))
+    joint = a_joint(
+        "j", ("a", "b"), "continuous", '<joint_properties damping="1"/><axis xyz="0 1 0" rpy="0"/>'
+    )
+
+    entries = report_of(a_robot(link, a_link("b", an_inertial()), joint, "<lnk/>", "<zebra/>"))
+
+    assert subjects(entries, "unknown") == [
+        "link 'a': <pose>",
+        "link 'a', visual: <collision>",
+        "joint 'j': <joint_properties>",
+        "joint 'j', axis: attribute rpy",
+        "robot: <zebra>",
+    ]
+    assert mentions(entries, "suspicious", "robot: <lnk>", "<link>")
+
+
+def test_elements_without_effect_are_reported() -> None:
+    joint = a_joint("j", ("a", "b"), "continuous", '<calibration rising="0"/>')
+
+    entries = report_of(a_robot(PAIR, joint, '<transmission name="t"><any x="y"/></transmission>'))
+
+    assert [entry.subject for entry in entries if entry.status == "ignored"] == [
+        "joint 'j', calibration",
+        "transmission 't'",
+    ]
+
+
+def test_first_tag_is_used_when_it_is_repeated() -> None:
+    second = '<inertia ixx="9" iyy="9" izz="9"/></inertial>'
+    link = a_link("a", an_inertial().replace("</inertial>", second))
+
+    model = read_urdf(a_robot(link))
+
+    assert model.links[0].inertial.inertia[0] == 0.1
+    assert subjects(model.report, "suspicious") == ["link 'a', inertial, inertia"]

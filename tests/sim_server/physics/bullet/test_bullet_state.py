@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.models import a_box, a_lopsided_box, a_state
 from zensim.sim_server.physics.blueprint import make_blueprint
-from zensim.sim_server.physics.bullet.bullet_state import (
+from zensim.sim_server.physics.bullet.pybullet_engine import (
     ComFrames,
     QuaternionTuple,
     Vector3Tuple,

@@ -15,7 +15,7 @@ from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.joint_reduction import MAX_JOINTS
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.blueprint import make_blueprint
-from zensim.sim_server.physics.bullet.bullet_multibody import (
+from zensim.sim_server.physics.bullet.bullet_bodies import (
     COLLISION_SHAPE_KINDS,
     CollisionShapeCache,
 )

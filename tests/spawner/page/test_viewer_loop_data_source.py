@@ -25,7 +25,8 @@ from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModels
 from zensim.proto.messages.world_messages import Scene
 from zensim.proto.service_catalog import Request, Response, Service
 from zensim.proto.stl import write_corners
-from zensim.spawner.page.data_source import (
+from zensim.spawner.page.render_state import LastCommand
+from zensim.spawner.page.viewer_loop import (
     MESH_BUDGET_BYTES,
     MESH_RETRY_S,
     MIN_FRAME_PERIOD_S,
@@ -35,7 +36,6 @@ from zensim.spawner.page.data_source import (
     ViewerDataSource,
     ViewState,
 )
-from zensim.spawner.page.render_state import LastCommand
 
 SNAPSHOT: Final = topic_catalog.SNAPSHOT.key("default")
 NO_ENTITIES: Final[frozenset[str]] = frozenset()

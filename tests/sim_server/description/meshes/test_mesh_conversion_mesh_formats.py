@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from zensim.sim_server.description.meshes.mesh_formats import (
+from zensim.sim_server.description.meshes.mesh_conversion import (
     CHUNK_BYTES,
     GltfError,
     ObjSyntaxError,

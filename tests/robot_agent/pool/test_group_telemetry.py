@@ -26,8 +26,8 @@ from zensim.proto.messages.standard_messages import (
 from zensim.proto.ros2.rmw_attachment import read_attachment
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.ros2.ros_settings import RosSettings
-from zensim.robot_agent.pool import group_tf
-from zensim.robot_agent.pool.group_tf import TfMessageBatch
+from zensim.robot_agent.pool import group_telemetry
+from zensim.robot_agent.pool.group_telemetry import TfMessageBatch
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 from zensim.robot_agent.robots import IndividualRobots
 
@@ -162,7 +162,7 @@ def test_transforms_are_those_of_robots_that_are_driven_one_by_one(drives: Seque
 
 
 def test_transforms_of_large_groups_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(group_tf, "MAX_TF_MESSAGE_BYTES", 1)
+    monkeypatch.setattr(group_telemetry, "MAX_TF_MESSAGE_BYTES", 1)
     published = PoolOnRos(*[robot_of(DRIVES["diff"])] * 3)
 
     published.advance()

@@ -5,7 +5,7 @@ import pytest
 
 from zensim.proto.messages.model_messages import Origin
 from zensim.proto.messages.world_messages import Light, Scene
-from zensim.spawner.page.scene_setup import (
+from zensim.spawner.page.viewer_page import (
     LAMP_DISTANCE_M,
     MAX_LIGHTS,
     SceneLighting,

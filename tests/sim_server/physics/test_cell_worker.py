@@ -5,11 +5,11 @@ import subprocess
 import sys
 import threading
 
-from zensim.sim_server.physics.memory_trim import release_zero_pages
+from zensim.sim_server.physics.cell_worker import release_zero_pages
 
 PROGRAM = """
 import numpy as np, psutil
-from zensim.sim_server.physics.memory_trim import release_zero_pages, use_mmap_for_large_blocks
+from zensim.sim_server.physics.cell_worker import release_zero_pages, use_mmap_for_large_blocks
 held = lambda: psutil.Process().memory_full_info().uss
 assert use_mmap_for_large_blocks()
 blank, full, mixed = np.empty(1 << 20), np.empty(1 << 20), np.empty(1 << 20)
