@@ -71,8 +71,8 @@ def _pool_figures(bus: Bus, listener: Bus, robots: int, rounds: int) -> Iterator
     yield _figure(f"{name}a state answered", answered)
     received = _cpu_ms(rounds, lambda: pool.advance(next(states)), before=command_all)
     yield _figure(f"{name}a state answered, each robot has a new command", received)
-    unheard = _cpu_ms(rounds, pool.publish, before=lambda: pool.advance(next(states)))
-    yield _figure(f"{name}odometry and tf told, nobody listens", unheard)
+    without_subscribers = _cpu_ms(rounds, pool.publish, before=lambda: pool.advance(next(states)))
+    yield _figure(f"{name}odometry and tf told, nobody listens", without_subscribers)
     heard_by = [listener.subscribe(f"*/{topic}", 8) for topic in TOPICS]
     for _ in range(DECLARED_IN):
         pool.reply_to_queries()

@@ -109,17 +109,17 @@ def _started(robots: int, domain: str) -> Iterator[tuple[Bus, Start]]:
 
 def _settled(bus: Bus, least: int) -> int:
     """Count the tokens when there are enough and they no longer change."""
-    watch, alive = bus.watch_tokens(TOKENS, DEPTH), set[str]()
+    watch, tokens = bus.watch_tokens(TOKENS, DEPTH), set[str]()
     changed_s = began_s = time.monotonic()
-    while len(alive) < least or time.monotonic() < changed_s + SETTLED_S:
+    while len(tokens) < least or time.monotonic() < changed_s + SETTLED_S:
         for token, is_alive in watch.take():
-            (alive.add if is_alive else alive.discard)(token)
+            (tokens.add if is_alive else tokens.discard)(token)
             changed_s = time.monotonic()
         if changed_s > began_s + PATIENCE_S:
             raise TimeoutError(f"tokens still come and go after {PATIENCE_S:g} s")
         time.sleep(POLL_S)
     watch.close()
-    return len(alive)
+    return len(tokens)
 
 
 def _join_late(bus: Bus, robots: int) -> tuple[int, float, float]:

@@ -11,8 +11,8 @@ from zensim.proto.messages.standard_messages import Odometry
 SPEED = 0.2
 MOVES = 0.01
 """Speed [m/s] from which odometry shows motion."""
-STANDS = 0.001
-STANDS_FOR = 8
+REST_SPEED = 0.001
+REST_MESSAGES = 8
 """Consecutive odometry messages without motion at rest; robots rock when they stop."""
 LONGEST_PAUSE_S = 0.05
 PATIENCE_S = 20.0
@@ -43,15 +43,15 @@ def _ahead(odom: Odometry, speed: float) -> float:
 def stop(robot: Robot) -> None:
     """Stop a robot, and wait until it is at rest."""
     robot.command(0.0)
-    stood: list[Odometry] = []
+    at_rest: list[Odometry] = []
 
     def is_at_rest() -> bool | None:
         for odom in robot.read():
             twist = odom.twist.twist
-            if max(abs(twist.linear.x), abs(twist.angular.z)) > STANDS:
-                stood.clear()
+            if max(abs(twist.linear.x), abs(twist.angular.z)) > REST_SPEED:
+                at_rest.clear()
             else:
-                stood.append(odom)
-        return len(stood) >= STANDS_FOR or None
+                at_rest.append(odom)
+        return len(at_rest) >= REST_MESSAGES or None
 
     poll_until(is_at_rest, PATIENCE_S)

@@ -91,9 +91,9 @@ class Tab:
         self.call("Runtime.enable")
         size = {"width": WIDTH, "height": HEIGHT, "deviceScaleFactor": 1, "mobile": False}
         self.call("Emulation.setDeviceMetricsOverride", **size)
-        gone = self.call("Page.navigate", url=f"{url}/?fixedDpr=1")
-        if gone.get("errorText"):
-            raise ConnectionError(f"{url}: {gone['errorText']}; is the page served there?")
+        deleted = self.call("Page.navigate", url=f"{url}/?fixedDpr=1")
+        if deleted.get("errorText"):
+            raise ConnectionError(f"{url}: {deleted['errorText']}; is the page served there?")
 
     def evaluate(self, expression: str) -> Any:  # noqa: ANN401  it is JSON
         """Return the value of an expression; awaits a promise."""

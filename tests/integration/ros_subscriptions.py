@@ -22,7 +22,7 @@ TYPES = {
 }
 LATCHED = ("/r1/robot_description", "/r1/tf_static", "/tf_static")
 TRANSIENT_LOCAL = ":1:,1:,:,:,,"
-SIGHT_S = 10.0
+DISCOVERY_S = 10.0
 
 
 def tokens(session: zenoh.Session, pattern: str) -> list[str]:
@@ -60,7 +60,7 @@ def read_late_joining(session: zenoh.Session, topic: str, count: int) -> list[Re
     joiner = subscribe_transient_local(
         session, key, lambda sample: samples.append(to_received_sample(sample))
     )
-    eventually(lambda: len(samples) >= count, SIGHT_S, f"late joining of {topic}")
+    eventually(lambda: len(samples) >= count, DISCOVERY_S, f"late joining of {topic}")
     joiner.undeclare()
     return samples
 
@@ -68,7 +68,10 @@ def read_late_joining(session: zenoh.Session, topic: str, count: int) -> list[Re
 def receive_samples(session: zenoh.Session, topic: str, count: int = 3) -> list[ReceivedSample]:
     if topic in LATCHED or topic.endswith(("/tf_static", "/robot_description", "/status")):
         return read_late_joining(session, topic, 1)
-    key = key_of(publishers_of(session, topic)[0])
+    token = eventually(lambda: publishers_of(session, topic), DISCOVERY_S, f"publisher of {topic}")[
+        0
+    ]
+    key = key_of(token)
     channel = zenoh.handlers.FifoChannel(4096)
     subscriber = session.declare_subscriber(key, channel)
     samples = [to_received_sample(subscriber.recv()) for _ in range(count)]

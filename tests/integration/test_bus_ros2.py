@@ -24,7 +24,7 @@ def router() -> Iterator[Bus]:
 
 
 @pytest.fixture
-def stranger(router: Bus) -> Iterator[zenoh.Session]:
+def client(router: Bus) -> Iterator[zenoh.Session]:
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", f'["{router.endpoint}"]')
@@ -68,12 +68,12 @@ def test_opened_session_has_its_own_id(router: Bus) -> None:
 
 
 def test_late_joiner_receives_one_value_per_timestamp_on_its_key(
-    router: Bus, stranger: zenoh.Session
+    router: Bus, client: zenoh.Session
 ) -> None:
     queue = router.serve(f"0/**/tf_static/*/*/@adv/pub/{router.zid}/1/_")
     got: list[zenoh.Sample] = []
     joiner = zenoh.ext.declare_advanced_subscriber(
-        stranger, KEY, got.append, history=zenoh.ext.HistoryConfig(max_samples=1)
+        client, KEY, got.append, history=zenoh.ext.HistoryConfig(max_samples=1)
     )
 
     call = one_call(queue)
@@ -97,9 +97,9 @@ def test_late_joiner_receives_one_value_per_timestamp_on_its_key(
     assert got[0].attachment.to_bytes() == ATTACHMENT
 
 
-def test_reply_on_an_unrequested_key_is_omitted(router: Bus, stranger: zenoh.Session) -> None:
+def test_reply_on_an_unrequested_key_is_omitted(router: Bus, client: zenoh.Session) -> None:
     queue = router.serve("a")
-    replies = stranger.get("a", zenoh.handlers.FifoChannel(4), timeout=5.0)
+    replies = client.get("a", zenoh.handlers.FifoChannel(4), timeout=5.0)
 
     call = one_call(queue)
     call.add_reply("b", b"other", "", ATTACHMENT, router.stamp())
@@ -108,9 +108,9 @@ def test_reply_on_an_unrequested_key_is_omitted(router: Bus, stranger: zenoh.Ses
     assert [reply for reply in replies if reply.ok] == []
 
 
-def test_reply_carries_an_attachment(router: Bus, stranger: zenoh.Session) -> None:
+def test_reply_carries_an_attachment(router: Bus, client: zenoh.Session) -> None:
     queue = router.serve("a")
-    replies = stranger.get("a", zenoh.handlers.FifoChannel(4), timeout=5.0)
+    replies = client.get("a", zenoh.handlers.FifoChannel(4), timeout=5.0)
 
     one_call(queue).reply(b"yes", "", attachment=ATTACHMENT)
 

@@ -43,12 +43,12 @@ def test_diverged_robot_is_frozen_while_others_drive(tmp_path: Path) -> None:
             where = ("-x", "0", "-y", "3", "-z", "1")
             assert server.zensim("spawn", str(file), "--name", "bad", *where).returncode == 0
 
-            (course,) = drive_for(server.client, [other], linear=0.2, angular=0.0, sim_s=4.0)
+            (drive_result,) = drive_for(server.client, [other], linear=0.2, angular=0.0, sim_s=4.0)
 
             received = [decode(Event, one.payload, one.encoding) for one in events.take()]
             warned = [event for event in received if event.kind == "warning"]
             assert [event.entity for event in warned if "frozen" in event.message] == ["bad"]
-            assert math.isclose(course.forward_m, 0.8, rel_tol=0.03)
+            assert math.isclose(drive_result.forward_m, 0.8, rel_tol=0.03)
             snapshots = eventually(shown.take, 10.0, "a snapshot")
             for sample in snapshots:
                 base = decode(Snapshot, sample.payload, sample.encoding).base

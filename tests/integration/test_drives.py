@@ -67,11 +67,11 @@ def test_omni_bot_moves_sideways_while_it_turns(start: StartTrack) -> None:
 
 @pytest.mark.parametrize("turn", [1.0, -1.0])
 def test_skid_bot_turns_on_the_spot(start: StartTrack, turn: float) -> None:
-    course = start("skid_bot").drive(10.0, yaw=turn)
+    drive_result = start("skid_bot").drive(10.0, yaw=turn)
 
     # It skids: the lost turn depends on friction, as in Gazebo.
-    assert 5.0 < course.turned_rad * turn < 10.0
-    assert math.hypot(course.ahead_m, course.left_m) < 0.1
+    assert 5.0 < drive_result.turned_rad * turn < 10.0
+    assert math.hypot(drive_result.ahead_m, drive_result.left_m) < 0.1
 
 
 @pytest.mark.parametrize("steer", [0.3, -0.3, 0.6])
@@ -79,13 +79,13 @@ def test_car_bot_drives_the_circle_of_its_steering_angle(start: StartTrack, stee
     track = start("car_bot")
     track.drive(2.0, x=0.4, yaw=steer)
 
-    course = track.drive(10.0, x=0.4, yaw=steer)
+    drive_result = track.drive(10.0, x=0.4, yaw=steer)
 
     radius = math.hypot(CAR_WHEELBASE_M / math.tan(steer), CAR_BASE_AHEAD_M)
-    assert course.length_m / course.turned_rad == pytest.approx(
+    assert drive_result.length_m / drive_result.turned_rad == pytest.approx(
         math.copysign(radius, steer), rel=0.05
     )
-    assert abs(course.turned_rad) == pytest.approx(
+    assert abs(drive_result.turned_rad) == pytest.approx(
         4.0 * math.tan(abs(steer)) / CAR_WHEELBASE_M, rel=0.05
     )
 
@@ -94,10 +94,10 @@ def test_car_bot_steers_within_its_limit(start: StartTrack) -> None:
     track = start("car_bot")
     track.drive(2.0, x=0.4, yaw=3.0)
 
-    course = track.drive(5.0, x=0.4, yaw=3.0)
+    drive_result = track.drive(5.0, x=0.4, yaw=3.0)
 
     radius = math.hypot(CAR_WHEELBASE_M / math.tan(0.6), CAR_BASE_AHEAD_M)
-    assert course.length_m / course.turned_rad == pytest.approx(radius, rel=0.05)
+    assert drive_result.length_m / drive_result.turned_rad == pytest.approx(radius, rel=0.05)
 
 
 @pytest.mark.parametrize("steer", [0.5, -0.5])
@@ -105,10 +105,10 @@ def test_trike_bot_drives_the_circle_of_its_steering_angle(start: StartTrack, st
     track = start("trike_bot")
     track.drive(2.0, x=0.4, yaw=steer)
 
-    course = track.drive(10.0, x=0.4, yaw=steer)
+    drive_result = track.drive(10.0, x=0.4, yaw=steer)
 
     radius = math.hypot(TRIKE_WHEELBASE_M / math.tan(steer), TRIKE_BASE_AHEAD_M)
-    assert course.length_m / course.turned_rad == pytest.approx(
+    assert drive_result.length_m / drive_result.turned_rad == pytest.approx(
         math.copysign(radius, steer), rel=0.05
     )
 

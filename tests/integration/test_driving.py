@@ -31,18 +31,24 @@ def ten(server: Server) -> list[Robot]:
 def test_ten_robots_drive_two_metres_at_0_2_for_ten_seconds(
     server: Server, ten: list[Robot]
 ) -> None:
-    courses = drive_for(server.client, ten, linear=0.2, angular=0.0, sim_s=10.0)
+    drive_results = drive_for(server.client, ten, linear=0.2, angular=0.0, sim_s=10.0)
 
-    assert [course.forward_m for course in courses] == pytest.approx([2.0] * 10, rel=0.01)
-    assert [course.sideways_m for course in courses] == pytest.approx([0.0] * 10, abs=0.01)
+    assert [drive_result.forward_m for drive_result in drive_results] == pytest.approx(
+        [2.0] * 10, rel=0.01
+    )
+    assert [drive_result.sideways_m for drive_result in drive_results] == pytest.approx(
+        [0.0] * 10, abs=0.01
+    )
 
 
 def test_ten_robots_turn_ten_radians_when_turned_at_one_for_ten_seconds(
     server: Server, ten: list[Robot]
 ) -> None:
-    courses = drive_for(server.client, ten, linear=0.0, angular=1.0, sim_s=10.0)
+    drive_results = drive_for(server.client, ten, linear=0.0, angular=1.0, sim_s=10.0)
 
-    assert [course.turned_rad for course in courses] == pytest.approx([10.0] * 10, rel=0.02)
+    assert [drive_result.turned_rad for drive_result in drive_results] == pytest.approx(
+        [10.0] * 10, rel=0.02
+    )
 
 
 def test_robots_block_each_other_when_driven_head_on(server: Server, ten: list[Robot]) -> None:

@@ -40,9 +40,11 @@ def test_robots_follow_their_commands_on_mujoco(server: Server) -> None:
         ahead = drive_for(server.client, robots, linear=0.2, angular=0.0, sim_s=5.0)
         turned = drive_for(server.client, robots, linear=0.0, angular=1.0, sim_s=5.0)
 
-    assert [course.forward_m for course in ahead] == pytest.approx([1.0] * 2, rel=0.01)
-    assert [course.sideways_m for course in ahead] == pytest.approx([0.0] * 2, abs=0.01)
-    assert [course.turned_rad for course in turned] == pytest.approx([5.0] * 2, rel=0.02)
+    assert [drive_result.forward_m for drive_result in ahead] == pytest.approx([1.0] * 2, rel=0.01)
+    assert [drive_result.sideways_m for drive_result in ahead] == pytest.approx([0.0] * 2, abs=0.01)
+    assert [drive_result.turned_rad for drive_result in turned] == pytest.approx(
+        [5.0] * 2, rel=0.02
+    )
 
 
 @pytest.mark.parametrize(("engine", "other"), [("pybullet", "mujoco"), ("mujoco", "pybullet")])
@@ -55,14 +57,15 @@ def test_server_names_installed_engines_when_its_engine_is_missing(
 
     assert done.returncode == ExitCode.USAGE
     (line,) = done.stderr.splitlines()
-    assert f"{engine} is not installed; use --engine {other}, which is, or pip install" in line
+    assert engine in line
+    assert f"--engine {other}" in line
 
 
 def test_server_refuses_an_unknown_engine() -> None:
     done = zensim("serve", "--engine", "dart", "--listen", free_endpoint())
 
     assert done.returncode == ExitCode.USAGE
-    assert "--engine 'dart' is unknown; use pybullet or mujoco" in done.stderr
+    assert all(name in done.stderr for name in ("'dart'", "pybullet", "mujoco"))
 
 
 def test_server_uses_pybullet_when_both_are_installed() -> None:

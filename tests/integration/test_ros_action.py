@@ -22,7 +22,7 @@ from tests.integration.ros_client_process import (
 )
 from tests.integration.ros_rules import check_bytes, check_topic, to_received_sample
 from tests.integration.ros_subscriptions import (
-    SIGHT_S,
+    DISCOVERY_S,
     TRANSIENT_LOCAL,
     publishers_of,
     subscribe_transient_local,
@@ -110,7 +110,9 @@ def test_goal_is_accepted_reports_progress_and_succeeds(
     assert ended == {"status": SUCCEEDED, "result": {"result": OK, "error_message": ""}}
     assert server.steps() == before + 30
     eventually(
-        lambda: told_of(observe("received", topic=STATUS), 1)[-1:] == [SUCCEEDED], SIGHT_S, "status"
+        lambda: told_of(observe("received", topic=STATUS), 1)[-1:] == [SUCCEEDED],
+        DISCOVERY_S,
+        "status",
     )
     assert told_of(observe("received", topic=STATUS), 1) == [EXECUTING, SUCCEEDED]
     last = observe("received", topic=FEEDBACK)[-1]
@@ -176,11 +178,11 @@ def test_rmw_subscriber_receives_each_status_change(server: Server, observe: Cal
         joiner = subscribe_transient_local(
             session, key, lambda sample: samples.append(statuses_of(sample, 4))
         )
-        eventually(lambda: bool(samples), SIGHT_S, "what was before")
+        eventually(lambda: bool(samples), DISCOVERY_S, "what was before")
         send(make_service_call(observe), 4, ENDLESS)
-        eventually(lambda: samples[-1] == [EXECUTING], SIGHT_S, "the beginning")
+        eventually(lambda: samples[-1] == [EXECUTING], DISCOVERY_S, "the beginning")
         cancel(make_service_call(observe), 4)
-        eventually(lambda: samples[-1] == [CANCELED], SIGHT_S, "the end")
+        eventually(lambda: samples[-1] == [CANCELED], DISCOVERY_S, "the end")
         joiner.undeclare()
 
 

@@ -16,7 +16,7 @@ from tests.integration.ros_client_process import (
     session_of,
 )
 from tests.integration.ros_grammar import parse_endpoints
-from tests.integration.ros_subscriptions import SIGHT_S, tokens
+from tests.integration.ros_subscriptions import DISCOVERY_S, tokens
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.spawner.client.sim_client import SimClient
 
@@ -73,7 +73,7 @@ def observe(network: Network, domain: int) -> Iterator[CallObserver]:
 
 def test_domain_lists_its_own_robot_only(observe: CallObserver, domain: int) -> None:
     (other,) = {*DOMAINS.values()} - {DOMAINS[domain]}
-    eventually(lambda: f"/{DOMAINS[domain]}/odom" in observe("topics"), SIGHT_S, "topics")
+    eventually(lambda: f"/{DOMAINS[domain]}/odom" in observe("topics"), DISCOVERY_S, "topics")
 
     topics = observe("topics")
 

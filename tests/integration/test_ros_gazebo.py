@@ -19,7 +19,7 @@ from tests.integration.ros_client_process import (
     replies,
     run_observer,
 )
-from tests.integration.ros_subscriptions import SIGHT_S
+from tests.integration.ros_subscriptions import DISCOVERY_S
 from tests.proto.ros_hashes import hash_of_service
 from tests.proto.ros_oracle import HUMBLE
 from zensim.sim_server.description.builtin_models import read_builtin_model
@@ -82,14 +82,14 @@ def test_tutorial_script_spawns_robots_in_a_row(
         for x, name in enumerate(names)
     ]
     places = [server.client.entity_state(name).pose.position.x for name in names]
-    gone = [
+    deleted = [
         make_service_call(observe)("/delete_entity", DELETE, ros.OF_HUMBLE, name=name)
         for name in names
     ]
 
     assert [one["success"] for one in received] == [True] * 3, received
     assert places == pytest.approx([0.0, 1.0, 2.0], abs=0.05)
-    assert [one and one["success"] for one in gone] == [True] * 3
+    assert [one and one["success"] for one in deleted] == [True] * 3
 
 
 def test_robot_of_the_script_publishes_tf_and_odometry_in_its_namespace(
@@ -99,7 +99,7 @@ def test_robot_of_the_script_publishes_tf_and_odometry_in_its_namespace(
     xml = description_by_the_script(name)
     pose = {"position": {"y": 4.0, "z": 0.01}, "orientation": {"w": 1.0}}
     spawned(make_service_call(observe), name, xml=xml, robot_namespace=name, initial_pose=pose)
-    given = {"count": 1, "within_s": SIGHT_S, "qos": ""}
+    given = {"count": 1, "within_s": DISCOVERY_S, "qos": ""}
 
     with running_agents(server, name, options=HUMBLES):
         (odom,) = observe("receive", topic=f"/{name}/odom", kind="nav_msgs/msg/Odometry", **given)
@@ -127,16 +127,16 @@ def test_spawn_entity_py_spawns_waits_unpauses_and_deletes(
     )
     call_service("/unpause_physics", EMPTY, ros.OF_HUMBLE)
     states = {"topic": "/model_states", "kind": "gazebo_msgs/msg/ModelStates", "qos": ""}
-    (seen,) = observe("receive", count=1, within_s=SIGHT_S, **states)
+    (seen,) = observe("receive", count=1, within_s=DISCOVERY_S, **states)
     before = server.steps()
-    eventually(lambda: server.steps() > before, SIGHT_S, "time going on")
-    gone = call_service("/delete_entity", DELETE, ros.OF_HUMBLE, name="e1")
+    eventually(lambda: server.steps() > before, DISCOVERY_S, "time going on")
+    deleted = call_service("/delete_entity", DELETE, ros.OF_HUMBLE, name="e1")
 
     assert received["success"], received
     assert "e1" in seen["name"]
     assert seen["pose"][seen["name"].index("e1")]["position"]["x"] == pytest.approx(-3.0, abs=0.01)
-    assert gone is not None
-    assert gone["success"]
+    assert deleted is not None
+    assert deleted["success"]
 
 
 def test_duplicate_name_is_refused_with_a_message(observe: CallObserver) -> None:
@@ -158,13 +158,13 @@ def test_distribution_with_hashes_calls_by_hash(observe: CallObserver) -> None:
         xml=read_builtin_model("box_bot"),
         **{"initial_pose": FORWARD},
     )
-    gone = make_service_call(observe)(
+    deleted = make_service_call(observe)(
         "/delete_entity", DELETE, hash_of_service(DELETE), name="hashed"
     )
 
     assert received["success"]
-    assert gone is not None
-    assert gone["success"]
+    assert deleted is not None
+    assert deleted["success"]
 
 
 def test_bridge_spawns_and_deletes_on_plain_keys(server: Server) -> None:

@@ -29,7 +29,7 @@ from tests.integration.ros_grammar import (
     parse_endpoints,
 )
 from tests.integration.ros_rules import check_bytes, check_topic
-from tests.integration.ros_subscriptions import SIGHT_S, publishers_of, receive_samples, tokens
+from tests.integration.ros_subscriptions import DISCOVERY_S, publishers_of, receive_samples, tokens
 from tests.integration.test_ground_truth import P3D
 from tests.proto.ros_oracle import HUMBLE, message_name
 from zensim.sim_server.description.builtin_models import read_builtin_model
@@ -94,7 +94,9 @@ def write_with_truth(file: Path, server: Server) -> None:
 @pytest.fixture(scope="module")
 def session(server: Server) -> Iterator[zenoh.Session]:
     with session_of(server) as found:
-        eventually(lambda: all(publishers_of(found, one) for one in PUBLISHED), SIGHT_S, "tokens")
+        eventually(
+            lambda: all(publishers_of(found, one) for one in PUBLISHED), DISCOVERY_S, "tokens"
+        )
         yield found
 
 

@@ -10,8 +10,8 @@ from tests.integration.processes import Server, eventually, running, serving, wa
 from tests.integration.ros_client_process import session_of
 from tests.integration.ros_rules import check_bytes, check_topic
 from tests.integration.ros_subscriptions import (
+    DISCOVERY_S,
     LATCHED,
-    SIGHT_S,
     TYPES,
     place_of,
     publishers_of,
@@ -43,7 +43,7 @@ def server() -> Iterator[Server]:
 @pytest.fixture(scope="module")
 def session(server: Server) -> Iterator[zenoh.Session]:
     with session_of(server) as found:
-        eventually(lambda: all(publishers_of(found, t) for t in OF_POOL), SIGHT_S, "tokens")
+        eventually(lambda: all(publishers_of(found, t) for t in OF_POOL), DISCOVERY_S, "tokens")
         yield found
 
 
@@ -110,5 +110,5 @@ def test_robot_of_a_pool_is_driven(
 def test_tokens_are_removed_with_a_robot_of_a_pool(server: Server, session: zenoh.Session) -> None:
     server.zensim("delete", "r1")
 
-    eventually(lambda: not tokens(session, "@ros2_lv/0/*/*/*/*/*/%r1/**"), SIGHT_S, "leaving")
+    eventually(lambda: not tokens(session, "@ros2_lv/0/*/*/*/*/*/%r1/**"), DISCOVERY_S, "leaving")
     assert publishers_of(session, "/r2/odom")

@@ -25,7 +25,7 @@ from tests.integration.ros_client_process import (
     session_of,
 )
 from tests.integration.ros_subscriptions import (
-    SIGHT_S,
+    DISCOVERY_S,
     TF,
     TRANSIENT_LOCAL,
     TYPES,
@@ -98,7 +98,7 @@ def test_topics_are_listed_with_their_types(observe: CallObserver) -> None:
     def are_all_there() -> bool:
         return TYPES.keys() | {"/r2/cmd_vel"} <= set(observe("topics"))
 
-    eventually(are_all_there, SIGHT_S, "tokens")
+    eventually(are_all_there, DISCOVERY_S, "tokens")
     listed = observe("topics")
 
     assert {topic: listed[topic] for topic in TYPES} == {k: [v] for k, v in TYPES.items()}
@@ -109,11 +109,13 @@ def test_topics_are_listed_with_their_types(observe: CallObserver) -> None:
 def test_messages_are_received(observe: CallObserver, topic: str) -> None:
     kind = TYPES[topic.replace("/r2/", "/r1/")]
 
-    assert len(observe("receive", topic=topic, kind=kind, count=3, within_s=SIGHT_S, qos="")) == 3
+    assert (
+        len(observe("receive", topic=topic, kind=kind, count=3, within_s=DISCOVERY_S, qos="")) == 3
+    )
 
 
 def test_late_joiner_receives_the_static_transforms_of_all_robots(observe: CallObserver) -> None:
-    given = {"kind": TF, "within_s": SIGHT_S, "qos": TRANSIENT_LOCAL}
+    given = {"kind": TF, "within_s": DISCOVERY_S, "qos": TRANSIENT_LOCAL}
 
     shared = observe("receive", topic="/tf_static", count=2, **given)
     own = observe("receive", topic="/r2/tf_static", count=1, **given)
@@ -158,9 +160,11 @@ def test_early_subscriber_receives_latched_messages(
         ]
         server.zensim("spawn", "box_bot", "-n", "r3", "-y", "3")
         with installation.driving(server, "r3"):
-            eventually(lambda: set(samples) == set(keys), SIGHT_S, "rmw's subscribers")
+            eventually(lambda: set(samples) == set(keys), DISCOVERY_S, "rmw's subscribers")
             eventually(
-                lambda: all(observe("received", topic=one) for one in kinds), SIGHT_S, "the kit's"
+                lambda: all(observe("received", topic=one) for one in kinds),
+                DISCOVERY_S,
+                "the kit's",
             )
         server.zensim("delete", "r3")
         for joiner in joiners:

@@ -22,7 +22,7 @@ from tests.integration.processes import (
 from tests.integration.robots import drive_for, robot
 from tests.integration.ros_client_process import session_of
 from tests.integration.ros_subscriptions import (
-    SIGHT_S,
+    DISCOVERY_S,
     TF,
     key_of,
     publishers_of,
@@ -96,8 +96,8 @@ def listener(server: Server) -> Iterator[Listener]:
         keys = [key_of(publishers_of(session, topic)[0]) for topic in ("/tf", "/tf_static")]
         subscriptions = [subscribe_transient_local(session, key, found.hear) for key in keys]
         bases = [f"{name}/{frame}" for name in ROBOTS for frame in ("base_footprint", "base_link")]
-        eventually(lambda: set(bases) <= set(found.newest), SIGHT_S, "transforms")
-        eventually(lambda: roots_of(found) == {"world"}, SIGHT_S, "one root")
+        eventually(lambda: set(bases) <= set(found.newest), DISCOVERY_S, "transforms")
+        eventually(lambda: roots_of(found) == {"world"}, DISCOVERY_S, "one root")
         yield found
         for one in subscriptions:
             one.undeclare()

@@ -148,14 +148,14 @@ def test_server_quits_after_its_reply() -> None:
 
 
 def test_loaded_and_unloaded_worlds_are_restored_from_the_journal(tmp_path: Path) -> None:
-    kept = ("--journal", str(tmp_path / "journal"))
-    with serving(*kept) as server:
+    saved = ("--journal", str(tmp_path / "journal"))
+    with serving(*saved) as server:
         server.client.load_world("walls")
         server.zensim("spawn", "box_bot", "--name", "r1")
         server.process.kill()
         server.process.wait()
 
-    with serving(*kept) as server:
+    with serving(*saved) as server:
         assert server.client.current_world().world_resource.uri == "walls"
         assert server.client.entities() == ("outer_walls", "inner_walls", "r1")
         assert server.client.simulation_state() == State.STOPPED
@@ -163,6 +163,6 @@ def test_loaded_and_unloaded_worlds_are_restored_from_the_journal(tmp_path: Path
         server.client.set_simulation_state(State.QUITTING)
         assert server.process.wait(END_S) == 0
 
-    with serving(*kept) as server:
+    with serving(*saved) as server:
         assert server.client.simulation_state() == State.NO_WORLD
         assert server.client.entities() == ()

@@ -52,7 +52,7 @@ def test_entity_without_drive_is_refused_in_one_line() -> None:
         "crate", entity_resource=Resource(resource_string=CRATE), dynamics="kinematic"
     )
     with serving() as server:
-        with pytest.raises(ServiceError, match=r"kinematic.*drive.*full"):
+        with pytest.raises(ServiceError, match="kinematic"):
             server.client.spawn(order)
 
         assert server.client.entities() == ()
