@@ -1,8 +1,8 @@
 """Agents that are killed
 
-A robot drives; its agent is killed with SIGKILL at a random moment. The server learns it from the
-liveliness token and stops the wheels at once; the clock runs from the kill until the wheels turn no
-more, in simulation time at real-time factor 1. Then a new agent takes over.
+A robot drives; its agent is killed with SIGKILL at a random moment. The server detects it by
+the liveliness token and stops the wheels at once. Measured is the time from the kill until the
+wheels are at rest, in simulation time at real-time factor 1. Then a new agent takes over.
 """
 
 import random

@@ -1,7 +1,7 @@
-"""Robots that come and go
+"""Robots that are spawned and deleted
 
-One client spawns and deletes a box_bot, over and over. The server's memory is read before, after a
-tenth that fills what is kept, and at the end.
+One client spawns and deletes a box_bot, repeatedly. The server's memory is read before, after a
+tenth that fills its caches, and at the end.
 """
 
 from collections.abc import Iterator

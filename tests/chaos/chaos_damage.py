@@ -1,8 +1,8 @@
 """A journal that is damaged
 
 A server with robots is killed; its journal is copied, and one file of the copy is cut at a random
-place or has one bit flipped. `zensim journal verify` must call it whole or say in one line what is
-wrong; of every twentieth copy a server is started, which must come up or end with one line.
+place or has one bit flipped. `zensim journal verify` must accept it or report the error in one
+line; on every twentieth copy a server is started, which must start or exit with one line.
 """
 
 import random

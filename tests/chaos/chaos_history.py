@@ -1,8 +1,8 @@
 """Many clients under faults
 
 Ten clients spawn, delete and look up the same few names at random, each request under its own id
-until it is answered, while the server is killed and started again. For each name, what all
-clients saw must be explained by one order of events.
+until it gets a reply, while the server is killed and restarted. The history of each name must be
+linearizable.
 """
 
 import random

@@ -1,8 +1,8 @@
 """A server that is killed
 
 A server with a journal holds robots; a client spawns and deletes others, five times a second, each
-request under its own id until it is answered. At random moments the server is killed with SIGKILL
-and started again. What was acknowledged must be as it was; poses and time may be 0.5 s old.
+request under its own id until it gets a reply. At random moments the server is killed with SIGKILL
+and restarted. Acknowledged changes must be restored; poses and time may be 0.5 s old.
 """
 
 import random

@@ -1,8 +1,8 @@
-"""The same run again and again
+"""Repeated runs
 
-Robots in a heap, an agent process for each, in lockstep; a seeded script commands them, each in its
-own way, so that they bump into each other. Each run starts all processes anew. What is hashed: the
-bytes of every odometry message of every robot, and where every body and joint is at the end.
+Robots close together, an agent process for each, in lockstep; a seeded script commands them
+differently, so that they collide. Each run starts all processes anew. Hashed are the bytes of every
+odometry message of every robot, and the final state of every body and joint.
 """
 
 import sys

@@ -1,6 +1,6 @@
 """One name for many
 
-A hundred clients ask at once for an entity of the same name: one gets it, the others are told
+A hundred clients spawn an entity of the same name simultaneously: one succeeds, the others get
 NAME_NOT_UNIQUE.
 """
 

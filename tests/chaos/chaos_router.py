@@ -1,8 +1,8 @@
 """A router that dies
 
-Server, agents and the one who drives them are clients of a router of its own, which is killed and
-started again 5 s later. The clock runs from its start until every robot has moved on a command;
-simulation time must not go back meanwhile.
+Server, agents and the commanding client connect to a separate router, which is killed and restarted
+5 s later. Measured is the time from its start until every robot has moved on a command; simulation
+time must not go back.
 """
 
 import time

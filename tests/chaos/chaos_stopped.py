@@ -1,8 +1,8 @@
-"""A server that is stopped and goes on
+"""A server that is suspended and resumed
 
-The server, its own router, is stopped with SIGSTOP for 30 s. The clock runs from SIGCONT until
-every robot has moved on a command. Simulation time must not go back, and no step may be made up
-for: in the second after, at most as many steps as in any other.
+The server, its own router, is suspended with SIGSTOP for 30 s. Measured is the time from SIGCONT
+until every robot has moved on a command. Simulation time must not go back, and the server must not
+catch up: the next second has at most as many steps as any other.
 """
 
 import signal

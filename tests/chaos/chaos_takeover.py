@@ -1,8 +1,8 @@
-"""Agents that are stopped, replaced, and wake up
+"""Agents that are suspended, replaced and resumed
 
-An agent drives a robot and is stopped with SIGSTOP; when its lease is over another agent takes the
-robot and lets it stand. The first is woken: it must be fenced, so that the robot stands still and
-its holder stays the second one. When the second leaves, the first must drive again.
+An agent drives a robot and is suspended with SIGSTOP; when its lease has expired another agent
+claims the robot and stops it. The first is resumed: it must be fenced, so that the robot stays at
+rest and the second keeps its claim. When the second exits, the first must drive again.
 """
 
 import signal

@@ -1,8 +1,8 @@
-"""Programs that are asked to end
+"""Programs that are terminated
 
-SIGTERM, one after another, to an agent that waits for its robot, to one that drives, to a page that
-is looked at, and to a server with a journal whose other robot drives: each must end with status 0,
-take its tokens with it, and leave no process behind.
+SIGTERM, one after another, to an agent that waits for its robot, to one that drives, to a page with
+a client, and to a server with a journal and a driving robot: each must exit with status 0,
+undeclare its tokens, and leave no process.
 """
 
 import time

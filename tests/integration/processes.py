@@ -31,14 +31,14 @@ LEAST_PATIENCE_S = 60.0
 """Minimum timeout, because other programs may occupy the cores."""
 
 
-def eventually(ask: Callable[[], T | None], within_s: float, what: str = "it") -> T:
+def eventually(call: Callable[[], T | None], within_s: float, what: str = "it") -> T:
     """Call a function until it returns neither None nor False; fail after a timeout."""
     within_s = max(within_s, LEAST_PATIENCE_S)
     deadline = time.monotonic() + within_s
     while True:
-        response = ask()
-        if response is not None and response is not False:
-            return response
+        result = call()
+        if result is not None and result is not False:
+            return result
         assert time.monotonic() < deadline, f"{what} did not happen within {within_s:g} s"
         time.sleep(POLL_S)
 

@@ -68,10 +68,8 @@ def read_late_joining(session: zenoh.Session, topic: str, count: int) -> list[Re
 def receive_samples(session: zenoh.Session, topic: str, count: int = 3) -> list[ReceivedSample]:
     if topic in LATCHED or topic.endswith(("/tf_static", "/robot_description", "/status")):
         return read_late_joining(session, topic, 1)
-    token = eventually(lambda: publishers_of(session, topic), DISCOVERY_S, f"publisher of {topic}")[
-        0
-    ]
-    key = key_of(token)
+    found = eventually(lambda: publishers_of(session, topic) or None, DISCOVERY_S, topic)
+    key = key_of(found[0])
     channel = zenoh.handlers.FifoChannel(4096)
     subscriber = session.declare_subscriber(key, channel)
     samples = [to_received_sample(subscriber.recv()) for _ in range(count)]
