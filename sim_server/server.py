@@ -58,7 +58,7 @@ from zensim.sim_server.world_loading.world_loader import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from zensim.sim_server.description.sdf.sdf_world import WorldModel
+    from zensim.sim_server.description.world_model import WorldModel
     from zensim.sim_server.journal.journal_contents import JournalContents
     from zensim.sim_server.physics.engine import Engine
 

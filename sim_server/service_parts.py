@@ -7,7 +7,7 @@ from typing import Generic
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.world_messages import WorldResource
 from zensim.proto.service_catalog import Response
-from zensim.sim_server.description.sdf.sdf_world import WorldModel
+from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import IncorrectState
 from zensim.sim_server.pacing.lockstep import Lockstep
 from zensim.sim_server.pacing.loop_stats import LoopStats
@@ -15,9 +15,8 @@ from zensim.sim_server.pacing.step_goals import StepGoals
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.description_cache import DescriptionProvider, list_meshes
 from zensim.sim_server.world.entity import Entity
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import BuiltWorld, World, WorldFactory
 from zensim.sim_server.world_loading.world_catalog import WorldCatalog
-from zensim.sim_server.world_loading.world_loader import BuiltWorld, WorldFactory
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from zensim.sim_server.description.meshes.mesh_conversion import (
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, no_meshes
 from zensim.sim_server.description.sdf.sdf_includes import ResolveInclude, no_includes
 from zensim.sim_server.description.sdf.sdf_model import read_sdf_model
-from zensim.sim_server.description.sdf.sdf_world import WorldModel, read_world
+from zensim.sim_server.description.sdf.sdf_world import read_world
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import ModelError
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from zensim.proto.messages.spawn_messages import Compat
+    from zensim.sim_server.description.world_model import WorldModel
 
     FindMesh = Callable[[str], tuple[str, bytes] | None]
 

@@ -12,7 +12,7 @@ from zensim.proto.messages.entity_messages import EntityInfo
 from zensim.proto.messages.model_messages import Dynamics, Model
 from zensim.proto.messages.spawn_messages import Compat
 from zensim.proto.messages.world_messages import WorldResource
-from zensim.sim_server.description.sdf.sdf_world import WorldModel
+from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.parser_process.description_cache import ParseKey
 from zensim.sim_server.physics.engine import BodyStates
 from zensim.sim_server.world.entity import Entity

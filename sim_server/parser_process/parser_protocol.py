@@ -7,7 +7,7 @@ import msgspec
 from zensim.proto.messages.asset_messages import AssetRef
 from zensim.proto.messages.model_messages import Dynamics, Model
 from zensim.proto.messages.spawn_messages import Compat
-from zensim.sim_server.description.sdf.sdf_world import WorldModel
+from zensim.sim_server.description.world_model import WorldModel
 
 
 class ParseRequest(msgspec.Struct, frozen=True):

@@ -15,14 +15,13 @@ from zensim.proto.messages.result_messages import (
 )
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.sim_server.description.sdf.sdf_world import WorldModel
+from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import IncorrectState, ModelError, RequestRefused, SimError
 from zensim.sim_server.parser_process.parser_protocol import ParseResult
 from zensim.sim_server.queries.entity_filters import make_tags_test
 from zensim.sim_server.service_parts import CurrentWorld, DeferredResponse, WorldLoading
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import BuiltWorld, World
 from zensim.sim_server.world_loading.world_catalog import ONLINE_SCHEMES, WorldSearch
-from zensim.sim_server.world_loading.world_loader import BuiltWorld
 from zensim.sim_server.world_loading.world_resources import WorldParseJob
 
 EMPTY_WORLD = WorldModel("", gravity=(0.0, 0.0, 0.0))

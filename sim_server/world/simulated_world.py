@@ -14,6 +14,7 @@ from zensim.proto.messages.model_messages import Joint, Model, Origin
 from zensim.proto.messages.simulation_messages import ResetScope, State
 from zensim.proto.messages.telemetry_messages import Snapshot
 from zensim.proto.se3 import to_origin
+from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import IncorrectState
 from zensim.sim_server.physics.actuation import make_stop_targets
 from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
@@ -601,3 +602,18 @@ class World:
         """Note that entities or bodies have changed."""
         self.claims.invalidate_rows()
         self._states = None
+
+
+@dataclass(frozen=True)
+class BuiltWorld:
+    """A world that is ready to replace the current one, and its real-time factor."""
+
+    world: World
+    real_time_factor: float
+
+
+WorldFactory = Callable[[WorldModel], Iterator[BuiltWorld | None]]
+"""Builds a world in steps; the last item is the world. Raises SimError.
+
+Close the iterator if the world is not needed any more.
+"""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -12,31 +10,19 @@ import numpy as np
 from zensim.proto.child_process import make_module_command, run_process
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
-from zensim.sim_server.description.sdf.sdf_world import WorldModel, read_world
+from zensim.sim_server.description.sdf.sdf_world import read_world
+from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import RequestRefused, SimError
 from zensim.sim_server.server_config import ConfigError, fill_pace
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import BuiltWorld, World, WorldFactory
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
     from zensim.proto.messages.model_messages import ReportEntry
     from zensim.sim_server.physics.engine import Engine
     from zensim.sim_server.server_config import ServerConfig
-
-
-@dataclass(frozen=True)
-class BuiltWorld:
-    """A world that is ready to replace the current one, and its real-time factor."""
-
-    world: World
-    real_time_factor: float
-
-
-WorldFactory = Callable[[WorldModel], Iterator[BuiltWorld | None]]
-"""Builds a world in steps; the last item is the world. Raises SimError.
-
-Close the iterator if the world is not needed any more.
-"""
 
 
 COMMAND = make_module_command("zensim.sim_server.world_loading.world_loader_process")

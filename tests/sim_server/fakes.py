@@ -20,7 +20,7 @@ from zensim.proto.network_protocols import Sample, ServiceCall
 from zensim.proto.topic_catalog import DRIVE_COMMAND, TopicSpec
 from zensim.sim_server.description.builtin_models import resolve_resource
 from zensim.sim_server.description.pipeline import parse_description
-from zensim.sim_server.description.sdf.sdf_world import WorldModel
+from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.journal_protocol import ChangeJournal
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.parser_process.asset_store import AssetStore

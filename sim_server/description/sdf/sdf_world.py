@@ -25,7 +25,7 @@ from zensim.proto.messages.entity_messages import (
     Bounds,
     BoundsType,
 )
-from zensim.proto.messages.model_messages import IDENTITY, Model, Origin, ReportEntry, Vec3
+from zensim.proto.messages.model_messages import IDENTITY, Model, Origin, Vec3
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.messages.spawn_messages import NamedPose
 from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Vector3
@@ -53,6 +53,12 @@ from zensim.sim_server.description.sdf.sdf_values import (
     zensim_tag,
 )
 from zensim.sim_server.description.strict_parsing import parse_xml, quote, quote_names, read_numbers
+from zensim.sim_server.description.world_model import (
+    BoundedPose,
+    PhysicsSettings,
+    PlacedModel,
+    WorldModel,
+)
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -61,13 +67,6 @@ if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Quat
 
 ZENSIM_WORLD_TAGS = ("description", "tags")
-
-
-class BoundedPose(msgspec.Struct, frozen=True):
-    """A named pose in the world and its bounds; empty bounds are unlimited."""
-
-    pose: NamedPose
-    bounds: Bounds = Bounds()
 
 
 def read_named_pose(frame: Element, name: str, origin: Origin) -> BoundedPose:
@@ -107,13 +106,6 @@ def _read_bounds(texts: dict[str, str], name: str) -> Bounds:
 LIGHT_KINDS: dict[str, LightKind] = {kind: kind for kind in get_args(LightKind)}
 MIN_STEP_S, MAX_STEP_S = 1e-4, 1.0
 MAX_REAL_TIME_FACTOR = 1000.0
-
-
-class PhysicsSettings(msgspec.Struct, frozen=True):
-    """Settings of <physics>; None: not set."""
-
-    step_s: float | None = None
-    real_time_factor: float | None = None
 
 
 def read_physics(physics: Element, report: ParseReport) -> PhysicsSettings:
@@ -189,8 +181,6 @@ def _read_colour(owner: Element, tag: str) -> Quat | None:
     return read_rgba(text, where=f"{owner.tag}, {tag}", slug="sdf.number", report=None)
 
 
-EARTH_GRAVITY: Vec3 = (0.0, 0.0, -9.8)
-"""SDF's default gravity [m/s^2]."""
 MAX_GRAVITY = 1000.0
 """Along an axis [m/s^2]: four times that of the sun."""
 MAX_MODELS = 2000
@@ -215,28 +205,6 @@ SKIPPABLE_CODES = (SpawnCode.UNSUPPORTED_FORMAT, SpawnCode.MISSING_ASSETS)
 """Errors of models that are left out; other errors are those of the world."""
 _NON_NAME_CHARACTERS = re.compile(r"[^A-Za-z0-9_]")
 MAX_ENTITY_NAME_LENGTH = 56
-
-
-class PlacedModel(msgspec.Struct, frozen=True):
-    """A model of a world with a valid entity name and its pose."""
-
-    name: str
-    model: Model
-    origin: Origin = Origin()
-
-
-class WorldModel(msgspec.Struct, frozen=True):
-    """A world before its models are spawned; journals keep the encoded names of its fields."""
-
-    name: str
-    gravity: Vec3 = EARTH_GRAVITY
-    ground_plane: bool = False
-    ground_friction: float = 1.0
-    physics: PhysicsSettings = msgspec.field(default=PhysicsSettings(), name="pace")
-    models: tuple[PlacedModel, ...] = ()
-    scene: Scene = Scene()
-    named_poses: tuple[BoundedPose, ...] = msgspec.field(default=(), name="places")
-    report: tuple[ReportEntry, ...] = ()
 
 
 @dataclass

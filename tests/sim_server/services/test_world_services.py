@@ -29,16 +29,16 @@ from zensim.proto.messages.simulation_messages import (
     StepSimulationRequest,
 )
 from zensim.proto.messages.spawn_messages import Resource
-from zensim.sim_server.description.sdf.sdf_world import WorldModel
+from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.service_parts import DeferredResponse, ServerParts
 from zensim.sim_server.services.world_services import WORLD_BUILD_SLICE_NS
+from zensim.sim_server.world.simulated_world import BuiltWorld
 from zensim.sim_server.world_loading.world_catalog import (
     FILES_PER_TURN,
     WorldCatalog,
     read_world_metadata,
 )
-from zensim.sim_server.world_loading.world_loader import BuiltWorld
 
 GROUND = "<include><uri>model://ground_plane</uri></include>"
 CRATE = (

@@ -13,12 +13,8 @@ from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.messages.standard_messages import Point, Vector3
 from zensim.proto.messages.world_messages import Light, Scene
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
-from zensim.sim_server.description.sdf.sdf_world import (
-    BoundedPose,
-    PhysicsSettings,
-    WorldModel,
-    read_world,
-)
+from zensim.sim_server.description.sdf.sdf_world import read_world
+from zensim.sim_server.description.world_model import BoundedPose, PhysicsSettings, WorldModel
 from zensim.sim_server.errors import ModelError
 
 GROUND = "<include><uri>model://ground_plane</uri></include>"
