@@ -5,21 +5,13 @@ from dataclasses import dataclass
 from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.drives.drive_kinematics import make_drive_kinematics
 from zensim.proto.drives.measured_joints import MeasuredJoints
-from zensim.proto.messages.drive_messages import DiffDrive, Drive
+from zensim.proto.messages.drive_messages import Drive
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import Twist
 from zensim.proto.rate_limiter import RateLimiter
 from zensim.robot_agent.drive_state_decoder import RobotState
 from zensim.robot_agent.odometry import BaseMotion, EncoderOdometry, find_world_motion
-from zensim.robot_agent.robot_frames import find_base_frame
-
-NO_DRIVE = DiffDrive(update_rate_hz=30.0)
-"""Without wheels and topics; for models without a drive."""
-
-
-def get_drive(model: Model) -> Drive:
-    """Get the drive of a model, `NO_DRIVE` if it has none."""
-    return model.drive or NO_DRIVE
+from zensim.robot_agent.robot_frames import find_base_frame, get_drive
 
 
 def find_motion_rates(drive: Drive) -> tuple[float | None, float | None, float | None]:

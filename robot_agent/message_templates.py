@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from zensim.proto.messages.drive_messages import Drive
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import Header, JointState, Odometry, TFMessage, Time
-from zensim.robot_agent.base_controller import get_drive
 from zensim.robot_agent.odometry import BaseMotion, OdometryHeader, make_covariance
 from zensim.robot_agent.robot_frames import (
     find_base_frame,
+    get_drive,
     list_moving_joints,
     make_moving_transforms,
     make_odometry_edge,

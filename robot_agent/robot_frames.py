@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import msgspec
 
+from zensim.proto.messages.drive_messages import DiffDrive, Drive
 from zensim.proto.messages.model_messages import Joint, JointStatePublisher, Model, Origin
 from zensim.proto.messages.standard_messages import (
     Header,
@@ -183,3 +184,12 @@ def _make_transform_stamped(
 ) -> TransformStamped:
     transform = Transform(Vector3(*origin.position), Quaternion(*origin.orientation))
     return TransformStamped(Header(stamp, parent), child, transform)
+
+
+NO_DRIVE = DiffDrive(update_rate_hz=30.0)
+"""Without wheels and topics; for models without a drive."""
+
+
+def get_drive(model: Model) -> Drive:
+    """Get the drive of a model, `NO_DRIVE` if it has none."""
+    return model.drive or NO_DRIVE

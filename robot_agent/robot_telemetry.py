@@ -24,13 +24,14 @@ from zensim.proto.topic_catalog import (
 )
 from zensim.proto.topic_endpoints import LazyTopicPublisher, MakePayload, TopicFactory
 from zensim.robot_agent import message_templates
-from zensim.robot_agent.base_controller import find_motion_rates, get_drive, make_rate_limiter
+from zensim.robot_agent.base_controller import find_motion_rates, make_rate_limiter
 from zensim.robot_agent.drive_state_decoder import RobotState
 from zensim.robot_agent.odometry import Z_AXIS, BaseMotion, find_world_motion
 from zensim.robot_agent.robot_frames import (
     DEFAULT_JOINT_STATE_PUBLISHER,
     FrameEdge,
     find_base_frame,
+    get_drive,
     list_fixed_edges,
     list_moving_joints,
     list_published_joints,

@@ -8,9 +8,9 @@ from zensim.proto.messages.drive_messages import DriveSettings, RosBlock
 from zensim.proto.names import InvalidName, check_namespace
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 from zensim.proto.topic_catalog import CMD_VEL, JOINT_STATES, ODOM, TF
-from zensim.robot_agent.base_controller import get_drive
 from zensim.robot_agent.robot_frames import (
     DEFAULT_JOINT_STATE_PUBLISHER,
+    get_drive,
     list_moving_joints,
     list_published_joints,
 )

@@ -5,10 +5,10 @@ import msgspec
 from zensim.proto import keys
 from zensim.proto.messages.drive_messages import Drive, RosBlock
 from zensim.proto.messages.model_messages import Model, Origin
-from zensim.robot_agent.base_controller import get_drive
 from zensim.robot_agent.robot_frames import (
     DEFAULT_JOINT_STATE_PUBLISHER,
     find_base_frame,
+    get_drive,
     list_moving_joints,
     list_published_joints,
 )
