@@ -2,8 +2,7 @@
 
 import logging
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -48,14 +47,9 @@ from zensim.sim_server.server_config import (
     WorldAlreadyServed,
     make_server_bus_config,
 )
-
-SERVER_EXTRA = ("yourdfpy", "lxml", "scipy", "trimesh")
+from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 
 app = make_app()
-
-
-class MissingServerExtra(Exception):
-    """The packages of the server extra are not installed."""
 
 
 _connection = partial(typer.Option, rich_help_panel="Connection")
@@ -215,20 +209,3 @@ def _import_server() -> Callable[..., None]:
     with server_extra():
         from zensim.sim_server.server import run_server
     return run_server
-
-
-@contextmanager
-def server_extra() -> Iterator[None]:
-    """Report a package of the server extra that is not installed.
-
-    Raises:
-        MissingServerExtra: An import inside failed.
-    """
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if error.name not in SERVER_EXTRA:
-            raise
-        raise MissingServerExtra(
-            f"{error.name} is not installed; use pip install 'zensim[server]'"
-        ) from error

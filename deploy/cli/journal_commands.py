@@ -9,8 +9,8 @@ import typer
 
 from zensim.proto.cli_options import JsonOption, make_app
 from zensim.proto.exit_codes import exit_on_failure
-from zensim.sim_server.cli import MissingServerExtra, server_extra
 from zensim.sim_server.journal.sqlite_store import JournalError, open_store_read_only
+from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 
 app = make_app()
 

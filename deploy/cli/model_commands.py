@@ -9,8 +9,8 @@ import typer
 from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.model_messages import Model
-from zensim.sim_server.cli import MissingServerExtra, server_extra
 from zensim.sim_server.errors import ModelError, SimError
+from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 from zensim.spawner.cli.spawn_arguments import (
     DescriptionOptions,
     SpawnSource,
