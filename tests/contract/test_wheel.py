@@ -83,8 +83,8 @@ def test_wheel_holds_one_top_level_name_and_its_data(wheel: Path) -> None:
 def test_wheel_and_proto_plus_are_both_complete(python: Path) -> None:
     code = (
         "import proto, zensim.proto.bus\n"
-        "class Point(zensim.proto.Message):\n"
-        "    x = zensim.proto.Field(zensim.proto.DOUBLE, number=1)\n"
+        "class Point(proto.Message):\n"
+        "    x = proto.Field(proto.DOUBLE, number=1)\n"
         "print(Point(x=2.0).x, zensim.proto.bus.Bus.__name__, zensim.__file__)"
     )
 

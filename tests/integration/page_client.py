@@ -42,7 +42,7 @@ def encode_click(path: str, instance: int) -> bytes:
         ray_direction=(0.0, 0.0, -1.0),
         screen_pos=(0.5, 0.5),
         modifier=None,
-        node="",
+        owner="",
     )
 
 

@@ -248,7 +248,7 @@ def test_open_fails_when_no_router_listens() -> None:
 
 
 def test_open_fails_when_the_endpoint_is_taken(router: Bus) -> None:
-    with pytest.raises(EndpointTaken, match="taken"):
+    with pytest.raises(EndpointTaken, match=router.endpoint):
         open_bus(BusConfig(mode="router", listen=(router.endpoint,)))
 
 
