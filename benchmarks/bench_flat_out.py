@@ -2,7 +2,7 @@
 
 Simulated seconds per second at `zensim serve --rtf 0`, while every robot drives a circle with its
 own agent; a sample is a second. Floor: the same robots in the same engine, in a loop that only
-steps, and in one that also reads and commands all robots each control period.
+steps, and in a loop that steps, reads and commands all robots each control period.
 """
 
 import statistics

@@ -57,7 +57,7 @@ class Case(msgspec.Struct, frozen=True):
         """Label in the figures."""
         robots = "1 robot" if self.robots == 1 else f"{self.robots} robots"
         is_usual = self.control_hz == CONTROL_HZ
-        return robots if is_usual else f"{robots}, told at {self.control_hz:g} Hz"
+        return robots if is_usual else f"{robots}, states at {self.control_hz:g} Hz"
 
 
 CASES = (

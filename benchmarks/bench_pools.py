@@ -72,17 +72,17 @@ def _pool_figures(bus: Bus, listener: Bus, robots: int, rounds: int) -> Iterator
     received = _cpu_ms(rounds, lambda: pool.advance(next(states)), before=command_all)
     yield _figure(f"{name}a state answered, each robot has a new command", received)
     without_subscribers = _cpu_ms(rounds, pool.publish, before=lambda: pool.advance(next(states)))
-    yield _figure(f"{name}odometry and tf told, nobody listens", without_subscribers)
+    yield _figure(f"{name}odometry and tf, no subscriber", without_subscribers)
     heard_by = [listener.subscribe(f"*/{topic}", 8) for topic in TOPICS]
     for _ in range(DECLARED_IN):
         pool.reply_to_queries()
         time.sleep(0.001)
     received, floor = _interleaved(bus, robots, rounds, pool, states)
     limit = Limit("median", "<=", 5.0) if robots == max(SIZES) else None
-    yield _figure(f"{name}odometry and tf told, one listens to all", received)
+    yield _figure(f"{name}odometry and tf, one subscriber", received)
     yield _figure(f"{name}floor, as many ready payloads put", floor)
     extra = tuple(one - other for one, other in zip(received, floor, strict=True))
-    yield _figure(f"{name}told, beyond its floor", extra, limit)
+    yield _figure(f"{name}publishing, beyond its floor", extra, limit)
     for one in heard_by:
         one.close()
 

@@ -2,7 +2,7 @@
 
 A server and a pool that drives 100 robots in circles, with odometry and tf at every state, without
 ROS 2 (the floor, `--ros-domain off`) and with it, in turns: without subscribers, with one
-subscriber to everything on ROS 2 keys, and with one that also subscribes to the plain keys of the
+subscriber to everything on ROS 2 keys, and with one subscriber to those and the plain keys of the
 floor. The limits apply to the server's tick: CPU time of the loop thread per step. Below it is what
 the subscriber makes the server's other threads route and the pool publish, beyond what they do
 without one; there the floor is the cost of the same messages on plain keys.
@@ -78,9 +78,9 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             seen = _turns(both, windows, window_s)
             with _looking(both[0].server, PLAIN):
                 alike = _turns(both, windows, window_s)
-    yield from _ticks(f"{robots} robots, nobody looks", quiet, UNSEEN)
-    yield from _ticks(f"{robots} robots, one looks at all", seen, SEEN)
-    yield from _passing_on(f"{robots} robots, one looks at all", quiet, alike)
+    yield from _ticks(f"{robots} robots, no subscriber", quiet, UNSEEN)
+    yield from _ticks(f"{robots} robots, one subscriber to all", seen, SEEN)
+    yield from _passing_on(f"{robots} robots, one subscriber to all", quiet, alike)
 
 
 def _ticks(label: str, turns: Sequence[tuple[Costs, Costs]], limit: Limit) -> Iterator[Figure]:

@@ -67,7 +67,7 @@ class Fleet:
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure fleets that drive, that rest, and half of which drive."""
+    """Measure fleets that drive, fleets at rest, and fleets with one half driving."""
     for robots in SIZES_WHEN_SHORT if is_short else SIZES:
         yield from _of(robots, is_short=is_short)
 

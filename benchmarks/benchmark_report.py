@@ -34,10 +34,9 @@ NAMES = (
 )
 HEAD = """# Benchmarks
 
-`make bench` measures all of this anew and rewrites this page; the command under a heading measures
-that section alone. *n* is the number of samples; a tenth of them is below p10, a tenth above p90.
-What was tried where a figure is missed, and what the limit is, stands in [fleets](fleet.md),
-[engines](engines.md) and [ROS 2](ros2.md).
+`make bench` runs every section and rewrites this page; the command below a heading runs that
+section alone. *n* is the number of samples; a tenth of them is below p10, a tenth above p90.
+Limits are explained in [fleets](fleet.md), [engines](engines.md) and [ROS 2](ros2.md).
 """
 
 

@@ -90,7 +90,8 @@ def validate_config(config: ServerConfig) -> ServerConfig:
     factor = config.real_time_factor
     if factor is not None and not 0.0 <= factor <= MAX_REAL_TIME_FACTOR:
         raise ConfigError(
-            f"--rtf {factor:g} is out of range; use 0 (flat out) or up to {MAX_REAL_TIME_FACTOR:g}"
+            f"--rtf {factor:g} is out of range; "
+            f"use 0 (as fast as possible) or up to {MAX_REAL_TIME_FACTOR:g}"
         )
     if config.seed < 0:
         raise ConfigError(f"--seed {config.seed} is negative; use 0 or more")

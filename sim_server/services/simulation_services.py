@@ -142,7 +142,8 @@ def set_speed(
     if not (factor == 0.0 or MIN_SPEED <= factor <= MAX_SPEED):
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
-            f"real_time_factor={factor:g} is out of range; use 0 (flat out) or {MIN_SPEED:g} "
+            f"real_time_factor={factor:g} is out of range; "
+            f"use 0 (as fast as possible) or {MIN_SPEED:g} "
             f"to {MAX_SPEED:g}",
         )
     pacing.target_real_time_factor = factor

@@ -26,8 +26,8 @@ NAMES = (
 )
 HEAD = """# Faults
 
-`make chaos` causes all of these faults anew and rewrites this page; the command under a heading
-causes those of that section alone. *n* is the number of samples.
+`make chaos` injects all of these faults and rewrites this page; the command below a heading injects
+those of that section alone. *n* is the number of samples.
 """
 
 

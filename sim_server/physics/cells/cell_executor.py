@@ -122,7 +122,7 @@ class WorkerCellExecutor:
 
         Args:
             make: Makes an engine in this process.
-            orders: Tells a worker how to make engines; pickled.
+            orders: How a worker makes engines; pickled.
             workers: Number of workers to start with the second cell.
         """
         self._make = make

@@ -117,7 +117,7 @@ class CellWorkerClient:
         """Start a worker; it is ready when it replies.
 
         Args:
-            orders: Tells it how to make engines; pickled.
+            orders: How the worker makes engines; pickled.
             number: Names it in errors.
         """
         self.number = number
