@@ -147,6 +147,13 @@ class EntityChange:
     before: JournaledEntity | None
     after: JournaledEntity | None
 
+    @property
+    def is_spawn(self) -> bool:
+        """Whether another entity has the name now."""
+        if self.after is None:
+            return False
+        return self.before is None or self.before.ordinal != self.after.ordinal
+
 
 @dataclass(frozen=True)
 class RecordedMotion:

@@ -116,6 +116,7 @@ class ChangeTracker:
         self._clock: ClockRow | None = None
         self._motion: RecordedMotion | None = None
         self._motion_seen: tuple[int, ...] = ()
+        self._deleted: set[str] = set()
         self._motion_due_ns = 0
         self._is_failing = False
         self._commits = 0
@@ -146,7 +147,7 @@ class ChangeTracker:
             return self.position
         changes, former = self._find_changes(), self._motion
         world, clock = self._find_new_world(), self._find_new_clock()
-        has_moved = self._motion_fingerprint() != self._motion_seen
+        has_moved = self._motion_fingerprint() != self._motion_seen or self._is_name_reused(changes)
         if changes or world or clock or response or expired or (is_requested and has_moved):
             self._submit(
                 JournalRecord(
@@ -269,6 +270,14 @@ class ChangeTracker:
                 del self._known[change.name]
         return tuple(changes)
 
+    def _is_name_reused(self, changes: tuple[EntityChange, ...]) -> bool:
+        """Whether the last states, found by name, have an entity that was there before."""
+        spawned = {change.name for change in changes if change.is_spawn}
+        replaced = {change.name for change in changes if change.is_spawn and change.before}
+        is_reused = bool(replaced or spawned & self._deleted)
+        self._deleted |= {change.name for change in changes if change.after is None}
+        return is_reused
+
     def _find_ordinal(self, before: JournaledEntity | None, born_ns: int) -> int:
         if before is not None and before.entity.born_ns == born_ns:
             return before.ordinal
@@ -329,6 +338,7 @@ class ChangeTracker:
         world = self._parts.world
         roster, reading = world.entities.index, world.states()
         self._motion_seen = self._motion_fingerprint()
+        self._deleted.clear()
         self._motion = RecordedMotion(
             world.clock.epoch, world.clock.steps, roster.names, roster.joint_count, reading
         )
@@ -347,6 +357,7 @@ class ChangeTracker:
         while self._outstanding:
             self._revert(self._outstanding.pop())
         self.position = self._writer.durable
+        self._take_motion()  # the last one may lack entities that are back
         self._motion_seen = ()
         self._seen = self._fingerprint()
         return failure[1]

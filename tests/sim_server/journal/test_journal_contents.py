@@ -129,6 +129,37 @@ def test_robots_are_restored_at_rest_and_other_entities_with_their_speed(tmp_pat
     assert restarted.world.state_of("ball")[7] == 0.5
 
 
+def reuse_name(server: JournaledServer) -> None:
+    """Delete a cart at x = 4 and spawn a box with its name, one recorded request each."""
+    server.world.place("r0", on_ground(4.0), np.array([0.5, -0.25]))
+    server.tracker.record(is_requested=True)
+    server.world.delete("r0")
+    server.tracker.record(is_requested=True)
+    server.world.spawn(a_spawn("r0", model=a_box(), base=on_ground(1.0)))
+    server.tracker.record(is_requested=True)
+
+
+def test_entity_does_not_get_the_state_of_a_deleted_one_of_its_name(tmp_path: Path) -> None:
+    server = JournaledServer(tmp_path, "r0")
+    reuse_name(server)
+
+    restarted = restart(server)
+
+    assert restarted.world.state_of("r0")[0] == 1.0
+
+
+def test_undo_does_not_give_the_state_of_a_deleted_entity_of_the_name(tmp_path: Path) -> None:
+    server = JournaledServer(tmp_path, "r0")
+    reuse_name(server)
+    server.disk.is_full = True
+
+    server.world.delete("r0")
+    server.tracker.record(is_requested=True)
+
+    assert server.tracker.poll()
+    assert server.world.state_of("r0")[0] == 1.0
+
+
 def test_entity_that_is_refused_is_excluded_and_named(tmp_path: Path) -> None:
     server = JournaledServer(tmp_path, "r0", "r1")
     server.tracker.record()
