@@ -6,7 +6,7 @@ from typing import TypeAlias
 
 import msgspec
 
-from zensim.proto.codec.cdr_template import CdrTemplate
+from zensim.proto.codec.cdr import CdrTemplate
 from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.model_messages import Model, Origin

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from zensim.sim_server.physics.engine import Engine
     from zensim.sim_server.server_config import ServerConfig
 
-
 COMMAND = make_module_command("zensim.sim_server.world_loading.world_loader_process")
 
 

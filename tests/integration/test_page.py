@@ -17,7 +17,6 @@ from tests.integration.page_client import (
 )
 from tests.integration.processes import eventually
 from tests.spawner.page.builders import make_models_by_name, make_robot, make_snapshot, make_wall
-from zensim.spawner.page.http_server import CannotListen, PortTaken
 from zensim.spawner.page.render_state import (
     LastCommand,
     RenderedFleet,
@@ -26,7 +25,7 @@ from zensim.spawner.page.render_state import (
     make_fleet,
     make_frame,
 )
-from zensim.spawner.page.viewer_page import ViewerPage
+from zensim.spawner.page.viewer_page import CannotListen, PortTaken, ViewerPage
 
 STATUS = SimulationStatus("playing", 1.0, 1.0, robots=2, entities=3)
 

@@ -4,7 +4,7 @@ import socket
 
 import pytest
 
-from zensim.spawner.page.http_server import is_own_origin
+from zensim.spawner.page.viewer_page import is_own_origin
 
 OWN = socket.gethostname().lower()
 
