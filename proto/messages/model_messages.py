@@ -165,6 +165,10 @@ class Joint(msgspec.Struct, frozen=True):
     damping: float = 0.0
     friction: float = 0.0
     mimic: Mimic | None = None
+    spring_stiffness: float = 0.0
+    """[N m/rad or N/m]; the spring pulls to `spring_reference`."""
+    spring_reference: float = 0.0
+    """[rad or m]."""
 
 
 class Frame(msgspec.Struct, frozen=True):
