@@ -309,7 +309,9 @@ class AnyHistory(RuleBasedStateMachine):
 
 
 TestAnyHistory = AnyHistory.TestCase
-TestAnyHistory.settings = settings(max_examples=12, stateful_step_count=12, deadline=None)
+TestAnyHistory.settings = settings(
+    max_examples=settings().max_examples // 4, stateful_step_count=20, deadline=None
+)
 
 
 def test_summary_lists_entities_and_excluded_ones(tmp_path: Path) -> None:
