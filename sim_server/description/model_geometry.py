@@ -2,7 +2,8 @@
 
 A cylinder touches the ground along a line. Engines solve a few contact points of it one after the
 other, so that the robot drifts while it turns on the spot. A sphere of the same radius rolls the
-same way and touches at one point. Where the twist is applied to the body, friction is removed.
+same way and touches at one point. A round mesh is a polygon, on which a robot hops; it becomes a
+sphere too. Where the twist is applied to the body, friction is removed.
 """
 
 import math
@@ -26,6 +27,7 @@ from zensim.proto.messages.model_messages import (
     Vec3,
 )
 from zensim.proto.rigid_transforms import compose, conjugate, from_rpy, rotate
+from zensim.proto.se3 import from_origin, transform_points
 
 
 def make_origin(position: Vec3, rpy: tuple[float, ...]) -> Origin:
@@ -111,10 +113,19 @@ MIN_AXLE_COS = 0.9999
 """Cosine of the angle between the cylinder and its axle."""
 MAX_WHEEL_WIDTH = 2.0
 """In radii; wider cylinders are rollers."""
+MIN_TREAD_SHARE = 0.97
+"""Share of the largest radius from which corners of a mesh belong to the tread."""
+MAX_TREAD_GAP_RAD = math.radians(30.0) + 1e-3
+"""Largest angle between neighbouring corners of a round tread."""
 
 
-def links_in_contact(model: Model) -> tuple[Link, ...]:
-    """List the links with the collisions that engines use: spheres for wheels of the drive."""
+def links_in_contact(model: Model, corners: FindCorners = NO_MESHES) -> tuple[Link, ...]:
+    """List the links with the collisions that engines use: spheres for wheels of the drive.
+
+    Args:
+        model: The robot.
+        corners: Needed for wheels with meshes.
+    """
     drive = model.drive
     if drive is None:
         return model.links
@@ -122,13 +133,13 @@ def links_in_contact(model: Model) -> tuple[Link, ...]:
         return tuple(_without_friction(link) for link in model.links)
     axles = _find_axles(drive, model.joints)
     return tuple(
-        _with_sphere_wheels(link, axles[link.name]) if link.name in axles else link
+        _with_sphere_wheels(link, axles[link.name], corners) if link.name in axles else link
         for link in model.links
     )
 
 
 def describe_contacts(drive: Drive, links: Iterable[Link], joints: Iterable[Joint]) -> list[str]:
-    """Describe what `links_in_contact` changes on a robot with this drive."""
+    """Describe what `links_in_contact` changes on a robot with this drive; without its meshes."""
     if _is_driven_by_twist(drive):
         return ["friction of its collisions is not used: the twist is applied to the body"]
     axles = _find_axles(drive, joints)
@@ -143,17 +154,84 @@ def describe_contacts(drive: Drive, links: Iterable[Link], joints: Iterable[Join
     return [f"cylinders of {', '.join(rolling)} touch the ground as spheres of their radius"]
 
 
+def describe_mesh_wheels(model: Model, corners: FindCorners) -> list[str]:
+    """Describe the wheels whose meshes `links_in_contact` replaces by spheres."""
+    if model.drive is None or _is_driven_by_twist(model.drive):
+        return []
+    axles = _find_axles(model.drive, model.joints)
+    return [
+        f"mesh of {link.name!r} is round: it touches the ground as a sphere of its largest "
+        f"radius, {sphere.size[0]:.4g} m"
+        for link in model.links
+        if link.name in axles
+        for shape in link.collisions
+        if shape.kind == "mesh"
+        and (sphere := find_wheel_sphere(shape, axles[link.name], corners)) is not None
+    ]
+
+
+def find_wheel_sphere(shape: Shape, axle: Joint, corners: FindCorners = NO_MESHES) -> Shape | None:
+    """Find the sphere that rolls like a wheel's collision; None if that is not a round wheel.
+
+    Args:
+        shape: Of the child link of `axle`.
+        axle: The joint about which the wheel turns.
+        corners: Needed for meshes.
+    """
+    if is_wheel_cylinder(shape, axle):
+        return _make_sphere(shape, shape.size[0], shape.origin.position)
+    if shape.kind != "mesh":
+        return None
+    scaled = np.asarray(corners(shape.mesh), np.float64) * np.array(shape.size)
+    points = transform_points(from_origin(shape.origin), scaled)
+    tread = _find_tread(points, _unit(axle.axis)) if len(points) else None
+    return None if tread is None else _make_sphere(shape, *tread)
+
+
 def is_wheel_cylinder(shape: Shape, axle: Joint) -> bool:
     """Whether a collision is a cylinder around the axle of its link."""
     radius, length, _ = shape.size
     if shape.kind != "cylinder" or not 0.0 < length <= MAX_WHEEL_WIDTH * radius:
         return False
-    axis = np.array(axle.axis) / np.linalg.norm(axle.axis)
+    axis = _unit(axle.axis)
     along = np.array(rotate(shape.origin.orientation, (0.0, 0.0, 1.0)))
     if abs(float(along @ axis)) < MIN_AXLE_COS:
         return False
     centre = np.array(shape.origin.position)
     return float(np.linalg.norm(centre - axis * (centre @ axis))) <= MAX_AXLE_OFFSET * radius
+
+
+def _unit(axis: Vec3) -> npt.NDArray[np.float64]:
+    direction = np.array(axis)
+    return np.asarray(direction / np.linalg.norm(direction))
+
+
+def _find_tread(
+    points: npt.NDArray[np.float64], axis: npt.NDArray[np.float64]
+) -> tuple[float, Vec3] | None:
+    """Find the largest radius about an axis, and the middle of the corners that reach it.
+
+    None if they leave a gap in the circle, or if the wheel is too wide.
+    """
+    along = points @ axis
+    spokes = points - along[:, None] * axis
+    radii = np.linalg.norm(spokes, axis=1)
+    radius = float(radii.max())
+    if np.ptp(along) >= MAX_WHEEL_WIDTH * radius:
+        return None
+    is_tread = radii >= MIN_TREAD_SHARE * radius
+    first = spokes[is_tread][0]
+    turns = np.arctan2(spokes[is_tread] @ np.cross(axis, first), spokes[is_tread] @ first)
+    if np.diff(np.sort(turns), append=turns.min() + math.tau).max() > MAX_TREAD_GAP_RAD:
+        return None
+    x, y, z = (axis * (along[is_tread].min() + along[is_tread].max()) / 2.0).tolist()
+    return radius, (x, y, z)
+
+
+def _make_sphere(shape: Shape, radius: float, centre: Vec3) -> Shape:
+    return msgspec.structs.replace(
+        shape, kind="sphere", size=(radius, 0.0, 0.0), origin=Origin(centre), mesh=""
+    )
 
 
 def _is_driven_by_twist(drive: Drive) -> bool:
@@ -164,23 +242,11 @@ def _find_axles(drive: Drive, joints: Iterable[Joint]) -> dict[str, Joint]:
     return {joint.child: joint for joint in joints if joint.name in drive.wheel_joints}
 
 
-def _with_sphere_wheels(link: Link, axle: Joint) -> Link:
-    if not any(is_wheel_cylinder(shape, axle) for shape in link.collisions):
+def _with_sphere_wheels(link: Link, axle: Joint, corners: FindCorners) -> Link:
+    found = tuple(find_wheel_sphere(shape, axle, corners) or shape for shape in link.collisions)
+    if found == link.collisions:
         return link
-    return msgspec.structs.replace(
-        link, collisions=tuple(_replace_cylinders(link.collisions, axle))
-    )
-
-
-def _replace_cylinders(shapes: Iterable[Shape], axle: Joint) -> Iterable[Shape]:
-    for shape in shapes:
-        if is_wheel_cylinder(shape, axle):
-            place = Origin(shape.origin.position)
-            yield msgspec.structs.replace(
-                shape, kind="sphere", size=(shape.size[0], 0.0, 0.0), origin=place
-            )
-        else:
-            yield shape
+    return msgspec.structs.replace(link, collisions=found)
 
 
 def _without_friction(link: Link) -> Link:

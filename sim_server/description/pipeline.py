@@ -15,6 +15,7 @@ import numpy as np
 import trimesh
 
 from zensim.proto.messages.model_messages import Model, ReportEntry
+from zensim.proto.stl import read_corners
 from zensim.sim_server.description.builtin_models import read_builtin_model, read_builtin_world
 from zensim.sim_server.description.meshes.mesh_conversion import (
     MeshConversions,
@@ -23,6 +24,7 @@ from zensim.sim_server.description.meshes.mesh_conversion import (
     list_mesh_uris,
 )
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, no_meshes
+from zensim.sim_server.description.model_geometry import describe_mesh_wheels
 from zensim.sim_server.description.sdf.sdf_includes import ResolveInclude, no_includes
 from zensim.sim_server.description.sdf.sdf_model import read_sdf_model
 from zensim.sim_server.description.sdf.sdf_world import read_world
@@ -109,7 +111,7 @@ def parse_description(
     )
     conversions = MeshConversions()
     model = convert_meshes(_set_compat(model, compat), present, conversions)
-    return ModelWithMeshes(model, conversions.meshes)
+    return ModelWithMeshes(_report_mesh_wheels(model, conversions.meshes), conversions.meshes)
 
 
 def parse_world(
@@ -149,6 +151,12 @@ def parse_world(
         models.append(replace(placed, model=model))
     whole = replace(world, models=tuple(models), report=tuple(report))
     return WorldWithMeshes(whole, conversions.meshes, tuple(unusable))
+
+
+def _report_mesh_wheels(model: Model, meshes: dict[str, bytes]) -> Model:
+    notes = describe_mesh_wheels(model, lambda mesh: read_corners(meshes[mesh]))
+    entries = (ReportEntry("applied", "drive", note) for note in notes)
+    return msgspec.structs.replace(model, report=(*model.report, *entries))
 
 
 def _set_compat(model: Model, compat: Compat) -> Model:

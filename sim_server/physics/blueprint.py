@@ -2,9 +2,11 @@
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from zensim.proto.messages.model_messages import (
     IDENTITY,
@@ -21,11 +23,18 @@ from zensim.proto.messages.model_messages import (
 )
 from zensim.proto.rigid_transforms import from_directions
 from zensim.proto.se3 import from_matrix
-from zensim.sim_server.description.model_geometry import links_in_contact
+from zensim.proto.stl import read_corners
+from zensim.sim_server.description.model_geometry import (
+    NO_MESHES,
+    FindCorners,
+    links_in_contact,
+)
+from zensim.sim_server.physics.driven_wheels import find_driven_wheels
 from zensim.sim_server.physics.engine import EngineRefused
 
 DEFAULT_FRICTION = 1.0
 X_AXIS: Vec3 = (1.0, 0.0, 0.0)
+NO_CORNERS: npt.NDArray[np.float64] = np.zeros((0, 3))
 MAX_SHAPES_PER_PART = 16
 """Bullet ignores further shapes of a part without an error."""
 
@@ -40,6 +49,8 @@ class RigidPart:
         parent: Index of the parent part; -1 for the root.
         link: Index of its link.
         joint: To its parent; None when fixed at the parent's frame.
+        reflected_inertia: Least moment about the joint's axis [kg m^2] of a driven wheel, which its
+            geared motor reflects; 0 if not driven.
     """
 
     mass_kg: float
@@ -52,6 +63,7 @@ class RigidPart:
     parent: int
     link: int
     joint: Joint | None = None
+    reflected_inertia: float = 0.0
 
     @property
     def joint_kind(self) -> str:
@@ -74,16 +86,25 @@ class Blueprint:
     links: tuple[Link, ...]
 
 
-def make_blueprint(model: Model) -> Blueprint:
-    """Make the parts of a model."""
+def make_blueprint(model: Model, corners: FindCorners = NO_MESHES) -> Blueprint:
+    """Make the parts of a model.
+
+    Args:
+        model: To build.
+        corners: Needed for driven wheels with meshes.
+    """
+    links = links_in_contact(model, corners)
+    wheels = {wheel.link: wheel for wheel in find_driven_wheels(model, links, corners)}
     index = {link.name: i for i, link in enumerate(model.links)}
     joints: list[Joint | None] = [None, *model.joints]
     parts: list[RigidPart] = []
     surfaces: list[RigidPart] = []
-    for i, (link, joint) in enumerate(zip(links_in_contact(model), joints, strict=True)):
+    for i, (link, joint) in enumerate(zip(links, joints, strict=True)):
         shapes, *others = _group_by_surface(link)
         parent = -1 if joint is None else index[joint.parent]
-        parts.append(_make_part(link.inertial, shapes, parent, link=i, joint=joint))
+        part = _make_part(link.inertial, shapes, parent, link=i, joint=joint)
+        inertia = wheels[i].reflected_inertia if i in wheels else 0.0
+        parts.append(replace(part, reflected_inertia=inertia))
         surfaces.extend(_make_surface_part(group, i) for group in others)
     return Blueprint(model.name, model.is_static, (*parts, *surfaces), model.links)
 
@@ -195,6 +216,18 @@ def check_mesh_files(name: str, parts: Iterable[RigidPart], folder: str) -> None
             )
 
 
+def load_corners(folder: str, mesh: str) -> npt.NDArray[np.float64]:
+    """Load the corners (n, 3) of a `Shape.mesh` from a folder; none if its file is missing."""
+    path = Path(folder, f"{mesh}.stl")
+    return _read_corners(path) if path.is_file() else NO_CORNERS
+
+
+@lru_cache(maxsize=64)
+def _read_corners(path: Path) -> npt.NDArray[np.float64]:
+    # Files are named by their content, so that they never change.
+    return read_corners(path.read_bytes()).astype(np.float64)
+
+
 ShapeKey = tuple[tuple[str, Vec3, Origin, str, bool], ...]
 
 
@@ -257,7 +290,18 @@ class BlueprintCache:
         max_parts: int,
         joint_kinds: Collection[str],
         shape_kinds: Collection[str],
+        mesh_folder: str = "",
     ) -> None:
+        """Make an empty cache.
+
+        Args:
+            engine: Its name.
+            max_parts: Of a blueprint.
+            joint_kinds: That the engine supports.
+            shape_kinds: That the engine supports.
+            mesh_folder: With `<Shape.mesh>.stl`.
+        """
+        self._mesh_folder = mesh_folder
         self._engine = engine
         self._max_parts = max_parts
         self._joint_kinds = joint_kinds
@@ -275,7 +319,8 @@ class BlueprintCache:
         return self._last[1]
 
     def _make(self, model: Model) -> Blueprint:
-        blueprint = split_static_meshes(make_blueprint(model), max_parts=self._max_parts)
+        found = make_blueprint(model, partial(load_corners, self._mesh_folder))
+        blueprint = split_static_meshes(found, max_parts=self._max_parts)
         check_blueprint(
             blueprint,
             self._engine,

@@ -80,7 +80,7 @@ def measure_footprint(
         meshes: Triangles by name.
         pivot: Centre of the disc; None = centre of all collisions.
     """
-    hulls = [hull for _, hull in list_hulls_at_zero(model, links_in_contact(model), meshes)]
+    hulls = [hull for _, hull in list_hulls_at_zero(model, links_in_contact(model, meshes), meshes)]
     hulls = hulls or [ConvexShape(np.zeros((1, 3)))]
     ranges = [_height_range(hull) for hull in hulls]
     low = min(bottom for bottom, _ in ranges)

@@ -242,7 +242,11 @@ class PyBulletEngine(Engine):
         self._bodies: dict[int, BulletBody] = {}
         self._pool = BodyPool(awake)
         self._blueprints = BlueprintCache(
-            self.name, max_parts=MAX_PARTS, joint_kinds=JOINT_TYPES, shape_kinds=GEOMETRY_TYPES
+            self.name,
+            max_parts=MAX_PARTS,
+            joint_kinds=JOINT_TYPES,
+            shape_kinds=GEOMETRY_TYPES,
+            mesh_folder=config.mesh_folder,
         )
         self._twists: dict[int, list[float]] = {}
         self._resisting: set[int] = set()

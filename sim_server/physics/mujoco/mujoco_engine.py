@@ -475,6 +475,7 @@ class MujocoEngine(Engine):
             max_parts=MAX_PARTS,
             joint_kinds=SUPPORTED_JOINT_KINDS,
             shape_kinds=SUPPORTED_SHAPE_KINDS,
+            mesh_folder=config.mesh_folder,
         )
         self._bodies: dict[int, MujocoBody] = {}
         self._diverged: set[int] = set()
