@@ -20,7 +20,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 STAMP := .venv/.setup-done
 
-.PHONY: help setup demo test lint fmt types imports schemas docs bench house chaos fuzz pins ci clean \
+.PHONY: help setup demo test short lint fmt types imports schemas docs bench house chaos fuzz pins ci clean \
 	packages
 
 help: ## list the targets
@@ -49,17 +49,22 @@ packages: # Debian packages that the tests use
 	@sh .ci/need iproute2 ip
 	@sh .ci/need strace strace
 
-# Side by side, but those of a file one after another: they share a server.
-PYTEST := $(BIN)/python -m pytest -n logical --dist loadfile
+# Side by side, but those of a file one after another: they share a server. Tests of processes often
+# wait, so there is one worker more than cores; small files come last, so that all end together.
+PYTEST := $(BIN)/python -m pytest -n $$(($$(getconf _NPROCESSORS_ONLN) + 1)) --dist loadfile \
+	--no-loadscope-reorder
 
-test: setup packages ## all tests
-	@if [ "$$(id -u)" = 0 ]; then $(PYTEST); \
+test: setup packages ## all tests but those of `make short`
+	@if [ "$$(id -u)" = 0 ]; then $(PYTEST) -m "not short_form"; \
 	elif ! command -v sudo >/dev/null; then \
 		echo "tests of network namespaces need root, and there is no sudo; run make test as root" >&2; \
 		exit 1; \
-	else $(PYTEST) -m "not root" && \
-		sudo $(BIN)/python -B -m pytest -p no:cacheprovider -m root; \
+	else $(PYTEST) -m "not root and not short_form" && \
+		sudo $(BIN)/python -B -m pytest -p no:cacheprovider -m "root and not short_form"; \
 	fi
+
+short: setup packages ## short forms of `make bench` and `make chaos`
+	$(PYTEST) --dist load -m short_form
 
 lint: setup ## style of the code, and dead code
 	$(BIN)/ruff check

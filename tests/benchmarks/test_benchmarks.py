@@ -21,6 +21,7 @@ def run(*arguments: str) -> "subprocess.CompletedProcess[str]":
     )
 
 
+@pytest.mark.short_form
 @pytest.mark.parametrize("name", NAMES)
 def test_benchmark_fills_a_table_when_it_is_short(name: str) -> None:
     text = measure(name, is_short=True).text
