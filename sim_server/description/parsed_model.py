@@ -167,10 +167,10 @@ def check_links(links: Sequence[Link], report: ParseReport) -> None:
     """
     for link in links:
         inertial = link.inertial
-        _check_magnitude(link.name, (inertial.mass_kg, *inertial.com_in_link, *inertial.inertia))
+        check_magnitude(link.name, (inertial.mass_kg, *inertial.com_in_link, *inertial.inertia))
         _check_inertial(link.name, inertial, report)
         for shape in (*link.collisions, *link.visuals):
-            _check_magnitude(link.name, (*shape.size, *shape.origin.position))
+            check_magnitude(link.name, (*shape.size, *shape.origin.position))
             _check_size(link.name, shape)
     without = [link.name for link in links if link.inertial == Inertial()]
     if without:
@@ -200,7 +200,12 @@ def check_moving_parts(links: Iterable[Link], joints: Iterable[Joint], report: P
             )
 
 
-def _check_magnitude(name: str, numbers: Iterable[float]) -> None:
+def check_magnitude(name: str, numbers: Iterable[float]) -> None:
+    """Check that no number of a link or joint is so large that its square overflows.
+
+    Raises:
+        ModelError: One is.
+    """
     largest = max(map(abs, numbers))
     if largest > MAX_QUANTITY:
         raise ModelError(
@@ -248,7 +253,7 @@ def _check_size(link: str, shape: Shape) -> None:
 
 def _check_joint(joint: Joint) -> Joint:
     mimic = (joint.mimic.multiplier, joint.mimic.offset) if joint.mimic else ()
-    _check_magnitude(joint.name, (*joint.origin.position, *mimic))
+    check_magnitude(joint.name, (*joint.origin.position, *mimic))
     if joint.damping < 0.0 or joint.friction < 0.0:
         raise ModelError(
             f"joint {joint.name!r} has damping {joint.damping:g} and friction {joint.friction:g}; "

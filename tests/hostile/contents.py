@@ -45,7 +45,7 @@ def contents() -> Iterator[Case]:
 def _parts() -> Iterator[Case]:
     shapes = {
         "nothing": ("", "urdf.geometry"),
-        "cone": ("<cone/>", "urdf.geometry"),
+        "torus": ("<torus/>", "urdf.geometry"),
         "plane": ('<plane normal="0 0 1"/>', "urdf.geometry"),
         "box_without_size": ("<box/>", "urdf.size"),
         "sphere_without_radius": ("<sphere/>", "urdf.radius"),

@@ -24,6 +24,7 @@ from scipy.spatial import ConvexHull, QhullError
 from zensim.proto.messages.model_messages import ReportEntry
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.stl import STL_HEAD, STL_RECORD, read_corners, write_corners
+from zensim.sim_server.description.meshes.generated_solids import is_generated, list_corners
 from zensim.sim_server.description.strict_parsing import quote
 from zensim.sim_server.errors import ModelError
 
@@ -651,7 +652,7 @@ def convert_meshes(
     Raises:
         ModelError: A collision's mesh cannot be read.
     """
-    if not list_mesh_uris(model):
+    if not _list_meshes(model):
         return model
     count = sum(shape.kind == "mesh" for link in model.links for shape in link.collisions)
     max_count = min(MAX_STATIC_TRIANGLES, MAX_STATIC_TRIANGLES_OF_MODEL // max(1, count))
@@ -661,7 +662,11 @@ def convert_meshes(
 
 
 def list_mesh_uris(model: Model) -> tuple[str, ...]:
-    """List the mesh URIs of a model, each once."""
+    """List the URIs of a model's mesh files, each once."""
+    return tuple(uri for uri in _list_meshes(model) if not is_generated(uri))
+
+
+def _list_meshes(model: Model) -> tuple[str, ...]:
     shapes = (shape for link in model.links for shape in (*link.collisions, *link.visuals))
     return tuple(dict.fromkeys(shape.mesh for shape in shapes if shape.kind == "mesh"))
 
@@ -693,11 +698,14 @@ def _convert_visual(link: str, shape: Shape, job: _ModelConversion) -> Shape | N
 
 
 def _convert_shape(shape: Shape, purpose: str, job: _ModelConversion) -> tuple[Shape, ...]:
-    source, data = job.files[shape.mesh]
+    if is_generated(shape.mesh):
+        source, data, purpose = shape.mesh, b"", "generated"
+    else:
+        source, data = job.files[shape.mesh]
     key = (source, purpose, job.max_count if purpose == "static" else 0)
     if (names := job.conversions.known.get(key)) is None:
         if source not in job.read:
-            job.read[source] = read_mesh(shape.mesh, data)
+            job.read[source] = _read_mesh_or_generate(shape.mesh, data)
         if purpose == "static":
             _report_decimation(shape.mesh, len(job.read[source].faces), job)
         parts = CONVERSIONS[purpose](job.read[source], job.max_count)
@@ -705,6 +713,12 @@ def _convert_shape(shape: Shape, purpose: str, job: _ModelConversion) -> tuple[S
         job.conversions.meshes.update(stls)
         names = job.conversions.known[key] = tuple(stls)
     return tuple(msgspec.structs.replace(shape, mesh=name) for name in names)
+
+
+def _read_mesh_or_generate(uri: str, data: bytes) -> Triangles:
+    if is_generated(uri):
+        return _make_hull(np.array(list_corners(uri)))
+    return read_mesh(uri, data)
 
 
 def _report_decimation(uri: str, count: int, job: _ModelConversion) -> None:
@@ -799,4 +813,5 @@ CONVERSIONS: dict[str, Callable[[Triangles, int], list[Triangles]]] = {
     "hull": lambda triangles, _: [convex_hull(triangles)],
     "static": lambda triangles, count: split_mesh(decimate(triangles, count), MAX_PIECE_TRIANGLES),
     "visual": lambda triangles, _: [decimate(triangles, MAX_VISUAL_TRIANGLES)],
+    "generated": lambda triangles, _: [triangles],
 }

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from zensim.proto.messages.result_messages import SpawnCode
+from zensim.sim_server.description.meshes.generated_solids import is_generated
 from zensim.sim_server.description.strict_parsing import quote
 from zensim.sim_server.errors import ModelError
 
@@ -36,7 +37,7 @@ class MeshPolicy:
         Raises:
             ModelError: The mesh of a collision is missing and must not be.
         """
-        if shape.kind != "mesh" or self.has_mesh(shape.mesh):
+        if shape.kind != "mesh" or is_generated(shape.mesh) or self.has_mesh(shape.mesh):
             return True
         fault = f"mesh {quote(shape.mesh)} is not on the server"
         if not collides:

@@ -36,11 +36,13 @@ from zensim.sim_server.description.link_surfaces import (
     read_named_colours,
     read_visual_colour,
 )
+from zensim.sim_server.description.meshes.generated_solids import make_cone, make_ellipsoid
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
 from zensim.sim_server.description.model_geometry import make_origin
 from zensim.sim_server.description.parsed_model import (
     ParsedModel,
     check_links,
+    check_magnitude,
     check_moving_parts,
     drop_floating_world,
     is_fixed_to_world,
@@ -54,6 +56,7 @@ from zensim.sim_server.description.strict_parsing import (
     parse_flag,
     parse_xml,
     quote,
+    read_number,
     read_numbers,
     to_single_line,
 )
@@ -105,6 +108,10 @@ GEOMETRY = UrdfElementRule(
             attributes={"radius": ONE, "length": ONE}, required=("radius", "length")
         ),
         "capsule": UrdfElementRule(
+            attributes={"radius": ONE, "length": ONE}, required=("radius", "length")
+        ),
+        "ellipsoid": UrdfElementRule(attributes={"radii": THREE}, required=("radii",)),
+        "cone": UrdfElementRule(
             attributes={"radius": ONE, "length": ONE}, required=("radius", "length")
         ),
         "mesh": UrdfElementRule(
@@ -269,12 +276,13 @@ LINK_TAGS = (*SURFACE_TAGS, "material", "sensor")
 UNUSED_LINK_TAGS = dict.fromkeys(("laserRetro", "maxContacts", "max_contacts"), _NO_EFFECT)
 UNUSED_JOINT_TAGS = dict.fromkeys(
     (
-        "cfmDamping", "dampingFactor", "erp", "fudgeFactor", "implicitSpringDamper",
-        "initial_joint_position", "provideFeedback", "springReference", "springStiffness",
-        "stopCfm", "stopErp",
+        "cfmDamping", "dampingFactor", "erp", "fudgeFactor", "initial_joint_position",
+        "provideFeedback", "stopCfm", "stopErp",
     ),
     _NO_EFFECT,
-)  # fmt: skip
+) | {"implicitSpringDamper": "the engine chooses how it integrates springs"}  # fmt: skip
+SPRING_TAGS = ("springStiffness", "springReference")
+SPRING_KINDS = ("revolute", "continuous", "prismatic")
 MODEL_TAGS = ("plugin", "static", "self_collide")
 UNUSED_MODEL_TAGS = {
     "allow_auto_disable": _NO_EFFECT,
@@ -292,6 +300,8 @@ class GazeboExtensions:
         surfaces: The same, read.
         colours: By link; they override the colours of URDF materials, as in Gazebo.
         kept_joints: Fixed joints that are not lumped.
+        spring_texts: Texts of spring tags, by joint.
+        springs: Stiffness and reference, by joint.
         plugins: Of the model.
         sensors: Of links.
         is_static: The robot does not move.
@@ -302,6 +312,8 @@ class GazeboExtensions:
     surfaces: dict[str, SurfaceParameters] = field(default_factory=dict)
     colours: dict[str, Quat] = field(default_factory=dict)
     kept_joints: set[str] = field(default_factory=set)
+    spring_texts: dict[str, dict[str, str]] = field(default_factory=dict)
+    springs: dict[str, tuple[float, float]] = field(default_factory=dict)
     plugins: list[Element] = field(default_factory=list)
     sensors: list[SensorElement] = field(default_factory=list)
     is_static: bool = False
@@ -321,21 +333,68 @@ def read_gazebo_extensions(
     joints = {joint.name for joint in parts.joints}
     for block in robot.findall("gazebo"):
         reference = block.get("reference")
-        for child in block:
-            if reference is None:
+        if reference is None:
+            for child in block:
                 _read_model_tag(child, blocks, report)
-            elif reference in links:
+        elif reference in links:
+            for child in block:
                 _read_link_tag(reference, child, blocks, report)
-            elif reference in joints:
+        elif reference in joints:
+            for child in block:
                 _read_joint_tag(reference, child, blocks, report)
-        if reference is not None and reference not in links | joints:
+        else:
             report.suspicious(
                 f"gazebo {reference[:80]!r}", "no link or joint has this name; block not read"
             )
+    _read_collected_texts(parts, blocks, report)
+    return blocks
+
+
+def _read_collected_texts(
+    parts: ParsedModel, blocks: GazeboExtensions, report: ParseReport
+) -> None:
     for link, texts in blocks.surface_texts.items():
         tags = SurfaceTagReader(texts, subject=f"gazebo {link!r}", slug="gazebo.mu1", report=report)
         blocks.surfaces[link] = tags.read()
-    return blocks
+    for joint in parts.joints:
+        if written := blocks.spring_texts.get(joint.name):
+            blocks.springs[joint.name] = _read_spring(joint, written, report)
+
+
+def _read_spring(joint: Joint, texts: dict[str, str], report: ParseReport) -> tuple[float, float]:
+    subject = f"gazebo {joint.name!r}: <{SPRING_TAGS[0]}>"
+    if joint.kind not in SPRING_KINDS:
+        report.ignored(subject, f"a {joint.kind} joint has no spring")
+        return 0.0, 0.0
+    try:
+        stiffness, reference = (
+            read_number(texts.get(tag, "0"), where=tag, slug="urdf.number") for tag in SPRING_TAGS
+        )
+        check_magnitude(joint.name, (stiffness, reference))
+    except ModelError as error:
+        report.suspicious(subject, f"{error.message}; no spring")
+        return 0.0, 0.0
+    if stiffness < 0.0:
+        report.suspicious(subject, f"{stiffness:g} is negative; no spring")
+    elif stiffness == 0.0:
+        report.ignored(subject, "0 or missing: no spring")
+    else:
+        what = "N/m to {:g} m" if joint.kind == "prismatic" else "N m/rad to {:g} rad"
+        report.applied(subject, f"{stiffness:g} {what.format(reference)}")
+        return stiffness, reference
+    return 0.0, 0.0
+
+
+def apply_springs(joints: Iterable[Joint], blocks: GazeboExtensions) -> tuple[Joint, ...]:
+    """Apply the springs of the blocks to joints before lumping."""
+    return tuple(_apply_spring(joint, blocks.springs) for joint in joints)
+
+
+def _apply_spring(joint: Joint, springs: dict[str, tuple[float, float]]) -> Joint:
+    stiffness, reference = springs.get(joint.name, (0.0, 0.0))
+    if stiffness == 0.0:
+        return joint
+    return msgspec.structs.replace(joint, spring_stiffness=stiffness, spring_reference=reference)
 
 
 def apply_surfaces(links: Iterable[Link], blocks: GazeboExtensions) -> tuple[Link, ...]:
@@ -408,10 +467,12 @@ def _read_joint_tag(
         if parse_flag(_element_text(child)):
             blocks.kept_joints.add(joint)
         report.applied(f"{subject}: <{child.tag}>")
+    elif child.tag in SPRING_TAGS:
+        blocks.spring_texts.setdefault(joint, {})[child.tag] = _element_text(child)
     elif child.tag in UNUSED_JOINT_TAGS:
         report.ignored(f"{subject}: <{child.tag}>", UNUSED_JOINT_TAGS[child.tag])
     else:
-        report.unread_tag(subject, child.tag, (*KEEP_JOINT_TAGS, *UNUSED_JOINT_TAGS))
+        report.unread_tag(subject, child.tag, (*KEEP_JOINT_TAGS, *SPRING_TAGS, *UNUSED_JOINT_TAGS))
 
 
 def _element_text(child: Element) -> str:
@@ -422,6 +483,7 @@ ROUND_SIZE_ATTRIBUTES = {
     "sphere": ("radius",),
     "cylinder": ("radius", "length"),
     "capsule": ("radius", "length"),
+    "cone": ("radius", "length"),
 }
 """Attributes of `Shape.size`, by kind."""
 
@@ -473,6 +535,9 @@ def _read_shape(part: Element) -> Shape:
     if solid.tag == "box":
         x, y, z = _read_attribute(solid, "size", 3)
         return Shape("box", (x, y, z), origin)
+    if solid.tag == "ellipsoid":
+        x, y, z = _read_attribute(solid, "radii", 3)
+        return msgspec.structs.replace(make_ellipsoid((x, y, z)), origin=origin)
     if solid.tag == "mesh":
         return Shape("mesh", _read_scale(solid), origin, mesh=(solid.get("filename") or "").strip())
     radius, *length = (
@@ -481,6 +546,8 @@ def _read_shape(part: Element) -> Shape:
     size = (radius, length[0] if length else 0.0, 0.0)
     if solid.tag == "sphere":
         return Shape("sphere", size, origin)
+    if solid.tag == "cone":
+        return msgspec.structs.replace(make_cone(*size[:2]), origin=origin)
     return Shape("cylinder" if solid.tag == "cylinder" else "capsule", size, origin)
 
 
@@ -658,7 +725,7 @@ def read_urdf(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool =
 def _reduce_joints(
     parts: ParsedModel, blocks: GazeboExtensions, report: ParseReport
 ) -> LumpedModel:
-    joints = normalize_axes(parts.joints)
+    joints = normalize_axes(apply_springs(parts.joints, blocks))
     lumped = reduce_joints(
         apply_surfaces(parts.links, blocks),
         _fix_joints(joints) if blocks.is_static else joints,

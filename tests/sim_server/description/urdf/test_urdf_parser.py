@@ -492,7 +492,7 @@ def slug_of(text: str) -> str:
         (a_robot(a_link("a", "<inertial><mass/></inertial>")), "urdf.value"),
         (a_robot(a_link("a", "<collision/>")), "urdf.geometry"),
         (a_robot(a_link("a", a_collision("<geometry/>"))), "urdf.geometry"),
-        (a_robot(a_link("a", a_visual("<geometry><cone/></geometry>"))), "urdf.geometry"),
+        (a_robot(a_link("a", a_visual("<geometry><torus/></geometry>"))), "urdf.geometry"),
         (a_robot(a_link("a", a_visual("<geometry><box/></geometry>"))), "urdf.size"),
         (a_robot(a_link("a", a_visual("<geometry><mesh/></geometry>"))), "urdf.filename"),
         (a_robot("<material/>"), "urdf.name"),
@@ -579,3 +579,49 @@ def test_first_tag_is_used_when_it_is_repeated() -> None:
 
     assert model.links[0].inertial.inertia[0] == 0.1
     assert subjects(model.report, "suspicious") == ["link 'a', inertial, inertia"]
+
+
+SPRING = "<springStiffness>30</springStiffness><springReference>-0.5</springReference>"
+
+
+def sprung(block: str, kind: str = "continuous") -> Model:
+    limit = '<limit lower="0" upper="1" effort="1" velocity="1"/>'
+    arm = a_link("arm", an_inertial()) + a_joint("j", ("body", "arm"), kind, limit)
+    return read_urdf(a_robot(BODY, arm, a_reference("j", block)))
+
+
+@pytest.mark.parametrize("kind", ["continuous", "revolute", "prismatic"])
+def test_spring_of_a_joint_is_read(kind: str) -> None:
+    model = sprung(SPRING, kind)
+
+    assert [(j.spring_stiffness, j.spring_reference) for j in model.joints] == [(30.0, -0.5)]
+    assert mentions(model.report, "applied", "gazebo 'j': <springStiffness>")
+
+
+@pytest.mark.parametrize(
+    ("block", "status"),
+    [
+        ("<springReference>1</springReference>", "ignored"),
+        ("<springStiffness>0</springStiffness>", "ignored"),
+        ("<springStiffness>-3</springStiffness>", "suspicious"),
+        ("<springStiffness>stiff</springStiffness>", "suspicious"),
+        ("<springStiffness>1e200</springStiffness>", "suspicious"),
+    ],
+)
+def test_spring_without_a_usable_stiffness_is_left_out(block: str, status: str) -> None:
+    model = sprung(block)
+
+    assert model.joints[0].spring_stiffness == 0.0
+    assert mentions(model.report, status, "gazebo 'j': <springStiffness>")
+
+
+def test_spring_of_a_fixed_joint_is_left_out() -> None:
+    model = sprung(SPRING, "fixed")
+
+    assert mentions(model.report, "ignored", "gazebo 'j': <springStiffness>")
+
+
+def test_implicit_spring_damper_has_no_effect_of_its_own() -> None:
+    model = sprung("<implicitSpringDamper>1</implicitSpringDamper>")
+
+    assert mentions(model.report, "ignored", "gazebo 'j': <implicitSpringDamper>")
