@@ -11,6 +11,7 @@ NAMES = (
     "start",
     "cost",
     "accuracy",
+    "wheels",
     "cmd_vel",
     "spawn",
     "reading",

@@ -1,0 +1,120 @@
+"""Motion that Coulomb friction allows: the twist at which the friction of all contacts balances.
+
+Without inertia the steady motion of a robot minimises the power that friction takes, the sum of
+friction times load times slip over its contacts, for given speeds of its driven wheels. The sum is
+convex; its few unknowns are the planar twist and the speeds of the wheels that turn freely.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+SMOOTHINGS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+"""Slips [m/s] below which friction is taken as proportional, one after the other."""
+MAX_STEPS = 60
+"""Of each smoothing."""
+TOLERANCE = 1e-6
+"""Unbalanced part of the friction, relative to the largest."""
+
+
+@dataclass(frozen=True)
+class SlipTerms:
+    """Slips of n contacts that are linear in m unknowns; the first three are vx, vy and wz.
+
+    The power that friction takes is the sum of |rows x - offsets| over the contacts, plus the sum
+    of `damping` x^2 / 2.
+
+    Attributes:
+        rows: (n, 2, m), scaled by friction times load.
+        offsets: (n, 2), likewise.
+        scales: (n,) friction times load [N].
+        damping: (m,) viscous resistance.
+    """
+
+    rows: FloatArray
+    offsets: FloatArray
+    scales: FloatArray
+    damping: FloatArray
+
+
+@dataclass(frozen=True)
+class CoulombMotion:
+    """The unknowns of `SlipTerms` at least power.
+
+    Attributes:
+        unknowns: (m,).
+        power_w: That friction takes.
+        is_converged: Whether friction balances.
+    """
+
+    unknowns: FloatArray
+    power_w: float
+    is_converged: bool
+
+    @property
+    def twist(self) -> tuple[float, float, float]:
+        """vx, vy [m/s] and wz [rad/s]."""
+        vx, vy, wz = self.unknowns[:3].tolist()
+        return vx, vy, wz
+
+
+def solve_coulomb_motion(terms: SlipTerms) -> CoulombMotion:
+    """Find the motion at which friction takes least power; at rest where nothing decides.
+
+    Newton's method on smoothed slips, with reweighted least squares where that does not descend.
+    """
+    rows, offsets = terms.rows, terms.offsets
+    count = rows.shape[2]
+    if not len(rows):
+        return CoulombMotion(np.zeros(count), 0.0, is_converged=True)
+    size = float(np.abs(rows).max()) or 1.0
+    weak = np.eye(count) * size * 1e-9
+    x = np.zeros(count)
+    is_balanced = False
+    for smoothing in SMOOTHINGS:
+        x, is_balanced = _descend(terms, x, (smoothing * terms.scales) ** 2, weak)
+    slips = rows @ x - offsets
+    power = float(np.sqrt((slips**2).sum(axis=1)).sum() + terms.damping @ x**2 / 2.0)
+    return CoulombMotion(x, power, is_balanced)
+
+
+def _descend(
+    terms: SlipTerms, x: FloatArray, smooth: FloatArray, weak: FloatArray
+) -> tuple[FloatArray, bool]:
+    rows, damping = terms.rows, terms.damping
+    flat = rows.reshape(-1, rows.shape[2])
+    limit = TOLERANCE * max(float(np.abs(flat).max()), 1e-12)
+    slips, lengths, power = _measure(terms, x, smooth)
+    for _ in range(MAX_STEPS):
+        pull = (slips / lengths[:, None]).reshape(-1) @ flat + damping * x
+        if float(np.abs(pull).max()) <= limit:
+            return x, True
+        spread = flat * np.repeat(1.0 / lengths, 2)[:, None]
+        bound = flat.T @ spread + np.diag(damping) + weak
+        along = np.einsum("ni,nim->nm", slips, rows) / lengths[:, None] ** 1.5
+        for matrix, least in ((bound - along.T @ along, 0.25), (bound, 1e-3)):
+            step, share = -np.linalg.solve(matrix, pull), 1.0
+            found = _measure(terms, x + step, smooth)
+            while found[2] >= power and share > least:
+                share /= 2.0
+                found = _measure(terms, x + share * step, smooth)
+            if found[2] < power:
+                break
+        if found[2] >= power:
+            return x, float(np.abs(pull).max()) <= 1e3 * limit
+        x = x + share * step
+        slips, lengths, power = found
+    return x, False
+
+
+def _measure(
+    terms: SlipTerms, x: FloatArray, smooth: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    slips = terms.rows @ x - terms.offsets
+    lengths = np.sqrt((slips**2).sum(axis=1) + smooth)
+    return slips, lengths, float(lengths.sum() + terms.damping @ x**2 / 2.0)

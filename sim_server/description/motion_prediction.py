@@ -1,0 +1,146 @@
+"""Prediction of how a robot drives on level ground, and notes where it is not as commanded."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from zensim.proto.drives.column_math import FLOAT_MATH
+from zensim.proto.drives.differential_drive import find_base_step
+from zensim.proto.drives.drive_kinematics import make_drive_kinematics
+from zensim.proto.drives.measured_joints import MeasuredJoints, PlanarTwist
+from zensim.proto.messages.drive_messages import AckermannDrive, DiffDrive, TricycleDrive
+from zensim.proto.rigid_transforms import transform_point
+from zensim.sim_server.description.ground_friction import GroundFriction, GroundMotion, JointTargets
+from zensim.sim_server.description.model_geometry import NO_MESHES, find_link_poses
+
+if TYPE_CHECKING:
+    from zensim.proto.messages.drive_messages import Drive
+    from zensim.proto.messages.model_messages import Model
+    from zensim.sim_server.description.model_geometry import FindCorners
+
+STRAIGHT: PlanarTwist[float] = (0.2, 0.0, 0.0)
+TURN: PlanarTwist[float] = (0.0, 0.0, 0.5)
+"""Nominal commands [m/s, m/s, rad/s]."""
+STEERED_TURN: PlanarTwist[float] = (0.2, 0.0, 0.3)
+"""Of drives whose turn is a steering angle [rad]."""
+SETTLED_S = 1e3
+"""Time after which limits of acceleration have no effect."""
+
+
+@dataclass(frozen=True)
+class PredictedMotion:
+    """What a robot does under one command.
+
+    Attributes:
+        command: As given to the drive.
+        nominal: Twist of the root link that the drive's own sizes give.
+        twist: Twist of the root link that friction and geometry give.
+        ground: Contacts and pose; None where the body is moved without wheels.
+    """
+
+    command: PlanarTwist[float]
+    nominal: PlanarTwist[float]
+    twist: PlanarTwist[float]
+    ground: GroundMotion | None
+
+
+def is_steered(drive: Drive) -> bool:
+    """Whether the turn of a command is a steering angle."""
+    return isinstance(drive, AckermannDrive | TricycleDrive)
+
+
+def predict_motion(
+    model: Model, command: PlanarTwist[float], friction: GroundFriction
+) -> PredictedMotion:
+    """Predict the steady motion of a model with a drive, on level ground of friction 1."""
+    numbers = find_drive_targets(model, command)
+    if any(actuator.mode == "twist" for actuator in model.actuators):
+        return PredictedMotion(command, command, command, None)
+    targets = make_joint_targets(model, numbers)
+    found = friction.move(targets)
+    return PredictedMotion(command, find_nominal_twist(model, numbers), found.twist, found)
+
+
+def find_drive_targets(model: Model, command: PlanarTwist[float]) -> tuple[float, ...]:
+    """Find the targets that the drive of a model sends after a while.
+
+    Raises:
+        ValueError: The model has no drive.
+    """
+    if model.drive is None:
+        raise ValueError(f"model '{model.name}' has no drive; choose one that has")
+    drive = make_drive_kinematics(model.drive, FLOAT_MATH)
+    zeros = [0.0 for actuator in model.actuators if actuator.joint]
+    targets, _ = drive.find_targets(
+        command,
+        measured=MeasuredJoints(zeros, zeros),
+        state=(0.0,) * drive.state_size,
+        dt_s=SETTLED_S,
+    )
+    return targets
+
+
+def make_joint_targets(model: Model, numbers: tuple[float, ...]) -> JointTargets:
+    """Assign the targets of velocity and position actuators to joints."""
+    index = {joint.name: i for i, joint in enumerate(model.joints)}
+    steering = model.drive.steering_joints if model.drive else ()
+    positions = np.zeros(len(model.joints))
+    speeds, efforts = {}, {}
+    for actuator, number in zip(model.actuators, numbers, strict=True):
+        joint = index[actuator.joint]
+        if actuator.mode == "position":
+            positions[joint] = number
+        elif actuator.joint in steering:
+            positions[joint] = number * SETTLED_S
+        else:
+            speeds[joint], efforts[joint] = number, actuator.effort
+    return JointTargets(positions, speeds, efforts)
+
+
+def find_nominal_twist(model: Model, numbers: tuple[float, ...]) -> PlanarTwist[float]:
+    """Find the twist of the root link by the drive's own sizes; 0 without wheels."""
+    drive = model.drive
+    if isinstance(drive, DiffDrive):
+        left, right = numbers[:2]
+        ahead, turn = find_base_step(drive.pairs[0], left, right)
+        axle = _find_middle(model, drive.wheel_joints)
+    elif isinstance(drive, AckermannDrive):
+        left, right = numbers[:2]
+        angles = numbers[2:4]
+        ahead = (left + right) / 2.0 * drive.wheel_radius_m
+        slope = 2.0 / sum(1.0 / math.tan(angle) for angle in angles) if all(angles) else 0.0
+        turn = ahead * slope / drive.wheelbase_m
+        axle = _find_middle(model, drive.wheel_joints[:2])
+    elif isinstance(drive, TricycleDrive):
+        speed, angle = numbers[0] * drive.actuated_wheel_diameter_m / 2.0, numbers[1]
+        if drive.max_steering_speed > 0.0:
+            angle *= SETTLED_S
+        axle = _find_middle(model, drive.wheel_joints[1:])
+        reach = _find_middle(model, drive.wheel_joints[:1])[0] - axle[0]
+        ahead, turn = speed * math.cos(angle), speed * math.sin(angle) / reach
+    else:
+        return (0.0, 0.0, 0.0)
+    x, y = axle
+    return ahead + turn * y, -turn * x, turn
+
+
+def _find_middle(model: Model, joints: tuple[str, ...]) -> tuple[float, float]:
+    """Find the middle (x, y) [m] of the links of joints, in the root link."""
+    poses = find_link_poses(model.links[0].name, model.joints)
+    children = {joint.name: joint.child for joint in model.joints}
+    places = [transform_point(poses[children[name]], (0.0, 0.0, 0.0)) for name in joints]
+    x, y, _ = np.mean(places, axis=0).tolist()
+    return x, y
+
+
+def predict_nominal_motions(
+    model: Model, corners: FindCorners = NO_MESHES
+) -> tuple[PredictedMotion, PredictedMotion]:
+    """Predict driving straight and turning at the nominal commands."""
+    friction = GroundFriction(model, corners)
+    turn = STEERED_TURN if model.drive and is_steered(model.drive) else TURN
+    return predict_motion(model, STRAIGHT, friction), predict_motion(model, turn, friction)
