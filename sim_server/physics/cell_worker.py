@@ -17,12 +17,20 @@ from typing import Any
 import numpy as np
 
 from zensim.proto.messages.model_messages import Model
+from zensim.sim_server.physics.actuation import make_actuation
 from zensim.sim_server.physics.cells.cell_worker_client import (
     CellTargetLayout,
     CellWorkerReply,
     SharedArray,
 )
-from zensim.sim_server.physics.engine import Engine, EngineRefused, FloatArray
+from zensim.sim_server.physics.engine import (
+    BodyStates,
+    Engine,
+    EngineRefused,
+    FloatArray,
+    concatenate_states,
+    make_invalid_state,
+)
 from zensim.sim_server.physics.engine_factory import CellConfig
 
 MIN_BLOCK_BYTES = 1 << 19
@@ -108,20 +116,72 @@ class HostedCell:
 
     Attributes:
         engine_numbers: The engine's number of each body, by the server's.
+        models: Model of each body, by the server's number.
+        lost: Bodies that the engine refused although the server relied on it; read as NaN.
+        faults: Of those, the reasons that the server does not know yet.
     """
 
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
         self.engine_numbers: dict[int, int] = {}
+        self.models: dict[int, Model] = {}
+        self.lost: set[int] = set()
+        self.faults: dict[int, str] = {}
+
+    def add(self, body: int, model: Model, base: FloatArray) -> None:
+        """Add a body; raises EngineRefused."""
+        self.engine_numbers[body] = self.engine.add(model, base)
+        self.models[body] = model
+
+    def lose(self, body: int, model: Model, reason: str) -> None:
+        """Record a body that the engine does not have."""
+        self.models[body], self.faults[body] = model, reason
+        self.lost.add(body)
+
+    def remove(self, body: int) -> None:
+        """Remove a body."""
+        del self.models[body]
+        self.faults.pop(body, None)
+        if body in self.lost:
+            self.lost.remove(body)
+        else:
+            self.engine.remove(self.engine_numbers.pop(body))
+
+    def take_faults(self) -> dict[int, str]:
+        """Take the faults of the engine and of lost bodies, by the server's numbers."""
+        of_engine = self.engine.take_faults()
+        found = dict(zip(self.to_server_numbers(list(of_engine)), of_engine.values(), strict=True))
+        found, self.faults = {**found, **self.faults}, {}
+        return found
+
+    def read(self, bodies: Sequence[int]) -> BodyStates:
+        """Read bodies; lost ones have NaN."""
+        if self.lost.isdisjoint(bodies):
+            return self.engine.read(self.to_engine_numbers(bodies))
+        return concatenate_states([self._read_one(body) for body in bodies])
+
+    def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
+        """Set the targets of bodies; those of lost ones have no effect."""
+        if not self.lost.isdisjoint(bodies):
+            widths = [make_actuation(self.models[body]).width for body in bodies]
+            targets = targets[np.repeat([body not in self.lost for body in bodies], widths)]
+        self.engine.command(self.to_engine_numbers(bodies), targets)
 
     def to_engine_numbers(self, bodies: Sequence[int]) -> tuple[int, ...]:
-        """Find the engine's numbers of bodies."""
+        """Find the engine's numbers of bodies, lost ones excepted."""
+        if self.lost:
+            bodies = [body for body in bodies if body not in self.lost]
         return tuple([self.engine_numbers[body] for body in bodies])
 
     def to_server_numbers(self, bodies: Sequence[int]) -> list[int]:
         """Find the server's numbers of bodies."""
         server_numbers = {number: body for body, number in self.engine_numbers.items()}
         return [server_numbers[body] for body in bodies]
+
+    def _read_one(self, body: int) -> BodyStates:
+        if body in self.lost:
+            return make_invalid_state(self.models[body])
+        return self.engine.read((self.engine_numbers[body],))
 
 
 class CellWorker:
@@ -150,7 +210,8 @@ class CellWorker:
         if method in FORWARDED_METHODS:
             number, body, *rest = arguments
             cell = self._cells[number]
-            getattr(cell.engine, method)(cell.engine_numbers[body], *rest)
+            if body not in cell.lost:
+                getattr(cell.engine, method)(cell.engine_numbers[body], *rest)
             return
         try:
             reply = getattr(self, f"_{method}")(*arguments)
@@ -173,7 +234,8 @@ class CellWorker:
 
     def _hide(self, cell: int, body: int) -> None:
         hosted = self._cells[cell]
-        hosted.engine.hide(hosted.engine_numbers[body])
+        if body not in hosted.lost:
+            hosted.engine.hide(hosted.engine_numbers[body])
 
     def _show(self, cell: int, bodies: Sequence[int]) -> None:
         hosted = self._cells[cell]
@@ -187,30 +249,31 @@ class CellWorker:
         return CellWorkerReply(self._cells[cell].engine.prepare(self._model))
 
     def _add(self, cell: int, body: int, base: FloatArray) -> CellWorkerReply:
-        self._add_body(cell, body, base)
+        assert self._model is not None
+        self._cells[cell].add(body, self._model, base)
         return CellWorkerReply(value=True)
 
     def _add_another(self, cell: int, body: int, base: FloatArray) -> None:
+        assert self._model is not None
         try:
-            self._add_body(cell, body, base)
+            self._cells[cell].add(body, self._model, base)
         except EngineRefused as refused:
             # The model was accepted before, so the server does not wait for a reply.
-            raise RuntimeError(f"body {body} of cell {cell}: {refused}") from refused
-
-    def _add_body(self, cell: int, body: int, base: FloatArray) -> None:
-        assert self._model is not None
-        hosted = self._cells[cell]
-        hosted.engine_numbers[body] = hosted.engine.add(self._model, base)
+            self._cells[cell].lose(body, self._model, str(refused))
 
     def _remove(self, cell: int, body: int) -> None:
-        hosted = self._cells[cell]
-        hosted.engine.remove(hosted.engine_numbers.pop(body))
+        self._cells[cell].remove(body)
 
     def _forget_removed(self, cell: int) -> None:
         self._cells[cell].engine.forget_removed()
 
+    def _take_faults(self, cell: int) -> CellWorkerReply:
+        return CellWorkerReply(self._cells[cell].take_faults())
+
     def _find_overlaps(self, cell: int, body: int) -> CellWorkerReply:
         hosted = self._cells[cell]
+        if body in hosted.lost:
+            return CellWorkerReply([])
         return CellWorkerReply(
             hosted.to_server_numbers(hosted.engine.find_overlaps(hosted.engine_numbers[body]))
         )
@@ -219,12 +282,12 @@ class CellWorker:
         is_valid = True
         for cell in cells:
             for _ in range(steps):
-                is_valid &= self._cells[cell].engine.step()
+                is_valid &= self._cells[cell].engine.step() and not self._cells[cell].lost
         return CellWorkerReply(is_valid)
 
     def _read(self, requests: Sequence[tuple[int, Sequence[int]]]) -> CellWorkerReply:
         cells = ((self._cells[cell], bodies) for cell, bodies in requests)
-        found = [hosted.engine.read(hosted.to_engine_numbers(bodies)) for hosted, bodies in cells]
+        found = [hosted.read(bodies) for hosted, bodies in cells]
         arrays = [(one.base, one.joint_positions, one.joint_velocities) for one in found]
         self._states.write([array for three in arrays for array in three])
         return CellWorkerReply([(len(one.base), one.joint_positions.size) for one in found])
@@ -235,8 +298,7 @@ class CellWorker:
             self._command_one(cell, bodies, own)
 
     def _command_one(self, cell: int, bodies: Sequence[int], targets: FloatArray) -> None:
-        hosted = self._cells[cell]
-        hosted.engine.command(hosted.to_engine_numbers(bodies), targets)
+        self._cells[cell].command(bodies, targets)
 
 
 def main() -> None:

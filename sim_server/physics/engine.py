@@ -1,7 +1,8 @@
 """The Engine interface and its optional capabilities."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,34 @@ class EngineRefused(SimError):
     slug = "engine.refused"
 
 
+class EngineLost(RuntimeError):
+    """The engine, or a process of it, ended: all its bodies are lost."""
+
+
+@contextmanager
+def refuse_faults(subject: str) -> Iterator[None]:
+    """Turn an unexpected exception about one model into a refusal.
+
+    Args:
+        subject: What was attempted, such as "model 'arm'".
+
+    Raises:
+        EngineRefused: Anything but a refusal or a lost engine was raised.
+    """
+    try:
+        yield
+    except (SimError, EngineLost):
+        raise
+    except Exception as error:
+        raise EngineRefused(f"{subject}: the engine failed: {describe_fault(error)}") from error
+
+
+def describe_fault(error: BaseException) -> str:
+    """Describe an exception in one line; SystemError of C extensions has its reason as cause."""
+    cause = f" ({describe_fault(error.__cause__)})" if error.__cause__ is not None else ""
+    return f"{type(error).__name__}: {error}{cause}"
+
+
 @dataclass(frozen=True)
 class BodyStates:
     """State of some bodies, in the order requested.
@@ -39,6 +68,23 @@ class BodyStates:
     base: FloatArray
     joint_positions: FloatArray
     joint_velocities: FloatArray
+
+
+def concatenate_states(states: Sequence[BodyStates]) -> BodyStates:
+    """Concatenate the states of bodies."""
+    if len(states) == 1:
+        return states[0]
+    return BodyStates(
+        np.concatenate([np.zeros((0, 13)), *(one.base for one in states)]),
+        np.concatenate([np.zeros(0), *(one.joint_positions for one in states)]),
+        np.concatenate([np.zeros(0), *(one.joint_velocities for one in states)]),
+    )
+
+
+def make_invalid_state(model: Model) -> BodyStates:
+    """Make the state of a body that is set aside: NaN throughout."""
+    joints = np.full(len(model.joints), np.nan)
+    return BodyStates(np.full((1, 13), np.nan), joints, joints.copy())
 
 
 @dataclass(frozen=True)
@@ -153,7 +199,7 @@ class Engine(ABC):
         """Advance by one step.
 
         Returns:
-            False if a body diverged: read all and remove it before the next step.
+            False if a body diverged or failed: read all and remove it before the next step.
         """
 
     @abstractmethod
@@ -184,6 +230,13 @@ class Engine(ABC):
     def find_contacts(self, body: int) -> Sequence[int]:  # noqa: ARG002
         """Find the other bodies that a body touched in the last step, the ground excepted."""
         return ()
+
+    def take_faults(self) -> Mapping[int, str]:
+        """Take the bodies that were set aside since the last call, each with the reason.
+
+        Such a body is read as NaN, and calls for it have no effect until it is removed.
+        """
+        return {}
 
     def skip_validation(self, model: Model) -> None:  # noqa: B027
         """Let `add` return before the model is validated: an equal engine has accepted it."""

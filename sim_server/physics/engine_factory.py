@@ -19,6 +19,7 @@ from zensim.sim_server.physics.engine_config import (
     choose_engine,
     find_installed_engines,
 )
+from zensim.sim_server.physics.isolating_engine import IsolatingEngine
 from zensim.sim_server.physics.sleeping_engine import wrap_with_sleep
 
 ENGINE_CLASSES: dict[EngineName, tuple[str, str]] = {
@@ -43,10 +44,10 @@ class CellConfig(msgspec.Struct, frozen=True):
 
 
 def create_engine(name: EngineName, config: EngineConfig, **options: int) -> Engine:
-    """Create an engine, with sleep if it can."""
+    """Create an engine that isolates failing bodies, with sleep if it can."""
     module, class_name = ENGINE_CLASSES[name]
     engine: Engine = getattr(import_module(module), class_name)(config, **options)
-    return wrap_with_sleep(engine, config)
+    return wrap_with_sleep(IsolatingEngine(engine), config)
 
 
 MAX_SINGLE_CELL_BODIES = 250

@@ -1,6 +1,6 @@
 """Base of layers around an engine."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from zensim.proto.messages.model_messages import Model, TierName
@@ -79,6 +79,9 @@ class EngineLayer(Engine):
 
     def show(self, bodies: Sequence[int]) -> None:
         self._inner.show(bodies)
+
+    def take_faults(self) -> Mapping[int, str]:
+        return self._inner.take_faults()
 
     def skip_validation(self, model: Model) -> None:
         self._inner.skip_validation(model)

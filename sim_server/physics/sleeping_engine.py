@@ -244,10 +244,12 @@ class SleepingEngine(EngineLayer):
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
+        # Whatever may fail comes first: a body must not remain in the engine alone.
+        actuation, radius_m = make_actuation(model), self._find_radius_m(model)
         body = self._inner.add(model, base)
-        self._actuations[body] = make_actuation(model)
+        self._actuations[body] = actuation
         self._commands.forget(body)
-        self._tracker.add(body, model, self._find_radius_m(model), self._steps)
+        self._tracker.add(body, model, radius_m, self._steps)
         if self._tracker.state[body] == SleepState.FIXED:
             # Else the engine searches contacts with each sleeping body on it in each step.
             self._inner.sleep([body])

@@ -91,9 +91,11 @@ def spawn_model(
     if order.dry_run:
         name, namespace = spawning.world.resolve_names_for(validated)
         return SpawnEntityReport(Result(), name, namespace, (*notes, *validated.model.report))
-    entity = spawning.world.spawn(validated)
-    if not order.strict:
-        notes.extend(_make_overlap_notes(spawning.world.find_overlaps(entity)))
+    if order.strict:
+        entity = spawning.world.spawn(validated)
+    else:
+        entity, overlapped = spawning.world.spawn_and_find_overlaps(validated)
+        notes.extend(_make_overlap_notes(overlapped))
     _record_spawn(spawning, entity, order.bond, notes)
     report = (*notes, *validated.model.report)
     return SpawnEntityReport(Result(), entity.name, entity.namespace, report)

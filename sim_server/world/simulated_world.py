@@ -1,7 +1,8 @@
 """The World: entities with bodies and claims, stepped by an engine."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -10,14 +11,21 @@ import numpy as np
 from zensim.proto.forward_kinematics import compute_joint_poses
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState, OnRelease
 from zensim.proto.messages.entity_messages import EntityInfo
-from zensim.proto.messages.model_messages import Joint, Model, Origin
+from zensim.proto.messages.model_messages import Joint, Link, Model, Origin
 from zensim.proto.messages.simulation_messages import ResetScope, State
 from zensim.proto.messages.telemetry_messages import Snapshot
 from zensim.proto.se3 import to_origin
 from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import IncorrectState
 from zensim.sim_server.physics.actuation import make_stop_targets
-from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
+from zensim.sim_server.physics.engine import (
+    BodyStates,
+    Engine,
+    EngineLost,
+    EngineRefused,
+    FloatArray,
+    refuse_faults,
+)
 from zensim.sim_server.scene.convex_shapes import MeshVertices
 from zensim.sim_server.scene.scene import CollisionScene, SceneLayout
 from zensim.sim_server.world.applied_forces import AppliedForces
@@ -33,6 +41,10 @@ PROBATION_NS = 1_000_000_000
 """An entity that diverges again within this simulation time is frozen."""
 FROZEN_MESSAGE = (
     "frozen at its last valid state: its state was not finite or out of range; "
+    "set its state, reset the world, or delete it"
+)
+FROZEN_BY_FAULT = (
+    "frozen at its last valid state: the engine failed for it; "
     "set its state, reset the world, or delete it"
 )
 RESET_TO_REST_MESSAGE = (
@@ -119,10 +131,14 @@ class DivergenceGuard:
         """Mark an entity as frozen."""
         return self._frozen.setdefault(entity.name, self.last_valid_state(entity))
 
-    def unfreeze(self, name: str) -> RestState | None:
-        """Mark an entity as not frozen; return the state that it had, None if it was not frozen."""
+    def find_frozen(self, name: str) -> RestState | None:
+        """Find the state of a frozen entity; None if it is not frozen."""
+        return self._frozen.get(name)
+
+    def unfreeze(self, name: str) -> None:
+        """Mark an entity as not frozen."""
         self._diverged_ns.pop(name, None)
-        return self._frozen.pop(name, None)
+        self._frozen.pop(name, None)
 
     def forget(self, name: str) -> None:
         """Forget a deleted entity: a new one of the same name does not get its states."""
@@ -181,6 +197,11 @@ def make_frozen_model(model: Model, positions: FloatArray) -> Model:
     return msgspec.structs.replace(model, joints=joints, drive=None, is_static=True, dynamics="")
 
 
+def make_bare_model(model: Model) -> Model:
+    """Make a copy of a frozen model without collisions, which any engine can simulate."""
+    return msgspec.structs.replace(model, links=tuple(Link(link.name) for link in model.links))
+
+
 def _fix_joint(joint: Joint, position: float) -> Joint:
     return msgspec.structs.replace(
         joint, kind="fixed", origin=_find_moved_origin(joint, position), mimic=None
@@ -220,6 +241,8 @@ class World:
         self._states: BodyStates | None = None
         self._states_step = 0
         """The step that the states are of."""
+        self._has_invalid_body = False
+        """Whether the last step reported one, which is not necessarily read."""
 
     @property
     def is_control_step(self) -> bool:
@@ -233,7 +256,11 @@ class World:
 
     def prepare(self, model: Model) -> bool:
         """Make a part of what `spawn` needs for a model; return whether nothing is left."""
-        return self.engine.prepare(model)
+        try:
+            with refuse_faults(f"model '{model.name}'"):
+                return self.engine.prepare(model)
+        except EngineRefused:
+            return True  # as `spawn` will raise it
 
     def resolve_names_for(self, spawn: ValidatedSpawn) -> tuple[str, str]:
         """Find the name and namespace that an entity would get; raises as `spawn` does."""
@@ -252,6 +279,14 @@ class World:
         self._commit(entity)
         return entity
 
+    def spawn_and_find_overlaps(self, spawn: ValidatedSpawn) -> tuple[Entity, list[str]]:
+        """Add an entity, and name the entities that it overlaps; raises as `spawn` does."""
+        entity = self._add_staged(spawn)
+        with self._rollback_on_refusal(entity):
+            overlapped = self.find_overlaps(entity)
+        self._commit(entity)
+        return entity, overlapped
+
     def stage_spawn(self, spawn: ValidatedSpawn) -> tuple[Entity, Callable[[], list[str]]]:
         """Reserve names and make a body that is hidden until `commit_staged`; raises as `spawn`.
 
@@ -260,9 +295,15 @@ class World:
             for the engine unless `is_idle`, and must be called before any entity is removed.
         """
         entity = self._add_staged(spawn)
-        wait = self.engine.find_overlaps_async(entity.body)
-        self.engine.hide(entity.body)
-        return entity, lambda: self.entities.find_owners(wait())
+        with self._rollback_on_refusal(entity):
+            wait = self.engine.find_overlaps_async(entity.body)
+            self.engine.hide(entity.body)
+
+        def find_overlapped() -> list[str]:
+            with refuse_faults(f"overlaps of '{entity.name}'"):
+                return self.entities.find_owners(wait())
+
+        return entity, find_overlapped
 
     def commit_staged(self, entities: Sequence[Entity]) -> None:
         """Add staged entities to the world, all at once."""
@@ -278,7 +319,7 @@ class World:
 
     def _add_staged(self, spawn: ValidatedSpawn) -> Entity:
         name, namespace = self.resolve_names_for(spawn)
-        body = self.engine.add(spawn.model, spawn.base)
+        body = self._add_body(spawn.model, spawn.base)
         entity = Entity(
             *(name, namespace, spawn.model, body, spawn.base.copy(), spawn.description),
             born_ns=spawn.born_ns,
@@ -287,6 +328,21 @@ class World:
         )
         self.entities.stage(entity)
         return entity
+
+    def _add_body(self, model: Model, base: FloatArray) -> int:
+        """Add a body; raises EngineRefused, whatever the engine raises."""
+        with refuse_faults(f"model '{model.name}'"):
+            return self.engine.add(model, base)
+
+    @contextmanager
+    def _rollback_on_refusal(self, entity: Entity) -> Iterator[None]:
+        """Remove a staged entity if the engine fails; raises EngineRefused then."""
+        try:
+            with refuse_faults(f"entity '{entity.name}'"):
+                yield
+        except EngineRefused:
+            self.rollback_staged([entity])
+            raise
 
     def _commit(self, entity: Entity) -> None:
         self.entities.commit(entity)
@@ -300,9 +356,10 @@ class World:
     def check_overlaps(self, spawn: ValidatedSpawn) -> list[str]:
         """Name the entities that a spawn would overlap; raises as `spawn` does."""
         self.resolve_names_for(spawn)
-        body = self.engine.add(spawn.model, spawn.base)
+        body = self._add_body(spawn.model, spawn.base)
         try:
-            return self.entities.find_owners(self.engine.find_overlaps(body))
+            with refuse_faults(f"overlaps of model '{spawn.model.name}'"):
+                return self.entities.find_owners(self.engine.find_overlaps(body))
         finally:
             self.engine.remove(body)
 
@@ -379,7 +436,7 @@ class World:
         positions = self.states().joint_positions[self.entities.index.joints_of(name)]
         rest = RestState(self.state_of(name), positions.copy())
         # If the engine refuses the model, it must do so before the former body is removed.
-        self.engine.remove(self.engine.add(model, rest.base))
+        self.engine.remove(self._add_body(model, rest.base))
         self._restore_at_rest(replace(entity, model=model), rest)
 
     def claim(self, agent: str, names: tuple[str, ...], on_release: OnRelease) -> tuple[Claim, ...]:
@@ -448,6 +505,8 @@ class World:
         is_valid = self.engine.step()
         self.clock.steps += 1
         if not is_valid:
+            self._has_invalid_body = True
+            self._states = None
             self.states()
 
     def reset(self, scope: int) -> None:
@@ -461,7 +520,7 @@ class World:
         if bits & ResetScope.STATE:
             self.states()  # recovers what has diverged
             for entity in self.entities:
-                self._unfreeze(entity)
+                self._try_unfreeze(entity)
                 self.engine.set_at_rest(self.entities.find(entity.name).body, entity.initial)
             self.divergence_guard.forget_all()
         if bits & ResetScope.TIME:
@@ -475,13 +534,30 @@ class World:
     def states(self) -> BodyStates:
         """Read the states of all entities, at most once a step; those that diverged recover."""
         if self._states is None or not self._is_read:
-            states, guard = self.engine.read(self.entities.index.bodies), self.divergence_guard
-            if diverged := guard.find_diverged(self.entities.index, states):
-                self._recover_diverged(diverged)
-                states = self.engine.read(self.entities.index.bodies)
-            self._states = guard.remember(self.entities.index, states)
+            states = self._read_valid_states()
+            self._states = self.divergence_guard.remember(self.entities.index, states)
             self._states_step = self.clock.steps
         return self._states
+
+    def _read_valid_states(self) -> BodyStates:
+        """Read the states of all entities until those that diverged or failed are set aside."""
+        while True:
+            index = self.entities.index
+            states = self.engine.read(index.bodies)
+            if is_valid_state(states) and not self._has_invalid_body:
+                return states
+            self._has_invalid_body = False
+            diverged = self.divergence_guard.find_diverged(index, states)
+            faults = self._take_faults()
+            if not diverged and not faults:
+                return states
+            self._recover(list(dict.fromkeys([*diverged, *faults])), faults)
+
+    def _take_faults(self) -> dict[str, str]:
+        """Find the entities for which the engine failed, each with the reason."""
+        faults = self.engine.take_faults()
+        owners = {body: name for body in faults for name in self.entities.find_owners([body])}
+        return {name: faults[body] for body, name in owners.items() if name in self.entities}
 
     def scene(self, vertices: MeshVertices) -> CollisionScene:
         """Make the scene of this step; meshes have these vertices."""
@@ -552,38 +628,74 @@ class World:
         """Free the engine."""
         self.engine.close()
 
-    def _recover_diverged(self, names: list[str]) -> None:
+    def _recover(self, names: list[str], faults: Mapping[str, str]) -> None:
+        """Freeze the entities that the engine failed for, or else the cause of the divergence."""
         entities = [self.entities.find(name) for name in names]
         culprits = self.divergence_guard.find_culprits(entities, self.clock.time_ns)
         for entity in entities:
-            if entity.name in culprits:
-                self._freeze(entity)
+            if entity.name in (faults or culprits):
+                self._freeze(entity, faults.get(entity.name, ""))
             else:
                 self._restore_at_rest(entity, self.divergence_guard.last_valid_state(entity))
                 self.clock.warn(entity.name, RESET_TO_REST_MESSAGE)
 
-    def _freeze(self, entity: Entity) -> None:
+    def _freeze(self, entity: Entity, fault: str) -> None:
+        self.engine.remove(entity.body)
+        self._add_frozen_body(entity, fault)
+
+    def _add_frozen_body(self, entity: Entity, fault: str) -> None:
+        """Freeze an entity that has no body.
+
+        Raises:
+            EngineLost: The engine does not even accept a body without collisions.
+        """
+        was_frozen = self.divergence_guard.is_frozen(entity.name)
         rest = self.divergence_guard.freeze(entity)
         self.applied_forces.forget(entity.name)
-        self._recreate_body(entity, make_frozen_model(entity.model, rest.positions), rest.base)
+        model = make_frozen_model(entity.model, rest.positions)
+        try:
+            body = self._add_body(make_bare_model(model) if was_frozen else model, rest.base)
+        except EngineRefused as refused:
+            if was_frozen:
+                raise EngineLost(f"entity '{entity.name}' cannot be frozen: {refused}") from refused
+            self._add_frozen_body(entity, fault or str(refused))
+            return
+        self._set_body(entity, body)
         if agent := self.claims.agent_of(entity.name):
             self.claims.drop(entity.name)
             self.clock.add_event("released", entity=entity.name, agent=agent)
-        self.clock.warn(entity.name, FROZEN_MESSAGE)
+        self.clock.warn(entity.name, f"{FROZEN_BY_FAULT}: {fault}" if fault else FROZEN_MESSAGE)
 
     def _unfreeze(self, entity: Entity) -> None:
-        if (rest := self.divergence_guard.unfreeze(entity.name)) is not None:
-            self._restore_at_rest(entity, rest)
+        """Give an entity its own model again; raises EngineRefused if it must stay frozen."""
+        if (rest := self.divergence_guard.find_frozen(entity.name)) is not None:
+            # If the engine refuses the model, it must do so before the former body is removed.
+            body = self._add_body(entity.model, rest.base)
+            self.engine.remove(entity.body)
+            self._set_body(entity, body)
+            self.engine.set_at_rest(body, rest.base, rest.positions)
+        self.divergence_guard.unfreeze(entity.name)
+
+    def _try_unfreeze(self, entity: Entity) -> None:
+        """Unfreeze an entity; if the engine refuses its model, it stays frozen."""
+        try:
+            self._unfreeze(entity)
+        except EngineRefused as refused:
+            self.clock.warn(entity.name, f"{FROZEN_BY_FAULT}: {refused}")
 
     def _restore_at_rest(self, entity: Entity, rest: RestState) -> None:
-        self._recreate_body(entity, entity.model, rest.base)
-        body = self.entities.find(entity.name).body
-        self.engine.set_at_rest(body, rest.base, rest.positions)
-
-    def _recreate_body(self, entity: Entity, model: Model, base: FloatArray) -> None:
         """Replace the body of an entity: an engine may keep numbers that are not finite."""
         self.engine.remove(entity.body)
-        self.entities.replace(replace(entity, body=self.engine.add(model, base)))
+        try:
+            body = self._add_body(entity.model, rest.base)
+        except EngineRefused as refused:
+            self._add_frozen_body(entity, str(refused))
+            return
+        self._set_body(entity, body)
+        self.engine.set_at_rest(body, rest.base, rest.positions)
+
+    def _set_body(self, entity: Entity, body: int) -> None:
+        self.entities.replace(replace(entity, body=body))
         self._drop_cached_states()
 
     def _grant(self, agent: str, entity: Entity, on_release: OnRelease) -> Claim:

@@ -292,15 +292,11 @@ class PyBulletEngine(Engine):
             raise EngineRefused(
                 f"model '{model.name}': Bullet cannot create it: {error}"
             ) from error
-        self._com_frames.add(body, blueprint.parts[0])
-        self._set_dynamics(body, blueprint)
-        self._set_dampings(body, blueprint)
-        loads = make_link_forces(blueprint, self._gravity, self._dt_s)
-        gears = [self._make_gear_constraint(body, gear) for gear in list_gear_constraints(model)]
-        self._register(body, make_bullet_body(model, blueprint, loads, gears))
-        # Created in place with joints at zero: setting the pose again takes as long as creating it.
-        self._set_velocity(body, self._com_frames.to_com_state(body, base)[7:])
-        self._clear_targets(body)
+        try:
+            self._complete(body, model, blueprint, base)
+        except Exception:
+            self._discard(body)
+            raise
         return body
 
     def remove(self, body: int) -> None:
@@ -427,6 +423,26 @@ class PyBulletEngine(Engine):
     def close(self) -> None:
         """See `Engine.close`."""
         pybullet.disconnect(physicsClientId=self._client)
+
+    def _complete(self, body: int, model: Model, blueprint: Blueprint, base: FloatArray) -> None:
+        """Set what createMultiBody does not."""
+        self._set_self_collision(body, blueprint)
+        self._com_frames.add(body, blueprint.parts[0])
+        self._set_dynamics(body, blueprint)
+        self._set_dampings(body, blueprint)
+        loads = make_link_forces(blueprint, self._gravity, self._dt_s)
+        gears = [self._make_gear_constraint(body, gear) for gear in list_gear_constraints(model)]
+        self._register(body, make_bullet_body(model, blueprint, loads, gears))
+        # Created in place with joints at zero: setting the pose again takes as long as creating it.
+        self._set_velocity(body, self._com_frames.to_com_state(body, base)[7:])
+        self._clear_targets(body)
+
+    def _discard(self, body: int) -> None:
+        """Remove a body that could not be completed, and its constraints with it."""
+        for table in (self._bodies, self._twists, self._loads):
+            table.pop(body, None)
+        self._resisting.discard(body)
+        pybullet.removeBody(body, physicsClientId=self._client)
 
     def _register(self, body: int, known: BulletBody) -> None:
         self._bodies[body] = known
@@ -567,12 +583,15 @@ class PyBulletEngine(Engine):
             blueprint, base, shapes=shapes, visual=self._visual, kinds=JOINT_TYPES
         )
         flags = pybullet.URDF_USE_SELF_COLLISION if has_self_collision(blueprint.links) else 0
-        body = pybullet.createMultiBody(**arguments, flags=flags, physicsClientId=self._client)
-        for one, other, do_collide in list_self_collision_pairs(blueprint) if flags else ():
+        return int(pybullet.createMultiBody(**arguments, flags=flags, physicsClientId=self._client))
+
+    def _set_self_collision(self, body: int, blueprint: Blueprint) -> None:
+        if not has_self_collision(blueprint.links):
+            return
+        for one, other, do_collide in list_self_collision_pairs(blueprint):
             pybullet.setCollisionFilterPair(
                 body, body, one, other, int(do_collide), physicsClientId=self._client
             )
-        return body
 
     def _set_dynamics(self, body: int, blueprint: Blueprint) -> None:
         for link, arguments in make_dynamics_arguments(blueprint, self._dt_s):

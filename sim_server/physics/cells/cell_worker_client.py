@@ -6,7 +6,7 @@ import pickle
 import select
 import socket
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from itertools import count
 from multiprocessing.connection import Connection
@@ -20,6 +20,7 @@ from zensim.sim_server.physics.engine import (
     BodyStates,
     Engine,
     EngineCapabilities,
+    EngineLost,
     EngineRefused,
     FloatArray,
 )
@@ -77,7 +78,7 @@ MAX_QUEUED_CALLS = 32
 """Calls that are sent together, unless a reply is needed before."""
 
 
-class CellWorkerDied(RuntimeError):
+class CellWorkerDied(EngineLost):
     """A worker process ended, and its cells are lost."""
 
 
@@ -329,6 +330,10 @@ class RemoteCell(Engine):
     def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
         """See `Engine.find_overlaps_async`."""
         return self.worker.call_async(list, "find_overlaps", self.cell, body).wait
+
+    def take_faults(self) -> Mapping[int, str]:
+        """See `Engine.take_faults`."""
+        return self.worker.call(dict, "take_faults", self.cell)
 
     def is_idle(self) -> bool:
         """See `Engine.is_idle`."""

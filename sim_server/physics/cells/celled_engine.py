@@ -1,7 +1,8 @@
 """The Engine over many cells: regroup bodies, move them between cells, forward calls."""
 
 import heapq
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import logging
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -10,7 +11,13 @@ import numpy as np
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.body_reach import BodyReach, ReachCache, can_move
 from zensim.sim_server.physics.cells.cell_executor import CellExecutor, CellReadRequest, CellTargets
-from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
+from zensim.sim_server.physics.engine import (
+    BodyStates,
+    Engine,
+    EngineRefused,
+    FloatArray,
+    concatenate_states,
+)
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.scene.broad_phase import (
     IntArray,
@@ -19,6 +26,7 @@ from zensim.sim_server.scene.broad_phase import (
     label_components,
 )
 
+LOG = logging.getLogger(__name__)
 ALL_CELLS = -1
 """Cell of a body that cannot move: each cell has a copy."""
 NO_CELL = -2
@@ -311,17 +319,6 @@ def make_index_map(
     )
 
 
-def concatenate_readings(readings: Sequence[BodyStates]) -> BodyStates:
-    """Concatenate the states of cells."""
-    if len(readings) == 1:
-        return readings[0]
-    return BodyStates(
-        np.concatenate([np.zeros((0, 13)), *(reading.base for reading in readings)]),
-        np.concatenate([np.zeros(0), *(reading.joint_positions for reading in readings)]),
-        np.concatenate([np.zeros(0), *(reading.joint_velocities for reading in readings)]),
-    )
-
-
 FILL_RATIO = 0.75
 """Share of the capacity to which an overfull cell is emptied and others are filled."""
 
@@ -507,6 +504,8 @@ class CellMap:
         self._capacity = capacity
         self.members = CellBodyTable()
         self._accepted: Model | None = None
+        self._stuck: set[int] = set()
+        """Bodies that another cell refused."""
         self.engines: dict[int, Engine] = {0: cells.make()}
 
     @property
@@ -525,7 +524,7 @@ class CellMap:
     def add(self, model: Model, reach: BodyReach, base: FloatArray) -> int:
         """Add a body: one that cannot move to all cells, any other to one; raises EngineRefused."""
         if not can_move(model):
-            copies = {cell: engine.add(model, base) for cell, engine in self.engines.items()}
+            copies = self._add_copies(model, base)
             number = self.members.add(model, reach, cell=ALL_CELLS, inner=-1)
             self.members.by_number[number].copies = copies
             self.record_static(number)
@@ -542,6 +541,7 @@ class CellMap:
         for engine, inner in self.locate(body):
             engine.remove(inner)
         self.members.remove(body)
+        self._stuck.discard(body)
 
     def hide(self, body: int) -> None:
         """Hide a body, if its engine can."""
@@ -563,11 +563,7 @@ class CellMap:
     def read_each(self, bodies: Iterable[int]) -> BodyStates:
         """Read bodies one by one, hidden ones included."""
         each = [engine.read([inner]) for engine, inner in (self.locate(body)[0] for body in bodies)]
-        return BodyStates(
-            np.concatenate([one.base for one in each]),
-            np.concatenate([one.joint_positions for one in each]),
-            np.concatenate([one.joint_velocities for one in each]),
-        )
+        return concatenate_states(each)
 
     def locate(self, body: int) -> Sequence[tuple[Engine, int]]:
         """List the engines that contain a body, and its number in each."""
@@ -583,13 +579,23 @@ class CellMap:
         self.members.version += 1
 
     def get_engine(self, cell: int) -> Engine:
-        """Find or make the engine of a cell; a new one gets all bodies that cannot move."""
+        """Find or make the engine of a cell; a new one gets all bodies that cannot move.
+
+        Raises:
+            EngineRefused: One of these bodies cannot be made again; there is no new cell.
+        """
         if (known := self.engines.get(cell)) is not None:
             return known
-        engine = self.engines[cell] = self._cells.make()
-        for member in self.members.by_number.values():
-            if member.base is not None:
-                member.copies[cell] = engine.add(member.model, member.base)
+        engine = self._cells.make()
+        statics = [one for one in self.members.by_number.values() if one.base is not None]
+        try:
+            copies = [engine.add(one.model, one.base) for one in statics if one.base is not None]
+        except EngineRefused:
+            self._cells.end(engine)
+            raise
+        self.engines[cell] = engine
+        for member, copy in zip(statics, copies, strict=True):
+            member.copies[cell] = copy
         return engine
 
     def find_overlaps(self, body: int) -> list[int]:
@@ -632,13 +638,26 @@ class CellMap:
         for row in rows:
             number, cell = int(order.numbers[row]), int(cells[row])
             joints = slice(order.joint_start[row], order.joint_start[row + 1])
+            try:
+                engine = self._find_accepting_engine(cell, members.by_number[number].model)
+                inner = engine.add(members.by_number[number].model, states.base[row])
+            except EngineRefused as refused:
+                self._report_stuck(number, refused)
+                continue
             self.engines[int(members.cell[number])].remove(int(members.inner[number]))
-            engine = self._find_accepting_engine(cell, members.by_number[number].model)
-            inner = engine.add(members.by_number[number].model, states.base[row])
             positions, velocities = states.joint_positions[joints], states.joint_velocities[joints]
             engine.set_state(inner, states.base[row], positions, velocities)
             members.move(number, cell=cell, inner=inner)
+            self._stuck.discard(number)
         return bool(rows)
+
+    def take_faults(self) -> dict[int, str]:
+        """See `Engine.take_faults`."""
+        found: dict[int, str] = {}
+        for cell, engine in self.engines.items():
+            for inner, reason in engine.take_faults().items():
+                found.update(dict.fromkeys(self._to_body_numbers(cell, {inner}), reason))
+        return found
 
     def forget_removed(self) -> None:
         """Close cells without moving bodies, and number new bodies as in a fresh run."""
@@ -657,6 +676,24 @@ class CellMap:
         for engine in self.engines.values():
             engine.close()
         self._cells.close()
+
+    def _add_copies(self, model: Model, base: FloatArray) -> dict[int, int]:
+        """Add a body that cannot move to each cell, or to none; raises EngineRefused."""
+        copies: dict[int, int] = {}
+        try:
+            for cell, engine in self.engines.items():
+                copies[cell] = engine.add(model, base)
+        except EngineRefused:
+            for cell, inner in copies.items():
+                self.engines[cell].remove(inner)
+            raise
+        return copies
+
+    def _report_stuck(self, number: int, refused: EngineRefused) -> None:
+        """Log once that a body stays in its cell, where it does not touch those of the other."""
+        if number not in self._stuck:
+            self._stuck.add(number)
+            LOG.warning("body stays in its cell body=%d reason=%s", number, refused)
 
     def _find_accepting_engine(self, cell: int, model: Model) -> Engine:
         """Find the engine of a cell; it skips validation of a model that another has accepted."""
@@ -801,6 +838,10 @@ class CelledEngine(Engine):
             self._regroup()
         return self._cell_map.find_overlaps_async(body)
 
+    def take_faults(self) -> Mapping[int, str]:
+        """See `Engine.take_faults`."""
+        return self._cell_map.take_faults()
+
     def is_idle(self) -> bool:
         """See `Engine.is_idle`."""
         return self._cell_map.is_idle()
@@ -935,7 +976,7 @@ class CelledEngine(Engine):
         if self._states is None:
             order, engines = self._current_order(), self._cell_map.engines
             cells = zip(order.cells, order.bodies, strict=True)
-            self._states = concatenate_readings(
+            self._states = concatenate_states(
                 self._cells.read([CellReadRequest(engines[cell], b) for cell, b in cells])
             )
         return self._states

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from zensim.proto.se3 import to_yaw
-from zensim.sim_server.physics.engine import BodyStates, FloatArray
+from zensim.sim_server.physics.engine import BodyStates, EngineRefused, FloatArray
 from zensim.sim_server.physics.engine_layer import EngineLayer
 from zensim.sim_server.physics.kinematic.collision_limits import (
     DiscMotions,
@@ -46,7 +47,7 @@ from zensim.sim_server.scene.footprints import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from zensim.proto.messages.model_messages import Dynamics, Model, TierName
     from zensim.sim_server.physics.engine import Engine
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
     from zensim.sim_server.physics.kinematic.planar_vehicle import PlanarPlan, PlanarVehicle
     from zensim.sim_server.physics.kinematic.tier_body_table import TierIndexMap
 
+LOG = logging.getLogger(__name__)
 NEAR_M = 0.02
 """Discs with a smaller gap are near each other, if one of them moves."""
 CLEAR_M = 0.06
@@ -610,8 +612,16 @@ class TierSwitcher:
         needs_full = proximity.is_near | rows.exceeds_limits[discs]
         is_flat = rows.is_auto[discs] & (rows.full[discs] < 0)
         for row in discs[is_flat & needs_full].tolist():
-            bodies.move_to_full(row)
+            self._try_move_to_full(row)
         self._release_settled(proximity, discs)
+
+    def _try_move_to_full(self, row: int) -> None:
+        """Move a robot to the full engine; if that refuses, it stays kinematic from now on."""
+        try:
+            self._bodies.move_to_full(row)
+        except EngineRefused as refused:
+            self._bodies.rows.is_auto[row] = False
+            LOG.warning("robot stays kinematic body=%d reason=%s", row, refused)
 
     def find_overlapping(self, row: int) -> tuple[list[int], bool]:
         """Find the rows of discs that a disc overlaps now, and whether it overlaps an edge."""
@@ -734,14 +744,17 @@ class TieredEngine(EngineLayer):
         )
         if full[body] < 0 and not guests and not is_by_edge:
             return []
-        guests = [row for row in (body, *guests) if full[row] < 0]
-        guest_numbers = {row: bodies.add_guest(row) for row in guests}
-        rows = {**bodies.numbers, **{number: row for row, number in guest_numbers.items()}}
-        mine = guest_numbers.get(body, int(full[body]))
-        found = sorted(rows[other] for other in self._inner.find_overlaps(mine))
-        for number in guest_numbers.values():
-            self._inner.remove(number)
-        return found
+        guest_numbers: dict[int, int] = {}
+        try:
+            for row in (body, *guests):
+                if full[row] < 0:
+                    guest_numbers[row] = bodies.add_guest(row)
+            rows = {**bodies.numbers, **{number: row for row, number in guest_numbers.items()}}
+            mine = guest_numbers.get(body, int(full[body]))
+            return sorted(rows[other] for other in self._inner.find_overlaps(mine))
+        finally:
+            for number in guest_numbers.values():
+                self._inner.remove(number)
 
     def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
         """See `Engine.find_overlaps_async`; synchronous if there are kinematic bodies."""
@@ -751,6 +764,12 @@ class TieredEngine(EngineLayer):
             return lambda: found
         wait, rows = self._inner.find_overlaps_async(number), self._bodies.numbers
         return lambda: sorted(rows[other] for other in wait() if other in rows)
+
+    def take_faults(self) -> Mapping[int, str]:
+        """See `Engine.take_faults`."""
+        rows = self._bodies.numbers
+        faults = self._inner.take_faults()
+        return {rows[number]: reason for number, reason in faults.items() if number in rows}
 
     def read(self, bodies: Sequence[int]) -> BodyStates:
         """See `Engine.read`."""

@@ -286,7 +286,7 @@ def _compile_into(
 ) -> None:
     try:
         future.set_result(compile_model(*key))
-    except ValueError as error:
+    except Exception as error:  # noqa: BLE001 - or who asks again would wait for ever
         future.set_exception(error)
 
 
@@ -497,16 +497,16 @@ class MujocoEngine(Engine):
         """See `Engine.add`."""
         archetype = self._find_archetype(model)
         compiled = self._compile_with_one_more(archetype, model.name)
+        # Whatever may fail comes first: a slot must not be taken for a refused body.
+        actuation = make_actuation(model)
+        loads = make_link_forces(self._blueprints.find(model), self._config.gravity, self._dt_s)
         number = next(self._numbers)
         slot = self._slots.take(archetype, number)
         if compiled is not self._compiled:
             self._switch_model(compiled)
             _COMPILE_CACHE.compile_ahead(compiled.layout.slot_counts, archetype, self._config)
-        loads = make_link_forces(self._blueprints.find(model), self._config.gravity, self._dt_s)
         address = compiled.layout.address(archetype, slot)
-        body = self._bodies[number] = MujocoBody(
-            model, archetype, slot, address, make_actuation(model), loads
-        )
+        body = self._bodies[number] = MujocoBody(model, archetype, slot, address, actuation, loads)
         self._owners[address.geometries] = number
         self._activate(body)
         zeros = np.zeros(len(model.joints))

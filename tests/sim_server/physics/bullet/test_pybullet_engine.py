@@ -37,6 +37,7 @@ from zensim.proto.messages.model_messages import (
     Joint,
     JointKind,
     Link,
+    Mimic,
     Model,
     RosBlock,
     Shape,
@@ -312,6 +313,17 @@ def test_engine_simulates_a_robot_with_the_most_parts(
     engine.step()
 
     assert engine.read([body]).joint_positions.shape == (MAX_PARTS - 1,)
+
+
+def test_body_that_cannot_be_completed_is_removed(engine: PyBulletEngine) -> None:
+    arm = an_arm("continuous")
+    mimic = Mimic("missing", 1.0, 0.0)
+    joints = tuple(msgspec.structs.replace(joint, mimic=mimic) for joint in arm.joints)
+
+    with pytest.raises(KeyError):
+        engine.add(msgspec.structs.replace(arm, joints=joints), a_state())
+
+    assert bodies_in(engine) == 1
 
 
 @pytest.mark.parametrize(

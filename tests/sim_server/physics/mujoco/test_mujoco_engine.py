@@ -43,6 +43,8 @@ class RecordingCompiler:
         self.compiled.append(counts[0][1])
         if counts[0][1] == 13:
             raise ValueError("invalid")
+        if counts[0][1] == 26:
+            raise OSError("gone")
         return counts[0][1]
 
 
@@ -93,6 +95,14 @@ def test_failed_compilation_raises_for_each_caller() -> None:
         with pytest.raises(ValueError, match="invalid"):
             cache.compile(counts_of(13), CONFIG)
     assert cache.is_ready(counts_of(13), CONFIG)
+
+
+def test_unexpected_failure_of_a_compilation_keeps_no_caller_waiting() -> None:
+    cache = CompileCache(RecordingCompiler().compile)
+
+    for _ in range(2):
+        with pytest.raises(OSError, match="gone"):
+            cache.compile(counts_of(26), CONFIG)
 
 
 @pytest.mark.parametrize(("x", "is_near"), [(2.9, True), (3.1, False), (-1.9, True), (-2.1, False)])
