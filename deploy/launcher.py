@@ -57,6 +57,7 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     """None = from the world file."""
     model_paths: tuple[str, ...] = ()
     is_strict: bool = False
+    allow_missing: bool = False
     is_lockstep: bool = False
     engine: str = ""
     clusters: str = "auto"
@@ -121,6 +122,7 @@ def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
         *(("--rtf", str(factor)) if factor is not None else ()),
         *(word for path in config.model_paths for word in ("--model-path", path)),
         *(("--strict",) if config.is_strict else ()),
+        *(("--allow-missing",) if config.allow_missing else ()),
         *(("--lockstep",) if config.is_lockstep else ()),
         *(("--engine", config.engine) if config.engine else ()),
         *(("--clusters", config.clusters) if config.clusters != "auto" else ()),

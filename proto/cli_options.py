@@ -170,6 +170,13 @@ WorldOption = Annotated[
     str, typer.Option("--world", metavar="NAME|FILE", help="Built-in world or SDF file to load.")
 ]
 StrictWorldOption = Annotated[bool, flag("--strict", help="Fail if the world file has warnings.")]
+AllowMissingOption = Annotated[
+    bool,
+    flag(
+        "--allow-missing",
+        help="Leave out models and collisions of the world file whose file is missing.",
+    ),
+]
 ModelPathOption = Annotated[
     list[Path] | None,
     typer.Option(

@@ -12,6 +12,7 @@ import typer
 
 from zensim.proto.bus import DEFAULT_ENDPOINT, Bus
 from zensim.proto.cli_options import (
+    AllowMissingOption,
     ClustersOption,
     EngineOption,
     EngineWorkersOption,
@@ -68,6 +69,7 @@ class ServeOptions(RosOptions):
     world: WorldOption = "empty"
     model_path: ModelPathOption = None
     strict: StrictWorldOption = False
+    allow_missing: AllowMissingOption = False
     paused: Annotated[bool, flag("--paused", help="Start paused.")] = False
     seed: Annotated[int, typer.Option(metavar="N", help="Seed of random numbers.")] = 0
     journal: Annotated[
@@ -169,6 +171,7 @@ def _make_server_config(given: ServeOptions) -> ServerConfig:
         seed=given.seed,
         model_paths=tuple(map(str, given.model_path or ())),
         is_strict=given.strict,
+        allow_missing=given.allow_missing,
         wait_s=given.wait,
         journal=str(given.journal or ""),
         lockstep=LockstepSettings(given.lockstep, given.lockstep_timeout, on_miss),

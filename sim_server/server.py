@@ -77,7 +77,12 @@ def load_initial_world(
     """
     if journal is not None and journal.contents is not None:
         return LoadedWorld(journal.contents.world.source), _resume_config(config, journal.contents)
-    order = WorldLoaderRequest(config.world_file, config.model_paths, config.is_strict)
+    order = WorldLoaderRequest(
+        config.world_file,
+        config.model_paths,
+        is_strict=config.is_strict,
+        allow_missing=config.allow_missing,
+    )
     loaded = load_world_in_process(order)
     for fault in list_warnings(loaded.model.report):
         LOG.warning("world=%s %s", config.world_file, fault)

@@ -48,6 +48,8 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Folders with models that world files include."""
     is_strict: bool = False
     """Refuse a world file with warnings."""
+    allow_missing: bool = False
+    """Leave out models and collisions of the world file whose file is missing."""
     is_paused: bool = False
     lockstep: LockstepSettings = LockstepSettings()
     physics: EngineOptions = EngineOptions()

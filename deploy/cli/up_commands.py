@@ -29,6 +29,7 @@ from zensim.deploy.launcher import (
 from zensim.deploy.supervisor import ProgramDied, SupervisedProgram, Supervisor
 from zensim.proto.bus import DEFAULT_ENDPOINT, with_free_port
 from zensim.proto.cli_options import (
+    AllowMissingOption,
     ClustersOption,
     EngineOption,
     EngineWorkersOption,
@@ -88,6 +89,7 @@ class UpOptions(RosTfOptions):
     world: WorldOption = "empty"
     model_path: ModelPathOption = None
     strict: StrictWorldOption = False
+    allow_missing: AllowMissingOption = False
     duration: Annotated[
         float,
         typer.Option(
@@ -167,6 +169,7 @@ def _make_config(given: UpOptions) -> LaunchConfig:
         real_time_factor=given.rtf,
         model_paths=tuple(map(str, given.model_path or ())),
         is_strict=given.strict,
+        allow_missing=given.allow_missing,
         is_lockstep=given.lockstep,
         dynamics=parse_dynamics(given.dynamics),
         engine=given.engine,

@@ -1,6 +1,8 @@
 """Services that transfer mesh and texture files by content hash."""
 
-from typing import ClassVar
+import re
+from typing import ClassVar, NamedTuple
+from urllib.parse import unquote
 
 import msgspec
 
@@ -94,3 +96,26 @@ def resolve_include_uri(include: str, uri: str) -> str:
     folder = include.rpartition("/")[0] if include.endswith(".sdf") else include.rstrip("/")
     is_relative = uri and not uri.startswith("/") and "://" not in uri
     return f"{folder}/{uri}" if folder and is_relative else uri
+
+
+FUEL_URI = re.compile(
+    r"https?://[^/]+/(?:[^/]+/)*?models/(?P<name>[^/]+)(?:/(?:\d+|tip))?(?:/files)?(?:/(?P<file>.+))?"
+)
+
+
+class FuelUri(NamedTuple):
+    """A model of Gazebo Fuel, and a file in it; `file` is empty for the model itself."""
+
+    name: str
+    file: str
+
+
+def parse_fuel_uri(uri: str) -> FuelUri | None:
+    """Parse `https://HOST/1.0/OWNER/models/NAME[/VERSION][/files/FILE]`; None for other URIs."""
+    found = FUEL_URI.fullmatch(uri.strip().rstrip("/"))
+    return FuelUri(unquote(found["name"]), unquote(found["file"] or "")) if found else None
+
+
+def normalize_model_name(name: str) -> str:
+    """Make the same text of names that differ in case, or in spaces and `_`, only."""
+    return name.strip().lower().replace(" ", "_")

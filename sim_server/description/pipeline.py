@@ -5,7 +5,6 @@ Runs in the parser process.
 
 from __future__ import annotations
 
-import re
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -25,9 +24,14 @@ from zensim.sim_server.description.meshes.mesh_conversion import (
 )
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, no_meshes
 from zensim.sim_server.description.model_geometry import describe_mesh_wheels
-from zensim.sim_server.description.sdf.sdf_includes import ResolveInclude, no_includes
+from zensim.sim_server.description.sdf.sdf_includes import (
+    SDF_ROOTS,
+    ResolveInclude,
+    no_includes,
+)
 from zensim.sim_server.description.sdf.sdf_model import read_sdf_model
 from zensim.sim_server.description.sdf.sdf_world import read_world
+from zensim.sim_server.description.strict_parsing import find_root_tag
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import ModelError
 
@@ -38,9 +42,6 @@ if TYPE_CHECKING:
     from zensim.sim_server.description.world_model import WorldModel
 
     FindMesh = Callable[[str], tuple[str, bytes] | None]
-
-_BEFORE_ROOT = re.compile(r"(?:[\ufeff\s]+|<!--.*?-->|<\?.*?\?>)*", re.DOTALL)
-_SDF_ROOT = re.compile(r"<sdf[\s/>]")
 
 
 def read_robot(
@@ -57,9 +58,8 @@ def read_robot(
 
 
 def is_sdf(text: str) -> bool:
-    """Whether the root tag of a text is <sdf>."""
-    before = _BEFORE_ROOT.match(text)
-    return _SDF_ROOT.match(text, before.end() if before else 0) is not None
+    """Whether the root tag of a text is <sdf>, or <gazebo> as before SDF 1.3."""
+    return find_root_tag(text) in SDF_ROOTS
 
 
 SAMPLE_URDF = """<robot name="sample"><link name="base"><inertial><mass value="1"/>

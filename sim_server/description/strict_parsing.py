@@ -96,30 +96,43 @@ def _read_decimal(word: str, *, where: str, slug: str) -> float:
 
 MAX_BYTES = 8 * 1024 * 1024
 MAX_TAGS = 40_000
-"""Number of `<` in the text: limits memory and parse time."""
+"""Number of `<` in the text: limits memory and parse time. A robot of 500 links has fewer."""
 MAX_DEPTH = 64
 MAX_ATTRIBUTES = 64
 """Of one element: lxml needs n * n steps to list n attributes."""
-_UNKNOWN_PREFIX = 201
-"""XML_NS_ERR_UNDEFINED_NAMESPACE of libxml2; URDF parsers ignore namespaces."""
+_NAMESPACE_FAULTS = {201, 202}
+"""XML_NS_ERR_UNDEFINED_NAMESPACE and XML_NS_ERR_QNAME of libxml2 (`<gz::tag>`); URDF parsers
+ignore namespaces."""
 _SPACES = re.compile(rb"[ \t\r\n]+")
 _HYPHENS_IN_COMMENT = 80
 """XML_ERR_HYPHEN_IN_COMMENT of libxml2; Gazebo accepts these comments."""
 _DECLARATION = re.compile(rb"<\?xml[ \t\r\n][^<>]{0,400}?\?>")
 
 
-def parse_xml(text: str, *, root_tag: str, slug: str) -> Element:
+_BEFORE_ROOT = re.compile(r"(?:[\ufeff\s]+|<!--.*?-->|<\?.*?\?>)*", re.DOTALL)
+_ROOT_NAME = re.compile(r"<([^\s/<>]{1,80})[\s/>]")
+
+
+def find_root_tag(text: str) -> str:
+    """Find the name of a document's root tag without parsing it; empty if there is none."""
+    before = _BEFORE_ROOT.match(text)
+    found = _ROOT_NAME.match(text, before.end() if before else 0)
+    return found[1] if found else ""
+
+
+def parse_xml(text: str, *, root_tag: str, slug: str, max_tags: int = MAX_TAGS) -> Element:
     """Parse a document; comments and processing instructions are left out.
 
     Args:
         text: The document; the encoding in its XML declaration is ignored.
         root_tag: Expected tag of the root; its default namespace is removed from all tags.
         slug: Expected format, such as `urdf`.
+        max_tags: Most tags, opening and closing.
 
     Raises:
         ModelError: Not well-formed, another root, too large, too deep, or a DOCTYPE.
     """
-    data = _encode_bounded(text, slug)
+    data = _encode_bounded(text, slug, max_tags)
     if _has_doctype(data):
         raise ModelError(
             "the description has a DOCTYPE; remove it, since entities are not expanded",
@@ -137,7 +150,7 @@ def parse_xml(text: str, *, root_tag: str, slug: str) -> Element:
     return root
 
 
-def _encode_bounded(text: str, slug: str) -> bytes:
+def _encode_bounded(text: str, slug: str, max_tags: int) -> bytes:
     try:
         data = text.lstrip("\ufeff \t\r\n").encode()
     except UnicodeEncodeError as error:
@@ -151,10 +164,10 @@ def _encode_bounded(text: str, slug: str) -> bytes:
             code=SpawnCode.NO_RESOURCE,
             slug="xml.empty",
         )
-    if len(data) > MAX_BYTES or data.count(b"<") > MAX_TAGS:
+    if len(data) > MAX_BYTES or data.count(b"<") > max_tags:
         raise ModelError(
             f"the description has {len(data)} bytes and {data.count(b'<')} tags; "
-            f"at most {MAX_BYTES} bytes and {MAX_TAGS} tags are read",
+            f"at most {MAX_BYTES} bytes and {max_tags} tags are read",
             slug="xml.size",
         )
     return data
@@ -212,10 +225,10 @@ def _parse_bytes(data: bytes) -> Element:
         return etree.fromstring(text, parser)
     except etree.XMLSyntaxError as error:
         faults = {entry.type for entry in parser.error_log}
-        if faults == {_UNKNOWN_PREFIX}:
+        if faults and faults <= _NAMESPACE_FAULTS:
             return etree.fromstring(text, _make_parser(recover=True))
         bare = _without_comments(text)
-        if faults - {_UNKNOWN_PREFIX} == {_HYPHENS_IN_COMMENT} and bare != text:
+        if faults - _NAMESPACE_FAULTS == {_HYPHENS_IN_COMMENT} and bare != text:
             return _parse_bytes(bare)
         raise ModelError(
             f"the description is not well-formed XML: {to_single_line(str(error))}",

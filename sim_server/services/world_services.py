@@ -29,7 +29,6 @@ MAX_FAULTS_SHOWN = 3
 WORLD_BUILD_SLICE_NS = 5 * NANOSECONDS // 1000
 """Wall time for building a world per turn of the loop."""
 MAX_SOURCES = 64
-MISSING_TEXT = "is not on the server"
 
 
 def load_world(
@@ -182,8 +181,6 @@ def _check_parsed_world(
         raise ModelError(parsed.message, code=_to_load_code(parsed.code), slug=parsed.slug)
     report = parsed.world.report
     if not request.ignore_missing_or_unsupported_assets:
-        missing = [entry for entry in report if MISSING_TEXT in entry.reason]
-        _refuse_entries(missing, LoadWorldCode.MISSING_ASSETS, "missing")
         unusable = [ReportEntry("suspicious", "mesh", reason) for reason in parsed.unusable]
         _refuse_entries(unusable, LoadWorldCode.UNSUPPORTED_ASSETS, "unusable")
     if request.fail_on_unsupported_element:

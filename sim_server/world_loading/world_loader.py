@@ -40,6 +40,7 @@ class WorldLoaderRequest(msgspec.Struct, frozen=True):
     name: str
     model_paths: tuple[str, ...] = ()
     is_strict: bool = False
+    allow_missing: bool = False
 
 
 class WorldLoaderResult(msgspec.Struct, frozen=True):

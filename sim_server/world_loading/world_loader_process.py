@@ -40,7 +40,12 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     request = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=WorldLoaderRequest)
     try:
-        loaded = load_world_file(request.name, request.model_paths, is_strict=request.is_strict)
+        loaded = load_world_file(
+            request.name,
+            request.model_paths,
+            is_strict=request.is_strict,
+            allow_missing=request.allow_missing,
+        )
         result = WorldLoaderResult(loaded)
     except ConfigError as error:
         result = WorldLoaderResult(fault=str(error))
@@ -48,7 +53,11 @@ def main() -> None:
 
 
 def load_world_file(
-    name: str, model_paths: Iterable[str] = (), *, is_strict: bool = False
+    name: str,
+    model_paths: Iterable[str] = (),
+    *,
+    is_strict: bool = False,
+    allow_missing: bool = False,
 ) -> LoadedWorld:
     """Load a built-in world or a world file, and the models and meshes that it names.
 
@@ -56,6 +65,7 @@ def load_world_file(
         name: Name of a built-in world, or path of a world file.
         model_paths: Folders of models and meshes besides that of the world file.
         is_strict: Whether to refuse a world with warnings.
+        allow_missing: Leave out included models and collisions whose file is missing.
 
     Raises:
         ConfigError: There is no such world, or it cannot be parsed.
@@ -63,29 +73,33 @@ def load_world_file(
     folders = [Path(path) for path in model_paths]
     try:
         if name in list_builtin_worlds():
-            loaded = _parse_world(read_builtin_world(name), folders)
+            loaded = _parse_world(read_builtin_world(name), folders, allow_missing=allow_missing)
         else:
             file = Path(name)
             text = file.read_text(encoding="utf-8")
-            loaded = _parse_world(text, [file.resolve().parent, *folders])
+            searched = [file.resolve().parent, *folders]
+            loaded = _parse_world(text, searched, allow_missing=allow_missing)
     except SimError as error:
         raise ConfigError(f"world '{name}': {error}") from error
     except (OSError, UnicodeDecodeError) as error:
         builtin = ", ".join(list_builtin_worlds())
         raise ConfigError(f"world '{name}' is neither a file nor one of {builtin}") from error
-    if is_strict and (warnings := list_warnings(loaded.model.report)):
-        raise ConfigError(
-            f"world '{name}' is refused by --strict: {'; '.join(warnings[:MAX_SHOWN_WARNINGS])}"
-            + (
-                f"; and {len(warnings) - MAX_SHOWN_WARNINGS} more"
-                if len(warnings) > MAX_SHOWN_WARNINGS
-                else ""
-            )
-        )
+    if is_strict:
+        _refuse_warnings(name, list_warnings(loaded.model.report))
     return loaded
 
 
-def _parse_world(text: str, folders: Sequence[Path]) -> LoadedWorld:
+def _refuse_warnings(name: str, warnings: Sequence[str]) -> None:
+    if not warnings:
+        return
+    more = len(warnings) - MAX_SHOWN_WARNINGS
+    raise ConfigError(
+        f"world '{name}' is refused by --strict: {'; '.join(warnings[:MAX_SHOWN_WARNINGS])}"
+        + (f"; and {more} more" if more > 0 else "")
+    )
+
+
+def _parse_world(text: str, folders: Sequence[Path], *, allow_missing: bool) -> LoadedWorld:
     read = make_file_reader(folders)
 
     @cache
@@ -93,7 +107,12 @@ def _parse_world(text: str, folders: Sequence[Path]) -> LoadedWorld:
         data = read(uri)
         return None if data is None else (sha256(data).hexdigest(), data)
 
-    parsed = parse_world(text, resolve=make_model_resolver(folders), find_mesh=find_mesh)
+    parsed = parse_world(
+        text,
+        resolve=make_model_resolver(folders),
+        find_mesh=find_mesh,
+        allow_missing=allow_missing,
+    )
     return LoadedWorld(parsed.world, parsed.meshes)
 
 

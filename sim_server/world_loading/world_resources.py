@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +14,8 @@ from zensim.proto.messages.asset_messages import (
     MAX_BUNDLE_FILES,
     MAX_FILE_BYTES,
     AssetRef,
+    normalize_model_name,
+    parse_fuel_uri,
 )
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.strict_parsing import MAX_BYTES, parse_xml
@@ -37,13 +40,19 @@ def make_model_resolver(folders: Sequence[Path]) -> ResolveInclude:
     """Make a function that reads the SDF text of a model from the first folder that has it.
 
     `model://NAME` is the folder NAME, whose model.config names the file; `model://NAME/FILE` is
-    that file; a relative path is below a folder. Files outside the folders are not read.
+    that file; a relative path is below a folder; a URI of Gazebo Fuel is the folder with the name
+    of its model. Files outside the folders are not read.
     """
     roots = [folder.resolve() for folder in folders]
+    list_folders = cache(_list_folders)
 
     def resolve(uri: str) -> str | None:
-        part = _strip_scheme(uri)
-        paths = [path for root in roots if part and (path := resolve_below(root, part)) is not None]
+        paths = (
+            path
+            for root in roots
+            for part in _list_parts(uri, root, list_folders)
+            if (path := resolve_below(root, part)) is not None
+        )
         return next((text for path in paths if (text := _read_model_text(path)) is not None), None)
 
     return resolve
@@ -53,18 +62,17 @@ def make_file_finder(folders: Sequence[Path]) -> FindFile:
     """Make a function that finds a file in the first folder that has it.
 
     `model://NAME/FILE` and `package://NAME/FILE` are NAME/FILE below a folder, or FILE below a
-    folder called NAME; a relative path is below a folder. Files outside are not found.
+    folder called NAME; a relative path is below a folder; a file of a model of Gazebo Fuel is below
+    the folder with the name of the model. Files outside are not found.
     """
     roots = [folder.resolve() for folder in folders]
+    list_folders = cache(_list_folders)
 
     def find(uri: str) -> Path | None:
-        part = _strip_scheme(uri)
-        name, _, inside = part.partition("/")
         paths = (
-            resolve_below(root, path)
+            resolve_below(root, part)
             for root in roots
-            for path in (part, inside if name == root.name and part != uri else "")
-            if path
+            for part in _list_parts(uri, root, list_folders)
         )
         return next((path for path in paths if path is not None and path.is_file()), None)
 
@@ -82,6 +90,47 @@ def make_file_reader(folders: Sequence[Path]) -> Callable[[str], bytes | None]:
         return file.read_bytes()
 
     return read
+
+
+FolderNames = Callable[[Path], dict[str, str]]
+"""The names of the folders in a folder, by their normalized names."""
+
+
+def _list_folders(folder: Path) -> dict[str, str]:
+    try:
+        names = sorted(child.name for child in folder.iterdir() if child.is_dir())
+    except OSError:
+        return {}
+    return {normalize_model_name(name): name for name in reversed(names)}
+
+
+def _list_parts(uri: str, root: Path, list_folders: FolderNames) -> Iterator[str]:
+    """List the paths below a root that a URI may mean, best first."""
+    if (fuel := parse_fuel_uri(uri)) is not None:
+        if folder := _find_fuel_folder(fuel.name, root, list_folders):
+            yield f"{folder}/{fuel.file}"
+        return
+    part = _strip_scheme(uri)
+    if not part:
+        return
+    yield part
+    name, _, inside = part.partition("/")
+    if name == root.name and part != uri and inside:
+        yield inside
+
+
+def _find_fuel_folder(name: str, root: Path, list_folders: FolderNames) -> str:
+    """Find the folder of a model by its name in any case, with `_` for spaces; empty without one.
+
+    Fuel's own cache has a folder per version inside it, of which the newest is used.
+    """
+    folder = list_folders(root).get(normalize_model_name(name), "")
+    if not folder:
+        return ""
+    versions = [inner for inner in list_folders(root / folder).values() if inner.isdecimal()]
+    if versions and not (root / folder / DEFAULT_MODEL_FILE).is_file():
+        return f"{folder}/{max(versions, key=int)}"
+    return folder
 
 
 def _strip_scheme(uri: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from zensim.proto.messages.result_messages import SpawnCode
@@ -26,10 +26,15 @@ def no_meshes(uri: str) -> bool:  # noqa: ARG001  every HasMesh takes a URI
 
 @dataclass(frozen=True)
 class MeshPolicy:
-    """Which meshes exist, and whether collisions may lack theirs."""
+    """Which meshes exist, and whether collisions may lack theirs.
+
+    Attributes:
+        missing: Faults of collisions without their mesh, if these are allowed.
+    """
 
     has_mesh: HasMesh
     allow_missing: bool = False
+    missing: list[str] = field(default_factory=list)
 
     def can_use(self, shape: Shape, where: str, *, collides: bool, report: ParseReport) -> bool:
         """Whether a shape is not a mesh, or its mesh exists; if not, the report has the reason.
@@ -44,6 +49,7 @@ class MeshPolicy:
             report.suspicious(where, f"visual {fault}; not drawn")
         elif self.allow_missing:
             report.suspicious(where, f"collision {fault}; left out")
+            self.missing.append(f"{where}: {fault}")
         else:
             raise ModelError(
                 f"{where}: collision {fault}; send the mesh, use a box, sphere or cylinder, "

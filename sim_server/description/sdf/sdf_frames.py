@@ -42,8 +42,8 @@ class PoseGraph:
         self._parents.setdefault(to_scoped_name(scope, name), (parent, pose.origin))
 
     def set_placement_frame(self, model: str, frame: str) -> None:
-        """Make the pose of a nested model that of one of its frames."""
-        self._placements.setdefault(model, self.full_name(model, frame))
+        """Make the pose of a nested or merged model that of one of its frames, by scoped name."""
+        self._placements.setdefault(model, frame)
 
     @staticmethod
     def full_name(scope: str, name: str) -> str:

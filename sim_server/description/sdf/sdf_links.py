@@ -55,7 +55,7 @@ from zensim.sim_server.description.strict_parsing import quote
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Sequence, Set
+    from collections.abc import Iterable, Sequence, Set
 
     from lxml.etree import _Element as Element
 
@@ -254,10 +254,9 @@ def find_spanning_tree(
 
     Joints that fit no tree are returned unchanged; `order_as_tree` raises errors for them.
     """
-    carried = {joint.child for joint in joints if joint.element.get("type") not in COUPLING_KINDS}
-    kept = [joint for joint in joints if not _is_only_coupling(joint, carried)]
+    kept = leave_out_couplings(joints)
     for joint in joints:
-        if _is_only_coupling(joint, carried):
+        if joint not in kept:
             kind = joint.element.get("type")
             report.suspicious(f"joint {quote(joint.name)}", f"{kind} is not simulated; left out")
     children = Counter(joint.child for joint in kept)
@@ -267,8 +266,14 @@ def find_spanning_tree(
     return tuple(_direct_joints(_find_root(kept, links), kept, report))
 
 
-def _is_only_coupling(joint: JointElement, carried: Container[str]) -> bool:
-    return joint.element.get("type") in COUPLING_KINDS and joint.child in carried
+def leave_out_couplings(joints: Sequence[JointElement]) -> list[JointElement]:
+    """Leave out the joints that only couple links which other joints carry."""
+    carried = {joint.child for joint in joints if joint.element.get("type") not in COUPLING_KINDS}
+    return [
+        joint
+        for joint in joints
+        if joint.element.get("type") not in COUPLING_KINDS or joint.child not in carried
+    ]
 
 
 def _find_root(joints: Iterable[JointElement], links: Sequence[str]) -> str:

@@ -14,10 +14,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, NoReturn, get_args
 
 import msgspec
+from lxml import etree
 
+from zensim.proto.messages.asset_messages import normalize_model_name, parse_fuel_uri
 from zensim.proto.messages.entity_messages import (
     MAX_DESCRIPTION_LENGTH,
     MAX_TAG_LENGTH,
@@ -30,19 +32,26 @@ from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.messages.spawn_messages import NamedPose
 from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Vector3
 from zensim.proto.messages.world_messages import DOWNWARD, Light, LightKind, Scene
+from zensim.proto.rigid_transforms import compose
 from zensim.sim_server.description.link_surfaces import read_rgba
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
 from zensim.sim_server.description.parsed_model import MODEL_FRAME, WORLD_LINK, find_repeated
 from zensim.sim_server.description.report import ParseReport
-from zensim.sim_server.description.sdf.sdf_frames import PoseGraph
+from zensim.sim_server.description.sdf.sdf_frames import SCOPE_SEPARATOR, PoseGraph
 from zensim.sim_server.description.sdf.sdf_includes import (
     IncludeExpander,
     ResolveInclude,
-    mark_versions,
     no_includes,
+    parse_sdf,
 )
 from zensim.sim_server.description.sdf.sdf_links import GROUND_SLAB_M, GROUND_SLAB_ORIGIN
-from zensim.sim_server.description.sdf.sdf_model import find_placement, read_model_element
+from zensim.sim_server.description.sdf.sdf_model import (
+    ModelPart,
+    check_sibling_names,
+    find_placement,
+    read_model_parts,
+)
+from zensim.sim_server.description.sdf.sdf_population import expand_populations
 from zensim.sim_server.description.sdf.sdf_values import (
     ZENSIM_PREFIX,
     read_name,
@@ -52,7 +61,12 @@ from zensim.sim_server.description.sdf.sdf_values import (
     read_vector,
     zensim_tag,
 )
-from zensim.sim_server.description.strict_parsing import parse_xml, quote, quote_names, read_numbers
+from zensim.sim_server.description.strict_parsing import (
+    MAX_QUOTED_NAMES,
+    quote,
+    quote_names,
+    read_numbers,
+)
 from zensim.sim_server.description.world_model import (
     BoundedPose,
     PhysicsSettings,
@@ -62,6 +76,8 @@ from zensim.sim_server.description.world_model import (
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from lxml.etree import _Element as Element
 
     from zensim.proto.messages.model_messages import Quat
@@ -103,6 +119,8 @@ def _read_bounds(texts: dict[str, str], name: str) -> Bounds:
     return Bounds(BoundsType.BOX, (upper, Vector3(-upper.x, -upper.y, -upper.z)))
 
 
+GROUND_MODEL = b"""<model name="ground_plane"><static>true</static><link name="link">
+<collision name="collision"><geometry><plane/></geometry></collision></link></model>"""
 LIGHT_KINDS: dict[str, LightKind] = {kind: kind for kind in get_args(LightKind)}
 MIN_STEP_S, MAX_STEP_S = 1e-4, 1.0
 MAX_REAL_TIME_FACTOR = 1000.0
@@ -183,8 +201,10 @@ def _read_colour(owner: Element, tag: str) -> Quat | None:
 
 MAX_GRAVITY = 1000.0
 """Along an axis [m/s^2]: four times that of the sun."""
-MAX_MODELS = 2000
-SUN_URI, GROUND_URI = "model://sun", "model://ground_plane"
+MAX_MODELS = 5000
+SUN, GROUND = "sun", "ground_plane"
+"""Names of the models that need no file."""
+MODEL_SCHEME = "model://"
 UNUSED_WORLD_TAGS = {
     "atmosphere": "air is not simulated",
     "audio": "sound is not simulated",
@@ -197,10 +217,11 @@ UNUSED_WORLD_TAGS = {
 UNSUPPORTED_WORLD_TAGS = {
     "actor": "actors are not simulated",
     "joint": "joints between models are not simulated",
-    "population": "populations are not supported; replace it by models",
     "road": "roads are not simulated",
 }
-WORLD_TAGS = ("include", "gravity", "physics", "model", "frame", "light", "scene", "state")
+WORLD_TAGS = (
+    "include", "gravity", "physics", "model", "frame", "light", "scene", "state", "population",
+)  # fmt: skip
 SKIPPABLE_CODES = (SpawnCode.UNSUPPORTED_FORMAT, SpawnCode.MISSING_ASSETS)
 """Errors of models that are left out; other errors are those of the world."""
 _NON_NAME_CHARACTERS = re.compile(r"[^A-Za-z0-9_]")
@@ -216,6 +237,7 @@ class _WorldDraft:
     policy: MeshPolicy
     frames: PoseGraph = field(default_factory=PoseGraph)
     taken: set[str] = field(default_factory=set)
+    models: list[PlacedModel] = field(default_factory=list)
 
 
 def read_world(
@@ -231,26 +253,29 @@ def read_world(
         text: SDF with one <world>.
         resolve: Finds the text of an included model other than sun and ground_plane.
         has_mesh: Whether the server has a mesh.
-        allow_missing: Leave out missing included models.
+        allow_missing: Leave out included models and collisions whose file is missing.
 
     Raises:
-        ModelError: The text is not a valid SDF world.
+        ModelError: The text is not a valid SDF world, or a file is missing.
     """
     report = ParseReport()
-    world = _find_world(mark_versions(parse_xml(text, root_tag="sdf", slug="sdf"), report))
+    world = _find_world(parse_sdf(text, report))
     draft = _WorldDraft(
-        WorldModel(name=world.get("name") or "default"),
+        WorldModel(name=read_name(world, "world")),
         report,
         MeshPolicy(has_mesh, allow_missing=True),
     )
+    expand_populations(world, report)
     _apply_builtin_includes(world, draft)
     IncludeExpander(resolve, report, allow_missing=allow_missing).expand(world)
     _add_frames(world, draft)
     for child in world:
         _read_element(child, draft)
-    if not draft.world.ground_plane:
+    if draft.policy.missing and not allow_missing:
+        _refuse_missing_meshes(draft.policy.missing)
+    if not draft.world.ground_plane and not any(map(_is_support, draft.models)):
         report.suspicious("world", "no ground_plane; robots will fall")
-    return msgspec.structs.replace(draft.world, report=report.entries())
+    return msgspec.structs.replace(draft.world, models=tuple(draft.models), report=report.entries())
 
 
 def _find_world(sdf: Element) -> Element:
@@ -265,22 +290,52 @@ def _find_world(sdf: Element) -> Element:
     return worlds[0]
 
 
+def _refuse_missing_meshes(faults: list[str]) -> NoReturn:
+    more = f"; and {len(faults) - MAX_QUOTED_NAMES} more" if len(faults) > MAX_QUOTED_NAMES else ""
+    raise ModelError(
+        f"{len(faults)} collisions lack their mesh: {'; '.join(faults[:MAX_QUOTED_NAMES])}{more}; "
+        "add its folder with --model-path, or allow missing meshes",
+        code=SpawnCode.MISSING_ASSETS,
+        slug="mesh.missing",
+    )
+
+
 def _apply_builtin_includes(world: Element, draft: _WorldDraft) -> None:
     replace = msgspec.structs.replace
     for include in world.findall("include"):
-        uri = read_text(include, "uri").rstrip("/")
-        if uri not in (SUN_URI, GROUND_URI):
+        uri = read_text(include, "uri")
+        name = _find_builtin_name(uri)
+        if not name:
             continue
-        for child in include:
-            if child.tag not in ("uri", "name"):
-                subject = f"include {uri}: <{child.tag[:80]}>"
-                draft.report.ignored(subject, "built in; cannot be changed")
-        draft.report.applied(f"include {uri}")
-        if uri == SUN_URI:
+        draft.report.applied(f"include {uri}", f"built-in {name}")
+        if name == SUN:
+            for child in include:
+                if child.tag not in ("uri", "name"):
+                    subject = f"include {uri}: <{child.tag[:80]}>"
+                    draft.report.ignored(subject, "the built-in sun cannot be changed")
             draft.world = replace(draft.world, scene=replace(draft.world.scene, has_sun=True))
+            world.remove(include)
         else:
-            draft.world = replace(draft.world, ground_plane=True)
-        world.remove(include)
+            world.replace(include, _make_ground_model(include))
+
+
+def _find_builtin_name(uri: str) -> str:
+    """Find the built-in model of a URI, `model://NAME` or that of Gazebo Fuel; empty for others."""
+    fuel = parse_fuel_uri(uri)
+    if fuel is not None:
+        name = "" if fuel.file else fuel.name
+    else:
+        name = uri.rstrip("/").removeprefix(MODEL_SCHEME) if uri.startswith(MODEL_SCHEME) else ""
+    name = normalize_model_name(name)
+    return name if name in (SUN, GROUND) else ""
+
+
+def _make_ground_model(include: Element) -> Element:
+    """Make the static model of a ground plane, with the name and the pose of its include."""
+    model = etree.fromstring(GROUND_MODEL)
+    model.set("name", read_text(include, "name") or GROUND)
+    model.extend(include.findall("pose")[:1])
+    return model
 
 
 def _add_frames(world: Element, draft: _WorldDraft) -> None:
@@ -291,6 +346,7 @@ def _add_frames(world: Element, draft: _WorldDraft) -> None:
             slug="sdf.size",
         )
     names = [read_name(model, "model") for model in models]
+    check_sibling_names(world, draft.report)
     if repeated := find_repeated(names):
         raise ModelError(
             f"model names {quote_names(repeated)} are used more than once; make them unique",
@@ -305,11 +361,42 @@ def _add_frames(world: Element, draft: _WorldDraft) -> None:
         if name in saved:
             draft.report.applied(f"state: model {quote(name)}", "the pose of the state is used")
         _add_frame(name, saved.get(name, model), MODEL_FRAME, draft)
+    attachments: dict[str, str] = {}
     for frame in world.findall("frame"):
         where = f"frame {quote(frame.get('name'))}"
         parent = (frame.get("attached_to") or "").strip()
         implied = MODEL_FRAME if parent in ("", WORLD_LINK) else parent
-        _add_frame(read_name(frame, where), frame, implied, draft)
+        name = read_name(frame, where)
+        attachments[name] = implied
+        _add_frame(name, frame, implied, draft)
+    _check_attachments(attachments, models)
+
+
+def _check_attachments(attachments: dict[str, str], models: Sequence[Element]) -> None:
+    """Check that each frame of a world is attached to the world or a model."""
+    names = {model.get("name") or "" for model in models}
+    checked: set[str] = set()
+    for name in attachments:
+        at, seen = name, set[str]()
+        while at in attachments and at not in seen and at not in checked:
+            seen.add(at)
+            at = attachments[at]
+        if at in checked:
+            checked |= seen
+            continue
+        checked |= seen
+        if at in seen:
+            raise ModelError(
+                f"frame {quote(at)} is attached to itself; attach one of "
+                f"{quote_names(sorted(seen))} to the world or a model",
+                slug="sdf.attachment_cycle",
+            )
+        if at != MODEL_FRAME and at.partition(SCOPE_SEPARATOR)[0] not in names:
+            raise ModelError(
+                f"frame {quote(name)} is attached to {quote(at)}, which does not exist; "
+                "use a model, a frame or the world",
+                slug="sdf.unknown_frame",
+            )
 
 
 def _add_frame(name: str, owner: Element, implied: str, draft: _WorldDraft) -> None:
@@ -379,7 +466,7 @@ def _read_model(element: Element, draft: _WorldDraft) -> None:
     written = read_name(element, "model")
     own = ParseReport()
     try:
-        model = read_model_element(element, draft.policy, own)
+        parts = read_model_parts(element, draft.policy, own)
     except ModelError as error:
         if error.code not in SKIPPABLE_CODES:
             raise
@@ -387,17 +474,30 @@ def _read_model(element: Element, draft: _WorldDraft) -> None:
         return
     for entry in own.entries():
         draft.report.repeat(entry, of=written[:80])
-    model = msgspec.structs.replace(model, report=own.entries())
     origin = find_placement(element, draft.frames.pose(written))
-    if _is_ground_plane(model, origin):
+    for part in parts:
+        _add_part(part, written, origin, own, draft)
+
+
+def _add_part(
+    part: ModelPart, written: str, origin: Origin, own: ParseReport, draft: _WorldDraft
+) -> None:
+    is_first = not part.name
+    model = msgspec.structs.replace(part.model, report=own.entries() if is_first else ())
+    placement = compose(origin, part.origin)
+    if _is_ground_plane(model, placement):
         friction = model.links[0].collisions[0].friction
         draft.world = msgspec.structs.replace(
             draft.world, ground_plane=True, ground_friction=friction
         )
         return
-    name = _make_entity_name(written, draft)
-    models = (*draft.world.models, PlacedModel(name, model, origin))
-    draft.world = msgspec.structs.replace(draft.world, models=models)
+    name = _make_entity_name(written if is_first else model.name, draft)
+    draft.models.append(PlacedModel(name, model, placement))
+
+
+def _is_support(placed: PlacedModel) -> bool:
+    """Whether a static model has a collision, on which a robot may stand."""
+    return placed.model.is_static and any(link.collisions for link in placed.model.links)
 
 
 def _is_ground_plane(model: Model, origin: Origin) -> bool:

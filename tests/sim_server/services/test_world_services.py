@@ -202,7 +202,7 @@ REFUSED = {
     "a missing mesh": (
         loading(text=sdf(CRATE.format(MESH.format("model://a/a.stl")))),
         LoadWorldCode.MISSING_ASSETS,
-        "world.missing: .*'model://a/a.stl'",
+        "mesh.missing: .*'model://a/a.stl'",
     ),
     "an unusable mesh": (
         loading(text=sdf(CRATE.format(MESH.format("bad.stl")))),

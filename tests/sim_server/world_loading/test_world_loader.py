@@ -163,7 +163,9 @@ def test_missing_and_invalid_meshes_are_reported(tmp_path: Path) -> None:
     (tmp_path / "bad.stl").write_bytes(b"no mesh")
     content = a_mesh_model("bad", "bad.stl") + a_mesh_model("gone", "file:///etc/gone.stl")
 
-    world = load_world_file(a_file(tmp_path, content)).model
+    with pytest.raises(ConfigError, match=r"mesh\.missing"):
+        load_world_file(a_file(tmp_path, content))
+    world = load_world_file(a_file(tmp_path, content), allow_missing=True).model
 
     assert [placed.name for placed in world.models] == ["gone"]
     assert world.models[0].model.links[0].collisions == ()

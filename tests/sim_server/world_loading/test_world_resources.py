@@ -4,7 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from zensim.sim_server.world_loading.world_resources import make_file_finder, make_model_resolver
+from zensim.sim_server.world_loading.world_resources import (
+    make_file_finder,
+    make_file_reader,
+    make_model_resolver,
+)
 
 CRATE = '<sdf version="1.6"><model name="crate"/></sdf>'
 
@@ -133,3 +137,17 @@ def test_mesh_is_found_when_its_path_is_relative_to_a_folder(workspace: Path) ->
 def test_mesh_is_not_found_when_it_is_missing_or_outside(workspace: Path, uri: str) -> None:
     assert make_file_finder([workspace / "src"])(uri) is None
     assert make_file_finder([])(uri) is None
+
+
+@pytest.mark.parametrize("folder", ["Wood Crate", "wood_crate", "WOOD_CRATE", "wood crate/3"])
+def test_model_of_fuel_is_found_by_its_name(tmp_path: Path, folder: str) -> None:
+    (tmp_path / folder / "meshes").mkdir(parents=True)
+    (tmp_path / folder / "model.sdf").write_text("<sdf/>")
+    (tmp_path / folder / "meshes" / "a.stl").write_bytes(b"stl")
+    uri = "https://fuel.gazebosim.org/1.0/OpenRobotics/models/Wood%20Crate"
+
+    assert make_model_resolver([tmp_path])(uri) == "<sdf/>"
+    assert make_model_resolver([tmp_path])(f"{uri}/3") == "<sdf/>"
+    assert make_file_reader([tmp_path])(f"{uri}/meshes/a.stl") == b"stl"
+    assert make_file_reader([tmp_path])(f"{uri}/3/files/meshes/a.stl") == b"stl"
+    assert make_model_resolver([tmp_path])(uri.replace("Wood", "Tin")) is None

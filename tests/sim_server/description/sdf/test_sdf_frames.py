@@ -57,7 +57,7 @@ def test_pose_of_an_include_is_that_of_its_placement_frame(pose: Origin, inner: 
     frames = PoseGraph()
     frames.add("arm", RelativePose(pose), scope="", implied=MODEL_FRAME)
     frames.add("hand", RelativePose(inner), scope="arm", implied=MODEL_FRAME)
-    frames.set_placement_frame("arm", "hand")
+    frames.set_placement_frame("arm", "arm::hand")
 
     np.testing.assert_allclose(matrix(frames.pose("arm::hand")), matrix(pose), atol=1e-9)
 

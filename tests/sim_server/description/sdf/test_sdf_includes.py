@@ -131,9 +131,24 @@ def test_included_file_is_refused_when_it_is_not_a_model(text: str, slug: str) -
     assert caught.value.slug == slug
 
 
-def test_merged_include_is_reported() -> None:
-    include = an_include("x").replace("<include>", '<include merge="true">')
+def a_merge(inside: str = "") -> str:
+    return an_include("x", inside).replace("<include>", '<include merge="true">')
 
-    model = read({"x": HAND}, a_link("a"), include, a_joint("j", ("a", "hand::palm")))
 
-    assert "include 'x': merge" in subjects(model.report, "suspicious")
+def test_merged_include_becomes_part_of_its_model() -> None:
+    pose = "<pose>1 0 0 0 0 1.5707963267948966</pose>"
+
+    model = read({"x": HAND}, a_link("a"), a_merge(pose), a_joint("j", ("a", "palm")))
+
+    (frame,) = model.frames
+    assert frame.name == "palm"
+    assert frame.origin.position == pytest.approx((1.0, 0.0, 0.0))
+
+
+def test_merged_include_is_placed_by_its_placement_frame() -> None:
+    hand = HAND.replace("</model>", '<frame name="grip"><pose>0 0 2 0 0 0</pose></frame></model>')
+    inside = "<placement_frame>grip</placement_frame><pose>0 0 5 0 0 0</pose>"
+
+    model = read({"x": hand}, a_link("a"), a_merge(inside), a_joint("j", ("a", "palm")))
+
+    assert model.frames[0].origin.position == pytest.approx((0.0, 0.0, 3.0))

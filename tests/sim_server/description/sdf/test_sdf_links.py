@@ -187,7 +187,17 @@ def test_joint_and_link_may_have_one_name() -> None:
         a_joint("a", ("a", "b"), "revolute", a_pose("0 0 1 0 0 0") + an_axis("0 0 1")),
     )
 
-    assert read(*parts).joints[0].origin.position == (1.0, 0.0, 0.0)
+    model = read_sdf_model(a_model(*parts, version="1.6"))
+
+    assert model.joints[0].origin.position == (1.0, 0.0, 0.0)
+    assert subjects(model.report, "suspicious") == ["model 'm'"]
+
+
+def test_joint_and_link_of_one_name_are_refused_as_of_sdf_1_7() -> None:
+    with pytest.raises(ModelError) as caught:
+        read_sdf_model(a_model(a_link("a"), a_link("b"), a_joint("a", ("a", "b")), version="1.7"))
+
+    assert caught.value.slug == "sdf.duplicate_name"
 
 
 THREE = (a_link("a"), a_link("b", a_pose("0 1 0 0 0 0")), a_link("c", a_pose("0 2 0 0 0 0")))
