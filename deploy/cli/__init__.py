@@ -1,17 +1,19 @@
 """`zensim`: the command line; a verb's module is imported only when the verb is called.
 
-The host of an agent has neither pybullet nor viser, so nothing here may import them.
+The host of an agent has neither pybullet nor viser, so nothing here may import them. Help and
+version need no typer either, whose import takes longer than they do.
 """
 
 import importlib
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from typing import Annotated, NamedTuple
-
-import typer
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from zensim.proto.process_limits import die_with_supervisor
+
+if TYPE_CHECKING:
+    import typer
 
 
 class Verb(NamedTuple):
@@ -119,16 +121,72 @@ VERBS: dict[str, Verb] = {
 }
 
 
-def build(called: str) -> typer.Typer:
+HELP_HEAD = """Usage: zensim [OPTIONS] COMMAND [ARGS]...
+
+Multi-robot simulation over Zenoh, without ROS or Gazebo.
+"""
+HELP_OPTIONS = (
+    ("--version", "Print the version and exit."),
+    ("--install-completion", "Install completion for the current shell."),
+    ("--show-completion", "Print the completion script of the current shell."),
+    ("--help", "Print this text and exit."),
+)
+HELP_END = "Run 'zensim COMMAND --help' for the options of a command."
+NAME_WIDTH = 22
+
+
+def format_help() -> str:
+    """Format the help text of `zensim`: options, then each verb in its section."""
+    lines = [HELP_HEAD, "Options:", *(_format_row(*row) for row in HELP_OPTIONS)]
+    for panel in dict.fromkeys(verb.panel for verb in VERBS.values()):
+        rows = (
+            _format_row(name, verb.summary) for name, verb in VERBS.items() if verb.panel == panel
+        )
+        lines += ["", f"{panel}:", *rows]
+    return "\n".join([*lines, "", HELP_END])
+
+
+def _format_row(name: str, summary: str) -> str:
+    return f"  {name:<{NAME_WIDTH}}{summary}"
+
+
+def print_version() -> None:
+    """Print the version of the installed package."""
+    # Slow to import, and needed here only.
+    from importlib.metadata import version
+
+    print(f"zensim {version('zensim')}")
+
+
+def build(called: str) -> "typer.Typer":
     """Build the command line with one verb loaded; the others have their help line only."""
+    import typer
+    from typer.core import TyperGroup
+
+    class RootGroup(TyperGroup):
+        """The verbs, with the help text of this module."""
+
+        def format_help(self, *_: object) -> None:
+            # Printed at once, as typer does: it drops the text of a call without arguments.
+            print(format_help())
+
+    def root_options(
+        *,
+        version: Annotated[
+            bool, typer.Option("--version", metavar="", help="Print the version and exit.")
+        ] = False,
+    ) -> None:
+        if version:
+            print_version()
+            raise typer.Exit
+
     app = typer.Typer(
         add_completion=True,
+        cls=RootGroup,
         no_args_is_help=True,
         pretty_exceptions_enable=False,
-        help="Multi-robot simulation over Zenoh, without ROS or Gazebo.",
-        epilog="Run 'zensim COMMAND --help' for the options of a command.",
     )
-    app.callback(invoke_without_command=True)(_root_options)
+    app.callback(invoke_without_command=True)(root_options)
     for name, verb in VERBS.items():
         if name == called:
             _add_verb(app, name, verb)
@@ -137,7 +195,7 @@ def build(called: str) -> typer.Typer:
     return app
 
 
-def _add_verb(app: typer.Typer, name: str, verb: Verb) -> None:
+def _add_verb(app: "typer.Typer", name: str, verb: Verb) -> None:
     """Add a command of a module; an app that has the name of the verb is a group of commands."""
     loaded: typer.Typer = importlib.import_module(verb.module).app
     if loaded.info.name == name:
@@ -155,20 +213,6 @@ def _not_loaded() -> None:
     """Stand in for a verb that was not called."""
 
 
-def _root_options(
-    *,
-    version: Annotated[
-        bool, typer.Option("--version", metavar="", help="Print the version and exit.")
-    ] = False,
-) -> None:
-    if version:
-        # Slow to import, and needed here only.
-        from importlib.metadata import version as installed_version
-
-        typer.echo(f"zensim {installed_version('zensim')}")
-        raise typer.Exit
-
-
 def _find_verb(arguments: Sequence[str], environment: Mapping[str, str]) -> str:
     """Find the verb in the arguments, or in the line to complete if a shell requests completion."""
     line = environment.get("_TYPER_COMPLETE_ARGS") or environment.get("COMP_WORDS")
@@ -180,4 +224,11 @@ def _find_verb(arguments: Sequence[str], environment: Mapping[str, str]) -> str:
 def main() -> None:
     """Run the command line."""
     die_with_supervisor(os.environ)
-    build(_find_verb(sys.argv[1:], os.environ))(prog_name="zensim")
+    arguments = sys.argv[1:]
+    if "_ZENSIM_COMPLETE" not in os.environ and arguments == ["--version"]:
+        print_version()
+    elif "_ZENSIM_COMPLETE" not in os.environ and arguments in ([], ["--help"]):
+        print(format_help())
+        sys.exit(0 if arguments else 2)
+    else:
+        build(_find_verb(arguments, os.environ))(prog_name="zensim")

@@ -17,16 +17,26 @@ from zensim.deploy.cli import VERBS, build
 from zensim.proto.exit_codes import ExitCode
 
 RUNNER = CliRunner()
-HEAVY = ("pybullet", "viser", "yourdfpy", "lxml", "zenoh", "numpy", "msgspec")
+HEAVY = ("pybullet", "viser", "scipy", "trimesh", "lxml", "zenoh", "numpy", "msgspec")
+SLOW = (*HEAVY, "typer", "rich", "pydantic")
 
 
 def find_heavy_imports(code: str) -> set[str]:
     """Find the heavy modules that a program imports."""
-    program = f"{code}\nimport sys\nprint(*[name for name in {HEAVY} if name in sys.modules])"
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=30, check=True
+    program = (
+        f"import sys\ntry:\n    {code}\n"
+        f"finally: print('\\n', *[name for name in {SLOW} if name in sys.modules])"
     )
-    return set(done.stdout.split())
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=30, check=False
+    )
+    assert "Error" not in done.stderr
+    return set(done.stdout.splitlines()[-1].split())
+
+
+def run_main(*arguments: str) -> str:
+    """Get the code that runs the command line with these arguments."""
+    return f"sys.argv = {['zensim', *arguments]}; from zensim.deploy.cli import main; main()"
 
 
 def test_help_lists_every_verb_with_its_summary() -> None:
@@ -44,7 +54,24 @@ def test_help_is_printed_without_arguments() -> None:
 
 
 def test_help_imports_nothing_heavy() -> None:
-    assert find_heavy_imports("from zensim.deploy.cli import build; build('')") == set()
+    assert find_heavy_imports("from zensim.deploy.cli import build; build('')") <= {
+        *("typer", "rich", "pydantic")
+    }
+
+
+@pytest.mark.parametrize("arguments", [(), ("--help",), ("--version",)])
+def test_root_options_import_nothing_slow(arguments: tuple[str, ...]) -> None:
+    assert find_heavy_imports(run_main(*arguments)) == set()
+
+
+@pytest.mark.parametrize("arguments", [(), ("--help",), ("--version",)])
+def test_root_options_print_the_same_with_and_without_typer(arguments: tuple[str, ...]) -> None:
+    by_typer = RUNNER.invoke(build(""), arguments)
+    done = subprocess.run(
+        [sys.executable, "-m", "zensim", *arguments], capture_output=True, text=True, check=False
+    )
+
+    assert (done.returncode, done.stdout.strip()) == (by_typer.exit_code, by_typer.stdout.strip())
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -75,9 +102,9 @@ def test_help_texts_keep_their_brackets(verb: str) -> None:
 
 
 def test_verbs_import_no_engine_and_no_viewer() -> None:
-    code = "from zensim.deploy.cli import VERBS, build\nfor verb in VERBS: build(verb)"
+    code = "from zensim.deploy.cli import VERBS, build; [build(verb) for verb in VERBS]"
 
-    assert not find_heavy_imports(code) & {"pybullet", "viser", "yourdfpy", "lxml"}
+    assert not find_heavy_imports(code) & {"pybullet", "viser", "scipy", "trimesh", "lxml"}
 
 
 def test_version_is_that_of_the_package() -> None:
