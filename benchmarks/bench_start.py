@@ -27,7 +27,7 @@ START = Limit("max", "<=", 6.0)
 END = Limit("max", "<=", 2.0)
 PAGES = {"without page": ("--no-viewer",), "with page": ("--viewer-port", "0", "--no-open")}
 AGENT = "import zenoh, msgspec, xxhash"
-SERVER = "import zenoh, msgspec, rich, typer, numpy, pybullet, yourdfpy, lxml.etree"
+SERVER = "import zenoh, msgspec, rich, typer, numpy, pybullet, lxml.etree"
 
 
 @dataclass(frozen=True)

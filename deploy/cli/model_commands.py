@@ -67,10 +67,11 @@ def _read_model(given: ModelOptions) -> tuple[str, Model]:
     with server_extra():
         from zensim.sim_server.description.builtin_models import read_builtin_model
         from zensim.sim_server.description.pipeline import parse_description
-    text = payload.text or read_builtin_model(given.file)
-    described = parse_description(
-        text, assets=_read_assets(payload), allow_missing=given.allow_missing, compat=compat
-    )
+
+        text = payload.text or read_builtin_model(given.file)
+        described = parse_description(
+            text, assets=_read_assets(payload), allow_missing=given.allow_missing, compat=compat
+        )
     return text, described.model
 
 

@@ -7,11 +7,12 @@ Engines and joint states support joints with one degree of freedom. A planar joi
 
 from collections.abc import Iterable, Mapping, Sequence
 from math import copysign, fsum
+from operator import mul
 
 import msgspec
-import numpy as np
 
 from zensim.proto.messages.model_messages import (
+    IDENTITY,
     ZERO,
     Decay,
     Frame,
@@ -20,17 +21,19 @@ from zensim.proto.messages.model_messages import (
     JointKind,
     Link,
     Origin,
+    Quat,
     Shape,
     Vec3,
 )
 from zensim.proto.rigid_transforms import compose, rotate, transform_point
-from zensim.proto.se3 import to_matrix
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.strict_parsing import quote
 from zensim.sim_server.errors import ModelError
 
 MAX_JOINTS = 120
 """After lumping: PyBullet reads the states of at most 127 joints of a body."""
+Moments = tuple[float, float, float, float, float, float]
+"""Moments of inertia (ixx, ixy, ixz, iyy, iyz, izz) [kg m^2]."""
 MIMIC_KINDS = ("revolute", "continuous", "prismatic")
 
 
@@ -145,23 +148,50 @@ def combine_inertials(parts: Iterable[tuple[Inertial, Origin]]) -> Inertial:
         return Inertial()
     if len(heavy) == 1 and heavy[0][1] == Origin():
         return heavy[0][0]
-    mass = fsum(part.mass_kg for part, _ in heavy)
-    centres = np.array([transform_point(origin, part.com_in_link) for part, origin in heavy])
-    weights = np.array([part.mass_kg for part, _ in heavy])
-    com = weights @ centres / mass if mass > 0.0 else np.zeros(3)
-    total = np.zeros((3, 3))
-    for (part, origin), centre in zip(heavy, centres, strict=True):
-        turn, offset = to_matrix(np.array(origin.orientation)), centre - com
-        total += turn @ _inertia_matrix(part) @ turn.T
-        total += part.mass_kg * (offset @ offset * np.eye(3) - np.outer(offset, offset))
-    x, y, z = com.tolist()
-    ixx, ixy, ixz, _, iyy, iyz, _, _, izz = total.ravel().tolist()
+    masses = [part.mass_kg for part, _ in heavy]
+    centres = [transform_point(origin, part.com_in_link) for part, origin in heavy]
+    mass = fsum(masses)
+    x, y, z = (
+        fsum(map(mul, masses, column)) / mass if mass > 0.0 else 0.0
+        for column in zip(*centres, strict=True)
+    )
+    about_com = [
+        part_moments
+        for (part, origin), (px, py, pz) in zip(heavy, centres, strict=True)
+        for part_moments in (
+            rotate_moments(part.inertia, origin.orientation),
+            _find_point_moments(part.mass_kg, (px - x, py - y, pz - z)),
+        )
+    ]
+    ixx, ixy, ixz, iyy, iyz, izz = map(fsum, zip(*about_com, strict=True))
     return Inertial(mass, (x, y, z), (ixx, ixy, ixz, iyy, iyz, izz))
 
 
-def _inertia_matrix(part: Inertial) -> list[list[float]]:
-    ixx, ixy, ixz, iyy, iyz, izz = part.inertia
-    return [[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]
+def rotate_moments(moments: Moments, orientation: Quat) -> Moments:
+    """Express moments of inertia, given in a frame with this orientation, outside of it: R I R'."""
+    if orientation == IDENTITY:
+        return moments
+    ixx, ixy, ixz, iyy, iyz, izz = moments
+    turned = [
+        rotate(orientation, row) for row in ((ixx, ixy, ixz), (ixy, iyy, iyz), (ixz, iyz, izz))
+    ]
+    (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = (
+        rotate(orientation, row) for row in zip(*turned, strict=True)
+    )
+    return (ixx, ixy, ixz, iyy, iyz, izz)
+
+
+def _find_point_moments(mass_kg: float, place: Vec3) -> Moments:
+    """Find the moments of a point mass about the origin: m (d.d E - d d')."""
+    x, y, z = place
+    return (
+        mass_kg * (y * y + z * z),
+        -mass_kg * x * y,
+        -mass_kg * x * z,
+        mass_kg * (x * x + z * z),
+        -mass_kg * y * z,
+        mass_kg * (x * x + y * y),
+    )
 
 
 def _merge_links(name: str, group: list[tuple[Link, Origin]]) -> Link:

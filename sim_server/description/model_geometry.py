@@ -6,15 +6,13 @@ same way and touches at one point. A round mesh is a polygon, on which a robot h
 sphere too. Where the twist is applied to the body, friction is removed.
 """
 
+from __future__ import annotations
+
 import math
-from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import msgspec
-import numpy as np
-import numpy.typing as npt
 
-from zensim.proto.messages.drive_messages import Drive
 from zensim.proto.messages.model_messages import (
     IDENTITY,
     ZERO,
@@ -26,8 +24,22 @@ from zensim.proto.messages.model_messages import (
     Shape,
     Vec3,
 )
-from zensim.proto.rigid_transforms import compose, conjugate, from_rpy, rotate
-from zensim.proto.se3 import from_origin, transform_points
+from zensim.proto.rigid_transforms import (
+    compose,
+    conjugate,
+    cross,
+    from_rpy,
+    normalize,
+    rotate,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    import numpy as np
+    import numpy.typing as npt
+
+    from zensim.proto.messages.drive_messages import Drive
 
 
 def make_origin(position: Vec3, rpy: tuple[float, ...]) -> Origin:
@@ -45,7 +57,7 @@ def find_link_poses(root: str, joints: tuple[Joint, ...]) -> dict[str, Origin]:
     return poses
 
 
-FindCorners = Callable[[str], npt.NDArray[np.floating]]
+FindCorners: TypeAlias = "Callable[[str], npt.NDArray[np.floating]]"
 """Corners (n, 3) of the mesh of a `Shape.mesh`, unscaled."""
 _NO_CORNERS: dict[str, npt.NDArray[np.floating]] = {}
 NO_MESHES: FindCorners = _NO_CORNERS.__getitem__
@@ -84,7 +96,7 @@ class _TiltedFrame(NamedTuple):
     height: float
     up: Vec3
 
-    def inner(self, origin: Origin) -> "_TiltedFrame":
+    def inner(self, origin: Origin) -> _TiltedFrame:
         """Find the frame at an origin in this frame."""
         height = self.height + sum(a * b for a, b in zip(self.up, origin.position, strict=True))
         return _TiltedFrame(height, rotate(conjugate(origin.orientation), self.up))
@@ -92,7 +104,7 @@ class _TiltedFrame(NamedTuple):
 
 def _lowest_height(shape: Shape, frame: _TiltedFrame, corners: FindCorners) -> float:
     if shape.kind == "mesh":
-        heights = corners(shape.mesh) @ np.multiply(shape.size, frame.up)
+        heights = corners(shape.mesh) @ [a * b for a, b in zip(shape.size, frame.up, strict=True)]
         return frame.height + float(heights.min())
     down = [abs(part) for part in frame.up]
     if shape.kind == "box":
@@ -182,9 +194,13 @@ def find_wheel_sphere(shape: Shape, axle: Joint, corners: FindCorners = NO_MESHE
         return _make_sphere(shape, shape.size[0], shape.origin.position)
     if shape.kind != "mesh":
         return None
+    import numpy as np
+
+    from zensim.proto.se3 import from_origin, transform_points
+
     scaled = np.asarray(corners(shape.mesh), np.float64) * np.array(shape.size)
     points = transform_points(from_origin(shape.origin), scaled)
-    tread = _find_tread(points, _unit(axle.axis)) if len(points) else None
+    tread = _find_tread(points, np.array(normalize(axle.axis))) if len(points) else None
     return None if tread is None else _make_sphere(shape, *tread)
 
 
@@ -193,17 +209,16 @@ def is_wheel_cylinder(shape: Shape, axle: Joint) -> bool:
     radius, length, _ = shape.size
     if shape.kind != "cylinder" or not 0.0 < length <= MAX_WHEEL_WIDTH * radius:
         return False
-    axis = _unit(axle.axis)
-    along = np.array(rotate(shape.origin.orientation, (0.0, 0.0, 1.0)))
-    if abs(float(along @ axis)) < MIN_AXLE_COS:
+    axis = normalize(axle.axis)
+    along = rotate(shape.origin.orientation, (0.0, 0.0, 1.0))
+    if abs(_dot(along, axis)) < MIN_AXLE_COS:
         return False
-    centre = np.array(shape.origin.position)
-    return float(np.linalg.norm(centre - axis * (centre @ axis))) <= MAX_AXLE_OFFSET * radius
+    centre = shape.origin.position
+    return math.hypot(*cross(centre, axis)) <= MAX_AXLE_OFFSET * radius
 
 
-def _unit(axis: Vec3) -> npt.NDArray[np.float64]:
-    direction = np.array(axis)
-    return np.asarray(direction / np.linalg.norm(direction))
+def _dot(first: Vec3, second: Vec3) -> float:
+    return sum(a * b for a, b in zip(first, second, strict=True))
 
 
 def _find_tread(
@@ -213,6 +228,8 @@ def _find_tread(
 
     None if they leave a gap in the circle, or if the wheel is too wide.
     """
+    import numpy as np
+
     along = points @ axis
     spokes = points - along[:, None] * axis
     radii = np.linalg.norm(spokes, axis=1)

@@ -10,27 +10,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import msgspec
-import numpy as np
-import trimesh
 
 from zensim.proto.messages.model_messages import Model, ReportEntry
-from zensim.proto.stl import read_corners
 from zensim.sim_server.description.builtin_models import read_builtin_model, read_builtin_world
-from zensim.sim_server.description.meshes.mesh_conversion import (
-    MeshConversions,
-    MeshFiles,
-    convert_meshes,
+from zensim.sim_server.description.meshes.mesh_lookup import (
+    HasMesh,
     list_mesh_uris,
+    list_meshes,
+    no_meshes,
 )
-from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, no_meshes
 from zensim.sim_server.description.model_geometry import describe_mesh_wheels
-from zensim.sim_server.description.sdf.sdf_includes import (
-    SDF_ROOTS,
-    ResolveInclude,
-    no_includes,
-)
-from zensim.sim_server.description.sdf.sdf_model import read_sdf_model
-from zensim.sim_server.description.sdf.sdf_world import read_world
 from zensim.sim_server.description.strict_parsing import find_root_tag
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import ModelError
@@ -39,9 +28,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from zensim.proto.messages.spawn_messages import Compat
+    from zensim.sim_server.description.meshes.mesh_conversion import MeshFiles
+    from zensim.sim_server.description.sdf.sdf_includes import ResolveInclude
     from zensim.sim_server.description.world_model import WorldModel
 
     FindMesh = Callable[[str], tuple[str, bytes] | None]
+
+
+SDF_ROOTS = ("sdf", "gazebo")
+"""<gazebo version="1.2"> is SDF of 2012."""
 
 
 def read_robot(
@@ -49,10 +44,14 @@ def read_robot(
     *,
     has_mesh: HasMesh = no_meshes,
     allow_missing: bool = False,
-    resolve: ResolveInclude = no_includes,
+    resolve: ResolveInclude | None = None,
 ) -> Model:
     """Read a robot with `read_sdf_model` or `read_urdf`, depending on the root tag."""
     if is_sdf(text):
+        from zensim.sim_server.description.sdf.sdf_includes import no_includes
+        from zensim.sim_server.description.sdf.sdf_model import read_sdf_model
+
+        resolve = resolve or no_includes
         return read_sdf_model(text, has_mesh=has_mesh, allow_missing=allow_missing, resolve=resolve)
     return read_urdf(text, has_mesh=has_mesh, allow_missing=allow_missing)
 
@@ -109,8 +108,15 @@ def parse_description(
     model = read_robot(
         text, has_mesh=present.__contains__, allow_missing=allow_missing, resolve=included
     )
+    model = _set_compat(model, compat)
+    return _convert_meshes(model, present) if list_meshes(model) else ModelWithMeshes(model, {})
+
+
+def _convert_meshes(model: Model, files: dict[str, tuple[str, bytes]]) -> ModelWithMeshes:
+    from zensim.sim_server.description.meshes.mesh_conversion import MeshConversions, convert_meshes
+
     conversions = MeshConversions()
-    model = convert_meshes(_set_compat(model, compat), present, conversions)
+    model = convert_meshes(model, files, conversions)
     return ModelWithMeshes(_report_mesh_wheels(model, conversions.meshes), conversions.meshes)
 
 
@@ -128,6 +134,9 @@ def parse_world(
     Raises:
         ModelError: The text is not a valid SDF world.
     """
+    from zensim.sim_server.description.meshes.mesh_conversion import MeshConversions, convert_meshes
+    from zensim.sim_server.description.sdf.sdf_world import read_world
+
     world = read_world(
         text,
         resolve=resolve,
@@ -154,6 +163,8 @@ def parse_world(
 
 
 def _report_mesh_wheels(model: Model, meshes: dict[str, bytes]) -> Model:
+    from zensim.proto.stl import read_corners
+
     notes = describe_mesh_wheels(model, lambda mesh: read_corners(meshes[mesh]))
     entries = (ReportEntry("applied", "drive", note) for note in notes)
     return msgspec.structs.replace(model, report=(*model.report, *entries))
@@ -170,6 +181,11 @@ def _set_compat(model: Model, compat: Compat) -> Model:
 
 def warm_up() -> None:
     """Parse a sample of each format: the sandbox later prevents lazy imports."""
+    import numpy as np
+    import trimesh
+
+    from zensim.sim_server.description.sdf.sdf_includes import no_includes
+
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     sides = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
     tetrahedron = trimesh.Trimesh(corners, sides)

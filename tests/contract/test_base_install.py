@@ -9,7 +9,7 @@ from tests.contract.repository import ROOT
 
 WITHOUT_EXTRAS = """
 import sys, pkgutil, importlib
-for name in ("pybullet", "yourdfpy", "lxml", "viser"):
+for name in ("pybullet", "scipy", "trimesh", "lxml", "viser"):
     sys.modules[name] = None
 """
 IMPORT_ALL = """

@@ -16,21 +16,21 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
-import trimesh
 from lxml import etree
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from zensim.proto.messages.model_messages import ReportEntry
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.stl import STL_HEAD, STL_RECORD, read_corners, write_corners
 from zensim.sim_server.description.meshes.generated_solids import is_generated, list_corners
+from zensim.sim_server.description.meshes.mesh_lookup import list_meshes
 from zensim.sim_server.description.strict_parsing import quote
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
+    import trimesh
     from lxml.etree import _Element as Element
 
     from zensim.proto.messages.model_messages import Link, Model, Shape
@@ -467,6 +467,8 @@ def _read_glb_file(name: str, data: bytes) -> Triangles:
 
 
 def _load_with_trimesh(name: str, data: bytes, kind: str) -> Triangles:
+    import trimesh
+
     try:
         scene = trimesh.load_scene(BytesIO(data), file_type=kind, skip_materials=True)
         parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
@@ -652,23 +654,13 @@ def convert_meshes(
     Raises:
         ModelError: A collision's mesh cannot be read.
     """
-    if not _list_meshes(model):
+    if not list_meshes(model):
         return model
     count = sum(shape.kind == "mesh" for link in model.links for shape in link.collisions)
     max_count = min(MAX_STATIC_TRIANGLES, MAX_STATIC_TRIANGLES_OF_MODEL // max(1, count))
     job = _ModelConversion(files, "static" if model.is_static else "hull", max_count, conversions)
     links = tuple(_convert_link(link, job) for link in model.links)
     return msgspec.structs.replace(model, links=links, report=(*model.report, *job.report))
-
-
-def list_mesh_uris(model: Model) -> tuple[str, ...]:
-    """List the URIs of a model's mesh files, each once."""
-    return tuple(uri for uri in _list_meshes(model) if not is_generated(uri))
-
-
-def _list_meshes(model: Model) -> tuple[str, ...]:
-    shapes = (shape for link in model.links for shape in (*link.collisions, *link.visuals))
-    return tuple(dict.fromkeys(shape.mesh for shape in shapes if shape.kind == "mesh"))
 
 
 def _convert_link(link: Link, job: _ModelConversion) -> Link:
@@ -753,6 +745,8 @@ def _thicken(points: Points) -> Points:
 
 
 def _make_hull(points: Points) -> Triangles:
+    from scipy.spatial import ConvexHull, QhullError
+
     try:
         hull = ConvexHull(points)
     except QhullError:

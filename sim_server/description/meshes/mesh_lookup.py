@@ -12,7 +12,7 @@ from zensim.sim_server.description.strict_parsing import quote
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
-    from zensim.proto.messages.model_messages import Shape
+    from zensim.proto.messages.model_messages import Model, Shape
     from zensim.sim_server.description.report import ParseReport
 
 HasMesh = Callable[[str], bool]
@@ -58,3 +58,14 @@ class MeshPolicy:
                 slug="mesh.missing",
             )
         return False
+
+
+def list_meshes(model: Model) -> tuple[str, ...]:
+    """List the URIs of a model's meshes, each once; those of generated solids too."""
+    shapes = (shape for link in model.links for shape in (*link.collisions, *link.visuals))
+    return tuple(dict.fromkeys(shape.mesh for shape in shapes if shape.kind == "mesh"))
+
+
+def list_mesh_uris(model: Model) -> tuple[str, ...]:
+    """List the URIs of a model's mesh files, each once."""
+    return tuple(uri for uri in list_meshes(model) if not is_generated(uri))

@@ -32,8 +32,6 @@ ResolveInclude = Callable[[str], str | None]
 SDF_VERSIONS = (
     "1.2", "1.3", "1.4", "1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11", "1.12",
 )  # fmt: skip
-SDF_ROOTS = ("sdf", "gazebo")
-"""<gazebo version="1.2"> is SDF of 2012."""
 OLDER_VERSIONS = ("1.0", "1.1")
 """They have attributes where later ones have elements."""
 VERSION_ATTRIBUTE = "sdf_version"

@@ -1,18 +1,11 @@
-"""URDF text to Model: links, joints and shapes, then tree, lumping and plug-ins.
-
-The only importer of yourdfpy.
-"""
+"""URDF text to Model: links, joints and shapes, then tree, lumping and plug-ins."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from io import BytesIO
 from typing import TYPE_CHECKING, get_args
 
 import msgspec
-import numpy as np
-import yourdfpy
-from lxml import etree
 
 from zensim.proto.messages.model_messages import (
     Inertial,
@@ -26,8 +19,11 @@ from zensim.proto.messages.model_messages import (
     Vec3,
 )
 from zensim.proto.messages.result_messages import SpawnCode
-from zensim.proto.se3 import FloatArray, from_matrix
-from zensim.sim_server.description.joint_reduction import LumpedModel, reduce_joints
+from zensim.sim_server.description.joint_reduction import (
+    LumpedModel,
+    reduce_joints,
+    rotate_moments,
+)
 from zensim.sim_server.description.link_surfaces import SURFACE_TAG_NAMES as SURFACE_TAGS
 from zensim.sim_server.description.link_surfaces import (
     SurfaceParameters,
@@ -58,7 +54,6 @@ from zensim.sim_server.description.strict_parsing import (
     quote,
     read_number,
     read_numbers,
-    to_single_line,
 )
 from zensim.sim_server.errors import ModelError
 
@@ -555,21 +550,29 @@ def _read_scale(mesh: Element) -> Vec3:
     written = read_numbers(
         mesh.get("scale", "1"), counts=(1, 3), where="mesh, scale", slug="urdf.number"
     )
-    x, y, z = np.broadcast_to(written, 3).tolist()
+    x, y, z = written * 3 if len(written) == 1 else written
     return (x, y, z)
 
 
-def _read_attribute(element: Element, name: str, count: int) -> tuple[float, ...]:
-    written = element.get(name, " ".join(["0"] * count))
-    return read_numbers(
-        written, counts=(count,), where=f"{element.tag}, {name}", slug="urdf.number"
-    )
+def _read_attribute(
+    element: Element | None, name: str, count: int, *, default: str = ""
+) -> tuple[float, ...]:
+    written = None if element is None else element.get(name)
+    if element is None or written is None:
+        written = default or " ".join(["0"] * count)
+    where = f"{element.tag}, {name}" if element is not None else name
+    return read_numbers(written, counts=(count,), where=where, slug="urdf.number")
+
+
+def _read_scalar(element: Element | None, name: str) -> float:
+    """Read the number of an attribute; 0 where it or the element is missing."""
+    return _read_attribute(element, name, 1)[0]
 
 
 JOINT_KINDS: dict[str, JointKind] = {kind: kind for kind in get_args(JointKind)}
-LINK_WITHOUT_SHAPES = msgspec.structs.replace(LINK, children={"inertial": INERTIAL})
-"""Shapes are read here: yourdfpy does not know all kinds."""
 LIMITED_KINDS = ("revolute", "prismatic")
+DEFAULT_AXIS = "1 0 0"
+"""Of a joint without one. Source: URDF."""
 
 
 def read_links_and_joints(robot: Element, policy: MeshPolicy, report: ParseReport) -> ParsedModel:
@@ -578,117 +581,92 @@ def read_links_and_joints(robot: Element, policy: MeshPolicy, report: ParseRepor
     Raises:
         ModelError: A joint's type is unknown, or a limit or a collision mesh is missing.
     """
-    read = _load_kinematics(robot)
     colours = read_named_colours(robot, report)
     links = tuple(
         Link(
-            name=link.name,
-            inertial=_convert_inertial(link.inertial),
+            name=element.get("name") or "",
+            inertial=_read_inertial(element),
             collisions=read_collisions(element, policy, report),
             visuals=read_visuals(element, policy, colours, report),
         )
-        for element, link in zip(robot.findall("link"), read.links, strict=True)
+        for element in robot.findall("link")
     )
-    return ParsedModel(
-        read.name, links, tuple(_convert_joint(joint, report) for joint in read.joints)
+    joints = tuple(_read_joint(element, report) for element in robot.findall("joint"))
+    return ParsedModel(robot.get("name") or "", links, joints)
+
+
+def _read_joint(joint: Element, report: ParseReport) -> Joint:
+    name, kind = joint.get("name") or "", _read_joint_kind(joint)
+    limit, axis = joint.find("limit"), joint.find("axis")
+    if kind in LIMITED_KINDS:
+        _check_limit(limit, f"joint {quote(name)}", kind, report)
+    x, y, z = _read_attribute(axis, "xyz", 3, default=DEFAULT_AXIS)
+    lower, upper, effort, velocity = (
+        _read_scalar(limit, part) for part in ("lower", "upper", "effort", "velocity")
+    )
+    dynamics = joint.find("dynamics")
+    return Joint(
+        name=name,
+        kind=kind,
+        parent=_read_end(joint, "parent"),
+        child=_read_end(joint, "child"),
+        origin=read_origin(joint),
+        axis=(x, y, z),
+        lower=lower,
+        upper=upper,
+        effort=effort,
+        velocity=velocity,
+        damping=_read_scalar(dynamics, "damping"),
+        friction=_read_scalar(dynamics, "friction"),
+        mimic=_read_mimic(joint),
     )
 
 
-def _copy_kinematics(robot: Element) -> Element:
-    """Copy the checked parts of links and joints, without shapes."""
-    copy = etree.Element("robot", {"name": robot.get("name") or ""})
-    for part in robot:
-        if part.tag == "joint":
-            _copy_known(part, JOINT, copy)
-        elif part.tag == "link":
-            _copy_known(part, LINK_WITHOUT_SHAPES, copy)
-    return copy
-
-
-def _copy_known(element: Element, tag: UrdfElementRule, into: Element) -> None:
-    known = {name: value for name, value in element.attrib.items() if name in tag.attributes}
-    copy = etree.SubElement(into, element.tag, known)
-    for child in element:
-        if child.tag in tag.children:
-            _copy_known(child, tag.children[child.tag], copy)
-
-
-def _load_kinematics(robot: Element) -> yourdfpy.Robot:
-    try:
-        return yourdfpy.URDF.load(
-            BytesIO(etree.tostring(_copy_kinematics(robot))),
-            build_scene_graph=False,
-            load_meshes=False,
-        ).robot
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
-        # A fault in an untrusted text that the schema check did not find.
-        raise ModelError(
-            f"the description cannot be read as URDF: {to_single_line(str(error))}",
-            slug="urdf.unreadable",
-        ) from error
-
-
-def _convert_joint(joint: yourdfpy.Joint, report: ParseReport) -> Joint:
-    kind = JOINT_KINDS.get(joint.type)
+def _read_joint_kind(joint: Element) -> JointKind:
+    written = joint.get("type") or ""
+    kind = JOINT_KINDS.get(written.strip())
     if kind is None:
         raise ModelError(
-            f"joint {joint.name!r} has type {joint.type!r}; use one of {', '.join(JOINT_KINDS)}",
+            f"joint {quote(joint.get('name'))} has type {quote(written)}; "
+            f"use one of {', '.join(JOINT_KINDS)}",
             slug="urdf.joint_type",
         )
-    if kind in LIMITED_KINDS and joint.limit is None:
+    return kind
+
+
+def _check_limit(limit: Element | None, where: str, kind: JointKind, report: ParseReport) -> None:
+    if limit is None:
         raise ModelError(
-            f"{kind} joint {joint.name!r} has no <limit>; add one or make it continuous",
-            slug="urdf.limit",
+            f"{kind} {where} has no <limit>; add one or make it continuous", slug="urdf.limit"
         )
-    limit, dynamics, mimic = joint.limit, joint.dynamics, joint.mimic
-    if kind in LIMITED_KINDS and limit is not None and limit.lower is None and limit.upper is None:
-        report.suspicious(
-            f"joint {joint.name!r}", "its <limit> has no lower and upper: locked at 0"
-        )
-    x, y, z = joint.axis.tolist()
-    return Joint(
-        name=joint.name,
-        kind=kind,
-        parent=joint.parent,
-        child=joint.child,
-        origin=_convert_origin(joint.origin),
-        axis=(x, y, z),
-        lower=(limit.lower or 0.0) if limit else 0.0,
-        upper=(limit.upper or 0.0) if limit else 0.0,
-        effort=(limit.effort or 0.0) if limit else 0.0,
-        velocity=(limit.velocity or 0.0) if limit else 0.0,
-        damping=float(dynamics.damping or 0.0) if dynamics else 0.0,
-        friction=float(dynamics.friction or 0.0) if dynamics else 0.0,
-        mimic=_convert_mimic(mimic) if mimic else None,
-    )
+    if limit.get("lower") is None and limit.get("upper") is None:
+        report.suspicious(where, "its <limit> has no lower and upper: locked at 0")
 
 
-def _convert_mimic(mimic: yourdfpy.Mimic) -> Mimic:
-    multiplier = 1.0 if mimic.multiplier is None else mimic.multiplier
-    return Mimic(mimic.joint, multiplier, mimic.offset or 0.0)
+def _read_end(joint: Element, tag: str) -> str:
+    end = joint.find(tag)
+    return "" if end is None else (end.get("link") or "")
 
 
-def _convert_inertial(inertial: yourdfpy.Inertial | None) -> Inertial:
-    if inertial is None or inertial.mass is None or inertial.inertia is None:
+def _read_mimic(joint: Element) -> Mimic | None:
+    mimic = joint.find("mimic")
+    if mimic is None:
+        return None
+    (multiplier,) = _read_attribute(mimic, "multiplier", 1, default="1")
+    return Mimic(mimic.get("joint") or "", multiplier, _read_scalar(mimic, "offset"))
+
+
+def _read_inertial(link: Element) -> Inertial:
+    inertial = link.find("inertial")
+    if inertial is None:
         return Inertial()
-    turn = np.eye(3) if inertial.origin is None else inertial.origin[:3, :3]
-    moments = turn @ inertial.inertia @ turn.T
-    ixx, ixy, ixz, _, iyy, iyz, _, _, izz = moments.ravel().tolist()
+    origin, matrix = read_origin(inertial), inertial.find("inertia")
+    ixx, ixy, ixz, iyy, iyz, izz = (_read_scalar(matrix, moment) for moment in MOMENTS)
     return Inertial(
-        mass_kg=inertial.mass,
-        com_in_link=_convert_origin(inertial.origin).position,
-        inertia=(ixx, ixy, ixz, iyy, iyz, izz),
+        mass_kg=_read_scalar(inertial.find("mass"), "value"),
+        com_in_link=origin.position,
+        inertia=rotate_moments((ixx, ixy, ixz, iyy, iyz, izz), origin.orientation),
     )
-
-
-def _convert_origin(matrix: FloatArray | None) -> Origin:
-    if matrix is None:
-        return Origin()
-    x, y, z = matrix[:3, 3].tolist()
-    if np.array_equal(matrix[:3, :3], np.eye(3)):
-        return Origin((x, y, z))
-    qx, qy, qz, qw = from_matrix(matrix[:3, :3]).tolist()
-    return Origin((x, y, z), (qx, qy, qz, qw))
 
 
 UNEXPANDED_TAGS = ("gazebo", "transmission", "ros2_control")

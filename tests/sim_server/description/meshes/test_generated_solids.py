@@ -20,7 +20,7 @@ from zensim.sim_server.description.meshes.generated_solids import (
     make_cone,
     make_ellipsoid,
 )
-from zensim.sim_server.description.meshes.mesh_conversion import list_mesh_uris
+from zensim.sim_server.description.meshes.mesh_lookup import list_mesh_uris
 from zensim.sim_server.description.pipeline import ModelWithMeshes, parse_description, read_robot
 
 ELLIPSOID = '<geometry><ellipsoid radii="0.1 0.2 0.3"/></geometry>'

@@ -6,7 +6,6 @@ import math
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lxml import etree
 
 from tests.sim_server.description.robots import (
     BALL,
@@ -25,11 +24,8 @@ from tests.sim_server.description.robots import (
 from zensim.proto.messages.model_messages import DiffDrive, Frame, Model, Origin, WheelPair
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.builtin_models import read_builtin_model
-from zensim.sim_server.description.meshes.mesh_lookup import MeshPolicy, no_meshes
 from zensim.sim_server.description.model_geometry import find_ground_clearance
-from zensim.sim_server.description.report import ParseReport
-from zensim.sim_server.description.strict_parsing import parse_xml
-from zensim.sim_server.description.urdf.urdf_parser import read_links_and_joints, read_urdf
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import ModelError
 
 BODY = a_link("body", an_inertial() + a_collision())
@@ -232,17 +228,6 @@ def test_each_mesh_is_looked_up() -> None:
 
     assert set(asked) == {"package://r/body.stl"}
     assert model.links[0].visuals[0].size == (2.0, 2.0, 2.0)
-
-
-@pytest.mark.parametrize("inside", ["<joint name='j'/>", "<link/>"])
-def test_links_and_joints_are_refused_without_the_schema_check(inside: str) -> None:
-    robot = parse_xml(a_robot(inside), root_tag="robot", slug="urdf")
-
-    with pytest.raises(ModelError) as caught:
-        read_links_and_joints(robot, MeshPolicy(no_meshes), ParseReport())
-
-    assert caught.value.slug == "urdf.unreadable"
-    assert etree.tostring(robot)
 
 
 BOX_BOT = read_builtin_model("box_bot")
