@@ -81,7 +81,7 @@ def measure_robot(robot: WheelRobot, engines: Iterable[str]) -> Iterator[WheelRo
     straight, turn = predict_nominal_motions(robot.model())
     commanded = Expected(straight.nominal[0], 0.0, turn.nominal[2])
     predicted = Expected(straight.twist[0], straight.twist[2], turn.twist[2])
-    tilt = straight.ground.rest.tilt_rad if straight.ground else 0.0
+    tilt = straight.ground.rest.tilt_rad
     for engine in engines:
         is_kinematic = engine == KINEMATIC
         trial = run_trial(robot, engine)

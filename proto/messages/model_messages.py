@@ -50,7 +50,8 @@ Quat = tuple[float, float, float, float]
 ZERO: Vec3 = (0.0, 0.0, 0.0)
 IDENTITY: Quat = (0.0, 0.0, 0.0, 1.0)
 
-ReportStatus = Literal["applied", "ignored", "unknown", "suspicious"]
+ReportStatus = Literal["applied", "ignored", "unknown", "predicted", "suspicious"]
+"""predicted: what the robot will do that was not commanded."""
 
 
 class ReportEntry(msgspec.Struct, frozen=True):

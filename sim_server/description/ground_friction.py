@@ -119,9 +119,12 @@ class GroundFriction:
         self.model = model
         self.rest = RestSolver(model, corners)
         self._rests: dict[bytes, RestPose] = {}
-        actuated = {actuator.joint for actuator in model.actuators}
+        modes = {actuator.joint: actuator.mode for actuator in model.actuators}
+        found = [modes.get(joint.name) for joint in model.joints]
+        self._driven = {i for i, mode in enumerate(found) if mode == "velocity"}
         self._is_passive = [
-            joint.name not in actuated and joint.mimic is None for joint in model.joints
+            mode is None and joint.mimic is None
+            for mode, joint in zip(found, model.joints, strict=True)
         ]
 
     def move(self, targets: JointTargets, *, smooth: frozenset[int] = NO_LINKS) -> GroundMotion:
@@ -191,7 +194,8 @@ class GroundFriction:
             return -1
         one = self.model.joints[joint]
         is_level = abs(axis_of(rest.frames, one, joint)[2]) < LEVEL_AXIS_Z
-        return joint if one.kind == "continuous" and is_level else -1
+        is_turned = one.kind == "continuous" or (one.kind == "revolute" and joint in self._driven)
+        return joint if is_turned and is_level else -1
 
     def _find_swivel(self, rest: RestPose, at: int) -> int:
         """Find the upright passive joint of a contact that trails behind it; -1 = none."""

@@ -39,18 +39,18 @@ class PredictedMotion:
         command: As given to the drive.
         nominal: Twist of the root link that the drive's own sizes give.
         twist: Twist of the root link that friction and geometry give.
-        ground: Contacts and pose; None where the body is moved without wheels.
+        ground: Contacts and pose.
     """
 
     command: PlanarTwist[float]
     nominal: PlanarTwist[float]
     twist: PlanarTwist[float]
-    ground: GroundMotion | None
+    ground: GroundMotion
 
 
-def is_steered(drive: Drive) -> bool:
-    """Whether the turn of a command is a steering angle."""
-    return isinstance(drive, AckermannDrive | TricycleDrive)
+def turn_command(drive: Drive) -> PlanarTwist[float]:
+    """Choose the nominal command that turns a robot with this drive."""
+    return STEERED_TURN if isinstance(drive, AckermannDrive | TricycleDrive) else TURN
 
 
 def predict_motion(
@@ -58,11 +58,16 @@ def predict_motion(
 ) -> PredictedMotion:
     """Predict the steady motion of a model with a drive, on level ground of friction 1."""
     numbers = find_drive_targets(model, command)
-    if any(actuator.mode == "twist" for actuator in model.actuators):
-        return PredictedMotion(command, command, command, None)
-    targets = make_joint_targets(model, numbers)
-    found = friction.move(targets)
+    if is_moved_by_twist(model):
+        at_rest = friction.move(JointTargets(np.zeros(len(model.joints)), {}, {}))
+        return PredictedMotion(command, command, command, at_rest)
+    found = friction.move(make_joint_targets(model, numbers))
     return PredictedMotion(command, find_nominal_twist(model, numbers), found.twist, found)
+
+
+def is_moved_by_twist(model: Model) -> bool:
+    """Whether the twist is applied to the body, whatever its wheels do."""
+    return any(actuator.mode == "twist" for actuator in model.actuators)
 
 
 def find_drive_targets(model: Model, command: PlanarTwist[float]) -> tuple[float, ...]:
@@ -142,5 +147,5 @@ def predict_nominal_motions(
 ) -> tuple[PredictedMotion, PredictedMotion]:
     """Predict driving straight and turning at the nominal commands."""
     friction = GroundFriction(model, corners)
-    turn = STEERED_TURN if model.drive and is_steered(model.drive) else TURN
+    turn = turn_command(model.drive) if model.drive else TURN
     return predict_motion(model, STRAIGHT, friction), predict_motion(model, turn, friction)

@@ -13,6 +13,7 @@ import msgspec
 
 from zensim.proto.messages.model_messages import Model, ReportEntry
 from zensim.sim_server.description.builtin_models import read_builtin_model, read_builtin_world
+from zensim.sim_server.description.driving_notes import describe_driving
 from zensim.sim_server.description.meshes.mesh_lookup import (
     HasMesh,
     list_mesh_uris,
@@ -26,6 +27,9 @@ from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    import numpy as np
+    import numpy.typing as npt
 
     from zensim.proto.messages.spawn_messages import Compat
     from zensim.sim_server.description.meshes.mesh_conversion import MeshFiles
@@ -109,15 +113,15 @@ def parse_description(
         text, has_mesh=present.__contains__, allow_missing=allow_missing, resolve=included
     )
     model = _set_compat(model, compat)
-    return _convert_meshes(model, present) if list_meshes(model) else ModelWithMeshes(model, {})
+    found = _convert_meshes(model, present) if list_meshes(model) else ModelWithMeshes(model, {})
+    return ModelWithMeshes(_add_notes(found.model, found.meshes), found.meshes)
 
 
 def _convert_meshes(model: Model, files: dict[str, tuple[str, bytes]]) -> ModelWithMeshes:
     from zensim.sim_server.description.meshes.mesh_conversion import MeshConversions, convert_meshes
 
     conversions = MeshConversions()
-    model = convert_meshes(model, files, conversions)
-    return ModelWithMeshes(_report_mesh_wheels(model, conversions.meshes), conversions.meshes)
+    return ModelWithMeshes(convert_meshes(model, files, conversions), conversions.meshes)
 
 
 def parse_world(
@@ -156,18 +160,27 @@ def parse_world(
             continue
         new = model.report[len(placed.model.report) :]
         unusable += [entry.reason for entry in new]
+        model = _add_notes(model, conversions.meshes)
+        new = model.report[len(placed.model.report) :]
         report += [replace(entry, subject=f"{placed.name}: {entry.subject}") for entry in new]
         models.append(replace(placed, model=model))
     whole = replace(world, models=tuple(models), report=tuple(report))
     return WorldWithMeshes(whole, conversions.meshes, tuple(unusable))
 
 
-def _report_mesh_wheels(model: Model, meshes: dict[str, bytes]) -> Model:
-    from zensim.proto.stl import read_corners
+def _add_notes(model: Model, meshes: dict[str, bytes]) -> Model:
+    """Report what needs the meshes: round wheels, and how the robot will drive."""
 
-    notes = describe_mesh_wheels(model, lambda mesh: read_corners(meshes[mesh]))
-    entries = (ReportEntry("applied", "drive", note) for note in notes)
-    return msgspec.structs.replace(model, report=(*model.report, *entries))
+    def corners(mesh: str) -> npt.NDArray[np.float32]:
+        from zensim.proto.stl import read_corners
+
+        return read_corners(meshes[mesh])
+
+    round_wheels = (
+        ReportEntry("applied", "drive", note) for note in describe_mesh_wheels(model, corners)
+    )
+    report = (*model.report, *round_wheels, *describe_driving(model, corners))
+    return msgspec.structs.replace(model, report=report)
 
 
 def _set_compat(model: Model, compat: Compat) -> Model:

@@ -336,7 +336,7 @@ def _find_joint_force(joint: Joint, position: float, hardest: float) -> tuple[fl
 def _list_support_points(model: Model, corners: FindCorners, frames: LinkFrames) -> SupportPoints:
     shapes: list[Shape] = []
     rows: list[tuple[int, FloatArray, FloatArray, float, float, int]] = []
-    for link, one in enumerate(links_in_contact(model)):
+    for link, one in enumerate(links_in_contact(model, corners)):
         for shape in one.collisions:
             if shape.kind == "plane":
                 continue

@@ -140,9 +140,9 @@ def _print_report(report: SpawnEntityReport, given: SpawnOptions) -> None:
 
 
 def _print_warnings(report: SpawnEntityReport) -> None:
-    """Print suspicious entries to standard error, where a redirected table is not seen."""
+    """Print what is wrong to standard error, where a redirected table is not seen."""
     for entry in report.report:
-        if entry.status == "suspicious":
+        if entry.status in ("suspicious", "predicted"):
             typer.echo(f"zensim spawn: warning: {entry.subject}: {entry.reason}", err=True)
 
 

@@ -24,6 +24,7 @@ STATUS_COLOURS = {
     "applied": "green",
     "ignored": "dim",
     "unknown": "cyan",
+    "predicted": "magenta",
     "suspicious": "bold yellow",
 }
 """In the order of the table: suspicious entries come last, next to the prompt."""

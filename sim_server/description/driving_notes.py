@@ -1,0 +1,254 @@
+"""Report entries on a robot that will not drive as commanded: what it does, and why.
+
+Each entry compares the prediction with the drive's own sizes; the cause is what makes the
+deviation at least half as large when it is taken away.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from zensim.proto.messages.drive_messages import DiffDrive
+from zensim.proto.messages.model_messages import ReportEntry
+from zensim.sim_server.description.ground_friction import GroundFriction, GroundMotion
+from zensim.sim_server.description.model_geometry import NO_MESHES
+from zensim.sim_server.description.motion_prediction import (
+    STRAIGHT,
+    PredictedMotion,
+    find_drive_targets,
+    make_joint_targets,
+    predict_motion,
+    turn_command,
+)
+from zensim.sim_server.description.rest_pose import MAX_TILT_RAD
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from zensim.proto.drives.measured_joints import PlanarTwist
+    from zensim.proto.messages.model_messages import Model
+    from zensim.sim_server.description.ground_friction import GroundContact
+    from zensim.sim_server.description.model_geometry import FindCorners
+
+TOLERANCE = 0.02
+"""Share by which a robot may deviate without an entry."""
+DRIFT_RAD_S = 0.01
+"""Turn of a robot that is commanded straight, likewise."""
+MIN_TILT_RAD = math.radians(1.0)
+NO_LOAD_SHARE = 0.005
+"""Of the weight, below which a driven wheel counts as without load."""
+STANDS_SHARE = 0.02
+"""Of the command, below which a robot counts as standing."""
+SAME_RATIO = 0.005
+"""Difference of the ratios of speed and turn up to which they share an entry."""
+AXLE_SHARE = 0.02
+"""Distance along the robot, relative to that across, from which wheels are on two axles."""
+SUBJECT = "driving"
+
+
+def describe_driving(model: Model, corners: FindCorners = NO_MESHES) -> tuple[ReportEntry, ...]:
+    """Describe where a robot will not drive as commanded, on level ground of friction 1.
+
+    Args:
+        model: The robot; without a drive there is nothing to describe.
+        corners: Needed for meshes.
+    """
+    if model.drive is None or model.is_static:
+        return ()
+    try:
+        # A description may have any numbers up to 1e12.
+        with np.errstate(all="ignore"):
+            lines = tuple(_list_lines(model, corners))
+    except (ArithmeticError, np.linalg.LinAlgError):
+        lines = ("not predicted: its sizes and masses differ too much",)
+    return tuple(ReportEntry("predicted", SUBJECT, line) for line in lines)
+
+
+def _list_lines(model: Model, corners: FindCorners) -> Iterator[str]:
+    friction = GroundFriction(model, corners)
+    straight = predict_motion(model, STRAIGHT, friction)
+    yield from _describe_rest(model, straight.ground)
+    if straight.ground.rest.is_stable and model.drive is not None:
+        turn = predict_motion(model, turn_command(model.drive), friction)
+        if straight.ground.motion.is_converged and turn.ground.motion.is_converged:
+            yield from _describe_motions(_Case(model, friction), straight, turn)
+
+
+def _describe_rest(model: Model, ground: GroundMotion) -> Iterator[str]:
+    rest = ground.rest
+    if not any(link.collisions for link in model.links):
+        yield "it falls: it has no collisions"
+        return
+    if rest.tilt_rad > MAX_TILT_RAD:
+        yield "it falls over: its centre of mass is not above its supports"
+    if not rest.is_stable:
+        return
+    if rest.tilt_rad > MIN_TILT_RAD:
+        yield f"it rests tilted by {math.degrees(rest.tilt_rad):.1f} degrees"
+    if idle := _list_idle_wheels(model, ground):
+        yield f"driven wheels carry no load: {', '.join(map(repr, idle))}"
+
+
+def _list_idle_wheels(model: Model, ground: GroundMotion) -> list[str]:
+    """List the driven wheels, by joint, that do not carry."""
+    least = NO_LOAD_SHARE * float(ground.rest.loads.sum())
+    loads = dict.fromkeys(_driven_joints(model).intersection(_wheel_joints(model)), 0.0)
+    for one in ground.contacts:
+        joint = model.joints[one.link - 1].name if one.link else ""
+        if joint in loads:
+            loads[joint] += one.load_n
+    return sorted(joint for joint, load in loads.items() if load < least)
+
+
+def _wheel_joints(model: Model) -> tuple[str, ...]:
+    return model.drive.wheel_joints if model.drive else ()
+
+
+@dataclass(frozen=True)
+class _Case:
+    """A model, and its friction for questions of what if."""
+
+    model: Model
+    friction: GroundFriction
+
+    def move(
+        self, command: PlanarTwist[float], *, smooth: Iterable[int] = (), is_strong: bool = False
+    ) -> PlanarTwist[float]:
+        """Find the twist with some links smooth, or with motors of any torque."""
+        targets = make_joint_targets(self.model, find_drive_targets(self.model, command))
+        if is_strong:
+            targets = replace(targets, efforts=dict.fromkeys(targets.efforts, math.inf))
+        return self.friction.move(targets, smooth=frozenset(smooth)).twist
+
+
+def _describe_motions(
+    case: _Case, straight: PredictedMotion, turn: PredictedMotion
+) -> Iterator[str]:
+    speed = _ratio(straight.twist[0], straight.nominal[0])
+    rate = _ratio(turn.twist[2], turn.nominal[2])
+    is_fast, is_slow = abs(speed - 1.0) > TOLERANCE, abs(rate - 1.0) > TOLERANCE
+    if is_fast and is_slow and abs(speed - rate) < SAME_RATIO:
+        yield f"{_say(speed, 'drives and turns', 'speed')}: {_find_cause(case, straight, 0)}"
+    else:
+        if is_fast:
+            yield f"{_say(speed, 'drives', 'speed')}: {_find_cause(case, straight, 0)}"
+        if is_slow:
+            yield f"{_say(rate, 'turns', 'rate')}: {_find_cause(case, turn, 2)}"
+    drift = straight.twist[2]
+    if abs(drift) > DRIFT_RAD_S and abs(speed) > STANDS_SHARE:
+        radius = abs(straight.twist[0] / drift)
+        yield (
+            f"it drives a circle of radius {radius:.2g} m when it is commanded straight: "
+            f"{_find_cause(case, straight, 2)}"
+        )
+
+
+def _ratio(found: float, nominal: float) -> float:
+    return found / nominal if nominal else 1.0
+
+
+def _say(ratio: float, verb: str, what: str) -> str:
+    if abs(ratio) < STANDS_SHARE:
+        stays = {"drives": "does not drive", "turns": "does not turn on the spot"}
+        return f"it {stays.get(verb, 'does not move')}"
+    return f"it {verb} at about {ratio:.2f} of the commanded {what}"
+
+
+def _find_cause(case: _Case, motion: PredictedMotion, column: int) -> str:
+    """Name what makes a component of a motion deviate."""
+    nominal, ground = motion.nominal[column], motion.ground
+    missing = abs(motion.twist[column] - nominal)
+
+    def explains(twist: PlanarTwist[float]) -> bool:
+        return abs(twist[column] - nominal) < missing / 2.0
+
+    if explains(case.move(motion.command, is_strong=True)):
+        return "its motors are too weak for the friction"
+    dragged = _list_dragged(ground)
+    if dragged and explains(case.move(motion.command, smooth=dragged)):
+        return _describe_dragged(case.model, ground)
+    share = _ratio(motion.twist[column], nominal)
+    return (
+        _describe_sizes(case.model, ground, column)
+        or _describe_axles(case.model, ground, share)
+        or "friction of its wheels holds it"
+    )
+
+
+def _list_dragged(ground: GroundMotion) -> set[int]:
+    """List the links that touch the ground and are no wheels."""
+    return {one.link for one in ground.contacts if one.wheel < 0 and max(one.friction) > 0.0}
+
+
+def _describe_dragged(model: Model, ground: GroundMotion) -> str:
+    links = _list_dragged(ground)
+    weight = sum(one.load_n for one in ground.contacts)
+    dragged = [one for one in ground.contacts if one.link in links]
+    worst = max(dragged, key=lambda one: one.load_n * max(one.friction))
+    name = model.links[worst.link].name
+    x, y = worst.place
+    return (
+        f"friction {max(worst.friction):.3g} of {name!r} at x {x:.2f}, y {y:.2f} m under "
+        f"{100.0 * worst.load_n / weight:.0f} % of the weight; lower it (mu1, mu2)"
+    )
+
+
+def _describe_sizes(model: Model, ground: GroundMotion, column: int) -> str:
+    """Name wheels whose sizes are not those of the drive."""
+    drive = model.drive
+    if not isinstance(drive, DiffDrive):
+        return ""
+    by_joint = {model.joints[one.wheel].name: one for one in ground.contacts if one.wheel >= 0}
+    for pair in drive.pairs:
+        left, right = by_joint.get(pair.left_joint), by_joint.get(pair.right_joint)
+        if left is None or right is None:
+            continue
+        for one in (left, right):
+            if _differs(2.0 * one.radius_m, pair.diameter_m):
+                return (
+                    f"its wheels measure {2.0 * one.radius_m:.3g} m, the drive's wheel_diameter "
+                    f"is {pair.diameter_m:.3g} m"
+                )
+        track = math.dist(left.place, right.place)
+        if column and _differs(track, pair.separation_m):
+            return (
+                f"its wheels are {track:.3g} m apart, the drive's wheel_separation is "
+                f"{pair.separation_m:.3g} m"
+            )
+    return ""
+
+
+def _differs(measured: float, written: float) -> bool:
+    return abs(measured - written) > TOLERANCE / 2.0 * written
+
+
+def _describe_axles(model: Model, ground: GroundMotion, share: float) -> str:
+    """Name wheels on several axles of which none steers, and what corrects the turn."""
+    wheels = [one for one in ground.contacts if one.wheel >= 0 and not one.is_trailing]
+    if not _are_apart(wheels):
+        return ""
+    driven = [one for one in wheels if model.joints[one.wheel].name in _driven_joints(model)]
+    cause = "skid steering" if _are_apart(driven) else "wheels on a second axle do not steer"
+    drive = model.drive
+    if not isinstance(drive, DiffDrive) or share < STANDS_SHARE:
+        return cause
+    separation = drive.pairs[0].separation_m / share
+    return (
+        f"{cause}; set wheel_separation_multiplier {1.0 / share:.3g}, or wheel_separation "
+        f"{separation:.3g} m"
+    )
+
+
+def _driven_joints(model: Model) -> set[str]:
+    return {actuator.joint for actuator in model.actuators if actuator.mode == "velocity"}
+
+
+def _are_apart(wheels: list[GroundContact]) -> bool:
+    if not wheels:
+        return False
+    ahead, aside = zip(*(one.place for one in wheels), strict=True)
+    return bool(max(ahead) - min(ahead) > AXLE_SHARE * (max(aside) - min(aside)))

@@ -1,0 +1,140 @@
+import msgspec
+import pytest
+
+from benchmarks.wheel_models import WheelRobot, list_robots
+from tests.models import a_box, a_cart
+from zensim.proto.messages.drive_messages import DiffDrive
+from zensim.proto.messages.model_messages import Model
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.driving_notes import describe_driving
+from zensim.sim_server.description.motion_prediction import predict_nominal_motions
+from zensim.sim_server.description.pipeline import parse_description
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
+
+ROBOTS = {robot.name: robot for robot in list_robots()}
+AS_COMMANDED = ("mass_ratio_1000", "swivels_all_around", "car_20_kg", "tricycle_20_kg", "mover_box")
+
+
+def reasons(model: Model) -> list[str]:
+    return [entry.reason for entry in describe_driving(model)]
+
+
+@pytest.mark.parametrize("name", ["box_bot", "omni_bot", "car_bot", "trike_bot"])
+def test_builtin_robot_that_drives_as_commanded_gets_no_entry(name: str) -> None:
+    assert reasons(read_urdf(read_builtin_model(name))) == []
+
+
+@pytest.mark.parametrize("robot", [ROBOTS[name] for name in AS_COMMANDED], ids=AS_COMMANDED)
+def test_robot_that_drives_as_commanded_gets_no_entry(robot: WheelRobot) -> None:
+    assert reasons(robot.model()) == []
+
+
+def test_entry_of_a_skid_steered_robot_names_cause_and_multiplier() -> None:
+    (reason,) = reasons(ROBOTS["skid_long"].model())
+
+    assert "0.34" in reason
+    assert "skid steering" in reason
+    assert "wheel_separation_multiplier 2.96" in reason
+
+
+def test_multiplier_of_the_entry_makes_the_robot_turn_as_commanded() -> None:
+    model = ROBOTS["skid_square"].model()
+    drive = model.drive
+    assert isinstance(drive, DiffDrive)
+    _, turn = predict_nominal_motions(model)
+    share = turn.twist[2] / turn.nominal[2]
+    pairs = tuple(
+        msgspec.structs.replace(pair, separation_m=pair.separation_m / share)
+        for pair in drive.pairs
+    )
+
+    corrected = msgspec.structs.replace(model, drive=msgspec.structs.replace(drive, pairs=pairs))
+
+    assert predict_nominal_motions(corrected)[1].twist[2] == pytest.approx(0.5, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("ball_under_most_of_the_load_mu_1", ("does not drive", "'base_link'")),
+        ("diameter_10_percent_off", ("drives and turns", "0.91", "wheel_diameter")),
+        ("track_10_off", ("turns", "1.10", "wheel_separation")),
+    ],
+)
+def test_entry_names_what_is_off(name: str, words: tuple[str, ...]) -> None:
+    first = reasons(ROBOTS[name].model())[0]
+
+    assert all(word in first for word in words)
+
+
+def test_robot_whose_wheels_hang_in_the_air_is_told_so() -> None:
+    model = a_cart()
+    wheels = tuple(
+        msgspec.structs.replace(
+            joint, origin=msgspec.structs.replace(joint.origin, position=(0.0, y, 0.02))
+        )
+        for joint, y in zip(model.joints, (-0.15, 0.15), strict=True)
+    )
+    base = model.links[0]
+    wide = tuple(
+        msgspec.structs.replace(
+            shape, origin=msgspec.structs.replace(shape.origin, position=(x, y, -0.03))
+        )
+        for shape, x, y in (
+            (base.collisions[1], 0.1, 0.1),
+            (base.collisions[1], 0.1, -0.1),
+            (base.collisions[2], -0.1, 0.0),
+        )
+    )
+    lifted = msgspec.structs.replace(
+        model,
+        joints=wheels,
+        links=(msgspec.structs.replace(base, collisions=wide), *model.links[1:]),
+    )
+
+    assert "no load" in reasons(lifted)[0]
+
+
+def test_robot_that_tips_over_is_told_so_and_nothing_else() -> None:
+    model = a_cart()
+    base = model.links[0]
+    heavy = msgspec.structs.replace(base.inertial, com_in_link=(0.3, 0.0, 0.3))
+    tipping = msgspec.structs.replace(
+        model, links=(msgspec.structs.replace(base, inertial=heavy), *model.links[1:])
+    )
+
+    (reason,) = reasons(tipping)
+
+    assert "falls over" in reason
+
+
+def test_robot_that_rests_tilted_is_told_the_angle() -> None:
+    model = a_cart()
+    base = model.links[0]
+    front = base.collisions[1]
+    raised = msgspec.structs.replace(
+        front, origin=msgspec.structs.replace(front.origin, position=(0.1, 0.0, -0.02))
+    )
+    ahead = msgspec.structs.replace(base.inertial, com_in_link=(0.03, 0.0, 0.0))
+    tilted = msgspec.structs.replace(
+        model,
+        links=(
+            msgspec.structs.replace(base, inertial=ahead, collisions=(base.collisions[0], raised)),
+            *model.links[1:],
+        ),
+    )
+
+    assert "tilted by 5.8 degrees" in reasons(tilted)[0]
+
+
+def test_model_without_a_drive_gets_no_entry() -> None:
+    assert describe_driving(a_box()) == ()
+
+
+def test_parsed_description_has_the_prediction_in_its_report() -> None:
+    parsed = parse_description(
+        ROBOTS["skid_square"].urdf, assets={}, allow_missing=False, compat="fixed"
+    )
+
+    entries = [entry for entry in parsed.model.report if entry.status == "predicted"]
+    assert [entry.subject for entry in entries] == ["driving"]
