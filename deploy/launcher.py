@@ -4,11 +4,13 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import msgspec
 
 from zensim.deploy.supervisor import PREPARED_START_MODULE, SupervisedProgram, Supervisor
 from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
+from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.telemetry_messages import Info
@@ -50,6 +52,8 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
 
     placements: tuple[RobotPlacement, ...]
     model: str
+    controllers: tuple[Path, ...] = ()
+    drive: DriveOrder = DriveOrder()
     world: str
     world_name: str
     endpoint: str
@@ -190,7 +194,12 @@ def _wait_until_ready(
     odom = deployment.bus.subscribe(ODOM.key("*"), ODOM_DEPTH)
     deployment.client.wait_for_server(START_TIMEOUT_S, deployment.supervisor.watch)
     outcomes = spawn_fleet(
-        deployment.client, config.model, config.placements, lambda _: progress.on_spawned()
+        deployment.client,
+        config.model,
+        config.placements,
+        lambda _: progress.on_spawned(),
+        controllers=config.controllers,
+        drive=config.drive,
     )
     if refused := [outcome for outcome in outcomes if outcome.code != ResultCode.OK]:
         raise LaunchFailed(f"{refused[0].name}: {refused[0].message}")

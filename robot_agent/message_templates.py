@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from zensim.proto.messages.drive_messages import Drive
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import Header, JointState, Odometry, TFMessage, Time
-from zensim.robot_agent.odometry import BaseMotion, OdometryHeader, make_covariance
+from zensim.robot_agent.odometry import BaseMotion, OdometryHeader, make_covariances
 from zensim.robot_agent.robot_frames import (
     find_base_frame,
     get_drive,
@@ -30,7 +30,7 @@ def make_odometry_template(model: Model) -> Odometry:
     """Make the odometry of a robot at its origin."""
     drive = get_drive(model)
     frames = OdometryHeader(
-        drive.odometry_frame, find_base_frame(model).name, make_covariance(drive)
+        drive.odometry_frame, find_base_frame(model).name, *make_covariances(drive)
     )
     return frames.message(BaseMotion(), Time())
 

@@ -139,18 +139,19 @@ class EncoderOdometry:
         )
 
 
-def make_covariance(drive: DriveSettings) -> tuple[float, ...]:
-    """Make the 6 x 6 covariance matrix of pose and twist from a drive's variances."""
-    diagonal = (
-        drive.covariance_x,
-        drive.covariance_y,
-        UNKNOWN_VARIANCE,
-        UNKNOWN_VARIANCE,
-        UNKNOWN_VARIANCE,
+def make_covariances(drive: DriveSettings) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Make the 6 x 6 covariance matrices of pose and twist from a drive's variances."""
+    unknown = (UNKNOWN_VARIANCE,) * 3
+    planar = (drive.covariance_x, drive.covariance_y, *unknown, drive.covariance_yaw)
+    return (
+        _make_diagonal(drive.pose_covariance or planar),
+        _make_diagonal(drive.twist_covariance or planar),
     )
+
+
+def _make_diagonal(variances: Sequence[float]) -> tuple[float, ...]:
     matrix = [0.0] * 36
-    matrix[0:35:7] = diagonal
-    matrix[35] = drive.covariance_yaw
+    matrix[::7] = variances
     return tuple(matrix)
 
 
@@ -159,7 +160,8 @@ class OdometryHeader(msgspec.Struct, frozen=True):
 
     frame_id: str
     child_frame_id: str
-    covariance: tuple[float, ...]
+    pose_covariance: tuple[float, ...]
+    twist_covariance: tuple[float, ...]
 
     def message(self, motion: BaseMotion, stamp: Time) -> Odometry:
         """Make the message of a motion."""
@@ -170,6 +172,6 @@ class OdometryHeader(msgspec.Struct, frozen=True):
         return Odometry(
             Header(stamp, self.frame_id),
             self.child_frame_id,
-            PoseWithCovariance(pose, self.covariance),
-            TwistWithCovariance(twist, self.covariance),
+            PoseWithCovariance(pose, self.pose_covariance),
+            TwistWithCovariance(twist, self.twist_covariance),
         )

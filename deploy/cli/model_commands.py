@@ -4,9 +4,11 @@ import json
 from dataclasses import dataclass
 from typing import Annotated
 
+import msgspec
 import typer
 
 from zensim.proto.cli_options import JsonOption, expand_options, make_app
+from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.errors import ModelError, SimError
@@ -63,16 +65,24 @@ def _read_model(given: ModelOptions) -> tuple[str, Model]:
     compat, paths = parse_compat(given), make_search_paths(given)
     description = read_local_description(SpawnSource("FILE", given.file), given, paths)
     # The parser refuses missing meshes, with the error of the server.
-    payload = make_payload(description, paths, allow_missing=True)
+    payload = make_payload(
+        description, paths, allow_missing=True, controllers=given.controllers or ()
+    )
     with server_extra():
         from zensim.sim_server.description.builtin_models import read_builtin_model
         from zensim.sim_server.description.pipeline import parse_description
 
         text = payload.text or read_builtin_model(given.file)
         described = parse_description(
-            text, assets=_read_assets(payload), allow_missing=given.allow_missing, compat=compat
+            text,
+            assets=_read_assets(payload),
+            allow_missing=given.allow_missing,
+            compat=compat,
+            controllers=payload.controllers.texts,
+            drive=parse_drive_order(given.drive),
         )
-    return text, described.model
+    report = (*described.model.report, *payload.controllers.notes)
+    return text, msgspec.structs.replace(described.model, report=report)
 
 
 def _read_assets(payload: SpawnPayload) -> dict[str, tuple[str, bytes | None]]:

@@ -48,10 +48,13 @@ from zensim.proto.cli_options import (
     make_app,
     parse_choice,
 )
+from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
 from zensim.proto.stop_signal import StopFlag
 from zensim.spawner.cli.spawn_arguments import (
+    ControllersOption,
+    DriveOption,
     LayoutOption,
     SpacingOption,
     make_placements,
@@ -84,6 +87,8 @@ class UpOptions(RosTfOptions):
             help="Model of the robots: built-in, or path of a URDF, xacro or SDF file.",
         ),
     ] = "box_bot"
+    controllers: ControllersOption = None
+    drive: DriveOption = ""
     layout: LayoutOption = "row"
     spacing: SpacingOption = 1.0
     world: WorldOption = "empty"
@@ -163,6 +168,8 @@ def _make_config(given: UpOptions) -> LaunchConfig:
     return LaunchConfig(
         placements=_make_placements(given),
         model=given.model,
+        controllers=tuple(given.controllers or ()),
+        drive=parse_drive_order(given.drive),
         world=given.world,
         world_name=check_name(given.world_name, "world name"),
         endpoint=with_free_port(given.listen),

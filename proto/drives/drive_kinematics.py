@@ -7,12 +7,16 @@ from zensim.proto.drives.column_math import Column, ColumnMath
 from zensim.proto.drives.differential_drive import DifferentialDrive
 from zensim.proto.drives.measured_joints import Columns, MeasuredJoints, PlanarTwist
 from zensim.proto.drives.planar_motion import PlanarMotion
+from zensim.proto.drives.rate_steering import RateSteering
+from zensim.proto.drives.roller_wheels import RollerWheels
 from zensim.proto.drives.tricycle_steering import TricycleSteering
 from zensim.proto.messages.drive_messages import (
     AckermannDrive,
     DiffDrive,
     Drive,
+    OmniDrive,
     PlanarMove,
+    SteeringDrive,
     TricycleDrive,
 )
 
@@ -53,3 +57,7 @@ def make_drive_kinematics(drive: Drive, xp: ColumnMath[Column]) -> DriveKinemati
             return TricycleSteering(drive, xp)
         case PlanarMove():
             return PlanarMotion(xp)
+        case SteeringDrive():
+            return RateSteering(drive, xp)
+        case OmniDrive():
+            return RollerWheels(drive, xp)

@@ -8,6 +8,8 @@ OdometrySource = Literal["encoder", "world"]
 ActuatorMode = Literal["velocity", "position", "twist"]
 Compat = Literal["fixed", "gazebo11"]
 """Corrected behaviour, or that of Gazebo 11 with its documented errors."""
+PAIR_SIZE = 2
+"""Wheels of a pair."""
 
 
 class RosBlock(msgspec.Struct, frozen=True):
@@ -74,6 +76,10 @@ class DriveSettings(msgspec.Struct, frozen=True, kw_only=True):
     covariance_x: float = 1e-5
     covariance_y: float = 1e-5
     covariance_yaw: float = 1e-3
+    pose_covariance: tuple[float, ...] = ()
+    """Diagonal (6,): x, y, z, roll, pitch, yaw; empty = from the three variances above."""
+    twist_covariance: tuple[float, ...] = ()
+    """The same of the twist."""
     command_topic: str = ""
     """In the robot's namespace; empty = cmd_vel."""
     odometry_topic: str = ""
@@ -290,4 +296,136 @@ class TricycleDrive(DriveSettings, frozen=True, tag="tricycle_drive", tag_field=
         )
 
 
-Drive = DiffDrive | PlanarMove | AckermannDrive | TricycleDrive
+class SteeringDrive(DriveSettings, frozen=True, tag="steering_drive", tag_field="kind"):
+    """Parameters of a car, bicycle or tricycle whose turn rate is commanded, not its angle.
+
+    Source: ackermann_, bicycle_, tricycle_steering_controller and tricycle_controller of
+    ros2_controllers.
+    """
+
+    traction: tuple[str, ...] = ()
+    """Joints of driven wheels: one, or left and right."""
+    steering: tuple[str, ...] = ()
+    """Steering joints: one, or left and right."""
+    passive: tuple[str, ...] = ()
+    """Joints of other wheels."""
+    is_traction_steered: bool = False
+    """Whether the only driven wheel is the steered one."""
+    wheel_radius_m: float = 0.3
+    """Radius of the driven wheels; > 0."""
+    wheelbase_m: float = 1.0
+    """From the unsteered to the steered axle, along x; not 0, negative if that is behind."""
+    traction_track_m: float = 0.5
+    """Distance of two driven wheels; > 0."""
+    steering_track_m: float = 0.5
+    """Distance of two steered wheels; > 0."""
+    max_speed: float = 20.0
+    """[m/s]."""
+    max_steer: float = 1.5
+    """[rad]."""
+    wheel_effort_nm: float = 100.0
+    steering_effort_nm: float = 100.0
+
+    @property
+    def wheel_joints(self) -> tuple[str, ...]:
+        """Driven wheels, then the others."""
+        return (*self.traction, *self.passive)
+
+    @property
+    def steering_joints(self) -> tuple[str, ...]:
+        """Steering joints, left before right."""
+        return self.steering
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Wheels and steering."""
+        return (*self.wheel_joints, *self.steering)
+
+    @property
+    def actuators(self) -> tuple[Actuator, ...]:
+        """Speeds of the driven wheels, then angles of the steering joints."""
+        return (
+            *(Actuator("velocity", joint, self.wheel_effort_nm) for joint in self.traction),
+            *(Actuator("position", joint, self.steering_effort_nm) for joint in self.steering),
+        )
+
+    @property
+    def encoder(self) -> WheelPair | None:
+        """The two driven wheels, if they are not steered."""
+        if self.odometry_source != "encoder" or len(self.traction) != PAIR_SIZE:
+            return None
+        left, right = self.traction
+        return WheelPair(left, right, self.traction_track_m, 2.0 * self.wheel_radius_m)
+
+
+class RollerWheel(msgspec.Struct, frozen=True):
+    """A wheel with rollers: its speed is linear in the twist of the base."""
+
+    joint: str
+    ahead: float
+    """Wheel speed by vx [rad/m]."""
+    left: float
+    """Wheel speed by vy [rad/m]."""
+    turn: float
+    """Wheel speed by wz, without unit."""
+
+
+class OmniDrive(DriveSettings, frozen=True, tag="omni_drive", tag_field="kind"):
+    """Parameters of a base on mecanum or omni wheels, which moves in any direction.
+
+    The twist is applied to the body, as rollers are no part of descriptions; the wheels turn as
+    they would.
+
+    Source: mecanum_drive_controller and omni_wheel_drive_controller of ros2_controllers.
+    """
+
+    wheels: tuple[RollerWheel, ...] = ()
+    max_torque_nm: float = 5.0
+    """Of each wheel, which has only itself to turn."""
+    linear_limits: Limits = Limits()
+    """Of vx [m/s, m/s^2]."""
+    lateral_limits: Limits = Limits()
+    """Of vy [m/s, m/s^2]."""
+    angular_limits: Limits = Limits()
+    """Of wz [rad/s, rad/s^2]."""
+
+    @property
+    def wheel_joints(self) -> tuple[str, ...]:
+        """Joints of the wheels."""
+        return tuple(wheel.joint for wheel in self.wheels)
+
+    @property
+    def actuators(self) -> tuple[Actuator, ...]:
+        """The body, then the wheels."""
+        return (
+            Actuator("twist"),
+            *(Actuator("velocity", wheel.joint, self.max_torque_nm) for wheel in self.wheels),
+        )
+
+
+Drive = DiffDrive | PlanarMove | AckermannDrive | TricycleDrive | SteeringDrive | OmniDrive
+
+DriveKind = Literal[
+    "", "none", "diff", "mecanum", "omni", "ackermann", "bicycle", "tricycle", "planar"
+]
+
+
+class DriveOrder(msgspec.Struct, frozen=True):
+    """A drive that a spawn request gives to a robot, in place of that of its description."""
+
+    kind: DriveKind = ""
+    """Empty = that of the description; `none` = no drive."""
+    joints: tuple[str, ...] = ()
+    """Driven wheels, then steering joints.
+
+    diff: left and right, pair by pair. mecanum: front left, front right, rear left, rear right.
+    omni: three or more wheels. ackermann: left and right wheel, left and right steering joint.
+    bicycle: wheel and steering joint. tricycle: left and right wheel and steering joint, or the
+    wheel that drives and steers and its steering joint. planar: none.
+    """
+    separation_m: float = 0.0
+    """Distance of left and right wheels; 0 = measured from the links."""
+    diameter_m: float = 0.0
+    """Of driven wheels; 0 = measured from the links."""
+    wheelbase_m: float = 0.0
+    """Distance of front and rear axle; 0 = measured from the links."""

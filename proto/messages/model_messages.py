@@ -17,6 +17,8 @@ __all__ = [
     "IDENTITY",
     "ZERO",
     "Actuator",
+    "CommandInterface",
+    "CommandKind",
     "Contact",
     "Decay",
     "DiffDrive",
@@ -172,6 +174,22 @@ class Joint(msgspec.Struct, frozen=True):
     """[rad or m]."""
 
 
+CommandKind = Literal["velocity", "position", "effort"]
+
+
+class CommandInterface(msgspec.Struct, frozen=True):
+    """A quantity of a joint that controllers may command.
+
+    Source: `<ros2_control>` of ROS 2, `<transmission>` of ROS 1.
+    """
+
+    joint: str
+    kind: CommandKind
+    lower: float | None = None
+    """[rad/s, rad or N m; m/s, m or N for sliding joints]; None = unbounded."""
+    upper: float | None = None
+
+
 class Frame(msgspec.Struct, frozen=True):
     """A link that was merged into `parent`; used for tf."""
 
@@ -252,6 +270,8 @@ class Model(msgspec.Struct, frozen=True):
     is_static: bool = False
     report: tuple[ReportEntry, ...] = ()
     dynamics: Dynamics = ""
+    command_interfaces: tuple[CommandInterface, ...] = ()
+    """As described; a drive uses joints without them, too."""
 
     @property
     def mass_kg(self) -> float:

@@ -6,6 +6,7 @@ import msgspec
 
 from zensim.proto.messages import drive_messages
 from zensim.proto.messages.asset_messages import AssetRef
+from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.entity_messages import Bounds, EntityInfo, TagsFilter
 from zensim.proto.messages.model_messages import Dynamics, ReportEntry
 from zensim.proto.messages.result_messages import Result
@@ -56,6 +57,10 @@ class SpawnEntityOrder(SpawnEntityRequest, frozen=True):
     """None = derived from the description; see `set_entity_info`."""
     dynamics: Dynamics = ""
     """Empty = default of the world."""
+    controllers: tuple[str, ...] = ()
+    """Texts of parameter files (YAML) of ros2_controllers or ros_control; one drives the robot."""
+    drive: DriveOrder = DriveOrder()
+    """Used instead of controllers and of the drive of the description."""
 
 
 class SpawnEntityResponse(msgspec.Struct, frozen=True):

@@ -26,6 +26,7 @@ from zensim.proto.messages.model_messages import (
     Vec3,
 )
 from zensim.proto.rigid_transforms import compose, rotate, transform_point
+from zensim.sim_server.description.model_geometry import NO_MESHES, FindCorners
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.strict_parsing import quote
 from zensim.sim_server.errors import ModelError
@@ -83,6 +84,8 @@ class LumpedModel(msgspec.Struct, frozen=True):
     links: tuple[Link, ...]
     joints: tuple[Joint, ...]
     frames: tuple[Frame, ...]
+    corners: FindCorners = NO_MESHES
+    """Corners of meshes; none before meshes are converted."""
 
 
 def reduce_joints(

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.model_messages import Model, ReportEntry
 from zensim.sim_server.description.builtin_models import read_builtin_model, read_builtin_world
 from zensim.sim_server.description.driving_notes import describe_driving
+from zensim.sim_server.description.joint_reduction import LumpedModel
 from zensim.sim_server.description.meshes.mesh_lookup import (
     HasMesh,
     list_mesh_uris,
@@ -21,12 +23,14 @@ from zensim.sim_server.description.meshes.mesh_lookup import (
     no_meshes,
 )
 from zensim.sim_server.description.model_geometry import describe_mesh_wheels
+from zensim.sim_server.description.plugins.drive_selection import select_drive
+from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.strict_parsing import find_root_tag
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     import numpy as np
     import numpy.typing as npt
@@ -39,6 +43,7 @@ if TYPE_CHECKING:
     FindMesh = Callable[[str], tuple[str, bytes] | None]
 
 
+DESCRIBED_DRIVE = DriveOrder()
 SDF_ROOTS = ("sdf", "gazebo")
 """<gazebo version="1.2"> is SDF of 2012."""
 
@@ -90,7 +95,13 @@ class WorldWithMeshes:
 
 
 def parse_description(
-    text: str, *, assets: MeshFiles, allow_missing: bool, compat: Compat
+    text: str,
+    *,
+    assets: MeshFiles,
+    allow_missing: bool,
+    compat: Compat,
+    controllers: Sequence[str] = (),
+    drive: DriveOrder = DESCRIBED_DRIVE,
 ) -> ModelWithMeshes:
     """Parse a URDF or SDF model and convert its meshes.
 
@@ -99,6 +110,8 @@ def parse_description(
         assets: sha256 and bytes (None when missing) by mesh or include URI.
         allow_missing: Leave out collisions whose mesh is missing.
         compat: Whether drives reproduce Gazebo's documented quirks.
+        controllers: Texts of controllers' files.
+        drive: Of the request.
 
     Raises:
         ModelError: The text or a mesh is invalid.
@@ -112,9 +125,9 @@ def parse_description(
     model = read_robot(
         text, has_mesh=present.__contains__, allow_missing=allow_missing, resolve=included
     )
-    model = _set_compat(model, compat)
     found = _convert_meshes(model, present) if list_meshes(model) else ModelWithMeshes(model, {})
-    return ModelWithMeshes(_add_notes(found.model, found.meshes), found.meshes)
+    model = _set_compat(_add_drive(found, controllers, drive), compat)
+    return ModelWithMeshes(_add_notes(model, found.meshes), found.meshes)
 
 
 def _convert_meshes(model: Model, files: dict[str, tuple[str, bytes]]) -> ModelWithMeshes:
@@ -122,6 +135,18 @@ def _convert_meshes(model: Model, files: dict[str, tuple[str, bytes]]) -> ModelW
 
     conversions = MeshConversions()
     return ModelWithMeshes(convert_meshes(model, files, conversions), conversions.meshes)
+
+
+def _add_drive(read: ModelWithMeshes, controllers: Sequence[str], order: DriveOrder) -> Model:
+    def find_corners(mesh: str) -> npt.NDArray[np.floating]:
+        from zensim.proto.stl import read_corners
+
+        return read_corners(read.meshes[mesh])
+
+    model, report = read.model, ParseReport()
+    lumped = LumpedModel(model.links, model.joints, model.frames, find_corners)
+    driven = select_drive(model, lumped, controllers=controllers, order=order, report=report)
+    return msgspec.structs.replace(driven, report=(*driven.report, *report.entries()))
 
 
 def parse_world(
@@ -212,5 +237,7 @@ def warm_up() -> None:
         )
     for text in ("", "<robot", read_builtin_model("box_bot")):
         with suppress(ModelError):
-            parse_description(text, assets={}, allow_missing=False, compat="fixed")
+            parse_description(
+                text, assets={}, allow_missing=False, compat="fixed", controllers=("a: b",)
+            )
     parse_world(read_builtin_world("walls"), resolve=no_includes, find_mesh=lambda _: None)

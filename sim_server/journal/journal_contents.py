@@ -133,8 +133,7 @@ def make_parse_key(contents: JournalContents, row: EntityRow) -> ParseKey | None
     """Make the key that the model of an entity was parsed from; None if it is not known."""
     if (how := row.read_as) is None:
         return None
-    text = contents.texts[row.text]
-    return ParseKey(text, how.compat, how.allow_missing, how.assets, how.dynamics)
+    return ParseKey(contents.texts[row.text], *msgspec.structs.astuple(how))
 
 
 def make_spawn_request(contents: JournalContents, row: EntityRow, born_ns: int) -> ValidatedSpawn:

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.proto.messages.asset_messages import AssetRef
+from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.entity_messages import EntityInfo
 from zensim.proto.messages.model_messages import Dynamics, Model
 from zensim.proto.messages.spawn_messages import Compat
@@ -27,6 +28,8 @@ class ParseOptions(msgspec.Struct, frozen=True):
     allow_missing: bool
     assets: tuple[AssetRef, ...]
     dynamics: Dynamics = ""
+    controllers: tuple[str, ...] = ()
+    drive: DriveOrder = DriveOrder()
 
 
 class EntityRow(msgspec.Struct, frozen=True, kw_only=True):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import msgspec
 
 from zensim.proto.messages.asset_messages import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, AssetRef
+from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.sim_server.description.builtin_models import resolve_resource
 from zensim.sim_server.errors import ModelError
 from zensim.sim_server.parser_process.parser_protocol import ParsedMesh, ParseRequest, ParseResult
@@ -39,6 +40,8 @@ class ParseKey(NamedTuple):
     allow_missing: bool
     assets: tuple[AssetRef, ...]
     dynamics: Dynamics = ""
+    controllers: tuple[str, ...] = ()
+    drive: DriveOrder = DriveOrder()
 
 
 @dataclass
@@ -238,13 +241,21 @@ class DescriptionCache:
             self._results.popitem(last=False)
 
     def _characters(self) -> int:
-        return sum(len(key.text) for key in self._results)
+        return sum(len(text) for key in self._results for text in (key.text, *key.controllers))
 
     def _make_key(self, order: SpawnEntityOrder) -> ParseKey:
         # Missing files are left out: when they arrive the key is another.
         present = tuple(ref for ref in order.assets if ref.sha256 in self._store)
         text = resolve_resource(order.entity_resource)
-        return ParseKey(text, order.compat, order.allow_missing, present, order.dynamics)
+        return ParseKey(
+            text,
+            order.compat,
+            order.allow_missing,
+            present,
+            order.dynamics,
+            order.controllers,
+            order.drive,
+        )
 
 
 def list_meshes(model: Model) -> frozenset[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from zensim.proto.messages.asset_messages import AssetRef
+from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.model_messages import Dynamics, Model
 from zensim.proto.messages.spawn_messages import Compat
 from zensim.sim_server.description.world_model import WorldModel
@@ -19,6 +20,8 @@ class ParseRequest(msgspec.Struct, frozen=True):
     allow_missing: bool = False
     assets: tuple[AssetRef, ...] = ()
     dynamics: Dynamics = ""
+    controllers: tuple[str, ...] = ()
+    drive: DriveOrder = DriveOrder()
     files: tuple[str, ...] = ()
     """Their sha256, each once."""
     is_world: bool = False

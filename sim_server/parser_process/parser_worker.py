@@ -108,6 +108,8 @@ def parse_model_request(
         assets={ref.uri: (ref.sha256, files.get(ref.sha256)) for ref in request.assets},
         allow_missing=request.allow_missing,
         compat=request.compat,
+        controllers=request.controllers,
+        drive=request.drive,
     )
     model = described.model
     if request.dynamics:

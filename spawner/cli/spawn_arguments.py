@@ -12,6 +12,7 @@ import typer
 
 from zensim.proto.bus import Bus
 from zensim.proto.cli_options import JsonOption, flag, parse_choice
+from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.spawn_messages import Compat, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Header, PoseStamped
@@ -61,6 +62,27 @@ SpacingOption = Annotated[
 ]
 _description = partial(typer.Option, rich_help_panel="Description")
 _pose = partial(typer.Option, metavar="NUMBER", rich_help_panel="Pose")
+
+
+ControllersOption = Annotated[
+    list[Path] | None,
+    _description(
+        "--controllers",
+        metavar="FILE",
+        help="Parameters of ros2_controllers or ros_control (YAML); repeatable.",
+        show_default="files that the description names",
+    ),
+]
+DriveOption = Annotated[
+    str,
+    _description(
+        "--drive",
+        metavar="DRIVE",
+        help="Drive: diff:LEFT,RIGHT, mecanum:…, omni:…, ackermann:…, bicycle:…, tricycle:…, "
+        "planar or none; joints, then separation, diameter and wheelbase.",
+        show_default="that of the description",
+    ),
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,6 +140,8 @@ class DescriptionOptions:
             help="Behaviour of drives; gazebo11 = with the known faults of Gazebo 11.",
         ),
     ] = "fixed"
+    controllers: ControllersOption = None
+    drive: DriveOption = ""
     package_to_model: Annotated[
         bool, typer.Option("-package_to_model", "--package-to-model", hidden=True)
     ] = False
@@ -346,6 +370,7 @@ def make_spawn_order(given: SpawnOptions) -> SpawnEntityOrder:
         allow_missing=given.allow_missing,
         compat=parse_compat(given),
         dynamics=parse_dynamics(given.dynamics),
+        drive=parse_drive_order(given.drive),
     )
 
 

@@ -7,6 +7,7 @@ import typer
 
 from zensim.proto import keys
 from zensim.proto.cli_options import expand_options, make_app
+from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.messages.model_messages import ReportEntry
 from zensim.proto.messages.result_messages import ResultCode, ServiceError, SetSimulationStateCode
@@ -88,7 +89,9 @@ def _make_plan(given: SpawnOptions) -> SpawnPlan:
     source, order, paths = choose_source(given), make_spawn_order(given), make_search_paths(given)
     wait_s = given.wait if given.gazebo_timeout is None else given.gazebo_timeout
     description = read_local_description(source, given, paths)
-    payload = make_payload(description, paths, allow_missing=given.allow_missing)
+    payload = make_payload(
+        description, paths, allow_missing=given.allow_missing, controllers=given.controllers or ()
+    )
     return SpawnPlan(order, source, paths, payload, wait_s)
 
 
@@ -96,7 +99,12 @@ def _complete_payload(client: SimClient, plan: SpawnPlan, given: SpawnOptions) -
     if plan.source.kind != "-topic":
         return plan.payload
     description = read_topic_description(client.bus, plan.source, given, plan.wait_s)
-    return make_payload(description, plan.paths, allow_missing=given.allow_missing)
+    return make_payload(
+        description,
+        plan.paths,
+        allow_missing=given.allow_missing,
+        controllers=given.controllers or (),
+    )
 
 
 def _spawn_with_bond(
@@ -125,7 +133,11 @@ def _add_local_notes(report: SpawnEntityReport, payload: SpawnPayload) -> SpawnE
         for file in payload.bundle.missing
         if file.mesh.uri not in reported
     )
-    return msgspec.structs.replace(report, report=(*report.report, *payload.bundle.notes, *missing))
+    return msgspec.structs.replace(report, report=(*report.report, *_list_notes(payload), *missing))
+
+
+def _list_notes(payload: SpawnPayload) -> tuple[ReportEntry, ...]:
+    return (*payload.bundle.notes, *payload.controllers.notes)
 
 
 def _print_report(report: SpawnEntityReport, given: SpawnOptions) -> None:
@@ -183,9 +195,15 @@ def fleet(given: FleetOptions) -> None:
             allow_missing=given.allow_missing,
             compat=parse_compat(given),
             dynamics=parse_dynamics(given.dynamics),
+            drive=parse_drive_order(given.drive),
         )
         description = read_local_description(SpawnSource("MODEL", given.model), given, paths)
-        payload = make_payload(description, paths, allow_missing=given.allow_missing)
+        payload = make_payload(
+            description,
+            paths,
+            allow_missing=given.allow_missing,
+            controllers=given.controllers or (),
+        )
     with open_client("fleet", given, wait_s=given.wait) as client:
         client.wait_for_server(given.wait)
         with upload_progress() as on_bytes:

@@ -4,11 +4,13 @@ import os
 import time
 import uuid
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import msgspec
 
 from zensim.proto import service_catalog
 from zensim.proto.bus import NoServer
+from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.spawn_messages import (
     Resource,
@@ -27,11 +29,17 @@ from zensim.spawner.spawn.asset_bundle import (
     make_bundle,
     send_file,
 )
+from zensim.spawner.spawn.controller_sources import (
+    ControllerTexts,
+    find_controller_files,
+    read_controller_files,
+)
 from zensim.spawner.spawn.description_sources import RobotDescription, read_model_argument
 from zensim.spawner.spawn.description_xml import DescriptionError, add_namespace, remove_namespace
 from zensim.spawner.spawn.search_paths import SearchPaths, collect_search_paths
 from zensim.spawner.spawn.spawn_poses import RobotPlacement, make_pose
 
+DESCRIBED_DRIVE = DriveOrder()
 TOKEN_TIMEOUT_S = 2.0
 """Limit on the delay until the server sees the liveliness token of a bond."""
 BOND_POLL_S = 0.05
@@ -124,20 +132,34 @@ class SpawnPayload(msgspec.Struct, frozen=True):
     model: str
     text: str = ""
     bundle: AssetBundle = AssetBundle()
+    controllers: ControllerTexts = ControllerTexts()
     is_readable: bool = True
     """False = not parsed here; the server reports the error."""
 
 
 def make_payload(
-    description: RobotDescription, paths: SearchPaths, *, allow_missing: bool
+    description: RobotDescription,
+    paths: SearchPaths,
+    *,
+    allow_missing: bool,
+    controllers: Sequence[Path] = (),
 ) -> SpawnPayload:
-    """Collect the files that a description names.
+    """Collect the files that a description names, and the files of its controllers.
+
+    Args:
+        description: Text, or name of a built-in model.
+        paths: Search paths.
+        allow_missing: Accept missing collision meshes.
+        controllers: Given files; without them, they are searched for.
 
     Raises:
+        OSError: A given file cannot be read.
+        ValueError: A given file is too large, or not text.
         ServiceError: There are too many files, a file is too large, or a collision mesh is missing.
     """
+    given = read_controller_files(controllers)
     if not description.text:
-        return SpawnPayload(description.uri)
+        return SpawnPayload(description.uri, controllers=given)
     paths = paths if description.path is None else paths.with_folder_of(description.path)
     try:
         bundle = make_bundle(description.text, paths)
@@ -145,10 +167,11 @@ def make_payload(
         return SpawnPayload(description.uri, description.text, is_readable=False)
     if not allow_missing:
         check_collision_meshes(bundle)
-    return SpawnPayload(description.uri, description.text, bundle)
+    found = given if controllers else find_controller_files(description.text, paths)
+    return SpawnPayload(description.uri, description.text, bundle, found)
 
 
-def read_payload(model: str) -> SpawnPayload:
+def read_payload(model: str, controllers: Sequence[Path] = ()) -> SpawnPayload:
     """Read a description by path or name, and collect its files.
 
     Raises:
@@ -156,7 +179,8 @@ def read_payload(model: str) -> SpawnPayload:
         ServiceError: See `make_payload`.
     """
     paths = collect_search_paths((), os.environ)
-    return make_payload(read_model_argument(model, {}, paths), paths, allow_missing=False)
+    description = read_model_argument(model, {}, paths)
+    return make_payload(description, paths, allow_missing=False, controllers=controllers)
 
 
 def send_files(client: SimClient, bundle: AssetBundle, on_bytes: OnBytes = ignore_progress) -> int:
@@ -180,7 +204,12 @@ def add_payload(payload: SpawnPayload, order: SpawnEntityOrder, namespace: str) 
     resource = make_resource(payload.model, text, namespace)
     if not payload.is_readable:
         resource = Resource(resource_string=payload.text)
-    return msgspec.structs.replace(order, entity_resource=resource, assets=payload.bundle.refs)
+    return msgspec.structs.replace(
+        order,
+        entity_resource=resource,
+        assets=payload.bundle.refs,
+        controllers=payload.controllers.texts,
+    )
 
 
 def make_resource(model: str, description: str, namespace: str) -> Resource:
@@ -209,6 +238,9 @@ def spawn_fleet(
     model: str,
     placements: Sequence[RobotPlacement],
     on_done: Callable[[SpawnOutcome], None],
+    *,
+    controllers: Sequence[Path] = (),
+    drive: DriveOrder = DESCRIBED_DRIVE,
 ) -> list[SpawnOutcome]:
     """Spawn all robots of a fleet in one step, or none.
 
@@ -216,9 +248,9 @@ def spawn_fleet(
         NoServer: There is no server.
         TimeoutError: The server does not reply.
     """
-    payload = read_payload(model)
+    payload = read_payload(model, controllers)
     send_files(client, payload.bundle)
-    outcomes = spawn_many(client, payload, placements, SpawnEntityOrder())
+    outcomes = spawn_many(client, payload, placements, SpawnEntityOrder(drive=drive))
     for outcome in outcomes:
         on_done(outcome)
     return outcomes
@@ -251,6 +283,7 @@ def spawn_many(
         snap_to_ground=True,
         entity_resource=make_shared_resource(payload),
         assets=payload.bundle.refs,
+        controllers=payload.controllers.texts,
     )
     response = client.spawn_all(
         SpawnEntitiesOrder(tuple(map(_make_order, placements)), is_atomic, common)

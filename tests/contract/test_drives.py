@@ -15,11 +15,14 @@ from zensim.proto.messages.drive_messages import (
     AckermannDrive,
     DiffDrive,
     Drive,
+    OmniDrive,
     PlanarMove,
+    SteeringDrive,
     TricycleDrive,
 )
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.plugins.drive_controllers import DRIVE_CONTROLLERS
 from zensim.sim_server.description.plugins.drive_plugin import DrivePlugin
 from zensim.sim_server.description.plugins.plugin_registry import DRIVE_PLUGINS
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
@@ -40,24 +43,40 @@ def read_model(name: str) -> Model:
 # A skid-steered robot turns less than commanded, and a planar one takes the twist itself.
 MODELS = {name: read_model(name) for name in ("box_bot", "car_bot", "trike_bot")}
 TRIKE_WHEELBASE_M = 0.3
+ALL_DRIVES: list[DrivePlugin[Any]] = [*DRIVE_PLUGINS, *DRIVE_CONTROLLERS]
+CONTROLLER_FIELDS = (
+    *("odometry_source", "publish_odom", "publish_wheel_tf", "covariance_x", "covariance_y"),
+    *("covariance_yaw", "command_topic", "odometry_topic", "ros"),
+)
 COMPUTED_FIELDS: dict[type[Drive], set[str]] = {
     DiffDrive: {"pairs", "linear_limits", "angular_limits"},
-    PlanarMove: set(),
+    PlanarMove: {"pose_covariance", "twist_covariance"},
     AckermannDrive: {
         *("wheel_radius_m", "wheelbase_m", "track_m", "wheel_effort_nm", "steering_effort_nm"),
-        "odometry_rate_hz",
+        *("odometry_rate_hz", "pose_covariance", "twist_covariance"),
     },
-    TricycleDrive: {"steering_effort_nm", "odometry_rate_hz"},
+    TricycleDrive: {
+        *("steering_effort_nm", "odometry_rate_hz", "pose_covariance", "twist_covariance"),
+    },
+    SteeringDrive: {
+        *("traction", "steering", "passive", "is_traction_steered", "wheel_radius_m"),
+        *("wheelbase_m", "traction_track_m", "steering_track_m", "max_speed", "max_steer"),
+        *("wheel_effort_nm", "steering_effort_nm", *CONTROLLER_FIELDS),
+    },
+    OmniDrive: {
+        *("wheels", "max_torque_nm", "linear_limits", "lateral_limits", "angular_limits"),
+        *CONTROLLER_FIELDS,
+    },
 }
 """Fields without a parameter: measured from links, set by several tags, or not in the plug-in."""
 
 
 @pytest.mark.parametrize("drive", get_args(Drive), ids=lambda drive: drive.__name__)
 def test_drive_is_read_from_a_plugin(drive: type[Drive]) -> None:
-    assert drive in {plugin.drive_type for plugin in DRIVE_PLUGINS}
+    assert drive in {plugin.drive_type for plugin in ALL_DRIVES}
 
 
-@pytest.mark.parametrize("plugin", DRIVE_PLUGINS, ids=lambda plugin: plugin.filenames[0])
+@pytest.mark.parametrize("plugin", ALL_DRIVES, ids=lambda plugin: plugin.filenames[0])
 def test_drive_plugin_is_documented(plugin: DrivePlugin[Any]) -> None:
     page = (ROOT / "docs" / "drives.md").read_text(encoding="utf-8")
 
@@ -68,7 +87,7 @@ def test_drive_plugin_is_documented(plugin: DrivePlugin[Any]) -> None:
 def test_every_field_of_a_drive_is_set_by_a_plugin(drive: type[Drive]) -> None:
     read = {
         parameter.field or parameter.tag
-        for plugin in DRIVE_PLUGINS
+        for plugin in ALL_DRIVES
         if plugin.drive_type is drive
         for parameter in plugin.parameters
     }
@@ -76,7 +95,7 @@ def test_every_field_of_a_drive_is_set_by_a_plugin(drive: type[Drive]) -> None:
     assert set(drive.__struct_fields__) - read == COMPUTED_FIELDS[drive] | {"tf_rate_hz", "compat"}
 
 
-@pytest.mark.parametrize("plugin", DRIVE_PLUGINS, ids=lambda plugin: plugin.filenames[0])
+@pytest.mark.parametrize("plugin", ALL_DRIVES, ids=lambda plugin: plugin.filenames[0])
 def test_parameter_of_a_drive_plugin_sets_a_field(plugin: DrivePlugin[Any]) -> None:
     fields = {
         name

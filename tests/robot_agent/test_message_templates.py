@@ -44,7 +44,7 @@ def edge(names: tuple[str, str], time: Time, pose: list[float]) -> TransformStam
 def test_odometry_template_yields_the_bytes_of_the_codec(
     names: tuple[str, str], time_ns: int, values: list[float]
 ) -> None:
-    odometry = OdometryHeader(*names, tuple(float(n) for n in range(36)))
+    odometry = OdometryHeader(*names, *(tuple(float(n) for n in range(36)),) * 2)
     x, y, z, qx, qy, qz, qw, *twist = values
     written = cdr.encode(
         odometry.message(BaseMotion((x, y, z), (qx, qy, qz, qw), *twist), stamp(time_ns))

@@ -15,7 +15,7 @@ from zensim.robot_agent.odometry import (
     EncoderOdometry,
     OdometryHeader,
     find_world_motion,
-    make_covariance,
+    make_covariances,
 )
 
 PAIR = WheelPair("left", "right", separation_m=0.4, diameter_m=0.2)
@@ -175,7 +175,7 @@ def test_encoder_follows_the_arc_that_wheels_turn(
 
 
 def test_covariance_has_the_drives_variances_and_the_rest_unknown() -> None:
-    matrix = make_covariance(DiffDrive(covariance_x=1.0, covariance_y=2.0, covariance_yaw=3.0))
+    matrix, _ = make_covariances(DiffDrive(covariance_x=1.0, covariance_y=2.0, covariance_yaw=3.0))
 
     found = {index: variance for index, variance in enumerate(matrix) if variance}
     assert found == {0: 1.0, 7: 2.0, 14: 1e12, 21: 1e12, 28: 1e12, 35: 3.0}
@@ -183,8 +183,8 @@ def test_covariance_has_the_drives_variances_and_the_rest_unknown() -> None:
 
 
 def test_message_holds_pose_and_twist_with_both_covariances() -> None:
-    covariance = make_covariance(DiffDrive())
-    frames = OdometryHeader("odom", "base_footprint", covariance)
+    covariance, _ = make_covariances(DiffDrive())
+    frames = OdometryHeader("odom", "base_footprint", covariance, covariance)
     motion = BaseMotion((1.0, 2.0, 3.0), from_axis_angle(UP, 1.0), 0.1, 0.2, 0.3)
 
     message = frames.message(motion, Time(4, 5))

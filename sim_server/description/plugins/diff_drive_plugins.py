@@ -22,6 +22,8 @@ from zensim.sim_server.description.plugins.drive_plugin import (
     check_sides,
     check_wheel_joints,
     find_base_link,
+    find_diameter_faults,
+    find_distance_faults,
     find_grip_torque,
     measure_separation,
     measure_wheels,
@@ -31,8 +33,6 @@ if TYPE_CHECKING:
     from zensim.sim_server.description.joint_reduction import LumpedModel
     from zensim.sim_server.description.plugins.plugin_tags import PluginTags
 
-LENGTH_TOLERANCE = 0.05
-"""Share by which a written length may differ from the measured one."""
 MAX_BACKWARD_AXIS_Y = -0.5
 """y of an axis that points to the right rather than the left."""
 LEFT_JOINT_TAGS = ("left_joint", "left_front", "left_rear")
@@ -52,7 +52,8 @@ _JERK_TAGS = (
 )  # fmt: skip
 
 
-def _summarize(drive: DiffDrive) -> str:
+def summarize_pairs(drive: DiffDrive) -> str:
+    """Describe the wheel pairs in one line."""
     return "; ".join(
         f"{pair.left_joint} and {pair.right_joint}, separation {pair.separation_m:g} m, "
         f"diameter {pair.diameter_m:g} m"
@@ -60,42 +61,29 @@ def _summarize(drive: DiffDrive) -> str:
     )
 
 
-def _find_faults(drive: DiffDrive, lumped: LumpedModel) -> list[str]:
+def find_pair_faults(drive: DiffDrive, lumped: LumpedModel) -> list[str]:
+    """Find where the wheel pairs and the links disagree."""
     return [
         fault
         for pair in drive.pairs
-        for fault in _find_pair_faults(
+        for fault in _find_faults(
             pair, *measure_wheels((pair.left_joint, pair.right_joint), lumped)
         )
     ]
 
 
-def _find_pair_faults(pair: WheelPair, left: MeasuredWheel, right: MeasuredWheel) -> list[str]:
+def _find_faults(pair: WheelPair, left: MeasuredWheel, right: MeasuredWheel) -> list[str]:
     faults = []
     for wheel in (left, right):
-        measured = 2.0 * wheel.radius_m
-        if measured and _lengths_differ(pair.diameter_m, measured):
-            faults.append(
-                f"wheel_diameter is {pair.diameter_m:g} m, but the wheel of {wheel.joint!r} "
-                f"measures {measured:g} m; wheel_diameter is used"
-            )
+        faults += find_diameter_faults("wheel_diameter", pair.diameter_m, (wheel,))
         if wheel.axis[1] < MAX_BACKWARD_AXIS_Y:
             faults.append(f"the axis of {wheel.joint!r} points to -y: it rolls backward")
-    apart = measure_separation(left, right)
-    if _lengths_differ(pair.separation_m, apart):
-        faults.append(
-            f"wheel_separation is {pair.separation_m:g} m, but {left.joint!r} and "
-            f"{right.joint!r} are {apart:g} m apart; wheel_separation is used"
-        )
+    faults += find_distance_faults("wheel_separation", pair.separation_m, left, right)
     if left.centre[1] < right.centre[1]:
         faults.append(f"left_joint {left.joint!r} is on the right side: turns are reversed")
     elif "right" in left.joint.lower() and "left" in right.joint.lower():
         faults.append(f"left_joint is {left.joint!r}, right_joint {right.joint!r}: names swapped?")
     return faults
-
-
-def _lengths_differ(written: float, measured: float) -> bool:
-    return abs(written - measured) > LENGTH_TOLERANCE * measured
 
 
 def _make_ros(tags: PluginTags, _: LumpedModel) -> DiffDrive:
@@ -131,7 +119,7 @@ def _read_pair_count(tags: PluginTags) -> int:
     default = 2.0 if "skid_steer" in tags.filename else 1.0
     count = int(tags.number("num_wheel_pairs", default))
     if count < 1:
-        tags.report.suspicious(f"{tags.subject}: <num_wheel_pairs>", f"{count}; 1 is used")
+        tags.report.suspicious(tags.label("num_wheel_pairs"), f"{count}; 1 is used")
     return max(count, 1)
 
 
@@ -140,13 +128,13 @@ def _repeat_for_pairs(
 ) -> list[float]:
     if len(lengths) > count:
         tags.report.suspicious(
-            f"{tags.subject}: <{tag}>", f"{len(lengths)} values for {count} pair(s); rest not read"
+            tags.label(tag), f"{len(lengths)} values for {count} pair(s); rest not read"
         )
     if len(lengths) == 1 and tags.is_renamed(tag):
         return lengths * count  # ROS 1 has one for all pairs
     if len(lengths) < count:
         tags.report.suspicious(
-            f"{tags.subject}: <{tag}>", f"missing for a pair; Gazebo's default {default} m is used"
+            tags.label(tag), f"missing for a pair; Gazebo's default {default} m is used"
         )
     return [*lengths, *[default] * count][:count]
 
@@ -227,7 +215,7 @@ PLUGINS = (
             "gazebo_ros_create",
         ),
         drive_type=DiffDrive,
-        summarize=_summarize,
+        summarize=summarize_pairs,
         make=_make_ros,
         parameters=(
             *ROS_PARAMETERS,
@@ -235,7 +223,7 @@ PLUGINS = (
             DriveParameter("max_wheel_acceleration", NUMBER, "max_acceleration"),
         ),
         complete=_read_ros_pairs,
-        find_faults=_find_faults,
+        find_faults=find_pair_faults,
         aliases=ROS_ALIASES
         | {
             "leftJoint": "left_joint",
@@ -267,19 +255,19 @@ PLUGINS = (
     DrivePlugin(
         filenames=("DiffDrivePlugin", "SkidSteerDrivePlugin"),
         drive_type=DiffDrive,
-        summarize=_summarize,
+        summarize=summarize_pairs,
         make=_make_classic,
         complete=_measure_classic_pairs,
-        find_faults=_find_faults,
+        find_faults=find_pair_faults,
     ),
     DrivePlugin(
         filenames=("diff-drive-system",),
         drive_type=DiffDrive,
-        summarize=_summarize,
+        summarize=summarize_pairs,
         make=_make_gz,
         parameters=GZ_PARAMETERS,
         complete=_read_gz_pairs,
-        find_faults=_find_faults,
+        find_faults=find_pair_faults,
         unused={
             "tf_topic": "tf is on <namespace>/tf",
             **dict.fromkeys(_JERK_TAGS, "jerk is not limited"),

@@ -5,6 +5,7 @@ Each family of plug-ins lists its rows in `PLUGINS`; `plugin_registry` joins the
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -23,8 +24,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from zensim.sim_server.description.joint_reduction import LumpedModel
+    from zensim.sim_server.description.model_geometry import FindCorners
     from zensim.sim_server.description.report import ParseReport
 
+SUBSTITUTION = re.compile(r"\$\([^()]*\)|\$\{[^{}]*\}")
+"""Argument of a launch file or of xacro."""
 DriveT = TypeVar("DriveT", bound=Drive)
 
 
@@ -124,11 +128,12 @@ ODOMETRY_SOURCES: dict[str, OdometrySource] = {
 
 def read_frame(tags: PluginTags, tag: str, default: str) -> str:
     """Read a frame; an invalid name gives the default."""
-    text = tags.text(tag, default)
+    # An argument of a launch file is a prefix of frames.
+    text = SUBSTITUTION.sub("", tags.text(tag, default))
     try:
         return check_frame(text.lstrip("/"))
     except InvalidName as error:
-        tags.report.suspicious(f"{tags.subject}: <{tag}>", f"{error}; {default!r} is used")
+        tags.report.suspicious(tags.label(tag), f"{error}; {default!r} is used")
         return default
 
 
@@ -137,7 +142,7 @@ def read_topic(tags: PluginTags, tag: str, default: str) -> str:
     text = tags.text(tag, "").strip("/")
     if text in ("", default):
         return ""
-    subject = f"{tags.subject}: <{tag}>"
+    subject = tags.label(tag)
     try:
         topic = check_namespace(text)
     except InvalidName as error:
@@ -153,9 +158,7 @@ def read_topic(tags: PluginTags, tag: str, default: str) -> str:
 def _read_odometry_source(tags: PluginTags, tag: str, default: str) -> OdometrySource:
     text = tags.text(tag, default)
     if text.lower() not in ODOMETRY_SOURCES:
-        tags.report.suspicious(
-            f"{tags.subject}: <{tag}>", f"{text[:40]!r} is neither 0 nor 1; 1 is used"
-        )
+        tags.report.suspicious(tags.label(tag), f"{text[:40]!r} is neither 0 nor 1; 1 is used")
     return ODOMETRY_SOURCES.get(text.lower(), "world")
 
 
@@ -304,7 +307,7 @@ class MeasuredWheel(msgspec.Struct, frozen=True):
     centre: Vec3
     axis: Vec3
     radius_m: float
-    """0 where the link has no round collision."""
+    """0 where the link has no round shape and no mesh that is known here."""
 
 
 def measure_wheels(names: Iterable[str], lumped: LumpedModel) -> list[MeasuredWheel]:
@@ -314,10 +317,11 @@ def measure_wheels(names: Iterable[str], lumped: LumpedModel) -> list[MeasuredWh
     poses = find_link_poses(lumped.links[0].name, lumped.joints)
     wheels = []
     for joint in (joints[name] for name in names):
-        pose, shape = poses[joint.child], _find_wheel_shape(links[joint.child])
-        centre = transform_point(pose, shape.origin.position)
+        pose = poses[joint.child]
+        place, radius = _measure_wheel(links[joint.child], joint.axis, lumped.corners)
+        centre = transform_point(pose, place)
         axis = rotate(pose.orientation, joint.axis)
-        wheels.append(MeasuredWheel(joint.name, centre, axis, shape.size[0]))
+        wheels.append(MeasuredWheel(joint.name, centre, axis, radius))
     return wheels
 
 
@@ -327,6 +331,70 @@ def measure_separation(left: MeasuredWheel, right: MeasuredWheel) -> float:
     return abs(sum(part * axis for part, axis in zip(across, left.axis, strict=True)))
 
 
-def _find_wheel_shape(link: Link) -> Shape:
+LENGTH_TOLERANCE = 0.05
+"""Share by which a written length may differ from the measured one."""
+
+
+def lengths_differ(written: float, measured: float) -> bool:
+    """Whether a written length is not the measured one; a measured 0 is unknown."""
+    return measured > 0.0 and abs(written - measured) > LENGTH_TOLERANCE * measured
+
+
+def find_diameter_faults(tag: str, diameter_m: float, wheels: Iterable[MeasuredWheel]) -> list[str]:
+    """Find the wheels that do not have the diameter of a tag."""
+    return [
+        f"{tag} is {diameter_m:g} m, but the wheel of {wheel.joint!r} measures "
+        f"{2.0 * wheel.radius_m:g} m; {tag} is used"
+        for wheel in wheels
+        if lengths_differ(diameter_m, 2.0 * wheel.radius_m)
+    ]
+
+
+def find_distance_faults(
+    tag: str, distance_m: float, one: MeasuredWheel, two: MeasuredWheel
+) -> list[str]:
+    """Compare the distance of two wheels along their axle with that of a tag."""
+    apart = measure_separation(one, two)
+    if abs(distance_m - apart) <= LENGTH_TOLERANCE * apart:
+        return []
+    return [
+        f"{tag} is {distance_m:g} m, but {one.joint!r} and {two.joint!r} are {apart:g} m apart; "
+        f"{tag} is used"
+    ]
+
+
+def _measure_wheel(link: Link, axis: Vec3, corners: FindCorners) -> tuple[Vec3, float]:
+    """Find the centre and the radius [m] of a wheel in its link; a radius of 0 is unknown."""
     rounds = [shape for shape in link.collisions if shape.kind in ROUND_KINDS]
-    return max(rounds, key=lambda shape: shape.size[0], default=Shape("sphere"))
+    if rounds:
+        shape = max(rounds, key=lambda shape: shape.size[0])
+        return shape.origin.position, shape.size[0]
+    for shapes in (link.collisions, link.visuals):
+        found = [one for shape in shapes if (one := _measure_mesh_wheel(shape, axis, corners))]
+        if found:
+            return max(found, key=lambda one: one[1])
+    rounds = [shape for shape in link.visuals if shape.kind in ROUND_KINDS]
+    widest = max(rounds, key=lambda shape: shape.size[0], default=Shape("sphere"))
+    return widest.origin.position, widest.size[0]
+
+
+def _measure_mesh_wheel(
+    shape: Shape, axis: Vec3, corners: FindCorners
+) -> tuple[Vec3, float] | None:
+    try:
+        points = corners(shape.mesh) if shape.kind == "mesh" else None
+    except KeyError:
+        return None
+    if points is None or not len(points):
+        return None
+    import numpy as np
+
+    from zensim.proto.se3 import to_matrix
+
+    turn = to_matrix(np.array(shape.origin.orientation))
+    placed = (points * shape.size) @ turn.T + shape.origin.position
+    along = np.array(axis) / np.linalg.norm(axis)
+    offsets = placed @ along
+    radial = np.linalg.norm(placed - np.outer(offsets, along), axis=1)
+    x, y, z = (along * (offsets.min() + offsets.max()) / 2.0).tolist()
+    return (x, y, z), float(radial.max())

@@ -14,7 +14,8 @@ from zensim.sim_server.description.plugins import (
     planar_move_plugins,
     steered_drive_plugins,
 )
-from zensim.sim_server.description.plugins.plugin_tags import PluginTags
+from zensim.sim_server.description.plugins.drive_controllers import DRIVE_CONTROLLERS
+from zensim.sim_server.description.plugins.plugin_tags import PluginTags, list_plugin_tags
 from zensim.sim_server.description.plugins.publisher_plugins import (
     GROUND_TRUTH_ALIASES,
     GROUND_TRUTH_FILENAMES,
@@ -24,6 +25,7 @@ from zensim.sim_server.description.plugins.publisher_plugins import (
     read_joint_state,
 )
 from zensim.sim_server.description.plugins.sensor_tags import SensorElement, read_sensors
+from zensim.sim_server.description.strict_parsing import quote
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
     from zensim.sim_server.description.report import ParseReport
 
 MAX_PLUGINS = 100
-_ROS_CONTROL = "ros_control is not used; add the diff_drive plug-in to drive wheels"
+_ROS_CONTROL = "its controllers are read from the files of the request (--controllers FILE)"
 _NOT_SIMULATED = "not simulated"
 _NO_SENSOR_PLUGIN = "sensors need no plug-in"
 UNUSED_PLUGINS = {
@@ -96,7 +98,8 @@ def make_model(
 
 def summarize_drive(drive: Drive) -> str:
     """Describe a drive in one line."""
-    plugin = next(plugin for plugin in DRIVE_PLUGINS if plugin.drive_type is type(drive))
+    known = (*DRIVE_PLUGINS, *DRIVE_CONTROLLERS)
+    plugin = next(plugin for plugin in known if plugin.drive_type is type(drive))
     return plugin.summarize(drive)
 
 
@@ -133,7 +136,9 @@ def _add_drive(
     lumped: LumpedModel,
     report: ParseReport,
 ) -> RobotPlugins:
-    tags = PluginTags(element, slug="drive", aliases=plugin.aliases, report=report)
+    tags = PluginTags(
+        list_plugin_tags(element), slug="drive", aliases=plugin.aliases, report=report
+    )
     drive = plugin.read(tags, lumped)
     if drive is None:
         return found
@@ -150,7 +155,9 @@ def _add_drive(
 def _add_joint_state(
     found: RobotPlugins, element: Element, lumped: LumpedModel, report: ParseReport
 ) -> RobotPlugins:
-    tags = PluginTags(element, slug="joint_state", aliases=JOINT_STATE_ALIASES, report=report)
+    tags = PluginTags(
+        list_plugin_tags(element), slug="joint_state", aliases=JOINT_STATE_ALIASES, report=report
+    )
     publisher = read_joint_state(tags, lumped)
     if publisher is None:
         return found
@@ -164,7 +171,9 @@ def _add_joint_state(
 def _add_ground_truth(
     found: RobotPlugins, element: Element, lumped: LumpedModel, report: ParseReport
 ) -> RobotPlugins:
-    tags = PluginTags(element, slug="ground_truth", aliases=GROUND_TRUTH_ALIASES, report=report)
+    tags = PluginTags(
+        list_plugin_tags(element), slug="ground_truth", aliases=GROUND_TRUTH_ALIASES, report=report
+    )
     truth = read_ground_truth(tags, lumped)
     if truth is None:
         return found
@@ -176,7 +185,8 @@ def _report_unread_plugin(element: Element, filename: str, report: ParseReport) 
     subject = f"plugin {(element.get('name') or '')[:80]!r}"
     for known, reason in UNUSED_PLUGINS.items():
         if known in filename:
-            report.ignored(subject, reason)
+            named = ", ".join(quote(tag.text) for tag in element.findall("parameters"))
+            report.ignored(subject, f"{reason}; it names {named}" if named else reason)
             return
     report.unknown(subject, f"no plug-in has the file name {filename[:80]!r}")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from zensim.proto.messages.model_messages import RosBlock
 from zensim.proto.messages.result_messages import SpawnCode
@@ -11,7 +11,7 @@ from zensim.sim_server.description.strict_parsing import parse_flag, read_number
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from lxml.etree import _Element as Element
 
@@ -23,6 +23,8 @@ UNUSED_ROS_TAGS = {
     "parameter": "there is no ROS node to pass it to",
     "qos": "quality of service is fixed",
 }
+NOT_A_NUMBER = (".nan", "nan")
+"""Spellings of an unset number in YAML."""
 ROS_TAGS = ("namespace", "remapping", *UNUSED_ROS_TAGS)
 
 
@@ -77,35 +79,63 @@ def _read_namespace(written: list[str], *, subject: str, report: ParseReport) ->
         return ""
 
 
+class WrittenTags(NamedTuple):
+    """Tags of a plug-in or parameters of a controller, as written."""
+
+    subject: str
+    """What they belong to, for the report."""
+    filename: str
+    """File name of the plug-in, or type of the controller."""
+    texts: Sequence[tuple[str, str]]
+    """Names and values in order; a list is a name several times."""
+    ros: Element | None = None
+    is_xml: bool = False
+
+
+def list_plugin_tags(plugin: Element) -> WrittenTags:
+    """List the tags of a plug-in."""
+    return WrittenTags(
+        f"plugin {(plugin.get('name') or '')[:80]!r}",
+        plugin.get("filename") or "",
+        [(child.tag, (child.text or "").strip()) for child in plugin],
+        plugin.find("ros"),
+        is_xml=True,
+    )
+
+
 class PluginTags:
     """Tags by name; each reading method marks its tag as read.
 
     Args:
-        plugin: The element.
+        written: The tags.
         slug: First half of the errors' slugs, such as `drive`.
         aliases: Tags by older spelling.
         report: Gets what is unusual.
     """
 
     def __init__(
-        self, plugin: Element, *, slug: str, aliases: Mapping[str, str], report: ParseReport
+        self, written: WrittenTags, *, slug: str, aliases: Mapping[str, str], report: ParseReport
     ) -> None:
-        self.subject = f"plugin {(plugin.get('name') or '')[:80]!r}"
-        self.filename = plugin.get("filename") or ""
+        self.subject = written.subject
+        self.filename = written.filename
         self.report = report
         self._slug = slug
-        self._ros = plugin.find("ros")
+        self._ros = written.ros
+        self._is_xml = written.is_xml
         self._texts: dict[str, list[str]] = {}
         self._renamed: set[str] = set()
         self._read = {"ros"}
-        for child in plugin:
-            tag = aliases.get(child.tag, child.tag)
-            if tag != child.tag:
+        for name, text in written.texts:
+            tag = aliases.get(name, name)
+            if tag != name:
                 self._renamed.add(tag)
-                report.suspicious(
-                    f"{self.subject}: <{child.tag}>", f"spelling of ROS 1; read as <{tag}>"
-                )
-            self._texts.setdefault(tag, []).append((child.text or "").strip())
+                if self._is_xml:
+                    report.suspicious(self.label(name), f"spelling of ROS 1; read as <{tag}>")
+            self._texts.setdefault(tag, []).append(text)
+
+    def label(self, tag: str) -> str:
+        """Name a tag in the report."""
+        return f"{self.subject}: <{tag}>" if self._is_xml else f"{self.subject}: {tag}"
 
     def is_renamed(self, tag: str) -> bool:
         """Whether the tag is present in an older spelling."""
@@ -121,7 +151,7 @@ class PluginTags:
         written = self.texts(tag)
         if len(written) > 1:
             self.report.suspicious(
-                f"{self.subject}: <{tag}>", f"given {len(written)} times; the first is used"
+                self.label(tag), f"given {len(written)} times; the first is used"
             )
         return (written[0] if written else "") or default
 
@@ -137,13 +167,27 @@ class PluginTags:
         return number
 
     def signed(self, tag: str) -> float | None:
-        """Read a number of either sign; None without the tag.
+        """Read a number of either sign; None without the tag or for NaN.
 
         Raises:
             ModelError: It is not a number.
         """
         text = self.text(tag, "")
+        if text.lower() in NOT_A_NUMBER:
+            return None
         return self._parse_number(tag, text) if text else None
+
+    def has(self, tag: str) -> bool:
+        """Whether the tag is there."""
+        return tag in self._texts
+
+    def numbers(self, tag: str) -> list[float]:
+        """Read the numbers of a repeatable tag, of either sign.
+
+        Raises:
+            ModelError: One is not a number.
+        """
+        return [self._parse_number(tag, text) for text in self.texts(tag)]
 
     def vector(self, tag: str) -> Vec3:
         """Read three numbers; 0 0 0 without the tag.
@@ -181,9 +225,7 @@ class PluginTags:
         text = self.text(tag, "")
         flag = parse_flag(text)
         if text and flag is None:
-            self.report.suspicious(
-                f"{self.subject}: <{tag}>", f"{text[:40]!r} is neither true nor false"
-            )
+            self.report.suspicious(self.label(tag), f"{text[:40]!r} is neither true nor false")
         return default if flag is None else flag
 
     def ros(self) -> RosBlock:
@@ -196,7 +238,7 @@ class PluginTags:
         """Report each tag that was not read; `unused` has the reasons for known tags."""
         for tag in self._texts:
             if tag in unused:
-                self.report.ignored(f"{self.subject}: <{tag}>", unused[tag])
+                self.report.ignored(self.label(tag), unused[tag])
             elif tag not in self._read:
                 self.report.unread_tag(self.subject, tag, sorted(self._read))
 

@@ -38,7 +38,7 @@ def read_joint_state(tags: PluginTags, lumped: LumpedModel) -> JointStatePublish
     for name in named:
         if name not in joints:
             tags.report.suspicious(
-                f"{tags.subject}: <joint_name>",
+                tags.label("joint_name"),
                 f"joint {name[:80]!r} does not exist or is fixed; left out",
             )
     rate, ros = tags.number("update_rate", 100.0), tags.ros()
@@ -96,6 +96,6 @@ def read_ground_truth(tags: PluginTags, lumped: LumpedModel) -> GroundTruth | No
         return None
     if frame not in (*WORLD_FRAMES, *links):
         tags.report.suspicious(
-            f"{tags.subject}: <frame_name>", f"{frame!r} is not a link; poses are in the world"
+            tags.label("frame_name"), f"{frame!r} is not a link; poses are in the world"
         )
     return truth

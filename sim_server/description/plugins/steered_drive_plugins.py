@@ -20,6 +20,8 @@ from zensim.sim_server.description.plugins.drive_plugin import (
     DrivePlugin,
     UnusableDrive,
     check_wheel_joints,
+    find_diameter_faults,
+    find_distance_faults,
     find_grip_torque,
     measure_wheels,
 )
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
     from zensim.sim_server.description.plugins.plugin_tags import PluginTags
 
 MIN_AXLE_LENGTH_M = 1e-3
+ROS1_TRICYCLE_TAGS = ("steering_joint", "actuated_wheel_joint", "wheel_separation")
+"""Tags whose ROS 1 spelling says for which of the two a tricycle is written."""
 _CONTROLLERS = dict.fromkeys(
     (
         "left_steering_pid_gain", "left_steering_i_range", "right_steering_pid_gain",
@@ -74,6 +78,32 @@ def _summarize_ackermann(drive: AckermannDrive) -> str:
     )
 
 
+def _find_ackermann_faults(drive: AckermannDrive, lumped: LumpedModel) -> list[str]:
+    wheels = measure_wheels(drive.wheel_joints[:2], lumped)
+    return find_diameter_faults("the diameter of the right one", 2.0 * drive.wheel_radius_m, wheels)
+
+
+def _make_tricycle(tags: PluginTags, _: LumpedModel) -> TricycleDrive:
+    # There, the odometry and its transform are always published.
+    is_ros1 = any(tags.is_renamed(tag) for tag in ROS1_TRICYCLE_TAGS)
+    if is_ros1:
+        tags.report.suspicious(tags.subject, "written for ROS 1: odom and its tf are published")
+    return TricycleDrive(publish_odom=is_ros1, publish_odom_tf=is_ros1)
+
+
+def _find_tricycle_faults(drive: TricycleDrive, lumped: LumpedModel) -> list[str]:
+    actuated, left, right = measure_wheels(drive.wheel_joints, lumped)
+    return [
+        *find_diameter_faults(
+            "actuated_wheel_diameter", drive.actuated_wheel_diameter_m, (actuated,)
+        ),
+        *find_diameter_faults(
+            "encoder_wheel_diameter", drive.encoder_wheel_diameter_m, (left, right)
+        ),
+        *find_distance_faults("wheel_separation", drive.wheel_separation_m, left, right),
+    ]
+
+
 def _measure_tricycle(drive: TricycleDrive, _: PluginTags, lumped: LumpedModel) -> TricycleDrive:
     check_wheel_joints(drive.joints, lumped)
     radius = drive.actuated_wheel_diameter_m / 2.0
@@ -104,6 +134,7 @@ PLUGINS = (
             DriveParameter("max_steering_angle", NUMBER),
         ),
         complete=_measure_ackermann,
+        find_faults=_find_ackermann_faults,
         aliases=ROS_ALIASES,
         unused=ROS_UNUSED
         | _CONTROLLERS
@@ -116,6 +147,7 @@ PLUGINS = (
         filenames=("gazebo_ros_tricycle_drive",),
         drive_type=TricycleDrive,
         summarize=_summarize_tricycle,
+        make=_make_tricycle,
         parameters=(
             *ROS_PARAMETERS,
             # Gazebo sends the transform of its odometry whenever it sends the odometry.
@@ -137,6 +169,7 @@ PLUGINS = (
             DriveParameter("max_steering_angle_tolerance", NUMBER, "angle_tolerance"),
         ),
         complete=_measure_tricycle,
+        find_faults=_find_tricycle_faults,
         aliases=ROS_ALIASES
         | {
             "steeringJoint": "steering_joint",

@@ -45,6 +45,7 @@ from zensim.sim_server.description.parsed_model import (
     normalize_axes,
     order_as_tree,
 )
+from zensim.sim_server.description.plugins.control_interfaces import read_command_interfaces
 from zensim.sim_server.description.plugins.plugin_registry import make_model
 from zensim.sim_server.description.plugins.sensor_tags import SensorElement
 from zensim.sim_server.description.report import ParseReport
@@ -182,8 +183,8 @@ ROBOT = UrdfElementRule(
         "joint": JOINT,
         "material": msgspec.structs.replace(MATERIAL, required=("name",)),
         "gazebo": UrdfElementRule(is_opaque=True),
-        "transmission": UrdfElementRule(is_opaque=True, unread="ros_control is not used"),
-        "ros2_control": UrdfElementRule(is_opaque=True, unread="ros2_control is not used"),
+        "transmission": UrdfElementRule(is_opaque=True),
+        "ros2_control": UrdfElementRule(is_opaque=True),
         "sensor": UrdfElementRule(is_opaque=True, unread="no simulator reads it outside <gazebo>"),
     },
     many=("link", "joint", "material", "gazebo", "transmission", "ros2_control", "sensor"),
@@ -697,7 +698,10 @@ def read_urdf(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool =
         parts.name, lumped, plugins=blocks.plugins, sensors=blocks.sensors, report=report
     )
     is_static = blocks.is_static or is_fixed_to_world(parts, report)
-    return msgspec.structs.replace(model, is_static=is_static, report=report.entries())
+    interfaces = read_command_interfaces(robot, lumped.joints, report)
+    return msgspec.structs.replace(
+        model, is_static=is_static, command_interfaces=interfaces, report=report.entries()
+    )
 
 
 def _reduce_joints(

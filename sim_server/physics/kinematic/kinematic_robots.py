@@ -268,6 +268,7 @@ class KinematicRobots:
         vehicle, positions = group.vehicle, self.positions.numbers
         if vehicle.twist >= 0:
             twists = self.targets.numbers[group.targets[:, vehicle.twist : vehicle.twist + 3]]
+            self.velocities[group.driven] = self.targets.numbers[group.driven_targets]
             return np.ascontiguousarray(twists.T)
         most = vehicle.max_rim_accel * self._dt_s / group.radii
         targets = self.targets.numbers[group.driven_targets]

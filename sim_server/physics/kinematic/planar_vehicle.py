@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zensim.proto.messages.drive_messages import DiffDrive, WheelPair
+from zensim.proto.messages.drive_messages import DiffDrive, OmniDrive, SteeringDrive, WheelPair
 from zensim.proto.messages.model_messages import Joint, Link, Model, Origin, Shape
 from zensim.proto.rigid_transforms import rotate, transform_point
 from zensim.proto.stl import read_corners
@@ -244,7 +244,12 @@ def _declared_radius(model: Model, joint: str) -> float:
     for pair in pairs:
         if joint in (pair.left_joint, pair.right_joint):
             return pair.diameter_m / 2.0
-    return 0.0
+    if isinstance(drive, SteeringDrive) and joint in drive.traction:
+        return drive.wheel_radius_m
+    rollers = drive.wheels if isinstance(drive, OmniDrive) else ()
+    return next(
+        (1.0 / max(abs(one.ahead), abs(one.left)) for one in rollers if one.joint == joint), 0.0
+    )
 
 
 def _find_drive_matrix(

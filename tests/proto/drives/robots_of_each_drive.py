@@ -5,7 +5,10 @@ from zensim.proto.messages.drive_messages import (
     DiffDrive,
     Drive,
     Limits,
+    OmniDrive,
     PlanarMove,
+    RollerWheel,
+    SteeringDrive,
     TricycleDrive,
     WheelPair,
 )
@@ -67,6 +70,33 @@ DRIVES: dict[str, Drive] = {
         max_steering_speed=0.4,
         odometry_source="encoder",
         odometry_rate_hz=40.0,
+        publish_odom=True,
+        publish_odom_tf=True,
+    ),
+    "car by turn rate": SteeringDrive(
+        traction=("rear_left", "rear_right"),
+        steering=("front_left", "front_right"),
+        passive=("spare",),
+        odometry_source="encoder",
+        odometry_rate_hz=50.0,
+        pose_covariance=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
+        publish_odom=True,
+        publish_odom_tf=True,
+    ),
+    "bicycle steered behind": SteeringDrive(
+        traction=("wheel",), steering=("fork",), wheelbase_m=-0.7, max_steer=0.8, publish_odom=True
+    ),
+    "tricycle by turn rate": SteeringDrive(
+        traction=("wheel",), steering=("fork",), is_traction_steered=True, publish_odom_tf=True
+    ),
+    "omni wheels within limits": OmniDrive(
+        wheels=(
+            RollerWheel("a", 0.0, -20.0, -4.0),
+            RollerWheel("b", 17.3, 10.0, -4.0),
+            RollerWheel("c", -17.3, 10.0, -4.0),
+        ),
+        linear_limits=Limits(-0.5, 0.5, -2.0, 2.0),
+        lateral_limits=Limits(None, None, -1.0, 1.0),
         publish_odom=True,
         publish_odom_tf=True,
     ),

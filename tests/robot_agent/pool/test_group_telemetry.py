@@ -29,7 +29,7 @@ from zensim.proto.ros2.rmw_attachment import read_attachment
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.robot_agent import message_templates
-from zensim.robot_agent.odometry import BaseMotion, OdometryHeader, make_covariance
+from zensim.robot_agent.odometry import BaseMotion, OdometryHeader, make_covariances
 from zensim.robot_agent.pool import group_telemetry
 from zensim.robot_agent.pool.group_telemetry import CdrBatch, TfMessageBatch
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
@@ -51,7 +51,7 @@ def motion_of(numbers: list[float]) -> BaseMotion:
 def test_odometry_is_what_the_encoder_writes(
     names: list[tuple[str, str]], data: st.DataObject
 ) -> None:
-    frames = [OdometryHeader(frame, child, make_covariance(DRIVE)) for frame, child in names]
+    frames = [OdometryHeader(frame, child, *make_covariances(DRIVE)) for frame, child in names]
     blank = [one.message(BaseMotion(), time_from_ns(0)) for one in frames]
     batch = CdrBatch(blank, message_templates.ODOMETRY_PATHS, message_templates.HEADER_STAMP)
     rows = data.draw(st.lists(st.sampled_from(range(len(names))), unique=True, min_size=1))

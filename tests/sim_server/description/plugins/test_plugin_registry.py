@@ -32,7 +32,7 @@ def test_unused_plugins_are_reported() -> None:
     )
 
     assert subjects(entries, "ignored") == ["plugin 'c'", "plugin 't'"]
-    assert mentions(entries, "ignored", "plugin 'c'", "ros_control")
+    assert mentions(entries, "ignored", "plugin 'c'", "--controllers")
 
 
 def test_unknown_plugins_are_reported() -> None:

@@ -548,11 +548,11 @@ def test_unknown_elements_are_reported() -> None:
 def test_elements_without_effect_are_reported() -> None:
     joint = a_joint("j", ("a", "b"), "continuous", '<calibration rising="0"/>')
 
-    entries = report_of(a_robot(PAIR, joint, '<transmission name="t"><any x="y"/></transmission>'))
+    entries = report_of(a_robot(PAIR, joint, '<sensor name="s"><any x="y"/></sensor>'))
 
     assert [entry.subject for entry in entries if entry.status == "ignored"] == [
         "joint 'j', calibration",
-        "transmission 't'",
+        "sensor 's'",
     ]
 
 

@@ -1,0 +1,61 @@
+"""Steering by turn rate: speed and turn rate to wheel speeds and steering angles."""
+
+from typing import Generic
+
+from zensim.proto.drives.column_math import Column, ColumnMath
+from zensim.proto.drives.measured_joints import Columns, MeasuredJoints, PlanarTwist
+from zensim.proto.messages.drive_messages import PAIR_SIZE, SteeringDrive
+
+
+class RateSteering(Generic[Column]):
+    """Steering about one point on the line of the unsteered axle.
+
+    Source: steering_controllers_library and tricycle_controller of ros2_controllers.
+    """
+
+    state_size = 0
+
+    def __init__(self, parameters: SteeringDrive, xp: ColumnMath[Column]) -> None:
+        self._parameters = parameters
+        self._xp: ColumnMath[Column] = xp
+
+    def find_targets(
+        self,
+        twist: PlanarTwist[Column],
+        *,
+        measured: MeasuredJoints[Column],  # noqa: ARG002 - of the protocol
+        state: Columns[Column],
+        dt_s: Column,  # noqa: ARG002 - of the protocol
+    ) -> tuple[Columns[Column], Columns[Column]]:
+        """Find wheel speeds [rad/s] and steering angles [rad]; see `DriveKinematics`.
+
+        Args:
+            twist: vx is the speed of the unsteered axle [m/s], wz the turn rate [rad/s].
+            measured: Not used, as state and dt_s.
+            state: Not used.
+            dt_s: Not used.
+        """
+        parameters, xp = self._parameters, self._xp
+        speed = xp.clamp(twist[0], parameters.max_speed)
+        forward = xp.copysign(1.0, speed)
+        # Speed of the steered axle to its left, with the vehicle turned to drive forward.
+        aside = xp.clamp(twist[2] * parameters.wheelbase_m, parameters.max_speed) * forward
+        angle = xp.clamp(xp.arctan2(aside, abs(speed)), parameters.max_steer)
+        if parameters.is_traction_steered:
+            rim = forward * (abs(speed) * xp.cos(angle) + aside * xp.sin(angle))
+            return (rim / parameters.wheel_radius_m, angle), state
+        slope = xp.tan(angle)
+        return self._find_wheel_speeds(speed, slope) + self._find_angles(angle, slope), state
+
+    def _find_wheel_speeds(self, speed: Column, slope: Column) -> Columns[Column]:
+        rim = speed / self._parameters.wheel_radius_m
+        if len(self._parameters.traction) < PAIR_SIZE:
+            return (rim,)
+        lead = slope / self._parameters.wheelbase_m * (self._parameters.traction_track_m / 2.0)
+        return rim * (1.0 - lead), rim * (1.0 + lead)
+
+    def _find_angles(self, angle: Column, slope: Column) -> Columns[Column]:
+        if len(self._parameters.steering) < PAIR_SIZE:
+            return (angle,)
+        lead = slope / self._parameters.wheelbase_m * (self._parameters.steering_track_m / 2.0)
+        return self._xp.arctan2(slope, 1.0 - lead), self._xp.arctan2(slope, 1.0 + lead)

@@ -1,0 +1,90 @@
+"""Robots on wheels for tests of drives: boxes with wheels of 0.1 m radius and 1 kg."""
+
+from collections.abc import Sequence
+
+from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_robot, an_inertial
+from zensim.proto.messages.drive_messages import DriveOrder
+from zensim.proto.messages.model_messages import Model
+from zensim.sim_server.description.pipeline import parse_description
+
+TYRE = (
+    '<origin rpy="1.5707963267948966 0 0"/><geometry><cylinder radius="0.1" length="0.04"/>'
+    "</geometry>"
+)
+BODY = '<geometry><box size="0.5 0.3 0.1"/></geometry>'
+
+
+def a_base(name: str = "base_link") -> str:
+    """A box of 10 kg above its wheels."""
+    place = '<origin xyz="0 0 0.1"/>'
+    return a_link(name, an_inertial("10", origin=place) + a_collision(BODY, place))
+
+
+def a_tyre(
+    joint: str, x: float, y: float, *, parent: str = "base_link", axis: str = "0 1 0"
+) -> str:
+    """A wheel that turns about y."""
+    link = f"{joint}_tyre"
+    inside = f'<origin xyz="{x} {y} 0"/><axis xyz="{axis}"/>'
+    wheel = a_link(link, an_inertial(diagonal="0.005") + f"<collision>{TYRE}</collision>")
+    return wheel + a_joint(joint, (parent, link), "continuous", inside)
+
+
+def a_steering(joint: str, x: float, y: float, limit: float = 0.7) -> str:
+    """A steering joint with an upright axis."""
+    inside = (
+        f'<origin xyz="{x} {y} 0"/><axis xyz="0 0 1"/>'
+        f'<limit lower="{-limit}" upper="{limit}" effort="100" velocity="10"/>'
+    )
+    knuckle = a_link(f"{joint}_knuckle", an_inertial("0.5", "0.005"))
+    return knuckle + a_joint(joint, ("base_link", f"{joint}_knuckle"), "revolute", inside)
+
+
+def a_diff_robot(*parts: str) -> str:
+    """Two wheels 0.4 m apart, a ball behind."""
+    return a_robot(a_base(), a_tyre("left", 0.0, 0.2), a_tyre("right", 0.0, -0.2), *parts)
+
+
+def a_four_wheeler(*parts: str, names: Sequence[str] = ("fl", "fr", "rl", "rr")) -> str:
+    """Wheels at x = ±0.25 m and y = ±0.2 m."""
+    places = ((0.25, 0.2), (0.25, -0.2), (-0.25, 0.2), (-0.25, -0.2))
+    wheels = (a_tyre(name, *place) for name, place in zip(names, places, strict=True))
+    return a_robot(a_base(), *wheels, *parts)
+
+
+def a_car(*parts: str) -> str:
+    """Driven wheels at x = 0, steered wheels at x = 0.6 m, both 0.4 m apart."""
+    return a_robot(
+        a_base(),
+        a_tyre("rear_left", 0.0, 0.2),
+        a_tyre("rear_right", 0.0, -0.2),
+        a_steering("steer_left", 0.6, 0.2),
+        a_steering("steer_right", 0.6, -0.2),
+        a_tyre("front_left", 0.0, 0.0, parent="steer_left_knuckle"),
+        a_tyre("front_right", 0.0, 0.0, parent="steer_right_knuckle"),
+        *parts,
+    )
+
+
+def a_tricycle(*parts: str) -> str:
+    """A wheel that drives and steers at x = 0.5 m, two passive ones at x = 0."""
+    return a_robot(
+        a_base(),
+        a_tyre("rear_left", 0.0, 0.2),
+        a_tyre("rear_right", 0.0, -0.2),
+        a_steering("steer", 0.5, 0.0, limit=1.5),
+        a_tyre("front", 0.0, 0.0, parent="steer_knuckle"),
+        *parts,
+    )
+
+
+def read_driven(text: str, *controllers: str, order: DriveOrder | None = None) -> Model:
+    """Read a robot with controllers' files or an order."""
+    return parse_description(
+        text,
+        assets={},
+        allow_missing=False,
+        compat="fixed",
+        controllers=controllers,
+        drive=order or DriveOrder(),
+    ).model

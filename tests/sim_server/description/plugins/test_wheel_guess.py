@@ -1,0 +1,60 @@
+"""Wheels guessed by geometry."""
+
+import pytest
+
+from tests.sim_server.description.plugins.driven_robots import (
+    a_base,
+    a_car,
+    a_diff_robot,
+    a_four_wheeler,
+    a_steering,
+    a_tyre,
+)
+from tests.sim_server.description.robots import a_robot
+from zensim.proto.messages.drive_messages import DriveOrder
+from zensim.sim_server.description.joint_reduction import LumpedModel
+from zensim.sim_server.description.plugins.wheel_guess import find_wheels, suggest_drive
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
+
+
+def lump(text: str) -> LumpedModel:
+    model = read_urdf(text)
+    return LumpedModel(model.links, model.joints, model.frames)
+
+
+SWIVEL = a_steering("swivel", -0.3, 0.0).replace("revolute", "continuous")
+CASTER = SWIVEL + a_tyre("caster", -0.05, 0.0, parent="swivel_knuckle")
+LIDAR = a_tyre("lidar", 0.1, 0.0).replace('<axis xyz="0 1 0"/>', '<axis xyz="0 0 1"/>')
+HIGH = a_tyre("roller_left", 0.0, 0.3).replace('xyz="0.0 0.3 0"', 'xyz="0 0.3 0.5"') + a_tyre(
+    "roller_right", 0.0, -0.3
+).replace('xyz="0.0 -0.3 0"', 'xyz="0 -0.3 0.5"')
+
+
+@pytest.mark.parametrize(
+    ("text", "order"),
+    [
+        (a_diff_robot(), DriveOrder("diff", ("left", "right"))),
+        (a_diff_robot(CASTER, LIDAR, HIGH), DriveOrder("diff", ("left", "right"))),
+        (a_four_wheeler(), DriveOrder("diff", ("fl", "fr", "rl", "rr"))),
+        (
+            a_four_wheeler(names=("mecanum_fl", "mecanum_fr", "mecanum_rl", "mecanum_rr")),
+            DriveOrder("mecanum", ("mecanum_fl", "mecanum_fr", "mecanum_rl", "mecanum_rr")),
+        ),
+        (
+            a_car(),
+            DriveOrder("ackermann", ("rear_left", "rear_right", "steer_left", "steer_right")),
+        ),
+        (a_robot(a_base()), None),
+        (a_robot(a_base(), a_tyre("one", 0.0, 0.2)), None),
+        (a_robot(a_base(), CASTER), None),
+    ],
+    ids=["diff", "caster, lidar, roller", "skid", "mecanum", "car", "box", "one wheel", "caster"],
+)
+def test_drive_is_suggested_for_the_wheels_on_the_ground(
+    text: str, order: DriveOrder | None
+) -> None:
+    assert suggest_drive(lump(text)) == order
+
+
+def test_wheels_of_casters_are_no_wheels_to_drive() -> None:
+    assert [wheel.joint for wheel in find_wheels(lump(a_diff_robot(CASTER)))] == ["left", "right"]

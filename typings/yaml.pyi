@@ -1,0 +1,24 @@
+"""The part of PyYAML that is used: events and nodes of a text, without construction."""
+
+from collections.abc import Iterator
+
+class YAMLError(Exception): ...
+class BaseLoader: ...
+class Event: ...
+class CollectionStartEvent(Event): ...
+class CollectionEndEvent(Event): ...
+
+class Node:
+    value: object
+
+class ScalarNode(Node):
+    value: str
+
+class SequenceNode(Node):
+    value: list[Node]
+
+class MappingNode(Node):
+    value: list[tuple[Node, Node]]
+
+def parse(stream: str, Loader: type[BaseLoader]) -> Iterator[Event]: ...  # noqa: N803
+def compose(stream: str, Loader: type[BaseLoader]) -> Node | None: ...  # noqa: N803
