@@ -1,7 +1,7 @@
 """Map the targets of a model to its motors or to the planar twist of its base."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,10 @@ class MotorGroup:
         """Select these motors' targets from those of a body."""
         return [targets[column] for column in self.columns]
 
+    def renumbered(self, numbers: Sequence[int]) -> "MotorGroup":
+        """Replace the index of each joint by its number in an engine."""
+        return replace(self, joints=[numbers[joint] for joint in self.joints])
+
 
 @dataclass(frozen=True)
 class Actuation:
@@ -37,6 +41,12 @@ class Actuation:
     speeds: MotorGroup
     angles: MotorGroup
     twist: int | None
+
+    def renumbered(self, numbers: Sequence[int]) -> "Actuation":
+        """Replace the index of each joint by its number in an engine."""
+        return replace(
+            self, speeds=self.speeds.renumbered(numbers), angles=self.angles.renumbered(numbers)
+        )
 
 
 def make_actuation(model: Model) -> Actuation:

@@ -1,10 +1,11 @@
 """Blueprints: the rigid parts of a Model, split and checked for an engine."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -21,7 +22,7 @@ from zensim.proto.messages.model_messages import (
     Shape,
     Vec3,
 )
-from zensim.proto.rigid_transforms import from_directions
+from zensim.proto.rigid_transforms import conjugate, from_directions, normalize, rotate
 from zensim.proto.se3 import from_matrix
 from zensim.proto.stl import read_corners
 from zensim.sim_server.description.model_geometry import (
@@ -34,6 +35,9 @@ from zensim.sim_server.physics.engine import EngineRefused
 
 DEFAULT_FRICTION = 1.0
 X_AXIS: Vec3 = (1.0, 0.0, 0.0)
+MIN_ALIGNMENT_COS = 0.9999
+"""Cosine of the angle between a friction direction and a principal axis."""
+HALF = 0.5
 NO_CORNERS: npt.NDArray[np.float64] = np.zeros((0, 3))
 MAX_SHAPES_PER_PART = 16
 """Bullet ignores further shapes of a part without an error."""
@@ -45,7 +49,7 @@ class RigidPart:
 
     Attributes:
         principal: Orientation of the principal axes in the link frame.
-        contact: Of its shapes; a friction direction is along the first principal axis.
+        contact: Of its shapes; a friction direction is along a principal axis.
         parent: Index of the parent part; -1 for the root.
         link: Index of its link.
         joint: To its parent; None when fixed at the parent's frame.
@@ -78,12 +82,33 @@ class RigidPart:
 
 @dataclass(frozen=True)
 class Blueprint:
-    """Parts in building order: root, links as in `Model.joints`, then further surfaces of links."""
+    """Parts of a model; parents precede children.
+
+    Those of links as in `Model.links`, then further surfaces of links; see also
+    `order_depth_first`.
+    """
 
     name: str
     is_static: bool
     parts: tuple[RigidPart, ...]
     links: tuple[Link, ...]
+
+    @cached_property
+    def link_parts(self) -> tuple[int, ...]:
+        """Index of the part of each link, in the order of `Model.links`."""
+        parts = enumerate(self.parts)
+        found = {part.link: i for i, part in parts if part.joint is not None or part.parent < 0}
+        return tuple(found[link] for link in range(len(self.links)))
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass of all parts."""
+        return sum(part.mass_kg for part in self.parts)
+
+    @property
+    def has_driven_wheels(self) -> bool:
+        """Whether motors turn any of its wheels."""
+        return any(part.reflected_inertia > 0.0 for part in self.parts)
 
 
 def make_blueprint(model: Model, corners: FindCorners = NO_MESHES) -> Blueprint:
@@ -100,7 +125,9 @@ def make_blueprint(model: Model, corners: FindCorners = NO_MESHES) -> Blueprint:
     parts: list[RigidPart] = []
     surfaces: list[RigidPart] = []
     for i, (link, joint) in enumerate(zip(links, joints, strict=True)):
-        shapes, *others = _group_by_surface(link)
+        shapes, *others = _group_by_surface(
+            link if joint is None else align_friction_to_axle(link, joint)
+        )
         parent = -1 if joint is None else index[joint.parent]
         part = _make_part(link.inertial, shapes, parent, link=i, joint=joint)
         inertia = wheels[i].reflected_inertia if i in wheels else 0.0
@@ -114,10 +141,41 @@ def _group_by_surface(link: Link) -> list[tuple[Shape, ...]]:
     for shape in link.collisions:
         groups.setdefault((shape.friction, shape.contact), []).append(shape)
     found = [part for group in groups.values() for part in _limit_shapes_per_part(group)]
-    # A friction direction replaces the principal axes, which the link's inertia needs.
-    if not found or found[0][0].contact.direction != ZERO:
+    # The shapes of a part share its principal axes, along one of which a friction direction is.
+    if not found or not _fits_principal_axes(link.inertial, found[0][0].contact.direction):
         found.insert(0, ())
     return found
+
+
+def _fits_principal_axes(inertial: Inertial, direction: Vec3) -> bool:
+    part = _make_part(inertial, (), -1, link=0, joint=None)
+    return direction == ZERO or find_nearest_principal_axis(part, direction)[1] > MIN_ALIGNMENT_COS
+
+
+def align_friction_to_axle(link: Link, joint: Joint) -> Link:
+    """Replace friction directions of a link that turns without limits by its axle.
+
+    Only along and across the axle is a direction the same at any angle. Along it is the friction of
+    the direction that is nearer to it at joint position zero.
+    """
+    if joint.kind != "continuous" or all(
+        shape.contact.direction == ZERO for shape in link.collisions
+    ):
+        return link
+    shapes = tuple(_align_shape_friction(shape, joint.axis) for shape in link.collisions)
+    return msgspec.structs.replace(link, collisions=shapes)
+
+
+def _align_shape_friction(shape: Shape, axle: Vec3) -> Shape:
+    contact = shape.contact
+    if contact.direction == ZERO:
+        return shape
+    cosine = sum(a * b for a, b in zip(contact.direction, normalize(axle), strict=True))
+    along, across = shape.friction, contact.friction_across
+    if cosine * cosine < HALF:
+        along, across = across, along
+    contact = msgspec.structs.replace(contact, direction=normalize(axle), friction_across=across)
+    return msgspec.structs.replace(shape, friction=along, contact=contact)
 
 
 def _limit_shapes_per_part(group: list[Shape]) -> list[tuple[Shape, ...]]:
@@ -166,6 +224,30 @@ def find_principal_axes(inertia: tuple[float, ...]) -> tuple[Vec3, Quat]:
     mx, my, mz = moments.tolist()
     x, y, z, w = from_matrix(axes).tolist()
     return (mx, my, mz), (x, y, z, w)
+
+
+def order_depth_first(blueprint: Blueprint) -> Blueprint:
+    """Order the parts depth first, as Bullet numbers them; siblings stay in their order."""
+    children: dict[int, list[int]] = {}
+    for i, part in enumerate(blueprint.parts):
+        children.setdefault(part.parent, []).append(i)
+    order: list[int] = []
+    pending = children[-1][::-1]
+    while pending:
+        order.append(at := pending.pop())
+        pending.extend(children.get(at, [])[::-1])
+    place = {old: new for new, old in enumerate(order)} | {-1: -1}
+    parts = (blueprint.parts[old] for old in order)
+    return replace(
+        blueprint, parts=tuple(replace(part, parent=place[part.parent]) for part in parts)
+    )
+
+
+def find_nearest_principal_axis(part: RigidPart, direction: Vec3) -> tuple[int, float]:
+    """Find the principal axis of a part next to a direction, and the cosine of the angle to it."""
+    in_principal = rotate(conjugate(part.principal), normalize(direction))
+    cosines = [abs(share) for share in in_principal]
+    return cosines.index(max(cosines)), max(cosines)
 
 
 def check_blueprint(
@@ -291,6 +373,7 @@ class BlueprintCache:
         joint_kinds: Collection[str],
         shape_kinds: Collection[str],
         mesh_folder: str = "",
+        arrange: Callable[[Blueprint], Blueprint] = lambda blueprint: blueprint,
     ) -> None:
         """Make an empty cache.
 
@@ -300,7 +383,9 @@ class BlueprintCache:
             joint_kinds: That the engine supports.
             shape_kinds: That the engine supports.
             mesh_folder: With `<Shape.mesh>.stl`.
+            arrange: Orders the parts.
         """
+        self._arrange = arrange
         self._mesh_folder = mesh_folder
         self._engine = engine
         self._max_parts = max_parts
@@ -320,7 +405,7 @@ class BlueprintCache:
 
     def _make(self, model: Model) -> Blueprint:
         found = make_blueprint(model, partial(load_corners, self._mesh_folder))
-        blueprint = split_static_meshes(found, max_parts=self._max_parts)
+        blueprint = self._arrange(split_static_meshes(found, max_parts=self._max_parts))
         check_blueprint(
             blueprint,
             self._engine,

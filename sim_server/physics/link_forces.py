@@ -52,9 +52,9 @@ def make_link_forces(blueprint: Blueprint, gravity: Vec3, dt_s: float) -> list[L
     for number, link in enumerate(blueprint.links):
         is_fixed = number == 0 and blueprint.is_static
         if not is_fixed and (link.weightless != Inertial() or link.decay != Decay()):
-            forces.append(
-                _make_link_force(link, blueprint.parts[number].principal, number - 1, gravity, dt_s)
-            )
+            part = blueprint.link_parts[number]
+            principal = blueprint.parts[part].principal
+            forces.append(_make_link_force(link, principal, part - 1, gravity, dt_s))
     return forces
 
 

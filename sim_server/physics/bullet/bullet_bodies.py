@@ -14,11 +14,13 @@ from zensim.sim_server.physics.blueprint import (
     RigidPart,
     ShapeKey,
     check_mesh_files,
+    find_nearest_principal_axis,
     make_shape_key,
 )
 from zensim.sim_server.physics.bullet.bullet_contact import (
     BulletArguments,
     RollingFrictions,
+    find_firmness,
     find_rolling_frictions,
     make_contact_arguments,
 )
@@ -31,8 +33,9 @@ PARKING_DEPTH_M = 1e4
 PARKING_SPACING_M = 100.0
 
 
-BodyBuildKey = tuple[tuple[Link, ...], tuple[Joint, ...], bool]
-"""What a Bullet body depends on; topics and namespaces do not count."""
+MotorNames = tuple[tuple[str, str], ...]
+BodyBuildKey = tuple[tuple[Link, ...], tuple[Joint, ...], bool, tuple[str, ...], MotorNames]
+"""What a Bullet body depends on; topics and namespaces do not count, nor do efforts."""
 
 
 @dataclass(frozen=True)
@@ -41,12 +44,15 @@ class BulletBody:
 
     Attributes:
         parts: Number of parts besides the root.
+        links: Bullet's part numbers, in the order of `Model.links`; the root is -1.
+        actuation: Its motors, by Bullet's joint numbers.
         gears: Bullet's numbers of its gear constraints.
         rolling_frictions: Rolling friction of its wheels while it stands.
     """
 
     model: Model
     parts: int
+    links: tuple[int, ...]
     actuation: Actuation
     loads: Sequence[LinkForce]
     gears: Sequence[int]
@@ -55,17 +61,23 @@ class BulletBody:
     @cached_property
     def joints(self) -> tuple[int, ...]:
         """Bullet's joint numbers, in the order of `Model.joints`."""
-        return tuple(range(len(self.model.joints)))
+        return self.links[1:]
+
+    def with_model(self, model: Model) -> "BulletBody":
+        """Use the body for another model that is built alike."""
+        return replace(self, model=model, actuation=make_actuation(model).renumbered(self.joints))
 
 
 def make_bullet_body(
     model: Model, blueprint: Blueprint, loads: Sequence[LinkForce], gears: Sequence[int]
 ) -> BulletBody:
     """Make the record of a body."""
+    links = tuple(part - 1 for part in blueprint.link_parts)
     return BulletBody(
         model,
         parts=len(blueprint.parts) - 1,
-        actuation=make_actuation(model),
+        links=links,
+        actuation=make_actuation(model).renumbered(links[1:]),
         loads=loads,
         gears=gears,
         rolling_frictions=find_rolling_frictions(model, blueprint),
@@ -124,8 +136,7 @@ class BodyPool:
                 for listed in (self._awake, self._waking):
                     if number in listed:
                         listed.remove(number)
-                reused = replace(body, model=model, actuation=make_actuation(model))
-                return ParkedBody(number, reused, was_awake)
+                return ParkedBody(number, body.with_model(model), was_awake)
         return None
 
     def wake_next(self, model: Model) -> int | None:
@@ -159,11 +170,13 @@ class BodyPool:
 
 
 def _make_build_key(model: Model) -> BodyBuildKey:
-    return model.links, model.joints, model.is_static
+    wheels = model.drive.wheel_joints if model.drive else ()
+    motors = tuple((actuator.mode, actuator.joint) for actuator in model.actuators)
+    return model.links, model.joints, model.is_static, wheels, motors
 
 
 class GearConstraint(NamedTuple):
-    """A mimic joint and its leader, by index in `Model.joints`."""
+    """A mimic joint and its leader, by Bullet's numbers."""
 
     follower: int
     leader: int
@@ -186,12 +199,14 @@ class GearConstraint(NamedTuple):
         }
 
 
-def list_gear_constraints(model: Model) -> Iterator[GearConstraint]:
-    """List the mimic joints of a model."""
-    index = {joint.name: i for i, joint in enumerate(model.joints)}
-    for follower, joint in enumerate(model.joints):
+def list_gear_constraints(blueprint: Blueprint) -> Iterator[GearConstraint]:
+    """List the mimic joints of a body."""
+    parts = enumerate(blueprint.parts, start=-1)
+    joints = [(number, part.joint) for number, part in parts if part.joint is not None]
+    numbers = {joint.name: number for number, joint in joints}
+    for follower, joint in joints:
         if (mimic := joint.mimic) is not None:
-            leader = index[mimic.joint]
+            leader = numbers[mimic.joint]
             yield GearConstraint(follower, leader, joint.axis, -mimic.multiplier, mimic.offset)
 
 
@@ -295,16 +310,26 @@ def make_dynamics_arguments(
     """Make the arguments of changeDynamics of each part; parts are numbered from -1, the root."""
     # Damping is of the whole body; passing it for a link overwrites the root's friction.
     yield -1, BulletArguments(linearDamping=0.0, angularDamping=0.0)
+    firmness = find_firmness(blueprint, dt_s)
     for number, part in enumerate(blueprint.parts, start=-1):
-        arguments = make_contact_arguments(part, dt_s, is_static=blueprint.is_static)
+        arguments = make_contact_arguments(
+            part, dt_s, is_static=blueprint.is_static, firmness=firmness
+        )
         if part.joint is not None or (part.parent < 0 and not blueprint.is_static):
-            arguments["localInertiaDiagonal"] = [
-                max(moment, MIN_INERTIA) for moment in part.inertia
-            ]
+            arguments["localInertiaDiagonal"] = list_moments(part)
         if part.joint is not None and part.joint.kind in ("revolute", "prismatic"):
             arguments["jointLowerLimit"] = part.joint.lower
             arguments["jointUpperLimit"] = part.joint.upper
         yield number, arguments
+
+
+def list_moments(part: RigidPart) -> list[float]:
+    """List the principal moments [kg m^2] of a part; about an axle with its reflected inertia."""
+    moments = [max(moment, MIN_INERTIA) for moment in part.inertia]
+    if part.joint is not None and part.reflected_inertia > 0.0:
+        nearest, _ = find_nearest_principal_axis(part, part.joint.axis)
+        moments[nearest] = max(moments[nearest], part.reflected_inertia)
+    return moments
 
 
 def _link_mass(part: RigidPart) -> float:

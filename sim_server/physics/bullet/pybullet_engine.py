@@ -16,7 +16,12 @@ import numpy as np
 from zensim.proto.messages.model_messages import ZERO, Model
 from zensim.proto.se3 import conjugate, multiply, rotate
 from zensim.sim_server.physics.actuation import impose_planar_twists
-from zensim.sim_server.physics.blueprint import Blueprint, BlueprintCache, RigidPart
+from zensim.sim_server.physics.blueprint import (
+    Blueprint,
+    BlueprintCache,
+    RigidPart,
+    order_depth_first,
+)
 from zensim.sim_server.physics.bullet.bullet_bodies import (
     COLLISION_SHAPE_KINDS,
     BodyPool,
@@ -247,6 +252,7 @@ class PyBulletEngine(Engine):
             joint_kinds=JOINT_TYPES,
             shape_kinds=GEOMETRY_TYPES,
             mesh_folder=config.mesh_folder,
+            arrange=order_depth_first,
         )
         self._twists: dict[int, list[float]] = {}
         self._resisting: set[int] = set()
@@ -397,14 +403,14 @@ class PyBulletEngine(Engine):
 
     def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
         """See `Engine.apply_link_wrench`."""
-        self._apply_wrench(
-            body, link - 1, self._part_state(body, link - 1)[0], wrench[:3], wrench[3:]
-        )
+        part = self._bodies[body].links[link]
+        self._apply_wrench(body, part, self._part_state(body, part)[0], wrench[:3], wrench[3:])
 
     def apply_joint_effort(self, body: int, joint: int, effort: float) -> None:
         """See `Engine.apply_joint_effort`."""
+        number = self._bodies[body].joints[joint]
         pybullet.setJointMotorControl2(
-            body, joint, pybullet.TORQUE_CONTROL, force=effort, physicsClientId=self._client
+            body, number, pybullet.TORQUE_CONTROL, force=effort, physicsClientId=self._client
         )
 
     def step(self) -> bool:
@@ -431,7 +437,9 @@ class PyBulletEngine(Engine):
         self._set_dynamics(body, blueprint)
         self._set_dampings(body, blueprint)
         loads = make_link_forces(blueprint, self._gravity, self._dt_s)
-        gears = [self._make_gear_constraint(body, gear) for gear in list_gear_constraints(model)]
+        gears = [
+            self._make_gear_constraint(body, gear) for gear in list_gear_constraints(blueprint)
+        ]
         self._register(body, make_bullet_body(model, blueprint, loads, gears))
         # Created in place with joints at zero: setting the pose again takes as long as creating it.
         self._set_velocity(body, self._com_frames.to_com_state(body, base)[7:])

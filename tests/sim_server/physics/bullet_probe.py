@@ -25,6 +25,11 @@ def client_of(engine: PyBulletEngine) -> int:
     return engine._client  # noqa: SLF001  reads Bullet directly
 
 
+def link_numbers(engine: PyBulletEngine, body: int) -> tuple[int, ...]:
+    """List Bullet's number of each link; the root is -1."""
+    return engine._bodies[body].links  # noqa: SLF001  reads the map of the engine
+
+
 def dynamics_of(engine: PyBulletEngine, body: int) -> list[Dynamics]:
     """List the parts of a body, root first."""
     client = client_of(engine)

@@ -19,6 +19,7 @@ from zensim.proto.messages.model_messages import (
     Model,
     Origin,
     Shape,
+    Vec3,
 )
 from zensim.proto.se3 import from_rpy, rotate
 from zensim.sim_server.physics.blueprint import (
@@ -162,20 +163,55 @@ def test_blueprint_gives_each_further_contact_a_part() -> None:
     assert (root.link, surface.link) == (0, 0)
 
 
-@pytest.mark.parametrize(
-    "direction", [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.6, -0.8, 0.0)]
-)
-def test_blueprint_aligns_principal_axes_with_the_friction_direction(
-    direction: tuple[float, float, float],
-) -> None:
-    foot = Shape("sphere", contact=Contact(direction=direction, friction_across=0.1))
+def a_rib(direction: Vec3, *, along: float = 1.0, across: float = 0.1) -> Shape:
+    contact = Contact(direction=direction, friction_across=across)
+    return Shape("sphere", friction=along, contact=contact)
 
-    root, surface = make_blueprint(Model("m", (Link("base", a_body(), (foot,)),))).parts
 
-    assert (root.shapes, surface.shapes) == ((), (foot,))
+@pytest.mark.parametrize("direction", [(0.8, 0.6, 0.0), (0.6, -0.8, 0.0), (0.0, 0.8, -0.6)])
+def test_surface_has_a_principal_axis_along_its_friction_direction(direction: Vec3) -> None:
+    rib = a_rib(direction)
+
+    root, surface = make_blueprint(Model("m", (Link("base", a_body(), (rib,)),))).parts
+
+    assert (root.shapes, surface.shapes) == ((), (rib,))
     assert rotate(np.array(surface.principal), np.array([1.0, 0.0, 0.0])) == pytest.approx(
         direction
     )
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)])
+def test_friction_direction_along_a_principal_axis_needs_no_surface(direction: Vec3) -> None:
+    rib = a_rib(direction)
+
+    (root,) = make_blueprint(Model("m", (Link("base", a_body(), (rib,)),))).parts
+
+    assert (root.shapes, root.contact) == ((rib,), rib.contact)
+
+
+@pytest.mark.parametrize(
+    ("direction", "along_axle", "across_axle"),
+    [((0.0, -1.0, 0.0), 3.0, 1.0), ((1.0, 0.0, 0.0), 1.0, 3.0), ((0.6, 0.8, 0.0), 3.0, 1.0)],
+)
+def test_friction_direction_of_a_turning_link_is_its_axle(
+    direction: Vec3, along_axle: float, across_axle: float
+) -> None:
+    wheel = Link("wheel", a_body(), (a_rib(direction, along=3.0, across=1.0),))
+    axle = Joint("j", "continuous", "base", "wheel", axis=(0.0, 1.0, 0.0))
+
+    _, part = make_blueprint(Model("m", (Link("base", a_body()), wheel), (axle,))).parts
+
+    assert part.contact.direction == (0.0, 1.0, 0.0)
+    assert (part.friction, part.contact.friction_across) == (along_axle, across_axle)
+
+
+def test_friction_direction_of_a_limited_link_turns_with_it() -> None:
+    foot = Link("foot", a_body(), (a_rib((1.0, 0.0, 0.0)),))
+    ankle = Joint("j", "revolute", "base", "foot", axis=(0.0, 1.0, 0.0), lower=-1.0, upper=1.0)
+
+    _, part = make_blueprint(Model("m", (Link("base", a_body()), foot), (ankle,))).parts
+
+    assert part.contact.direction == (1.0, 0.0, 0.0)
 
 
 def a_cache(max_parts: int = 128) -> BlueprintCache:

@@ -43,7 +43,8 @@ def a_cube(tags: str = "", *parts: str) -> Model:
 
 
 def find_penetration(engine: Engine, tags: str) -> float:
-    body = engine.add(a_cube(tags), a_state((0.0, 0.0, 0.1)))
+    # Exactly along the axes, PyBullet balances it on two opposite corners.
+    body = engine.add(a_cube(tags), a_state((0.0, 0.0, 0.1), turn=(0.0, 0.0, 0.3)))
     advance(engine, 480)
     return 0.1 - float(engine.read([body]).base[0, 2])
 
@@ -302,7 +303,8 @@ def an_sdf_cube(link: str = "", surface: str = "", model: str = "") -> Model:
 def test_sdf_link_surface_gravity_and_damping_take_effect(engine: Engine) -> None:
     soft = "<contact><ode><kp>1000</kp><kd>1</kd></ode></contact>"
     decay = "<velocity_decay><linear>0.01</linear><angular>0.02</angular></velocity_decay>"
-    sinking = engine.add(an_sdf_cube(surface=soft), a_state((0.0, 0.0, 0.1)))
+    turned = a_state((0.0, 0.0, 0.1), turn=(0.0, 0.0, 0.3))
+    sinking = engine.add(an_sdf_cube(surface=soft), turned)
     start = a_state((0.0, 5.0, 3.0), linear=(2.0, 0.0, 0.0), angular=(0.0, 0.0, 3.0))
     floating = engine.add(an_sdf_cube(f"<gravity>false</gravity>{decay}"), start)
 

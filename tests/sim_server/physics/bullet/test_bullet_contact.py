@@ -1,18 +1,22 @@
 """Contact parameters, self-collision and rolling resistance."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 from tests.engines import STEP_NS, advance
-from tests.models import a_body, a_box, a_box_bot, box_bot_at
+from tests.models import a_body, a_box, a_box_bot, a_cart, a_puck, box_bot_at
 from tests.sim_server.physics.bullet_probe import dynamics_of
 from zensim.proto.messages.model_messages import Contact, Joint, Link, Model, Shape
 from zensim.sim_server.physics.blueprint import RigidPart, make_blueprint
 from zensim.sim_server.physics.bullet.bullet_contact import (
     CONTACT_PROCESSING_M,
+    FIRMNESS_SHARE,
+    RIGID_ERP,
     ROLLING_RESISTANCE,
+    find_firmness,
     find_rolling_frictions,
     has_self_collision,
     limit_static_body_friction,
@@ -59,6 +63,32 @@ def test_compliant_part_has_the_least_damping(damping: float, used: float) -> No
 
     assert arguments["contactStiffness"] == 1000.0
     assert arguments["contactDamping"] == pytest.approx(used)
+
+
+def test_rigid_part_of_a_robot_yields_by_its_firmness() -> None:
+    arguments = make_contact_arguments(a_part(), DT_S, is_static=False, firmness=100.0)
+
+    kp, kd = arguments["contactStiffness"], arguments["contactDamping"]
+    assert kp * DT_S + kd == pytest.approx(100.0)
+    assert kp * DT_S == pytest.approx(RIGID_ERP * 100.0)
+
+
+@pytest.mark.parametrize(("firmness", "scale"), [(1e9, 1.0), (100.0, 0.1), (1000.0, 1.0)])
+def test_compliant_part_yields_at_least_by_the_firmness(firmness: float, scale: float) -> None:
+    soft = Contact(500.0 / DT_S / 5.0, 900.0)
+
+    arguments = make_contact_arguments(a_part(soft), DT_S, is_static=False, firmness=firmness)
+
+    assert arguments["contactStiffness"] == pytest.approx(scale * soft.stiffness)
+    assert arguments["contactDamping"] == pytest.approx(scale * 900.0)
+
+
+def test_robot_with_driven_wheels_has_a_firmness() -> None:
+    assert find_firmness(make_blueprint(a_cart()), DT_S) == pytest.approx(
+        2.4 / (FIRMNESS_SHARE * DT_S)
+    )
+    assert find_firmness(make_blueprint(a_box()), DT_S) == math.inf
+    assert find_firmness(make_blueprint(a_puck()), DT_S) == math.inf
 
 
 @pytest.mark.parametrize(
