@@ -11,7 +11,7 @@ from zensim.sim_server.description.model_geometry import NO_MESHES, FindCorners
 from zensim.sim_server.scene.convex_shapes import to_convex_shape
 
 REFLECTED_INERTIA_SHARE = 0.2
-"""Least moment of a driven wheel about its axle, over the robot's mass times rolling radius squared.
+"""Least moment of a driven wheel about its axle, over the mass of its robot times radius squared.
 
 The rotor of a geared motor adds its moment times the gear ratio squared: as much, and more. Without
 it, the speed of a light wheel changes so easily that the solver's friction is off its direction.

@@ -120,7 +120,7 @@ def test_other_cylinder_is_unchanged(shape: Shape) -> None:
 
 
 def a_prism(sides: int, *, width: float = 0.4, squash: float = 1.0) -> npt.NDArray[np.float64]:
-    """Make the corners (n, 3) of a prism of radius 1 about y; its second end has a smaller radius."""
+    """Make the corners (n, 3) of a prism of radius 1 about y; its hub is smaller."""
     turns = np.arange(sides) * math.tau / sides + 0.3
     rim = np.stack([np.cos(turns), np.zeros(sides), squash * np.sin(turns)], axis=1)
     hub = 0.5 * rim[::2] + np.array([0.0, width, 0.0])
