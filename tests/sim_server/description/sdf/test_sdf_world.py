@@ -409,7 +409,10 @@ def test_pose_of_a_model_is_relative_to_another_model() -> None:
             '<frame name="g" attached_to="f"><pose relative_to="world"/></frame>',
             "sdf.attachment_cycle",
         ),
-        ('<frame name="f" attached_to="z"><pose relative_to="world"/></frame>', "sdf.unknown_frame"),
+        (
+            '<frame name="f" attached_to="z"><pose relative_to="world"/></frame>',
+            "sdf.unknown_frame",
+        ),
         ('<frame name="f"/><frame name="f"/>', "sdf.duplicate_name"),
         ('<frame name="crate"/>' + "<model name='crate'><link name='l'/></model>",
          "sdf.duplicate_name"),
