@@ -63,7 +63,7 @@ test: setup packages ## all tests but those of `make short`
 		sudo $(BIN)/python -B -m pytest -p no:cacheprovider -m "root and not short_form"; \
 	fi
 
-short: setup packages ## short forms of `make bench` and `make chaos`
+short: setup packages ## short forms of `make bench`, `make chaos` and `make fuzz`
 	$(PYTEST) --dist load -m short_form
 
 lint: setup ## style of the code, and dead code
@@ -96,8 +96,9 @@ house: setup ## figures of the source tree: files, lines, repeated names, files 
 chaos: setup packages ## kill, stop and starve, at full length, and rewrite docs/chaos.md
 	$(BIN)/python -m tests.chaos
 
-fuzz: setup ## damaged bytes for every reader, and property tests with many more examples
+fuzz: setup ## damaged input for every reader and for servers with each engine, and property tests
 	$(BIN)/python -m tests.hostile.fuzz
+	$(BIN)/python -m tests.hostile.server_fuzz
 	$(BIN)/python -m pytest -m hypothesis --hypothesis-profile=fuzz --timeout=900
 
 pins: ## resolve requirements/ anew

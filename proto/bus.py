@@ -276,7 +276,9 @@ __all__ = [
     "to_zenoh_json",
 ]
 
-MAX_MESSAGE_BYTES: Final = 16 * 1024 * 1024
+MAX_MESSAGE_BYTES: Final = 64 << 20
+"""Zenoh drops a larger message without a word, so a request beyond it gets no reply. A link may
+hold as much memory; Zenoh's default is 1 GiB."""
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
 """A query may return nothing after a reconnect (zenoh#2767): retry with the same id."""
 MAX_REPLIES: Final = 16384
@@ -419,18 +421,20 @@ class Bus:
         """Call a service; a retry has the same `request_id`.
 
         Raises:
-            ServiceError: The server refused the request.
+            ServiceError: The server refused the request, or would refuse it for its size.
             TimeoutError: The server did not reply in time.
             NoServer: No server of this world is running.
             MalformedPayload: The reply is not a response of this service.
         """
         payload = encode(request, Format.MSGPACK)
-        if len(payload) > self.config.max_message_bytes:
+        limit = min(MAX_REQUEST_BYTES, self.config.max_message_bytes)
+        if len(payload) > limit:
             raise ServiceError(
                 service.name,
                 ResultCode.OPERATION_FAILED,
                 "OPERATION_FAILED",
-                f"request has {len(payload)} bytes; send at most {self.config.max_message_bytes}",
+                f"request.size: a request of {len(payload)} bytes; send {limit} at most, "
+                "and meshes as files",
             )
         key = keys.service(world, service.name)
         encoding = make_encoding(request, Format.MSGPACK)

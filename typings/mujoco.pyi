@@ -37,6 +37,7 @@ class MjModel:
     geom_solimp: _Floats
     jnt_qposadr: _Ints
     dof_jntid: _Ints
+    dof_treeid: _Ints
     dof_frictionloss: _Floats
     @staticmethod
     def from_xml_string(xml: str) -> MjModel: ...
@@ -57,6 +58,7 @@ class MjData:
     qfrc_applied: _Floats
     xfrc_applied: _Floats
     eq_active: npt.NDArray[np.uint8]
+    dof_island: _Ints
     efc_aref: _Floats
     efc_KBIP: _Floats
     geom_xpos: _Floats

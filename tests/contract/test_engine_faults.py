@@ -1,16 +1,18 @@
 """No exception of an engine about one body ends the world or changes the others."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pytest
 
-from tests.engines import STEP_NS
+from tests.engines import PHYSICAL, STEP_NS, MakeEngine, advance, running
 from tests.faulty_engines import ALWAYS, FAULTY_ENGINES, make_culprit
-from tests.models import a_box, a_cart, a_state, on_ground
+from tests.hostile.mutants import a_nested_model
+from tests.models import a_box, a_box_bot, a_cart, a_state, an_arm, box_bot_at, on_ground
 from tests.sim_server.fakes import a_command, a_spawn, names_in
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.simulation_messages import ResetScope
+from zensim.sim_server.description.pipeline import read_robot
 from zensim.sim_server.physics.engine import EngineRefused, FloatArray
 from zensim.sim_server.world.simulated_world import World
 
@@ -204,3 +206,32 @@ def test_frozen_entity_is_restored_by_a_reset_or_stays_frozen(world: World) -> N
 
     assert not world.divergence_guard.is_frozen("good")
     assert_drives(world)
+
+
+def a_stretched_model() -> Model:
+    """A model with a link 10^5 km from its joint: the first step diverges."""
+    return read_robot(a_nested_model().replace("0 0 0.5 0 0 0", "0 0 9e7 0 0 0"))
+
+
+@pytest.mark.parametrize("make", PHYSICAL, ids=lambda make: make.name)
+def test_body_that_diverges_changes_no_bit_of_one_elsewhere(make: MakeEngine) -> None:
+    alone, beside = (
+        drive_beside(make, other) for other in ((), (a_stretched_model(), an_arm("continuous")))
+    )
+
+    assert alone == beside
+
+
+def drive_beside(make: MakeEngine, others: Sequence[Model]) -> bytes:
+    """Drive a robot, with others far away for a while; return its last state."""
+    with running(make) as engine:
+        bodies, targets = (engine.add(a_box_bot(), box_bot_at()),), np.array([4.0, 3.0])
+        engine.command(bodies, targets)
+        advance(engine, 20)
+        far = [engine.add(other, a_state((2e4, 1e3 * i, 1.0))) for i, other in enumerate(others)]
+        advance(engine, 40)
+        for body in far:
+            engine.remove(body)
+        advance(engine, 20)
+        reading = engine.read(bodies)
+    return reading.base.tobytes() + reading.joint_positions.tobytes()

@@ -104,7 +104,7 @@ def _nameless() -> str:
 
 def _bundle() -> Read:
     store = AssetStore()
-    seeds = {ending: _mesh(ending) for ending in MESHES}
+    seeds = {ending: make_mesh(ending) for ending in MESHES}
 
     def read(chance: random.Random) -> str:
         ending = chance.choice(MESHES)
@@ -166,7 +166,8 @@ def _damaged_bytes(data: bytes, chance: random.Random) -> bytes:
     return data
 
 
-def _mesh(ending: str) -> bytes:
+def make_mesh(ending: str) -> bytes:
+    """Make a tetrahedron in the format of a file ending."""
     corners = ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))
     sides = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
     if ending == "stl":

@@ -82,13 +82,21 @@ def answer_to(server: Server, order: SpawnEntityOrder) -> str:
 
 @pytest.mark.parametrize("name", BOMBS)
 def test_server_refuses_an_expansion_bomb_and_keeps_stepping(server: Server, name: str) -> None:
+    assert b"result" in reply_to_bytes(server, BOMBS[name])
+
+
+@pytest.mark.parametrize("size", [MAX_REQUEST_BYTES + 1, 17 << 20, 60 << 20])
+def test_server_refuses_a_large_request_by_its_size(server: Server, size: int) -> None:
+    assert b"request.size: " in reply_to_bytes(server, bytes(size))
+
+
+def reply_to_bytes(server: Server, payload: bytes) -> bytes:
+    """Send bytes as a foreign client does; return the reply."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", f'["{server.endpoint}"]')
     config.insert_json5("scouting/multicast/enabled", "false")
-
     with zenoh.open(config) as session:
-        replies = list(session.get("sim/default/spawn_entity", payload=BOMBS[name], timeout=5.0))
-
-    (response,) = [reply.ok.payload.to_bytes() for reply in replies if reply.ok]
-    assert b"result" in response
+        replies = list(session.get("sim/default/spawn_entity", payload=payload, timeout=20.0))
+    (response,) = [bytes(reply.ok.payload.to_bytes()) for reply in replies if reply.ok]
+    return response

@@ -452,6 +452,24 @@ FALLBACK_SOLVER = int(mujoco.mjtSolver.mjSOL_CG), 1000
 MAX_CACHED_SELECTIONS = 4096
 
 
+def find_solved_dofs(
+    change: FloatArray, islands: npt.NDArray[np.int32], trees: npt.NDArray[np.int32]
+) -> npt.NDArray[np.bool_]:
+    """Find the degrees of freedom that have nothing to do with those of too large a change.
+
+    Args:
+        change: (n,) of their speeds in a step.
+        islands: (n,) of constraints that affect each other; -1 = unconstrained.
+        trees: (n,) of links that joints connect.
+
+    Returns:
+        (n,) mask.
+    """
+    is_failed = ~(np.abs(change) <= MAX_SPEED_CHANGE)
+    in_failed_island = np.isin(islands, np.unique(islands[is_failed & (islands >= 0)]))
+    return ~(in_failed_island | np.isin(trees, np.unique(trees[is_failed])))
+
+
 @dataclass(frozen=True)
 class CompiledModel:
     """A compiled model; each engine uses a copy, in which slots may be inactive."""
@@ -748,7 +766,7 @@ class MujocoEngine(Engine):
         )
 
     def _solve(self) -> None:
-        """Solve and integrate; again by conjugate gradients if Newton's method failed.
+        """Solve and integrate; again by conjugate gradients where Newton's method failed.
 
         It rarely fails, with many contacts that contradict each other.
         """
@@ -759,11 +777,19 @@ class MujocoEngine(Engine):
         # The norm is a bound of the largest change, and faster.
         if change.dot(change) <= MAX_SPEED_CHANGE**2 or np.abs(change).max() <= MAX_SPEED_CHANGE:
             return
+        solved = data.qpos.copy(), data.qvel.copy()
+        is_solved = find_solved_dofs(change, data.dof_island, model.dof_treeid)
         data.qpos[:], data.qvel[:] = positions, velocities
         solver, iterations = model.opt.solver, model.opt.iterations
         model.opt.solver, model.opt.iterations = FALLBACK_SOLVER
         mujoco.mj_step2(model, data)
         model.opt.solver, model.opt.iterations = solver, iterations
+        # The others keep their bits, as if this had not happened.
+        for body in self._bodies.values():
+            address = body.address
+            if is_solved[address.velocities].all():
+                data.qpos[address.positions] = solved[0][address.positions]
+                data.qvel[address.velocities] = solved[1][address.velocities]
 
     def _apply_motor_speeds(self) -> None:
         """Set the target speed of each motor.
