@@ -24,7 +24,9 @@ from zensim.sim_server.physics.bullet.bullet_contact import (
     find_rolling_frictions,
     make_contact_arguments,
 )
+from zensim.sim_server.physics.bullet.joint_springs import JointSprings, find_joint_springs
 from zensim.sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArray
+from zensim.sim_server.physics.joint_inertia import find_joint_mobilities
 from zensim.sim_server.physics.link_forces import LinkForce
 
 MAX_PARKED_BODIES = 64
@@ -48,6 +50,7 @@ class BulletBody:
         actuation: Its motors, by Bullet's joint numbers.
         gears: Bullet's numbers of its gear constraints.
         rolling_frictions: Rolling friction of its wheels while it stands.
+        springs: Of its joints; None without any.
     """
 
     model: Model
@@ -57,6 +60,7 @@ class BulletBody:
     loads: Sequence[LinkForce]
     gears: Sequence[int]
     rolling_frictions: RollingFrictions
+    springs: JointSprings | None
 
     @cached_property
     def joints(self) -> tuple[int, ...]:
@@ -81,6 +85,7 @@ def make_bullet_body(
         loads=loads,
         gears=gears,
         rolling_frictions=find_rolling_frictions(model, blueprint),
+        springs=find_joint_springs(model, list_moving_joints(blueprint)),
     )
 
 
@@ -220,21 +225,29 @@ def list_moving_joints(blueprint: Blueprint) -> list[tuple[int, Joint]]:
 
 
 def limit_joint_dampings(
-    joints: Sequence[tuple[int, Joint]], masses: FloatArray, dt_s: float
+    blueprint: Blueprint, springs: JointSprings | None, dt_s: float
 ) -> Iterator[tuple[int, float]]:
     """Reduce dampings to those of an implicit step: an explicit one diverges when d dt > I.
 
     Args:
-        joints: By the number of their part.
-        masses: Mass matrix of the body, joints last.
+        blueprint: Of the body.
+        springs: Of the body; they damp their joints themselves.
         dt_s: Length of a step.
 
     Yields:
-        Number of the part, and the damping [N m s/rad or N s/m].
+        Number of the part, and the damping [N m s/rad or N s/m]; nothing if all are 0.
     """
-    inverses = np.diag(np.linalg.pinv(masses))[-len(joints) :].tolist()
-    for (number, joint), inverse in zip(joints, inverses, strict=True):
-        yield number, joint.damping / (1.0 + joint.damping * dt_s * max(inverse, 0.0))
+    sprung = springs.joints if springs else ()
+    damped = [
+        (number, joint)
+        for number, joint in list_moving_joints(blueprint)
+        if joint.damping and number not in sprung
+    ]
+    if not damped:
+        return
+    mobilities = find_joint_mobilities(blueprint.parts, is_static=blueprint.is_static)
+    for number, joint in damped:
+        yield number, joint.damping / (1.0 + joint.damping * dt_s * mobilities[joint.name])
 
 
 COLLISION_SHAPE_KINDS = ("box", "sphere", "cylinder", "capsule", "mesh")

@@ -42,6 +42,7 @@ from zensim.sim_server.physics.bullet.bullet_contact import (
     limit_static_body_friction,
     list_self_collision_pairs,
 )
+from zensim.sim_server.physics.bullet.joint_springs import JointSprings, SpringTable
 from zensim.sim_server.physics.command_cache import CommandCache
 from zensim.sim_server.physics.engine import (
     BodyStates,
@@ -257,6 +258,8 @@ class PyBulletEngine(Engine):
         self._twists: dict[int, list[float]] = {}
         self._resisting: set[int] = set()
         self._loads: dict[int, Sequence[LinkForce]] = {}
+        self._springs: dict[int, JointSprings] = {}
+        self._spring_table: SpringTable | None = None
         self._pending_velocities: dict[int, tuple[FloatArray, FloatArray]] = {}
         self._gravity = config.gravity
         self._dt_s = dt_s = config.step_ns * 1e-9
@@ -311,6 +314,7 @@ class PyBulletEngine(Engine):
         known = self._bodies.pop(body)
         for table in (self._twists, self._loads, self._pending_velocities):
             table.pop(body, None)
+        self._forget_springs(body)
         if self._pool.has_room_for(known) and self._is_finite(body):
             self._park(body, known)
             return
@@ -322,6 +326,7 @@ class PyBulletEngine(Engine):
         """See `Engine.hide`; not with gears, which would wake it."""
         if not (known := self._bodies[body]).gears:
             self._loads.pop(body, None)
+            self._forget_springs(body)
             self._set_collision_filter(body, known, *COLLIDE_WITH_NOTHING)
             self._set_activation([body], ACTIVATION_ASLEEP)
 
@@ -418,6 +423,8 @@ class PyBulletEngine(Engine):
         if self._twists:
             self._impose_twists()
         self._apply_loads()
+        if self._springs:
+            self._apply_springs()
         pybullet.stepSimulation(physicsClientId=self._client)
         self._set_activation(self._pool.after_step(), ACTIVATION_ASLEEP)
         self._apply_pending_velocities()
@@ -435,12 +442,13 @@ class PyBulletEngine(Engine):
         self._set_self_collision(body, blueprint)
         self._com_frames.add(body, blueprint.parts[0])
         self._set_dynamics(body, blueprint)
-        self._set_dampings(body, blueprint)
         loads = make_link_forces(blueprint, self._gravity, self._dt_s)
         gears = [
             self._make_gear_constraint(body, gear) for gear in list_gear_constraints(blueprint)
         ]
-        self._register(body, make_bullet_body(model, blueprint, loads, gears))
+        known = make_bullet_body(model, blueprint, loads, gears)
+        self._set_dampings(body, blueprint, known.springs)
+        self._register(body, known)
         # Created in place with joints at zero: setting the pose again takes as long as creating it.
         self._set_velocity(body, self._com_frames.to_com_state(body, base)[7:])
         self._clear_targets(body)
@@ -449,6 +457,7 @@ class PyBulletEngine(Engine):
         """Remove a body that could not be completed, and its constraints with it."""
         for table in (self._bodies, self._twists, self._loads):
             table.pop(body, None)
+        self._forget_springs(body)
         self._resisting.discard(body)
         pybullet.removeBody(body, physicsClientId=self._client)
 
@@ -456,6 +465,9 @@ class PyBulletEngine(Engine):
         self._bodies[body] = known
         if known.loads:
             self._loads[body] = known.loads
+        if known.springs is not None:
+            self._springs[body] = known.springs
+            self._spring_table = None
 
     def _set_velocity(self, body: int, velocity: FloatArray) -> None:
         linear, angular = velocity[:3].tolist(), velocity[3:].tolist()
@@ -550,6 +562,28 @@ class PyBulletEngine(Engine):
                 wrench = load.wrench(orientation, velocity)
                 self._apply_wrench(body, load.part, position, *wrench)
 
+    def _forget_springs(self, body: int) -> None:
+        if self._springs.pop(body, None) is not None:
+            self._spring_table = None
+
+    def _apply_springs(self) -> None:
+        if self._spring_table is None:
+            self._spring_table = SpringTable(self._springs.values(), self._dt_s)
+        joints = [(body, springs.joints) for body, springs in self._springs.items()]
+        states = read_joint_states(joints, self._client, pybullet.getJointStates)
+        speeds, forces = (values.tolist() for values in self._spring_table.find_motors(*states))
+        start = 0
+        for body, numbers in joints:
+            own = slice(start, start := start + len(numbers))
+            pybullet.setJointMotorControlArray(
+                body,
+                numbers,
+                pybullet.VELOCITY_CONTROL,
+                targetVelocities=speeds[own],
+                forces=forces[own],
+                physicsClientId=self._client,
+            )
+
     def _apply_wrench(
         self, body: int, part: int, position: list[float], force: FloatArray, torque: FloatArray
     ) -> None:
@@ -609,14 +643,9 @@ class PyBulletEngine(Engine):
         for link, joint in list_moving_joints(blueprint):
             pybullet.setJointMotorControl2(body, link, force=joint.friction, **options)
 
-    def _set_dampings(self, body: int, blueprint: Blueprint) -> None:
-        client, moving = self._client, list_moving_joints(blueprint)
-        if not any(joint.damping for _, joint in moving):
-            return
-        zeros = [0.0] * len(moving)
-        masses = np.array(pybullet.calculateMassMatrix(body, zeros, physicsClientId=client))
-        for link, damping in limit_joint_dampings(moving, masses, self._dt_s):
-            pybullet.changeDynamics(body, link, jointDamping=damping, physicsClientId=client)
+    def _set_dampings(self, body: int, blueprint: Blueprint, springs: JointSprings | None) -> None:
+        for link, damping in limit_joint_dampings(blueprint, springs, self._dt_s):
+            pybullet.changeDynamics(body, link, jointDamping=damping, physicsClientId=self._client)
 
     def _make_gear_constraint(self, body: int, gear: GearConstraint) -> int:
         constraint: int = pybullet.createConstraint(
