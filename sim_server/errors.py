@@ -16,6 +16,7 @@ class SimError(Exception):
     def __init__(self, message: str) -> None:
         if not message.isprintable():  # messages quote input, which may be anything
             message = "".join(letter if letter.isprintable() else "?" for letter in message)
+        self.fault = message
         self.message = f"{self.slug}: {message}" if self.slug else message
         super().__init__(self.message)
 

@@ -28,14 +28,12 @@ GAZEBO_COLOURS: dict[str, Quat] = {
     "DarkGrey": (0.175, 0.175, 0.175, 1.0),
     "DarkYellow": (0.7, 0.7, 0.0, 1.0),
     "FlatBlack": (0.1, 0.1, 0.1, 1.0),
-    "Gold": (0.8, 0.65, 0.1, 1.0),
     "Gray": (0.7, 0.7, 0.7, 1.0),
     "Green": (0.0, 1.0, 0.0, 1.0),
     "GreenGlow": (0.0, 1.0, 0.0, 1.0),
     "GreenTransparent": (0.0, 1.0, 0.0, 0.5),
     "Grey": (0.7, 0.7, 0.7, 1.0),
     "Indigo": (0.33, 0.0, 0.5, 1.0),
-    "Orange": (1.0, 0.5, 0.05, 1.0),
     "Purple": (1.0, 0.0, 1.0, 1.0),
     "Red": (1.0, 0.0, 0.0, 1.0),
     "RedBright": (0.87, 0.26, 0.07, 1.0),
@@ -48,8 +46,47 @@ GAZEBO_COLOURS: dict[str, Quat] = {
     "Wood": (0.6, 0.42, 0.22, 1.0),
     "Yellow": (1.0, 1.0, 0.0, 1.0),
     "YellowGlow": (1.0, 1.0, 0.0, 1.0),
-    "ZincYellow": (0.97, 0.95, 0.21, 1.0),
+    "Gold": (0.8, 0.649, 0.121, 1.0),
+    "Orange": (1.0, 0.509, 0.047, 1.0),
+    "ZincYellow": (0.973, 0.953, 0.208, 1.0),
+    "PurpleGlow": (1.0, 0.0, 1.0, 1.0),
+    "TurquoiseGlow": (0.0, 1.0, 1.0, 1.0),
+    "TurquoiseGlowOutline": (0.0, 1.0, 1.0, 1.0),
+    "RedTransparentOverlay": (1.0, 0.0, 0.0, 0.5),
+    "GreenTransparentOverlay": (0.0, 1.0, 0.0, 0.5),
+    "BlueTransparentOverlay": (0.0, 0.0, 1.0, 0.5),
+    "GreyTransparent": (0.5, 0.5, 0.5, 0.5),
+    "YellowTransparent": (1.0, 1.0, 0.0, 0.5),
+    "OrangeTransparent": (1.0, 0.44, 0.0, 0.4),
+    "BlueLaser": (0.0, 0.0, 1.0, 0.4),
+    "LightOn": (0.0, 1.0, 0.0, 1.0),
+    "LightOff": (1.0, 0.0, 0.0, 1.0),
+    "PioneerBody": (1.0, 0.0, 0.0, 1.0),
+    "Pioneer2Body": (0.681, 0.001, 0.001, 1.0),
+    "JointAnchor": (1.0, 1.0, 1.0, 1.0),
+    "WoodFloor": (0.6, 0.42, 0.22, 1.0),
+    "WoodPallet": (0.6, 0.42, 0.22, 1.0),
+    "Bricks": (0.6, 0.33, 0.25, 1.0),
+    "CeilingTiled": (0.85, 0.85, 0.85, 1.0),
+    "PaintedWall": (0.85, 0.82, 0.75, 1.0),
+    "WindowFrame": (0.8, 0.8, 0.8, 1.0),
+    "Pedestrian": (0.6, 0.6, 0.6, 1.0),
+    "Footway": (0.6, 0.6, 0.6, 1.0),
+    "Road": (0.35, 0.35, 0.35, 1.0),
+    "Residential": (0.35, 0.35, 0.35, 1.0),
+    "Tertiary": (0.35, 0.35, 0.35, 1.0),
+    "Motorway": (0.35, 0.35, 0.35, 1.0),
+    "Lanes_6": (0.35, 0.35, 0.35, 1.0),
+    "Primary": (0.35, 0.35, 0.35, 1.0),
+    "Secondary": (0.35, 0.35, 0.35, 1.0),
+    "Lanes_4": (0.35, 0.35, 0.35, 1.0),
+    "Lanes_2": (0.35, 0.35, 0.35, 1.0),
+    "Trunk": (0.35, 0.35, 0.35, 1.0),
 }
+"""Colours of materials `Gazebo/<name>`, diffuse; the last lines estimate the mean of a texture.
+
+Source: media/materials/scripts/gazebo.material of Gazebo Classic 11. SkyBlue is its ambient colour.
+"""
 
 RGB_COUNT = 3
 
@@ -57,6 +94,25 @@ RGB_COUNT = 3
 def find_gazebo_colour(name: str) -> Quat | None:
     """Find the colour (r, g, b, a) of Gazebo's material `Gazebo/<name>`."""
     return GAZEBO_COLOURS.get(name.strip().removeprefix("Gazebo/"))
+
+
+def read_gazebo_material(
+    material: Element, *, where: str, slug: str, report: ParseReport
+) -> Quat | None:
+    """Find the colour of a <material> of SDF: of a known script, else diffuse or ambient.
+
+    Raises:
+        ModelError: A colour is not three or four numbers.
+    """
+    script = (material.findtext("script/name") or material.findtext("script") or "").strip()
+    if script and (colour := find_gazebo_colour(script)) is not None:
+        return colour
+    for tag in ("diffuse", "ambient"):
+        if text := (material.findtext(tag) or "").strip():
+            return read_rgba(text, where=f"{where}, {tag}", slug=slug, report=report)
+    if script:
+        report.unknown(f"{where}: <script>", f"no colour is named {quote(script)}")
+    return None
 
 
 def read_rgba(text: str, *, where: str, slug: str, report: ParseReport | None) -> Quat:

@@ -148,8 +148,8 @@ def find_repeated(names: Iterable[str]) -> list[str]:
 
 
 AXIS_KINDS = ("revolute", "continuous", "prismatic", "planar")
-SIZE_COUNTS = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2}
-"""Count of positive numbers in `Shape.size`, by kind."""
+SIZE_COUNTS = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2, "mesh": 3}
+"""Count of numbers in `Shape.size`, by kind; positive, or not 0 for a mesh."""
 MAX_QUANTITY = 1e12
 """Of a distance [m], mass or moment: the square is still finite."""
 MOMENT_ROUNDING = 1e-12
@@ -158,31 +158,43 @@ TRIANGLE_RULE_SLACK = 1e-3
 """Share by which rounded moments may violate the triangle inequality."""
 
 
-def check_links(links: Sequence[Link], report: ParseReport) -> None:
-    """Check mass, inertia and sizes of links before lumping.
+def has_no_extent(shape: Shape) -> bool:
+    """Whether a size of a shape is 0, so that it has no volume."""
+    return 0.0 in shape.size[: SIZE_COUNTS.get(shape.kind, 0)]
+
+
+def check_links(links: Sequence[Link], report: ParseReport) -> tuple[Link, ...]:
+    """Check mass, inertia and sizes of links before lumping; negative moments are left out.
 
     Raises:
-        ModelError: A mass or a moment is negative, a size is not positive, or one is too large.
+        ModelError: A mass is negative, a size is not positive, or one is too large.
     """
-    for link in links:
-        inertial = link.inertial
-        check_magnitude(link.name, (inertial.mass_kg, *inertial.com_in_link, *inertial.inertia))
-        _check_inertial(link.name, inertial, report)
-        for shape in (*link.collisions, *link.visuals):
-            check_magnitude(link.name, (*shape.size, *shape.origin.position))
-            _check_size(link.name, shape)
+    return tuple(_check_link(link, report) for link in _report_massless(links, report))
+
+
+def _report_massless(links: Sequence[Link], report: ParseReport) -> Sequence[Link]:
     without = [link.name for link in links if link.inertial == Inertial()]
     if without:
         report.applied(f"links {quote_names(without)}", "no <inertial>: massless")
+    return links
 
 
-def normalize_axes(joints: Iterable[Joint]) -> tuple[Joint, ...]:
-    """Scale the axes of joints to length one.
+def _check_link(link: Link, report: ParseReport) -> Link:
+    inertial = link.inertial
+    check_magnitude(link.name, (inertial.mass_kg, *inertial.com_in_link, *inertial.inertia))
+    for shape in (*link.collisions, *link.visuals):
+        check_magnitude(link.name, (*shape.size, *shape.origin.position))
+        _check_size(link.name, shape)
+    return msgspec.structs.replace(link, inertial=_check_inertial(link.name, inertial, report))
+
+
+def normalize_axes(joints: Iterable[Joint], report: ParseReport) -> tuple[Joint, ...]:
+    """Scale the axes of joints to length one; negative damping and friction are left out.
 
     Raises:
-        ModelError: An axis is zero, or damping or friction is negative.
+        ModelError: An axis is zero.
     """
-    return tuple(_check_joint(joint) for joint in joints)
+    return tuple(_check_joint(joint, report) for joint in joints)
 
 
 def check_moving_parts(links: Iterable[Link], joints: Iterable[Joint], report: ParseReport) -> None:
@@ -213,16 +225,22 @@ def check_magnitude(name: str, numbers: Iterable[float]) -> None:
         )
 
 
-def _check_inertial(link: str, inertial: Inertial, report: ParseReport) -> None:
+def _check_inertial(link: str, inertial: Inertial, report: ParseReport) -> Inertial:
     ixx, _, _, iyy, _, izz = inertial.inertia
-    if inertial.mass_kg < 0.0 or min(ixx, iyy, izz) < -MOMENT_ROUNDING:
+    if inertial.mass_kg < 0.0:
         raise ModelError(
-            f"link {link!r} has mass {inertial.mass_kg:g} kg and moments "
-            f"{ixx:g}, {iyy:g}, {izz:g}; use values >= 0",
-            slug="urdf.mass",
+            f"link {link!r} has mass {inertial.mass_kg:g} kg; use a value >= 0", slug="urdf.mass"
         )
-    if inertial.mass_kg == 0.0:
-        return
+    if min(ixx, iyy, izz) < -MOMENT_ROUNDING:
+        fault = f"moments {ixx:g}, {iyy:g}, {izz:g} are negative; its inertia is left out"
+        report.suspicious(f"link {link!r}", fault)
+        return Inertial(inertial.mass_kg, inertial.com_in_link)
+    if inertial.mass_kg > 0.0:
+        _check_moments(link, inertial, report)
+    return inertial
+
+
+def _check_moments(link: str, inertial: Inertial, report: ParseReport) -> None:
     least, middle, most = find_principal_moments(inertial.inertia)
     if most <= MOMENT_ROUNDING:
         report.suspicious(f"link {link!r}", "has a mass but no inertia")
@@ -261,12 +279,14 @@ def find_principal_moments(
 
 
 def _check_size(link: str, shape: Shape) -> None:
-    count = SIZE_COUNTS.get(shape.kind, 0)
-    if shape.kind == "mesh" and 0.0 in shape.size:
+    if shape.kind == "mesh":
+        if 0.0 not in shape.size:
+            return
         raise ModelError(
             f"mesh {shape.mesh!r} of link {link!r} has scale 0; write a scale such as 1 1 1",
             slug="urdf.size",
         )
+    count = SIZE_COUNTS.get(shape.kind, 0)
     if any(size <= 0.0 for size in shape.size[:count]):
         raise ModelError(
             f"{shape.kind} of link {link!r} has size {shape.size[:count]}; use sizes > 0",
@@ -274,14 +294,16 @@ def _check_size(link: str, shape: Shape) -> None:
         )
 
 
-def _check_joint(joint: Joint) -> Joint:
+def _check_joint(joint: Joint, report: ParseReport) -> Joint:
     mimic = (joint.mimic.multiplier, joint.mimic.offset) if joint.mimic else ()
     check_magnitude(joint.name, (*joint.origin.position, *mimic))
     if joint.damping < 0.0 or joint.friction < 0.0:
-        raise ModelError(
-            f"joint {joint.name!r} has damping {joint.damping:g} and friction {joint.friction:g}; "
-            "use values >= 0",
-            slug="urdf.dynamics",
+        fault = (
+            f"damping {joint.damping:g}, friction {joint.friction:g}: negative ones are left out"
+        )
+        report.suspicious(f"joint {joint.name!r}", fault)
+        joint = msgspec.structs.replace(
+            joint, damping=max(joint.damping, 0.0), friction=max(joint.friction, 0.0)
         )
     if joint.kind not in AXIS_KINDS:
         return joint

@@ -72,7 +72,7 @@ def _names() -> Iterator[Case]:
     yield Case("link_of_empty_name", robot(link("")), "urdf.name")
     yield Case("link_of_spaces", robot(link("   ")), "urdf.name")
     yield Case("joint_without_name", pair().replace('joint name="j"', "joint"), "urdf.name")
-    yield Case("material_without_name", robot(link("a"), "<material/>"), "urdf.name")
+    yield Case("material_without_name", robot(link("a"), "<material/>"), "")
     yield Case("link_name_of_5000", robot(link("n" * 5000)), "urdf.text")
     yield Case("joint_name_of_5000", pair().replace('"j"', f'"{"j" * 5000}"'), "urdf.text")
     yield Case("robot_name_of_5000", f'<robot name="{"r" * 5000}"/>', "urdf.text")

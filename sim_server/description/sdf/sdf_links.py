@@ -35,8 +35,7 @@ from zensim.sim_server.description.joint_reduction import SLIDE_LIMIT_M, X, Y, Z
 from zensim.sim_server.description.link_surfaces import (
     SurfaceParameters,
     SurfaceTagReader,
-    find_gazebo_colour,
-    read_rgba,
+    read_gazebo_material,
     to_decay_rate,
 )
 from zensim.sim_server.description.parsed_model import MODEL_FRAME, WORLD_LINK
@@ -395,15 +394,7 @@ def read_colour(visual: Element, where: str, report: ParseReport) -> Quat | None
     material = visual.find("material")
     if material is None:
         return None
-    script = read_text(material, "script/name") or read_text(material, "script")
-    if script and (colour := find_gazebo_colour(script)) is not None:
-        return colour
-    for tag in ("diffuse", "ambient"):
-        if text := read_text(material, tag):
-            return read_rgba(text, where=f"{where}, {tag}", slug="sdf.number", report=report)
-    if script:
-        report.unknown(f"{where}: <script>", f"no colour is named {quote(script)}")
-    return None
+    return read_gazebo_material(material, where=where, slug="sdf.number", report=report)
 
 
 def apply_transparency(colour: Quat | None, transparency: float) -> Quat | None:

@@ -503,7 +503,6 @@ SDF_SLUGS = dict(
     (
         _map_slug("urdf.axis", slug="sdf.axis"),
         _map_slug("urdf.cycle", slug="sdf.cycle"),
-        _map_slug("urdf.dynamics", slug="sdf.dynamics"),
         _map_slug("urdf.joints", slug="sdf.joints"),
         _map_slug("urdf.mass", slug="sdf.mass"),
         _map_slug("urdf.no_links", slug="sdf.no_links"),
@@ -687,9 +686,9 @@ def _read_part(
     parts, pivots, origin = _read_links_and_joints(
         name, tree, is_first=is_first, is_static=is_static, policy=policy, report=report
     )
-    check_links(parts.links, report)
+    links = check_links(parts.links, report)
     is_static = is_static or parts.links[0].name == WORLD_LINK
-    lumped = reduce_joints(parts.links, normalize_axes(parts.joints), report=report)
+    lumped = reduce_joints(links, normalize_axes(parts.joints, report), report=report)
     if not is_static:
         moving = [joint for joint in lumped.joints if joint.child not in pivots]
         check_moving_parts(lumped.links, moving, report)

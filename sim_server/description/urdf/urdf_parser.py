@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import msgspec
 
 from zensim.proto.messages.model_messages import (
+    ZERO,
     Inertial,
     Joint,
     JointKind,
@@ -29,6 +30,7 @@ from zensim.sim_server.description.link_surfaces import (
     SurfaceParameters,
     SurfaceTagReader,
     find_gazebo_colour,
+    read_gazebo_material,
     read_named_colours,
     read_visual_colour,
 )
@@ -41,6 +43,7 @@ from zensim.sim_server.description.parsed_model import (
     check_magnitude,
     check_moving_parts,
     drop_floating_world,
+    has_no_extent,
     is_fixed_to_world,
     normalize_axes,
     order_as_tree,
@@ -69,6 +72,8 @@ NumberCounts = tuple[int, ...]
 TEXT: NumberCounts = ()
 ONE: NumberCounts = (1,)
 THREE: NumberCounts = (3,)
+SCALE: NumberCounts = (1, 3, 4)
+"""Of a mesh; RViz and PyBullet do not read the fourth number."""
 MAX_TEXT_LENGTH = 256
 
 
@@ -86,15 +91,21 @@ class UrdfElementRule(msgspec.Struct, frozen=True):
     """Children that may be repeated."""
     unread: str = ""
     """Reason why the element has no effect; empty when it has one."""
+    unused: dict[str, str] = {}
+    """Attributes that others write, and why they have no effect."""
     is_opaque: bool = False
     """Its contents are not checked here."""
+    can_be_left_out: bool = False
+    """The robot moves the same without it: a fault leaves it out."""
 
 
 ORIGIN = UrdfElementRule(attributes={"xyz": THREE, "rpy": THREE})
 COLOUR = UrdfElementRule(attributes={"rgba": (3, 4)})
 TEXTURE = UrdfElementRule(attributes={"filename": TEXT}, unread="textures are not drawn")
 MATERIAL = UrdfElementRule(
-    attributes={"name": TEXT}, children={"color": COLOUR, "texture": TEXTURE}
+    attributes={"name": TEXT},
+    children={"color": COLOUR, "texture": TEXTURE},
+    can_be_left_out=True,
 )
 GEOMETRY = UrdfElementRule(
     children={
@@ -111,16 +122,27 @@ GEOMETRY = UrdfElementRule(
             attributes={"radius": ONE, "length": ONE}, required=("radius", "length")
         ),
         "mesh": UrdfElementRule(
-            attributes={"filename": TEXT, "scale": (1, 3)}, required=("filename",)
+            attributes={"filename": TEXT, "scale": SCALE}, required=("filename",)
         ),
     }
 )
+_NOT_URDF = "not of URDF; no simulator reads it"
 COLLISION = UrdfElementRule(
     attributes={"name": TEXT},
-    children={"origin": ORIGIN, "geometry": GEOMETRY},
+    unused={"group": _NOT_URDF},
+    children={
+        "origin": ORIGIN,
+        "geometry": GEOMETRY,
+        "material": UrdfElementRule(unread="collisions are not drawn"),
+        "surface": UrdfElementRule(unread="SDF only; set friction by <mu1> in <gazebo>"),
+        "contact_coefficients": UrdfElementRule(unread="set friction by <mu1> in <gazebo>"),
+        "verbose": UrdfElementRule(unread=_NOT_URDF),
+    },
     needed=("geometry",),
 )
-VISUAL = msgspec.structs.replace(COLLISION, children={**COLLISION.children, "material": MATERIAL})
+VISUAL = msgspec.structs.replace(
+    COLLISION, children={**COLLISION.children, "material": MATERIAL}, can_be_left_out=True
+)
 MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 INERTIAL = UrdfElementRule(
     children={
@@ -130,10 +152,11 @@ INERTIAL = UrdfElementRule(
             attributes=dict.fromkeys(MOMENTS, ONE), required=("ixx", "iyy", "izz")
         ),
     },
-    needed=("mass", "inertia"),
+    needed=("mass",),
 )
 LINK = UrdfElementRule(
     attributes={"name": TEXT},
+    unused={"type": _NOT_URDF},
     required=("name",),
     children={
         "inertial": INERTIAL,
@@ -142,6 +165,8 @@ LINK = UrdfElementRule(
         "contact": UrdfElementRule(
             is_opaque=True, unread="Bullet only; set friction by <mu1> in <gazebo>"
         ),
+        "self_filter": UrdfElementRule(unread="for filters of point clouds only"),
+        "self_collision_checking": UrdfElementRule(unread="for motion planners only"),
     },
     many=("visual", "collision"),
 )
@@ -153,11 +178,20 @@ JOINT = UrdfElementRule(
         "origin": ORIGIN,
         "parent": JOINT_END,
         "child": JOINT_END,
-        "axis": UrdfElementRule(attributes={"xyz": THREE}),
+        "axis": UrdfElementRule(
+            attributes={"xyz": THREE}, unused={"rpy": "the axis is a direction in the joint frame"}
+        ),
         "limit": UrdfElementRule(
             attributes=dict.fromkeys(("lower", "upper", "effort", "velocity"), ONE)
         ),
-        "dynamics": UrdfElementRule(attributes={"damping": ONE, "friction": ONE}),
+        "dynamics": UrdfElementRule(
+            attributes={"damping": ONE, "friction": ONE},
+            unused=dict.fromkeys(("D", "K", "mu_coulomb", "mu_viscous"), _NOT_URDF)
+            | dict.fromkeys(
+                ("spring_reference", "spring_stiffness"), "write <springStiffness> in <gazebo>"
+            ),
+        ),
+        "joint_properties": UrdfElementRule(unread="of 2009; write <dynamics>"),
         "mimic": UrdfElementRule(
             attributes={"joint": TEXT, "multiplier": ONE, "offset": ONE},
             required=("joint",),
@@ -203,13 +237,13 @@ def check_urdf_schema(robot: Element, report: ParseReport) -> None:
 def _check_element(element: Element, tag: UrdfElementRule, where: str, report: ParseReport) -> None:
     if tag.unread:
         report.ignored(where, tag.unread)
-    if tag.is_opaque:
+    if tag.is_opaque or tag.unread:
         return
     _check_attributes(element, tag, where, report)
     if tag is GEOMETRY:
         _check_geometry(element, where, report)
     seen: set[str] = set()
-    for child in element:
+    for child in list(element):
         _check_child(child, tag, where, report)
         if child.tag in seen and child.tag in tag.children and child.tag not in tag.many:
             report.suspicious(
@@ -222,29 +256,47 @@ def _check_element(element: Element, tag: UrdfElementRule, where: str, report: P
 
 
 def _check_child(child: Element, tag: UrdfElementRule, where: str, report: ParseReport) -> None:
-    if child.tag in tag.children:
-        _check_element(child, tag.children[child.tag], _describe_place(where, child), report)
-    else:
+    if child.tag not in tag.children:
         report.unread_tag(where, child.tag, tag.children)
+        return
+    rule, place = tag.children[child.tag], _describe_place(where, child)
+    try:
+        _check_element(child, rule, place, report)
+    except ModelError as error:
+        parent = child.getparent()
+        if not rule.can_be_left_out or parent is None:
+            raise
+        report.suspicious(place, f"{error.fault}; left out")
+        parent.remove(child)
 
 
 def _check_attributes(
     element: Element, tag: UrdfElementRule, where: str, report: ParseReport
 ) -> None:
     for name, value in element.attrib.items():
-        if name not in tag.attributes:
+        if name in tag.unused:
+            report.ignored(f"{where}: attribute {name}", tag.unused[name])
+        elif name not in tag.attributes:
             report.unknown(f"{where}: attribute {name[:80]}", "not read")
-        elif counts := tag.attributes[name]:
-            read_numbers(value, counts=counts, where=f"{where}, {name}", slug="urdf.number")
-        elif len(value) > MAX_TEXT_LENGTH or not value.isprintable():
-            raise ModelError(
-                f"{where}, {name}: {value[:40]!r}... cannot be used; "
-                f"write at most {MAX_TEXT_LENGTH} printable characters",
-                slug="urdf.text",
-            )
+        elif tag.attributes[name] and not value.strip() and name not in tag.required:
+            report.suspicious(f"{where}, {name}", "empty; the default is used")
+            element.attrib.pop(name)
+        else:
+            _check_value(value, tag.attributes[name], f"{where}, {name}")
     for name in tag.required:
         if not (element.get(name) or "").strip():
             raise ModelError(f'{where} has no {name}; write {name}="..."', slug=f"urdf.{name}")
+
+
+def _check_value(value: str, counts: NumberCounts, where: str) -> None:
+    if counts:
+        read_numbers(value, counts=counts, where=where, slug="urdf.number")
+    elif len(value) > MAX_TEXT_LENGTH or not value.isprintable():
+        raise ModelError(
+            f"{where}: {value[:40]!r}... cannot be used; "
+            f"write at most {MAX_TEXT_LENGTH} printable characters",
+            slug="urdf.text",
+        )
 
 
 def _check_geometry(geometry: Element, where: str, report: ParseReport) -> None:
@@ -268,8 +320,21 @@ def _describe_place(where: str, child: Element) -> str:
 
 _NO_EFFECT = "Gazebo tag without effect"
 KEEP_JOINT_TAGS = ("preserveFixedJoint", "disableFixedJointLumping")
-LINK_TAGS = (*SURFACE_TAGS, "material", "sensor")
-UNUSED_LINK_TAGS = dict.fromkeys(("laserRetro", "maxContacts", "max_contacts"), _NO_EFFECT)
+LINK_TAGS = (*SURFACE_TAGS, "material", "sensor", "visual")
+UNUSED_LINK_TAGS = {
+    **dict.fromkeys(
+        (
+            "canonicalBody", "clearMaterial", "enable_wind", "genTexCoord", "kinematic",
+            "laserRetro", "maxContacts", "max_contacts", "must_be_base_link", "projector",
+        ),
+        _NO_EFFECT,
+    ),
+    "audio_source": "sound is not simulated",
+    "collision": "only the tags of URDF and of this block set a surface",
+    "light": "lights of robots are not drawn",
+    "particle_emitter": "particles are not simulated",
+    "velocity_decay": "write <dampingFactor>",
+}  # fmt: skip
 UNUSED_JOINT_TAGS = dict.fromkeys(
     (
         "cfmDamping", "dampingFactor", "erp", "fudgeFactor", "initial_joint_position",
@@ -282,6 +347,10 @@ SPRING_KINDS = ("revolute", "continuous", "prismatic")
 MODEL_TAGS = ("plugin", "static", "self_collide")
 UNUSED_MODEL_TAGS = {
     "allow_auto_disable": _NO_EFFECT,
+    "canonicalBody": _NO_EFFECT,
+    "joint": "joints are read outside of <gazebo>",
+    "link": "links are read outside of <gazebo>",
+    "verbose": _NO_EFFECT,
     "enable_wind": _NO_EFFECT,
     "pose": "the pose is set by the spawn request",
 }
@@ -420,7 +489,7 @@ def _read_model_tag(child: Element, blocks: GazeboExtensions, report: ParseRepor
     elif child.tag in UNUSED_MODEL_TAGS:
         report.ignored(f"gazebo: <{child.tag}>", UNUSED_MODEL_TAGS[child.tag])
     else:
-        report.unread_tag("gazebo", child.tag, (*MODEL_TAGS, *UNUSED_MODEL_TAGS))
+        _report_unread("gazebo", child.tag, (*MODEL_TAGS, *UNUSED_MODEL_TAGS), report)
 
 
 def _read_link_tag(
@@ -431,6 +500,8 @@ def _read_link_tag(
         blocks.surface_texts.setdefault(link, {})[SURFACE_TAGS[child.tag]] = _element_text(child)
     elif child.tag == "material":
         _read_material(link, child, blocks, report)
+    elif child.tag == "visual":
+        _read_visual(link, child, blocks, report)
     elif child.tag == "sensor":
         blocks.sensors.append(SensorElement(link, child))
     elif child.tag == "plugin":
@@ -440,7 +511,7 @@ def _read_link_tag(
     elif child.tag in UNUSED_LINK_TAGS:
         report.ignored(f"{subject}: <{child.tag}>", UNUSED_LINK_TAGS[child.tag])
     else:
-        report.unread_tag(subject, child.tag, (*LINK_TAGS, *UNUSED_LINK_TAGS))
+        _report_unread(subject, child.tag, (*LINK_TAGS, *UNUSED_LINK_TAGS), report)
 
 
 def _read_material(
@@ -453,6 +524,23 @@ def _read_material(
     else:
         blocks.colours[link] = colour
         report.applied(subject, name)
+
+
+def _read_visual(link: str, visual: Element, blocks: GazeboExtensions, report: ParseReport) -> None:
+    """Read the colour of a <visual> in a block; Gazebo adds it to the visuals of the link."""
+    subject, material = f"gazebo {link!r}: <visual>", visual.find("material")
+    try:
+        colour = material is not None and read_gazebo_material(
+            material, where=subject, slug="urdf.number", report=report
+        )
+    except ModelError as error:
+        report.suspicious(subject, f"{error.fault}; left out")
+        return
+    if not colour:
+        report.ignored(subject, "only the colour of its <material> is used")
+        return
+    blocks.colours.setdefault(link, colour)
+    report.applied(subject, "its colour")
 
 
 def _read_joint_tag(
@@ -471,47 +559,61 @@ def _read_joint_tag(
         report.unread_tag(subject, child.tag, (*KEEP_JOINT_TAGS, *SPRING_TAGS, *UNUSED_JOINT_TAGS))
 
 
+OLD_GAZEBO_PREFIXES = ("controller:", "interface:", "sensor:", "geom:", "body:", "rendering:")
+
+
+def _report_unread(subject: str, tag: str, known: Iterable[str], report: ParseReport) -> None:
+    if tag.startswith(OLD_GAZEBO_PREFIXES) or "playerstage.sourceforge.net" in tag:
+        kind = tag.partition(":")[0] if "}" not in tag else "tags"
+        report.ignored(f"{subject}: <{kind}:...>", "of Gazebo 0.x, which ended in 2012")
+    else:
+        report.unread_tag(subject, tag, known)
+
+
 def _element_text(child: Element) -> str:
     return (child.text or child.get("value") or "").strip()
 
 
-ROUND_SIZE_ATTRIBUTES = {
-    "sphere": ("radius",),
-    "cylinder": ("radius", "length"),
-    "capsule": ("radius", "length"),
-    "cone": ("radius", "length"),
-}
-"""Attributes of `Shape.size`, by kind."""
-
-
 def read_collisions(link: Element, policy: MeshPolicy, report: ParseReport) -> tuple[Shape, ...]:
-    """Read the collisions of a <link>.
+    """Read the collisions of a <link>; one without extent, which touches nothing, is left out.
 
     Raises:
         ModelError: A mesh is missing and must not be.
     """
-    where = f"link {quote(link.get('name'))}"
-    shapes = [_read_shape(collision) for collision in link.findall("collision")]
-    return tuple(
-        shape for shape in shapes if policy.can_use(shape, where, collides=True, report=report)
-    )
+    kept = []
+    for collision, where in _number_parts(link, "collision"):
+        shape = _read_shape(collision, where, report)
+        if has_no_extent(shape):
+            report.suspicious(where, f"{_describe_solid(shape)} of size 0; left out")
+        elif policy.can_use(shape, f"link {quote(link.get('name'))}", collides=True, report=report):
+            kept.append(shape)
+    return tuple(kept)
 
 
 def read_visuals(
     link: Element, policy: MeshPolicy, colours: dict[str, Quat], report: ParseReport
 ) -> tuple[Shape, ...]:
     """Read the visuals of a <link>; a missing mesh or a size of 0 is reported."""
-    visuals, kept = link.findall("visual"), []
-    for number, visual in enumerate(visuals, start=1):
+    kept = []
+    for visual, where in _number_parts(link, "visual"):
         colour = read_visual_colour(visual, colours, report)
-        shape = msgspec.structs.replace(_read_shape(visual), rgba=colour)
-        where = f"link {quote(link.get('name'))}"
-        where += f", visual {number}" if len(visuals) > 1 else ""
-        if shape.kind != "mesh" and not any(shape.size):
-            report.suspicious(where, f"{shape.kind} of size 0; not drawn")
+        shape = msgspec.structs.replace(_read_shape(visual, where, report), rgba=colour)
+        if has_no_extent(shape) or (shape.kind != "mesh" and min(shape.size) < 0.0):
+            report.suspicious(where, f"{_describe_solid(shape)} of size <= 0; not drawn")
         elif policy.can_use(shape, where, collides=False, report=report):
             kept.append(shape)
     return tuple(kept)
+
+
+def _number_parts(link: Element, tag: str) -> list[tuple[Element, str]]:
+    parts, where = link.findall(tag), f"link {quote(link.get('name'))}"
+    if len(parts) == 1:
+        return [(parts[0], f"{where}, {tag}")]
+    return [(part, f"{where}, {tag} {number}") for number, part in enumerate(parts, start=1)]
+
+
+def _describe_solid(shape: Shape) -> str:
+    return f"mesh {quote(shape.mesh)}" if shape.mesh else shape.kind
 
 
 def read_origin(part: Element) -> Origin:
@@ -523,35 +625,42 @@ def read_origin(part: Element) -> Origin:
     return make_origin((x, y, z), _read_attribute(origin, "rpy", 3))
 
 
-def _read_shape(part: Element) -> Shape:
+def _read_shape(part: Element, where: str, report: ParseReport) -> Shape:
     geometry = part.find("geometry")
     if geometry is None or not len(geometry):
-        raise ModelError(f"a <{part.tag}> has no geometry; add one", slug="urdf.geometry")
-    solid, origin = geometry[0], read_origin(part)
-    if solid.tag == "box":
-        x, y, z = _read_attribute(solid, "size", 3)
-        return Shape("box", (x, y, z), origin)
-    if solid.tag == "ellipsoid":
-        x, y, z = _read_attribute(solid, "radii", 3)
-        return msgspec.structs.replace(make_ellipsoid((x, y, z)), origin=origin)
+        raise ModelError(f"{where} has no geometry; add one", slug="urdf.geometry")
+    return msgspec.structs.replace(
+        _read_solid(geometry[0], where, report), origin=read_origin(part)
+    )
+
+
+def _read_solid(solid: Element, where: str, report: ParseReport) -> Shape:
     if solid.tag == "mesh":
-        return Shape("mesh", _read_scale(solid), origin, mesh=(solid.get("filename") or "").strip())
-    radius, *length = (
-        _read_attribute(solid, name, 1)[0] for name in ROUND_SIZE_ATTRIBUTES[solid.tag]
-    )
-    size = (radius, length[0] if length else 0.0, 0.0)
-    if solid.tag == "sphere":
-        return Shape("sphere", size, origin)
+        uri = (solid.get("filename") or "").strip()
+        return Shape("mesh", _read_scale(solid, where, report), mesh=uri)
+    if solid.tag in ("box", "ellipsoid"):
+        x, y, z = _read_attribute(solid, "size" if solid.tag == "box" else "radii", 3)
+        return Shape("box", (x, y, z)) if solid.tag == "box" else make_ellipsoid((x, y, z))
+    radius, length = _read_scalar(solid, "radius"), _read_scalar(solid, "length")
     if solid.tag == "cone":
-        return msgspec.structs.replace(make_cone(*size[:2]), origin=origin)
-    return Shape("cylinder" if solid.tag == "cylinder" else "capsule", size, origin)
+        return make_cone(radius, length)
+    return Shape(ROUND_KINDS[solid.tag], (radius, length, 0.0))
 
 
-def _read_scale(mesh: Element) -> Vec3:
+ROUND_KINDS: dict[str, Literal["sphere", "cylinder", "capsule"]] = {
+    "sphere": "sphere",
+    "cylinder": "cylinder",
+    "capsule": "capsule",
+}
+
+
+def _read_scale(mesh: Element, where: str, report: ParseReport) -> Vec3:
     written = read_numbers(
-        mesh.get("scale", "1"), counts=(1, 3), where="mesh, scale", slug="urdf.number"
+        mesh.get("scale", "1"), counts=SCALE, where=f"{where}, scale", slug="urdf.number"
     )
-    x, y, z = written * 3 if len(written) == 1 else written
+    if len(written) > len(ZERO):
+        report.suspicious(f"{where}, scale", "has four numbers; the first three are used")
+    x, y, z = written * 3 if len(written) == 1 else written[:3]
     return (x, y, z)
 
 
@@ -625,7 +734,7 @@ def _read_joint(joint: Element, report: ParseReport) -> Joint:
 
 def _read_joint_kind(joint: Element) -> JointKind:
     written = joint.get("type") or ""
-    kind = JOINT_KINDS.get(written.strip())
+    kind = JOINT_KINDS.get(written)
     if kind is None:
         raise ModelError(
             f"joint {quote(joint.get('name'))} has type {quote(written)}; "
@@ -691,7 +800,7 @@ def read_urdf(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool =
     check_urdf_schema(robot, report)
     parts = order_as_tree(read_links_and_joints(robot, MeshPolicy(has_mesh, allow_missing), report))
     parts = drop_floating_world(parts, report)
-    check_links(parts.links, report)
+    parts = ParsedModel(parts.name, check_links(parts.links, report), parts.joints)
     blocks = read_gazebo_extensions(robot, parts, report)
     lumped = _reduce_joints(parts, blocks, report)
     model = make_model(
@@ -707,7 +816,7 @@ def read_urdf(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool =
 def _reduce_joints(
     parts: ParsedModel, blocks: GazeboExtensions, report: ParseReport
 ) -> LumpedModel:
-    joints = normalize_axes(apply_springs(parts.joints, blocks))
+    joints = normalize_axes(apply_springs(parts.joints, blocks), report)
     lumped = reduce_joints(
         apply_surfaces(parts.links, blocks),
         _fix_joints(joints) if blocks.is_static else joints,

@@ -68,3 +68,40 @@ def test_full_report_accepts_suspicious_entries() -> None:
 
     assert len(subjects(report.entries(), "suspicious")) == MAX_SUSPICIOUS_ENTRIES
     assert mentions(report.entries(), "ignored", "report: 2 ")
+
+
+def test_entries_of_several_links_are_one_entry_with_a_count() -> None:
+    report = ParseReport()
+
+    for name in "abcde":
+        report.ignored(f"gazebo '{name}': <erp>", "no")
+        report.unknown(f"link '{name}', visual 2: <zebra>", "not read")
+
+    assert [(e.status, e.subject, e.reason) for e in report.entries()] == [
+        ("ignored", "gazebo 'a', 'b', 'c' and 2 more: <erp>", "no (5 times)"),
+        ("unknown", "link 'a', 'b', 'c' and 2 more, visual: <zebra>", "not read (5 times)"),
+    ]
+
+
+def test_entries_with_other_reasons_and_suspicious_ones_stay_apart() -> None:
+    report = ParseReport()
+
+    report.ignored("gazebo 'a': <erp>", "no")
+    report.ignored("gazebo 'b': <erp>", "never")
+    report.suspicious("link 'a'", "odd")
+    report.suspicious("link 'b'", "odd")
+
+    assert [e.subject for e in report.entries()] == [
+        *("gazebo 'a': <erp>", "gazebo 'b': <erp>"),
+        *("link 'a'", "link 'b'"),
+    ]
+
+
+def test_grouped_entries_leave_room_for_others() -> None:
+    report = ParseReport()
+
+    for index in range(MAX_ENTRIES + 1):
+        report.unread_tag(f"link 'l{index}'", "zebra", ["pose"])
+    report.ignored("last", "no")
+
+    assert subjects(report.entries(), "ignored") == ["last"]

@@ -211,18 +211,6 @@ def a_deep_model(depth: int) -> str:
         (a_model(TWO, a_joint("j", ("a", "b"), "gearbox")), "sdf.joint_type"),
         (a_model(TWO, a_joint("j", ("a", "b"), "revolute", an_axis("0 0 0"))), "sdf.axis"),
         (a_model(TWO, a_joint("j", ("a", "b"), "revolute", an_axis("0 0 nan"))), "sdf.number"),
-        (
-            a_model(
-                TWO,
-                a_joint(
-                    "j",
-                    ("a", "b"),
-                    "revolute",
-                    an_axis("0 0 1", "<dynamics><damping>-1</damping></dynamics>"),
-                ),
-            ),
-            "sdf.dynamics",
-        ),
         (a_model(a_link("a", a_pose("0 0 nan 0 0 0"))), "sdf.pose"),
         (a_model(a_link("a", a_pose("0 0 0"))), "sdf.pose"),
         (a_model(a_link("a", a_pose("1e300 0 0 0 0 0"))), "sdf.pose"),

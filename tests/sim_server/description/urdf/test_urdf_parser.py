@@ -416,7 +416,7 @@ def test_each_visual_is_reported_once_when_its_mesh_is_missing() -> None:
     )
 
     missing = [entry.subject for entry in model.report if "body.stl" in entry.reason]
-    assert missing == ["link 'a', visual 1", "link 'a', visual 2", "link 'b'"]
+    assert missing == ["link 'a', visual 1", "link 'a', visual 2", "link 'b', visual"]
 
 
 def name_of_others() -> str:
@@ -473,14 +473,12 @@ def slug_of(text: str) -> str:
         (a_robot(PAIR, '<joint name="j" type="fixed"><parent link="a"/></joint>'), "urdf.child"),
         (a_robot(PAIR, '<joint name="j" type="fixed"><parent/><child/></joint>'), "urdf.link"),
         (a_robot(a_link("a", "<inertial/>")), "urdf.mass"),
-        (a_robot(a_link("a", '<inertial><mass value="1"/></inertial>')), "urdf.inertia"),
         (a_robot(a_link("a", "<inertial><mass/></inertial>")), "urdf.value"),
         (a_robot(a_link("a", "<collision/>")), "urdf.geometry"),
         (a_robot(a_link("a", a_collision("<geometry/>"))), "urdf.geometry"),
-        (a_robot(a_link("a", a_visual("<geometry><torus/></geometry>"))), "urdf.geometry"),
-        (a_robot(a_link("a", a_visual("<geometry><box/></geometry>"))), "urdf.size"),
-        (a_robot(a_link("a", a_visual("<geometry><mesh/></geometry>"))), "urdf.filename"),
-        (a_robot("<material/>"), "urdf.name"),
+        (a_robot(a_link("a", a_collision("<geometry><torus/></geometry>"))), "urdf.geometry"),
+        (a_robot(a_link("a", a_collision("<geometry><box/></geometry>"))), "urdf.size"),
+        (a_robot(a_link("a", a_collision("<geometry><mesh/></geometry>"))), "urdf.filename"),
     ],
 )
 def test_schema_refuses_a_missing_element(text: str, slug: str) -> None:
@@ -497,8 +495,7 @@ def test_schema_refuses_a_missing_element(text: str, slug: str) -> None:
         a_collision('<geometry><sphere radius="inf"/></geometry>'),
         a_collision(BALL, '<origin xyz="0 0"/>'),
         a_collision(BALL, '<origin rpy="0 0 nan"/>'),
-        a_visual(BALL, '<material name="m"><color rgba="1 1"/></material>'),
-        a_visual('<geometry><mesh filename="m.stl" scale="1 1"/></geometry>'),
+        a_collision('<geometry><mesh filename="m.stl" scale="1 1"/></geometry>'),
     ],
 )
 def test_schema_refuses_a_link_with_an_invalid_number(inside: str) -> None:
@@ -512,8 +509,6 @@ def test_schema_refuses_a_link_with_an_invalid_number(inside: str) -> None:
         '<dynamics damping="nan"/>',
         '<axis xyz="1 0"/>',
         '<mimic joint="k" multiplier="two"/>',
-        '<calibration rising="up"/>',
-        '<safety_controller k_velocity=""/>',
     ],
 )
 def test_schema_refuses_a_joint_with_an_invalid_number(inside: str) -> None:
@@ -538,9 +533,11 @@ def test_unknown_elements_are_reported() -> None:
     assert subjects(entries, "unknown") == [
         "link 'a': <pose>",
         "link 'a', visual: <collision>",
-        "joint 'j': <joint_properties>",
-        "joint 'j', axis: attribute rpy",
         "robot: <zebra>",
+    ]
+    assert subjects(entries, "ignored") == [
+        "joint 'j', joint_properties",
+        "joint 'j', axis: attribute rpy",
     ]
     assert mentions(entries, "suspicious", "robot: <lnk>", "<link>")
 
@@ -610,3 +607,131 @@ def test_implicit_spring_damper_has_no_effect_of_its_own() -> None:
     model = sprung("<implicitSpringDamper>1</implicitSpringDamper>")
 
     assert mentions(model.report, "ignored", "gazebo 'j': <implicitSpringDamper>")
+
+
+UNSEEN = [
+    a_visual('<geometry><box size="0 0 0"/></geometry>'),
+    a_visual('<geometry><cylinder radius="1" length="0"/></geometry>'),
+    a_visual('<geometry><box size="-1 1 1"/></geometry>'),
+    a_visual('<geometry><mesh filename="m.stl" scale="1 0 1"/></geometry>'),
+    a_visual('<geometry><mesh filename="m.stl" scale="1 1"/></geometry>'),
+    a_visual("<geometry><torus/></geometry>"),
+    a_visual("<geometry><mesh/></geometry>"),
+    a_visual("<geometry/>"),
+    a_visual(BALL, '<origin xyz="0 0"/>'),
+    "<visual/>",
+]
+
+
+@pytest.mark.parametrize("visual", UNSEEN)
+def test_visual_with_a_fault_is_left_out(visual: str) -> None:
+    model = read_urdf(a_robot(a_link("a", an_inertial() + visual)), has_mesh=lambda _uri: True)
+
+    assert model.links[0].visuals == ()
+    assert mentions(model.report, "suspicious", "link 'a', visual")
+
+
+@pytest.mark.parametrize(
+    "geometry",
+    [
+        '<box size="0 0 0"/>',
+        '<sphere radius="0"/>',
+        '<cylinder radius="0.2" length="0.0"/>',
+        '<ellipsoid radii="0 1 1"/>',
+        '<mesh filename="m.stl" scale="1 0 1"/>',
+    ],
+)
+def test_collision_without_extent_is_left_out(geometry: str) -> None:
+    sonar = a_link("sonar", an_inertial() + a_collision(f"<geometry>{geometry}</geometry>"))
+
+    model = read_urdf(a_robot(sonar), has_mesh=lambda _uri: True)
+
+    assert model.links[0].collisions == ()
+    assert mentions(model.report, "suspicious", "link 'sonar', collision")
+
+
+@pytest.mark.parametrize(("scale", "size"), [("2 3 4 1", (2.0, 3.0, 4.0)), ("", (1.0, 1.0, 1.0))])
+def test_unusual_scale_of_a_mesh_is_read_with_a_warning(
+    scale: str, size: tuple[float, float, float]
+) -> None:
+    mesh = f'<geometry><mesh filename="m.stl" scale="{scale}"/></geometry>'
+
+    model = read_urdf(a_robot(a_link("a", a_visual(mesh))), has_mesh=lambda _uri: True)
+
+    assert model.links[0].visuals[0].size == size
+    assert mentions(model.report, "suspicious", "link 'a', visual", "scale")
+
+
+def test_colour_with_a_fault_leaves_its_visual() -> None:
+    material = '<material name="m"><color rgba="1 1"/></material>'
+
+    model = read_urdf(a_robot(a_link("a", a_visual(BALL, material))))
+
+    assert [shape.rgba for shape in model.links[0].visuals] == [None]
+    assert mentions(model.report, "suspicious", "link 'a', visual, material")
+
+
+@pytest.mark.parametrize(
+    "inside", ['<calibration rising="up"/>', '<safety_controller k_velocity=""/>']
+)
+def test_numbers_that_nothing_reads_are_not_checked(inside: str) -> None:
+    model = read_urdf(a_robot(PAIR, a_joint("j", ("a", "b"), "continuous", inside)))
+
+    assert len(model.joints) == 1
+
+
+@pytest.mark.parametrize("inside", ['<limit lower="" upper=""/>', '<dynamics damping=""/>'])
+def test_empty_number_is_the_default(inside: str) -> None:
+    model = read_urdf(a_robot(PAIR, a_joint("j", ("a", "b"), "continuous", inside)))
+
+    assert model.joints[0].damping == 0.0
+    assert mentions(model.report, "suspicious", "joint 'j'", "empty")
+
+
+def test_mass_without_inertia_is_read() -> None:
+    model = read_urdf(a_robot(a_link("a", '<inertial><mass value="2"/></inertial>')))
+
+    assert model.mass_kg == 2.0
+    assert mentions(model.report, "suspicious", "link 'a'", "inertia")
+
+
+VISUAL_BLOCK = "<visual><material>{}</material></visual>"
+
+
+@pytest.mark.parametrize(
+    ("inside", "colour"),
+    [
+        ("<script><name>Gazebo/Green</name></script>", (0.0, 1.0, 0.0, 1.0)),
+        ("<diffuse>0.1 0.2 0.3 1</diffuse>", (0.1, 0.2, 0.3, 1.0)),
+        ("<ambient>0.5 0.5 0.5 1</ambient>", (0.5, 0.5, 0.5, 1.0)),
+        ("<specular>1 1 1 1</specular>", None),
+        ("<diffuse>red</diffuse>", None),
+    ],
+)
+def test_visual_of_a_gazebo_block_colours_its_link(
+    inside: str, colour: tuple[float, float, float, float] | None
+) -> None:
+    block = a_reference("a", VISUAL_BLOCK.format(inside))
+
+    model = read_urdf(a_robot(a_link("a", a_visual()), block))
+
+    assert model.links[0].visuals[0].rgba == colour
+
+
+def test_material_of_a_gazebo_block_overrides_its_visual() -> None:
+    green = VISUAL_BLOCK.format("<script><name>Gazebo/Green</name></script>")
+    block = a_reference("a", f"{green}<material>Gazebo/Red</material>")
+
+    model = read_urdf(a_robot(a_link("a", a_visual()), block))
+
+    assert model.links[0].visuals[0].rgba == (1.0, 0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    "tag", ["laserRetro", "projector", "light", "canonicalBody", "controller:diff", "geom:box"]
+)
+def test_known_gazebo_tags_without_effect_are_ignored(tag: str) -> None:
+    entries = report_of(a_robot(BODY, a_reference("body", f"<{tag}/>")))
+
+    assert subjects(entries, "unknown") == []
+    assert len(subjects(entries, "ignored")) == 1
