@@ -4,8 +4,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
-import msgspec
-
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 
@@ -37,29 +35,15 @@ class WheelRobot:
         name: Unique.
         urdf: Description.
         turn: Second command.
-        springs: Stiffness and reference by joint.
     """
 
     name: str
     urdf: str
     turn: tuple[float, float] = TURN
-    springs: tuple[tuple[str, float, float], ...] = ()
 
     def model(self) -> Model:
         """Read the description."""
-        model = read_urdf(self.urdf)
-        springs = {name: (stiffness, rest) for name, stiffness, rest in self.springs}
-        joints = tuple(
-            msgspec.structs.replace(
-                joint,
-                spring_stiffness=springs[joint.name][0],
-                spring_reference=springs[joint.name][1],
-            )
-            if joint.name in springs
-            else joint
-            for joint in model.joints
-        )
-        return msgspec.structs.replace(model, joints=joints)
+        return read_urdf(self.urdf)
 
 
 @dataclass
@@ -103,6 +87,13 @@ class UrdfText:
             f'<joint name="{name}" type="{kind}">'
             f'<parent link="{ends[0]}"/><child link="{ends[1]}"/>'
             f'<origin xyz="{_text(origin)}"/><axis xyz="{_text(axis)}"/>{tags}</joint>'
+        )
+
+    def spring(self, joint: str, stiffness: float, reference: float) -> None:
+        """Give a joint a spring."""
+        self.parts.append(
+            f'<gazebo reference="{joint}"><springStiffness>{stiffness!r}</springStiffness>'
+            f"<springReference>{reference!r}</springReference></gazebo>"
         )
 
     def plugin(self, filename: str, tags: str) -> None:
@@ -394,7 +385,6 @@ def list_springs() -> Iterator[WheelRobot]:
     """Make robots with suspensions."""
     chassis = Chassis()
     urdf = start_diff("sprung_casters", chassis)
-    springs = []
     for name, x in (("front", chassis.reach), ("rear", -chassis.reach)):
         radius = 0.4 * chassis.radius
         urdf.link(name, 0.05, (1e-5, 1e-5, 1e-5), a_sphere(radius), surface=Surface(0.1))
@@ -407,10 +397,10 @@ def list_springs() -> Iterator[WheelRobot]:
             (0.0, 0.0, 1.0),
             tags=a_range(0.02, 20.0),
         )
-        springs.append((f"{name}_spring", 1000.0, 0.0))
+        urdf.spring(f"{name}_spring", 1000.0, 0.0)
     urdf.plugin(DIFF_PLUGIN, diff_tags(chassis))
-    yield WheelRobot("sprung_casters", urdf.text(), springs=tuple(springs))
-    urdf, springs = chassis.start("sprung_wheels"), []
+    yield WheelRobot("sprung_casters", urdf.text())
+    urdf = chassis.start("sprung_wheels")
     for side, y in (("left0", chassis.track / 2.0), ("right0", -chassis.track / 2.0)):
         urdf.link(f"{side}_arm", 0.2, (1e-4, 1e-4, 1e-4))
         urdf.joint(
@@ -422,11 +412,11 @@ def list_springs() -> Iterator[WheelRobot]:
             tags=a_range(0.02, 50.0),
         )
         chassis.wheel(urdf, side, (0.0, 0.0), parent=f"{side}_arm")
-        springs.append((f"{side}_spring", 4000.0, 0.005))
+        urdf.spring(f"{side}_spring", 4000.0, 0.005)
     chassis.ball(urdf, chassis.reach, 0.1, "front_caster")
     chassis.ball(urdf, -chassis.reach, 0.1, "rear_caster")
     urdf.plugin(DIFF_PLUGIN, diff_tags(chassis))
-    yield WheelRobot("sprung_wheels", urdf.text(), springs=tuple(springs))
+    yield WheelRobot("sprung_wheels", urdf.text())
 
 
 def a_skid(name: str, chassis: Chassis, places: tuple[float, ...]) -> WheelRobot:

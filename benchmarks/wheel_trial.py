@@ -19,7 +19,8 @@ from zensim.sim_server.world.simulated_world import World
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
 
 STEP_NS = 4_166_667
-CONTROL_STEPS = 2
+CONTROL_STEPS = 3
+"""As a server has them."""
 DT_S = STEP_NS * CONTROL_STEPS * 1e-9
 AGENT = "bench"
 STAND_S, DRIVE_S, STOP_S = 1.5, 4.0, 1.0

@@ -14,7 +14,6 @@ import msgspec
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.model_messages import Model, ReportEntry
 from zensim.sim_server.description.builtin_models import read_builtin_model, read_builtin_world
-from zensim.sim_server.description.driving_notes import describe_driving
 from zensim.sim_server.description.joint_reduction import LumpedModel
 from zensim.sim_server.description.meshes.mesh_lookup import (
     HasMesh,
@@ -195,6 +194,9 @@ def parse_world(
 
 def _add_notes(model: Model, meshes: dict[str, bytes]) -> Model:
     """Report what needs the meshes: round wheels, and how the robot will drive."""
+    if model.drive is None:
+        return model
+    from zensim.sim_server.description.driving_notes import describe_driving
 
     def corners(mesh: str) -> npt.NDArray[np.float32]:
         from zensim.proto.stl import read_corners
