@@ -29,11 +29,17 @@ from zensim.sim_server.description.rest_pose import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from zensim.proto.messages.model_messages import Model
     from zensim.sim_server.description.model_geometry import FindCorners
 
 FloatArray = npt.NDArray[np.float64]
 
+TURNING_KINDS = ("continuous", "revolute")
+"""Of joints that a velocity actuator turns."""
+MAX_FRICTION = 20.0
+"""Descriptions have 1e5 for 'does not slip'; such a number would drown the torque of motors."""
 MIN_TRAIL_M = 1e-3
 """Casters with less trail keep their direction."""
 SWIVEL_PASSES = 2
@@ -67,8 +73,8 @@ class GroundContact:
         load_n: >= 0.
         friction: Along `along` and across it.
         along: Unit (x, y).
-        wheel: Joint that it rolls about; -1 = none.
-        rolling: (x, y) [m/rad] velocity over the ground by the speed of the wheel.
+        spins: Joints that it rolls about, the nearest first, and the velocity (x, y) [m/rad] of
+            the point of contact by the speed of each; a ball has several.
         is_trailing: Whether it is a wheel that swivels.
     """
 
@@ -77,14 +83,18 @@ class GroundContact:
     load_n: float
     friction: tuple[float, float]
     along: tuple[float, float]
-    wheel: int
-    rolling: tuple[float, float]
+    spins: tuple[tuple[int, tuple[float, float]], ...]
     is_trailing: bool
+
+    @property
+    def wheel(self) -> int:
+        """The nearest joint that it rolls about; -1 = none."""
+        return self.spins[0][0] if self.spins else -1
 
     @property
     def radius_m(self) -> float:
         """Rolling radius; 0 without a wheel."""
-        return float(np.hypot(*self.rolling))
+        return float(np.hypot(*self.spins[0][1])) if self.spins else 0.0
 
 
 @dataclass(frozen=True)
@@ -162,40 +172,47 @@ class GroundFriction:
         support, link = rest.support, int(rest.support.link[at])
         shape = support.shapes[int(support.shape[at])]
         point, root = rest.points[at], rest.frames.place[0]
-        along, friction = np.array([1.0, 0.0]), (shape.friction, shape.friction)
+        own = min(shape.friction, MAX_FRICTION)
+        along, friction = np.array([1.0, 0.0]), (own, own)
         if shape.contact.direction != ZERO:
             level = (rest.frames.turn[link] @ np.array(shape.contact.direction))[:2]
-            across = shape.contact.friction_across
+            across = min(shape.contact.friction_across, MAX_FRICTION)
             if (length := float(np.hypot(*level))) > MIN_DIRECTION:
-                along, friction = level / length, (shape.friction, across)
+                along, friction = level / length, (own, across)
             else:
-                friction = ((shape.friction + across) / 2.0,) * 2
-        wheel = self._find_wheel(rest, link)
-        rolling = np.zeros(2)
-        if wheel >= 0:
-            axis = axis_of(rest.frames, self.model.joints[wheel], wheel)
-            x, y, z = (point - rest.frames.place[wheel + 1]).tolist()
-            rolling = np.array([axis[1] * z - axis[2] * y, axis[2] * x - axis[0] * z])
+                friction = ((own + across) / 2.0,) * 2
+        spins = tuple(
+            (joint, self._find_rolling(rest, joint, point))
+            for joint in self._list_spins(rest, link)
+        )
         return GroundContact(
             link,
             (float(point[0] - root[0]), float(point[1] - root[1])),
             float(rest.loads[at]),
             friction,
             (float(along[0]), float(along[1])),
-            wheel,
-            (float(rolling[0]), float(rolling[1])),
-            wheel >= 0 and self._is_passive[wheel] and self._find_swivel(rest, at) >= 0,
+            spins,
+            bool(spins) and self._is_passive[spins[0][0]] and self._find_swivel(rest, at) >= 0,
         )
 
-    def _find_wheel(self, rest: RestPose, link: int) -> int:
-        """Find the joint that a link rolls about; -1 = none."""
-        joint = link - 1
-        if link == 0 or joint in self.rest.free:
-            return -1
-        one = self.model.joints[joint]
-        is_level = abs(axis_of(rest.frames, one, joint)[2]) < LEVEL_AXIS_Z
-        is_turned = one.kind == "continuous" or (one.kind == "revolute" and joint in self._driven)
-        return joint if is_turned and is_level else -1
+    def _list_spins(self, rest: RestPose, link: int) -> Iterator[int]:
+        """List the joints that a link rolls about: that of a wheel, or those of a ball."""
+        for joint in self.rest.tree.ancestors(link):
+            one = self.model.joints[joint]
+            is_level = abs(axis_of(rest.frames, one, joint)[2]) < LEVEL_AXIS_Z
+            if joint in self._driven and one.kind in TURNING_KINDS:
+                if is_level:
+                    yield joint
+                return
+            if one.kind != "continuous" or joint in self.rest.free or not self._is_passive[joint]:
+                return
+            if is_level:
+                yield joint
+
+    def _find_rolling(self, rest: RestPose, joint: int, point: FloatArray) -> tuple[float, float]:
+        ax, ay, az = axis_of(rest.frames, self.model.joints[joint], joint).tolist()
+        x, y, z = (point - rest.frames.place[joint + 1]).tolist()
+        return ay * z - az * y, az * x - ax * z
 
     def _find_swivel(self, rest: RestPose, at: int) -> int:
         """Find the upright passive joint of a contact that trails behind it; -1 = none."""
@@ -245,10 +262,11 @@ def _make_slip_terms(
         row, offset = np.zeros((2, count)), np.zeros(2)
         x, y = one.place
         row[:, :3] = [[1.0, 0.0, -y], [0.0, 1.0, x]]
-        if one.wheel in unknown:
-            row[:, unknown[one.wheel]] = one.rolling
-        elif one.wheel >= 0:
-            offset = -targets.speeds.get(one.wheel, 0.0) * np.array(one.rolling)
+        for joint, rolling in one.spins:
+            if joint in unknown:
+                row[:, unknown[joint]] = rolling
+            else:
+                offset -= targets.speeds.get(joint, 0.0) * np.array(rolling)
         ahead, aside = one.along
         scale = one.load_n * np.array(one.friction)[:, None] * [[ahead, aside], [-aside, ahead]]
         rows.append(scale @ row)
@@ -278,12 +296,13 @@ def _list_turning_wheels(
     """List the wheels that friction can turn: their torque [N m] and radius [m]."""
     grip: dict[int, tuple[float, float]] = {}
     for one in contacts:
-        if one.wheel >= 0 and one.radius_m > 0.0:
-            pull, radius = grip.get(one.wheel, (0.0, 0.0))
-            torque = one.load_n * max(one.friction) * one.radius_m
-            grip[one.wheel] = pull + torque, max(radius, one.radius_m)
+        for joint, rolling in one.spins:
+            pull, most = grip.get(joint, (0.0, 0.0))
+            radius = float(np.hypot(*rolling))
+            torque = one.load_n * max(one.friction) * radius
+            grip[joint] = pull + torque, max(most, radius)
     return {
         joint: (targets.efforts.get(joint, 0.0), radius)
         for joint, (torque, radius) in grip.items()
-        if targets.efforts.get(joint, 0.0) < torque
+        if radius > 0.0 and targets.efforts.get(joint, 0.0) < torque
     }

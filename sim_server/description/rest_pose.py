@@ -39,6 +39,8 @@ MAX_TILT_RAD = 0.6
 MAX_SETTLING_STEPS = 60
 MAX_STEP = 0.05
 """Of a settling step [m, rad]."""
+LEAST_LEVER_M = 1e-4
+"""Distance from its joint below which a point only rolls."""
 LEAST_SHARE = 1e-6
 """Of a step that is shortened until it descends."""
 SETTLED = 1e-9
@@ -435,10 +437,21 @@ def _list_free_joints(
             continue
         if joint.kind != "prismatic" and is_upright(axis_of(frames, joint, i)):
             continue
-        if joint.kind == "continuous" and i in leaves and not joint.spring_stiffness:
-            continue
-        found.append(i)
+        is_wheel = joint.kind == "continuous" and i in leaves
+        if joint.spring_stiffness or not (is_wheel or _is_rolling(tree, support, frames, i)):
+            found.append(i)
     return found
+
+
+def _is_rolling(tree: LinkTree, support: SupportPoints, frames: LinkFrames, joint: int) -> bool:
+    """Whether a joint only rolls what it carries: no support point rises when it turns."""
+    if tree.joints[joint].kind == "prismatic":
+        return False
+    carried = [joint in tree.ancestors(link) for link in support.link.tolist()]
+    arms = frames.points(support.link, support.centre)[carried] - frames.place[joint + 1]
+    axis = axis_of(frames, tree.joints[joint], joint)
+    rises = axis[0] * arms[:, 1] - axis[1] * arms[:, 0]
+    return bool(np.abs(rises).max() < LEAST_LEVER_M)
 
 
 def axis_of(frames: LinkFrames, joint: Joint, index: int) -> FloatArray:

@@ -158,3 +158,27 @@ def test_contacts_of_box_bot_have_its_wheel_radius() -> None:
     found = GroundFriction(model).move(JointTargets(np.zeros(len(model.joints)), {}, {}))
 
     assert [one.radius_m for one in found.contacts] == pytest.approx([0.035, 0.035], abs=1e-6)
+
+
+def test_ball_joint_of_three_axes_rolls_in_all_directions() -> None:
+    model = with_caster(a_cart(), swivels=True)
+    yaw, axle = model.joints[2:]
+    lying = Link("cross", model.links[1].inertial)
+    ball = Shape("sphere", (0.02, 0.0, 0.0), friction=1.0)
+    joints = (
+        *model.joints[:2],
+        msgspec.structs.replace(yaw, name="yaw"),
+        msgspec.structs.replace(axle, name="pitch", child="cross", origin=Origin()),
+        Joint("roll", "continuous", "cross", "caster", Origin(), (1.0, 0.0, 0.0)),
+    )
+    caster = msgspec.structs.replace(model.links[-1], collisions=(ball,))
+    on_ball = msgspec.structs.replace(
+        model, links=(*model.links[:-1], lying, caster), joints=joints
+    )
+
+    turned = drive_cart(on_ball, -SPEED, SPEED)
+    ahead = drive_cart(on_ball, SPEED, SPEED)
+
+    assert turned.twist[2] == pytest.approx(2.0 * SPEED * WHEEL_RADIUS_M / TRACK_M, abs=1e-4)
+    assert ahead.twist[0] == pytest.approx(SPEED * WHEEL_RADIUS_M, abs=1e-4)
+    assert ahead.motion.power_w + turned.motion.power_w < 1e-3
