@@ -4,8 +4,9 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
+from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.model_messages import Model
-from zensim.sim_server.description.urdf.urdf_parser import read_urdf
+from zensim.sim_server.description.pipeline import parse_description
 
 Point = tuple[float, float, float]
 ORIGIN: Point = (0.0, 0.0, 0.0)
@@ -35,15 +36,19 @@ class WheelRobot:
         name: Unique.
         urdf: Description.
         turn: Second command.
+        order: Drive of the spawn request.
     """
 
     name: str
     urdf: str
     turn: tuple[float, float] = TURN
+    order: DriveOrder = field(default_factory=DriveOrder)
 
     def model(self) -> Model:
         """Read the description."""
-        return read_urdf(self.urdf)
+        return parse_description(
+            self.urdf, assets={}, allow_missing=False, compat="fixed", drive=self.order
+        ).model
 
 
 @dataclass
@@ -208,10 +213,18 @@ class Chassis:
         self.bare_wheel(urdf, name, self.radius, surface or self.surface)
         urdf.joint(f"{name}_joint", "continuous", (parent, name), (*place, 0.0))
 
-    def bare_wheel(self, urdf: UrdfText, name: str, radius: float, surface: Surface) -> None:
-        """Add a wheel without a joint."""
+    def bare_wheel(
+        self,
+        urdf: UrdfText,
+        name: str,
+        radius: float,
+        surface: Surface,
+        axle_rad: float = math.pi / 2,
+    ) -> None:
+        """Add a wheel without a joint; its axle points in this direction on the ground."""
         moments = wheel_inertia(self.wheel_mass, radius, self.width)
-        shape = a_cylinder(radius, self.width, rpy=LEVEL_RPY)
+        level = (math.pi / 2.0, 0.0, axle_rad - math.pi / 2.0)
+        shape = a_cylinder(radius, self.width, rpy=level)
         urdf.link(name, self.wheel_mass, moments, shape, surface=surface)
 
     def foot(self, urdf: UrdfText, name: str, x: float, shape: str, mu: float) -> None:
@@ -490,7 +503,7 @@ def a_car(name: str, chassis: Chassis, wheelbase: float) -> WheelRobot:
             ("base_link", f"{side}_steering"),
             (wheelbase, y, 0.0),
             (0.0, 0.0, 1.0),
-            tags=a_range(1.0),
+            tags=a_range(1.5),
         )
         chassis.wheel(urdf, f"front_{side}", (0.0, 0.0), parent=f"{side}_steering")
     names = ("rear_left", "rear_right", "front_left", "front_right")
@@ -543,6 +556,36 @@ def a_mover(name: str, chassis: Chassis, *, has_wheels: bool) -> WheelRobot:
     return WheelRobot(name, urdf.text())
 
 
+def list_ordered_drives() -> Iterator[WheelRobot]:
+    """Make robots whose drive the spawn request orders."""
+    chassis = Chassis(20.0, 0.1, 0.5, 0.5)
+    wheels = ("rear_left_joint", "rear_right_joint", "left_steering_joint", "right_steering_joint")
+    car = a_car("car_by_turn_rate", chassis, 0.8)
+    yield replace(car, order=DriveOrder("ackermann", wheels))
+    tricycle = a_tricycle("tricycle_by_turn_rate", chassis, 0.8)
+    order = DriveOrder("tricycle", ("front_wheel_joint", "front_steering_joint"))
+    yield replace(tricycle, order=order)
+    mover = a_mover("mecanum", chassis, has_wheels=True)
+    # Front left, front right, rear left, rear right.
+    yield replace(
+        mover, order=DriveOrder("mecanum", tuple(f"wheel{number}_joint" for number in range(4)))
+    )
+    urdf = chassis.start("omni_wheels")
+    for number in range(3):
+        turn = 2.0 * math.pi * number / 3.0
+        x, y = 0.25 * math.cos(turn), 0.25 * math.sin(turn)
+        chassis.bare_wheel(urdf, f"wheel{number}", chassis.radius, Surface(), turn)
+        urdf.joint(
+            f"wheel{number}_joint",
+            "continuous",
+            ("base_link", f"wheel{number}"),
+            (x, y, 0.0),
+            (math.cos(turn), math.sin(turn), 0.0),
+        )
+    joints = tuple(f"wheel{number}_joint" for number in range(3))
+    yield WheelRobot("omni_wheels", urdf.text(), order=DriveOrder("omni", joints))
+
+
 def list_other_drives() -> Iterator[WheelRobot]:
     """Make cars, tricycles and robots with planar drives."""
     yield a_car("car_model", Chassis(2.0, 0.03, 0.16, 0.05), 0.25)
@@ -567,5 +610,6 @@ def list_robots() -> list[WheelRobot]:
         list_directions(),
         list_contacts(),
         list_other_drives(),
+        list_ordered_drives(),
     )
     return [robot for group in groups for robot in group]

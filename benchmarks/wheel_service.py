@@ -37,7 +37,7 @@ def drive_in_service(robots: Sequence[WheelRobot], engine: str) -> list[SpeedAnd
     names = [robot.name.replace(".", "_") for robot in robots]
     with serving("--lockstep", "--rtf", "0", "--paused", *options) as server:
         for row, (robot, name) in enumerate(zip(robots, names, strict=True)):
-            _spawn(server, robot.urdf, name, row)
+            _spawn(server, robot, name, row)
         with running_agents(server, *names, options=("--quiet", "--cmd-vel-timeout", "0")):
             publishers = [
                 server.bus.advertise(CMD_VEL.key(name), make_encoding(Twist, Format.CDR))
@@ -48,14 +48,15 @@ def drive_in_service(robots: Sequence[WheelRobot], engine: str) -> list[SpeedAnd
             return _drive(server, names, publishers, robots[0].turn)
 
 
-def _spawn(server: Server, urdf: str, name: str, row: int) -> None:
+def _spawn(server: Server, robot: WheelRobot, name: str, row: int) -> None:
     pose = Pose(Point(y=row * SPACING_M), Quaternion(w=1.0))
     server.client.spawn(
         SpawnEntityOrder(
             name=name,
-            entity_resource=Resource(resource_string=urdf),
+            entity_resource=Resource(resource_string=robot.urdf),
             initial_pose=PoseStamped(Header(), pose),
             snap_to_ground=True,
+            drive=robot.order,
         )
     )
 

@@ -12,21 +12,28 @@ from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.drives.differential_drive import find_base_step
 from zensim.proto.drives.drive_kinematics import make_drive_kinematics
 from zensim.proto.drives.measured_joints import MeasuredJoints, PlanarTwist
-from zensim.proto.messages.drive_messages import AckermannDrive, DiffDrive, TricycleDrive
+from zensim.proto.messages.drive_messages import (
+    AckermannDrive,
+    DiffDrive,
+    SteeringDrive,
+    TricycleDrive,
+)
 from zensim.proto.rigid_transforms import transform_point
 from zensim.sim_server.description.ground_friction import GroundFriction, GroundMotion, JointTargets
 from zensim.sim_server.description.model_geometry import NO_MESHES, find_link_poses
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from zensim.proto.messages.drive_messages import Drive
-    from zensim.proto.messages.model_messages import Model
+    from zensim.proto.messages.model_messages import Joint, Model
     from zensim.sim_server.description.model_geometry import FindCorners
 
 STRAIGHT: PlanarTwist[float] = (0.2, 0.0, 0.0)
 TURN: PlanarTwist[float] = (0.0, 0.0, 0.5)
 """Nominal commands [m/s, m/s, rad/s]."""
 STEERED_TURN: PlanarTwist[float] = (0.2, 0.0, 0.3)
-"""Of drives whose turn is a steering angle [rad]."""
+"""Of drives that cannot turn on the spot: a steering angle [rad], or a turn rate."""
 SETTLED_S = 1e3
 """Time after which limits of acceleration have no effect."""
 
@@ -50,7 +57,8 @@ class PredictedMotion:
 
 def turn_command(drive: Drive) -> PlanarTwist[float]:
     """Choose the nominal command that turns a robot with this drive."""
-    return STEERED_TURN if isinstance(drive, AckermannDrive | TricycleDrive) else TURN
+    is_steered = isinstance(drive, AckermannDrive | TricycleDrive | SteeringDrive)
+    return STEERED_TURN if is_steered else TURN
 
 
 def predict_motion(
@@ -98,7 +106,7 @@ def make_joint_targets(model: Model, numbers: tuple[float, ...]) -> JointTargets
     for actuator, number in zip(model.actuators, numbers, strict=True):
         joint = index[actuator.joint]
         if actuator.mode == "position":
-            positions[joint] = number
+            positions[joint] = _limit(model.joints[joint], number)
         elif actuator.joint in steering:
             positions[joint] = number * SETTLED_S
         else:
@@ -106,31 +114,66 @@ def make_joint_targets(model: Model, numbers: tuple[float, ...]) -> JointTargets
     return JointTargets(positions, speeds, efforts)
 
 
+def _limit(joint: Joint, position: float) -> float:
+    """Keep a position within the limits of its joint."""
+    if joint.kind == "continuous" or joint.lower > joint.upper:
+        return position
+    return min(max(position, joint.lower), joint.upper)
+
+
 def find_nominal_twist(model: Model, numbers: tuple[float, ...]) -> PlanarTwist[float]:
     """Find the twist of the root link by the drive's own sizes; 0 without wheels."""
-    drive = model.drive
-    if isinstance(drive, DiffDrive):
-        left, right = numbers[:2]
-        ahead, turn = find_base_step(drive.pairs[0], left, right)
-        axle = _find_middle(model, drive.wheel_joints)
-    elif isinstance(drive, AckermannDrive):
-        left, right = numbers[:2]
-        angles = numbers[2:4]
-        ahead = (left + right) / 2.0 * drive.wheel_radius_m
-        slope = 2.0 / sum(1.0 / math.tan(angle) for angle in angles) if all(angles) else 0.0
-        turn = ahead * slope / drive.wheelbase_m
-        axle = _find_middle(model, drive.wheel_joints[:2])
-    elif isinstance(drive, TricycleDrive):
-        speed, angle = numbers[0] * drive.actuated_wheel_diameter_m / 2.0, numbers[1]
-        if drive.max_steering_speed > 0.0:
-            angle *= SETTLED_S
-        axle = _find_middle(model, drive.wheel_joints[1:])
-        reach = _find_middle(model, drive.wheel_joints[:1])[0] - axle[0]
-        ahead, turn = speed * math.cos(angle), speed * math.sin(angle) / reach
-    else:
-        return (0.0, 0.0, 0.0)
+    match model.drive:
+        case DiffDrive() as drive:
+            ahead, turn = find_base_step(drive.pairs[0], *numbers[:2])
+            axle = _find_middle(model, drive.wheel_joints)
+        case AckermannDrive() as drive:
+            ahead = (numbers[0] + numbers[1]) / 2.0 * drive.wheel_radius_m
+            turn = ahead * _find_slope(numbers[2:4]) / drive.wheelbase_m
+            axle = _find_middle(model, drive.wheel_joints[:2])
+        case TricycleDrive() as drive:
+            ahead, turn, axle = _find_tricycle_motion(model, drive, numbers)
+        case SteeringDrive() as drive:
+            ahead, turn, axle = _find_steered_motion(model, drive, numbers)
+        case _:
+            return (0.0, 0.0, 0.0)
     x, y = axle
     return ahead + turn * y, -turn * x, turn
+
+
+def _find_slope(angles: Sequence[float]) -> float:
+    """Find the slope of the middle of steered wheels, which turn about one point."""
+    return len(angles) / sum(1.0 / math.tan(angle) for angle in angles) if all(angles) else 0.0
+
+
+AxleMotion = tuple[float, float, tuple[float, float]]
+"""Speed [m/s], turn [rad/s], and the place (x, y) [m] of the axle that has them."""
+
+
+def _find_tricycle_motion(
+    model: Model, drive: TricycleDrive, numbers: tuple[float, ...]
+) -> AxleMotion:
+    speed, angle = numbers[0] * drive.actuated_wheel_diameter_m / 2.0, numbers[1]
+    if drive.max_steering_speed > 0.0:
+        angle *= SETTLED_S
+    axle = _find_middle(model, drive.wheel_joints[1:])
+    reach = _find_middle(model, drive.wheel_joints[:1])[0] - axle[0]
+    return speed * math.cos(angle), speed * math.sin(angle) / reach, axle
+
+
+def _find_steered_motion(
+    model: Model, drive: SteeringDrive, numbers: tuple[float, ...]
+) -> AxleMotion:
+    count = len(drive.traction)
+    slope = _find_slope(numbers[count:])
+    ahead = sum(numbers[:count]) / count * drive.wheel_radius_m
+    if drive.is_traction_steered:
+        ahead /= math.hypot(1.0, slope)
+        x, y = _find_middle(model, drive.steering)
+        axle = x - drive.wheelbase_m, y
+    else:
+        axle = _find_middle(model, drive.traction)
+    return ahead, ahead * slope / drive.wheelbase_m, axle
 
 
 def _find_middle(model: Model, joints: tuple[str, ...]) -> tuple[float, float]:

@@ -3,11 +3,13 @@
 import pytest
 
 from benchmarks.bench_wheels import WITHIN, measure_robot
-from benchmarks.wheel_models import WheelRobot, list_robots
+from benchmarks.wheel_models import list_robots
 
 ROBOTS = {robot.name: robot for robot in list_robots()}
 MOST_CREEP_MM_S = 1.0
 MOST_TILT_OFF_RAD = 0.005
+MOST_KINEMATIC_OFF = 0.01
+"""Percent."""
 PYBULLET = (
     "mass_ratio_1",
     "mass_ratio_1000",
@@ -49,10 +51,8 @@ def test_robot_drives_as_friction_allows(engine: str, name: str) -> None:
     assert abs(row.tilt_rad - row.predicted_tilt_rad) <= MOST_TILT_OFF_RAD
 
 
-@pytest.mark.parametrize(
-    "robot", [ROBOTS[name] for name in ("radius_0.1_m", "car_20_kg", "tricycle_20_kg", "mover_box")]
-)
-def test_kinematic_robot_drives_as_commanded(robot: WheelRobot) -> None:
-    (row,) = measure_robot(robot, ["kinematic"])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_kinematic_robot_drives_as_friction_allows(name: str) -> None:
+    (row,) = measure_robot(ROBOTS[name], ["kinematic"])
 
-    assert row.off_percent < 1e-3, row
+    assert row.off_percent < MOST_KINEMATIC_OFF, row

@@ -14,6 +14,10 @@ from zensim.proto.messages.model_messages import Joint, Link, Model, Origin, Sha
 from zensim.proto.rigid_transforms import rotate, transform_point
 from zensim.proto.stl import read_corners
 from zensim.sim_server.description.model_geometry import find_link_poses
+from zensim.sim_server.description.motion_prediction import (
+    find_drive_targets,
+    predict_nominal_motions,
+)
 from zensim.sim_server.physics.actuation import make_actuation
 from zensim.sim_server.physics.engine import EngineRefused, FloatArray
 from zensim.sim_server.scene.footprints import Footprint, MeshTriangles, measure_footprint
@@ -40,6 +44,8 @@ DEFAULT_STEERING_RAD_S = 10.0
 TIPPING_RATIO = 0.8
 """Share of the tipping acceleration that is allowed."""
 MIN_LENGTH_M = 1e-4
+ROLLING_TOLERANCE = 1e-4
+"""Difference [m/s, rad/s] from the predicted motion up to which wheels count as rolling."""
 
 
 class NotPlanar(ValueError):
@@ -130,6 +136,8 @@ def make_planar_vehicle(
     steering = tuple(index[name] for name in drive.steering_joints)
     wheels = [_make_wheel(model, index[name], steering) for name in _list_wheel_joints(model)]
     matrix, axle = _find_drive_matrix(wheels, model)
+    if isinstance(drive, DiffDrive) and matrix:
+        matrix = _follow_friction(matrix, model, drive, corners)
     geometry = _VehicleGeometry(model, index, steering, tuple(wheels), matrix, axle)
     footprint = measure_footprint(model, corners, axle if matrix else None)
     return geometry.vehicle(footprint, gravity), footprint
@@ -282,6 +290,27 @@ def _solve_drive_matrix(
     found = np.linalg.pinv(rows) @ np.vstack([radii, np.zeros_like(radii)])
     x, y = np.mean([wheel.place for wheel in wheels], axis=0).tolist()
     return tuple(found.ravel().tolist()), (x, y)
+
+
+def _follow_friction(
+    matrix: tuple[float, ...], model: Model, drive: DiffDrive, corners: MeshTriangles
+) -> tuple[float, ...]:
+    """Replace the matrix where loads and casters make friction give another motion.
+
+    Speed and turn are those of the drive's own sizes; friction gives the twists of both.
+    """
+    predicted = predict_nominal_motions(model, corners)
+    speeds: FloatArray = np.array([find_drive_targets(model, one.command) for one in predicted]).T
+    twists: FloatArray = np.array([one.twist for one in predicted]).T
+    rolled = np.array(matrix).reshape(3, -1) @ speeds
+    is_known = all(one.ground.rest.is_stable for one in predicted) and np.isfinite(twists).all()
+    if not is_known or np.abs(rolled - twists).max() < ROLLING_TOLERANCE:
+        return matrix
+    radii = [pair.diameter_m / 2.0 for pair in drive.pairs for _ in range(2)]
+    sides = [side * pair.separation_m / 2.0 for pair in drive.pairs for side in (-1.0, 1.0)]
+    commands = np.linalg.pinv(np.stack([np.ones(len(sides)), sides], axis=1)) @ np.diag(radii)
+    found: FloatArray = twists @ np.linalg.solve(commands @ speeds, commands)
+    return tuple(found.ravel().tolist())
 
 
 def _find_tipping_limits(model: Model, footprint: Footprint, gravity: float) -> tuple[float, float]:
