@@ -10,8 +10,8 @@ controller, in lockstep at 240 Hz: 1.5 s at rest, 4 s at 0.2 m/s, 1 s stop, 4 s 
 speed and turn relative to the prediction, of the turn while it drives straight relative to 0.5
 rad/s. A sample is a robot.
 
-*Service* drives some of them in a server process with `--lockstep`, each with an agent that gets its
-commands over Zenoh, and compares with the same robot in process.
+*Service* drives some of them in a server process with `--lockstep`, each with an agent that gets
+its commands over Zenoh, and compares with the same robot in process.
 """
 
 from collections.abc import Iterable, Iterator
