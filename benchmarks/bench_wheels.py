@@ -6,9 +6,9 @@ directions, and every drive. Each runs in a world of its own with the product's 
 controller, in lockstep at 240 Hz: 1.5 s at rest, 4 s at 0.2 m/s, 1 s stop, 4 s at 0.5 rad/s
 (steered drives: 0.2 m/s at 0.3 rad of steering). The last 2 s of each drive count.
 
-*Predicted* is the steady motion that Coulomb friction allows ([accuracy](accuracy.md)). *Off* is the greatest deviation from it: of
-speed and turn relative to the prediction, of the turn while it drives straight relative to 0.5
-rad/s. A sample is a robot.
+*Predicted* is the steady motion that Coulomb friction allows ([accuracy](accuracy.md)). *Off* is
+the greatest deviation from it: of speed and turn relative to the prediction, of the turn while it
+drives straight relative to 0.5 rad/s. A sample is a robot.
 
 *Service* drives some of them in a server process with `--lockstep`, each with an agent that gets
 its commands over Zenoh, and compares with the same robot in process.
