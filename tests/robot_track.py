@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.engines import STEP_NS
+from tests.engines import STEP_NS, MakeEngine
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.proto.se3 import to_yaw
@@ -43,8 +43,8 @@ class TrackResult:
 class Track:
     """One robot on a plane, with its base controller."""
 
-    def __init__(self, model: Model, start: FloatArray) -> None:
-        self._engine = PyBulletEngine(EngineConfig(STEP_NS))
+    def __init__(self, model: Model, start: FloatArray, make: MakeEngine = PyBulletEngine) -> None:
+        self._engine = make(EngineConfig(STEP_NS))
         self._body = self._engine.add(model, start)
         self._base = BaseController(model)
         self._steps = 0
@@ -90,6 +90,11 @@ class Track:
         for _ in range(CONTROL_STEPS):
             self._engine.step()
         self._steps += CONTROL_STEPS
+
+    def joint_velocities(self) -> list[float]:
+        """Velocities of all joints [rad/s]."""
+        found: list[float] = self._engine.read([self._body]).joint_velocities.tolist()
+        return found
 
     def _row(self) -> FloatArray:
         return np.asarray(self._engine.read([self._body]).base[0])

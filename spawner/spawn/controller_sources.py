@@ -1,4 +1,4 @@
-"""Controllers' files of a robot: given, named by its plug-ins, or the only fitting one beside it.
+"""Controllers' files of a robot: given, named by its plug-ins, or the only fitting one.
 
 A description may be untrusted: only YAML files in the search paths are read.
 """
@@ -18,7 +18,6 @@ YAML_SUFFIXES = (".yaml", ".yml")
 MAX_CONTROLLERS_BYTES = 1 << 18
 MAX_SCANNED_FILES = 1000
 CONTROL_PLUGIN = "ros2_control"
-CONTROL_TAGS = ("ros2_control", "transmission")
 FIND_PACKAGE = re.compile(r"\$\(find(?:-pkg-share)? ([\w.-]+)\)")
 DRIVE_TYPE = re.compile(
     r"\b(?:diff_drive_controller/Diff|mecanum_drive_controller/Mecanum"
@@ -30,6 +29,9 @@ DRIVE_FILE = re.compile(
 )
 """File name of a plug-in that drives a robot."""
 WORD = re.compile(r"[\w./-]+")
+LAUNCH_ARGUMENT = "$(arg "
+MIN_ENDING = 5
+"""Characters of a name without the prefix that an argument of a launch file gives."""
 MIN_JOINTS = 2
 """A file fits if it names so many joints of the robot."""
 
@@ -58,7 +60,7 @@ def _read_text(file: Path) -> str:
 
 
 def find_controller_files(text: str, paths: SearchPaths) -> ControllerTexts:
-    """Find the files that plug-ins name; else the only fitting one in the packages beside.
+    """Find the files that plug-ins name; else the only fitting one, if no plug-in drives.
 
     Args:
         text: Description with expanded xacro.
@@ -70,9 +72,7 @@ def find_controller_files(text: str, paths: SearchPaths) -> ControllerTexts:
         return ControllerTexts()
     if named := list(_list_parameters(robot)):
         return _read_named(named, paths)
-    if not any(robot.iter(tag) for tag in CONTROL_TAGS) or _has_drive(robot):
-        return ControllerTexts()
-    return _find_fitting(robot, paths)
+    return ControllerTexts() if _has_drive(robot) else _find_fitting(robot, paths)
 
 
 def _list_parameters(robot: ET.Element) -> Iterator[str]:
@@ -141,7 +141,7 @@ def _find_fitting(robot: ET.Element, paths: SearchPaths) -> ControllerTexts:
 
 
 def _list_yaml_files(paths: SearchPaths) -> Iterator[Path]:
-    """List YAML files of the package of the description and of the packages beside it."""
+    """List YAML files of the packages of the description, beside it and in search paths."""
     seen = 0
     for package in _list_packages(paths):
         for file in sorted(package.rglob("*")):
@@ -155,13 +155,17 @@ def _list_yaml_files(paths: SearchPaths) -> Iterator[Path]:
 
 def _list_packages(paths: SearchPaths) -> list[Path]:
     own = [folder for folder in paths.own_folders if is_package(folder)]
-    beside = [
-        child
-        for folder in own
-        for child in sorted(folder.parent.iterdir())
-        if child.is_dir() and is_package(child)
-    ]
-    return list(dict.fromkeys((*own, *beside)))
+    beside = [child for folder in own for child in _list_folders(folder.parent)]
+    given = [*paths.roots, *(child for root in paths.roots for child in _list_folders(root))]
+    given += [child for folder in given for child in _list_folders(folder)]
+    return list(dict.fromkeys((*own, *filter(is_package, (*beside, *given)))))
+
+
+def _list_folders(folder: Path) -> list[Path]:
+    try:
+        return sorted(child for child in folder.iterdir() if child.is_dir())
+    except OSError:
+        return []
 
 
 def _fits(file: Path, joints: set[str]) -> bool:
@@ -171,4 +175,9 @@ def _fits(file: Path, joints: set[str]) -> bool:
         return False
     if not DRIVE_TYPE.search(text):
         return False
-    return len(joints & set(WORD.findall(text))) >= MIN_JOINTS
+    words = set(WORD.findall(text))
+    named = joints & words
+    if not named and LAUNCH_ARGUMENT in text:
+        endings = tuple(f"_{word}" for word in words if len(word) >= MIN_ENDING)
+        named = {joint for joint in joints if joint.endswith(endings)}
+    return len(named) >= MIN_JOINTS

@@ -5,6 +5,7 @@ Each family of plug-ins lists its rows in `PLUGINS`; `plugin_registry` joins the
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import msgspec
 
 from zensim.proto.messages.drive_messages import Drive, DriveSettings, OdometrySource
-from zensim.proto.messages.model_messages import Link, Shape, Vec3
+from zensim.proto.messages.model_messages import ZERO, Link, Shape, Vec3
 from zensim.proto.names import InvalidName, check_frame, check_namespace
 from zensim.proto.rigid_transforms import rotate, transform_point
 from zensim.sim_server.description.model_geometry import find_link_poses
@@ -308,6 +309,8 @@ class MeasuredWheel(msgspec.Struct, frozen=True):
     axis: Vec3
     radius_m: float
     """0 where the link has no round shape and no mesh that is known here."""
+    off_axle_m: float = 0.0
+    """Distance of the centre from the axle; infinite for a mesh that is not round."""
 
 
 def measure_wheels(names: Iterable[str], lumped: LumpedModel) -> list[MeasuredWheel]:
@@ -318,10 +321,10 @@ def measure_wheels(names: Iterable[str], lumped: LumpedModel) -> list[MeasuredWh
     wheels = []
     for joint in (joints[name] for name in names):
         pose = poses[joint.child]
-        place, radius = _measure_wheel(links[joint.child], joint.axis, lumped.corners)
+        place, radius, off = _measure_wheel(links[joint.child], joint.axis, lumped.corners)
         centre = transform_point(pose, place)
         axis = rotate(pose.orientation, joint.axis)
-        wheels.append(MeasuredWheel(joint.name, centre, axis, radius))
+        wheels.append(MeasuredWheel(joint.name, centre, axis, radius, off))
     return wheels
 
 
@@ -363,24 +366,34 @@ def find_distance_faults(
     ]
 
 
-def _measure_wheel(link: Link, axis: Vec3, corners: FindCorners) -> tuple[Vec3, float]:
-    """Find the centre and the radius [m] of a wheel in its link; a radius of 0 is unknown."""
+ROUND_TOLERANCE = 0.15
+"""Share by which the extents of a round mesh may differ across its axle."""
+_WheelSize = tuple[Vec3, float, float]
+"""Centre in the link, radius [m], distance of the centre from the axle [m]."""
+
+
+def _measure_wheel(link: Link, axis: Vec3, corners: FindCorners) -> _WheelSize:
+    """Measure a wheel; a radius of 0 is unknown."""
     rounds = [shape for shape in link.collisions if shape.kind in ROUND_KINDS]
     if rounds:
-        shape = max(rounds, key=lambda shape: shape.size[0])
-        return shape.origin.position, shape.size[0]
+        return _measure_round_wheel(rounds, axis)
     for shapes in (link.collisions, link.visuals):
         found = [one for shape in shapes if (one := _measure_mesh_wheel(shape, axis, corners))]
         if found:
             return max(found, key=lambda one: one[1])
     rounds = [shape for shape in link.visuals if shape.kind in ROUND_KINDS]
-    widest = max(rounds, key=lambda shape: shape.size[0], default=Shape("sphere"))
-    return widest.origin.position, widest.size[0]
+    return _measure_round_wheel(rounds or [Shape("sphere")], axis)
 
 
-def _measure_mesh_wheel(
-    shape: Shape, axis: Vec3, corners: FindCorners
-) -> tuple[Vec3, float] | None:
+def _measure_round_wheel(rounds: Sequence[Shape], axis: Vec3) -> _WheelSize:
+    widest = max(rounds, key=lambda shape: shape.size[0])
+    place = widest.origin.position
+    along = sum(a * b for a, b in zip(place, axis, strict=True)) / math.dist(axis, ZERO)
+    off = math.sqrt(max(math.dist(place, ZERO) ** 2 - along**2, 0.0))
+    return place, widest.size[0], off
+
+
+def _measure_mesh_wheel(shape: Shape, axis: Vec3, corners: FindCorners) -> _WheelSize | None:
     try:
         points = corners(shape.mesh) if shape.kind == "mesh" else None
     except KeyError:
@@ -393,8 +406,11 @@ def _measure_mesh_wheel(
 
     turn = to_matrix(np.array(shape.origin.orientation))
     placed = (points * shape.size) @ turn.T + shape.origin.position
-    along = np.array(axis) / np.linalg.norm(axis)
-    offsets = placed @ along
-    radial = np.linalg.norm(placed - np.outer(offsets, along), axis=1)
-    x, y, z = (along * (offsets.min() + offsets.max()) / 2.0).tolist()
-    return (x, y, z), float(radial.max())
+    # Rows: along the axle, and two directions across.
+    basis = np.linalg.svd(np.array([axis]))[2]
+    lowest, highest = (placed @ basis.T).min(axis=0), (placed @ basis.T).max(axis=0)
+    middle, extents = (lowest + highest) / 2.0, highest - lowest
+    radial = float(np.linalg.norm((placed @ basis.T)[:, 1:], axis=1).max())
+    is_round = abs(extents[1] - extents[2]) <= ROUND_TOLERANCE * max(extents[1:])
+    x, y, z = (basis[0] * middle[0]).tolist()
+    return (x, y, z), radial, float(np.hypot(*middle[1:])) if is_round else math.inf

@@ -60,7 +60,9 @@ def find_wheels(lumped: LumpedModel) -> list[MeasuredWheel]:
     wheels = [
         wheel
         for wheel in measure_wheels([j.name for j in lumped.joints if j.name in free], lumped)
-        if wheel.radius_m >= MIN_WHEEL_RADIUS_M and abs(wheel.axis[2]) <= LEVEL_AXIS_Z
+        if wheel.radius_m >= MIN_WHEEL_RADIUS_M
+        and abs(wheel.axis[2]) <= LEVEL_AXIS_Z
+        and wheel.off_axle_m <= OFF_AXLE * wheel.radius_m
     ]
     ground = min((wheel.centre[2] - wheel.radius_m for wheel in wheels), default=0.0)
     return [
@@ -87,7 +89,12 @@ def _list_upright_joints(lumped: LumpedModel) -> set[str]:
 
 def _is_caster(wheel: Joint, joints: Iterable[Joint], upright: set[str]) -> bool:
     swivel = _find_swivel(wheel, {joint.child: joint for joint in joints}, upright)
-    return swivel is not None and _turns_fully(swivel)
+    return swivel is not None and _turns_fully(swivel) and not _has_steering_limits(swivel)
+
+
+def _has_steering_limits(joint: Joint) -> bool:
+    """Whether a joint has limits, also where its kind makes them void: so cars are written."""
+    return 0.0 < joint.upper - joint.lower < FULL_TURN_RAD
 
 
 def _find_swivel(wheel: Joint, by_child: dict[str, Joint], upright: set[str]) -> Joint | None:

@@ -22,7 +22,7 @@ def lump(text: str) -> LumpedModel:
     return LumpedModel(model.links, model.joints, model.frames)
 
 
-SWIVEL = a_steering("swivel", -0.3, 0.0).replace("revolute", "continuous")
+SWIVEL = a_steering("swivel", -0.3, 0.0).replace("revolute", "continuous").replace("0.7", "0")
 CASTER = SWIVEL + a_tyre("caster", -0.05, 0.0, parent="swivel_knuckle")
 LIDAR = a_tyre("lidar", 0.1, 0.0).replace('<axis xyz="0 1 0"/>', '<axis xyz="0 0 1"/>')
 HIGH = a_tyre("roller_left", 0.0, 0.3).replace('xyz="0.0 0.3 0"', 'xyz="0 0.3 0.5"') + a_tyre(
@@ -44,11 +44,27 @@ HIGH = a_tyre("roller_left", 0.0, 0.3).replace('xyz="0.0 0.3 0"', 'xyz="0 0.3 0.
             a_car(),
             DriveOrder("ackermann", ("rear_left", "rear_right", "steer_left", "steer_right")),
         ),
+        (
+            a_car().replace("revolute", "continuous"),
+            DriveOrder("ackermann", ("rear_left", "rear_right", "steer_left", "steer_right")),
+        ),
+        (a_diff_robot().replace('<origin rpy="1', '<origin xyz="0 0 -0.3" rpy="1'), None),
         (a_robot(a_base()), None),
         (a_robot(a_base(), a_tyre("one", 0.0, 0.2)), None),
         (a_robot(a_base(), CASTER), None),
     ],
-    ids=["diff", "caster, lidar, roller", "skid", "mecanum", "car", "box", "one wheel", "caster"],
+    ids=[
+        "diff",
+        "caster, lidar, roller",
+        "skid",
+        "mecanum",
+        "car",
+        "car with void limits",
+        "legs",
+        "box",
+        "one wheel",
+        "caster",
+    ],
 )
 def test_drive_is_suggested_for_the_wheels_on_the_ground(
     text: str, order: DriveOrder | None
