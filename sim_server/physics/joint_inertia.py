@@ -1,6 +1,7 @@
 """How easily each joint of a body yields to an effort, by the composite rigid body algorithm."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,21 +28,44 @@ def find_joint_mobilities(parts: Sequence[RigidPart], *, is_static: bool) -> dic
     Returns:
         By name of the joint [1/(kg m^2) or 1/kg].
     """
-    matrix, names = _make_mass_matrix(parts)
-    if is_static:
-        matrix = matrix[FREE_ROOT_ROWS:, FREE_ROOT_ROWS:]
-    if not names:
+    mass = make_mass_matrix(parts)
+    if not mass.rows:
         return {}
-    # Rows of unit diagonal: moments of a wheel and masses of a body differ by many powers of ten.
-    scale = 1.0 / np.sqrt(np.diag(matrix))
-    inverse = np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True)
-    found = np.maximum(np.diag(inverse) * scale * scale, 0.0)[-len(names) :]
-    return dict(zip(names, found.tolist(), strict=True))
+    inverse = mass.invert(is_static=is_static)
+    found = {i: float(inverse[row, row]) for i, row in mass.rows.items()}
+    return {
+        joint.name: max(0.0, found[i]) for i in mass.rows if (joint := parts[i].joint) is not None
+    }
 
 
-def _make_mass_matrix(parts: Sequence[RigidPart]) -> tuple[FloatArray, list[str]]:
-    """Make the mass matrix: six rows of the root, then one for each moving joint, by name."""
-    poses = _find_part_poses(parts)
+class MassMatrix(NamedTuple):
+    """Mass matrix of a body with its joints at zero.
+
+    Attributes:
+        matrix: (6 + k, 6 + k): six rows of the root, angular and linear, then one for each joint.
+        rows: Row of the joint of each part that moves.
+        axes: Twist (6,) of its unit speed, at the root's origin: angular, linear.
+    """
+
+    matrix: FloatArray
+    rows: dict[int, int]
+    axes: dict[int, FloatArray]
+
+    def invert(self, *, is_static: bool) -> FloatArray:
+        """Find the inverse; the rows of a static root are 0."""
+        free = slice(FREE_ROOT_ROWS if is_static else 0, None)
+        own = self.matrix[free, free]
+        # Rows of unit diagonal: moments of a wheel and masses differ by many powers of ten.
+        scale = 1.0 / np.sqrt(np.diag(own))
+        inverse = np.zeros_like(self.matrix)
+        inverse[free, free] = np.linalg.pinv(own * np.outer(scale, scale), hermitian=True)
+        inverse[free, free] *= np.outer(scale, scale)
+        return inverse
+
+
+def make_mass_matrix(parts: Sequence[RigidPart]) -> MassMatrix:
+    """Make the mass matrix of a body; parents precede children."""
+    poses = find_part_poses(parts)
     composite = np.array([_make_spatial_inertia(*pair) for pair in zip(parts, poses, strict=True)])
     for i in range(len(parts) - 1, 0, -1):
         composite[parts[i].parent] += composite[i]
@@ -58,10 +82,10 @@ def _make_mass_matrix(parts: Sequence[RigidPart]) -> tuple[FloatArray, list[str]
             if at in rows:
                 matrix[rows[at], rows[i]] = matrix[rows[i], rows[at]] = axes[at] @ force
             at = parts[at].parent
-    return matrix, [joint.name for i in moving if (joint := parts[i].joint) is not None]
+    return MassMatrix(matrix, rows, axes)
 
 
-def _find_part_poses(parts: Sequence[RigidPart]) -> list[Origin]:
+def find_part_poses(parts: Sequence[RigidPart]) -> list[Origin]:
     """Find the pose of each part in the root, joints at zero."""
     poses = [Origin()]
     for part in parts[1:]:

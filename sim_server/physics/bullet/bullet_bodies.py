@@ -25,6 +25,7 @@ from zensim.sim_server.physics.bullet.bullet_contact import (
     make_contact_arguments,
 )
 from zensim.sim_server.physics.bullet.joint_springs import JointSprings, find_joint_springs
+from zensim.sim_server.physics.bullet.wheel_carriers import list_carriers
 from zensim.sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArray
 from zensim.sim_server.physics.joint_inertia import find_joint_mobilities
 from zensim.sim_server.physics.link_forces import LinkForce
@@ -51,6 +52,7 @@ class BulletBody:
         gears: Bullet's numbers of its gear constraints.
         rolling_frictions: Rolling friction of its wheels while it stands.
         springs: Of its joints; None without any.
+        carriers: Bullet's joint numbers of carriers of wheels.
     """
 
     model: Model
@@ -61,6 +63,7 @@ class BulletBody:
     gears: Sequence[int]
     rolling_frictions: RollingFrictions
     springs: JointSprings | None
+    carriers: tuple[int, ...]
 
     @cached_property
     def joints(self) -> tuple[int, ...]:
@@ -86,6 +89,7 @@ def make_bullet_body(
         gears=gears,
         rolling_frictions=find_rolling_frictions(model, blueprint),
         springs=find_joint_springs(model, list_moving_joints(blueprint)),
+        carriers=list_carriers(blueprint),
     )
 
 

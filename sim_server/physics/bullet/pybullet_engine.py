@@ -43,6 +43,7 @@ from zensim.sim_server.physics.bullet.bullet_contact import (
     list_self_collision_pairs,
 )
 from zensim.sim_server.physics.bullet.joint_springs import JointSprings, SpringTable
+from zensim.sim_server.physics.bullet.wheel_carriers import add_wheel_carriers, list_carriers
 from zensim.sim_server.physics.command_cache import CommandCache
 from zensim.sim_server.physics.engine import (
     BodyStates,
@@ -221,6 +222,8 @@ ACTIVATION_AWAKE = (pybullet.ACTIVATION_STATE_WAKE_UP, pybullet.ACTIVATION_STATE
 COLLIDE_WITH_NOTHING, COLLIDE_WITH_ALL = (0, 0), (1, -1)  # group, mask
 ORIGIN_STATE: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
 
+CARRIER_TORQUE_NM = 1e6
+"""Greatest torque of motors that hold carriers of wheels."""
 OVERLAP_M = 0.001  # depth from which bodies overlap instead of touching
 
 VELOCITY_MODE = (pybullet.VELOCITY_CONTROL, "targetVelocities")
@@ -253,7 +256,7 @@ class PyBulletEngine(Engine):
             joint_kinds=JOINT_TYPES,
             shape_kinds=GEOMETRY_TYPES,
             mesh_folder=config.mesh_folder,
-            arrange=order_depth_first,
+            arrange=lambda blueprint: add_wheel_carriers(order_depth_first(blueprint)),
         )
         self._twists: dict[int, list[float]] = {}
         self._resisting: set[int] = set()
@@ -478,6 +481,8 @@ class PyBulletEngine(Engine):
         states = zip(joints, positions.tolist(), velocities.tolist(), strict=True)
         for joint, position, speed in states:
             pybullet.resetJointState(body, joint, position, speed, physicsClientId=self._client)
+        for carrier in self._bodies[body].carriers:
+            pybullet.resetJointState(body, carrier, 0.0, 0.0, physicsClientId=self._client)
         if (pending := self._pending_velocities.get(body)) is not None:
             self._pending_velocities[body] = pending[0], velocities.copy()
 
@@ -642,6 +647,15 @@ class PyBulletEngine(Engine):
         options = {"controlMode": pybullet.VELOCITY_CONTROL, "physicsClientId": self._client}
         for link, joint in list_moving_joints(blueprint):
             pybullet.setJointMotorControl2(body, link, force=joint.friction, **options)
+        for carrier in list_carriers(blueprint):
+            pybullet.setJointMotorControl2(
+                body,
+                carrier,
+                pybullet.POSITION_CONTROL,
+                targetPosition=0.0,
+                force=CARRIER_TORQUE_NM,
+                physicsClientId=self._client,
+            )
 
     def _set_dampings(self, body: int, blueprint: Blueprint, springs: JointSprings | None) -> None:
         for link, damping in limit_joint_dampings(blueprint, springs, self._dt_s):

@@ -84,10 +84,8 @@ def test_robot_moves_like_one_with_full_dynamics(name: str, targets: list[float]
         steps(engine, 480)
 
         gone = places(engine, [flat, full]) - [[0.0, 0.0], [0.0, 50.0]]
-        # PyBullet's skid steering turns less while the robot drives along an axis of the world.
-        loose = 2.0 if name == "skid_bot" else 1.0
-        assert gone[0] == pytest.approx(gone[1], abs=0.055 * loose)
-        assert heading(engine, flat) == pytest.approx(heading(engine, full), abs=0.12 * loose)
+        assert gone[0] == pytest.approx(gone[1], abs=0.05)
+        assert heading(engine, flat) == pytest.approx(heading(engine, full), abs=0.12)
 
 
 def test_robot_keeps_its_height_and_tilt() -> None:
