@@ -1,11 +1,13 @@
 """MJCF text of a world with slots, and the layout of its compiled model (ADR 38)."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 
-from zensim.proto.messages.model_messages import Origin, Shape
+from zensim.proto.messages.model_messages import Origin, Shape, Vec3
+from zensim.proto.se3 import conjugate, rotate
 from zensim.sim_server.physics.blueprint import RigidPart
 from zensim.sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
@@ -19,6 +21,7 @@ from zensim.sim_server.physics.mujoco.mujoco_contact import (
     make_rigid_parameters,
 )
 from zensim.sim_server.physics.mujoco.slot_layout import (
+    NO_INDEX,
     Archetype,
     IndexArray,
     SlotAddress,
@@ -40,6 +43,11 @@ SLOT_PLACEHOLDER = "@"
 SUPPORTED_JOINT_KINDS = ("revolute", "continuous", "prismatic", "fixed")
 SUPPORTED_SHAPE_KINDS = ("box", "sphere", "cylinder", "capsule", "mesh")
 MAX_PARTS = 256
+WHEEL_STIFFNESS_PER_KG = 98100.0
+"""Least contact stiffness [N/m] of a driven wheel per mass of its robot: 0.1 mm under its weight.
+
+Softer wheels beside rigid casters carry nothing, and have no grip.
+"""
 CYLINDRICAL_KINDS = ("cylinder", "capsule")
 
 
@@ -159,9 +167,21 @@ def _write_joint(part: RigidPart, link: int, dt_s: float) -> str:
     return (
         f'<joint name="j{SLOT_PLACEHOLDER}.{link}" type="{kind}" '
         f'axis="{_join_numbers(joint.axis)}" {limits}'
+        f'stiffness="{joint.spring_stiffness!r}" springref="{joint.spring_reference!r}" '
+        f'armature="{find_armature(part, joint.axis)!r}" '
         f'damping="{joint.damping!r}" frictionloss="{joint.friction!r}" '
         f"{_solver_attributes('friction', make_motor_parameters(dt_s))}/>"
     )
+
+
+def find_armature(part: RigidPart, axis: Vec3) -> float:
+    """Find what the moment [kg m^2] of a driven wheel about its axle lacks of the least one."""
+    if not part.reflected_inertia:
+        return 0.0
+    axle = np.array(axis) / np.linalg.norm(axis)
+    own = (rotate(conjugate(np.array(part.principal)), axle) ** 2) @ np.array(part.inertia)
+    arm = np.cross(axle, part.com)
+    return max(0.0, part.reflected_inertia - float(own + part.mass_kg * arm @ arm))
 
 
 def _write_geometries(
@@ -292,12 +312,28 @@ class ModelLayout:
                 if 2.0 * moments.max() > moments.sum():
                     yield address.start.bodies + address.layout.bodies[link], moments
 
-    def soft_geometries(self) -> Iterator[tuple[int, RigidPart]]:
-        """List geometries with a contact stiffness."""
+    def sprung_joints(self) -> Iterator[int]:
+        """List the degrees of freedom with a spring."""
         for archetype, address in self.addresses():
+            for joint, part in enumerate(archetype.link_parts[1:]):
+                index = address.joint_velocity(joint)
+                if index != NO_INDEX and part.joint and part.joint.spring_stiffness:
+                    yield index
+
+    def geometries(self) -> Iterator[tuple[int, RigidPart, float]]:
+        """List the geometries of all slots, each with its part and the mass [kg] of its body."""
+        for archetype, address in self.addresses():
+            mass_kg = max(archetype.mass_kg, MIN_MASS_KG)
             for offset, part in enumerate(self.parts[archetype]):
-                if part.contact.stiffness > 0.0:
-                    yield address.start.geometries + offset, part
+                yield address.start.geometries + offset, part, mass_kg
+
+
+def stiffen_wheel(part: RigidPart, archetype: Archetype) -> RigidPart:
+    """Give the compliant contact of a driven wheel at least a stiffness that carries the robot."""
+    if not (part.contact.stiffness and archetype.link_parts[part.link].reflected_inertia):
+        return part
+    stiffness = max(part.contact.stiffness, archetype.mass_kg * WHEEL_STIFFNESS_PER_KG)
+    return replace(part, contact=msgspec.structs.replace(part.contact, stiffness=stiffness))
 
 
 def make_model_layout(counts: SlotCounts, config: EngineConfig, pieces: LoadPieces) -> ModelLayout:
@@ -305,7 +341,9 @@ def make_model_layout(counts: SlotCounts, config: EngineConfig, pieces: LoadPiec
     at = first_slot = SlotSizes(bodies=1, geometries=int(config.has_ground))
     start, layouts, parts = {}, {}, {}
     for archetype, count in counts:
-        parts[archetype] = tuple(list_geometry_parts(archetype, pieces))
+        parts[archetype] = tuple(
+            stiffen_wheel(part, archetype) for part in list_geometry_parts(archetype, pieces)
+        )
         layouts[archetype] = make_slot_layout(archetype, len(parts[archetype]))
         start[archetype] = at
         at += layouts[archetype].sizes.times(count)

@@ -37,8 +37,11 @@ from zensim.sim_server.physics.mujoco.mjcf import (
     write_mjcf,
 )
 from zensim.sim_server.physics.mujoco.mujoco_contact import (
-    correct_contact_rows,
-    make_soft_parameters,
+    LiftIteration,
+    find_sliding_rows,
+    limit_penetration_recovery,
+    make_contact_parameters,
+    predict_lifts,
 )
 from zensim.sim_server.physics.mujoco.slot_layout import (
     NO_INDEX,
@@ -449,6 +452,8 @@ MAX_SPEED_CHANGE = 20.0
 """Change of a speed in a step [m/s or rad/s] above which the step is solved again."""
 FALLBACK_SOLVER = int(mujoco.mjtSolver.mjSOL_CG), 1000
 """Solver and iterations of the second solve."""
+MAX_SOLVES = 4
+"""Of a step in which contacts slide."""
 MAX_CACHED_SELECTIONS = 4096
 
 
@@ -487,7 +492,6 @@ class MujocoEngine(Engine):
     def __init__(self, config: EngineConfig) -> None:
         self._config = config
         self._dt_s = config.step_ns * 1e-9
-        self._weight = math.hypot(*config.gravity)
         self._blueprints = BlueprintCache(
             self.name,
             max_parts=MAX_PARTS,
@@ -605,6 +609,8 @@ class MujocoEngine(Engine):
         self._data.qpos[qpos + QPOS_POSE_ORDER] = base[:7]
         self._data.qvel[qvel : qvel + 3] = base[7:10]
         self._data.qvel[qvel + 3 : qvel + 6] = rotate(conjugate(base[3:7]), base[10:])
+        # The next step predicts slips by accelerations, which a new state does not have.
+        self._data.qacc[known.address.velocities] = 0.0
         if body in self._hidden:
             self.hide(body)
 
@@ -657,10 +663,9 @@ class MujocoEngine(Engine):
         if len(inputs.motors):
             self._apply_motor_speeds()
         if data.ncon:
-            correct_contact_rows(
-                data.efc_aref, data.contact, data.efc_KBIP, self._dt_s, self._weight
-            )
-        self._solve()
+            self._solve_contacts()
+        else:
+            self._solve()
         if self._has_loads or len(inputs.link_forces):
             data.xfrc_applied[:] = 0.0
             data.qfrc_applied[:] = 0.0
@@ -765,10 +770,37 @@ class MujocoEngine(Engine):
             model.jnt_qposadr[model.dof_jntid].astype(np.intp),
         )
 
-    def _solve(self) -> None:
+    def _solve_contacts(self) -> None:
+        """Solve and integrate; again while contacts slide otherwise than assumed."""
+        model, data, dt_s = self._model, self._data, self._dt_s
+        contacts, wanted = data.contact, data.efc_aref
+        limit_penetration_recovery(wanted, contacts, data.efc_KBIP, dt_s)
+        # Predicted: friction stops what a step of a curve adds to the velocity of a wheel.
+        velocities = np.empty(len(wanted))
+        mujoco.mj_mulJacVec(model, data, velocities, data.qvel + dt_s * data.qacc)
+        rows = find_sliding_rows(contacts, velocities)
+        if rows is None:
+            self._solve()
+            return
+        lifts = predict_lifts(rows, data.efc_vel, velocities)
+        iteration = LiftIteration(rows, wanted, lifts, dt_s)
+        for _ in range(MAX_SOLVES - 1):
+            iteration.correct(wanted)
+            start = self._solve()
+            mujoco.mj_mulJacVec(model, data, velocities, data.qvel)
+            if iteration.refine(velocities):
+                return
+            data.qpos[:], data.qvel[:] = start
+        iteration.correct(wanted)
+        self._solve()
+
+    def _solve(self) -> tuple[FloatArray, FloatArray]:
         """Solve and integrate; again by conjugate gradients where Newton's method failed.
 
         It rarely fails, with many contacts that contradict each other.
+
+        Returns:
+            qpos and qvel before.
         """
         model, data = self._model, self._data
         positions, velocities = data.qpos.copy(), data.qvel.copy()
@@ -776,8 +808,8 @@ class MujocoEngine(Engine):
         change = data.qvel - velocities
         # The norm is a bound of the largest change, and faster.
         if change.dot(change) <= MAX_SPEED_CHANGE**2 or np.abs(change).max() <= MAX_SPEED_CHANGE:
-            return
-        solved = data.qpos.copy(), data.qvel.copy()
+            return positions, velocities
+        solved = data.qpos.copy(), data.qvel.copy(), data.qacc.copy()
         is_solved = find_solved_dofs(change, data.dof_island, model.dof_treeid)
         data.qpos[:], data.qvel[:] = positions, velocities
         solver, iterations = model.opt.solver, model.opt.iterations
@@ -790,6 +822,8 @@ class MujocoEngine(Engine):
             if is_solved[address.velocities].all():
                 data.qpos[address.positions] = solved[0][address.positions]
                 data.qvel[address.velocities] = solved[1][address.velocities]
+                data.qacc[address.velocities] = solved[2][address.velocities]
+        return positions, velocities
 
     def _apply_motor_speeds(self) -> None:
         """Set the target speed of each motor.
@@ -813,7 +847,22 @@ class MujocoEngine(Engine):
         return selection
 
 
+MAX_UNDAMPED_SPRING = 0.25
+"""Stiffness of a spring times step squared over mass, up to which it may oscillate undamped."""
+
+
+def find_least_spring_damping(stiffness: float, inverse_mass: float, dt_s: float) -> float:
+    """Find the damping with which a spring is stable: of a stiff one, stiffness times step.
+
+    MuJoCo integrates springs explicitly and damping implicitly; both together are an implicit
+    spring.
+    """
+    is_soft = stiffness * dt_s**2 * inverse_mass <= MAX_UNDAMPED_SPRING
+    return 0.0 if is_soft else stiffness * dt_s
+
+
 def _compile_model(counts: SlotCounts, config: EngineConfig) -> CompiledModel:
+    dt_s = config.step_ns * 1e-9
     load_pieces = partial(load_convex_pieces, config.mesh_folder)
     layout = make_model_layout(counts, config, load_pieces)
     model = mujoco.MjModel.from_xml_string(write_mjcf(counts, config, load_pieces))
@@ -821,10 +870,14 @@ def _compile_model(counts: SlotCounts, config: EngineConfig) -> CompiledModel:
         for body, moments in invalid:
             model.body_inertia[body] = moments
         mujoco.mj_setConst(model, mujoco.MjData(model))
-    for geometry, part in layout.soft_geometries():
-        inverse_mass = float(model.body_invweight0[model.geom_bodyid[geometry], 0])
-        inverse_mass = inverse_mass or 1.0 / part.mass_kg
-        solver = make_soft_parameters(part, config.step_ns * 1e-9, inverse_mass)
+    for index in layout.sprung_joints():
+        stiffness = float(model.jnt_stiffness[model.dof_jntid[index]])
+        least = find_least_spring_damping(stiffness, float(model.dof_invweight0[index]), dt_s)
+        model.dof_damping[index] = max(float(model.dof_damping[index]), least)
+    for geometry, part, mass_kg in layout.geometries():
+        # Of a static body, against which others move, it is 0.
+        inverse_mass = float(model.body_invweight0[model.geom_bodyid[geometry], 0]) or 1.0 / mass_kg
+        solver = make_contact_parameters(part.contact, dt_s, inverse_mass, mass_kg)
         model.geom_solref[geometry] = solver.stiffness, solver.damping
         model.geom_solimp[geometry, :2] = solver.impedance
     return CompiledModel(model, layout)

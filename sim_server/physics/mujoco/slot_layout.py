@@ -41,6 +41,11 @@ class Archetype:
         """The part of each link; the others are further shapes of a link."""
         return self.parts[: len(self.self_collides)]
 
+    @cached_property
+    def mass_kg(self) -> float:
+        """Of all links."""
+        return sum(part.mass_kg for part in self.link_parts)
+
     def children(self, link: int) -> Iterator[int]:
         """List the child links of a link."""
         return (i for i, part in enumerate(self.link_parts) if part.parent == link and i)

@@ -79,6 +79,8 @@ class MjModelArrays(Protocol):
     geom_contype: MjInts
     geom_conaffinity: MjInts
     dof_frictionloss: FloatArray
+    dof_jntid: MjInts
+    jnt_stiffness: FloatArray
 
 
 class MjDataArrays(Protocol):
@@ -86,6 +88,7 @@ class MjDataArrays(Protocol):
 
     qpos: FloatArray
     qvel: FloatArray
+    qacc: FloatArray
     qfrc_applied: FloatArray
     xfrc_applied: FloatArray
     eq_active: npt.NDArray[np.uint8]
@@ -94,7 +97,7 @@ class MjDataArrays(Protocol):
 def activate_slot(
     model: MjModelArrays, data: MjDataArrays, full: MjModelArrays, address: SlotAddress
 ) -> None:
-    """Enable collisions, gravity, friction and equalities of a slot, as in the model `full`."""
+    """Enable collisions, gravity, friction, springs and equalities of a slot, as in `full`."""
     geometries, bodies = address.geometries, address.bodies
     model.geom_contype[geometries] = full.geom_contype[geometries]
     model.geom_conaffinity[geometries] = full.geom_conaffinity[geometries]
@@ -102,6 +105,8 @@ def activate_slot(
     model.body_conaffinity[bodies] = full.body_conaffinity[bodies]
     model.body_gravcomp[bodies] = 0.0
     model.dof_frictionloss[address.velocities] = full.dof_frictionloss[address.velocities]
+    joints = full.dof_jntid[address.velocities]
+    model.jnt_stiffness[joints] = full.jnt_stiffness[joints]
     data.eq_active[address.equalities] = 1
 
 
@@ -123,6 +128,7 @@ def deactivate_all_slots(model: MjModelArrays, data: MjDataArrays, layout: Model
     model.body_contype[first.bodies :] = model.body_conaffinity[first.bodies :] = 0
     model.body_gravcomp[first.bodies :] = 1.0
     model.dof_frictionloss[first.velocities :] = 0.0
+    model.jnt_stiffness[:] = 0.0
     data.eq_active[:] = 0
     data.qpos[layout.heights()] = -EMPTY_SLOT_DEPTH_M
 
@@ -136,13 +142,15 @@ def deactivate_slot(model: MjModelArrays, data: MjDataArrays, address: SlotAddre
 
 
 def freeze_slot(model: MjModelArrays, data: MjDataArrays, address: SlotAddress) -> None:
-    """Disable collisions, gravity and friction of a slot, and stop it where it is."""
+    """Disable collisions, gravity, friction and springs of a slot, and stop it where it is."""
     model.geom_contype[address.geometries] = model.geom_conaffinity[address.geometries] = 0
     model.body_contype[address.bodies] = model.body_conaffinity[address.bodies] = 0
     model.body_gravcomp[address.bodies] = 1.0
     model.dof_frictionloss[address.velocities] = 0.0
+    model.jnt_stiffness[model.dof_jntid[address.velocities]] = 0.0
     data.eq_active[address.equalities] = 0
     data.qvel[address.velocities] = 0.0
+    data.qacc[address.velocities] = 0.0
 
 
 def is_within_limits(base: FloatArray) -> bool:
@@ -175,6 +183,7 @@ def copy_slot_states(
     )
     other_data.qpos[positions[1]] = data.qpos[positions[0]]
     other_data.qvel[velocities[1]] = data.qvel[velocities[0]]
+    other_data.qacc[velocities[1]] = data.qacc[velocities[0]]
     other_data.qfrc_applied[velocities[1]] = data.qfrc_applied[velocities[0]]
     other_data.xfrc_applied[bodies[1]] = data.xfrc_applied[bodies[0]]
     other_model.body_pos[bodies[1]] = model.body_pos[bodies[0]]

@@ -1,9 +1,22 @@
 """Frictions, priorities, and correction of sliding contacts."""
 
+from dataclasses import dataclass, field
+
 import numpy as np
+import numpy.typing as npt
 import pytest
 
-from zensim.sim_server.physics.mujoco.mujoco_contact import correct_sliding_rows, make_geom_friction
+from zensim.proto.messages.model_messages import Contact
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.mujoco.mujoco_contact import (
+    RIGID_IMPEDANCE,
+    FrictionRows,
+    LiftIteration,
+    find_sliding_rows,
+    make_contact_parameters,
+    make_geom_friction,
+    predict_lifts,
+)
 
 
 @pytest.mark.parametrize(("one", "other"), [(0.3, 1.0), (0.0, 0.2), (0.5, 0.6), (1.0, 2.0)])
@@ -49,17 +62,89 @@ def test_contact_without_friction_is_one_row() -> None:
     assert make_geom_friction(0.1, is_static=False).rows == 3
 
 
-def test_slip_that_a_step_stops_changes_nothing() -> None:
-    wanted = np.array([5.0, -3.0, 4.0])
-
-    correct_sliding_rows(wanted, np.array([0], np.int32), np.array([0.6]), 9.81)
-
-    assert wanted.tolist() == [5.0, -3.0, 4.0]
+def one_contact(friction: float = 0.5) -> FrictionRows:
+    return FrictionRows(np.array([1], np.int32), np.array([[friction, friction]]))
 
 
-def test_rest_of_a_slip_is_subtracted_from_the_normal() -> None:
-    wanted = np.array([9.0, 5.0, -30.0, 40.0])
+@dataclass
+class Contacts:
+    """As in MuJoCo: one without friction, one not solved, and two with friction."""
 
-    correct_sliding_rows(wanted, np.array([1], np.int32), np.array([0.5]), 10.0)
+    dim: npt.NDArray[np.int32] = field(default_factory=lambda: np.array([1, 3, 3, 3], np.int32))
+    efc_address: npt.NDArray[np.int32] = field(
+        default_factory=lambda: np.array([0, -1, 1, 4], np.int32)
+    )
+    dist: FloatArray = field(default_factory=lambda: np.zeros(4))
+    friction: FloatArray = field(default_factory=lambda: np.full((4, 5), 0.5))
 
-    assert wanted.tolist() == [9.0, 5.0 - 0.5 * (50.0 - 5.0), -30.0, 40.0]
+
+def test_contacts_slide_when_friction_times_slip_is_noticeable() -> None:
+    slow = [0.0, 0.0, 1e-6]
+    fast = [0.0, 0.3, 0.4]
+
+    rows = find_sliding_rows(Contacts(), np.array([9.0, *slow, *fast]))
+
+    assert rows is not None
+    assert rows.normals.tolist() == [4]
+    assert find_sliding_rows(Contacts(), np.array([9.0, *slow, *slow])) is None
+
+
+def test_lift_is_predicted_from_the_slip_after_the_step() -> None:
+    now, later = np.array([9.0, 0.0, 0.3, 0.4]), np.array([9.0, 0.0, 0.15, 0.2])
+
+    assert predict_lifts(one_contact(), now, later).tolist() == [0.125]
+
+
+def test_no_lift_is_predicted_when_the_slip_reverses() -> None:
+    now = np.array([0.0, 0.0, 0.3, 0.4])
+
+    assert predict_lifts(one_contact(), now, -now).tolist() == [0.0]
+
+
+def test_lift_of_a_contact_is_subtracted_from_its_normal() -> None:
+    wanted = np.array([7.0, 5.0, -3.0, 4.0])
+
+    LiftIteration(one_contact(), wanted, np.array([0.2]), dt_s=0.1).correct(wanted)
+
+    assert wanted.tolist() == [7.0, 3.0, -3.0, 4.0]
+
+
+def test_iteration_ends_when_the_slip_is_as_assumed() -> None:
+    iteration = LiftIteration(one_contact(), np.zeros(4), np.array([0.25]), dt_s=0.1)
+
+    assert iteration.refine(np.array([0.0, 0.0, 0.3, 0.4]))
+    assert not iteration.refine(np.array([0.0, 0.0, 0.3, 0.41]))
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.5, 0.89])
+def test_iteration_solves_linear_feedback_in_three_solves(gain: float) -> None:
+    wanted, dt_s = np.zeros(4), 0.1
+    iteration = LiftIteration(one_contact(friction=1.0), wanted, np.array([0.5]), dt_s=dt_s)
+    is_done = []
+
+    for _ in range(3):
+        wanted[:] = 0.0
+        iteration.correct(wanted)
+        subtracted = -wanted[1] * dt_s
+        is_done.append(iteration.refine(np.array([0.0, 0.0, 0.1 + gain * subtracted, 0.0])))
+
+    assert is_done[-1]
+
+
+def test_compliant_contact_is_at_least_as_compliant_as_a_rigid_one() -> None:
+    hard = make_contact_parameters(Contact(stiffness=1e9, damping=1e9), 0.004, 1.0, 1.0)
+
+    assert hard.impedance == make_contact_parameters(Contact(), 0.004, 1.0, 1.0).impedance
+
+
+@pytest.mark.parametrize("inverse_mass", [0.1, 1.0, 10.0])
+def test_links_of_a_robot_have_equally_compliant_contacts(inverse_mass: float) -> None:
+    impedance = make_contact_parameters(Contact(), 0.004, inverse_mass, 10.0).impedance
+
+    compliance = (1.0 - impedance) / impedance * inverse_mass
+    assert compliance == pytest.approx((1.0 - RIGID_IMPEDANCE) / RIGID_IMPEDANCE / 10.0)
+
+
+@pytest.mark.parametrize("friction", [2.0, 10.0, 1e5])
+def test_friction_is_at_most_2(friction: float) -> None:
+    assert make_geom_friction(friction, is_static=False).friction == 2.0

@@ -1,0 +1,175 @@
+"""MujocoEngine: robots with sliding supports drive as commanded, and joints have springs."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from tests.engines import STEP_NS, advance
+from tests.models import WHEEL_RADIUS_M, a_body, a_box, a_cart, a_state, an_arm, on_ground
+from zensim.proto.messages.model_messages import Contact, Inertial, Link, Model
+from zensim.proto.se3 import to_yaw
+from zensim.sim_server.physics.blueprint import make_blueprint
+from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.mujoco.mjcf import find_armature
+from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
+
+CONFIG = EngineConfig(STEP_NS)
+DT_S = STEP_NS * 1e-9
+SECOND = 240
+HARD = Contact(stiffness=1e9, damping=1e9)
+replace = msgspec.structs.replace
+
+
+def a_dragging_cart(
+    *,
+    caster: float = 0.5,
+    wheel: float = 1.0,
+    wheel_kg: float = 0.2,
+    contact: Contact | None = None,
+) -> Model:
+    """A cart whose casters have friction and touch the ground, with wheels of a given friction."""
+    cart = a_cart()
+    base, *wheels = cart.links
+    deck, *casters = base.collisions
+    contact = contact or Contact()
+    lowered = [
+        replace(
+            one,
+            friction=caster,
+            contact=contact,
+            origin=replace(one.origin, position=(one.origin.position[0], 0.0, -0.03)),
+        )
+        for one in casters
+    ]
+    inertial = a_body(wheel_kg, wheel_kg * WHEEL_RADIUS_M**2 / 2.0)
+    rolling = [
+        replace(
+            link,
+            inertial=inertial,
+            collisions=(replace(link.collisions[0], friction=wheel, contact=contact),),
+        )
+        for link in wheels
+    ]
+    return replace(cart, links=(replace(base, collisions=(deck, *lowered)), *rolling))
+
+
+def drive(model: Model, linear: float, angular: float) -> tuple[float, float]:
+    """Drive for 2 s; return speed ahead [m/s] and turn [rad/s], mean of the last second."""
+    engine = MujocoEngine(CONFIG)
+    body = engine.add(model, on_ground())
+    advance(engine, SECOND)
+    assert model.drive is not None
+    turn = angular * 0.15
+    speeds = {"right_joint": linear + turn, "left_joint": linear - turn}
+    targets = [speeds[actuator.joint] / WHEEL_RADIUS_M for actuator in model.actuators]
+    engine.command([body], np.array(targets))
+    advance(engine, SECOND)
+    before = engine.read([body]).base[0]
+    advance(engine, SECOND)
+    after = engine.read([body]).base[0]
+    engine.close()
+    turned = float(to_yaw(after[3:7]) - to_yaw(before[3:7]))
+    return float(np.hypot(*(after - before)[:2])), turned
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        a_dragging_cart(),
+        a_dragging_cart(caster=0.7),
+        a_dragging_cart(wheel_kg=0.002),
+        a_dragging_cart(wheel=10.0, contact=HARD),
+        a_dragging_cart(wheel=1e5),
+    ],
+    ids=["friction", "high friction", "light wheels", "hard contacts", "unlimited grip"],
+)
+def test_robot_with_dragged_casters_drives_as_commanded(model: Model) -> None:
+    ahead, drift = drive(model, 0.2, 0.0)
+    _, turn = drive(model, 0.0, 0.5)
+
+    assert ahead == pytest.approx(0.2, rel=0.01)
+    assert abs(drift) < 0.01
+    assert turn == pytest.approx(0.5, rel=0.02)
+
+
+def test_robots_drive_equally_when_another_one_slides() -> None:
+    def run(*, with_slider: bool) -> bytes:
+        engine = MujocoEngine(CONFIG)
+        robot = engine.add(a_dragging_cart(), on_ground())
+        slider = engine.add(a_box("slider"), a_state((5.0, 0.0, 0.1), linear=(2.0, 0.0, 0.0)))
+        if not with_slider:
+            engine.remove(slider)
+        engine.command([robot], np.array([4.0, 6.0]))
+        advance(engine, SECOND)
+        reading = engine.read([robot])
+        engine.close()
+        return reading.base.tobytes() + reading.joint_velocities.tobytes()
+
+    assert run(with_slider=True) == run(with_slider=False)
+
+
+def test_armature_completes_the_least_moment_of_a_driven_wheel() -> None:
+    light, heavy = a_dragging_cart(wheel_kg=0.002), a_dragging_cart(wheel_kg=50.0)
+    wheel = make_blueprint(light).parts[1]
+    own = 0.002 * WHEEL_RADIUS_M**2 / 2.0
+
+    assert find_armature(wheel, (0.0, 1.0, 0.0)) == pytest.approx(wheel.reflected_inertia - own)
+    assert find_armature(make_blueprint(heavy).parts[1], (0.0, 1.0, 0.0)) == 0.0
+    assert find_armature(make_blueprint(an_arm("continuous")).parts[1], (0.0, 1.0, 0.0)) == 0.0
+
+
+def a_sprung_mass(stiffness: float, *, damping: float = 0.0, reference: float = 0.0) -> Model:
+    """A mass of 2 kg on a vertical spring."""
+    arm = an_arm("prismatic", damping=damping)
+    joint = replace(arm.joints[0], spring_stiffness=stiffness, spring_reference=reference)
+    mass = Link("arm", Inertial(2.0, inertia=(0.01, 0.0, 0.0, 0.01, 0.0, 0.01)))
+    return replace(arm, links=(arm.links[0], mass), joints=(joint,))
+
+
+def record_positions(model: Model, steps: int) -> list[float]:
+    engine = MujocoEngine(CONFIG)
+    body = engine.add(model, a_state())
+    found = []
+    for _ in range(steps):
+        engine.step()
+        found.append(float(engine.read([body]).joint_positions[0]))
+    engine.close()
+    return found
+
+
+def test_mass_oscillates_on_a_spring_as_the_closed_form_says() -> None:
+    stiffness, reference = 200.0, 0.05
+    sag = reference - 2.0 * 9.81 / stiffness
+    frequency = math.sqrt(stiffness / 2.0)
+
+    found = record_positions(a_sprung_mass(stiffness, reference=reference), 2 * SECOND)
+
+    expected = [
+        sag * (1.0 - math.cos(frequency * DT_S * step)) for step in range(1, 2 * SECOND + 1)
+    ]
+    assert found == pytest.approx(expected, abs=0.06 * abs(sag))
+
+
+@pytest.mark.parametrize("stiffness", [400.0, 1e5, 1e9])
+def test_mass_comes_to_rest_on_a_damped_spring_of_any_stiffness(stiffness: float) -> None:
+    found = record_positions(a_sprung_mass(stiffness, damping=50.0, reference=0.03), 4 * SECOND)
+
+    assert found[-1] == pytest.approx(0.03 - 2.0 * 9.81 / stiffness, abs=1e-5)
+
+
+def test_hidden_and_removed_bodies_are_not_moved_by_their_springs() -> None:
+    engine = MujocoEngine(CONFIG)
+    body, other = (
+        engine.add(a_sprung_mass(200.0, reference=0.1), a_state((x, 0.0, 0.0))) for x in (0.0, 3.0)
+    )
+    engine.hide(body)
+    engine.remove(other)
+    advance(engine, 24)
+
+    assert engine.read([body]).joint_positions.tolist() == [0.0]
+    engine.show([body])
+    advance(engine, 24)
+    assert engine.read([body]).joint_positions[0] != 0.0
+    engine.close()
