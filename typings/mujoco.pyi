@@ -38,7 +38,10 @@ class MjModel:
     jnt_qposadr: _Ints
     dof_jntid: _Ints
     dof_treeid: _Ints
+    jnt_stiffness: _Floats
     dof_frictionloss: _Floats
+    dof_damping: _Floats
+    dof_invweight0: _Floats
     @staticmethod
     def from_xml_string(xml: str) -> MjModel: ...
     def __copy__(self) -> MjModel: ...
@@ -55,11 +58,13 @@ class MjData:
     ncon: int
     qpos: _Floats
     qvel: _Floats
+    qacc: _Floats
     qfrc_applied: _Floats
     xfrc_applied: _Floats
     eq_active: npt.NDArray[np.uint8]
     dof_island: _Ints
     efc_aref: _Floats
+    efc_vel: _Floats
     efc_KBIP: _Floats
     geom_xpos: _Floats
     cvel: _Floats
@@ -71,6 +76,7 @@ class MjData:
 
 def mj_step1(m: MjModel, d: MjData) -> None: ...
 def mj_step2(m: MjModel, d: MjData) -> None: ...
+def mj_mulJacVec(m: MjModel, d: MjData, res: _Floats, vec: _Floats) -> None: ...
 def mj_kinematics(m: MjModel, d: MjData) -> None: ...
 def mj_setConst(m: MjModel, d: MjData) -> None: ...
 def mj_geomDistance(
