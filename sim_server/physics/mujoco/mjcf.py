@@ -43,6 +43,10 @@ SLOT_PLACEHOLDER = "@"
 SUPPORTED_JOINT_KINDS = ("revolute", "continuous", "prismatic", "fixed")
 SUPPORTED_SHAPE_KINDS = ("box", "sphere", "cylinder", "capsule", "mesh")
 MAX_PARTS = 256
+CARRIED_MOMENT_SHARE = 0.03
+"""Least moment of a link about its joint, over the greatest moment of the links that it carries."""
+FEATHER_DAMPING_HZ = 1.0
+"""Damping of the joint of a link below that share, over the same greatest moment."""
 WHEEL_STIFFNESS_PER_KG = 98100.0
 """Least contact stiffness [N/m] of a driven wheel per mass of its robot: 0.1 mm under its weight.
 
@@ -131,7 +135,7 @@ def _write_body(archetype: Archetype, link: int, names: MeshPieceNames, dt_s: fl
     part = archetype.link_parts[link]
     children = [_write_inertial(part)]
     if link:
-        children.append(_write_joint(part, link, dt_s))
+        children.append(_write_joint(archetype, link, dt_s))
     elif not archetype.is_static:
         children.append("<freejoint/>")
     children.extend(_write_geometries(archetype, link, names, dt_s))
@@ -152,11 +156,14 @@ def _write_inertial(part: RigidPart) -> str:
     return f'<inertial {pose} mass="{mass!r}" diaginertia="{_join_numbers(moments)}"/>'
 
 
-def _write_joint(part: RigidPart, link: int, dt_s: float) -> str:
-    joint = part.joint
+def _write_joint(archetype: Archetype, link: int, dt_s: float) -> str:
+    joint = archetype.link_parts[link].joint
     if joint is None or joint.kind == "fixed":
         return ""
     kind = "slide" if joint.kind == "prismatic" else "hinge"
+    armature, least_damping = (
+        (0.0, 0.0) if kind == "slide" else find_joint_inertia(archetype, link, joint.axis)
+    )
     rigid, limits = make_rigid_parameters(dt_s), ""
     if joint.kind != "continuous" and joint.lower <= joint.upper:
         upper = max(joint.upper, joint.lower + MIN_JOINT_RANGE)
@@ -168,20 +175,41 @@ def _write_joint(part: RigidPart, link: int, dt_s: float) -> str:
         f'<joint name="j{SLOT_PLACEHOLDER}.{link}" type="{kind}" '
         f'axis="{_join_numbers(joint.axis)}" {limits}'
         f'stiffness="{joint.spring_stiffness!r}" springref="{joint.spring_reference!r}" '
-        f'armature="{find_armature(part, joint.axis)!r}" '
-        f'damping="{joint.damping!r}" frictionloss="{joint.friction!r}" '
+        f'armature="{armature!r}" '
+        f'damping="{max(joint.damping, least_damping)!r}" frictionloss="{joint.friction!r}" '
         f"{_solver_attributes('friction', make_motor_parameters(dt_s))}/>"
     )
 
 
-def find_armature(part: RigidPart, axis: Vec3) -> float:
-    """Find what the moment [kg m^2] of a driven wheel about its axle lacks of the least one."""
-    if not part.reflected_inertia:
-        return 0.0
+def find_joint_inertia(archetype: Archetype, link: int, axis: Vec3) -> tuple[float, float]:
+    """Find the armature [kg m^2] and the least damping [N m s] of a turning joint.
+
+    The armature is what the link's moment about the joint lacks of the least one. That of a driven
+    wheel is what its motor reflects. That of a link without weight, as in a ball caster of three
+    joints, is a share of what turns beyond it: without it, and some damping, the joints diverge
+    where two of their axes meet.
+    """
+    part = archetype.link_parts[link]
+    carried = max((_find_moment(archetype, child) for child in archetype.children(link)), default=0)
+    own = _find_moment_about(part, axis)
+    is_feather = own < CARRIED_MOMENT_SHARE * carried
+    least = max(part.reflected_inertia, CARRIED_MOMENT_SHARE * carried)
+    return max(0.0, least - own), FEATHER_DAMPING_HZ * carried * is_feather
+
+
+def _find_moment_about(part: RigidPart, axis: Vec3) -> float:
+    """Find the moment [kg m^2] of a part about a joint through its origin."""
     axle = np.array(axis) / np.linalg.norm(axis)
-    own = (rotate(conjugate(np.array(part.principal)), axle) ** 2) @ np.array(part.inertia)
+    moments = np.maximum(part.inertia, MIN_INERTIA)
     arm = np.cross(axle, part.com)
-    return max(0.0, part.reflected_inertia - float(own + part.mass_kg * arm @ arm))
+    turned = rotate(conjugate(np.array(part.principal)), axle)
+    return float(turned**2 @ moments + part.mass_kg * arm @ arm)
+
+
+def _find_moment(archetype: Archetype, link: int) -> float:
+    """Find the greatest principal moment of a link and of those that turn beyond it."""
+    beyond = (_find_moment(archetype, child) for child in archetype.children(link))
+    return max(*archetype.link_parts[link].inertia, *beyond)
 
 
 def _write_geometries(

@@ -8,12 +8,13 @@ import pytest
 
 from tests.engines import STEP_NS, advance
 from tests.models import WHEEL_RADIUS_M, a_body, a_box, a_cart, a_state, an_arm, on_ground
-from zensim.proto.messages.model_messages import Contact, Inertial, Link, Model
+from zensim.proto.messages.model_messages import Contact, Inertial, Joint, Link, Model, Origin
 from zensim.proto.se3 import to_yaw
 from zensim.sim_server.physics.blueprint import make_blueprint
 from zensim.sim_server.physics.engine_config import EngineConfig
-from zensim.sim_server.physics.mujoco.mjcf import find_armature
+from zensim.sim_server.physics.mujoco.mjcf import find_joint_inertia
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
+from zensim.sim_server.physics.mujoco.slot_layout import make_archetype
 
 CONFIG = EngineConfig(STEP_NS)
 DT_S = STEP_NS * 1e-9
@@ -110,14 +111,52 @@ def test_robots_drive_equally_when_another_one_slides() -> None:
     assert run(with_slider=True) == run(with_slider=False)
 
 
+def armature_of(model: Model) -> float:
+    """Find the armature of the first joint."""
+    return find_joint_inertia(make_archetype(make_blueprint(model)), 1, model.joints[0].axis)[0]
+
+
 def test_armature_completes_the_least_moment_of_a_driven_wheel() -> None:
     light, heavy = a_dragging_cart(wheel_kg=0.002), a_dragging_cart(wheel_kg=50.0)
-    wheel = make_blueprint(light).parts[1]
     own = 0.002 * WHEEL_RADIUS_M**2 / 2.0
 
-    assert find_armature(wheel, (0.0, 1.0, 0.0)) == pytest.approx(wheel.reflected_inertia - own)
-    assert find_armature(make_blueprint(heavy).parts[1], (0.0, 1.0, 0.0)) == 0.0
-    assert find_armature(make_blueprint(an_arm("continuous")).parts[1], (0.0, 1.0, 0.0)) == 0.0
+    assert armature_of(light) == pytest.approx(0.2 * light.mass_kg * WHEEL_RADIUS_M**2 - own)
+    assert armature_of(heavy) == 0.0
+    assert armature_of(an_arm("continuous")) == 0.0
+
+
+def a_cart_on_a_ball_caster() -> Model:
+    """A cart whose back caster turns about three axes; the links between them have no weight."""
+    cart = a_cart()
+    base, *wheels = cart.links
+    deck, _, back = base.collisions
+    ball = replace(back, size=(0.005, 0.0, 0.0), origin=Origin(), friction=1.0)
+    heavier = replace(base.inertial, com_in_link=(-0.02, 0.0, 0.0))
+    ends = [Link("pitch", Inertial()), Link("yaw", Inertial()), Link("roll", a_body(0.005, 1e-5))]
+    ends[-1] = replace(ends[-1], collisions=(ball,))
+    names = ("base", "pitch", "yaw", "roll")
+    axes = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
+    places = (replace(back.origin, position=(-0.1, 0.0, -0.045)), Origin(), Origin())
+    casters = tuple(
+        Joint(f"{child}_joint", "continuous", parent, child, origin=place, axis=axis)
+        for parent, child, place, axis in zip(names[:-1], names[1:], places, axes, strict=True)
+    )
+    root = replace(base, inertial=heavier, collisions=(deck,))
+    return replace(cart, links=(root, *wheels, *ends), joints=(*cart.joints, *casters))
+
+
+@pytest.mark.parametrize(("linear", "angular"), [(0.2, 0.0), (0.0, 0.5), (0.1, 0.3)])
+def test_ball_caster_of_three_joints_rolls(linear: float, angular: float) -> None:
+    engine = MujocoEngine(CONFIG)
+    body = engine.add(a_cart_on_a_ball_caster(), on_ground())
+    speeds = np.array([linear - 0.15 * angular, linear + 0.15 * angular]) / WHEEL_RADIUS_M
+    engine.command([body], speeds)
+    advance(engine, 6 * SECOND)
+
+    base = engine.read([body]).base[0]
+    engine.close()
+    assert np.hypot(*base[7:9]) == pytest.approx(linear, rel=0.02, abs=0.003)
+    assert base[12] == pytest.approx(angular, rel=0.02, abs=0.01)
 
 
 def a_sprung_mass(stiffness: float, *, damping: float = 0.0, reference: float = 0.0) -> Model:
