@@ -25,9 +25,6 @@ from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.description_cache import DescriptionCache
 from zensim.sim_server.parser_process.parser_client import ParserClient
-from zensim.sim_server.physics.engine_config import EngineConfig
-from zensim.sim_server.physics.engine_factory import create_world_engine
-from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
 from zensim.sim_server.ros2_node.server_node import start_server_node
 from zensim.sim_server.runtime.loop import ServerLoop, request_short_time_slice
 from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
@@ -51,6 +48,7 @@ from zensim.sim_server.world_loading.world_loader import (
     WorldLoaderRequest,
     list_warnings,
     load_world_in_process,
+    make_world_engine,
     make_world_factory,
     spawn_models,
 )
@@ -58,9 +56,7 @@ from zensim.sim_server.world_loading.world_loader import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from zensim.sim_server.description.world_model import WorldModel
     from zensim.sim_server.journal.journal_contents import JournalContents
-    from zensim.sim_server.physics.engine import Engine
 
 LOG = logging.getLogger(__name__)
 STEP_HZ_TOLERANCE = 1e-6
@@ -156,7 +152,7 @@ def run_server(
         loaded, config = load_initial_world(config, journal)
         if journal is not None:
             journal.exclude_crashing(
-                partial(_make_engine, config, loaded.model, str(journal.files))
+                partial(make_world_engine, config, loaded.model, str(journal.files))
             )
         bus = cleanup.enter_context(open_bus_with_retry(config.bus, config.wait_s))
         if _has_server(bus, config.world):
@@ -232,7 +228,7 @@ def _make_parts(
         ),
         Descriptions(DescriptionCache(parser, store, world.prepare, now_ns), store),
         catalog=catalog,
-        factory=make_world_factory(config, partial(_make_engine, mesh_folder=store.folder)),
+        factory=make_world_factory(config, partial(make_world_engine, mesh_folder=store.folder)),
     )
 
 
@@ -257,7 +253,7 @@ def _make_world(
 ) -> World:
     for name, data in loaded.meshes.items():
         store.pin(name, data)
-    engine = _make_engine(config, loaded.model, store.folder)
+    engine = make_world_engine(config, loaded.model, store.folder)
     world = World(
         engine, name=config.world, step_ns=config.step_ns, control_steps=config.control_steps
     )
@@ -268,15 +264,3 @@ def _make_world(
     if config.is_paused:
         world.clock.pause()
     return world
-
-
-def _make_engine(config: ServerConfig, model: WorldModel, mesh_folder: str) -> Engine:
-    engine_config = EngineConfig(
-        config.step_ns,
-        model.gravity,
-        model.ground_plane,
-        model.ground_friction,
-        mesh_folder=mesh_folder,
-    )
-    full = create_world_engine(engine_config, config.physics, period_steps=config.control_steps)
-    return TieredEngine(full, engine_config, config.physics.dynamics)

@@ -93,7 +93,9 @@ VERBS: dict[str, Verb] = {
         "Get or set the target real-time factor.",
     ),
     "world": Verb(
-        "Simulation", "zensim.spawner.cli.world_commands", "Load, unload and list worlds."
+        "Simulation",
+        "zensim.deploy.cli.inspect_commands",
+        "Load, unload, list and inspect worlds.",
     ),
     "drive": Verb(
         "Topics", "zensim.spawner.cli.topic_commands", "Publish velocity commands to a robot."

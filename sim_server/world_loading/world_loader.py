@@ -13,6 +13,9 @@ from zensim.sim_server.description.builtin_models import list_builtin_worlds, re
 from zensim.sim_server.description.sdf.sdf_world import read_world
 from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import RequestRefused, SimError
+from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.engine_factory import create_world_engine
+from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
 from zensim.sim_server.server_config import ConfigError, fill_pace
 from zensim.sim_server.world.simulated_world import BuiltWorld, World, WorldFactory
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
@@ -97,6 +100,19 @@ def spawn_models_stepwise(world: World, model: WorldModel) -> Iterator[None]:
         except SimError as error:
             raise ConfigError(f"model '{placed.name}' of the world: {error}") from error
         yield
+
+
+def make_world_engine(config: ServerConfig, model: WorldModel, mesh_folder: str) -> Engine:
+    """Create the engine of a world; its meshes are in a folder."""
+    engine_config = EngineConfig(
+        config.step_ns,
+        model.gravity,
+        model.ground_plane,
+        model.ground_friction,
+        mesh_folder=mesh_folder,
+    )
+    full = create_world_engine(engine_config, config.physics, period_steps=config.control_steps)
+    return TieredEngine(full, engine_config, config.physics.dynamics)
 
 
 def make_world_factory(
