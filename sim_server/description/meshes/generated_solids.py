@@ -1,7 +1,8 @@
-"""Ellipsoids and cones as scaled meshes of unit size: no engine of ours has both shapes."""
+"""Ellipsoids, cones and prisms as scaled meshes: no engine of ours has all these shapes."""
 
 import math
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 
 from zensim.proto.messages.model_messages import Shape, Vec3
@@ -10,6 +11,7 @@ ELLIPSOID_URI = "zensim://solids/ellipsoid"
 """Unit sphere; scaled by the radii."""
 CONE_URI = "zensim://solids/cone"
 """Radius 1, length 1, apex at z = 0.5; scaled by radius, radius, length."""
+Triangle = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 SUBDIVISIONS = 4
 """Of each edge of an icosahedron: 162 corners, at most 1.8 % inside the sphere, six on the axes."""
 CONE_SIDES = 32
@@ -27,15 +29,85 @@ def make_cone(radius: float, length: float) -> Shape:
     return Shape("mesh", (radius, radius, length), mesh=CONE_URI)
 
 
+PRISM_URI = "zensim://solids/prism/"
+"""Followed by x and y [m] of three corners; from z = 0 to 1, scaled by 1, 1, height."""
+_PRISM = re.compile(re.escape(PRISM_URI) + r"(-?\d{1,12}(?:\.\d{1,9})?,?){6}")
+PRISM_CORNERS = 3
+
+
+def make_prisms(outline: Sequence[tuple[float, float]], height: float) -> list[Shape]:
+    """Make a solid over a simple polygon in x, y [m], from z = 0 to a height [m]: prisms.
+
+    Their number is that of the corners less two; the polygon may be concave and of either sense.
+    """
+    triangles = [tri for tri in cut_ears(outline) if abs(_find_area(tri)) > MIN_AREA_M2]
+    return [
+        Shape(
+            "mesh",
+            (1.0, 1.0, height),
+            mesh=PRISM_URI + ",".join(f"{value:.9f}" for corner in tri for value in corner),
+        )
+        for tri in triangles
+    ]
+
+
+MIN_AREA_M2 = 1e-10
+
+
+def cut_ears(outline: Sequence[tuple[float, float]]) -> list[Triangle]:
+    """Divide a simple polygon into triangles by ear clipping."""
+    corners = list(dict.fromkeys(outline))
+    if len(corners) >= PRISM_CORNERS and sum(map(_cross_of_edge, corners, _shift(corners))) < 0.0:
+        corners.reverse()
+    found: list[Triangle] = []
+    while len(corners) > PRISM_CORNERS:
+        at = next((i for i in range(len(corners)) if _is_ear(corners, i)), 0)
+        found.append((corners[at - 1], corners[at], corners[(at + 1) % len(corners)]))
+        del corners[at]
+    return [*found, (corners[0], corners[1], corners[2])] if len(corners) == PRISM_CORNERS else []
+
+
+def _shift(corners: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    return corners[1:] + corners[:1]
+
+
+def _cross_of_edge(start: tuple[float, float], end: tuple[float, float]) -> float:
+    return start[0] * end[1] - end[0] * start[1]
+
+
+def _find_area(triangle: Triangle) -> float:
+    (ax, ay), (bx, by), (cx, cy) = triangle
+    return ((bx - ax) * (cy - ay) - (cx - ax) * (by - ay)) / 2.0
+
+
+def _is_ear(corners: list[tuple[float, float]], at: int) -> bool:
+    """Whether a corner is convex, and no other corner is in its triangle."""
+    ear = (corners[at - 1], corners[at], corners[(at + 1) % len(corners)])
+    if _find_area(ear) <= 0.0:
+        return False
+    edges = ((ear[0], ear[1]), (ear[1], ear[2]), (ear[2], ear[0]))
+    return not any(
+        all(_find_area((start, end, other)) >= 0.0 for start, end in edges)
+        for other in corners
+        if other not in ear
+    )
+
+
 def is_generated(uri: str) -> bool:
     """Whether a mesh URI names a mesh of this module, which no file holds."""
-    return uri in _SOLIDS
+    return uri in _SOLIDS or _PRISM.fullmatch(uri) is not None
 
 
 @cache
 def list_corners(uri: str) -> tuple[Vec3, ...]:
     """List the corners of a generated mesh, which is their convex hull."""
-    return tuple(_SOLIDS[uri]())
+    return tuple(_SOLIDS[uri]() if uri in _SOLIDS else _list_prism_corners(uri))
+
+
+def _list_prism_corners(uri: str) -> Iterator[Vec3]:
+    values = [float(word) for word in uri.removeprefix(PRISM_URI).split(",") if word]
+    for x, y in zip(values[::2], values[1::2], strict=True):
+        yield from ((x, y, 0.0), (x, y, 1.0))
 
 
 def _list_sphere_corners() -> Iterator[Vec3]:

@@ -38,6 +38,11 @@ from zensim.sim_server.description.link_surfaces import (
     read_gazebo_material,
     to_decay_rate,
 )
+from zensim.sim_server.description.meshes.generated_solids import (
+    make_cone,
+    make_ellipsoid,
+    make_prisms,
+)
 from zensim.sim_server.description.parsed_model import MODEL_FRAME, WORLD_LINK
 from zensim.sim_server.description.sdf.sdf_frames import PoseGraph
 from zensim.sim_server.description.sdf.sdf_includes import VERSION_ATTRIBUTE
@@ -50,7 +55,7 @@ from zensim.sim_server.description.sdf.sdf_values import (
     read_text,
     read_vector,
 )
-from zensim.sim_server.description.strict_parsing import quote
+from zensim.sim_server.description.strict_parsing import quote, read_numbers
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -65,6 +70,8 @@ if TYPE_CHECKING:
 NO_LIMIT = 1e15
 """SDF writes 1e16 for no limit."""
 TURN_LIMIT_RAD = 1e6
+MAX_STIFFNESS = 1e12
+"""[N m/rad or N/m]."""
 OFFSET_TOLERANCE_M = 1e-5
 """Distance of a joint's axis from its child's origin that comes from rounded angles."""
 SINGLE_AXIS_KINDS = ("revolute", "continuous", "prismatic")
@@ -175,8 +182,18 @@ class SdfJointReader:
             velocity=_to_limit(read_bound(axis, "limit/velocity", -1.0, where)),
             damping=read_scalar(axis, "dynamics/damping", 0.0, where),
             friction=read_scalar(axis, "dynamics/friction", 0.0, where),
+            spring_stiffness=self._read_stiffness(axis, where),
+            spring_reference=read_scalar(axis, "dynamics/spring_reference", 0.0, where),
             mimic=_read_mimic(tag, axis, where),
         )
+
+    def _read_stiffness(self, axis: Element, where: str) -> float:
+        stiffness = read_scalar(axis, "dynamics/spring_stiffness", 0.0, where)
+        if not 0.0 <= stiffness <= MAX_STIFFNESS:
+            fault = f"{stiffness:g} is not between 0 and {MAX_STIFFNESS:g}; no spring"
+            self.report.suspicious(f"{where}: <spring_stiffness>", fault)
+            return 0.0
+        return stiffness
 
     def _read_direction(self, tag: JointElement, axis: Element, child: Origin, where: str) -> Vec3:
         xyz = axis.find("xyz")
@@ -324,8 +341,15 @@ def _reverse_joint(joint: JointElement) -> JointElement:
     return replace(joint, parent=joint.child, child=joint.parent, is_reversed=True)
 
 
-GEOMETRY_TAGS = ("box", "sphere", "cylinder", "capsule", "plane", "mesh")
-UNSUPPORTED_GEOMETRIES = ("cone", "ellipsoid", "heightmap", "image", "polyline")
+GEOMETRY_TAGS = (
+    "box", "sphere", "cylinder", "capsule", "plane", "mesh", "ellipsoid", "cone", "polyline",
+)  # fmt: skip
+UNSUPPORTED_GEOMETRIES = {
+    "heightmap": "heightmaps are not simulated; use a mesh",
+    "image": "shapes from images are not simulated; use a mesh",
+}
+MAX_POLYLINE_POINTS = 100
+MIN_POLYLINE_POINTS = 3
 UNIT_SIZE: Vec3 = (1.0, 1.0, 1.0)
 UP: Vec3 = (0.0, 0.0, 1.0)
 GROUND_SLAB_M: Vec3 = (1000.0, 1000.0, 1.0)
@@ -345,8 +369,8 @@ SURFACE_PATHS = {
 """By the names of URDF."""
 
 
-def read_geometry(part: Element, where: str, report: ParseReport) -> Shape | None:
-    """Read the <geometry> of a collision or visual; None and reported when not supported.
+def read_geometry(part: Element, where: str, report: ParseReport) -> list[Shape]:
+    """Read the <geometry> of a collision or visual; empty and reported when not supported.
 
     Raises:
         ModelError: It is missing, or a size is not a positive number.
@@ -357,18 +381,43 @@ def read_geometry(part: Element, where: str, report: ParseReport) -> Shape | Non
     )
     if geometry is not None and len(geometry) and not solids:
         tag = geometry[0].tag
-        if tag == "empty":
-            return None
-        fault = "not supported" if tag in UNSUPPORTED_GEOMETRIES else "unknown geometry"
-        report.suspicious(f"{where}: <{tag[:80]}>", f"{fault}; left out")
-        return None
+        if tag != "empty":
+            fault = UNSUPPORTED_GEOMETRIES.get(tag, "unknown geometry")
+            report.suspicious(f"{where}: <{tag[:80]}>", f"{fault}; left out")
+        return []
     if not solids:
         raise ModelError(
             f"{where} has no geometry; write one of {', '.join(GEOMETRY_TAGS)}", slug="sdf.geometry"
         )
     if solids[0].find("submesh") is not None:
         report.suspicious(f"{where}: <submesh>", "not supported; the whole mesh is used")
-    return _read_geometry_element(solids[0], where)
+    if solids[0].tag == "polyline":
+        return _read_polylines(solids, where, report)
+    return [_read_geometry_element(solids[0], where)]
+
+
+def _read_polylines(polylines: Sequence[Element], where: str, report: ParseReport) -> list[Shape]:
+    """Read outlines that are extruded along z; an outline within another is a hole in SDF."""
+    if len(polylines) > 1:
+        report.suspicious(f"{where}: <polyline>", "given more than once; holes are filled")
+    shapes: list[Shape] = []
+    for polyline in polylines:
+        texts = [point.text for point in polyline.findall("point")]
+        if not MIN_POLYLINE_POINTS <= len(texts) <= MAX_POLYLINE_POINTS:
+            raise ModelError(
+                f"{where}: a polyline has {len(texts)} points; "
+                f"use {MIN_POLYLINE_POINTS} to {MAX_POLYLINE_POINTS}",
+                slug="sdf.size",
+            )
+        points = [read_numbers(text, counts=(2,), where=where, slug="sdf.number") for text in texts]
+        height = read_scalar(polyline, "height", 1.0, where)
+        if height <= 0.0 or max(abs(value) for point in points for value in point) > MAX_POLYLINE_M:
+            raise ModelError(f"{where}: a polyline is too flat or too wide", slug="sdf.size")
+        shapes += make_prisms([(x, y) for x, y in points], height)
+    return shapes
+
+
+MAX_POLYLINE_M = 1e6
 
 
 def read_surface(collision: Element, where: str, report: ParseReport) -> SurfaceParameters:
@@ -434,10 +483,19 @@ def _read_geometry_element(solid: Element, where: str) -> Shape:
         if 0.0 in scale:
             raise ModelError(f"{where}: its mesh has scale 0; write 1 1 1", slug="sdf.size")
         return Shape("mesh", scale, mesh=uri)
+    return _read_round_solid(solid, where)
+
+
+def _read_round_solid(solid: Element, where: str) -> Shape:
+    if solid.tag == "ellipsoid":
+        radii = read_vector(solid, "radii", UNIT_SIZE, where)
+        return _check_size(make_ellipsoid(radii), 3 if len(set(radii)) > 1 else 1, where)
     radius = read_scalar(solid, "radius", 1.0 if solid.tag == "sphere" else 0.5, where)
     if solid.tag == "sphere":
         return _check_size(Shape("sphere", (radius, 0.0, 0.0)), 1, where)
     length = read_scalar(solid, "length", 1.0, where)
+    if solid.tag == "cone":
+        return _check_size(make_cone(radius, length), 3, where)
     kind = "cylinder" if solid.tag == "cylinder" else "capsule"
     return _check_size(Shape(kind, (radius, length, 0.0)), 2, where)  # type: ignore[arg-type]
 
@@ -537,39 +595,43 @@ class SdfLinkReader:
         kept = []
         for element in tag.element.findall("collision"):
             where = _describe_place(tag, element)
-            shape = self._read_shape(tag, element, where)
-            if shape is None:
+            shapes = self._read_shapes(tag, element, where)
+            if not shapes:
                 continue
-            if shape.kind == "plane" and not self.is_static:
-                self.report.suspicious(where, "a plane collides in static models only; left out")
-                continue
-            shape = make_ground_slab(shape) if shape.kind == "plane" else shape
-            if self.policy.can_use(shape, where, collides=True, report=self.report):
-                kept.append(read_surface(element, where, self.report).apply_to_shape(shape))
+            if shapes[0].kind == "plane":
+                if not self.is_static:
+                    fault = "a plane collides in static models only; left out"
+                    self.report.suspicious(where, fault)
+                    continue
+                shapes = [make_ground_slab(shapes[0])]
+            if self.policy.can_use(shapes[0], where, collides=True, report=self.report):
+                surface = read_surface(element, where, self.report)
+                kept += [surface.apply_to_shape(shape) for shape in shapes]
         return kept
 
     def _read_visuals(self, tag: LinkElement) -> list[Shape]:
         kept = []
         for element in tag.element.findall("visual"):
             where = _describe_place(tag, element)
-            shape = self._read_shape(tag, element, where)
-            if shape is not None and self.policy.can_use(
-                shape, where, collides=False, report=self.report
+            shapes = self._read_shapes(tag, element, where)
+            if not shapes or not self.policy.can_use(
+                shapes[0], where, collides=False, report=self.report
             ):
-                shape = make_visual_sheet(shape) if shape.kind == "plane" else shape
-                colour = read_colour(element, where, self.report)
-                transparency = read_scalar(element, "transparency", 0.0, where)
-                kept.append(
-                    msgspec.structs.replace(shape, rgba=apply_transparency(colour, transparency))
-                )
+                continue
+            colour = read_colour(element, where, self.report)
+            transparency = read_scalar(element, "transparency", 0.0, where)
+            rgba = apply_transparency(colour, transparency)
+            for shape in shapes:
+                drawn = make_visual_sheet(shape) if shape.kind == "plane" else shape
+                kept.append(msgspec.structs.replace(drawn, rgba=rgba))
         return kept
 
-    def _read_shape(self, tag: LinkElement, element: Element, where: str) -> Shape | None:
+    def _read_shapes(self, tag: LinkElement, element: Element, where: str) -> list[Shape]:
         origin = self._read_origin(tag, element, where)
-        shape = read_geometry(element, where, self.report)
-        if shape is None:
-            return None
-        return msgspec.structs.replace(shape, origin=compose(origin, shape.origin))
+        return [
+            msgspec.structs.replace(shape, origin=compose(origin, shape.origin))
+            for shape in read_geometry(element, where, self.report)
+        ]
 
     def _read_origin(self, tag: LinkElement, element: Element, where: str) -> Origin:
         pose = read_pose(element, where)

@@ -177,12 +177,9 @@ AXIS = SdfElementRule(
             }
         ),
         "dynamics": SdfElementRule(
-            children={
-                "damping": LEAF,
-                "friction": LEAF,
-                "spring_reference": UNUSED,
-                "spring_stiffness": UNUSED,
-            }
+            children=dict.fromkeys(
+                ("damping", "friction", "spring_reference", "spring_stiffness"), LEAF
+            )
         ),
     }
 )

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tests.sim_server.description.robots import (
     a_collision,
@@ -15,10 +16,12 @@ from zensim.proto.stl import STL_HEAD, STL_RECORD, read_corners
 from zensim.sim_server.description.meshes.generated_solids import (
     CONE_URI,
     ELLIPSOID_URI,
+    PRISM_URI,
     is_generated,
     list_corners,
     make_cone,
     make_ellipsoid,
+    make_prisms,
 )
 from zensim.sim_server.description.meshes.mesh_lookup import list_mesh_uris
 from zensim.sim_server.description.pipeline import ModelWithMeshes, parse_description, read_robot
@@ -96,3 +99,26 @@ def test_static_model_collides_by_the_same_mesh() -> None:
     fixed = a_solid(CONE).replace("</robot>", "<gazebo><static>true</static></gazebo></robot>")
 
     assert set(parsed(fixed).meshes) == set(parsed(a_solid(CONE)).meshes)
+
+
+L_OUTLINE = ((0.0, 0.0), (2.0, 0.0), (2.0, 1.0), (1.0, 1.0), (1.0, 2.0), (0.0, 2.0))
+
+
+@pytest.mark.parametrize("outline", [L_OUTLINE, L_OUTLINE[::-1]])
+def test_prisms_fill_a_concave_outline(outline: tuple[tuple[float, float], ...]) -> None:
+    prisms = make_prisms(outline, 0.5)
+
+    volumes = [_volume(np.array(list_corners(prism.mesh)) * prism.size) for prism in prisms]
+    assert (len(prisms), sum(volumes)) == (4, pytest.approx(1.5))
+    assert all(is_generated(prism.mesh) for prism in prisms)
+
+
+def _volume(corners: NDArray[np.float64]) -> float:
+    (ax, ay, _), (bx, by, _), (cx, cy, _) = corners[::2].tolist()
+    area = abs((bx - ax) * (cy - ay) - (cx - ax) * (by - ay)) / 2.0
+    return area * float(np.ptp(corners[:, 2]))
+
+
+@pytest.mark.parametrize("text", ["", "1,2", "1,2,3,4,5,x", "1,2,3,4,5,6,7", "1e9,2,3,4,5,6"])
+def test_other_texts_are_no_prisms(text: str) -> None:
+    assert not is_generated(PRISM_URI + text)

@@ -1,0 +1,70 @@
+"""World files are inspected without a server."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.sim_server.world_loading.test_world_loader import CRATE, a_file
+from zensim.proto.messages.model_messages import ReportEntry
+from zensim.sim_server.physics.engine_config import EngineName, find_installed_engines
+from zensim.sim_server.world_loading.world_inspection import (
+    InspectionRequest,
+    WorldInspection,
+    find_world_files,
+    group_entries,
+    inspect_in_process,
+)
+from zensim.sim_server.world_loading.world_loader import WorldLoaderRequest
+
+SOLID = "<collision name='c'><geometry><box><size>1 1 1</size></box></geometry></collision></link>"
+BOX = CRATE.replace("</link>", SOLID)
+
+
+def inspect(file: str, engine: EngineName | None = None, settle_s: float = 0.0) -> WorldInspection:
+    order = WorldLoaderRequest(file)
+    return inspect_in_process(InspectionRequest(world=order, settle_s=settle_s, engine=engine))
+
+
+def test_inspection_lists_models_lights_and_frames(tmp_path: Path) -> None:
+    light = "<light name='lamp' type='point'/><frame name='dock'/>"
+
+    found = inspect(a_file(tmp_path, BOX + light))
+
+    assert [(model.name, model.is_static) for model in found.models] == [("crate", False)]
+    assert (found.lights, found.frames, found.has_ground) == (("lamp (point)",), ("dock",), True)
+    assert found.fault == ""
+
+
+@pytest.mark.parametrize("engine", find_installed_engines())
+def test_model_that_keeps_falling_is_named(tmp_path: Path, engine: EngineName) -> None:
+    rests = BOX.replace("crate", "rests").replace("<link", "<pose>0 0 0.5 0 0 0</pose><link", 1)
+    falls = CRATE.replace("crate", "falls").replace("<link", "<pose>5 0 9 0 0 0</pose><link", 1)
+
+    found = inspect(a_file(tmp_path, rests + falls), engine, 0.5)
+
+    assert [model.name for model in found.moving] == ["falls"]
+
+
+def test_refused_world_has_its_fault(tmp_path: Path) -> None:
+    found = inspect(a_file(tmp_path, "<include><uri>model://elm</uri></include>"))
+
+    assert found.fault.startswith("sdf.include: ")
+
+
+def test_entries_that_differ_in_names_are_one_group() -> None:
+    entries = [
+        ReportEntry("ignored", f"m{number}: link 'l{number}': <frame>", "no effect")
+        for number in range(3)
+    ]
+
+    (group,) = group_entries(entries)
+
+    assert (group.subject, group.count) == ("link *: <frame>", 3)
+
+
+def test_world_files_are_found_below_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "a.world").write_text("<sdf version='1.6'><world name='a'/></sdf>")
+    (tmp_path / "model.sdf").write_text("<sdf version='1.6'><model name='m'/></sdf>")
+
+    assert [file.name for file in find_world_files(tmp_path)] == ["a.world"]
