@@ -290,8 +290,10 @@ def check_mesh_files(name: str, parts: Iterable[RigidPart], folder: str) -> None
     Raises:
         EngineRefused: One is missing.
     """
-    for shape in (shape for part in parts for shape in part.shapes):
-        if shape.mesh and not Path(folder, f"{shape.mesh}.stl").is_file():
+    # Many shapes of a world share a mesh.
+    shapes = {shape.mesh: shape for part in parts for shape in part.shapes if shape.mesh}
+    for shape in shapes.values():
+        if not Path(folder, f"{shape.mesh}.stl").is_file():
             raise EngineRefused(
                 f"model '{name}': collision shape '{shape.kind}' {shape.mesh[:80]!r} is "
                 "missing; send it again, or use box, sphere, cylinder or capsule"

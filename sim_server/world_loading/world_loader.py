@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from zensim.sim_server.physics.engine import Engine
     from zensim.sim_server.server_config import ServerConfig
 
+PREPARE_POLL_S = 2e-3
 COMMAND = make_module_command("zensim.sim_server.world_loading.world_loader_process")
 
 
@@ -80,26 +82,30 @@ def list_warnings(report: Iterable[ReportEntry]) -> list[str]:
 
 def spawn_models(world: World, model: WorldModel) -> None:
     """Spawn the models of a world file; raises as `spawn_models_stepwise` does."""
-    for _ in spawn_models_stepwise(world, model):
-        pass
+    for is_waiting in spawn_models_stepwise(world, model):
+        if is_waiting:
+            time.sleep(PREPARE_POLL_S)
 
 
-def spawn_models_stepwise(world: World, model: WorldModel) -> Iterator[None]:
+def spawn_models_stepwise(world: World, model: WorldModel) -> Iterator[bool]:
     """Spawn the models of a world file, a part of one in each step.
+
+    Yields:
+        Whether the engine still prepares a model, in threads of its own.
 
     Raises:
         ConfigError: The engine refuses one.
     """
     for placed in model.models:
         while not world.prepare(placed.model):
-            yield
+            yield True
         base = np.zeros(13)
         base[:3], base[3:7] = placed.origin.position, placed.origin.orientation
         try:
             world.spawn(ValidatedSpawn(placed.name, "", placed.model, base, belongs_to_world=True))
         except SimError as error:
             raise ConfigError(f"model '{placed.name}' of the world: {error}") from error
-        yield
+        yield False
 
 
 def make_world_engine(config: ServerConfig, model: WorldModel, mesh_folder: str) -> Engine:
@@ -134,7 +140,8 @@ def make_world_factory(
         )
         is_complete = False
         try:
-            yield from spawn_models_stepwise(world, model)
+            for _ in spawn_models_stepwise(world, model):
+                yield None
             is_complete = True
         except ConfigError as error:
             raise RequestRefused(ResultCode.OPERATION_FAILED, str(error)) from error
