@@ -12,7 +12,7 @@ import signal
 import sys
 import time
 from collections import Counter
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -229,7 +229,7 @@ def _add_motion(
         )
 
 
-class ReportGroup(NamedTuple):
+class ReportGroup(msgspec.Struct, frozen=True):
     """Entries of a report that differ in names only."""
 
     status: str
