@@ -176,5 +176,5 @@ def _resolve_file(path: Path) -> Path | None:
     try:
         real = path.resolve()
         return real if real.is_file() else None
-    except (OSError, ValueError):  # the name is too long or contains NUL
+    except (OSError, RuntimeError, ValueError):  # a loop of links, too long, or with NUL
         return None

@@ -5,6 +5,7 @@ It reads a request from stdin and writes the result to stdout.
 
 import os
 import sys
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -76,7 +77,6 @@ def _reply(output: BinaryIO, result: XacroResult) -> None:
 
 def _expand(request: XacroRequest, xacro: ModuleType, packages: ModuleType) -> XacroResult:
     packages.reset()
-    packages.look_in([str(root) for root in request.paths.roots])
     packages.walk_up_from(request.path)
     packages.update_package_cache(_find_packages(request.paths))
     try:
@@ -123,8 +123,15 @@ def _import_xacro(path: Path) -> tuple[ModuleType, ModuleType]:
 
 
 def _find_packages(paths: SearchPaths) -> dict[str, str]:
-    """Map package names to folders: of the search paths, and siblings of the own package."""
-    packages: dict[str, str] = {}
+    """Map package names to folders: of the search paths, and siblings of the own package.
+
+    rospkg would refuse all packages for one package.xml that is not well-formed.
+    """
+    packages = {
+        _label_package(folder): str(folder)
+        for root in reversed(paths.roots)
+        for folder in _list_packages_below(root)
+    }
     for own in paths.own_folders:
         if is_package(own):
             siblings = (folder for folder in own.parent.iterdir() if is_package(folder))
@@ -133,6 +140,15 @@ def _find_packages(paths: SearchPaths) -> dict[str, str]:
         packages.update({folder.name: str(folder) for folder in root.iterdir() if folder.is_dir()})
         packages[_label_package(root)] = str(root)
     return packages
+
+
+def _list_packages_below(root: Path) -> Iterator[Path]:
+    """List the packages at any depth, without those inside of packages."""
+    for folder, inner, _ in os.walk(root):
+        if is_package(Path(folder)):
+            yield Path(folder)
+            inner.clear()
+        inner[:] = sorted(name for name in inner if not name.startswith("."))
 
 
 def _label_package(folder: Path) -> str:

@@ -6,6 +6,7 @@ results are binary STL in the scale of the file, named by their sha256.
 
 from __future__ import annotations
 
+import logging
 import re
 import warnings
 from dataclasses import dataclass, field
@@ -469,6 +470,8 @@ def _read_glb_file(name: str, data: bytes) -> Triangles:
 def _load_with_trimesh(name: str, data: bytes, kind: str) -> Triangles:
     import trimesh
 
+    # It logs tracebacks for textures that are not here, which nothing draws.
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
     try:
         scene = trimesh.load_scene(BytesIO(data), file_type=kind, skip_materials=True)
         parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]

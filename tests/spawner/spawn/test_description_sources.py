@@ -275,3 +275,13 @@ def test_undecodable_text_is_refused(tmp_path: Path) -> None:
 
     with pytest.raises(DescriptionError, match="byte 13"):
         read_description_file(file, {}, SearchPaths())
+
+
+def test_package_that_is_not_well_formed_hides_no_other(tmp_path: Path) -> None:
+    (make_package(tmp_path / "ws" / "deep", "parts") / "urdf" / "part.xacro").write_text(PART)
+    (make_package(tmp_path / "ws", "broken") / "package.xml").write_text("<package><name>x</")
+    file = make_xacro(make_package(tmp_path, "mine") / "urdf", INCLUDE)
+
+    paths = collect_search_paths([tmp_path / "ws"], {})
+
+    assert "<link" in read_description_file(file, {}, paths).text

@@ -131,3 +131,13 @@ def test_invalid_uri_is_not_found(tmp_path: Path, uri: str) -> None:
 
     assert place.path is None
     assert place.reason
+
+
+def test_loop_of_links_is_not_found(tmp_path: Path) -> None:
+    (tmp_path / "a.stl").symlink_to(tmp_path / "b.stl")
+    (tmp_path / "b.stl").symlink_to(tmp_path / "a.stl")
+
+    found = SearchPaths((tmp_path,)).find("a.stl")
+
+    assert found.path is None
+    assert found.reason

@@ -1,5 +1,6 @@
 """Mesh conversion: hulls, decimation, split static meshes, and bad files."""
 
+import logging
 import struct
 
 import numpy as np
@@ -272,3 +273,11 @@ def test_decimation_drops_triangles_without_common_corners() -> None:
     found = decimate(Triangles(corners, np.arange(9000).reshape(-1, 3)), 100)
 
     assert (len(found.faces), found.faces.max() < len(found.vertices)) == (100, True)
+
+
+def test_missing_texture_of_a_mesh_is_not_logged(caplog: pytest.LogCaptureFixture) -> None:
+    read_mesh("box.dae", exported(BOX, "dae"))
+
+    logging.getLogger("trimesh").warning("unable to load bumpmap")
+
+    assert caplog.records == []
