@@ -155,6 +155,16 @@ def _read_drive(
 
 
 def _report_contacts(drive: Drive, lumped: LumpedModel, report: ParseReport) -> None:
+    children = {joint.name: joint.child for joint in lumped.joints}
+    touching = {link.name for link in lumped.links if link.collisions}
+    driven = [one.joint for one in drive.actuators if one.joint in drive.wheel_joints]
+    has_twist = any(one.mode == "twist" for one in drive.actuators)
+    bare = [joint for joint in driven if children[joint] not in touching]
+    if bare and not has_twist:
+        named = ", ".join(map(repr, bare))
+        report.suspicious(
+            SUBJECT, f"wheels of {named} have no collision: they carry no load and move nothing"
+        )
     for note in describe_contacts(drive, lumped.links, lumped.joints):
         report.applied(SUBJECT, note)
 

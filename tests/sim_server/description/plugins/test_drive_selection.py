@@ -3,6 +3,7 @@
 import pytest
 
 from tests.sim_server.description.plugins.driven_robots import (
+    TYRE,
     a_base,
     a_car,
     a_diff_robot,
@@ -152,3 +153,12 @@ def test_order_that_does_not_fit_the_robot_is_refused(order: str) -> None:
         read_driven(text, order=parse_drive_order(order))
 
     assert getattr(refused.value, "slug", "drive.order") == "drive.order"
+
+
+def test_driven_wheel_that_touches_nothing_is_reported() -> None:
+    text = a_diff_robot().replace(f"<collision>{TYRE}</collision>", "", 1)
+
+    model = read_driven(text, order=parse_drive_order("diff:left,right,0.4,0.2"))
+
+    assert mentions(model.report, "suspicious", "'left'", "no collision")
+    assert not mentions(model.report, "suspicious", "'right'", "no collision")
