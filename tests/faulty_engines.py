@@ -156,3 +156,10 @@ FAULTY_ENGINES: dict[str, Callable[[], Engine]] = {
     "cells, threads": lambda: make_celled(InProcessCellExecutor(MUJOCO.make, threads=2)),
     "workers": lambda: make_with_workers(BULLET),
 }
+
+
+class FaultyBullet(FaultyEngine):
+    """PyBullet that fails for some bodies, for a server that is told to use it."""
+
+    def __init__(self, config: EngineConfig, **options: int) -> None:
+        super().__init__(PyBulletEngine(config, **options))

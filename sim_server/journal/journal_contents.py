@@ -177,7 +177,11 @@ def restore_world(
 def _set_states(contents: JournalContents, world: World, result: RestoreResult) -> None:
     rows = {row.name: row for row in contents.entities}
     for one in result.restored:
-        world.place(one.entity.name, *_find_state_at_rest(contents, rows[one.entity.name]))
+        name = one.entity.name
+        try:
+            world.place(name, *_find_state_at_rest(contents, rows[name]))
+        except SimError as error:  # it is frozen, and stays so
+            LOG.warning("state not restored name=%s reason=%s", name, error)
 
 
 def _restore_entity(

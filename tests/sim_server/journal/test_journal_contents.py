@@ -160,6 +160,41 @@ def test_undo_does_not_give_the_state_of_a_deleted_entity_of_the_name(tmp_path: 
     assert server.world.state_of("r0")[0] == 1.0
 
 
+def test_entity_that_fails_in_the_first_step_stays_frozen(tmp_path: Path) -> None:
+    server = JournaledServer(tmp_path, "r0", "r1")
+    server.tracker.record()
+    server.crash()
+
+    class FailingEngine(ObedientEngine):
+        """The robot at x = 1 diverges in the first step, and cannot be made twice."""
+
+        failing: int | None = None
+
+        def add(self, model: Model, base: FloatArray) -> int:
+            if model.is_static or base[0] != 1.0:
+                return super().add(model, base)
+            if self.failing is not None:
+                raise EngineRefused("not again")
+            self.failing = super().add(model, base)
+            return self.failing
+
+        def step(self) -> bool:
+            assert self.failing is not None
+            self.set_base_state(self.failing, np.full(13, np.nan))
+            return False
+
+    world = World(
+        FailingEngine(EngineConfig(STEP_NS)),
+        name="default",
+        step_ns=STEP_NS,
+        control_steps=CONTROL_STEPS,
+    )
+    restarted = JournaledServer(tmp_path, world=world)
+
+    assert names_in(restarted.world) == ["r0", "r1"]
+    assert restarted.world.divergence_guard.is_frozen("r1")
+
+
 def test_entity_that_is_refused_is_excluded_and_named(tmp_path: Path) -> None:
     server = JournaledServer(tmp_path, "r0", "r1")
     server.tracker.record()
