@@ -9,6 +9,7 @@ from benchmarks.figures import Figure, missed
 
 NAMES = (
     "start",
+    "cli",
     "cost",
     "accuracy",
     "wheels",
