@@ -71,13 +71,19 @@ class ProcessOutcome(NamedTuple):
 
 
 def run_process(
-    command: Sequence[str], request: bytes, *, timeout_s: float | None = None
+    command: Sequence[str],
+    request: bytes,
+    *,
+    timeout_s: float | None = None,
+    environment: Mapping[str, str] | None = None,
 ) -> ProcessOutcome:
     """Run a process that reads a request from stdin and writes a reply to stdout.
 
     It is killed at the timeout, and when the caller is interrupted.
     """
-    with start_process(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+    with start_process(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, environment=environment
+    ) as process:
         try:
             output, _ = process.communicate(request, timeout_s)
         except subprocess.TimeoutExpired:

@@ -192,7 +192,7 @@ def _run(
         cleanup.callback(store.close)
         parser = ParserClient(store, clock.now_ns)
         cleanup.callback(parser.close)
-        world = _make_world(config, loaded, store, journal)
+        world = make_initial_world(config, loaded, store, journal)
         cleanup.callback(world.close)
         parts = _make_parts(config, loaded, world, parser, store)
         tracker = None if journal is None else journal.record(parts)
@@ -248,9 +248,10 @@ def _wait_for_parser(
         clock.sleep(PARSER_POLL_S)
 
 
-def _make_world(
-    config: ServerConfig, loaded: LoadedWorld, store: AssetStore, journal: Journal | None
+def make_initial_world(
+    config: ServerConfig, loaded: LoadedWorld, store: AssetStore, journal: Journal | None = None
 ) -> World:
+    """Make the world of a new server, or restore that of its journal."""
     for name, data in loaded.meshes.items():
         store.pin(name, data)
     engine = make_world_engine(config, loaded.model, store.folder)

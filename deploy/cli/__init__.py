@@ -115,6 +115,11 @@ VERBS: dict[str, Verb] = {
         "zensim.deploy.cli.model_commands",
         "Parse a robot description and print the result, without a server.",
     ),
+    "check": Verb(
+        "Diagnostics",
+        "zensim.deploy.cli.check_commands",
+        "Spawn and drive the robots of a folder, and print what they do.",
+    ),
     "journal": Verb(
         "Diagnostics",
         "zensim.deploy.cli.journal_commands",

@@ -1,0 +1,162 @@
+"""Results of robot checks as a table, as Markdown, as JSON values and as JUnit XML."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+
+import msgspec
+
+from zensim.deploy.robot_checks import CheckRow, DrivenPart, count_verdicts, find_ratio
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+HEADERS = (
+    *("robot", "engine", "drive", "found by", "straight", "drift", "turn", "predicted"),
+    *("tilt", "creep", "verdict", "remarks"),
+)
+MARKDOWN_HEADERS = (
+    *("robot", "source", "engine", "drive", "found by", "straight", "drift", "turn", "predicted"),
+    *("tilt", "creep", "verdict", "remarks"),
+)
+MAX_REMARKS = 200
+"""Characters of the remarks in a table."""
+XML_CONTROLS = dict.fromkeys((*range(9), 11, 12, *range(14, 32), 0xFFFE, 0xFFFF))
+"""Characters that XML 1.0 does not allow."""
+
+
+def format_cells(row: CheckRow) -> tuple[str, ...]:
+    """Format a row; columns as in `HEADERS`."""
+    result = row.result
+    is_spawned = not result.error and bool(result.model)
+    return (
+        row.name,
+        row.engine,
+        result.drive.removesuffix("_drive") if result.drive else "-",
+        result.drive_source or "-",
+        _format_ratio(result.straight, 0, "m/s"),
+        f"{result.straight.measured[2]:+.3f} rad/s" if result.straight else "-",
+        _format_ratio(result.turn, 2, "rad/s"),
+        _format_predicted(result.straight, result.turn),
+        f"{math.degrees(result.tilt_rad):.1f}°" if is_spawned else "-",
+        f"{result.creep_m_s * 1e3:.1f} mm/s" if is_spawned else "-",
+        row.verdict,
+        format_remarks(row),
+    )
+
+
+def _format_ratio(part: DrivenPart | None, axis: int, unit: str) -> str:
+    if part is None:
+        return "-"
+    ratio = find_ratio(part, axis)
+    share = "" if ratio is None else f" ({100.0 * ratio:.0f} %)"
+    return f"{_plain(part.measured[axis])} of {_plain(part.commanded[axis])} {unit}{share}"
+
+
+def _plain(number: float) -> str:
+    # Adding 0 turns -0 into 0.
+    return f"{round(number, 3) + 0.0:.3f}"
+
+
+def _format_predicted(straight: DrivenPart | None, turn: DrivenPart | None) -> str:
+    if straight is None or turn is None or not straight.predicted or not turn.predicted:
+        return "-"
+    return f"{_plain(straight.predicted[0])} m/s, {_plain(turn.predicted[2])} rad/s"
+
+
+def format_remarks(row: CheckRow) -> str:
+    """Join the reason of the verdict, the remarks of the report and that of the list."""
+    parts = (row.reason, row.robot.remark, *row.result.remarks)
+    text = " ".join("; ".join(dict.fromkeys(part for part in parts if part)).split())
+    return text if len(text) <= MAX_REMARKS else f"{text[: MAX_REMARKS - 1]}…"
+
+
+def format_table(rows: Sequence[CheckRow]) -> list[str]:
+    """Format all rows as lines with aligned columns, and a line with the counts."""
+    table = [HEADERS, *(format_cells(row) for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    lines = [
+        "  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)).rstrip()
+        for cells in table
+    ]
+    return [*lines, summarize(rows)]
+
+
+def summarize(rows: Sequence[CheckRow]) -> str:
+    """Count the verdicts in one line."""
+    counts = ", ".join(f"{count} {verdict}" for verdict, count in count_verdicts(rows).items())
+    return f"{len(rows)} checked: {counts}"
+
+
+def format_markdown(rows: Sequence[CheckRow]) -> str:
+    """Format all rows as a Markdown table with the sources."""
+    table = [MARKDOWN_HEADERS, ("---",) * len(MARKDOWN_HEADERS)]
+    for row in rows:
+        name, *cells = format_cells(row)
+        table.append((name, row.robot.source or row.robot.path, *cells))
+    lines = [f"| {' | '.join(map(_escape, cells))} |" for cells in table]
+    return "\n".join([*lines, "", summarize(rows), ""])
+
+
+def _escape(cell: str) -> str:
+    return cell.replace("|", "\\|").replace("<", "&lt;")
+
+
+def to_json(rows: Sequence[CheckRow]) -> dict[str, object]:
+    """Convert all rows to JSON values."""
+    return {
+        "rows": [{**msgspec.to_builtins(row), "is_passed": row.is_passed} for row in rows],
+        "verdicts": dict(count_verdicts(rows)),
+    }
+
+
+def to_junit(rows: Sequence[CheckRow]) -> bytes:
+    """Convert all rows to JUnit XML: a suite for each engine, a case for each robot.
+
+    A case fails with an `error` if it could not be tried, else with a `failure`.
+    """
+    root = ElementTree.Element("testsuites", _count_cases(rows))
+    for engine in dict.fromkeys(row.engine for row in rows):
+        own = [row for row in rows if row.engine == engine]
+        suite = ElementTree.SubElement(
+            root, "testsuite", {"name": f"zensim check {engine}", **_count_cases(own)}
+        )
+        for row in own:
+            _add_case(suite, row)
+    ElementTree.indent(root)
+    return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
+
+
+def _count_cases(rows: Sequence[CheckRow]) -> dict[str, str]:
+    kinds = [_choose_tag(row) for row in rows]
+    return {
+        "tests": str(len(rows)),
+        "failures": str(kinds.count("failure")),
+        "errors": str(kinds.count("error")),
+    }
+
+
+def _choose_tag(row: CheckRow) -> str:
+    if row.is_passed:
+        return ""
+    return "error" if row.verdict in ("refused", "crashed", "timeout") else "failure"
+
+
+def _add_case(suite: ElementTree.Element, row: CheckRow) -> None:
+    case = ElementTree.SubElement(
+        suite,
+        "testcase",
+        {"name": _to_xml(row.name), "classname": _to_xml(row.robot.path)},
+    )
+    if tag := _choose_tag(row):
+        ElementTree.SubElement(
+            case, tag, {"type": row.verdict, "message": _to_xml(row.reason or row.verdict)}
+        )
+    output = ElementTree.SubElement(case, "system-out")
+    output.text = _to_xml("\n".join(map(": ".join, zip(HEADERS, format_cells(row), strict=True))))
+
+
+def _to_xml(text: str) -> str:
+    return text.translate(XML_CONTROLS)

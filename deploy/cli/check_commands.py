@@ -1,0 +1,171 @@
+"""`zensim check`: spawn and drive the robots of a folder, and print what they do."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from zensim.deploy.check_report import format_markdown, format_table, to_json, to_junit
+from zensim.deploy.robot_checks import (
+    CheckRow,
+    RobotCheck,
+    TrialRequest,
+    find_robots,
+    run_checks,
+)
+from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
+from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.sim_server.physics.engine_config import (
+    EngineOptions,
+    choose_engine,
+    find_installed_engines,
+    parse_engine_name,
+)
+from zensim.spawner.cli.spawn_arguments import DescriptionOptions, make_search_paths, parse_compat
+
+app = make_app()
+
+BOTH = "both"
+_check = partial(typer.Option, rich_help_panel="Check")
+_output = partial(typer.Option, metavar="FILE", rich_help_panel="Output", dir_okay=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckOptions(DescriptionOptions):
+    """All options of `zensim check`."""
+
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="PATH...",
+            help="URDF, xacro and SDF files, folders to search, and lists of robots (.json).",
+        ),
+    ]
+    engine: Annotated[
+        str,
+        _check(
+            "--engine",
+            metavar="pybullet|mujoco|both",
+            help="Physics engine of the trials.",
+            show_default="pybullet if installed",
+            envvar="ZENSIM_ENGINE",
+        ),
+    ] = ""
+    exclude: Annotated[
+        list[str] | None,
+        _check("--exclude", metavar="PATTERN", help="Paths to leave out; repeatable."),
+    ] = None
+    jobs: Annotated[
+        int, _check("--jobs", "-j", min=1, metavar="N", help="Number of trials at once.")
+    ] = 1
+    trial_timeout: Annotated[
+        float,
+        _check(
+            "--trial-timeout",
+            min=1.0,
+            metavar="SECONDS",
+            help=r"Limit of the wall time of one trial \[s].",
+        ),
+    ] = 120.0
+    tolerance: Annotated[
+        float,
+        _check(
+            "--tolerance",
+            min=0.001,
+            max=1.0,
+            metavar="SHARE",
+            help="Largest deviation from the commanded speed and turn.",
+        ),
+    ] = 0.05
+    as_json: JsonOption = False
+    as_markdown: Annotated[
+        bool, flag("--markdown", help="Print a Markdown table.", rich_help_panel="Output")
+    ] = False
+    junit: Annotated[Path | None, _output("--junit", help="File to write JUnit XML to.")] = None
+
+
+@app.command(
+    epilog="""Examples:
+  zensim check ~/ws/src --exclude '*/test'
+  zensim check robot.urdf.xacro --xacro-arg sim:=true --engine both
+  zensim check robots.json --junit check.xml"""
+)
+@expand_options
+def check(given: CheckOptions) -> None:
+    """Spawn each robot alone, let it settle, drive it straight and turning, and print a table.
+
+    Exit status: 0 if each robot drives as commanded or as predicted, or has nothing to drive; 1 if
+    one does not; 3 if there is none.
+    """
+    with exit_on_failure("check"):
+        requests = _make_requests(given)
+        total = len(requests)
+
+        def show(row: CheckRow) -> None:
+            typer.echo(f"{row.name} ({row.engine}): {row.verdict}", err=True)
+
+        typer.echo(f"zensim check: {total} trials", err=True)
+        rows = run_checks(
+            requests,
+            jobs=given.jobs,
+            timeout_s=given.trial_timeout,
+            tolerance=given.tolerance,
+            on_row=show,
+        )
+        if given.junit is not None:
+            given.junit.write_bytes(to_junit(rows))
+        _print_rows(rows, given)
+    if not all(row.is_passed for row in rows):
+        raise typer.Exit(ExitCode.FAILED)
+
+
+def _make_requests(given: CheckOptions) -> list[TrialRequest]:
+    compat, engines = parse_compat(given), _choose_engines(given.engine)
+    paths = make_search_paths(given)
+    robots = find_robots(given.paths, given.exclude or ())
+    if not robots:
+        raise FileNotFoundError(
+            2, "no URDF, xacro or SDF file with a robot", " ".join(map(str, given.paths))
+        )
+    common = tuple(map(str, paths.roots))
+    return [
+        TrialRequest(
+            robot=_add_options(robot, given, common),
+            engine=engine,
+            allow_missing=given.allow_missing,
+            compat=compat,
+        )
+        for robot in robots
+        for engine in engines
+    ]
+
+
+def _add_options(robot: RobotCheck, given: DescriptionOptions, roots: Sequence[str]) -> RobotCheck:
+    """Add the options of the command line; those of the list come first."""
+    return msgspec.structs.replace(
+        robot,
+        xacro_args=(*(given.xacro_arg or ()), *robot.xacro_args),
+        package_paths=(*robot.package_paths, *roots),
+    )
+
+
+def _choose_engines(word: str) -> list[str]:
+    installed = find_installed_engines()
+    if word == BOTH:
+        names = ("pybullet", "mujoco")
+        return [choose_engine(EngineOptions(engine=name), installed) for name in names]
+    return [choose_engine(EngineOptions(engine=parse_engine_name(word)), installed)]
+
+
+def _print_rows(rows: Sequence[CheckRow], given: CheckOptions) -> None:
+    if given.as_json:
+        typer.echo(json.dumps(to_json(rows)))
+    elif given.as_markdown:
+        typer.echo(format_markdown(rows), nl=False)
+    else:
+        typer.echo("\n".join(format_table(rows)))
