@@ -6,6 +6,7 @@ spawn handler and drive controller are those of server and agent, in lockstep.
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from contextlib import ExitStack
@@ -20,9 +21,11 @@ from zensim.deploy.robot_checks import DrivenPart, RobotCheck, TrialRequest, Tri
 from zensim.proto.bus import BusConfig
 from zensim.proto.child_process import STDERR, reserve_stdout
 from zensim.proto.cli_options import parse_choice
+from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.drives.array_math import ARRAY_MATH
 from zensim.proto.exit_codes import EXPECTED_FAILURES, format_failure
 from zensim.proto.messages.agent_messages import DriveCommand
+from zensim.proto.messages.drive_messages import SteeringDrive
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.proto.process_limits import die_with_parent
@@ -56,6 +59,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from zensim.proto.drives.measured_joints import PlanarTwist
+    from zensim.proto.messages.drive_messages import Drive
     from zensim.proto.messages.model_messages import Model, ReportEntry, Vec3
     from zensim.sim_server.parser_process.description_cache import ParseKey
     from zensim.sim_server.physics.engine import FloatArray
@@ -68,6 +72,8 @@ REST_S = 1.0
 """Counted at the end of settling."""
 COUNTED_S = 2.0
 """Counted at the end of each drive."""
+STEERING_RAD = 0.3
+"""Of steered wheels in a turn."""
 REMARK_SUBJECTS = ("drive", "driving")
 """Subjects of report entries that explain how a robot drives."""
 REMARK_STATUSES = ("suspicious", "predicted")
@@ -112,7 +118,7 @@ def _run(request: TrialRequest, cleanup: ExitStack) -> TrialResult:
         friction = GroundFriction(model, store.vertices)
         straight = trial.drive(DRIVE_S, STRAIGHT)
         trial.drive(STOP_S, STRAIGHT, share=0.0)
-        command = turn_command(model.drive)
+        command = choose_turn(model.drive)
         turn = trial.drive(DRIVE_S, command)
         result = msgspec.structs.replace(
             result,
@@ -137,13 +143,20 @@ def _read_model(request: TrialRequest, store: AssetStore) -> tuple[SpawnPayload,
     paths = collect_search_paths([Path(one) for one in robot.package_paths], os.environ)
     arguments = parse_xacro_arguments(robot.xacro_args)
     description = read_model_argument(robot.path, arguments, paths)
-    payload = make_payload(description, paths, allow_missing=request.allow_missing)
+    payload = make_payload(
+        description,
+        paths,
+        allow_missing=request.allow_missing,
+        controllers=[Path(one) for one in robot.controllers],
+    )
     files = {file.sha256: file.path.read_bytes() for file in payload.bundle.files}
     parsed = parse_description(
         payload.text,
         assets={ref.uri: (ref.sha256, files[ref.sha256]) for ref in payload.bundle.refs},
         allow_missing=request.allow_missing,
         compat=parse_choice("--compat", request.compat, COMPATS),
+        controllers=payload.controllers.texts,
+        drive=parse_drive_order(robot.drive),
     )
     for sha256, data in parsed.meshes.items():
         store.add(sha256, data)
@@ -245,13 +258,20 @@ class LockstepTrial:
                 )
 
 
+def choose_turn(drive: Drive) -> PlanarTwist[float]:
+    """Choose a command that turns a robot: on the spot, or along an arc if its wheels steer."""
+    if isinstance(drive, SteeringDrive):
+        speed = STRAIGHT[0]
+        return speed, 0.0, speed * math.tan(STEERING_RAD) / abs(drive.wheelbase_m)
+    return turn_command(drive)
+
+
 def _describe(robot: RobotCheck, model: Model, report: Sequence[ReportEntry]) -> TrialResult:
-    source = "--drive" if robot.drive else "controllers" if robot.controllers else "plug-in"
-    kind = "" if model.drive is None else str(model.drive.__struct_config__.tag)
+    has_drive = model.drive is not None
     return TrialResult(
         model=model.name,
-        drive=kind,
-        drive_source=source if kind else "",
+        drive=str(model.drive.__struct_config__.tag) if model.drive else "",
+        drive_source=_find_drive_source(robot, report) if has_drive else "",
         links=len(model.links),
         mass_kg=model.mass_kg,
         remarks=tuple(
@@ -260,6 +280,16 @@ def _describe(robot: RobotCheck, model: Model, report: Sequence[ReportEntry]) ->
             if entry.subject in REMARK_SUBJECTS and entry.status in REMARK_STATUSES
         ),
     )
+
+
+def _find_drive_source(robot: RobotCheck, report: Sequence[ReportEntry]) -> str:
+    if robot.drive:
+        return "--drive"
+    is_controlled = any(
+        entry.subject.startswith("controller ") and entry.reason.startswith("drive:")
+        for entry in report
+    )
+    return "controllers" if is_controlled else "plug-in"
 
 
 def _measure_rest(rows: FloatArray, control_s: float) -> dict[str, float | Vec3]:

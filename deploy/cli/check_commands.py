@@ -151,6 +151,8 @@ def _add_options(robot: RobotCheck, given: DescriptionOptions, roots: Sequence[s
         robot,
         xacro_args=(*(given.xacro_arg or ()), *robot.xacro_args),
         package_paths=(*robot.package_paths, *roots),
+        controllers=robot.controllers or tuple(map(str, given.controllers or ())),
+        drive=robot.drive or given.drive,
     )
 
 
