@@ -35,7 +35,7 @@ MAX_HEIGHT_M = 1.0
 Verdict = Literal[
     "ok", "stands", "predicted", "off", "no drive", "unstable", "refused", "crashed", "timeout"
 ]
-PASSED: frozenset[Verdict] = frozenset({"ok", "stands", "predicted"})
+PASSED: tuple[Verdict, ...] = ("ok", "stands")
 
 
 class RobotCheck(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -122,7 +122,7 @@ class CheckRow(msgspec.Struct, frozen=True):
 
     @property
     def is_passed(self) -> bool:
-        """Whether a user has nothing to correct."""
+        """Whether the robot drives as commanded, or has nothing to drive."""
         return self.verdict in PASSED
 
 
@@ -211,24 +211,24 @@ def read_robot_list(file: Path) -> tuple[RobotCheck, ...]:
 
 def run_checks(
     requests: Sequence[TrialRequest],
+    run: Callable[[TrialRequest], TrialResult | int],
     *,
     jobs: int,
-    timeout_s: float,
     tolerance: float,
     on_row: Callable[[CheckRow], None],
 ) -> list[CheckRow]:
-    """Run each trial in a process of its own; rows are in the order of the requests.
+    """Run trials, several at once, and judge them; rows are in the order of the requests.
 
     Args:
         requests: Robots and engines.
+        run: As `run_trial_process` with a timeout; called in threads.
         jobs: Number of trials at once.
-        timeout_s: Wall time of one trial.
         tolerance: Largest deviation from the command, as a share of it.
         on_row: Called in order, as soon as possible.
     """
     rows = []
     with ThreadPoolExecutor(jobs) as pool:
-        outcomes = [pool.submit(run_trial_process, one, timeout_s) for one in requests]
+        outcomes = [pool.submit(run, one) for one in requests]
         try:
             for request, outcome in zip(requests, outcomes, strict=True):
                 rows.append(make_row(request, outcome.result(), tolerance))
