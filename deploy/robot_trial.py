@@ -1,7 +1,7 @@
 """A robot in a world of its own, without a network: spawn, settle, drive straight, stop, turn.
 
 `python -m zensim.deploy.robot_trial`: a `TrialRequest` on stdin, a `TrialResult` on stdout. World,
-spawn handler and drive controller are those of server and agent, in lockstep.
+spawn handler and drive controller are those of server and agent, in lockstep. It needs the server extra.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ from zensim.sim_server.description.motion_prediction import (
     predict_motion,
     turn_command,
 )
+from zensim.sim_server.description.pipeline import parse_description
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.physics.engine_config import EngineOptions, parse_engine_name
 from zensim.sim_server.server import load_initial_world, make_initial_world
 from zensim.sim_server.server_config import ServerConfig, validate_config
-from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 from zensim.sim_server.service_parts import Bonds, Descriptions, Pacing, Spawning
 from zensim.sim_server.services.spawn_services import spawn_entity
 from zensim.spawner.cli.spawn_arguments import COMPATS
@@ -95,7 +95,7 @@ def run_trial(request: TrialRequest) -> TrialResult:
     try:
         with ExitStack() as cleanup:
             return _run(request, cleanup)
-    except (SimError, MissingServerExtra) as error:
+    except SimError as error:
         return TrialResult(error=str(error))
     except EXPECTED_FAILURES as error:
         return TrialResult(error=format_failure(error))
@@ -139,8 +139,6 @@ def _list_failures(world: World) -> list[str]:
 
 def _read_model(request: TrialRequest, store: AssetStore) -> tuple[SpawnPayload, Model]:
     """Read the description as `zensim spawn` and the server's parser process do."""
-    with server_extra():
-        from zensim.sim_server.description.pipeline import parse_description
     robot = request.robot
     paths = collect_search_paths([Path(one) for one in robot.package_paths], os.environ)
     arguments = parse_xacro_arguments(robot.xacro_args)

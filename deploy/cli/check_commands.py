@@ -30,6 +30,7 @@ from zensim.sim_server.physics.engine_config import (
     find_installed_engines,
     parse_engine_name,
 )
+from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 from zensim.spawner.cli.spawn_arguments import DescriptionOptions, make_search_paths, parse_compat
 
 app = make_app()
@@ -114,7 +115,9 @@ def check(given: CheckOptions) -> None:
     Exit status: 0 if each robot drives as commanded or has nothing to drive, 1 if one does not, 3
     if there is none.
     """
-    with exit_on_failure("check"):
+    with exit_on_failure("check", MissingServerExtra):
+        with server_extra():
+            from zensim.sim_server.description import strict_parsing  # noqa: F401  # for trials
         requests = _make_requests(given)
         total = len(requests)
 

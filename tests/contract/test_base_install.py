@@ -14,8 +14,9 @@ for name in ("pybullet", "scipy", "trimesh", "lxml", "viser"):
 """
 IMPORT_ALL = """
 package = importlib.import_module(sys.argv[1])
+with_extra = ("zensim.spawner.page", "zensim.deploy.robot_trial")
 for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-    if not module.name.startswith("zensim.spawner.page") and not module.name.endswith("__main__"):
+    if not module.name.startswith(with_extra) and not module.name.endswith("__main__"):
         importlib.import_module(module.name)
 """
 CALL_ZENSIM = """
@@ -58,6 +59,7 @@ def test_help_is_shown_when_no_extra_is_installed() -> None:
     [
         (("serve", "--listen", "tcp/127.0.0.1:0"), "server"),
         (("model", "box_bot"), "server"),
+        (("check", "README.md"), "server"),
         (("view",), "viewer"),
     ],
 )
