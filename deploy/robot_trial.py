@@ -1,7 +1,8 @@
 """A robot in a world of its own, without a network: spawn, settle, drive straight, stop, turn.
 
 `python -m zensim.deploy.robot_trial`: a `TrialRequest` on stdin, a `TrialResult` on stdout. World,
-spawn handler and drive controller are those of server and agent, in lockstep. It needs the server extra.
+spawn handler and drive controller are those of server and agent, in lockstep. It needs the
+server extra.
 """
 
 from __future__ import annotations
