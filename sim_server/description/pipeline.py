@@ -165,12 +165,10 @@ def parse_world(
     from zensim.sim_server.description.meshes.mesh_conversion import MeshConversions, convert_meshes
     from zensim.sim_server.description.sdf.sdf_world import read_world
 
-    world = read_world(
-        text,
-        resolve=resolve,
-        has_mesh=lambda uri: find_mesh(uri) is not None,
-        allow_missing=allow_missing,
-    )
+    def has_mesh(uri: str) -> bool:
+        return find_mesh(uri) is not None
+
+    world = read_world(text, resolve=resolve, has_mesh=has_mesh, allow_missing=allow_missing)
     replace = msgspec.structs.replace
     conversions, models, report = MeshConversions(), [], list(world.report)
     unusable: list[str] = []
