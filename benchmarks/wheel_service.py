@@ -43,8 +43,9 @@ def drive_in_service(robots: Sequence[WheelRobot], engine: str) -> list[SpeedAnd
                 server.bus.advertise(CMD_VEL.key(name), make_encoding(Twist, Format.CDR))
                 for name in names
             ]
-            for one in publishers:
-                eventually(lambda one=one: one.is_matched, CONNECT_S, "an agent")
+            eventually(
+                lambda: all(one.is_matched for one in publishers), CONNECT_S, "agents that listen"
+            )
             return _drive(server, names, publishers, robots[0].turn)
 
 

@@ -10,7 +10,7 @@ MOST_CREEP_MM_S = 1.0
 MOST_TILT_OFF_RAD = 0.005
 MOST_KINEMATIC_OFF = 0.01
 """Percent."""
-PYBULLET = (
+BOTH = (
     "mass_ratio_1",
     "mass_ratio_1000",
     "radius_0.01_m",
@@ -24,16 +24,25 @@ PYBULLET = (
     "car_20_kg",
     "tricycle_20_kg",
     "mover_on_wheels",
-)
-MUJOCO = (
-    *PYBULLET,
     "ball_mu_0.5",
     "cylinder_foot",
+    "sprung_wheels",
+    "skid_light_wheels",
+    "skid_500_kg",
+    "mu_100",
+)
+PYBULLET = (
+    *BOTH,
+    "ball_mu_1",
+    "swivels_all_around",
+    "diff_fdir1_ahead",
+    "skid_com_behind",
+)
+MUJOCO = (
+    *BOTH,
     "skid_square",
     "skid_long",
     "skid_com_left",
-    "skid_light_wheels",
-    "mu_100",
 )
 CASES = [("pybullet", name) for name in PYBULLET] + [("mujoco", name) for name in MUJOCO]
 
