@@ -247,11 +247,17 @@ class SlotAddress:
 SlotCounts = tuple[tuple[Archetype, int], ...]
 """Archetypes in the order of their first body, each with its number of slots."""
 FREE_SLOT = None
+MAX_UNUSED_ARCHETYPES = 16
+"""Archetypes without bodies whose slots are kept; compiling takes longer with each."""
 
 
 def round_up_slots(count: int) -> int:
     """Round up to the next power of 2."""
     return 1 << (count - 1).bit_length()
+
+
+def _is_taken(slot: int | None) -> bool:
+    return slot is not FREE_SLOT
 
 
 class SlotAllocator:
@@ -268,17 +274,27 @@ class SlotAllocator:
     def with_one_more(self, archetype: Archetype) -> SlotCounts:
         """Find the slot counts after one more body of an archetype."""
         owners = self._owners.get(archetype, [])
-        count = len(owners) if FREE_SLOT in owners else round_up_slots(len(owners) + 1)
-        return tuple({**dict(self.counts), archetype: count}.items())
+        if FREE_SLOT in owners:
+            return self.counts
+        kept = {one: len(slots) for one, slots in self._find_kept().items()}
+        return tuple({**kept, archetype: round_up_slots(len(owners) + 1)}.items())
 
     def take(self, archetype: Archetype, body: int) -> int:
         """Assign a slot to a body; add slots if none is free."""
+        if FREE_SLOT not in self._owners.get(archetype, []):
+            self._owners = self._find_kept()
         owners = self._owners.setdefault(archetype, [])
         if FREE_SLOT not in owners:
             owners.extend([FREE_SLOT] * (round_up_slots(len(owners) + 1) - len(owners)))
         slot = owners.index(FREE_SLOT)
         owners[slot] = body
         return slot
+
+    def _find_kept(self) -> dict[Archetype, list[int | None]]:
+        """Find the archetypes to keep: all, or those with bodies if too many have none."""
+        used = {one: slots for one, slots in self._owners.items() if any(map(_is_taken, slots))}
+        too_many = len(self._owners) - len(used) > MAX_UNUSED_ARCHETYPES
+        return used if too_many else self._owners
 
     def release(self, archetype: Archetype, slot: int) -> None:
         """Free a slot."""

@@ -5,6 +5,8 @@ import pytest
 from tests.models import a_box, a_cart
 from zensim.sim_server.physics.blueprint import make_blueprint
 from zensim.sim_server.physics.mujoco.slot_layout import (
+    MAX_UNUSED_ARCHETYPES,
+    Archetype,
     SlotAllocator,
     make_archetype,
     round_up_slots,
@@ -49,3 +51,19 @@ def test_robots_that_differ_in_name_only_have_one_archetype() -> None:
     assert make_archetype(make_blueprint(a_box("other"))) == BOX
     assert hash(make_archetype(make_blueprint(a_box("other")))) == hash(BOX)
     assert make_archetype(make_blueprint(a_box(friction=0.5))) != BOX
+
+
+def test_slots_of_models_that_came_and_went_are_dropped() -> None:
+    slots = SlotAllocator()
+    kept = Archetype((), (), is_static=True)
+    slots.take(kept, 0)
+
+    for number in range(1, 10 * MAX_UNUSED_ARCHETYPES):
+        archetype = Archetype((), (True,) * number, is_static=False)
+        expected = slots.with_one_more(archetype)
+        slot = slots.take(archetype, number)
+        assert slots.counts == expected
+        slots.release(archetype, slot)
+
+    assert slots.counts[0] == (kept, 1)
+    assert len(slots.counts) <= MAX_UNUSED_ARCHETYPES + 2
