@@ -57,12 +57,13 @@ from zensim.spawner.spawn.search_paths import collect_search_paths
 from zensim.spawner.spawn.spawn_client import SpawnPayload, make_payload
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from zensim.proto.drives.measured_joints import PlanarTwist
     from zensim.proto.messages.drive_messages import Drive
     from zensim.proto.messages.model_messages import Model, ReportEntry, Vec3
     from zensim.sim_server.parser_process.description_cache import ParseKey
+    from zensim.sim_server.parser_process.parser_protocol import ParseRequest, ParseResult
     from zensim.sim_server.physics.engine import FloatArray
     from zensim.sim_server.world.simulated_world import World
 
@@ -134,8 +135,8 @@ def _run(request: TrialRequest, cleanup: ExitStack) -> TrialResult:
 
 
 def _list_failures(world: World) -> list[str]:
-    """List why the robot was put at rest or frozen."""
-    return [event.message for event in world.clock.take_events() if event.kind == "diverged"]
+    """List the warnings on the robot, such as why it was put at rest or frozen."""
+    return [event.message for event in world.clock.take_events() if event.kind == "warning"]
 
 
 def _read_model(request: TrialRequest, store: AssetStore) -> tuple[SpawnPayload, Model]:
@@ -178,11 +179,11 @@ class ParsedDescription:
     parsed: Model
     text: str
 
-    def is_parsed(self, _order: SpawnEntityOrder) -> bool:
+    def is_parsed(self, order: SpawnEntityOrder) -> bool:  # noqa: ARG002
         """See `DescriptionProvider`."""
         return True
 
-    def model(self, _order: SpawnEntityOrder) -> tuple[Model, str]:
+    def model(self, order: SpawnEntityOrder) -> tuple[Model, str]:  # noqa: ARG002
         """See `DescriptionProvider`."""
         return self.parsed, self.text
 
@@ -190,9 +191,15 @@ class ParsedDescription:
         """See `DescriptionProvider`."""
         return False
 
-    def find_parse_key(self, _model: Model) -> ParseKey | None:
+    def find_parse_key(self, model: Model) -> ParseKey | None:  # noqa: ARG002
         """See `DescriptionProvider`."""
         return None
+
+    def remember(self, key: ParseKey, model: Model) -> None:
+        """See `DescriptionProvider`."""
+
+    def parse(self, request: ParseRequest, on_parsed: Callable[[ParseResult], None]) -> None:
+        """See `DescriptionProvider`."""
 
 
 def _spawn(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import msgspec
 import typer
@@ -25,6 +25,7 @@ from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.sim_server.physics.engine_config import (
+    EngineName,
     EngineOptions,
     choose_engine,
     find_installed_engines,
@@ -178,7 +179,7 @@ def _add_options(robot: RobotCheck, given: DescriptionOptions, roots: Sequence[s
 def _choose_engines(word: str) -> list[str]:
     installed = find_installed_engines()
     if word == BOTH:
-        names = ("pybullet", "mujoco")
+        names = get_args(EngineName)
         return [choose_engine(EngineOptions(engine=name), installed) for name in names]
     return [choose_engine(EngineOptions(engine=parse_engine_name(word)), installed)]
 

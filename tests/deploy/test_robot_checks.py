@@ -125,7 +125,7 @@ def test_verdict_on(changes: dict[str, object], verdict: Verdict) -> None:
 
 
 def test_a_trial_that_crashes_or_hangs_ends_no_other() -> None:
-    outcomes = {"crash": -11, "hang": 0, "good": DRIVEN}
+    outcomes: dict[str, TrialResult | int] = {"crash": -11, "hang": 0, "good": DRIVEN}
     requests = [
         msgspec.structs.replace(REQUEST, robot=RobotCheck(f"{name}.urdf")) for name in outcomes
     ]
