@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 TRIAL_COMMAND = make_module_command("zensim.deploy.robot_trial")
 DESCRIPTION_SUFFIXES = (".urdf", ".sdf", ".xacro")
 LIST_SUFFIX = ".json"
-MAX_DESCRIPTION_BYTES = 32 << 20
 ROOT_BYTES = 65536
 """Bytes of a file in which its root tag is searched."""
 MAX_TILT_RAD = math.radians(5.0)

@@ -42,7 +42,8 @@ from zensim.sim_server.description.motion_prediction import (
     predict_motion,
     turn_command,
 )
-from zensim.sim_server.description.pipeline import parse_description
+from zensim.sim_server.description.pipeline import is_sdf, parse_description
+from zensim.sim_server.description.urdf.independent_reading import find_reading_differences
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.parser_process.asset_store import AssetStore
@@ -115,6 +116,9 @@ def _run(request: TrialRequest, cleanup: ExitStack) -> TrialResult:
     trial = LockstepTrial(world)
     rest = trial.drive(SETTLE_S, STRAIGHT, share=0.0)
     result = _describe(request.robot, model, (*model.report, *report))
+    result = msgspec.structs.replace(
+        result, remarks=(*result.remarks, *_compare_readings(payload.text, model))
+    )
     result = msgspec.structs.replace(result, **_measure_rest(rest, trial.control_s))
     if model.drive is not None:
         friction = GroundFriction(model, store.vertices)
@@ -163,6 +167,13 @@ def _read_model(request: TrialRequest, store: AssetStore) -> tuple[SpawnPayload,
     for sha256, data in parsed.meshes.items():
         store.add(sha256, data)
     return payload, parsed.model
+
+
+def _compare_readings(text: str, model: Model) -> tuple[str, ...]:
+    """List where another reader of URDF differs."""
+    if is_sdf(text):
+        return ()
+    return find_reading_differences(text, model)
 
 
 def _make_world(engine: str, store: AssetStore) -> World:

@@ -105,11 +105,6 @@ class Blueprint:
         """Mass of all parts."""
         return sum(part.mass_kg for part in self.parts)
 
-    @property
-    def has_driven_wheels(self) -> bool:
-        """Whether motors turn any of its wheels."""
-        return any(part.reflected_inertia > 0.0 for part in self.parts)
-
 
 def make_blueprint(model: Model, corners: FindCorners = NO_MESHES) -> Blueprint:
     """Make the parts of a model.

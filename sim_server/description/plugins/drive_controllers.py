@@ -59,7 +59,6 @@ MIN_OMNI_WHEELS = 3
 MECANUM_WHEELS = ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel")
 MECANUM_LEFT = (-1.0, 1.0, 1.0, -1.0)
 """Direction of each of these by vy."""
-STEERED_ONLY = ("front_steering", "front_wheels_names", "rear_wheels_names")
 _TIMEOUT = "the agent has its own timeout"
 _JERK = "jerk is not limited"
 _FEEDBACK = "odometry is from the positions of the wheels, or true"
