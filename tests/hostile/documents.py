@@ -74,7 +74,6 @@ def _broken() -> Iterator[Case]:
         "png": "\ufffdPNG\r\n\x1a\n",
         "begins_with_nul": "\0" + GOOD,
         "xml_thrice": '<?xml version="1.0"?>' * 3 + GOOD,
-        "colon_only": "<:/>",
         "name_begins_with_a_digit": robot("<1link/>"),
     }
     for name, text in texts.items():
@@ -93,8 +92,8 @@ def _large() -> Iterator[Case]:
         "text_of_8_mib": robot("x" * (8 * MIB + 1)),
         "spaces_of_8_mib": robot(" " * (8 * MIB)),
         "wide_characters": robot("<!--" + chr(0x1F916) * (2 * MIB) + "-->"),
-        "tags": robot("<a/>" * 50_000),
-        "end_tags": robot("<a></a>" * 30_000),
+        "tags": robot("<a/>" * 410_000),
+        "end_tags": robot("<a></a>" * 210_000),
         "attributes": f"<robot {flood}/>",
         "attributes_on_a_link": robot(f"<link {flood}/>"),
         "namespaces": robot("<link " + " ".join(f'p{i}:x="1"' for i in range(100)) + "/>"),
@@ -116,6 +115,7 @@ def _foreign() -> Iterator[Case]:
         "svg": '<svg xmlns="http://www.w3.org/2000/svg"/>',
         "upper_case": "<ROBOT name='r'/>",
         "link": link("a"),
+        "colon_only": "<:/>",
         "robot_of_another_prefix": '<x:robot xmlns:x="urn:x" name="r"/>'.replace("robot", "rob"),
         "mujoco": "<mujoco/>",
     }
