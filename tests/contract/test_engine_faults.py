@@ -7,13 +7,14 @@ import pytest
 
 from tests.engines import PHYSICAL, STEP_NS, MakeEngine, advance, running
 from tests.faulty_engines import ALWAYS, FAULTY_ENGINES, make_culprit
-from tests.hostile.mutants import a_nested_model
+from tests.hostile.mutants import a_nested_model, an_arm_of_all_joints
 from tests.models import a_box, a_box_bot, a_cart, a_state, an_arm, box_bot_at, on_ground
 from tests.sim_server.fakes import a_command, a_spawn, names_in
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.sim_server.description.pipeline import read_robot
 from zensim.sim_server.physics.engine import EngineRefused, FloatArray
+from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
 from zensim.sim_server.world.simulated_world import World
 
 CONTROL_STEPS = 5
@@ -222,6 +223,19 @@ def test_body_that_diverges_changes_no_bit_of_one_elsewhere(make: MakeEngine) ->
     )
 
     assert alone == beside
+
+
+def test_model_with_which_mujoco_cannot_invert_masses_is_refused() -> None:
+    text = an_arm_of_all_joints()
+    _, first, second, *_ = text.split('xyz="0 0 0.3"')
+    far = 'xyz="0 0 -1e9"'
+    text = text.replace(f'{first}xyz="0 0 0.3"{second}', f"{first}{far}{second}")
+    with running(MujocoEngine) as engine:
+        robot = engine.add(a_box_bot(), box_bot_at())
+        with pytest.raises(EngineRefused):
+            engine.add(read_robot(text, allow_missing=True), a_state((2e4, 0.0, 1.0)))
+        engine.step()
+        assert np.isfinite(engine.read([robot]).base).all()
 
 
 def drive_beside(make: MakeEngine, others: Sequence[Model]) -> bytes:

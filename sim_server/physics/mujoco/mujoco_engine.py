@@ -870,6 +870,9 @@ def _compile_model(counts: SlotCounts, config: EngineConfig) -> CompiledModel:
         for body, moments in invalid:
             model.body_inertia[body] = moments
         mujoco.mj_setConst(model, mujoco.MjData(model))
+    # One such body makes the constants of all invalid, and then their states.
+    if not (np.isfinite(model.body_invweight0).all() and np.isfinite(model.dof_invweight0).all()):
+        raise ValueError("its masses cannot be inverted; make masses, moments or distances alike")
     for index in layout.sprung_joints():
         stiffness = float(model.jnt_stiffness[model.dof_jntid[index]])
         least = find_least_spring_damping(stiffness, float(model.dof_invweight0[index]), dt_s)
