@@ -42,7 +42,6 @@ MUJOCO = (
     *BOTH,
     "skid_square",
     "skid_long",
-    "skid_com_left",
 )
 CASES = [("pybullet", name) for name in PYBULLET] + [("mujoco", name) for name in MUJOCO]
 

@@ -207,7 +207,7 @@ def test_description_is_refused_when_it_is_too_large(
 
 
 def test_server_keeps_running_when_a_message_exceeds_the_limit(session: zenoh.Session) -> None:
-    replies = session.get("sim/default/spawn_entity", payload=b"{" * (17 << 20), timeout=1.0)
+    replies = session.get("sim/default/spawn_entity", payload=b"{" * (65 << 20), timeout=1.0)
 
     assert not [reply for reply in replies if reply.ok]
 
