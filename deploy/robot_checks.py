@@ -263,7 +263,7 @@ def make_row(request: TrialRequest, outcome: TrialResult | int, tolerance: float
 
 
 def judge(result: TrialResult, tolerance: float) -> tuple[Verdict, str]:
-    """Choose the verdict, and the reason of one that is not ok.
+    """Choose the verdict; a verdict other than ok has a reason.
 
     Args:
         result: Of a trial that ended.

@@ -227,7 +227,7 @@ def _differs(measured: float, written: float) -> bool:
 
 
 def _describe_axles(model: Model, ground: GroundMotion, share: float) -> str:
-    """Name wheels on several axles of which none steers, and what corrects the turn."""
+    """Describe skid steering: unsteered wheels on several axles, and what corrects the turn."""
     wheels = [one for one in ground.contacts if one.wheel >= 0 and not one.is_trailing]
     if not _are_apart(wheels):
         return ""

@@ -85,7 +85,7 @@ def find_drive_targets(model: Model, command: PlanarTwist[float]) -> tuple[float
         ValueError: The model has no drive.
     """
     if model.drive is None:
-        raise ValueError(f"model '{model.name}' has no drive; choose one that has")
+        raise ValueError(f"model '{model.name}' has no drive; use a model with a drive")
     drive = make_drive_kinematics(model.drive, FLOAT_MATH)
     zeros = [0.0 for actuator in model.actuators if actuator.joint]
     targets, _ = drive.find_targets(
