@@ -9,6 +9,7 @@ from zensim.proto.codec.cdr import MalformedPayload
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import Result
 from zensim.proto.messages.scalar_types import UInt32, UInt64
+from zensim.proto.messages.sensor_messages import Environment
 
 STATE_COLUMNS = 13
 """Position x y z, quaternion x y z w, linear x y z, angular x y z: all in the world frame."""
@@ -65,6 +66,7 @@ class ClaimEntityResponse(msgspec.Struct, frozen=True):
     step_ns: UInt64 = 0
     control_steps: UInt32 = 0
     """Steps between two drive states."""
+    environment: Environment = Environment()
 
 
 class ClaimShareRequest(msgspec.Struct, frozen=True):

@@ -12,6 +12,7 @@ from zensim.proto.messages.drive_messages import (
     RosBlock,
     WheelPair,
 )
+from zensim.proto.messages.sensor_messages import SensorSettings, SensorTopic
 
 __all__ = [
     "IDENTITY",
@@ -249,6 +250,12 @@ class Sensor(msgspec.Struct, frozen=True):
     """File name of its plug-in."""
     ros: RosBlock = RosBlock()
     parameters: tuple[Parameter, ...] = ()
+    settings: SensorSettings | None = None
+    """None: not simulated; the report says why."""
+    topics: tuple[SensorTopic, ...] = ()
+    frame_id: str = ""
+    """Frame of its messages, without the robot's frame prefix."""
+    compat: Compat = "fixed"
 
 
 class Model(msgspec.Struct, frozen=True):

@@ -7,6 +7,7 @@ import msgspec
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import Result
 from zensim.proto.messages.scalar_types import UInt32, UInt64
+from zensim.proto.messages.sensor_messages import Environment
 from zensim.proto.messages.standard_messages import Clock, Pose
 from zensim.proto.messages.world_messages import Scene
 
@@ -171,3 +172,4 @@ class GetModelsResponse(msgspec.Struct, frozen=True):
     models: tuple[Model, ...] = ()
     scene: Scene = Scene()
     """Lights and colours of the world."""
+    environment: Environment = Environment()

@@ -1,0 +1,226 @@
+"""Settings of the sensors of a model, and what sensor processes and agents get from the server."""
+
+from typing import ClassVar, Literal, TypeAlias
+
+import msgspec
+
+from zensim.proto.messages.scalar_types import UInt8, UInt32, UInt64
+
+NoiseKind = Literal["none", "gaussian", "gaussian_quantized"]
+
+
+class Noise(msgspec.Struct, frozen=True):
+    """Noise of one measured quantity, in its unit. Source: `<noise>` of SDF 1.12.
+
+    A measurement is value + bias + N(mean, stddev), rounded to `precision` if quantized. The bias
+    is drawn once from N(bias_mean, bias_stddev).
+    """
+
+    kind: NoiseKind = "none"
+    mean: float = 0.0
+    stddev: float = 0.0
+    """>= 0."""
+    bias_mean: float = 0.0
+    bias_stddev: float = 0.0
+    """>= 0."""
+    precision: float = 0.0
+    """> 0 if quantized."""
+    dynamic_bias_stddev: float = 0.0
+    """Of the random walk of the bias; >= 0."""
+    dynamic_bias_correlation_time_s: float = 0.0
+    """0 = no random walk."""
+
+
+NO_NOISE = Noise()
+NoiseOfVector: TypeAlias = tuple[Noise, Noise, Noise]
+"""Along x, y and z of the sensor."""
+NO_VECTOR_NOISE: NoiseOfVector = (NO_NOISE, NO_NOISE, NO_NOISE)
+
+
+class ScanAxis(msgspec.Struct, frozen=True):
+    """Directions of the rays of a scan along one axis, evenly spaced; `low_rad <= high_rad`."""
+
+    count: UInt32 = 1
+    """Rays: samples times resolution; >= 1."""
+    low_rad: float = 0.0
+    high_rad: float = 0.0
+
+
+ScanOutput = Literal["LaserScan", "PointCloud2", "PointCloud", "Range"]
+"""The sensor_msgs type that a ray sensor publishes."""
+
+
+class RaySensor(msgspec.Struct, frozen=True, tag="ray"):
+    """A lidar or range finder: rays from the origin of the sensor, x forward, z up."""
+
+    horizontal: ScanAxis = ScanAxis()
+    """Azimuth: 0 is x, positive to y."""
+    vertical: ScanAxis = ScanAxis()
+    """Elevation: positive to z."""
+    range_min_m: float = 0.0
+    range_max_m: float = 10.0
+    noise: Noise = NO_NOISE
+    output: ScanOutput = "LaserScan"
+    radiation_type: UInt8 = 1
+    """Of a Range: 0 ultrasound, 1 infrared."""
+    min_intensity: float = 0.0
+    sees_itself: bool = False
+    """Whether rays hit the robot that carries the sensor."""
+
+
+class ImuSensor(msgspec.Struct, frozen=True, tag="imu"):
+    """Orientation, angular velocity [rad/s] and specific force [m/s^2] in the sensor's axes."""
+
+    angular_velocity: NoiseOfVector = NO_VECTOR_NOISE
+    linear_acceleration: NoiseOfVector = NO_VECTOR_NOISE
+    reference: Literal["world", "spawn"] = "world"
+    """Orientation is relative to the world (ENU) or to the pose at spawn."""
+    has_orientation: bool = True
+
+
+class ContactSensor(msgspec.Struct, frozen=True, tag="contact"):
+    """Contacts of some collisions of a robot."""
+
+    collisions: tuple[tuple[UInt32, UInt32], ...] = ()
+    """Index of the link in `Model.links` and of the collision in `Link.collisions`."""
+    names: tuple[str, ...] = ()
+    """Names of these collisions as messages show them."""
+
+
+class NavsatSensor(msgspec.Struct, frozen=True, tag="navsat"):
+    """Geodetic position (WGS84) and velocity east, north, up [m/s]."""
+
+    horizontal_position: Noise = NO_NOISE
+    """[m], along east and north."""
+    vertical_position: Noise = NO_NOISE
+    horizontal_velocity: Noise = NO_NOISE
+    vertical_velocity: Noise = NO_NOISE
+
+
+class AltimeterSensor(msgspec.Struct, frozen=True, tag="altimeter"):
+    """Height above that at spawn [m] and vertical velocity [m/s]."""
+
+    vertical_position: Noise = NO_NOISE
+    vertical_velocity: Noise = NO_NOISE
+
+
+class MagnetometerSensor(msgspec.Struct, frozen=True, tag="magnetometer"):
+    """Magnetic field [T] in the sensor's axes."""
+
+    field: NoiseOfVector = NO_VECTOR_NOISE
+
+
+CameraKind = Literal["rgb", "depth", "rgbd"]
+
+
+class CameraSensor(msgspec.Struct, frozen=True, tag="camera"):
+    """A pinhole camera that looks along x, y left, z up; images are in optical axes (REP-103)."""
+
+    kind: CameraKind = "rgb"
+    width: UInt32 = 320
+    height: UInt32 = 240
+    horizontal_fov_rad: float = 1.047
+    near_m: float = 0.1
+    """Surfaces nearer than this are not seen."""
+    far_m: float = 100.0
+    min_depth_m: float = 0.0
+    """Smaller depths are published as -inf."""
+    max_depth_m: float = float("inf")
+    """Greater depths are published as +inf."""
+    noise: Noise = NO_NOISE
+    """Of colours in 0 to 1."""
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """k1, k2, p1, p2, k3 of plumb_bob, as camera_info says them; images are not distorted."""
+    stereo_baseline_m: float = 0.0
+    """`hack_baseline` of Gazebo: P[3] = -f * baseline."""
+
+
+SensorSettings: TypeAlias = (
+    RaySensor
+    | ImuSensor
+    | ContactSensor
+    | NavsatSensor
+    | AltimeterSensor
+    | MagnetometerSensor
+    | CameraSensor
+)
+
+
+class SensorTopic(msgspec.Struct, frozen=True):
+    """A topic of a sensor."""
+
+    topic: str
+    """Name in the topic catalog."""
+    name: str
+    """Below the robot's namespace, as in `front/scan`; after `~` and remapping rules."""
+
+
+class SphericalCoordinates(msgspec.Struct, frozen=True):
+    """Geodetic place (WGS84) of the world's origin. Source: `<spherical_coordinates>` of SDF."""
+
+    latitude_deg: float = 0.0
+    longitude_deg: float = 0.0
+    elevation_m: float = 0.0
+    heading_deg: float = 0.0
+    """Counter-clockwise angle from east to the world's x axis."""
+
+
+class Environment(msgspec.Struct, frozen=True):
+    """What sensors must know about a world apart from its entities; a loaded world changes it."""
+
+    seed: UInt64 = 0
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    """[m/s^2]."""
+    magnetic_field: tuple[float, float, float] = (5.5645e-6, 22.8758e-6, -42.3884e-6)
+    """[T], in the world. Default: that of SDF."""
+    spherical_coordinates: SphericalCoordinates | None = None
+    step_ns: UInt64 = 0
+    control_steps: UInt32 = 0
+    """Steps between two control steps."""
+
+
+class SceneState(msgspec.Struct, frozen=True):
+    """Poses of all entities at a control step at which a ray sensor or camera may be due."""
+
+    ros_type: ClassVar[str] = "zensim/msg/SceneState"
+
+    epoch: UInt32
+    step: UInt64
+    time_ns: UInt64
+    roster: UInt32
+    """Changes with each spawn and deletion: call `get_models` again."""
+    poses: bytes
+    """`<f8`, (n, 7): position, quaternion x y z w of the root links in the world; in the order of
+    `GetModelsResponse.entities`."""
+    joint_positions: bytes
+    """`<f8`, all joints of all entities, model by model in the order of `Model.joints`."""
+    processes: tuple[str, ...] = ()
+    """The running sensor processes, in order: the k-th of n publishes every n-th sensor."""
+    is_awaited: bool = False
+    """Whether the server waits for a `SensorsReply` of each process."""
+
+
+class SensorsReply(msgspec.Struct, frozen=True):
+    """A sensor process has published everything that was due at a `SceneState`."""
+
+    ros_type: ClassVar[str] = "zensim/msg/SensorsReply"
+
+    epoch: UInt32
+    step: UInt64
+
+
+class Contacts(msgspec.Struct, frozen=True):
+    """Contacts of the collisions that contact sensors watch, at one control step."""
+
+    ros_type: ClassVar[str] = "zensim/msg/Contacts"
+
+    epoch: UInt32
+    step: UInt64
+    time_ns: UInt64
+    entities: tuple[str, ...]
+    """Names that `bodies` refers to."""
+    bodies: bytes
+    """`<u4`, (n, 6): entity, link and collision of the watched side, then of the other side."""
+    points: bytes
+    """`<f8`, (n, 10): position [m] and normal towards the watched side, both in the world, depth
+    [m] (positive when overlapping), force on the watched side [N] in the world."""
