@@ -48,6 +48,9 @@ packages: # Debian packages that the tests use
 	@sh .ci/need chromium chromium chromium-browser google-chrome
 	@sh .ci/need iproute2 ip
 	@sh .ci/need strace strace
+	@for library in libegl1 libgl1-mesa-dri; do \
+		dpkg-query -W $$library >/dev/null 2>&1 || sh .ci/need $$library; \
+	done
 
 # Side by side, but those of a file one after another: they share a server. Tests of processes often
 # wait, so there is one worker more than cores; small files come last, so that all end together.
@@ -104,7 +107,7 @@ fuzz: setup ## damaged input for every reader and for servers with each engine, 
 pins: ## resolve requirements/ anew
 	@$(FIND_PYTHON); $$python -m venv build/pins
 	build/pins/bin/python -m pip --disable-pip-version-check install -q uv
-	@set -e; for name in dev server mujoco viewer xacro base; do \
+	@set -e; for name in dev server mujoco cameras viewer xacro base; do \
 		case $$name in \
 			dev) choice="--all-extras" ;; \
 			base) choice="-c requirements/dev.txt" ;; \
