@@ -95,7 +95,7 @@ def test_worlds_of_the_operator_are_listed_and_loaded_and_no_other_file(tmp_path
 
     with serving("--model-path", str(given)) as server:
         worlds = [world.name for world in server.client.available_worlds()]
-        assert worlds == ["default", "walls", "warehouse", "yard"]
+        assert worlds == ["default", "maze", "office", "walls", "warehouse", "yard"]
         (yard,) = server.client.available_worlds(TagsFilter(("fenced",)))
         server.client.load_world(yard.world_resource.uri)
         assert server.client.entities() == ("crate",)

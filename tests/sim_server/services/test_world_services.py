@@ -29,6 +29,7 @@ from zensim.proto.messages.simulation_messages import (
     StepSimulationRequest,
 )
 from zensim.proto.messages.spawn_messages import Resource
+from zensim.sim_server.description.builtin_models import list_builtin_worlds
 from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.service_parts import DeferredResponse, ServerParts
@@ -39,6 +40,8 @@ from zensim.sim_server.world_loading.world_catalog import (
     WorldCatalog,
     read_world_metadata,
 )
+
+BUILT_IN = list(list_builtin_worlds())
 
 GROUND = "<include><uri>model://ground_plane</uri></include>"
 CRATE = (
@@ -320,7 +323,7 @@ def test_worlds_are_listed_by_folder_and_tag(parts: ServerParts, folder: Path) -
     (folder / "link.world").symlink_to(folder.parent / "outside.world")
     ask = world_messages.GetAvailableWorldsRequest
 
-    assert listed(parts, ask()) == ["empty", "walls", "warehouse", "b.sdf", "deep/a.world"]
+    assert listed(parts, ask()) == [*BUILT_IN, "b.sdf", "deep/a.world"]
     assert listed(parts, ask(filter=TagsFilter(("cold", "no")))) == ["b.sdf", "deep/a.world"]
     assert listed(parts, ask(filter=TagsFilter(("cold", "indoor"), 1))) == ["deep/a.world"]
     assert "deep/a.world" in listed(parts, ask(additional_sources=("deep",)))
@@ -358,7 +361,7 @@ def test_files_are_searched_a_few_per_turn(parts: ServerParts, folder: Path) -> 
         turns += 1
 
     assert turns > 3
-    assert len(later.outcome().worlds) == 3 + 3 * FILES_PER_TURN
+    assert len(later.outcome().worlds) == len(BUILT_IN) + 3 * FILES_PER_TURN
 
 
 @pytest.mark.parametrize("source", ["/etc", "..", "nowhere", "https://example.org/worlds"])
@@ -372,7 +375,7 @@ def test_source_outside_the_operators_folders_is_not_searched(
     lenient = world_messages.GetAvailableWorldsRequest(
         additional_sources=(source,), continue_on_error=True
     )
-    assert listed(parts, lenient) == ["empty", "walls", "warehouse"]
+    assert listed(parts, lenient) == BUILT_IN
     assert folder.is_dir()
 
 
@@ -381,7 +384,7 @@ def test_online_source_is_skipped_when_only_offline_ones_are_requested(
 ) -> None:
     request = world_messages.GetAvailableWorldsRequest(("https://example.org",), offline_only=True)
 
-    assert listed(parts, request) == ["empty", "walls", "warehouse"]
+    assert listed(parts, request) == BUILT_IN
 
 
 def test_worlds_are_not_listed_when_an_operators_folder_is_missing(
@@ -393,4 +396,6 @@ def test_worlds_are_not_listed_when_an_operators_folder_is_missing(
         listed(parts, world_messages.GetAvailableWorldsRequest())
 
     assert refused.value.code == GetAvailableWorldsCode.DEFAULT_SOURCES_FAILED
-    assert len(listed(parts, world_messages.GetAvailableWorldsRequest(continue_on_error=True))) == 3
+    assert len(
+        listed(parts, world_messages.GetAvailableWorldsRequest(continue_on_error=True))
+    ) == len(BUILT_IN)

@@ -6,6 +6,7 @@ import pytest
 
 from tests.sim_server.world_loading.test_world_loader import CRATE, a_file
 from zensim.proto.messages.model_messages import ReportEntry
+from zensim.sim_server.description.builtin_models import list_builtin_worlds
 from zensim.sim_server.physics.engine_config import EngineName, find_installed_engines
 from zensim.sim_server.world_loading.world_inspection import (
     InspectionRequest,
@@ -43,6 +44,14 @@ def test_model_that_keeps_falling_is_named(tmp_path: Path, engine: EngineName) -
     found = inspect(a_file(tmp_path, rests + falls), engine, 0.5)
 
     assert [model.name for model in found.moving] == ["falls"]
+
+
+@pytest.mark.parametrize("engine", find_installed_engines())
+@pytest.mark.parametrize("name", list_builtin_worlds())
+def test_builtin_world_stands_still(name: str, engine: EngineName) -> None:
+    found = inspect(name, engine, 1.0)
+
+    assert (found.fault, found.name, found.moving) == ("", name.replace("empty", "default"), ())
 
 
 def test_refused_world_has_its_fault(tmp_path: Path) -> None:

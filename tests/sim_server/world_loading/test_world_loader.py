@@ -54,12 +54,79 @@ def test_builtin_world_has_a_free_area_for_fleets(name: str) -> None:
     assert [shape for at, shape in shapes if _overlaps_free_area(at, shape)] == []
 
 
-def _overlaps_free_area(at: tuple[float, float, float], shape: Shape) -> bool:
+def _overlaps_free_area(
+    at: tuple[float, float, float], shape: Shape, area: tuple[float, float] = (FREE_M, FREE_M)
+) -> bool:
+    # Cylinders and spheres have their radius first; their bounds are wider than they are.
+    size = shape.size if shape.kind == "box" else (2.0 * max(shape.size),) * 3
     spans = [
-        (a + o - size / 2.0, a + o + size / 2.0)
-        for a, o, size in zip(at, shape.origin.position, shape.size, strict=True)
+        (a + o - side / 2.0, a + o + side / 2.0)
+        for a, o, side in zip(at, shape.origin.position, size, strict=True)
     ]
-    return all(low < FREE_M + 0.5 and high > -0.5 for low, high in spans[:2])
+    return all(
+        low < far + 0.5 and high > -0.5 for (low, high), far in zip(spans, area, strict=False)
+    )
+
+
+@pytest.mark.parametrize("name", list_builtin_worlds())
+def test_row_of_ten_robots_is_free_in_each_builtin_world(name: str) -> None:
+    solids = [
+        (placed.origin.position, shape)
+        for placed in load_world_file(name).model.models
+        for shape in placed.model.links[0].collisions
+    ]
+
+    assert [shape for at, shape in solids if _overlaps_free_area(at, shape, (9.0, 0.0))] == []
+
+
+@pytest.mark.parametrize("name", ["maze", "office", "warehouse"])
+def test_named_poses_of_a_builtin_world_are_free(name: str) -> None:
+    world = load_world_file(name).model
+    solids = [shape for placed in world.models for shape in placed.model.links[0].collisions]
+
+    assert world.named_poses
+    for bounded in world.named_poses:
+        at, reach = bounded.pose.pose.position, bounded.bounds.points[0]
+        assert [
+            shape
+            for shape in solids
+            if abs(shape.origin.position[0] - at.x) < shape.size[0] / 2.0 + reach.x
+            and abs(shape.origin.position[1] - at.y) < shape.size[1] / 2.0 + reach.y
+        ] == [], bounded.pose.name
+
+
+@pytest.mark.parametrize("name", ["maze", "office", "warehouse"])
+def test_builtin_world_has_several_colours_to_see(name: str) -> None:
+    world = load_world_file(name).model
+
+    colours = {s.rgba for p in world.models for link in p.model.links for s in link.visuals}
+    assert len(colours) >= 8
+    assert None not in colours
+
+
+def test_cells_of_the_maze_are_connected() -> None:
+    world = load_world_file("maze").model
+    boxes = [shape for placed in world.models for shape in placed.model.links[0].collisions]
+    reached, pending = set[tuple[int, int]](), [(0, 0)]
+    while pending:
+        cell = pending.pop()
+        if cell in reached:
+            continue
+        reached.add(cell)
+        for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            if not any(_is_between(box, cell, dx, dy) for box in boxes):
+                pending.append((cell[0] + dx, cell[1] + dy))
+
+    assert reached == {(x, y) for x in range(8) for y in range(8)}
+
+
+def _is_between(box: Shape, cell: tuple[int, int], dx: int, dy: int) -> bool:
+    """Whether a wall is between the middle of a cell of 1.5 m and its neighbour."""
+    middle = (1.5 * (cell[0] + dx / 2.0) - 0.75, 1.5 * (cell[1] + dy / 2.0))
+    return all(
+        abs(at - centre) <= side / 2.0 + 1e-6
+        for at, centre, side in zip(middle, box.origin.position, box.size, strict=False)
+    )
 
 
 def test_world_file_includes_models_beside_it_and_from_the_path(tmp_path: Path) -> None:
@@ -84,7 +151,7 @@ def test_strict_server_refuses_a_world_with_warnings(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["", "nowhere", "/etc/nothing.world"])
 def test_world_that_does_not_exist_is_refused(name: str) -> None:
-    with pytest.raises(ConfigError, match="empty, walls, warehouse"):
+    with pytest.raises(ConfigError, match="empty, maze, office, walls, warehouse"):
         load_world_file(name)
 
 

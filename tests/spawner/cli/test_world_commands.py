@@ -23,7 +23,7 @@ def test_list_prints_names_that_load_accepts(server: Server) -> None:
 
     assert head.split()[:2] == ["name", "tags"]
     assert [line.split()[0] for line in lines] == names
-    assert {"empty", "walls", "warehouse"} <= set(names)
+    assert {"empty", "maze", "office", "walls", "warehouse"} <= set(names)
 
 
 def test_load_accepts_a_name(server: Server) -> None:
