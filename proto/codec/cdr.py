@@ -268,7 +268,8 @@ def _write_text(text: str, out: bytearray) -> None:
 
 
 def _write_bytes(octets: bytes, out: bytearray) -> None:
-    out += LENGTH_STRUCTS[len(out) & 3].pack(len(octets)) + octets
+    out += LENGTH_STRUCTS[len(out) & 3].pack(len(octets))
+    out += octets
 
 
 def _write_each(

@@ -39,7 +39,7 @@ class StringLeaf(msgspec.Struct, frozen=True):
 
 
 class BytesLeaf(msgspec.Struct, frozen=True):
-    """A sequence of uint8, as bytes."""
+    """A sequence of uint8 or int8, as bytes."""
 
     path: str
 
@@ -228,8 +228,9 @@ HEADER_BYTES = 4
 def find_offsets(message: msgspec.Struct) -> dict[str, int]:
     """Find the byte offset of each number, by its path.
 
-    A path is dotted, with `[0]` for items of arrays and sequences. Messages of one type whose
-    strings and sequences have equal lengths have equal offsets.
+    A path is dotted, with `[0]` for items of arrays and sequences; without index it is the first
+    byte of a sequence of numbers. Messages of one type whose strings and sequences have equal
+    lengths have equal offsets.
 
     Raises:
         TypeError: The type is not expressible in CDR.
@@ -261,6 +262,7 @@ def _find_end(
         return _find_text_end(value, at)
     at = _skip_length(at)
     if isinstance(leaf, BytesLeaf):
+        found[prefix + leaf.path] = at
         return at + len(value)
     if isinstance(leaf, NumbersLeaf):
         return _find_numbers_end(prefix + leaf.path, leaf.code, len(value), at, found)
@@ -288,6 +290,7 @@ def _find_numbers_end(
         return at + size
     if length:
         at += -at % size
+    found[path] = at
     found.update({f"{path}[{item}]": at + item * size for item in range(length)})
     return at + length * size
 

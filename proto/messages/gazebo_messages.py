@@ -14,6 +14,7 @@ from zensim.proto.messages.standard_messages import (
     Pose,
     Time,
     Twist,
+    Vector3,
     Wrench,
 )
 
@@ -126,6 +127,39 @@ class LinkStates(msgspec.Struct, frozen=True):
     name: tuple[str, ...] = ()
     pose: tuple[Pose, ...] = ()
     twist: tuple[Twist, ...] = ()
+
+
+class ContactState(msgspec.Struct, frozen=True):
+    """Contacts of two collisions; vectors are in the world. Source: gazebo_msgs/msg/ContactState.
+
+    Sequences have an item per contact point.
+    """
+
+    ros_type: ClassVar[str] = "gazebo_msgs/msg/ContactState"
+
+    info: str = ""
+    collision1_name: str = ""
+    """Of the sensor: `entity::link::collision`."""
+    collision2_name: str = ""
+    wrenches: tuple[Wrench, ...] = ()
+    """On the first body."""
+    total_wrench: Wrench = Wrench()
+    contact_positions: tuple[Vector3, ...] = ()
+    """[m]."""
+    contact_normals: tuple[Vector3, ...] = ()
+    """Towards the first body."""
+    depths: tuple[float, ...] = ()
+    """[m], positive when overlapping."""
+
+
+class ContactsState(msgspec.Struct, frozen=True):
+    """Contacts of the collisions of a sensor. Source: gazebo_msgs/msg/ContactsState."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/msg/ContactsState"
+
+    header: Header = Header()
+    states: tuple[ContactState, ...] = ()
+    """One per pair of collisions; empty while nothing touches."""
 
 
 class ApplyLinkWrenchRequest(msgspec.Struct, frozen=True):

@@ -100,6 +100,8 @@ class Shape(msgspec.Struct, frozen=True):
     friction: float = 1.0
     """Coulomb coefficient (mu1) of a collision; >= 0."""
     contact: Contact = Contact()
+    name: str = ""
+    """Of a collision: as described, or as Gazebo names it; equal for the parts of one mesh."""
 
 
 class Inertial(msgspec.Struct, frozen=True):

@@ -4,7 +4,21 @@ from typing import ClassVar
 
 import msgspec
 
-from zensim.proto.messages.scalar_types import ZERO_MATRIX6, Int32, Matrix6, UInt32
+from zensim.proto.messages.scalar_types import (
+    ZERO_MATRIX3,
+    ZERO_MATRIX3X4,
+    ZERO_MATRIX6,
+    Float32,
+    Int8,
+    Int8s,
+    Int32,
+    Matrix3,
+    Matrix3x4,
+    Matrix6,
+    UInt8,
+    UInt16,
+    UInt32,
+)
 
 NANOSECONDS = 1_000_000_000
 
@@ -57,6 +71,15 @@ class Vector3(msgspec.Struct, frozen=True):
     z: float = 0.0
 
 
+class Vector3Stamped(msgspec.Struct, frozen=True):
+    """A vector in a frame, at a time. Source: geometry_msgs/msg/Vector3Stamped."""
+
+    ros_type: ClassVar[str] = "geometry_msgs/msg/Vector3Stamped"
+
+    header: Header = Header()
+    vector: Vector3 = Vector3()
+
+
 class Point(msgspec.Struct, frozen=True):
     """A position [m]. Source: geometry_msgs/msg/Point."""
 
@@ -65,6 +88,25 @@ class Point(msgspec.Struct, frozen=True):
     x: float = 0.0
     y: float = 0.0
     z: float = 0.0
+
+
+class PointStamped(msgspec.Struct, frozen=True):
+    """A position [m] in a frame, at a time. Source: geometry_msgs/msg/PointStamped."""
+
+    ros_type: ClassVar[str] = "geometry_msgs/msg/PointStamped"
+
+    header: Header = Header()
+    point: Point = Point()
+
+
+class Point32(msgspec.Struct, frozen=True):
+    """A position [m] as float32. Source: geometry_msgs/msg/Point32."""
+
+    ros_type: ClassVar[str] = "geometry_msgs/msg/Point32"
+
+    x: Float32 = 0.0
+    y: Float32 = 0.0
+    z: Float32 = 0.0
 
 
 class Quaternion(msgspec.Struct, frozen=True):
@@ -180,6 +222,33 @@ class Odometry(msgspec.Struct, frozen=True):
     twist: TwistWithCovariance = TwistWithCovariance()
 
 
+class MapMetaData(msgspec.Struct, frozen=True):
+    """Size and place of an occupancy grid. Source: nav_msgs/msg/MapMetaData."""
+
+    ros_type: ClassVar[str] = "nav_msgs/msg/MapMetaData"
+
+    map_load_time: Time = Time()
+    resolution: Float32 = 0.0
+    """[m/cell]."""
+    width: UInt32 = 0
+    """Cells along x."""
+    height: UInt32 = 0
+    """Cells along y."""
+    origin: Pose = Pose()
+    """Of the lower corner of cell (0, 0), in the frame of the map."""
+
+
+class OccupancyGrid(msgspec.Struct, frozen=True):
+    """Occupancy of the cells of a map. Source: nav_msgs/msg/OccupancyGrid."""
+
+    ros_type: ClassVar[str] = "nav_msgs/msg/OccupancyGrid"
+
+    header: Header = Header()
+    info: MapMetaData = MapMetaData()
+    data: Int8s = b""
+    """Row by row, from cell (0, 0) along x: 0 free to 100 occupied, -1 (byte 255) unknown."""
+
+
 class TFMessage(msgspec.Struct, frozen=True):
     """Transforms. Source: tf2_msgs/msg/TFMessage."""
 
@@ -214,3 +283,234 @@ class String(msgspec.Struct, frozen=True):
     ros_type: ClassVar[str] = "std_msgs/msg/String"
 
     data: str = ""
+
+
+class LaserScan(msgspec.Struct, frozen=True):
+    """Ranges of one sweep of rays in a plane. Source: sensor_msgs/msg/LaserScan."""
+
+    ros_type: ClassVar[str] = "sensor_msgs/msg/LaserScan"
+
+    header: Header = Header()
+    angle_min: Float32 = 0.0
+    """Of the first ray, about z of the frame [rad]."""
+    angle_max: Float32 = 0.0
+    """Of the last ray [rad]."""
+    angle_increment: Float32 = 0.0
+    time_increment: Float32 = 0.0
+    """Between two rays [s]."""
+    scan_time: Float32 = 0.0
+    """Between two scans [s]."""
+    range_min: Float32 = 0.0
+    range_max: Float32 = 0.0
+    ranges: tuple[Float32, ...] = ()
+    """[m]; -inf nearer than range_min, +inf beyond range_max (REP 117)."""
+    intensities: tuple[Float32, ...] = ()
+    """As many as ranges, or none."""
+
+
+class Range(msgspec.Struct, frozen=True):
+    """The least distance in a cone. Source: sensor_msgs/msg/Range."""
+
+    ros_type: ClassVar[str] = "sensor_msgs/msg/Range"
+
+    header: Header = Header()
+    radiation_type: UInt8 = 0
+    """0 ultrasound, 1 infrared."""
+    field_of_view: Float32 = 0.0
+    """[rad]."""
+    min_range: Float32 = 0.0
+    max_range: Float32 = 0.0
+    range: Float32 = 0.0
+    """[m]; -inf nearer than min_range, +inf with nothing up to max_range (REP 117)."""
+    variance: Float32 = 0.0
+    """[m^2]; 0 = unknown. Humble's message ends before this field."""
+
+
+class PointField(msgspec.Struct, frozen=True):
+    """One field of the points of a cloud. Source: sensor_msgs/msg/PointField."""
+
+    ros_type: ClassVar[str] = "sensor_msgs/msg/PointField"
+
+    name: str = ""
+    offset: UInt32 = 0
+    """In the point [bytes]."""
+    datatype: UInt8 = 0
+    """1 to 8: int8, uint8, int16, uint16, int32, uint32, float32, float64."""
+    count: UInt32 = 0
+    """Numbers in the field."""
+
+
+class PointCloud2(msgspec.Struct, frozen=True):
+    """Points as bytes, laid out as `fields` say. Source: sensor_msgs/msg/PointCloud2."""
+
+    ros_type: ClassVar[str] = "sensor_msgs/msg/PointCloud2"
+
+    header: Header = Header()
+    height: UInt32 = 0
+    """Rows; 1 = not ordered."""
+    width: UInt32 = 0
+    """Points in a row."""
+    fields: tuple[PointField, ...] = ()
+    is_bigendian: bool = False
+    point_step: UInt32 = 0
+    """Size of a point [bytes]."""
+    row_step: UInt32 = 0
+    """Size of a row [bytes]."""
+    data: bytes = b""
+    is_dense: bool = False
+    """Whether all points are finite."""
+
+
+class ChannelFloat32(msgspec.Struct, frozen=True):
+    """A number for each point of a cloud. Source: sensor_msgs/msg/ChannelFloat32."""
+
+    ros_type: ClassVar[str] = "sensor_msgs/msg/ChannelFloat32"
+
+    name: str = ""
+    values: tuple[Float32, ...] = ()
+
+
+class PointCloud(msgspec.Struct, frozen=True):
+    """Points one by one, as before PointCloud2. Source: sensor_msgs/msg/PointCloud."""
+
+    ros_type: ClassVar[str] = "sensor_msgs/msg/PointCloud"
+
+    header: Header = Header()
+    points: tuple[Point32, ...] = ()
+    channels: tuple[ChannelFloat32, ...] = ()
+
+
+class Imu(msgspec.Struct, frozen=True):
+    """Orientation, turn rate and specific force of a sensor. Source: sensor_msgs/msg/Imu.
+
+    Covariances are row-major about x, y, z: all zeros = unknown, first element -1 = the quantity is
+    not measured.
+    """
+
+    ros_type: ClassVar[str] = "sensor_msgs/msg/Imu"
+
+    header: Header = Header()
+    orientation: Quaternion = Quaternion()
+    orientation_covariance: Matrix3 = ZERO_MATRIX3
+    angular_velocity: Vector3 = Vector3()
+    """[rad/s]."""
+    angular_velocity_covariance: Matrix3 = ZERO_MATRIX3
+    linear_acceleration: Vector3 = Vector3()
+    """Specific force [m/s^2]: +9.81 along the axis that points up at rest."""
+    linear_acceleration_covariance: Matrix3 = ZERO_MATRIX3
+
+
+class MagneticField(msgspec.Struct, frozen=True):
+    """Magnetic field in the axes of the sensor. Source: sensor_msgs/msg/MagneticField."""
+
+    ros_type: ClassVar[str] = "sensor_msgs/msg/MagneticField"
+
+    header: Header = Header()
+    magnetic_field: Vector3 = Vector3()
+    """[T]."""
+    magnetic_field_covariance: Matrix3 = ZERO_MATRIX3
+
+
+class Altimeter(msgspec.Struct, frozen=True):
+    """Height of a sensor and its change. Source: ros_gz_interfaces/msg/Altimeter."""
+
+    ros_type: ClassVar[str] = "ros_gz_interfaces/msg/Altimeter"
+
+    header: Header = Header()
+    vertical_position: float = 0.0
+    """Above `vertical_reference` [m]."""
+    vertical_velocity: float = 0.0
+    """[m/s]."""
+    vertical_reference: float = 0.0
+    """Height of the sensor at spawn, in the world [m]."""
+
+
+class NavSatStatus(msgspec.Struct, frozen=True):
+    """Kind of a satellite fix. Source: sensor_msgs/msg/NavSatStatus."""
+
+    ros_type: ClassVar[str] = "sensor_msgs/msg/NavSatStatus"
+
+    status: Int8 = 0
+    """-1 no fix, 0 fix, 1 and 2 augmented."""
+    service: UInt16 = 1
+    """Bits: 1 GPS, 2 GLONASS, 4 COMPASS, 8 GALILEO."""
+
+
+class NavSatFix(msgspec.Struct, frozen=True):
+    """Geodetic position in WGS84. Source: sensor_msgs/msg/NavSatFix."""
+
+    ros_type: ClassVar[str] = "sensor_msgs/msg/NavSatFix"
+
+    header: Header = Header()
+    status: NavSatStatus = NavSatStatus()
+    latitude: float = 0.0
+    """[deg], positive north of the equator."""
+    longitude: float = 0.0
+    """[deg], positive east of Greenwich."""
+    altitude: float = 0.0
+    """Above the ellipsoid [m]."""
+    position_covariance: Matrix3 = ZERO_MATRIX3
+    """East, north, up [m^2]."""
+    position_covariance_type: UInt8 = 0
+    """0 unknown, 1 approximated, 2 diagonal known, 3 known."""
+
+
+class Image(msgspec.Struct, frozen=True):
+    """An image, row by row from the top left. Source: sensor_msgs/msg/Image."""
+
+    ros_type: ClassVar[str] = "sensor_msgs/msg/Image"
+
+    header: Header = Header()
+    height: UInt32 = 0
+    width: UInt32 = 0
+    encoding: str = ""
+    """Of a pixel: rgb8, mono8, 32FC1, 32SC1 and others."""
+    is_bigendian: UInt8 = 0
+    step: UInt32 = 0
+    """Size of a row [bytes]."""
+    data: bytes = b""
+
+
+class CompressedImage(msgspec.Struct, frozen=True):
+    """An image in a compressed format. Source: sensor_msgs/msg/CompressedImage."""
+
+    ros_type: ClassVar[str] = "sensor_msgs/msg/CompressedImage"
+
+    header: Header = Header()
+    format: str = ""
+    """jpeg, png; image_transport writes more, such as `rgb8; jpeg compressed bgr8`."""
+    data: bytes = b""
+
+
+class RegionOfInterest(msgspec.Struct, frozen=True):
+    """Part of an image; all zeros = the whole. Source: sensor_msgs/msg/RegionOfInterest."""
+
+    ros_type: ClassVar[str] = "sensor_msgs/msg/RegionOfInterest"
+
+    x_offset: UInt32 = 0
+    y_offset: UInt32 = 0
+    height: UInt32 = 0
+    width: UInt32 = 0
+    do_rectify: bool = False
+
+
+class CameraInfo(msgspec.Struct, frozen=True):
+    """Calibration of a camera. Source: sensor_msgs/msg/CameraInfo."""
+
+    ros_type: ClassVar[str] = "sensor_msgs/msg/CameraInfo"
+
+    header: Header = Header()
+    height: UInt32 = 0
+    width: UInt32 = 0
+    distortion_model: str = ""
+    d: tuple[float, ...] = ()
+    """Of plumb_bob: k1, k2, t1, t2, k3."""
+    k: Matrix3 = ZERO_MATRIX3
+    """Intrinsic matrix [pixel]: fx 0 cx, 0 fy cy, 0 0 1."""
+    r: Matrix3 = ZERO_MATRIX3
+    """Rectification."""
+    p: Matrix3x4 = ZERO_MATRIX3X4
+    """Projection of points in the optical frame to pixels."""
+    binning_x: UInt32 = 0
+    binning_y: UInt32 = 0
+    roi: RegionOfInterest = RegionOfInterest()

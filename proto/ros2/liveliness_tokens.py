@@ -104,6 +104,8 @@ class Qos(msgspec.Struct, frozen=True, kw_only=True):
 DEFAULT_QOS: Final = Qos()
 RELIABLE_10: Final = Qos(depth=10)
 """Profile of `create_publisher(topic, 10)` and `create_service` in ROS 2."""
+RELIABLE_5: Final = Qos(depth=5)
+"""Profile of the sensors of gazebo_ros: `SensorDataQoS().reliable()`."""
 LATCHED: Final = Qos(durability="transient_local", depth=1)
 """Late subscribers get the last message."""
 

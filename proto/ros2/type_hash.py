@@ -140,7 +140,7 @@ def _describe_field(
 ) -> FieldDescription:
     bare, extra = unwrap_metadata(info)
     if isinstance(bare, inspect.BytesType):
-        return _make_field(name, SEQUENCE + NUMBER_OF_CODE["B"])
+        return _make_field(name, SEQUENCE + NUMBER_OF_CODE[str(extra.get("cdr", "B"))])
     if not isinstance(bare, inspect.VarTupleType):
         return _make_field(name, *_find_type_number(name, bare, extra, known))
     item, item_extra = unwrap_metadata(bare.item_type)

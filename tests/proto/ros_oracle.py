@@ -91,6 +91,11 @@ GAZEBO = {
     "SetEntityState_Response": "bool success",
     "ModelStates": "string[] name; geometry_msgs/Pose[] pose; geometry_msgs/Twist[] twist",
     "LinkStates": "string[] name; geometry_msgs/Pose[] pose; geometry_msgs/Twist[] twist",
+    "ContactState": "string info; string collision1_name; string collision2_name;"
+    " geometry_msgs/Wrench[] wrenches; geometry_msgs/Wrench total_wrench;"
+    " geometry_msgs/Vector3[] contact_positions; geometry_msgs/Vector3[] contact_normals;"
+    " float64[] depths",
+    "ContactsState": "std_msgs/Header header; gazebo_msgs/ContactState[] states",
     "ApplyLinkWrench_Request": "string link_name; string reference_frame;"
     " geometry_msgs/Point reference_point; geometry_msgs/Wrench wrench;"
     " builtin_interfaces/Time start_time; builtin_interfaces/Duration duration",
@@ -143,6 +148,11 @@ ZENSIM = {
     "DriveState": "uint32 epoch; uint64 step; uint64 time_ns; uint8[] claims; uint8[] base;"
     " uint8[] joint_positions; uint8[] joint_velocities; uint32 newest_claim; bool is_awaited",
     "DriveCommand": "uint32 epoch; uint64 step; uint8[] claims; uint8[] targets",
+    "SensorsReply": "uint32 epoch; uint64 step",
+    "SceneState": "uint32 epoch; uint64 step; uint64 time_ns; uint32 roster; uint8[] poses;"
+    " uint8[] joint_positions; string[] processes; bool is_awaited",
+    "Contacts": "uint32 epoch; uint64 step; uint64 time_ns; string[] entities; uint8[] bodies;"
+    " uint8[] points",
     "SimulateSteps_Request": "uint64 steps; string goal_id",
     "CancelSteps_Request": "string goal_id",
     "CancelSteps_Response": "simulation_interfaces/Result result; string[] goal_ids",
@@ -163,6 +173,11 @@ ZENSIM = {
 }
 """Messages of zensim that are expressible in CDR."""
 
+RANGE_SINCE_IRON = (
+    "std_msgs/Header header; uint8 radiation_type; float32 field_of_view; float32 min_range;"
+    " float32 max_range; float32 range; float32 variance"
+)
+
 
 def define(name: str, fields: str) -> None:
     """Define a type; fields as in an interface file, separated by semicolons."""
@@ -179,6 +194,13 @@ for _name, _fields in ACTION.items():
     define(f"simulation_interfaces/action/{_name}", _fields)
 for _name, _fields in CANCEL.items():
     define(f"action_msgs/msg/{_name}", _fields)
+HUMBLE.fielddefs.pop("sensor_msgs/msg/Range")
+define("sensor_msgs/msg/Range", RANGE_SINCE_IRON)
+define(
+    "ros_gz_interfaces/msg/Altimeter",
+    "std_msgs/Header header; float64 vertical_position; float64 vertical_velocity;"
+    " float64 vertical_reference",
+)
 for _name, _fields in ZENSIM.items():
     define(f"zensim/msg/{_name}", _fields)
 
@@ -220,6 +242,8 @@ def _ros_value(value: object, description: object) -> object:
         case (Nodetype.ARRAY | Nodetype.SEQUENCE, ((Nodetype.BASE, (str(kind), _)), _)):
             if kind == "string":
                 return value
+            if isinstance(value, bytes):
+                return np.frombuffer(value, dtype=kind)
             return np.array(list(value), dtype=kind)  # type: ignore[call-overload]
         case (Nodetype.SEQUENCE, ((Nodetype.NAME, str(name)), _)):
             assert isinstance(value, tuple)

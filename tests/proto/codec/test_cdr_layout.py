@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 import msgspec
 import pytest
 from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.proto.strategies import messages_of
 from tests.proto.widest import Nothing, Widest
@@ -26,7 +27,10 @@ from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.spawn_messages import SpawnEntityReport, SpawnEntityResponse
 from zensim.proto.messages.standard_messages import (
     Header,
+    Image,
     JointState,
+    LaserScan,
+    OccupancyGrid,
     Odometry,
     Point,
     Pose,
@@ -65,7 +69,29 @@ def test_numbers_are_at_their_places_whatever_the_message(message: Widest) -> No
 
 @pytest.mark.parametrize("kind", [Odometry, JointState])
 def test_places_name_all_numbers(kind: type[msgspec.Struct]) -> None:
-    assert set(find_offsets(kind())) == set(numbers_of(kind()))
+    message = kind()
+    arrays = {path for path in find_offsets(message) if isinstance(value_at(message, path), tuple)}
+
+    assert set(find_offsets(message)) - arrays == set(numbers_of(message))
+
+
+def value_at(message: msgspec.Struct, path: str) -> object:
+    """Find the value at a path without index; None with one."""
+    return None if "[" in path else attrgetter(path)(message)
+
+
+@pytest.mark.parametrize("kind", [Image, OccupancyGrid, LaserScan])
+@given(data=st.data())
+def test_places_name_the_first_byte_of_a_sequence(
+    kind: type[msgspec.Struct], data: st.DataObject
+) -> None:
+    message = data.draw(messages_of(kind))
+    payload, places = cdr.encode(message), find_offsets(message)
+
+    for path in ("data",) if kind is not LaserScan else ("ranges", "intensities"):
+        value = attrgetter(path)(message)
+        expected = value if isinstance(value, bytes) else struct.pack(f"<{len(value)}f", *value)
+        assert payload[places[path] : places[path] + len(expected)] == expected
 
 
 def test_numbers_of_items_are_found_behind_texts_of_any_length() -> None:

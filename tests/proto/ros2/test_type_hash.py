@@ -1,9 +1,11 @@
 """Type hashes against published ones and an independent implementation."""
 
-from typing import Annotated, ClassVar
+import struct
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 import pytest
+from rosbags.typesys import Stores, get_typestore
 
 from tests.proto.codec.test_cdr import EXPRESSIBLE, ros_type_of
 from tests.proto.ros_hashes import hash_of_message, hash_of_service
@@ -12,6 +14,7 @@ from zensim.proto.codec import cdr
 from zensim.proto.messages import standard_messages
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder, SpawnEntityRequest
 from zensim.proto.ros2.type_hash import find_service_type, hash_service, hash_type
+from zensim.proto.sample_messages import make_sample_message
 from zensim.proto.service_catalog import SERVICES, Service
 
 PUBLISHED = {
@@ -23,6 +26,18 @@ PUBLISHED = {
     standard_messages.JointState: "a13ee3a3",
     standard_messages.Clock: "692f7a66",
     standard_messages.PoseStamped: "10f3786d",
+    standard_messages.LaserScan: "64c19139",
+    standard_messages.Imu: "7d9a00ff",
+    standard_messages.Range: "b42b6256",
+    standard_messages.PointCloud2: "9198cabf",
+    standard_messages.PointField: "5c6a4750",
+    standard_messages.NavSatFix: "62223ab3",
+    standard_messages.NavSatStatus: "d1ed3bef",
+    standard_messages.Image: "d31d41a9",
+    standard_messages.CameraInfo: "b3dfd68f",
+    standard_messages.RegionOfInterest: "ad16bcba",
+    standard_messages.MagneticField: "e80f32f5",
+    standard_messages.Vector3Stamped: "d4829622",
 }
 """Hashes or their prefixes."""
 PUBLISHED_SERVICES = {
@@ -144,3 +159,15 @@ def test_type_hash_is_that_of_the_class_that_names_the_interface() -> None:
 def test_type_hash_refuses_a_number_without_a_width() -> None:
     with pytest.raises(TypeError, match="'number'"):
         hash_type(NoWidth)
+
+
+def test_range_without_its_last_field_is_that_of_humble() -> None:
+    humble = get_typestore(Stores.ROS2_HUMBLE)
+    reading = make_sample_message(standard_messages.Range)
+    payload = cdr.encode(reading)[: -struct.calcsize("f")]
+
+    read: Any = humble.deserialize_cdr(payload, "sensor_msgs/msg/Range")
+
+    assert humble.hash_rihs01("sensor_msgs/msg/Range").startswith("RIHS01_9430b191")
+    assert (read.min_range, read.range) == (reading.min_range, reading.range)
+    assert bytes(humble.serialize_cdr(read, "sensor_msgs/msg/Range")) == payload
