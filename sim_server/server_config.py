@@ -95,8 +95,8 @@ def validate_config(config: ServerConfig) -> ServerConfig:
             f"--rtf {factor:g} is out of range; "
             f"use 0 (as fast as possible) or up to {MAX_REAL_TIME_FACTOR:g}"
         )
-    if config.seed < 0:
-        raise ConfigError(f"--seed {config.seed} is negative; use 0 or more")
+    if not 0 <= config.seed < 1 << 64:
+        raise ConfigError(f"--seed {config.seed} is out of range; use 0 to 2^64 - 1")
     try:
         choose_engine(config.physics, find_installed_engines())
     except EngineMissing as error:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Generic
 
+from zensim.proto.messages.sensor_messages import Environment
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.world_messages import WorldResource
 from zensim.proto.service_catalog import Response
@@ -107,6 +108,18 @@ class CurrentWorld:
     model: WorldModel
     resource: WorldResource = field(default_factory=WorldResource)
     seed: int = 0
+
+
+def make_environment(world: World, current: CurrentWorld) -> Environment:
+    """Collect what sensors must know about the loaded world apart from its entities."""
+    return Environment(
+        seed=current.seed,
+        gravity=current.model.gravity,
+        magnetic_field=current.model.magnetic_field,
+        spherical_coordinates=current.model.spherical_coordinates,
+        step_ns=world.clock.step_ns,
+        control_steps=world.control_steps,
+    )
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ import msgspec
 
 from zensim.proto.messages.entity_messages import Bounds
 from zensim.proto.messages.model_messages import Model, Origin, ReportEntry, Vec3
+from zensim.proto.messages.sensor_messages import Environment, SphericalCoordinates
 from zensim.proto.messages.spawn_messages import NamedPose
 from zensim.proto.messages.world_messages import Scene
 
@@ -24,6 +25,8 @@ class PhysicsSettings(msgspec.Struct, frozen=True):
 
 EARTH_GRAVITY: Vec3 = (0.0, 0.0, -9.8)
 """SDF's default gravity [m/s^2]."""
+EARTH_MAGNETIC_FIELD: Vec3 = Environment().magnetic_field
+"""SDF's default [T]."""
 
 
 class PlacedModel(msgspec.Struct, frozen=True):
@@ -46,3 +49,6 @@ class WorldModel(msgspec.Struct, frozen=True):
     scene: Scene = Scene()
     named_poses: tuple[BoundedPose, ...] = msgspec.field(default=(), name="places")
     report: tuple[ReportEntry, ...] = ()
+    magnetic_field: Vec3 = EARTH_MAGNETIC_FIELD
+    """[T], in the world."""
+    spherical_coordinates: SphericalCoordinates | None = None

@@ -6,7 +6,7 @@ from zensim.proto.messages import agent_messages
 from zensim.proto.messages.result_messages import ClaimCode, Result
 from zensim.proto.names import InvalidName, check_name
 from zensim.sim_server.errors import IncorrectState, RequestRefused
-from zensim.sim_server.service_parts import Agents
+from zensim.sim_server.service_parts import Agents, CurrentWorld, make_environment
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.simulated_world import World
 
@@ -59,7 +59,10 @@ MAX_SHARE_TEXT = 2 << 20
 
 
 def claim_entity(
-    world: World, agents: Agents, request: agent_messages.ClaimEntityRequest
+    world: World,
+    agents: Agents,
+    current: CurrentWorld,
+    request: agent_messages.ClaimEntityRequest,
 ) -> agent_messages.ClaimEntityResponse:
     """Grant an agent the claim of entities, named by the agent."""
     agent = _check_agent(agents, request.agent)
@@ -71,11 +74,15 @@ def claim_entity(
         *agent_messages.make_grants(granted),
         world.clock.step_ns,
         world.control_steps,
+        make_environment(world, current),
     )
 
 
 def claim_share(
-    world: World, agents: Agents, request: agent_messages.ClaimShareRequest
+    world: World,
+    agents: Agents,
+    current: CurrentWorld,
+    request: agent_messages.ClaimShareRequest,
 ) -> agent_messages.ClaimShareResponse:
     """Grant a pool the claims of its share of the robots."""
     agent = _check_agent(agents, request.agent)
@@ -91,6 +98,7 @@ def claim_share(
         *agent_messages.make_grants(granted),
         world.clock.step_ns,
         world.control_steps,
+        make_environment(world, current),
         len(names) < len(moved),
     )
 

@@ -21,7 +21,12 @@ from zensim.sim_server.queries.frame_queries import (
     twist_to_world,
 )
 from zensim.sim_server.scene.scene import place_collision_shapes
-from zensim.sim_server.service_parts import CurrentWorld, DeferredResponse, Pacing
+from zensim.sim_server.service_parts import (
+    CurrentWorld,
+    DeferredResponse,
+    Pacing,
+    make_environment,
+)
 from zensim.sim_server.world.entity import check_entity_info
 from zensim.sim_server.world.pose_conversion import (
     WORLD_FRAMES,
@@ -110,6 +115,7 @@ def get_models(
         ),
         tuple(number),
         current.model.scene,
+        make_environment(world, current),
     )
 
 

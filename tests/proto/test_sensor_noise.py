@@ -1,4 +1,7 @@
+"""Noise that is keyed by seed, sensor and step."""
+
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -51,7 +54,7 @@ def test_keys_do_not_mix_up_parts_of_names() -> None:
 def test_normals_are_those_of_earlier_releases() -> None:
     drawn = draw_normals(np.array([1, 2], dtype=np.uint64), counter=3, count=2)
 
-    assert drawn == pytest.approx(EARLIER_NORMALS, abs=1e-12)
+    assert drawn == pytest.approx(np.array(EARLIER_NORMALS), abs=1e-12)
 
 
 EARLIER_NORMALS = [
@@ -175,9 +178,7 @@ def test_fixed_bias_changes_its_sign_only_as_gazebo11_does() -> None:
 
 def test_dynamic_bias_is_stationary_and_forgets_at_its_correlation_time() -> None:
     """Source: an Ornstein-Uhlenbeck process has variance stddev^2 * time / 2."""
-    walking = Noise(
-        kind="gaussian", dynamic_bias_stddev=0.4, dynamic_bias_correlation_time_s=0.5
-    )
+    walking = Noise(kind="gaussian", dynamic_bias_stddev=0.4, dynamic_bias_correlation_time_s=0.5)
     keys = np.array(make_keys(500), dtype=np.uint64)
     biases = DynamicBiases([walking], keys, 0.005)
 
@@ -193,15 +194,13 @@ def test_dynamic_bias_is_stationary_and_forgets_at_its_correlation_time() -> Non
 
 
 def test_dynamic_bias_is_alike_across_the_ends_of_its_blocks() -> None:
-    walking = Noise(
-        kind="gaussian", dynamic_bias_stddev=0.4, dynamic_bias_correlation_time_s=0.005
-    )
+    walking = Noise(kind="gaussian", dynamic_bias_stddev=0.4, dynamic_bias_correlation_time_s=0.005)
     keys = np.array(make_keys(20_000), dtype=np.uint64)
     biases = DynamicBiases([walking], keys, 0.005)
 
     around = [biases.at(step)[:, 0] for step in (30, 31, 32, 33)]
 
-    for one, other in zip(around, around[1:], strict=False):
+    for one, other in pairwise(around):
         assert correlate(one, other) == pytest.approx(math.exp(-1.0), abs=0.03)
 
 

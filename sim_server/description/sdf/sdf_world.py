@@ -29,6 +29,7 @@ from zensim.proto.messages.entity_messages import (
 )
 from zensim.proto.messages.model_messages import IDENTITY, Model, Origin, Vec3
 from zensim.proto.messages.result_messages import SpawnCode
+from zensim.proto.messages.sensor_messages import SphericalCoordinates
 from zensim.proto.messages.spawn_messages import NamedPose
 from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Vector3
 from zensim.proto.messages.world_messages import DOWNWARD, Light, LightKind, Scene
@@ -76,7 +77,7 @@ from zensim.sim_server.description.world_model import (
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from lxml.etree import _Element as Element
 
@@ -201,6 +202,17 @@ def _read_colour(owner: Element, tag: str) -> Quat | None:
 
 MAX_GRAVITY = 1000.0
 """Along an axis [m/s^2]: four times that of the sun."""
+MAX_MAGNETIC_FIELD_T = 10.0
+"""Along an axis: ten times that of a strong magnet."""
+SPHERICAL_CHOICES = {"surface_model": "EARTH_WGS84", "world_frame_orientation": "ENU"}
+"""Tags of <spherical_coordinates> with one supported value."""
+SPHERICAL_LIMITS = {
+    "latitude_deg": 90.0,
+    "longitude_deg": 360.0,
+    "elevation": 100_000.0,
+    "heading_deg": 360.0,
+}
+"""Largest values [deg, m], in the order of `SphericalCoordinates`."""
 MAX_MODELS = 5000
 SUN, GROUND = "sun", "ground_plane"
 """Names of the models that need no file."""
@@ -209,9 +221,7 @@ UNUSED_WORLD_TAGS = {
     "atmosphere": "air is not simulated",
     "audio": "sound is not simulated",
     "gui": "the page has its own view",
-    "magnetic_field": "magnetic fields are not simulated",
     "plugin": "world plug-ins are not loaded; services are built in",
-    "spherical_coordinates": "geographic coordinates are not used",
     "wind": "air is not simulated",
 }
 UNSUPPORTED_WORLD_TAGS = {
@@ -221,6 +231,7 @@ UNSUPPORTED_WORLD_TAGS = {
 }
 WORLD_TAGS = (
     "include", "gravity", "physics", "model", "frame", "light", "scene", "state", "population",
+    "magnetic_field", "spherical_coordinates",
 )  # fmt: skip
 SKIPPABLE_CODES = (SpawnCode.UNSUPPORTED_FORMAT, SpawnCode.MISSING_ASSETS)
 """Errors of models that are left out; other errors are those of the world."""
@@ -412,10 +423,9 @@ def _read_element(child: Element, draft: _WorldDraft) -> None:
         _read_model(child, draft)
     elif child.tag == "frame":
         _read_world_frame(child, draft)
-    elif child.tag == "gravity":
-        draft.world = replace(draft.world, gravity=_read_gravity(child, report))
-    elif child.tag == "physics":
-        draft.world = replace(draft.world, physics=read_physics(child, report))
+    elif child.tag in FIELD_READERS:
+        found = FIELD_READERS[child.tag](child, report)
+        draft.world = replace(draft.world, **{child.tag: found})
     elif child.tag == "scene":
         colours = read_scene(child, report)
         scene = replace(draft.world.scene, ambient=colours.ambient, background=colours.background)
@@ -438,6 +448,61 @@ def _read_gravity(child: Element, report: ParseReport) -> Vec3:
         )
     report.applied("world: <gravity>", f"{x:g} {y:g} {z:g} m/s^2")
     return (x, y, z)
+
+
+def _read_magnetic_field(child: Element, report: ParseReport) -> Vec3:
+    where, slug = "magnetic_field", "sdf.magnetic_field"
+    x, y, z = read_numbers(child.text, counts=(3,), where=where, slug=slug)
+    if max(abs(x), abs(y), abs(z)) > MAX_MAGNETIC_FIELD_T:
+        raise ModelError(
+            f"magnetic_field {x:g} {y:g} {z:g} is out of range; use at most "
+            f"{MAX_MAGNETIC_FIELD_T:g} tesla, as in 5.6e-6 2.3e-5 -4.2e-5",
+            slug=slug,
+        )
+    report.applied("world: <magnetic_field>", f"{x:g} {y:g} {z:g} T")
+    return (x, y, z)
+
+
+def _read_spherical_coordinates(child: Element, report: ParseReport) -> SphericalCoordinates | None:
+    where = "spherical_coordinates"
+    for tag, known in SPHERICAL_CHOICES.items():
+        if (text := read_text(child, tag) or known) != known:
+            report.suspicious(
+                f"world: <{where}>", f"left out: <{tag}> is {quote(text)}; use {known}"
+            )
+            return None
+    found = SphericalCoordinates(
+        *(_read_degrees(child, tag, limit) for tag, limit in SPHERICAL_LIMITS.items())
+    )
+    for unread in child:
+        if unread.tag not in (*SPHERICAL_CHOICES, *SPHERICAL_LIMITS):
+            known_tags = (*SPHERICAL_CHOICES, *SPHERICAL_LIMITS)
+            report.unread_tag(where, unread.tag, known_tags)
+    report.applied(
+        f"world: <{where}>",
+        f"{found.latitude_deg:g} N {found.longitude_deg:g} E, {found.elevation_m:g} m, "
+        f"x points {found.heading_deg:g} degrees from east to north",
+    )
+    return found
+
+
+def _read_degrees(child: Element, tag: str, limit: float) -> float:
+    number = read_scalar(child, tag, 0.0, child.tag)
+    if abs(number) > limit:
+        raise ModelError(
+            f"{child.tag}, {tag}: {number:g} is out of range; use {-limit:g} to {limit:g}",
+            slug="sdf.spherical_coordinates",
+        )
+    return number
+
+
+FIELD_READERS: dict[str, Callable[[Element, ParseReport], object]] = {
+    "gravity": _read_gravity,
+    "magnetic_field": _read_magnetic_field,
+    "physics": read_physics,
+    "spherical_coordinates": _read_spherical_coordinates,
+}
+"""Readers of fields of `WorldModel`, by tag."""
 
 
 def _read_world_frame(frame: Element, draft: _WorldDraft) -> None:

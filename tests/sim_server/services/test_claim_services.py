@@ -6,9 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.models import a_box, on_ground
-from tests.sim_server.fakes import a_spawn, a_world, handle_request, make_parts
+from tests.sim_server.fakes import CONTROL_STEPS, a_spawn, a_world, handle_request, make_parts
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages import agent_messages
+from zensim.proto.messages.sensor_messages import Environment, SphericalCoordinates
+from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse
+from zensim.sim_server.description.world_model import EARTH_MAGNETIC_FIELD, WorldModel
 from zensim.sim_server.errors import IncorrectState, RequestRefused
 from zensim.sim_server.service_parts import ServerParts
 from zensim.sim_server.services import claim_services
@@ -116,6 +119,26 @@ def test_second_pool_takes_its_half_from_the_first() -> None:
     assert [grant.entity for grant in response.grants] == ["r2", "r3"]
     assert driven_by(parts, "p") == ["r0", "r1"]
     assert share(parts, "p").grants == ()
+
+
+def test_claims_and_models_come_with_the_environment_of_the_loaded_world() -> None:
+    parts = make_parts(a_world("r0", "r1"))
+    place = SphericalCoordinates(48.0, 11.0)
+    parts.current_world.seed = 9
+    parts.current_world.model = WorldModel(
+        "field", gravity=(0.0, 0.0, -1.6), spherical_coordinates=place
+    )
+    expected = Environment(
+        9, (0.0, 0.0, -1.6), EARTH_MAGNETIC_FIELD, place, parts.world.clock.step_ns, CONTROL_STEPS
+    )
+
+    shared = share(parts, "p", 1)
+    named = handle_request(parts, agent_messages.ClaimEntityRequest("p", ("r1",)))
+    listed = handle_request(parts, GetModelsRequest())
+
+    assert isinstance(named, agent_messages.ClaimEntityResponse)
+    assert isinstance(listed, GetModelsResponse)
+    assert shared.environment == named.environment == listed.environment == expected
 
 
 def test_share_contains_each_model_and_text_once() -> None:

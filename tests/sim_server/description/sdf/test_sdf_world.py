@@ -10,6 +10,7 @@ from tests.sim_server.description.sdf_robots import a_link, a_pose
 from zensim.proto.messages.entity_messages import Bounds, BoundsType
 from zensim.proto.messages.model_messages import Origin
 from zensim.proto.messages.result_messages import SpawnCode
+from zensim.proto.messages.sensor_messages import SphericalCoordinates
 from zensim.proto.messages.standard_messages import Point, Vector3
 from zensim.proto.messages.world_messages import Light, Scene
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
@@ -49,6 +50,60 @@ def test_gravity_is_refused_when_it_is_not_a_vector(gravity: str) -> None:
         read_world(a_world(f"<gravity>{gravity}</gravity>"))
 
     assert caught.value.slug == "sdf.gravity"
+
+
+def test_magnetic_field_is_that_of_the_file() -> None:
+    world = read_world(a_world("<magnetic_field>1e-6 2e-6 -3e-6</magnetic_field>"))
+
+    assert world.magnetic_field == (1e-6, 2e-6, -3e-6)
+    assert "world: <magnetic_field>" in subjects(world.report, "applied")
+
+
+def test_spherical_coordinates_are_those_of_the_file() -> None:
+    world = read_world(
+        a_world(
+            "<spherical_coordinates><surface_model>EARTH_WGS84</surface_model>"
+            "<world_frame_orientation>ENU</world_frame_orientation>"
+            "<latitude_deg>48.1</latitude_deg><longitude_deg>11.5</longitude_deg>"
+            "<elevation>520</elevation><heading_deg>90</heading_deg></spherical_coordinates>"
+        )
+    )
+
+    assert world.spherical_coordinates == SphericalCoordinates(48.1, 11.5, 520.0, 90.0)
+
+
+def test_world_without_spherical_coordinates_has_none() -> None:
+    assert read_world(a_world()).spherical_coordinates is None
+
+
+def test_spherical_coordinates_of_another_frame_are_left_out_and_reported() -> None:
+    world = read_world(
+        a_world(
+            "<spherical_coordinates><world_frame_orientation>NED</world_frame_orientation>"
+            "<latitude_deg>48.1</latitude_deg></spherical_coordinates>"
+        )
+    )
+
+    assert world.spherical_coordinates is None
+    assert mentions(world.report, "suspicious", "'NED'", "ENU")
+
+
+@pytest.mark.parametrize(
+    ("content", "slug"),
+    [
+        ("<magnetic_field>1 2</magnetic_field>", "sdf.magnetic_field"),
+        ("<magnetic_field>0 0 1e9</magnetic_field>", "sdf.magnetic_field"),
+        (
+            "<spherical_coordinates><latitude_deg>91</latitude_deg></spherical_coordinates>",
+            "sdf.spherical_coordinates",
+        ),
+    ],
+)
+def test_environment_is_refused_when_it_is_impossible(content: str, slug: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        read_world(a_world(content))
+
+    assert caught.value.slug == slug
 
 
 def test_world_without_ground_is_reported() -> None:
