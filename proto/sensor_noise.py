@@ -91,7 +91,7 @@ def _mix(bits: KeyArray) -> KeyArray:
 
 def _to_unit(bits: KeyArray) -> FloatArray:
     """Convert words to numbers in [0, 1), in an array of their own."""
-    return (bits >> MANTISSA_SHIFT).astype(np.float64) * UNIT
+    return np.asarray((bits >> MANTISSA_SHIFT).astype(np.float64) * UNIT)
 
 
 def draw_fixed_biases(noises: Sequence[Noise], keys: KeyArray, compat: Compat) -> FloatArray:
