@@ -451,13 +451,14 @@ def _read_gravity(child: Element, report: ParseReport) -> Vec3:
 
 
 def _read_magnetic_field(child: Element, report: ParseReport) -> Vec3:
-    where, slug = "magnetic_field", "sdf.magnetic_field"
-    x, y, z = read_numbers(child.text, counts=(3,), where=where, slug=slug)
+    x, y, z = read_numbers(
+        child.text, counts=(3,), where="magnetic_field", slug="sdf.magnetic_field"
+    )
     if max(abs(x), abs(y), abs(z)) > MAX_MAGNETIC_FIELD_T:
         raise ModelError(
             f"magnetic_field {x:g} {y:g} {z:g} is out of range; use at most "
             f"{MAX_MAGNETIC_FIELD_T:g} tesla, as in 5.6e-6 2.3e-5 -4.2e-5",
-            slug=slug,
+            slug="sdf.magnetic_field",
         )
     report.applied("world: <magnetic_field>", f"{x:g} {y:g} {z:g} T")
     return (x, y, z)
