@@ -60,6 +60,16 @@ class PlacedShapes:
     entity: IntArray
     poses: FloatArray
 
+    @property
+    def kinds(self) -> npt.NDArray[np.str_]:
+        """Kinds (g,) of all geometries; see `Shape`."""
+        return np.array([one.shape.kind for one in self.geometries], dtype="<U8")
+
+    @property
+    def sizes(self) -> FloatArray:
+        """Sizes (g, 3) of all geometries; see `Shape`."""
+        return np.array([one.shape.size for one in self.geometries]).reshape(-1, 3)
+
     def bounding_spheres(self) -> tuple[FloatArray, FloatArray]:
         """Find centres (s, 3) in the world and radii (s,) of bounding spheres."""
         centres = np.array([one.centre for one in self.geometries]).reshape(-1, 3)
@@ -156,19 +166,36 @@ def _keep_first(
 
 def find_ranges(geometry: ShapeGeometry, origins: FloatArray, directions: FloatArray) -> FloatArray:
     """Find ranges (p,) [m] along rays (p, 3) in the frame of a shape; infinite without a hit."""
-    if geometry.shape.kind == "mesh":
+    shape = geometry.shape
+    if shape.kind == "mesh":
         return _find_mesh_ranges(geometry.triangles, origins, directions)
-    enter, leave = _CROSSINGS[geometry.shape.kind](geometry.shape.size, origins, directions)
+    sizes = np.broadcast_to(np.array(shape.size), (len(origins), 3))
+    return find_solid_ranges(shape.kind, sizes, origins, directions)
+
+
+def find_solid_ranges(
+    kind: str, sizes: FloatArray, origins: FloatArray, directions: FloatArray
+) -> FloatArray:
+    """Find ranges (p,) [m] along rays (p, 3) in the frames of shapes of one kind but mesh.
+
+    Args:
+        kind: Of all shapes; see `Shape`.
+        sizes: (p, 3) `Shape.size` of each.
+        origins: (p, 3).
+        directions: (p, 3), of unit length.
+    """
+    enter, leave = _CROSSINGS[kind](sizes.T, origins, directions)
     ranges = np.where(enter >= 0.0, enter, leave)
     return np.where((enter <= leave) & (ranges >= 0.0), ranges, np.inf)
 
 
+# Functions below take sizes (3, p), one column for each ray.
 Interval = tuple[FloatArray, FloatArray]
 """Where lines (p,) enter and leave a convex solid; enter > leave where they miss it."""
 MISS = (np.inf, -np.inf)
 
 
-def _cross_slab(half: float, origin: FloatArray, direction: FloatArray) -> Interval:
+def _cross_slab(half: FloatArray, origin: FloatArray, direction: FloatArray) -> Interval:
     """Cross -half <= coordinate <= half; `origin` and `direction` are those coordinates (p,)."""
     is_parallel = direction == 0.0
     step = np.where(is_parallel, 1.0, direction)
@@ -179,7 +206,7 @@ def _cross_slab(half: float, origin: FloatArray, direction: FloatArray) -> Inter
     return enter, leave
 
 
-def _cross_ball(radius: float, origins: FloatArray, directions: FloatArray) -> Interval:
+def _cross_ball(radius: FloatArray, origins: FloatArray, directions: FloatArray) -> Interval:
     """Cross a ball of any dimension about the origin; directions may be of any length."""
     square = np.einsum("ij,ij->i", directions, directions)
     is_point = square == 0.0
@@ -200,28 +227,24 @@ def _intersect(*intervals: Interval) -> Interval:
     )
 
 
-def _cross_box(size: tuple[float, ...], origins: FloatArray, directions: FloatArray) -> Interval:
+def _cross_box(size: FloatArray, origins: FloatArray, directions: FloatArray) -> Interval:
     return _intersect(
         *(_cross_slab(size[i] / 2.0, origins[:, i], directions[:, i]) for i in range(3))
     )
 
 
-def _cross_sphere(size: tuple[float, ...], origins: FloatArray, directions: FloatArray) -> Interval:
+def _cross_sphere(size: FloatArray, origins: FloatArray, directions: FloatArray) -> Interval:
     return _cross_ball(size[0], origins, directions)
 
 
-def _cross_cylinder(
-    size: tuple[float, ...], origins: FloatArray, directions: FloatArray
-) -> Interval:
+def _cross_cylinder(size: FloatArray, origins: FloatArray, directions: FloatArray) -> Interval:
     side = _cross_ball(size[0], origins[:, :2], directions[:, :2])
     return _intersect(side, _cross_slab(size[1] / 2.0, origins[:, 2], directions[:, 2]))
 
 
-def _cross_capsule(
-    size: tuple[float, ...], origins: FloatArray, directions: FloatArray
-) -> Interval:
+def _cross_capsule(size: FloatArray, origins: FloatArray, directions: FloatArray) -> Interval:
     """Join the intervals of the cylinder and of both balls: a line crosses their union once."""
-    shift = np.array([0.0, 0.0, size[1] / 2.0])
+    shift = size[1][:, None] * np.array([0.0, 0.0, 0.5])
     parts = [
         _cross_cylinder(size, origins, directions),
         _cross_ball(size[0], origins - shift, directions),
@@ -232,13 +255,13 @@ def _cross_capsule(
     return np.minimum.reduce(enters), np.maximum.reduce(leaves)
 
 
-def _cross_plane(_: tuple[float, ...], origins: FloatArray, directions: FloatArray) -> Interval:
+def _cross_plane(_: FloatArray, origins: FloatArray, directions: FloatArray) -> Interval:
     height, rise = origins[:, 2], directions[:, 2]
     at = -height / np.where(rise == 0.0, 1.0, rise)
     return np.where(rise == 0.0, MISS[0], at), np.where(rise == 0.0, MISS[1], at)
 
 
-_CROSSINGS: dict[str, Callable[[tuple[float, ...], FloatArray, FloatArray], Interval]] = {
+_CROSSINGS: dict[str, Callable[[FloatArray, FloatArray, FloatArray], Interval]] = {
     "box": _cross_box,
     "sphere": _cross_sphere,
     "cylinder": _cross_cylinder,

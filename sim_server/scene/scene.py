@@ -155,6 +155,16 @@ class SceneLayout:
             tuple(geometries), _concatenate(geometry), _concatenate(entity), np.zeros((0, 7))
         )
 
+    @cached_property
+    def is_fixed(self) -> BoolArray:
+        """Which of all shapes (s,) move only when a request moves their entity."""
+        parts = [
+            np.full(len(group.rows) * len(_list_shapes(group.model)), group.is_fixed)
+            for group in self.groups
+        ]
+        ground = np.ones(int(self._has_ground), np.bool_)
+        return np.concatenate([np.zeros(0, np.bool_), *parts, ground])
+
     def place(self, base: FloatArray, joint_positions: FloatArray) -> PlacedShapes:
         """Find the poses of all shapes; those of fixed entities are kept while they stay."""
         poses = [np.zeros((0, 7))]
