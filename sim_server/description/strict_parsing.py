@@ -49,6 +49,31 @@ def parse_flag(text: str | None) -> bool | None:
     return FLAG_TEXTS.get((text or "").strip().lower())
 
 
+_UNEXPANDED = re.compile(r"\$\(\s*(\w*)|\$\{")
+_REMEDIES = {
+    "arg": "give its value, as --xacro-arg NAME:=VALUE of zensim spawn FILE",
+    "env": "set the environment variable where zensim spawn FILE runs",
+    "optenv": "spawn the file by zensim spawn FILE, which has the environment",
+    "find": "write package://NAME",
+}
+"""What expands a substitution argument; clients do, the server has no environment of a user."""
+
+
+def check_expanded(text: str | None, where: str) -> None:
+    """Refuse a text with substitution arguments or expressions of xacro, such as `$(arg x)`.
+
+    Raises:
+        ModelError: It has one.
+    """
+    if found := _UNEXPANDED.search(text or ""):
+        raise ModelError(
+            f"{where}: {quote(text)} is not expanded; "
+            f"{_REMEDIES.get(found[1] or '', 'run xacro first')}",
+            code=SpawnCode.UNSUPPORTED_FORMAT,
+            slug="urdf.xacro",
+        )
+
+
 _DECIMAL = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 MAX_NUMBER_LENGTH = 400
 """Characters; a double written in full has fewer."""
@@ -68,6 +93,7 @@ def read_numbers(
     Raises:
         ModelError: Not such numbers, too many or too few.
     """
+    check_expanded(text, where)
     words = (text or "").split()
     if len(words) not in counts:
         wanted = " or ".join(str(count) for count in counts)

@@ -12,20 +12,19 @@ import msgspec
 
 from zensim.proto.messages.model_messages import ReportEntry
 from zensim.spawner.spawn.description_xml import DescriptionError, parse_description
-from zensim.spawner.spawn.search_paths import SearchPaths, is_package
+from zensim.spawner.spawn.search_paths import SearchPaths, is_package, to_package_uris
 
 YAML_SUFFIXES = (".yaml", ".yml")
 MAX_CONTROLLERS_BYTES = 1 << 18
 MAX_SCANNED_FILES = 1000
 CONTROL_PLUGIN = "ros2_control"
-FIND_PACKAGE = re.compile(r"\$\(find(?:-pkg-share)? ([\w.-]+)\)")
 DRIVE_TYPE = re.compile(
     r"\b(?:diff_drive_controller/Diff|mecanum_drive_controller/Mecanum"
     r"|omni_wheel_drive_controller/Omni|tricycle_controller/Tricycle"
     r"|\w+_steering_controller/\w+Steering)\w*Controller\b"
 )
 DRIVE_FILE = re.compile(
-    r"drive|planar_move|mecanum|velocity-control|kobuki|_create\b", re.IGNORECASE
+    r"drive|ackermann|planar_move|mecanum|velocity-control|kobuki|_create\b", re.IGNORECASE
 )
 """File name of a plug-in that drives a robot."""
 WORD = re.compile(r"[\w./-]+")
@@ -117,7 +116,7 @@ def _read_one(name: str, paths: SearchPaths) -> tuple[tuple[Path, str] | None, s
 
 def _list_uris(name: str) -> Iterator[str]:
     """List the URIs that a name may mean: files of another host are found by their package."""
-    uri = FIND_PACKAGE.sub(r"package://\1", name)
+    uri = to_package_uris(name)
     yield uri
     if uri.startswith("/"):
         parts = Path(uri).parts

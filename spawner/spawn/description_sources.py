@@ -1,34 +1,36 @@
 """Read a description from a file, built-in model, model folder, stream or topic; expand xacro."""
 
+import os
 import re
 import time
 from collections.abc import Mapping, Sequence
+from html import escape
 from importlib import resources
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import msgspec
 
-from zensim.proto.bus import Bus
 from zensim.proto.child_process import make_module_command, run_process
-from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.result_messages import ServiceError, SpawnCode
-from zensim.proto.messages.standard_messages import String
 from zensim.proto.names import NAME_PATTERN
-from zensim.proto.network_protocols import Sample
 from zensim.spawner.spawn.description_xml import (
     MAX_TEXT_BYTES,
     DescriptionError,
     blank_comments,
     make_refusal,
 )
-from zensim.spawner.spawn.search_paths import SearchPaths, find_model_file
+from zensim.spawner.spawn.search_paths import SearchPaths, find_model_file, to_package_uris
 from zensim.spawner.spawn.xacro_process import (
     CPU_LIMIT_S,
     XacroRequest,
     XacroResult,
     encode_request,
 )
+
+if TYPE_CHECKING:
+    from zensim.proto.bus import Bus
+    from zensim.proto.network_protocols import Sample
 
 XACRO_SUFFIX = ".xacro"
 XACRO_TAG = "<xacro:"
@@ -77,6 +79,33 @@ def expand_xacro(text: str, path: Path, arguments: Mapping[str, str], paths: Sea
             "key:=value and package folders with --package-path"
         )
     return result.text
+
+
+SUBSTITUTION_ARG = re.compile(r"(?<!\$)\$\(\s*(arg|env|optenv)\s+([^()\s]+)\s*([^()]*?)\s*\)")
+
+
+def expand_substitution_args(
+    text: str, arguments: Mapping[str, str], environment: Mapping[str, str]
+) -> str:
+    """Expand the substitution arguments of roslaunch and xacro in a text that is no xacro.
+
+    `$(find PACKAGE)` becomes a package URI, so that no path of this host is sent. An argument or
+    variable that is not given stays as it is, for the server to name it.
+
+    Args:
+        text: URDF or SDF.
+        arguments: Values of `$(arg NAME)`.
+        environment: Values of `$(env NAME)` and `$(optenv NAME DEFAULT)`.
+    """
+
+    def expand(found: re.Match[str]) -> str:
+        kind, name, default = found.groups()
+        given = arguments if kind == "arg" else environment
+        if name in given:
+            return escape(given[name])
+        return default if kind == "optenv" else found[0]
+
+    return to_package_uris(SUBSTITUTION_ARG.sub(expand, text))
 
 
 def _run_xacro_process(request: XacroRequest) -> XacroResult:
@@ -140,6 +169,8 @@ def read_description_file(
     text = decode_description(file.read_bytes(), str(file))
     if is_xacro(text, file):
         text = expand_xacro(text, file, arguments, paths.with_folder_of(file))
+    else:
+        text = expand_substitution_args(text, arguments, os.environ)
     return RobotDescription(text, path=file)
 
 
@@ -158,6 +189,8 @@ def read_description_stream(
     text = decode_description(data, str(STDIN_PATH))
     if is_xacro(text, STDIN_PATH):
         text = expand_xacro(text, STDIN_PATH, arguments, paths)
+    else:
+        text = expand_substitution_args(text, arguments, os.environ)
     return RobotDescription(text)
 
 
@@ -214,7 +247,7 @@ def _read_builtin_model(name: str) -> RobotDescription | None:
     return RobotDescription(file.read_text(encoding="utf-8"), name) if file.is_file() else None
 
 
-def receive_description(bus: Bus, key: str, timeout_s: float) -> RobotDescription:
+def receive_description(bus: "Bus", key: str, timeout_s: float) -> RobotDescription:
     """Receive a description from a topic: the latched message, or the next one.
 
     Raises:
@@ -240,7 +273,10 @@ def receive_description(bus: Bus, key: str, timeout_s: float) -> RobotDescriptio
     return RobotDescription(_decode_message(sample))
 
 
-def _decode_message(sample: Sample) -> str:
+def _decode_message(sample: "Sample") -> str:
+    from zensim.proto.codec.message_codec import MalformedPayload, decode
+    from zensim.proto.messages.standard_messages import String
+
     data = sample.payload
     if data.lstrip()[:1] == b"<" or data[:3] == b"\xef\xbb\xbf":
         return decode_description(data, sample.key)

@@ -21,6 +21,7 @@ PATH_VARIABLES = (
 """Environment variables with lists of folders, and the subfolder that contains packages."""
 PACKAGE_FILES = ("package.xml", "manifest.xml", "model.config")
 PACKAGE_NAME = re.compile(r"<name>\s*([\w.-]+)\s*</name>")
+FIND_PACKAGE = re.compile(r"(?<!\$)(?:file://)?\$\(\s*find(?:-pkg-share)?\s+([\w.-]+)\s*\)")
 MODEL_FILE = re.compile(r"<sdf[^>]*>\s*([^<\s]+)\s*</sdf>")
 PACKAGE_SCHEMES = ("package://", "model://")
 FILE_SCHEME = "file://"
@@ -127,6 +128,11 @@ def collect_search_paths(folders: Sequence[Path], environment: Mapping[str, str]
         paths += [Path(entry) / inside for entry in entries if entry]
     roots = dict.fromkeys(path.resolve() for path in paths if path.is_dir())
     return SearchPaths(tuple(roots))
+
+
+def to_package_uris(text: str) -> str:
+    """Replace each `$(find PACKAGE)` of xacro and of launch files by `package://PACKAGE`."""
+    return FIND_PACKAGE.sub(r"package://\1", text)
 
 
 def is_package(folder: Path) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from zensim.proto.messages.model_messages import RosBlock
-from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.names import InvalidName, check_namespace
 from zensim.sim_server.description.strict_parsing import parse_flag, read_number, read_numbers
 from zensim.sim_server.errors import ModelError
@@ -243,12 +242,6 @@ class PluginTags:
                 self.report.unread_tag(self.subject, tag, sorted(self._read))
 
     def _parse_number(self, tag: str, text: str) -> float:
-        if text.startswith(("${", "$(")):
-            raise ModelError(
-                f"{self.subject}, {tag}: {text[:80]!r} is a xacro expression; run xacro first",
-                code=SpawnCode.UNSUPPORTED_FORMAT,
-                slug="urdf.xacro",
-            )
         return read_number(text, where=f"{self.subject}, {tag}", slug=f"{self._slug}.{tag}")
 
     def _make_error(self, tag: str, fault: str) -> ModelError:

@@ -53,6 +53,7 @@ from zensim.sim_server.description.plugins.plugin_registry import make_model
 from zensim.sim_server.description.plugins.sensor_tags import SensorElement
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.strict_parsing import (
+    check_expanded,
     parse_flag,
     parse_xml,
     quote,
@@ -836,18 +837,13 @@ def _fix_joints(joints: tuple[Joint, ...]) -> tuple[Joint, ...]:
 def _refuse_xacro(robot: Element) -> None:
     for element in robot.iter():
         if "/xacro}" in element.tag or element.tag.startswith("xacro:"):
-            raise _xacro_error(element, element.tag.rpartition("}")[2])
+            raise ModelError(
+                f"the description has the tag {quote(element.tag.rpartition('}')[2])} of xacro at "
+                f"line {element.sourceline}; run xacro first",
+                code=SpawnCode.UNSUPPORTED_FORMAT,
+                slug="urdf.xacro",
+            )
     for part in robot:
         for element in () if part.tag in UNEXPANDED_TAGS else part.iter():
-            for value in element.attrib.values():
-                if "${" in value or "$(" in value:
-                    raise _xacro_error(element, value)
-
-
-def _xacro_error(element: Element, what: str) -> ModelError:
-    return ModelError(
-        f"the description has the xacro expression {quote(what)} at line {element.sourceline}; "
-        "run xacro first",
-        code=SpawnCode.UNSUPPORTED_FORMAT,
-        slug="urdf.xacro",
-    )
+            for name, value in element.attrib.items():
+                check_expanded(value, f"line {element.sourceline}, <{element.tag[:80]} {name}>")

@@ -31,13 +31,31 @@ def test_number_is_read_when_it_is_decimal(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["nan", "inf", "-Infinity", "1_000", "0x10", "1,5", "${x}", "٣", "1e", ".", "1e999"]
+    "text", ["nan", "inf", "-Infinity", "1_000", "0x10", "1,5", "٣", "1e", ".", "1e999"]
 )
 def test_number_is_refused_when_it_is_not_decimal_and_finite(text: str) -> None:
     with pytest.raises(ModelError, match="mass: ") as caught:
         read(text, 1)
 
     assert caught.value.slug == "urdf.number"
+
+
+@pytest.mark.parametrize(
+    ("text", "remedy"),
+    [
+        ("${x}", "run xacro"),
+        ("$(arg mass)", "--xacro-arg"),
+        ("$(env MASS)", "environment variable"),
+        ("0 $(optenv TILT 0 1) 1", "zensim spawn FILE"),
+        ("$(find robot)/mass", "package://"),
+        ("$(eval 1 + 1)", "run xacro"),
+    ],
+)
+def test_number_is_refused_with_what_expands_it(text: str, remedy: str) -> None:
+    with pytest.raises(ModelError, match=remedy) as caught:
+        read(text, 1, 3)
+
+    assert (caught.value.slug, caught.value.code) == ("urdf.xacro", SpawnCode.UNSUPPORTED_FORMAT)
 
 
 def test_numbers_are_refused_when_their_count_is_wrong() -> None:

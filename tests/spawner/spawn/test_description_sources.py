@@ -13,6 +13,7 @@ from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.standard_messages import String
 from zensim.spawner.spawn.description_sources import (
     RobotDescription,
+    expand_substitution_args,
     expand_xacro,
     find_model_by_name,
     is_xacro,
@@ -124,6 +125,46 @@ def test_expensive_xacro_is_refused_in_one_line(tmp_path: Path, text: str) -> No
         expand_xacro(file.read_text(), file, {}, collect_search_paths((), {}))
 
     assert "\n" not in str(caught.value)
+
+
+ARGUMENTS = {"mass": "2.5", "label": 'a<"b"', "nested": "$(env SECRET)"}
+ENVIRONMENT = {"TILT": "0 0 1", "SECRET": "s"}
+
+
+@pytest.mark.parametrize(
+    ("text", "expanded"),
+    [
+        ('rpy="$(optenv TILT 1 2 3)"', 'rpy="0 0 1"'),
+        ('rpy="$(optenv OTHER 0 -1.5708 3.1416)"', 'rpy="0 -1.5708 3.1416"'),
+        ('rpy="$(optenv OTHER)"', 'rpy=""'),
+        ('rpy="$(env TILT)"', 'rpy="0 0 1"'),
+        ('rpy="$(env OTHER)"', 'rpy="$(env OTHER)"'),
+        ('mass="$( arg  mass )"', 'mass="2.5"'),
+        ('mass="$(arg other)"', 'mass="$(arg other)"'),
+        ('name="$(arg label)"', 'name="a&lt;&quot;b&quot;"'),
+        ('name="$(arg nested)"', 'name="$(env SECRET)"'),
+        ('name="$$(arg mass)"', 'name="$$(arg mass)"'),
+        ('mesh="file://$(find parts)/m/a.dae"', 'mesh="package://parts/m/a.dae"'),
+        ("<parameters>$(find parts)/c.yaml</parameters>", "<parameters>package://parts/c.yaml</parameters>"),
+        ('value="$(eval 1 + 1) ${x}"', 'value="$(eval 1 + 1) ${x}"'),
+    ],
+)  # fmt: skip
+def test_substitution_args_are_expanded_as_far_as_they_are_given(text: str, expanded: str) -> None:
+    assert expand_substitution_args(text, ARGUMENTS, ENVIRONMENT) == expanded
+
+
+def test_file_without_xacro_has_its_substitution_args_expanded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ZENSIM_TEST_TILT", "0 0 1")
+    text = '<robot name="$(arg n)"><a rpy="$(optenv ZENSIM_TEST_TILT 0 0 0)"/></robot>'
+    file = tmp_path / "r.urdf"
+    file.write_text(text)
+
+    found = read_description_file(file, {"n": "x"}, SearchPaths()).text
+
+    assert found == '<robot name="x"><a rpy="0 0 1"/></robot>'
+    assert read_description_stream(BytesIO(text.encode()), {"n": "x"}, SearchPaths()).text == found
 
 
 SDF = '<sdf version="1.6"><model name="m"/></sdf>'

@@ -336,7 +336,7 @@ def test_xacro_macro_is_refused() -> None:
     ],
 )
 def test_xacro_is_refused_when_an_expression_is_left(link: str) -> None:
-    with pytest.raises(ModelError, match="run xacro") as caught:
+    with pytest.raises(ModelError) as caught:
         read_urdf(f'<robot name="r">{link}</robot>')
 
     assert caught.value.slug == "urdf.xacro"
