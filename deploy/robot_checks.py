@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import msgspec
 
 from zensim.proto.child_process import SINGLE_THREADED, make_module_command, run_process
-from zensim.proto.messages.model_messages import Vec3
+from zensim.proto.messages.model_messages import Dynamics, Vec3
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -62,6 +62,13 @@ class TrialRequest(msgspec.Struct, frozen=True, kw_only=True):
     allow_missing: bool = False
     compat: str = "fixed"
     """As `zensim spawn --compat`."""
+    dynamics: Dynamics = "full"
+    """As `zensim spawn --dynamics`."""
+
+    @property
+    def engine_label(self) -> str:
+        """The engine in the table: the kinematic tier computes without one."""
+        return self.dynamics if self.dynamics == "kinematic" else self.engine
 
 
 class DrivenPart(msgspec.Struct, frozen=True):
@@ -257,9 +264,9 @@ def make_row(request: TrialRequest, outcome: TrialResult | int, tolerance: float
     if isinstance(outcome, int):
         verdict: Verdict = "crashed" if outcome else "timeout"
         reason = f"its process ended with status {outcome}" if outcome else "it takes too long"
-        return CheckRow(request.robot, request.engine, verdict, TrialResult(), reason)
+        return CheckRow(request.robot, request.engine_label, verdict, TrialResult(), reason)
     verdict, reason = judge(outcome, tolerance)
-    return CheckRow(request.robot, request.engine, verdict, outcome, reason)
+    return CheckRow(request.robot, request.engine_label, verdict, outcome, reason)
 
 
 def judge(result: TrialResult, tolerance: float) -> tuple[Verdict, str]:

@@ -24,7 +24,7 @@ from zensim.proto.child_process import STDERR, reserve_stdout
 from zensim.proto.cli_options import parse_choice
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.drives.array_math import ARRAY_MATH
-from zensim.proto.exit_codes import EXPECTED_FAILURES, format_failure
+from zensim.proto.exit_codes import format_failure, list_expected_failures
 from zensim.proto.messages.agent_messages import DriveCommand
 from zensim.proto.messages.drive_messages import SteeringDrive
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
@@ -100,7 +100,7 @@ def run_trial(request: TrialRequest) -> TrialResult:
             return _run(request, cleanup)
     except SimError as error:
         return TrialResult(error=str(error))
-    except EXPECTED_FAILURES as error:
+    except list_expected_failures() as error:
         return TrialResult(error=format_failure(error))
     except Exception as error:  # noqa: BLE001  # one robot must not end the checks of others
         return TrialResult(error=f"{type(error).__name__}: {error}", is_fault=True)
@@ -166,7 +166,7 @@ def _read_model(request: TrialRequest, store: AssetStore) -> tuple[SpawnPayload,
     )
     for sha256, data in parsed.meshes.items():
         store.add(sha256, data)
-    return payload, parsed.model
+    return payload, msgspec.structs.replace(parsed.model, dynamics=request.dynamics)
 
 
 def _compare_readings(text: str, model: Model) -> tuple[str, ...]:

@@ -4,8 +4,6 @@ No other module imports zenoh.
 """
 
 import json
-import re
-import socket
 import time
 import uuid
 from collections.abc import Iterable, Iterator
@@ -19,46 +17,13 @@ from zenoh.handlers import FifoChannel, RingChannel
 
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_endpoint, with_free_port
 from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError
 from zensim.proto.network_protocols import Sample, Stamp
 from zensim.proto.service_catalog import Request, Response, Service
 
 if TYPE_CHECKING:
     from zenoh.handlers import Handler
-
-DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
-ENDPOINT_PATTERN = re.compile(
-    r"(tcp|tls|quic|ws|udp)/(?P<host>\[[^\]]+\]|[^\s:/#?]+):(?P<port>\d{1,5})\S*"
-)
-MAX_PORT: Final = 65535
-
-
-def check_endpoint(endpoint: str) -> str:
-    """Return the endpoint if it is valid.
-
-    Raises:
-        ValueError: Not `protocol/host:port`.
-    """
-    match = ENDPOINT_PATTERN.fullmatch(endpoint)
-    if match and int(match["port"]) <= MAX_PORT:
-        return endpoint
-    raise ValueError(
-        f"endpoint {endpoint[:80]!r} is not valid; use protocol/host:port, as {DEFAULT_ENDPOINT}"
-    )
-
-
-def with_free_port(endpoint: str) -> str:
-    """Replace port 0 by a free port of that host."""
-    match = ENDPOINT_PATTERN.fullmatch(check_endpoint(endpoint))
-    if match is None or int(match["port"]) != 0:
-        return endpoint
-    host = match["host"].strip("[]")
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family) as probe:
-        probe.bind((host, 0))
-        port = probe.getsockname()[1]
-    return endpoint[: match.start("port")] + str(port) + endpoint[match.end("port") :]
-
 
 MAX_REQUEST_BYTES = 3 << 20
 """Encoded size limit: decoding a larger request would delay the physics step."""

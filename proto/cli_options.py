@@ -2,18 +2,20 @@
 
 import dataclasses
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar, get_args
 
 import typer
+from typer.models import ArgumentInfo, OptionInfo
 
-from zensim.proto.bus import DEFAULT_ENDPOINT
+from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.ros2.ros_settings import RosSettings, parse_ros_settings
 
 Choice = TypeVar("Choice", bound=str)
+Options = TypeVar("Options")
 
 # In help texts a unit is written r"\[m]": Rich reads a plain [m] as markup and drops it.
 flag = partial(typer.Option, metavar="")
@@ -71,6 +73,78 @@ def _make_parameters(group: type) -> list[inspect.Parameter]:
         )
         for field in dataclasses.fields(group)
     ]
+
+
+PLAIN_TYPES = {str: str, list[str] | None: str, list[Path] | None: Path}
+"""Types of options with a value that `parse_plain_options` converts, and how."""
+
+
+def parse_plain_options(
+    group: type[Options], words: Sequence[str], environment: Mapping[str, str]
+) -> Options | None:
+    """Parse switches, texts and paths of a command without typer.
+
+    typer converts values by pydantic, whose import takes 0.1 s. None where anything else is
+    written, such as `--help`, a number or a mistake: typer has to parse it then.
+
+    Args:
+        group: Dataclass of the options and arguments of the command.
+        words: After the name of the command.
+        environment: Variables that may stand for options.
+    """
+    options = _index_options(group)
+    left = [field for field in _list_fields(group) if _is_argument(field)]
+    if any(name in environment for _, info in options.values() for name in _list_variables(info)):
+        return None
+    given: dict[str, Any] = {}
+    rest = list(words)
+    while rest:
+        word = rest.pop(0)
+        field, _ = options.get(word, (None, None))
+        if field is None and left and not word.startswith("-"):
+            given[left.pop(0).name] = word
+        elif field is not None and get_args(field.type)[0] is bool:
+            given[field.name] = True
+        elif field is not None and rest and not rest[0].startswith("-"):
+            _add_value(given, field, rest.pop(0))
+        else:
+            return None
+    return None if left else group(**given)
+
+
+def _list_fields(group: type) -> tuple["dataclasses.Field[Any]", ...]:
+    return dataclasses.fields(group)
+
+
+def _index_options(group: type) -> dict[str, tuple["dataclasses.Field[Any]", OptionInfo]]:
+    """Index the options that can be parsed without typer by their spellings."""
+    found = {}
+    for field in _list_fields(group):
+        kind, info = get_args(field.type)
+        if isinstance(info, OptionInfo) and (kind is bool or kind in PLAIN_TYPES):
+            # In an annotation, the first spelling is where the default is elsewhere.
+            spellings = (info.default, *(info.param_decls or ()))
+            found.update(dict.fromkeys(filter(None, spellings), (field, info)))
+    return found
+
+
+def _is_argument(field: "dataclasses.Field[Any]") -> bool:
+    kind, info = get_args(field.type)
+    return isinstance(info, ArgumentInfo) and kind is str
+
+
+def _list_variables(info: OptionInfo) -> Sequence[str]:
+    names = info.envvar or ()
+    return (names,) if isinstance(names, str) else names
+
+
+def _add_value(given: dict[str, Any], field: "dataclasses.Field[Any]", word: str) -> None:
+    kind = get_args(field.type)[0]
+    value = PLAIN_TYPES[kind](word)
+    if kind is str:
+        given[field.name] = value
+    else:
+        given.setdefault(field.name, []).append(value)
 
 
 def parse_choice(option: str, word: str, choices: tuple[Choice, ...]) -> Choice:
@@ -244,6 +318,21 @@ TfRootOption = Annotated[
         help="Parent frame of the odometry frames of all robots on /tf_static; off = none.",
     ),
 ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConnectionOptions:
+    """The server to call, for commands without service calls."""
+
+    connect: ConnectOption = ""
+    world_name: WorldNameOption = "default"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClientOptions(ConnectionOptions):
+    """The server to call, and how long to wait for its replies."""
+
+    timeout: TimeoutOption = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)

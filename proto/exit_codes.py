@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import IntEnum
 
-from zensim.proto.bus import BusError, NoServer, Unreachable
-from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 
 
@@ -24,27 +22,35 @@ class ExitCode(IntEnum):
     INTERRUPTED = 130
 
 
-EXPECTED_FAILURES = (ServiceError, BusError, TimeoutError, ValueError, OSError)
-"""Failures that a command reports in one line."""
+def list_expected_failures() -> tuple[type[Exception], ...]:
+    """List the failures that a command reports in one line."""
+    # Imported when something failed: commands without a network start faster.
+    from zensim.proto.bus import BusError
+
+    return (ServiceError, BusError, TimeoutError, ValueError, OSError)
 
 
 def choose_exit_code(error: Exception) -> ExitCode:
     """Choose the exit status of a failure; a `code` of NOT_FOUND takes precedence."""
     if getattr(error, "code", None) == ResultCode.NOT_FOUND:
         return ExitCode.NOT_FOUND
-    for kinds, status in _EXIT_CODES:
+    for kinds, status in _list_exit_codes():
         if isinstance(error, kinds):
             return status
     return ExitCode.FAILED
 
 
-_EXIT_CODES: tuple[tuple[tuple[type[Exception], ...], ExitCode], ...] = (
-    ((NoServer, Unreachable), ExitCode.UNREACHABLE),
-    ((TimeoutError,), ExitCode.TIMEOUT),
-    ((FileNotFoundError,), ExitCode.NOT_FOUND),
-    ((MalformedPayload,), ExitCode.FAILED),  # received, not typed
-    ((ValueError,), ExitCode.USAGE),
-)
+def _list_exit_codes() -> tuple[tuple[tuple[type[Exception], ...], ExitCode], ...]:
+    from zensim.proto.bus import NoServer, Unreachable
+    from zensim.proto.codec.message_codec import MalformedPayload
+
+    return (
+        ((NoServer, Unreachable), ExitCode.UNREACHABLE),
+        ((TimeoutError,), ExitCode.TIMEOUT),
+        ((FileNotFoundError,), ExitCode.NOT_FOUND),
+        ((MalformedPayload,), ExitCode.FAILED),  # received, not typed
+        ((ValueError,), ExitCode.USAGE),
+    )
 
 
 def format_failure(error: Exception) -> str:
@@ -64,7 +70,7 @@ def exit_on_failure(command: str, *also: type[Exception]) -> Iterator[None]:
 
     Args:
         command: Name of the command in the line.
-        also: Failures to report besides `EXPECTED_FAILURES`; others propagate.
+        also: Failures to report besides `list_expected_failures`; others propagate.
 
     Raises:
         SystemExit: With one of `ExitCode`.
@@ -76,7 +82,7 @@ def exit_on_failure(command: str, *also: type[Exception]) -> Iterator[None]:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(ExitCode.OK) from None
     except Exception as error:
-        if not isinstance(error, (*EXPECTED_FAILURES, *also)):
+        if not isinstance(error, (*list_expected_failures(), *also)):
             raise
         sys.stderr.write(f"zensim {command}: {format_failure(error)}\n")
         raise SystemExit(choose_exit_code(error)) from error

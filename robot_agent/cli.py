@@ -5,7 +5,6 @@ from typing import Annotated, get_args
 
 import typer
 
-from zensim.proto.bus import DEFAULT_ENDPOINT
 from zensim.proto.cli_options import (
     ConnectOption,
     OdomHzOption,
@@ -16,6 +15,7 @@ from zensim.proto.cli_options import (
     make_app,
     parse_choice,
 )
+from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.agent_messages import OnRelease
 from zensim.proto.names import check_name

@@ -10,7 +10,7 @@ from typing import Annotated, get_args
 
 import typer
 
-from zensim.proto.bus import DEFAULT_ENDPOINT, Bus
+from zensim.proto.bus import Bus
 from zensim.proto.cli_options import (
     AllowMissingOption,
     ClustersOption,
@@ -29,6 +29,7 @@ from zensim.proto.cli_options import (
     make_app,
     parse_choice,
 )
+from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.stop_signal import StopFlag

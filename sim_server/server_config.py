@@ -2,7 +2,8 @@
 
 import msgspec
 
-from zensim.proto.bus import DEFAULT_ENDPOINT, BusConfig
+from zensim.proto.bus import BusConfig
+from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.names import check_name
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings

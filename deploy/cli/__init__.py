@@ -237,5 +237,18 @@ def main() -> None:
     elif "_ZENSIM_COMPLETE" not in os.environ and arguments in ([], ["--help"]):
         print(format_help())
         sys.exit(0 if arguments else 2)
-    else:
+    elif "_ZENSIM_COMPLETE" in os.environ or not _run_plainly(arguments):
         build(_find_verb(arguments, os.environ))(prog_name="zensim")
+
+
+def _run_plainly(arguments: Sequence[str]) -> bool:
+    """Run `zensim model` if its options can be parsed without typer; say whether it ran."""
+    if arguments[:1] != ["model"]:
+        return False
+    from zensim.deploy.cli.model_commands import ModelOptions, print_model
+    from zensim.proto.cli_options import parse_plain_options
+
+    given = parse_plain_options(ModelOptions, arguments[1:], os.environ)
+    if given is not None:
+        print_model(given)
+    return given is not None

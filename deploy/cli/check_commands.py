@@ -32,7 +32,13 @@ from zensim.sim_server.physics.engine_config import (
     parse_engine_name,
 )
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
-from zensim.spawner.cli.spawn_arguments import DescriptionOptions, make_search_paths, parse_compat
+from zensim.spawner.cli.spawn_arguments import (
+    DescriptionOptions,
+    DynamicsOption,
+    make_search_paths,
+    parse_compat,
+    parse_dynamics,
+)
 
 app = make_app()
 
@@ -62,6 +68,7 @@ class CheckOptions(DescriptionOptions):
             envvar="ZENSIM_ENGINE",
         ),
     ] = ""
+    dynamics: DynamicsOption = "full"
     exclude: Annotated[
         list[str] | None,
         _check("--exclude", metavar="PATTERN", help="Paths to leave out; repeatable."),
@@ -144,6 +151,7 @@ def check(given: CheckOptions) -> None:
 
 def _make_requests(given: CheckOptions) -> list[TrialRequest]:
     compat, engines = parse_compat(given), _choose_engines(given.engine)
+    dynamics = parse_dynamics(given.dynamics)
     # An order that cannot be parsed is a fault of the command, not of each robot.
     parse_drive_order(given.drive)
     paths = make_search_paths(given)
@@ -159,6 +167,7 @@ def _make_requests(given: CheckOptions) -> list[TrialRequest]:
             engine=engine,
             allow_missing=given.allow_missing,
             compat=compat,
+            dynamics=dynamics,
         )
         for robot in robots
         for engine in engines

@@ -47,6 +47,11 @@ class ModelOptions(DescriptionOptions):
 @expand_options
 def model(given: ModelOptions) -> None:
     """Parse a robot description and print links, joints, drive and report, without a server."""
+    print_model(given)
+
+
+def print_model(given: ModelOptions) -> None:
+    """Run the command; a failure ends the program with its status."""
     with exit_on_failure("model", SimError, MissingServerExtra):
         text, parsed = _read_model(given)
         if given.strict:

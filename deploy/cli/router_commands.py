@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
-from zensim.proto.bus import DEFAULT_ENDPOINT, BusConfig, open_bus, to_zenoh_json
+from zensim.proto.bus import BusConfig, open_bus, to_zenoh_json
 from zensim.proto.cli_options import flag, make_app
+from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.stop_signal import StopFlag
 

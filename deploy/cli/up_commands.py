@@ -27,7 +27,6 @@ from zensim.deploy.launcher import (
     supervise,
 )
 from zensim.deploy.supervisor import ProgramDied, SupervisedProgram, Supervisor
-from zensim.proto.bus import DEFAULT_ENDPOINT, with_free_port
 from zensim.proto.cli_options import (
     AllowMissingOption,
     ClustersOption,
@@ -49,6 +48,7 @@ from zensim.proto.cli_options import (
     parse_choice,
 )
 from zensim.proto.drive_orders import parse_drive_order
+from zensim.proto.endpoints import DEFAULT_ENDPOINT, with_free_port
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
 from zensim.proto.stop_signal import StopFlag

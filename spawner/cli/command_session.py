@@ -1,8 +1,7 @@
-"""What all client commands share: connection options, name completion, the client, the consoles."""
+"""What all client commands share: name completion, the client, the consoles."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Annotated, TypeVar
 
 import msgspec
@@ -10,9 +9,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from zensim.proto.bus import DEFAULT_ENDPOINT, BusConfig, open_bus
-from zensim.proto.cli_options import ConnectOption, TimeoutOption, WorldNameOption
-from zensim.proto.exit_codes import EXPECTED_FAILURES, exit_on_failure
+from zensim.proto.bus import BusConfig, open_bus
+from zensim.proto.cli_options import ClientOptions, ConnectionOptions
+from zensim.proto.endpoints import DEFAULT_ENDPOINT
+from zensim.proto.exit_codes import exit_on_failure, list_expected_failures
 from zensim.proto.names import check_name
 from zensim.spawner.client.sim_client import SimClient
 
@@ -47,7 +47,7 @@ def _query(ctx: typer.Context, call: Callable[[SimClient], Sequence[Item]]) -> S
     try:
         with open_bus(BusConfig(connect=(endpoint,), open_timeout_s=COMPLETION_TIMEOUT_S)) as bus:
             return call(SimClient(bus, world, COMPLETION_TIMEOUT_S))
-    except EXPECTED_FAILURES:
+    except list_expected_failures():
         return ()
 
 
@@ -57,21 +57,6 @@ EntityName = Annotated[
         metavar="NAME", help="Name of the entity.", autocompletion=complete_entity_names
     ),
 ]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ConnectionOptions:
-    """The server to call, for commands without service calls."""
-
-    connect: ConnectOption = ""
-    world_name: WorldNameOption = "default"
-
-
-@dataclass(frozen=True, kw_only=True)
-class ClientOptions(ConnectionOptions):
-    """The server to call, and how long to wait for its replies."""
-
-    timeout: TimeoutOption = 10.0
 
 
 progress_console = Console(stderr=True)

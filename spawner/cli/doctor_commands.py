@@ -12,17 +12,9 @@ from rich.table import Table
 from rich.text import Text
 
 from zensim.proto import keys, service_catalog
-from zensim.proto.bus import (
-    DEFAULT_ENDPOINT,
-    ENDPOINT_PATTERN,
-    Bus,
-    BusConfig,
-    BusError,
-    NoServer,
-    check_endpoint,
-    open_bus,
-)
-from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
+from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
+from zensim.proto.cli_options import ConnectionOptions, JsonOption, expand_options, flag, make_app
+from zensim.proto.endpoints import DEFAULT_ENDPOINT, ENDPOINT_PATTERN, check_endpoint
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.messages.telemetry_messages import (
     EntityModel,
@@ -31,7 +23,7 @@ from zensim.proto.messages.telemetry_messages import (
     InfoRequest,
 )
 from zensim.proto.names import check_name
-from zensim.spawner.cli.command_session import ConnectionOptions, data_console, print_json
+from zensim.spawner.cli.command_session import data_console, print_json
 
 FindingMark = Literal["ok", "note", "wrong"]
 CONNECT_TIMEOUT_S = 2.0

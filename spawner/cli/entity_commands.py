@@ -15,13 +15,12 @@ from rich.table import Table
 from rich.text import Text
 
 from zensim.proto.bus import NoServer
-from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
+from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, flag, make_app
 from zensim.proto.exit_codes import ExitCode, choose_exit_code, exit_on_failure, format_failure
 from zensim.proto.messages.entity_messages import Bounds, BoundsType, EntityFilters
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
 from zensim.spawner.cli.command_session import (
-    ClientOptions,
     EntityName,
     complete_entity_names,
     data_console,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
+from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, flag, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.entity_messages import (
     Category,
@@ -15,7 +15,7 @@ from zensim.proto.messages.entity_messages import (
     EntityInfo,
     TagsFilter,
 )
-from zensim.spawner.cli.command_session import ClientOptions, EntityName, open_client, print_json
+from zensim.spawner.cli.command_session import EntityName, open_client, print_json
 
 CATEGORIES = ", ".join(known.name.lower() for known in Category)
 

@@ -6,11 +6,11 @@ from typing import Annotated
 
 import typer
 
-from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
+from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, flag, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.spawner.cli.command_session import ClientOptions, open_client, print_json
+from zensim.spawner.cli.command_session import open_client, print_json
 from zensim.spawner.cli.terminal_output import step_progress
 from zensim.spawner.client.sim_client import SimClient, StepGoalInterrupted
 

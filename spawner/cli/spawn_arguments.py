@@ -5,19 +5,17 @@ import sys
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import msgspec
 import typer
 
-from zensim.proto.bus import Bus
-from zensim.proto.cli_options import JsonOption, flag, parse_choice
+from zensim.proto.cli_options import ClientOptions, JsonOption, flag, parse_choice
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.spawn_messages import Compat, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Header, PoseStamped
 from zensim.proto.names import check_name, check_namespace
-from zensim.spawner.cli.command_session import ClientOptions
 from zensim.spawner.spawn.description_sources import (
     RobotDescription,
     find_model_by_name,
@@ -36,6 +34,9 @@ from zensim.spawner.spawn.spawn_poses import (
     make_fleet_layout,
     make_pose,
 )
+
+if TYPE_CHECKING:
+    from zensim.proto.bus import Bus
 
 ModelArgument = Annotated[
     str,
@@ -420,7 +421,7 @@ def choose_namespace(given: SpawnOptions) -> str:
 
 
 def read_topic_description(
-    bus: Bus, source: SpawnSource, given: SpawnOptions, timeout_s: float
+    bus: "Bus", source: SpawnSource, given: SpawnOptions, timeout_s: float
 ) -> RobotDescription:
     """Receive a description from a topic.
 

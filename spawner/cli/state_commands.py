@@ -7,7 +7,7 @@ import msgspec
 import typer
 from msgspec.structs import astuple
 
-from zensim.proto.cli_options import JsonOption, expand_options, make_app
+from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.entity_messages import EntityState
 from zensim.proto.messages.standard_messages import (
@@ -20,7 +20,7 @@ from zensim.proto.messages.standard_messages import (
     ns_from_time,
 )
 from zensim.proto.rigid_transforms import to_rpy
-from zensim.spawner.cli.command_session import ClientOptions, EntityName, open_client, print_json
+from zensim.spawner.cli.command_session import EntityName, open_client, print_json
 from zensim.spawner.spawn.spawn_poses import make_pose
 
 app = make_app("state")

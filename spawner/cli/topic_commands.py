@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from zensim.proto.bus import BusError, BusPublisher, BusSubscription
-from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
+from zensim.proto.cli_options import ConnectionOptions, JsonOption, expand_options, flag, make_app
 from zensim.proto.codec.message_codec import (
     Format,
     MalformedPayload,
@@ -26,7 +26,7 @@ from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.proto.network_protocols import Sample
 from zensim.proto.schema import list_messages
 from zensim.proto.topic_catalog import CMD_VEL, TOPICS, TopicScope
-from zensim.spawner.cli.command_session import ConnectionOptions, open_client, print_json
+from zensim.spawner.cli.command_session import open_client, print_json
 
 ROS_TYPES = {kind.ros_type: kind for kind in list_messages().values() if hasattr(kind, "ros_type")}
 ZENSIM_TYPES = {

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from zensim.proto.bus import DEFAULT_ENDPOINT, BusConfig, open_bus
-from zensim.proto.cli_options import expand_options, make_app
+from zensim.proto.bus import BusConfig, open_bus
+from zensim.proto.cli_options import ConnectionOptions, expand_options, make_app
+from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
 from zensim.proto.stop_signal import StopFlag
-from zensim.spawner.cli.command_session import ConnectionOptions
 
 app = make_app()
 

@@ -9,12 +9,18 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from zensim.proto.cli_options import JsonOption, TimeoutOption, expand_options, flag, make_app
+from zensim.proto.cli_options import (
+    ClientOptions,
+    JsonOption,
+    TimeoutOption,
+    expand_options,
+    flag,
+    make_app,
+)
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.entity_messages import TagsFilter
 from zensim.proto.messages.world_messages import WorldResource
 from zensim.spawner.cli.command_session import (
-    ClientOptions,
     complete_world_names,
     data_console,
     open_client,

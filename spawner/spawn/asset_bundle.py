@@ -5,6 +5,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -18,7 +19,6 @@ from zensim.proto.messages.asset_messages import (
 )
 from zensim.proto.messages.model_messages import ReportEntry
 from zensim.proto.messages.result_messages import SpawnCode
-from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn.description_xml import (
     MAX_TEXT_BYTES,
     DescriptionError,
@@ -26,6 +26,9 @@ from zensim.spawner.spawn.description_xml import (
     parse_description,
 )
 from zensim.spawner.spawn.search_paths import FileLocation, SearchPaths
+
+if TYPE_CHECKING:
+    from zensim.spawner.client.sim_client import SimClient
 
 MESH_SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".off", ".glb", ".gltf")
 """Only these are uploaded, so that an untrusted description cannot read other files."""
@@ -218,7 +221,7 @@ class PendingFile(msgspec.Struct, frozen=True):
     received: int
 
 
-def find_pending_files(client: SimClient, files: Sequence[AssetFile]) -> list[PendingFile]:
+def find_pending_files(client: "SimClient", files: Sequence[AssetFile]) -> list[PendingFile]:
     """Find which of these files the server lacks."""
     if not files:
         return []
@@ -228,7 +231,7 @@ def find_pending_files(client: SimClient, files: Sequence[AssetFile]) -> list[Pe
     return [PendingFile(file, pending[file.sha256]) for file in files if file.sha256 in pending]
 
 
-def send_file(client: SimClient, pending: PendingFile, on_bytes: Callable[[int], None]) -> None:
+def send_file(client: "SimClient", pending: PendingFile, on_bytes: Callable[[int], None]) -> None:
     """Upload one file, beginning with the first missing byte.
 
     Raises:
@@ -259,6 +262,6 @@ def send_file(client: SimClient, pending: PendingFile, on_bytes: Callable[[int],
                 return
 
 
-def _count_received(client: SimClient, file: AssetFile) -> int:
+def _count_received(client: "SimClient", file: AssetFile) -> int:
     pending = find_pending_files(client, [file])
     return pending[0].received if pending else file.size

@@ -5,11 +5,10 @@ import time
 import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.proto import service_catalog
-from zensim.proto.bus import NoServer
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.spawn_messages import (
@@ -21,7 +20,6 @@ from zensim.proto.messages.spawn_messages import (
     SpawnResult,
 )
 from zensim.proto.messages.standard_messages import PoseStamped
-from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn.asset_bundle import (
     AssetBundle,
     check_collision_meshes,
@@ -39,6 +37,9 @@ from zensim.spawner.spawn.description_xml import DescriptionError, add_namespace
 from zensim.spawner.spawn.search_paths import SearchPaths, collect_search_paths
 from zensim.spawner.spawn.spawn_poses import RobotPlacement, make_pose
 
+if TYPE_CHECKING:
+    from zensim.spawner.client.sim_client import SimClient
+
 DESCRIBED_DRIVE = DriveOrder()
 TOKEN_TIMEOUT_S = 2.0
 """Limit on the delay until the server sees the liveliness token of a bond."""
@@ -51,7 +52,7 @@ def make_bond_name() -> str:
     return f"bond_{uuid.uuid4().hex[:16]}"
 
 
-def spawn_bonded(client: SimClient, order: SpawnEntityOrder) -> SpawnEntityReport:
+def spawn_bonded(client: "SimClient", order: SpawnEntityOrder) -> SpawnEntityReport:
     """Spawn an entity; retry while the server has not seen the token of the bond.
 
     Raises:
@@ -68,7 +69,7 @@ def spawn_bonded(client: SimClient, order: SpawnEntityOrder) -> SpawnEntityRepor
         time.sleep(BOND_POLL_S)
 
 
-def hold_bond(client: SimClient, entity: str, is_over: Callable[[], bool]) -> bool:
+def hold_bond(client: "SimClient", entity: str, is_over: Callable[[], bool]) -> bool:
     """Wait until `is_over`, then delete the entity; return False if it was deleted before."""
     check_at = time.monotonic() + CHECK_PERIOD_S
     while not is_over():
@@ -87,7 +88,7 @@ def hold_bond(client: SimClient, entity: str, is_over: Callable[[], bool]) -> bo
     return True
 
 
-def wait_for_entity(client: SimClient, entity: str, timeout_s: float) -> None:
+def wait_for_entity(client: "SimClient", entity: str, timeout_s: float) -> None:
     """Wait until an entity exists.
 
     Raises:
@@ -100,7 +101,10 @@ def wait_for_entity(client: SimClient, entity: str, timeout_s: float) -> None:
         time.sleep(BOND_POLL_S)
 
 
-def _entity_exists(client: SimClient, entity: str) -> bool:
+def _entity_exists(client: "SimClient", entity: str) -> bool:
+    # Imported here, as service_catalog below: reading a description needs no network.
+    from zensim.proto.bus import NoServer
+
     try:
         client.entity_state(entity)
     except ServiceError as error:
@@ -183,7 +187,9 @@ def read_payload(model: str, controllers: Sequence[Path] = ()) -> SpawnPayload:
     return make_payload(description, paths, allow_missing=False, controllers=controllers)
 
 
-def send_files(client: SimClient, bundle: AssetBundle, on_bytes: OnBytes = ignore_progress) -> int:
+def send_files(
+    client: "SimClient", bundle: AssetBundle, on_bytes: OnBytes = ignore_progress
+) -> int:
     """Upload the files that the server lacks, and return their number.
 
     Args:
@@ -234,7 +240,7 @@ def make_shared_resource(payload: SpawnPayload) -> Resource:
 
 
 def spawn_fleet(
-    client: SimClient,
+    client: "SimClient",
     model: str,
     placements: Sequence[RobotPlacement],
     on_done: Callable[[SpawnOutcome], None],
@@ -257,7 +263,7 @@ def spawn_fleet(
 
 
 def spawn_many(
-    client: SimClient,
+    client: "SimClient",
     payload: SpawnPayload,
     placements: Sequence[RobotPlacement],
     order: SpawnEntityOrder,
@@ -300,5 +306,7 @@ def _make_outcome(robot: RobotPlacement, result: SpawnResult) -> SpawnOutcome:
     code = result.result.result
     if code == ResultCode.OK:
         return SpawnOutcome(result.entity_name, code)
+    from zensim.proto import service_catalog
+
     name = service_catalog.SPAWN_ENTITY.code_name(code)
     return SpawnOutcome(robot.name, code, f"{name} ({code}): {result.result.error_message}")

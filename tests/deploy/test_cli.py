@@ -4,9 +4,16 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated
 
 import pytest
+import typer
+from hypothesis import given
+from hypothesis import strategies as st
 from rich.text import Text
 from typer.core import TyperGroup
 from typer.main import get_command
@@ -14,6 +21,8 @@ from typer.testing import CliRunner
 
 from tests.integration.processes import zensim
 from zensim.deploy.cli import VERBS, build
+from zensim.deploy.cli.model_commands import ModelOptions
+from zensim.proto.cli_options import expand_options, make_app, parse_plain_options
 from zensim.proto.exit_codes import ExitCode
 
 RUNNER = CliRunner()
@@ -62,6 +71,61 @@ def test_help_imports_nothing_heavy() -> None:
 @pytest.mark.parametrize("arguments", [(), ("--help",), ("--version",)])
 def test_root_options_import_nothing_slow(arguments: tuple[str, ...]) -> None:
     assert find_heavy_imports(run_main(*arguments)) == set()
+
+
+@pytest.mark.parametrize("text", ["", '<robot name="r"><link name="a"/></robot>'])
+def test_model_of_a_robot_without_meshes_imports_nothing_slow(tmp_path: Path, text: str) -> None:
+    robot = tmp_path / "r.urdf"
+    robot.write_text(text)
+
+    heavy = find_heavy_imports(run_main("model", str(robot) if text else "box_bot"))
+
+    # The prediction of how box_bot drives needs numpy.
+    assert heavy <= {"lxml", "msgspec", "typer", *(() if text else ("numpy",))}
+
+
+PLAIN_WORDS = (
+    "box_bot", "--json", "--strict", "--allow-missing", "--drive", "none", "--compat", "gazebo11",
+    "--xacro-arg", "a:=1", "--package-path", ".", "--help", "-", "--json=1", "--nothing",
+)  # fmt: skip
+
+
+@given(st.lists(st.sampled_from(PLAIN_WORDS), max_size=6))
+def test_options_are_parsed_alike_with_and_without_typer(words: list[str]) -> None:
+    parsed: list[ModelOptions] = []
+    app = make_app()
+    app.command()(expand_options(make_recorder(parsed)))
+
+    plain = parse_plain_options(ModelOptions, words, {})
+    done = RUNNER.invoke(app, words)
+
+    assert plain is None or (done.exit_code, parsed) == (ExitCode.OK, [plain])
+
+
+def test_plain_options_need_no_typer() -> None:
+    words = ["--xacro-arg", "a:=1", "r.urdf", "--json", "--xacro-arg", "b:=2", "--drive", "none"]
+
+    assert parse_plain_options(ModelOptions, words, {}) == ModelOptions(
+        file="r.urdf", as_json=True, xacro_arg=["a:=1", "b:=2"], drive="none"
+    )
+
+
+def make_recorder(parsed: list[ModelOptions]) -> Callable[[ModelOptions], None]:
+    def record(given: ModelOptions) -> None:
+        parsed.append(given)
+
+    return record
+
+
+def test_model_is_parsed_by_typer_where_a_variable_may_stand_for_an_option() -> None:
+    @dataclass(frozen=True)
+    class Given:
+        engine: Annotated[str, typer.Option("--engine", envvar="ZENSIM_ENGINE")] = ""
+
+    words = ["--engine", "mujoco"]
+
+    assert parse_plain_options(Given, words, {}) == Given("mujoco")
+    assert parse_plain_options(Given, words, {"ZENSIM_ENGINE": "pybullet"}) is None
 
 
 @pytest.mark.parametrize("arguments", [(), ("--help",), ("--version",)])

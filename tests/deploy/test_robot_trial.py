@@ -7,7 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from zensim.deploy.robot_checks import RobotCheck, TrialRequest, TrialResult, judge
+from zensim.deploy.robot_checks import (
+    RobotCheck,
+    TrialRequest,
+    TrialResult,
+    judge,
+    make_row,
+)
 from zensim.deploy.robot_trial import run_trial
 
 BOX_BOT = (resources.files("zensim.sim_server") / "models" / "box_bot.urdf").read_text()
@@ -42,6 +48,28 @@ def test_a_good_robot_drives_as_commanded(attempt: Try, engine: str) -> None:
     assert (result.model, result.drive, result.drive_source) == ("box_bot", "diff_drive", "plug-in")
     assert result.tilt_rad < 0.01
     assert result.creep_m_s < 1e-4
+
+
+def test_a_good_robot_drives_as_commanded_in_the_kinematic_tier(tmp_path: Path) -> None:
+    file = tmp_path / "robot.urdf"
+    file.write_text(BOX_BOT)
+    request = TrialRequest(robot=RobotCheck(str(file)), engine="pybullet", dynamics="kinematic")
+
+    result = run_trial(request)
+
+    row = make_row(request, result, 0.001)
+    assert (row.verdict, row.engine) == ("ok", "kinematic")
+
+
+def test_a_robot_without_a_drive_is_refused_in_the_kinematic_tier(tmp_path: Path) -> None:
+    file = tmp_path / "robot.urdf"
+    file.write_text(BALL)
+    robot = RobotCheck(str(file))
+
+    result = run_trial(TrialRequest(robot=robot, engine="pybullet", dynamics="kinematic"))
+
+    assert "kinematic" in result.error
+    assert judge(result, 0.05)[0] == "refused"
 
 
 def test_a_trial_repeats_exactly(attempt: Try) -> None:

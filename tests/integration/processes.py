@@ -17,7 +17,8 @@ from typer.testing import CliRunner
 
 from tests.contract.repository import ROOT
 from zensim.deploy.cli import build
-from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus, with_free_port
+from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
+from zensim.proto.endpoints import with_free_port
 from zensim.proto.process_limits import PARENT_PID_VARIABLE
 from zensim.spawner.client.sim_client import SimClient
 

@@ -20,8 +20,8 @@ from tests.integration.processes import (
     zensim,
 )
 from tests.integration.robots import Robot, robot
-from zensim.proto.bus import DEFAULT_ENDPOINT
 from zensim.proto.codec.message_codec import decode
+from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.spawn_messages import DeleteEntityResponse
 from zensim.proto.service_catalog import SERVICES

@@ -16,11 +16,10 @@ from zensim.proto.bus import (
     EndpointTaken,
     NoServer,
     Unreachable,
-    check_endpoint,
     open_bus,
-    with_free_port,
 )
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
+from zensim.proto.endpoints import check_endpoint, with_free_port
 from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError
 from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEntityResponse
 from zensim.proto.messages.telemetry_messages import Info, InfoRequest

@@ -11,8 +11,8 @@ import pytest
 
 from tests.integration.processes import Server, eventually, running_agents, serving
 from tests.integration.repeatable_run import RunResult, drive, run_lockstep_fleet
-from zensim.proto.bus import with_free_port
 from zensim.proto.codec.message_codec import decode
+from zensim.proto.endpoints import with_free_port
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped

@@ -5,7 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from zensim.proto.bus import DEFAULT_ENDPOINT, BusConfig
+from zensim.proto.bus import BusConfig
+from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.sim_server.pacing.lockstep import LockstepSettings
 from zensim.sim_server.server_config import (
