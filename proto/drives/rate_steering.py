@@ -30,7 +30,8 @@ class RateSteering(Generic[Column]):
         """Find wheel speeds [rad/s] and steering angles [rad]; see `DriveKinematics`.
 
         Args:
-            twist: vx is the speed of the unsteered axle [m/s], wz the turn rate [rad/s].
+            twist: vx is the speed of the unsteered axle, or of the middle between two steered
+                ones [m/s], wz the turn rate [rad/s].
             measured: Not used, as state and dt_s.
             state: Not used.
             dt_s: Not used.
@@ -45,7 +46,27 @@ class RateSteering(Generic[Column]):
             rim = forward * (abs(speed) * xp.cos(angle) + aside * xp.sin(angle))
             return (rim / parameters.wheel_radius_m, angle), state
         slope = xp.tan(angle)
-        return self._find_wheel_speeds(speed, slope) + self._find_angles(angle, slope), state
+        angles = self._find_angles(angle, slope)
+        if parameters.counter_steering:
+            rims = self._find_steered_wheel_speeds(speed, slope, angles)
+            return rims + rims + angles + tuple(-one for one in angles), state
+        return self._find_wheel_speeds(speed, slope) + angles, state
+
+    def _find_steered_wheel_speeds(
+        self, speed: Column, slope: Column, angles: Columns[Column]
+    ) -> Columns[Column]:
+        """Find the speeds of left and right wheels, alike on two axles that steer oppositely."""
+        parameters, xp = self._parameters, self._xp
+        bend = slope / parameters.wheelbase_m
+        pivot = bend * (parameters.steering_track_m / 2.0)
+        # A wheel beside its pivot turns about it.
+        beside = bend * ((parameters.traction_track_m - parameters.steering_track_m) / 2.0)
+        rim = speed / parameters.wheel_radius_m
+        left, right = angles
+        return (
+            rim * ((1.0 - pivot) * xp.cos(left) + slope * xp.sin(left) - beside),
+            rim * ((1.0 + pivot) * xp.cos(right) + slope * xp.sin(right) + beside),
+        )
 
     def _find_wheel_speeds(self, speed: Column, slope: Column) -> Columns[Column]:
         rim = speed / self._parameters.wheel_radius_m

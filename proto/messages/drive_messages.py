@@ -300,13 +300,15 @@ class SteeringDrive(DriveSettings, frozen=True, tag="steering_drive", tag_field=
     """Parameters of a car, bicycle or tricycle whose turn rate is commanded, not its angle.
 
     Source: ackermann_, bicycle_, tricycle_steering_controller and tricycle_controller of
-    ros2_controllers.
+    ros2_controllers, four_wheel_steering_controller of ROS 1, AckermannSteering of gz-sim.
     """
 
     traction: tuple[str, ...] = ()
-    """Joints of driven wheels: one, or left and right."""
+    """Joints of driven wheels: one, or left and right; of either axle if both steer."""
     steering: tuple[str, ...] = ()
     """Steering joints: one, or left and right."""
+    counter_steering: tuple[str, ...] = ()
+    """Left and right steering joint of a second axle, which turns by the opposite angle."""
     passive: tuple[str, ...] = ()
     """Joints of other wheels."""
     is_traction_steered: bool = False
@@ -314,7 +316,8 @@ class SteeringDrive(DriveSettings, frozen=True, tag="steering_drive", tag_field=
     wheel_radius_m: float = 0.3
     """Radius of the driven wheels; > 0."""
     wheelbase_m: float = 1.0
-    """From the unsteered to the steered axle, along x; not 0, negative if that is behind."""
+    """From the unsteered to the steered axle, along x; not 0, negative if that is behind. If two
+    axles steer: from the middle between them."""
     traction_track_m: float = 0.5
     """Distance of two driven wheels; > 0."""
     steering_track_m: float = 0.5
@@ -333,20 +336,20 @@ class SteeringDrive(DriveSettings, frozen=True, tag="steering_drive", tag_field=
 
     @property
     def steering_joints(self) -> tuple[str, ...]:
-        """Steering joints, left before right."""
-        return self.steering
+        """Steering joints, left before right, axle by axle."""
+        return (*self.steering, *self.counter_steering)
 
     @property
     def joints(self) -> tuple[str, ...]:
         """Wheels and steering."""
-        return (*self.wheel_joints, *self.steering)
+        return (*self.wheel_joints, *self.steering_joints)
 
     @property
     def actuators(self) -> tuple[Actuator, ...]:
         """Speeds of the driven wheels, then angles of the steering joints."""
         return (
             *(Actuator("velocity", joint, self.wheel_effort_nm) for joint in self.traction),
-            *(Actuator("position", joint, self.steering_effort_nm) for joint in self.steering),
+            *(Actuator("position", one, self.steering_effort_nm) for one in self.steering_joints),
         )
 
     @property
@@ -419,7 +422,8 @@ class DriveOrder(msgspec.Struct, frozen=True):
     """Driven wheels, then steering joints.
 
     diff: left and right, pair by pair. mecanum: front left, front right, rear left, rear right.
-    omni: three or more wheels. ackermann: left and right wheel, left and right steering joint.
+    omni: three or more wheels. ackermann: left and right wheel, left and right steering joint; or
+    four wheels and four steering joints, front left, front right, rear left, rear right.
     bicycle: wheel and steering joint. tricycle: left and right wheel and steering joint, or the
     wheel that drives and steers and its steering joint. planar: none.
     """

@@ -165,8 +165,11 @@ def _find_steered_motion(
     model: Model, drive: SteeringDrive, numbers: tuple[float, ...]
 ) -> AxleMotion:
     count = len(drive.traction)
-    slope = _find_slope(numbers[count:])
+    slope = _find_slope(numbers[count : count + len(drive.steering)])
     ahead = sum(numbers[:count]) / count * drive.wheel_radius_m
+    if drive.counter_steering:
+        aside = slope / drive.wheelbase_m * drive.steering_track_m / 2.0
+        ahead /= (math.hypot(1.0 - aside, slope) + math.hypot(1.0 + aside, slope)) / 2.0
     if drive.is_traction_steered:
         ahead /= math.hypot(1.0, slope)
         x, y = _find_middle(model, drive.steering)

@@ -59,9 +59,17 @@ COMPUTED_FIELDS: dict[type[Drive], set[str]] = {
         *("steering_effort_nm", "odometry_rate_hz", "pose_covariance", "twist_covariance"),
     },
     SteeringDrive: {
-        *("traction", "steering", "passive", "is_traction_steered", "wheel_radius_m"),
-        *("wheelbase_m", "traction_track_m", "steering_track_m", "max_speed", "max_steer"),
-        *("wheel_effort_nm", "steering_effort_nm", *CONTROLLER_FIELDS),
+        *(
+            "traction",
+            "steering",
+            "counter_steering",
+            "passive",
+            "is_traction_steered",
+            "wheel_radius_m",
+        ),
+        *("wheelbase_m", "traction_track_m", "steering_track_m", "max_speed"),
+        *("wheel_effort_nm", "steering_effort_nm"),
+        *(field for field in CONTROLLER_FIELDS if not field.endswith("_topic")),
     },
     OmniDrive: {
         *("wheels", "max_torque_nm", "linear_limits", "lateral_limits", "angular_limits"),

@@ -20,8 +20,10 @@ from tests.integration.robots import drive_for, place, robot, stamp_s
 from tests.models import a_state
 from tests.robot_track import Track
 from tests.sim_server.description.plugins.driven_robots import (
+    FOUR_STEERER,
     a_car,
     a_diff_robot,
+    a_four_steerer,
     a_four_wheeler,
     a_tricycle,
     read_driven,
@@ -47,6 +49,7 @@ ROBOTS = {
     "mecanum": (a_four_wheeler(), "mecanum:fl,fr,rl,rr"),
     "omni": (a_four_wheeler(), "omni:fl,fr,rl,rr"),
     "car": (a_car(), "ackermann:rear_left,rear_right,steer_left,steer_right"),
+    "two steered axles": (a_four_steerer(), FOUR_STEERER),
     "tricycle": (a_tricycle(), "tricycle:front,steer"),
     "tricycle with two driven wheels": (a_tricycle(), "tricycle:rear_left,rear_right,steer"),
 }

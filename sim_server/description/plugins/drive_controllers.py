@@ -380,7 +380,28 @@ def _read_steering(drive: SteeringDrive, tags: PluginTags, lumped: LumpedModel) 
         rear, front = front, rear
     traction = _read_joints(tags, "traction_joints_names", lumped) or rear
     steering = _read_joints(tags, "steering_joints_names", lumped) or front
+    traction = _replace_virtual(traction, tags, lumped)
+    steering = _replace_virtual(steering, tags, lumped)
     return complete_steering(drive, traction, steering, lumped=lumped, choose=_choose_by_tags(tags))
+
+
+def _read_four_wheel(drive: SteeringDrive, tags: PluginTags, lumped: LumpedModel) -> SteeringDrive:
+    names = [
+        _read_joints(tags, tag, lumped)
+        for tag in ("front_wheel", "rear_wheel", "front_steering", "rear_steering")
+    ]
+    factors = {
+        RADIUS: _multiply(tags, "wheel_radius_multiplier"),
+        TRACTION_TRACK: _multiply(tags, "wheel_separation_multiplier"),
+    }
+    offset = (tags.numbers("wheel_steering_y_offset") or [0.0])[0]
+
+    def choose(name: str, measured: float) -> float:
+        if name == STEERING_TRACK and tags.has("wheel_steering_y_offset"):
+            return max(choose(TRACTION_TRACK, 0.0) - 2.0 * offset, MIN_LENGTH_M)
+        return _choose_by_tags(tags)(name, measured) * factors.get(name, 1.0)
+
+    return complete_two_axles(drive, names[:2], names[2:], lumped=lumped, choose=choose)
 
 
 def _read_tricycle(drive: SteeringDrive, tags: PluginTags, lumped: LumpedModel) -> SteeringDrive:
@@ -400,6 +421,26 @@ def _read_tricycle(drive: SteeringDrive, tags: PluginTags, lumped: LumpedModel) 
         max_speed=found.max_speed if fastest is None else abs(fastest) * found.wheel_radius_m,
         max_steer=found.max_steer if widest is None else min(abs(widest), found.max_steer),
     )
+
+
+def _replace_virtual(names: Sequence[str], tags: PluginTags, lumped: LumpedModel) -> list[str]:
+    """Replace a joint that moves nothing but joints that mimic it by these joints."""
+    touching = {link.name for link in lumped.links if link.collisions}
+    parents = {joint.parent for joint in lumped.joints}
+    found: list[str] = []
+    for name in names:
+        leader = next((joint for joint in lumped.joints if joint.name == name), None)
+        followers = [
+            joint.name for joint in lumped.joints if joint.mimic and joint.mimic.joint == name
+        ]
+        is_bare = leader is not None and leader.child not in {*touching, *parents}
+        if is_bare and followers:
+            named = " and ".join(map(repr, followers))
+            tags.report.applied(
+                tags.subject, f"{name!r} moves no collision: {named}, which mimic it, are driven"
+            )
+        found += followers if is_bare and followers else [name]
+    return found
 
 
 def _choose_by_tags(tags: PluginTags) -> ChooseLength:
@@ -455,6 +496,46 @@ def complete_steering(
     return _limit_steering(measured, lumped)
 
 
+def complete_two_axles(
+    drive: SteeringDrive,
+    wheels: Sequence[Sequence[str]],
+    steering: Sequence[Sequence[str]],
+    *,
+    lumped: LumpedModel,
+    choose: ChooseLength,
+) -> SteeringDrive:
+    """Set joints and lengths of a vehicle with four driven wheels, two axles of which steer.
+
+    Args:
+        drive: Has the other settings.
+        wheels: Joints of the wheels of each axle.
+        steering: Steering joints of each axle.
+        lumped: The robot.
+        choose: As in `complete_steering`.
+
+    Raises:
+        UnusableDrive: The joints do not fit, or a length is neither written nor measurable.
+    """
+    if any(len(names) != PAIR_SIZE for names in (*wheels, *steering)):
+        raise UnusableDrive("name two wheels and two steering joints for each of two axles")
+    check_wheel_joints((name for names in (*wheels, *steering) for name in names), lumped)
+    front, rear = (_sort_sides(measure_wheels(names, lumped)) for names in wheels)
+    ahead, behind = (_sort_sides(measure_wheels(names, lumped)) for names in steering)
+    apart = _mean_x(front) - _mean_x(rear)
+    measured = msgspec.structs.replace(
+        drive,
+        traction=tuple(wheel.joint for wheel in (*front, *rear)),
+        steering=tuple(wheel.joint for wheel in ahead),
+        counter_steering=tuple(wheel.joint for wheel in behind),
+        wheel_radius_m=choose(RADIUS, front[0].radius_m),
+        wheelbase_m=math.copysign(choose(WHEELBASE, abs(apart)) / 2.0, apart),
+        traction_track_m=_choose_track(TRACTION_TRACK, front, choose),
+        steering_track_m=_choose_track(STEERING_TRACK, ahead, choose),
+        odometry_source="world",
+    )
+    return _limit_steering(measured, lumped)
+
+
 def _check_counts(traction: Sequence[str], steering: Sequence[str]) -> None:
     for names, what in ((traction, "driven wheels"), (steering, "steering joints")):
         if not 1 <= len(names) <= PAIR_SIZE:
@@ -470,7 +551,7 @@ def _choose_track(name: str, wheels: Sequence[MeasuredWheel], choose: ChooseLeng
 def _limit_steering(drive: SteeringDrive, lumped: LumpedModel) -> SteeringDrive:
     """Set the torques, and the largest angle of the joints."""
     radius = drive.wheel_radius_m
-    joints = [joint for joint in lumped.joints if joint.name in drive.steering]
+    joints = [joint for joint in lumped.joints if joint.name in drive.steering_joints]
     limits = [max(abs(one.lower), abs(one.upper)) for one in joints if one.kind == "revolute"]
     return msgspec.structs.replace(
         drive,
@@ -479,7 +560,7 @@ def _limit_steering(drive: SteeringDrive, lumped: LumpedModel) -> SteeringDrive:
             lumped, radius_m=radius, wheels=len(drive.traction), joints=drive.traction
         ),
         steering_effort_nm=find_grip_torque(
-            lumped, radius_m=radius, wheels=1, joints=drive.steering
+            lumped, radius_m=radius, wheels=1, joints=drive.steering_joints
         ),
     )
 
@@ -495,7 +576,7 @@ def _mean_x(wheels: Sequence[MeasuredWheel]) -> float:
 def summarize_steering(drive: SteeringDrive) -> str:
     """Describe the drive in one line."""
     return (
-        f"{' and '.join(drive.traction)} driven, {' and '.join(drive.steering)} steered, "
+        f"{' and '.join(drive.traction)} driven, {' and '.join(drive.steering_joints)} steered, "
         f"wheelbase {drive.wheelbase_m:g} m, wheel radius {drive.wheel_radius_m:g} m"
     )
 
@@ -609,5 +690,21 @@ DRIVE_CONTROLLERS = (
         find_faults=find_steering_faults,
         aliases=_STEERING_ALIASES,
         unused=_STEERING_UNUSED,
+    ),
+    DrivePlugin(
+        filenames=("four_wheel_steering_controller/FourWheelSteeringController",),
+        drive_type=SteeringDrive,
+        summarize=summarize_steering,
+        make=_make_steering,
+        parameters=COMMON,
+        complete=_read_four_wheel,
+        find_faults=find_steering_faults,
+        aliases=ALIASES
+        | {
+            "wheel_separation_h": WHEELBASE,
+            "wheel_separation_w": TRACTION_TRACK,
+            "wheel_radius": RADIUS,
+        },
+        unused=UNUSED | {"enable_twist_cmd": "commands are twists"},
     ),
 )

@@ -26,6 +26,7 @@ from zensim.sim_server.description.plugins.drive_controllers import (
     MECANUM_WHEELS,
     MIN_OMNI_WHEELS,
     complete_steering,
+    complete_two_axles,
     find_steering_faults,
     make_mecanum_wheels,
     measure_reach,
@@ -57,6 +58,8 @@ if TYPE_CHECKING:
 SUBJECT = "drive"
 MIN_LENGTH_M, MAX_LENGTH_M = 1e-6, 1e6
 MIN_AXLE_LENGTH_M = 1e-3
+TWO_AXLES = 8
+"""Joints of an Ackermann drive that steers two axles: four wheels, four steering joints."""
 JOINT_STATE_CONTROLLERS = (
     "joint_state_broadcaster/JointStateBroadcaster",
     "joint_state_controller/JointStateController",
@@ -92,7 +95,21 @@ def select_drive(
         report.ignored(SUBJECT, "the plug-in's drive is replaced")
     if found.drive is None and order.kind != "none" and not model.is_static:
         _report_missing(found, lumped, report, is_controlled=bool(controllers))
-    return found
+    return _release_followers(found, report)
+
+
+def _release_followers(model: Model, report: ParseReport) -> Model:
+    """Let joints that the drive moves follow no other joint: a motor and a gear would fight."""
+    driven = {one.joint for one in model.drive.actuators} if model.drive else set()
+    followers = [one.name for one in model.joints if one.mimic and one.name in driven]
+    if not followers:
+        return model
+    report.applied(SUBJECT, f"<mimic> of {', '.join(map(repr, followers))} gives way to the drive")
+    joints = tuple(
+        msgspec.structs.replace(one, mimic=None) if one.name in followers else one
+        for one in model.joints
+    )
+    return msgspec.structs.replace(model, joints=joints)
 
 
 def _report_missing(
@@ -307,9 +324,13 @@ def _make_base(base: str) -> OmniDrive:
 
 
 def _order_steering(order: DriveOrder, lumped: LumpedModel, base: str) -> SteeringDrive:
-    counts = {"ackermann": (4,), "bicycle": (2,), "tricycle": (2, 3)}[order.kind]
+    counts = {"ackermann": (4, TWO_AXLES), "bicycle": (2,), "tricycle": (2, 3)}[order.kind]
     _check_count(order, *counts)
     driven = 2 if order.kind == "ackermann" else len(order.joints) - 1
+
+    def choose(name: str, measured: float) -> float:
+        return _choose(written[name], measured, name.replace("_", " "))
+
     written = {
         "traction_wheels_radius": order.diameter_m / 2.0,
         "wheelbase": order.wheelbase_m,
@@ -322,10 +343,15 @@ def _order_steering(order: DriveOrder, lumped: LumpedModel, base: str) -> Steeri
         publish_odom_tf=True,
         is_traction_steered=order.kind == "tricycle" and driven == 1,
     )
+    if len(order.joints) == TWO_AXLES:
+        names = [
+            order.joints[start : start + PAIR_SIZE] for start in range(0, TWO_AXLES, PAIR_SIZE)
+        ]
+        return complete_two_axles(drive, names[:2], names[2:], lumped=lumped, choose=choose)
     return complete_steering(
         drive,
         order.joints[:driven],
         order.joints[driven:],
         lumped=lumped,
-        choose=lambda name, measured: _choose(written[name], measured, name.replace("_", " ")),
+        choose=choose,
     )

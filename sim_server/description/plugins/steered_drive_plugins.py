@@ -7,9 +7,20 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.proto.messages.drive_messages import AckermannDrive, TricycleDrive
+from zensim.proto.messages.drive_messages import AckermannDrive, SteeringDrive, TricycleDrive
+from zensim.sim_server.description.plugins.drive_controllers import (
+    RADIUS,
+    STEERING_TRACK,
+    TRACTION_TRACK,
+    WHEELBASE,
+    complete_steering,
+    find_steering_faults,
+    summarize_steering,
+)
 from zensim.sim_server.description.plugins.drive_plugin import (
     FLAG,
+    GZ_ODOMETRY_RATE_HZ,
+    GZ_PARAMETERS,
     LENGTH,
     NUMBER,
     ROS_ALIASES,
@@ -19,7 +30,10 @@ from zensim.sim_server.description.plugins.drive_plugin import (
     DriveParameter,
     DrivePlugin,
     UnusableDrive,
+    check_lengths,
+    check_sides,
     check_wheel_joints,
+    find_base_link,
     find_diameter_faults,
     find_distance_faults,
     find_grip_torque,
@@ -115,7 +129,91 @@ def _summarize_tricycle(drive: TricycleDrive) -> str:
     return f"actuated wheel, diameter {drive.actuated_wheel_diameter_m:g} m"
 
 
+GZ_LENGTHS = {
+    RADIUS: ("wheel_radius", 0.2),
+    WHEELBASE: ("wheel_base", 1.0),
+    TRACTION_TRACK: ("wheel_separation", 1.0),
+    STEERING_TRACK: ("kingpin_width", 0.8),
+}
+"""Tags of gz-sim's AckermannSteering, and their defaults [m]."""
+GZ_MAX_STEER_RAD = 0.5
+_GZ_LIMITS = (
+    "min_velocity", "min_acceleration", "max_acceleration", "min_jerk", "max_jerk",
+)  # fmt: skip
+
+
+def _make_gz_car(_: PluginTags, lumped: LumpedModel) -> SteeringDrive:
+    return SteeringDrive(
+        update_rate_hz=0.0,
+        odometry_rate_hz=GZ_ODOMETRY_RATE_HZ,
+        robot_base_frame=find_base_link(lumped),
+        publish_odom=True,
+        publish_odom_tf=True,
+        max_steer=GZ_MAX_STEER_RAD,
+    )
+
+
+def _read_gz_car(drive: SteeringDrive, tags: PluginTags, lumped: LumpedModel) -> SteeringDrive:
+    for tag in ("steering_only", "use_actuator_msg"):
+        if tags.flag(tag, default=False):
+            raise UnusableDrive(f"<{tag}> commands an angle without a speed; remove it")
+    left, right = tags.texts("left_joint"), tags.texts("right_joint")
+    steering = [*tags.texts("left_steering_joint")[:1], *tags.texts("right_steering_joint")[:1]]
+    check_sides(left, right)
+    check_wheel_joints((*left, *right, *steering), lumped)
+    pairs = list(zip(left, right, strict=True))
+    traction = next((pair for pair in pairs if not _is_steered(pair, steering, lumped)), pairs[0])
+    for pair in pairs:
+        if pair != traction:
+            tags.report.ignored(tags.subject, f"{' and '.join(pair)} turn along, not driven")
+
+    def choose(name: str, _: float) -> float:
+        tag, default = GZ_LENGTHS[name]
+        length = tags.length(tag, default)
+        check_lengths(tags, tag, (length,))
+        return length
+
+    fastest = tags.signed("max_velocity")
+    return complete_steering(
+        drive if fastest is None else msgspec.structs.replace(drive, max_speed=abs(fastest)),
+        traction,
+        steering,
+        lumped=lumped,
+        choose=choose,
+    )
+
+
+def _is_steered(wheels: Iterable[str], steering: Iterable[str], lumped: LumpedModel) -> bool:
+    """Whether one of these wheels is moved by one of these steering joints."""
+    by_name = {joint.name: joint for joint in lumped.joints}
+    by_child = {joint.child: joint for joint in lumped.joints}
+    knuckles = {by_name[name].child for name in steering}
+    for name in wheels:
+        parent = by_name[name].parent
+        while parent not in knuckles and parent in by_child:
+            parent = by_child[parent].parent
+        if parent in knuckles:
+            return True
+    return False
+
+
 PLUGINS = (
+    DrivePlugin(
+        filenames=("ackermann-steering-system",),
+        drive_type=SteeringDrive,
+        summarize=summarize_steering,
+        make=_make_gz_car,
+        parameters=(*GZ_PARAMETERS, DriveParameter("steering_limit", NUMBER, "max_steer")),
+        complete=_read_gz_car,
+        find_faults=find_steering_faults,
+        unused={
+            "tf_topic": "tf is on <namespace>/tf",
+            "sub_topic": "cmd_vel is on <namespace>/cmd_vel",
+            "steer_p_gain": "the engine's motors control the angle",
+            "actuator_number": "used with actuator messages",
+            **dict.fromkeys(_GZ_LIMITS, "not limited"),
+        },
+    ),
     DrivePlugin(
         filenames=("gazebo_ros_ackermann_drive",),
         drive_type=AckermannDrive,

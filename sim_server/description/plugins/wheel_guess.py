@@ -6,9 +6,16 @@ import math
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
+import msgspec
+
 from zensim.proto.messages.drive_messages import DriveOrder
+from zensim.proto.messages.model_messages import Link, Model
 from zensim.proto.rigid_transforms import rotate
-from zensim.sim_server.description.model_geometry import find_link_poses
+from zensim.sim_server.description.model_geometry import (
+    NO_MESHES,
+    find_ground_clearance,
+    find_link_poses,
+)
 from zensim.sim_server.description.plugins.drive_plugin import MeasuredWheel, measure_wheels
 
 if TYPE_CHECKING:
@@ -31,8 +38,11 @@ OFF_AXLE = 0.2
 GROUND_SHARE = 0.5
 """A wheel's lowest point is not farther from the ground than this share of its radius."""
 FULL_TURN_RAD = 2.0 * math.pi
+UNLIMITED_RAD = 10.0 * FULL_TURN_RAD
+"""Range from which a joint with limits can be that of a wheel; knees turn once or twice."""
 MECANUM_WORDS = ("mecanum", "omni")
 MECANUM_PAIRS = 2
+STEERED_AXLES = 2
 
 
 class GuessedPair(NamedTuple):
@@ -50,12 +60,15 @@ class GuessedPair(NamedTuple):
 
 
 def find_wheels(lumped: LumpedModel) -> list[MeasuredWheel]:
-    """Find the wheels that touch the ground; those of casters are left out."""
+    """Find the wheels that touch the ground; those of casters, and motors of legs, are left out."""
     upright = _list_upright_joints(lumped)
+    carriers = {joint.parent for joint in lumped.joints if joint.kind != "fixed"}
     free = {
         joint.name
         for joint in lumped.joints
-        if _turns_fully(joint) and not _is_caster(joint, lumped.joints, upright)
+        if _turns_fully(joint)
+        and joint.child not in carriers
+        and not _is_caster(joint, lumped.joints, upright)
     }
     wheels = [
         wheel
@@ -64,7 +77,7 @@ def find_wheels(lumped: LumpedModel) -> list[MeasuredWheel]:
         and abs(wheel.axis[2]) <= LEVEL_AXIS_Z
         and wheel.off_axle_m <= OFF_AXLE * wheel.radius_m
     ]
-    ground = min((wheel.centre[2] - wheel.radius_m for wheel in wheels), default=0.0)
+    ground = min((_find_ground(lumped), *(wheel.centre[2] - wheel.radius_m for wheel in wheels)))
     return [
         wheel
         for wheel in wheels
@@ -72,8 +85,21 @@ def find_wheels(lumped: LumpedModel) -> list[MeasuredWheel]:
     ]
 
 
+def _find_ground(lumped: LumpedModel) -> float:
+    """Find the height [m] of the lowest collision; without meshes where they are not known."""
+    has_meshes = lumped.corners is not NO_MESHES
+    links = lumped.links if has_meshes else tuple(map(_without_meshes, lumped.links))
+    return find_ground_clearance(Model("", links, lumped.joints), corners=lumped.corners)
+
+
+def _without_meshes(link: Link) -> Link:
+    shapes = tuple(shape for shape in link.collisions if shape.kind != "mesh")
+    return msgspec.structs.replace(link, collisions=shapes)
+
+
 def _turns_fully(joint: Joint) -> bool:
-    is_wide = joint.kind == "revolute" and joint.upper - joint.lower >= FULL_TURN_RAD
+    """Whether a joint turns without limits, as that of a wheel."""
+    is_wide = joint.kind == "revolute" and joint.upper - joint.lower >= UNLIMITED_RAD
     return joint.mimic is None and (joint.kind == "continuous" or is_wide)
 
 
@@ -82,14 +108,19 @@ def _list_upright_joints(lumped: LumpedModel) -> set[str]:
     return {
         joint.name
         for joint in lumped.joints
-        if joint.kind in ("continuous", "revolute")
+        if (joint.kind == "continuous" or (joint.kind == "revolute" and joint.lower < joint.upper))
         and abs(rotate(poses[joint.child].orientation, joint.axis)[2]) >= UPRIGHT_AXIS_Z
     }
 
 
 def _is_caster(wheel: Joint, joints: Iterable[Joint], upright: set[str]) -> bool:
     swivel = _find_swivel(wheel, {joint.child: joint for joint in joints}, upright)
-    return swivel is not None and _turns_fully(swivel) and not _has_steering_limits(swivel)
+    return swivel is not None and _swivels(swivel) and not _has_steering_limits(swivel)
+
+
+def _swivels(joint: Joint) -> bool:
+    is_wide = joint.kind == "revolute" and joint.upper - joint.lower >= FULL_TURN_RAD
+    return joint.kind == "continuous" or is_wide
 
 
 def _has_steering_limits(joint: Joint) -> bool:
@@ -142,17 +173,25 @@ def suggest_drive(lumped: LumpedModel) -> DriveOrder | None:
     """Suggest a drive for the wheels of a robot; None without a pair of wheels."""
     pairs = find_pairs(lumped)
     fixed = [pair for pair in pairs if pair.steering is None]
+    steered = sorted((pair for pair in pairs if pair.steering is not None), key=lambda p: -p.x)
+    if not fixed and len(steered) == STEERED_AXLES:
+        wheels = [name for pair in steered for name in (pair.left.joint, pair.right.joint)]
+        return DriveOrder("ackermann", (*wheels, *_list_steering(steered)))
     if not fixed:
         return None
-    steered = next((pair.steering for pair in pairs if pair.steering is not None), None)
-    if steered is not None:
-        return DriveOrder("ackermann", (fixed[0].left.joint, fixed[0].right.joint, *steered))
+    if steered:
+        joints = (fixed[0].left.joint, fixed[0].right.joint, *_list_steering(steered[:1]))
+        return DriveOrder("ackermann", joints)
     same = [pair for pair in fixed if _is_alike(pair, fixed[0])]
     same.sort(key=lambda pair: -pair.x)
     joints = tuple(wheel.joint for pair in same for wheel in (pair.left, pair.right))
     if len(same) == MECANUM_PAIRS and _is_mecanum(joints, lumped):
         return DriveOrder("mecanum", joints)
     return DriveOrder("diff", joints)
+
+
+def _list_steering(pairs: Iterable[GuessedPair]) -> tuple[str, ...]:
+    return tuple(name for pair in pairs for name in pair.steering or ())
 
 
 def _is_alike(pair: GuessedPair, other: GuessedPair) -> bool:

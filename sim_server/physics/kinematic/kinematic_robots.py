@@ -1,5 +1,6 @@
 """All kinematic robots as arrays: motors, twists, rolling wheels and arcs of one step."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -41,8 +42,10 @@ def compute_steered_twists(
         if wheel.steering >= 0:
             x, y = _offset_from_axle(vehicle, wheel.place)
             sin, cos = np.sin(angles[:, wheel.steering]), np.cos(angles[:, wheel.steering])
-            ahead += x * cos + y * sin
-            turn += sin
+            # Of two axles with opposite angles, both turn it the same way.
+            side = math.copysign(1.0, x)
+            ahead += side * (x * cos + y * sin)
+            turn += side * sin
     pulled, square = np.zeros(len(speeds)), np.full(len(speeds), 1e-12)
     for number, wheel in enumerate(vehicle.wheels[: speeds.shape[1]]):
         rim = _rim_speeds(vehicle, number, ahead, turn, angles)

@@ -269,9 +269,11 @@ def _find_drive_matrix(
     fixed = [wheel for wheel in wheels if wheel.steering < 0]
     if len(fixed) == len(wheels):
         return _solve_drive_matrix(wheels)
-    if not fixed:
+    is_symmetric = isinstance(model.drive, SteeringDrive) and model.drive.counter_steering
+    if not fixed and not is_symmetric:
         raise NotPlanar("it has no wheel that is not steered")
-    x, y = np.mean([wheel.place for wheel in fixed], axis=0).tolist()
+    # Two axles with opposite angles: the middle between them does not slide.
+    x, y = np.mean([wheel.place for wheel in fixed or wheels], axis=0).tolist()
     return (), (x, y)
 
 

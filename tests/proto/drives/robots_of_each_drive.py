@@ -83,6 +83,14 @@ DRIVES: dict[str, Drive] = {
         publish_odom=True,
         publish_odom_tf=True,
     ),
+    "two axles that steer": SteeringDrive(
+        traction=("front_left", "front_right", "rear_left", "rear_right"),
+        steering=("steer_fl", "steer_fr"),
+        counter_steering=("steer_rl", "steer_rr"),
+        wheelbase_m=0.4,
+        publish_odom=True,
+        publish_odom_tf=True,
+    ),
     "bicycle steered behind": SteeringDrive(
         traction=("wheel",), steering=("fork",), wheelbase_m=-0.7, max_steer=0.8, publish_odom=True
     ),

@@ -35,6 +35,34 @@ def test_car_steers_about_one_point() -> None:
     assert steer_right == pytest.approx(math.atan2(1.0, 2.0 + 0.4))
 
 
+TWO_AXLES = SteeringDrive(
+    traction=("fl", "fr", "rl", "rr"),
+    steering=("sfl", "sfr"),
+    counter_steering=("srl", "srr"),
+    wheel_radius_m=0.1,
+    wheelbase_m=0.5,
+    traction_track_m=0.8,
+    steering_track_m=0.6,
+)
+
+
+@pytest.mark.parametrize("speed", [1.0, -1.0])
+def test_two_axles_steer_about_one_point_beside_their_middle(speed: float) -> None:
+    numbers = targets(TWO_AXLES, speed, 0.5)
+    fl, fr, rl, rr = numbers[:4]
+    steer_fl, steer_fr, steer_rl, steer_rr = numbers[4:]
+
+    # The centre is 2 m beside the middle; pivots are 0.3 m, wheels 0.4 m from the middle line.
+    bend = math.copysign(0.5, speed)
+    assert steer_fl == pytest.approx(math.atan(bend * 0.5 / (1.0 - bend * 0.3)))
+    assert steer_fr == pytest.approx(math.atan(bend * 0.5 / (1.0 + bend * 0.3)))
+    assert (steer_rl, steer_rr) == (-steer_fl, -steer_fr)
+    inner, outer = math.hypot(0.25, 1.0 - 0.15) - 0.05, math.hypot(0.25, 1.0 + 0.15) + 0.05
+    expected = (inner, outer) if speed > 0.0 else (-outer, -inner)
+    assert (fl * 0.1, fr * 0.1) == pytest.approx(expected)
+    assert (rl, rr) == (fl, fr)
+
+
 def test_car_keeps_its_turn_rate_in_reverse() -> None:
     left, right, steer_left, _ = targets(CAR, -1.0, 0.5)
 

@@ -78,6 +78,45 @@ def a_tricycle(*parts: str) -> str:
     )
 
 
+def a_four_steerer(*parts: str) -> str:
+    """Four driven wheels that steer, at x = ±0.3 m and y = ±0.2 m."""
+    places = {"fl": (0.3, 0.2), "fr": (0.3, -0.2), "rl": (-0.3, 0.2), "rr": (-0.3, -0.2)}
+    wheels = (
+        a_steering(f"{name}_steer", *place) + a_tyre(name, 0.0, 0.0, parent=f"{name}_steer_knuckle")
+        for name, place in places.items()
+    )
+    return a_robot(a_base(), *wheels, *parts)
+
+
+FOUR_STEERER = "ackermann:fl,fr,rl,rr,fl_steer,fr_steer,rl_steer,rr_steer"
+"""The drive of `a_four_steerer`."""
+
+
+def a_virtual_car() -> str:
+    """A car whose wheels and steering joints mimic joints that move no collision."""
+
+    def follow(leader: str) -> str:
+        return f'<mimic joint="{leader}"/>'
+
+    text = a_car(
+        a_link("ghost_wheel")
+        + a_joint("drive", ("base_link", "ghost_wheel"), "continuous", '<axis xyz="0 1 0"/>'),
+        a_link("ghost_fork")
+        + a_joint(
+            "steer",
+            ("base_link", "ghost_fork"),
+            "revolute",
+            '<axis xyz="0 0 1"/><limit lower="-0.7" upper="0.7" effort="100" velocity="10"/>',
+        ),
+    )
+    for name, leader in {
+        "rear_left": "drive", "rear_right": "drive", "steer_left": "steer", "steer_right": "steer",
+    }.items():  # fmt: skip
+        head, name_at, tail = text.partition(f'<joint name="{name}"')
+        text = head + name_at + tail.replace("</joint>", f"{follow(leader)}</joint>", 1)
+    return text
+
+
 def read_driven(text: str, *controllers: str, order: DriveOrder | None = None) -> Model:
     """Read a robot with controllers' files or an order."""
     return parse_description(

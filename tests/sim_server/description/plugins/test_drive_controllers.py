@@ -7,8 +7,10 @@ import pytest
 from tests.sim_server.description.plugins.driven_robots import (
     a_car,
     a_diff_robot,
+    a_four_steerer,
     a_four_wheeler,
     a_tricycle,
+    a_virtual_car,
     read_driven,
 )
 from tests.sim_server.description.robots import mentions, subjects
@@ -356,6 +358,69 @@ def test_bicycle_steering_has_one_wheel_and_one_joint() -> None:
     assert (drive.traction, drive.steering) == (("rear_left",), ("steer",))
     assert drive.wheelbase_m == 0.55
     assert not drive.is_traction_steered
+
+
+def test_joints_that_mimic_a_virtual_wheel_are_driven_in_its_place() -> None:
+    text = a_controller(
+        "bicycle_steering_controller/BicycleSteeringController",
+        "traction_joints_names: [drive]\nsteering_joints_names: [steer]\nwheelbase: 0.6",
+    )
+
+    model = read_driven(a_virtual_car(), text)
+
+    drive = steering_of(model)
+    assert drive.traction == ("rear_left", "rear_right")
+    assert drive.steering == ("steer_left", "steer_right")
+    assert all(joint.mimic is None for joint in model.joints if joint.name in drive.joints)
+    assert mentions(model.report, "applied", "'drive'", "'rear_left' and 'rear_right'")
+    assert mentions(model.report, "applied", "<mimic>", "'steer_left'")
+
+
+FOUR_WHEELS = (
+    "front_wheel: [fr, fl]\nrear_wheel: [rl, rr]\nfront_steering: [fl_steer, fr_steer]\n"
+    "rear_steering: [rl_steer, rr_steer]\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("lengths", "expected"),
+    [
+        ("", (0.3, 0.4, 0.4, 0.1)),
+        (
+            "wheel_separation_h: 0.7\nwheel_separation_w: 0.5\nwheel_radius: 0.2\n"
+            "wheel_steering_y_offset: 0.05\nwheel_radius_multiplier: 0.5",
+            (0.35, 0.5, 0.4, 0.1),
+        ),
+    ],
+    ids=["measured", "written"],
+)
+def test_four_wheel_steering_turns_two_axles_oppositely(
+    lengths: str, expected: tuple[float, ...]
+) -> None:
+    kind = "four_wheel_steering_controller/FourWheelSteeringController"
+
+    drive = steering_of(read_driven(a_four_steerer(), a_controller(kind, FOUR_WHEELS + lengths)))
+
+    assert drive.traction == ("fl", "fr", "rl", "rr")
+    assert (drive.steering, drive.counter_steering) == (
+        ("fl_steer", "fr_steer"),
+        ("rl_steer", "rr_steer"),
+    )
+    sizes = (drive.wheelbase_m, drive.traction_track_m, drive.steering_track_m)
+    assert (*sizes, drive.wheel_radius_m) == pytest.approx(expected)
+    assert (drive.max_steer, drive.encoder) == (0.7, None)
+
+
+def test_four_wheel_steering_with_one_axle_has_no_drive() -> None:
+    text = a_controller(
+        "four_wheel_steering_controller/FourWheelSteeringController",
+        FOUR_WHEELS.replace("rl_steer, rr_steer", ""),
+    )
+
+    model = read_driven(a_four_steerer(), text)
+
+    assert model.drive is None
+    assert mentions(model.report, "suspicious", "no drive", "two axles")
 
 
 def test_tricycle_steering_has_two_wheels_and_one_joint() -> None:

@@ -12,7 +12,12 @@ from tests.sim_server.description.robots import (
     report_of,
     subjects,
 )
-from zensim.proto.messages.drive_messages import AckermannDrive, TricycleDrive, WheelPair
+from zensim.proto.messages.drive_messages import (
+    AckermannDrive,
+    SteeringDrive,
+    TricycleDrive,
+    WheelPair,
+)
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import ModelError
 
@@ -147,6 +152,111 @@ def test_drive_is_refused_when_a_length_is_not_positive(text: str, tag: str, val
         read_urdf(text.replace("{}", f"<{tag}>{value}</{tag}>"))
 
     assert caught.value.slug == f"drive.{tag}"
+
+
+ROS1_TRIKE_JOINTS = (
+    "<steeringJoint>front_steer_joint</steeringJoint>"
+    "<actuatedWheelJoint>front_joint</actuatedWheelJoint>"
+    "<encoderWheelLeftJoint>left_joint</encoderWheelLeftJoint>"
+    "<encoderWheelRightJoint>right_joint</encoderWheelRightJoint>"
+)
+
+
+def test_tricycle_written_for_ros1_publishes_odometry_and_says_so() -> None:
+    model = read_urdf(a_trike(a_plugin(TRIKE, ROS1_TRIKE_JOINTS)))
+
+    assert model.drive is not None
+    assert (model.drive.publish_odom, model.drive.publish_odom_tf) == (True, True)
+    assert mentions(model.report, "suspicious", "plugin 'p'", "ROS 1", "odom")
+
+
+@pytest.mark.parametrize(
+    ("tag", "written", "wheels"),
+    [
+        ("actuated_wheel_diameter", "0.15", "'front_joint'"),
+        ("encoder_wheel_diameter", "0.15", "'left_joint'"),
+        ("wheel_separation", "0.5", "'left_joint' and 'right_joint'"),
+    ],
+)
+def test_size_of_a_tricycle_that_is_not_that_of_its_links_is_reported(
+    tag: str, written: str, wheels: str
+) -> None:
+    fitting = {
+        "actuated_wheel_diameter": "0.2",
+        "encoder_wheel_diameter": "0.2",
+        "wheel_separation": "0.4",
+    }
+
+    def write(sizes: dict[str, str]) -> str:
+        inside = "".join(f"<{name}>{size}</{name}>" for name, size in sizes.items())
+        return a_trike(a_plugin(TRIKE, TRIKE_JOINTS + inside))
+
+    assert not mentions(report_of(write(fitting)), "suspicious", tag)
+    assert mentions(report_of(write({**fitting, tag: written})), "suspicious", tag, wheels)
+
+
+def test_car_with_unequal_rear_wheels_is_reported() -> None:
+    text = a_car(a_plugin(CAR, CAR_JOINTS + BASE))
+    small = text.replace('radius="0.1"', 'radius="0.08"', 1)
+
+    assert not mentions(report_of(text), "suspicious", "diameter")
+    assert mentions(report_of(small), "suspicious", "diameter", "'rl_joint'")
+
+
+GZ_CAR = "gz-sim-ackermann-steering-system"
+GZ_CAR_JOINTS = """
+  <left_joint>fl_joint</left_joint><left_joint>rl_joint</left_joint>
+  <right_joint>fr_joint</right_joint><right_joint>rr_joint</right_joint>
+  <left_steering_joint>fl_steer_joint</left_steering_joint>
+  <right_steering_joint>fr_steer_joint</right_steering_joint>
+"""
+GZ_CAR_SIZES = """
+  <wheel_base>0.6</wheel_base><kingpin_width>0.4</kingpin_width>
+  <wheel_separation>0.4</wheel_separation><wheel_radius>0.1</wheel_radius>
+"""
+
+
+def test_car_of_gz_sim_drives_its_unsteered_wheels() -> None:
+    inside = GZ_CAR_SIZES + "<steering_limit>0.4</steering_limit><max_velocity>2</max_velocity>"
+
+    model = read_urdf(a_car(a_plugin(GZ_CAR, GZ_CAR_JOINTS + inside)))
+
+    drive = model.drive
+    assert isinstance(drive, SteeringDrive)
+    assert drive.traction == ("rl_joint", "rr_joint")
+    assert drive.steering == ("fl_steer_joint", "fr_steer_joint")
+    assert drive.passive == ("fl_joint", "fr_joint")
+    sizes = (drive.wheelbase_m, drive.traction_track_m, drive.steering_track_m)
+    assert (*sizes, drive.wheel_radius_m) == pytest.approx((0.6, 0.4, 0.4, 0.1))
+    assert (drive.max_steer, drive.max_speed) == (0.4, 2.0)
+    assert (drive.publish_odom, drive.odometry_rate_hz) == (True, 50.0)
+    assert subjects(model.report, "suspicious") == []
+    assert mentions(model.report, "ignored", "plugin 'p'", "fl_joint and fr_joint")
+
+
+def test_car_of_gz_sim_has_its_default_lengths_and_is_told_that_they_do_not_fit() -> None:
+    model = read_urdf(a_car(a_plugin(GZ_CAR, GZ_CAR_JOINTS)))
+
+    drive = model.drive
+    assert isinstance(drive, SteeringDrive)
+    sizes = (drive.wheelbase_m, drive.traction_track_m, drive.steering_track_m)
+    assert (*sizes, drive.wheel_radius_m, drive.max_steer) == (1.0, 1.0, 0.8, 0.2, 0.5)
+    assert mentions(model.report, "suspicious", "plugin 'p'", "0.2 m")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        a_plugin(GZ_CAR, GZ_CAR_JOINTS + "<steering_only>true</steering_only>"),
+        a_plugin(GZ_CAR, GZ_CAR_JOINTS.replace("rr_joint", "nothing")),
+        a_plugin(GZ_CAR, "<left_joint>rl_joint</left_joint>"),
+    ],
+)
+def test_car_of_gz_sim_without_usable_joints_has_no_drive(text: str) -> None:
+    model = read_urdf(a_car(text))
+
+    assert model.drive is None
+    assert mentions(model.report, "suspicious", "plugin 'p'", "no drive")
 
 
 def test_every_drive_is_decoded_by_its_tag() -> None:

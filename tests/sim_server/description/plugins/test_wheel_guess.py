@@ -3,14 +3,17 @@
 import pytest
 
 from tests.sim_server.description.plugins.driven_robots import (
+    FOUR_STEERER,
     a_base,
     a_car,
     a_diff_robot,
+    a_four_steerer,
     a_four_wheeler,
     a_steering,
     a_tyre,
 )
 from tests.sim_server.description.robots import a_robot
+from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.sim_server.description.joint_reduction import LumpedModel
 from zensim.sim_server.description.plugins.wheel_guess import find_wheels, suggest_drive
@@ -48,6 +51,7 @@ HIGH = a_tyre("roller_left", 0.0, 0.3).replace('xyz="0.0 0.3 0"', 'xyz="0 0.3 0.
             a_car().replace("revolute", "continuous"),
             DriveOrder("ackermann", ("rear_left", "rear_right", "steer_left", "steer_right")),
         ),
+        (a_four_steerer(), parse_drive_order(FOUR_STEERER)),
         (a_diff_robot().replace('<origin rpy="1', '<origin xyz="0 0 -0.3" rpy="1'), None),
         (a_robot(a_base()), None),
         (a_robot(a_base(), a_tyre("one", 0.0, 0.2)), None),
@@ -60,6 +64,7 @@ HIGH = a_tyre("roller_left", 0.0, 0.3).replace('xyz="0.0 0.3 0"', 'xyz="0 0.3 0.
         "mecanum",
         "car",
         "car with void limits",
+        "two steered axles",
         "legs",
         "box",
         "one wheel",

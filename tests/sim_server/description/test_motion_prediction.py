@@ -1,0 +1,53 @@
+"""Predicted motions of each ordered drive: on level ground they are as commanded."""
+
+import pytest
+
+from tests.sim_server.description.plugins.driven_robots import (
+    FOUR_STEERER,
+    a_car,
+    a_diff_robot,
+    a_four_steerer,
+    a_four_wheeler,
+    a_tricycle,
+    read_driven,
+)
+from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_reference
+from zensim.proto.drive_orders import parse_drive_order
+from zensim.proto.messages.drive_messages import SteeringDrive
+from zensim.sim_server.description.ground_friction import GroundFriction
+from zensim.sim_server.description.motion_prediction import predict_motion
+
+BALLS = "".join(
+    a_link(name, a_collision(origin=f'<origin xyz="{x} 0 0"/>'))
+    + a_joint(f"{name}_joint", ("base_link", name))
+    + a_reference(name, "<mu1>0</mu1><mu2>0</mu2>")
+    for name, x in (("front_ball", 0.2), ("rear_ball", -0.2))
+)
+ROBOTS = {
+    "diff": (a_diff_robot(BALLS), "diff:left,right"),
+    "mecanum": (a_four_wheeler(), "mecanum:fl,fr,rl,rr"),
+    "omni": (a_four_wheeler(), "omni:fl,fr,rl,rr"),
+    "car": (a_car(), "ackermann:rear_left,rear_right,steer_left,steer_right"),
+    "two steered axles": (a_four_steerer(), FOUR_STEERER),
+    "tricycle": (a_tricycle(), "tricycle:front,steer"),
+    "tricycle with two driven wheels": (a_tricycle(), "tricycle:rear_left,rear_right,steer"),
+}
+STRAIGHT, TURN, ARC = (0.2, 0.0, 0.0), (0.0, 0.0, 0.5), (0.2, 0.0, 0.2)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_robot_whose_wheels_roll_is_predicted_to_move_as_commanded(name: str) -> None:
+    text, order = ROBOTS[name]
+    model = read_driven(text, order=parse_drive_order(order))
+    friction = GroundFriction(model)
+
+    straight, turn = (
+        predict_motion(model, command, friction)
+        for command in (STRAIGHT, ARC if isinstance(model.drive, SteeringDrive) else TURN)
+    )
+
+    assert straight.nominal == pytest.approx(STRAIGHT, abs=1e-6)
+    assert straight.twist == pytest.approx(straight.nominal, abs=1e-3)
+    assert turn.nominal[2] == pytest.approx(turn.command[2])
+    assert turn.twist == pytest.approx(turn.nominal, abs=2e-3)
+    assert not [entry for entry in model.report if entry.status == "predicted"]
