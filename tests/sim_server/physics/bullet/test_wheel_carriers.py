@@ -1,4 +1,4 @@
-"""Carriers of skid-steered wheels: which robots get them, and how these turn."""
+"""Carriers of sliding wheels: which robots get them, and how these turn."""
 
 from collections.abc import Iterator
 
@@ -6,17 +6,21 @@ import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.wheel_models import list_robots
 from tests.engines import STEP_NS, advance
 from tests.models import a_box_bot, a_cart, a_state
-from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.model_messages import Inertial, Joint, Link, Model, Origin
+from zensim.proto.rigid_transforms import rotate
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.model_geometry import find_ground_clearance
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
-from zensim.sim_server.physics.blueprint import make_blueprint, order_depth_first
+from zensim.sim_server.physics.blueprint import Blueprint, make_blueprint, order_depth_first
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.bullet.wheel_carriers import add_wheel_carriers, list_carriers
 from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.joint_inertia import find_part_poses, make_mass_matrix
 
+SMALL = (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4)
 WHEEL_SPEEDS = np.array([-2.0, 2.0, -2.0, 2.0])
 
 
@@ -69,10 +73,76 @@ def test_robot_whose_links_collide_with_each_other_has_none() -> None:
     assert add_wheel_carriers(blueprint) is blueprint
 
 
+def list_axes(blueprint: Blueprint) -> list[bool]:
+    """List whether each carrier turns about the vertical."""
+    poses = find_part_poses(blueprint.parts)
+    joints = [(i + 1, blueprint.parts[i + 1].joint) for i in list_carriers(blueprint)]
+    return [abs(rotate(poses[i].orientation, joint.axis)[2]) > 0.99 for i, joint in joints if joint]
+
+
+def carried(name: str) -> Blueprint:
+    robot = next(one for one in list_robots() if one.name == name)
+    return add_wheel_carriers(order_depth_first(make_blueprint(robot.model())))
+
+
+def test_axes_are_upright_but_those_of_wheels_abeam_of_the_centre_of_mass() -> None:
+    found = carried("skid_six_wheels")
+
+    assert list_axes(found).count(True) == 4
+    assert list_axes(found).count(False) == 2
+
+
+def test_axes_of_wheels_that_have_to_yield_much_sideways_are_level() -> None:
+    assert not any(list_axes(carried("skid_fdir1_ahead")))
+
+
+@pytest.mark.parametrize("name", ["skid_square", "skid_eight_wheels", "skid_heavy_wheels"])
+def test_wheels_on_carriers_yield_alike_in_all_directions(name: str) -> None:
+    found = carried(name)
+    mass = make_mass_matrix(found.parts)
+    inverse = mass.invert(is_static=False)
+    places = find_part_poses(found.parts)
+    for i, wheel in enumerate(found.parts):
+        if wheel.reflected_inertia == 0.0:
+            continue
+        point = np.array(places[i].position) - [0.0, 0.0, wheel.shapes[0].size[0]]
+        efforts = np.zeros((2, len(inverse)))
+        for effort, way in zip(efforts, np.eye(3)[:2], strict=True):
+            wrench = np.concatenate([np.cross(point, way), way])
+            effort[:6] = wrench
+            for part in (i, wheel.parent):
+                effort[mass.rows[part]] = mass.axes[part] @ wrench
+        yielding = efforts @ inverse @ efforts.T
+
+        assert yielding == pytest.approx(yielding[0, 0] * np.eye(2), abs=0.01 * yielding[0, 0])
+
+
+def test_wheels_on_arms_are_carried_and_steered_ones_are_not() -> None:
+    found = a_skid_bot()
+    assert found.drive is not None
+    joints = {joint.name: joint for joint in found.joints}
+    wheel = joints[found.drive.wheel_joints[0]]
+    for axis, count in (((0.0, 0.0, -1.0), 0), ((1.0, 0.0, 0.0), 4)):
+        arm = Joint("arm_joint", "revolute", wheel.parent, "arm", wheel.origin, axis=axis)
+        moved = msgspec.structs.replace(wheel, parent="arm", origin=Origin())
+        others = [joint for joint in found.joints if joint is not wheel]
+        at = [link.name for link in found.links].index(wheel.child)
+        links = [link for link in found.links if link.name != wheel.child]
+        model = msgspec.structs.replace(
+            found,
+            links=(*links, Link("arm", Inertial(mass_kg=0.1, inertia=SMALL)), found.links[at]),
+            joints=(*others, arm, moved),
+        )
+
+        carriers = list_carriers(add_wheel_carriers(order_depth_first(make_blueprint(model))))
+
+        assert len(carriers) == count
+
+
 def test_skid_steered_robot_turns_alike_at_any_heading(engine: PyBulletEngine) -> None:
     turns = [turn_of(engine, heading) for heading in (0.0, 0.4, 0.8, 1.2)]
 
-    assert turns == pytest.approx([turns[0]] * 4, rel=0.05)
+    assert turns == pytest.approx([turns[0]] * 4, rel=0.01)
     assert abs(turns[0]) > 0.1
 
 
