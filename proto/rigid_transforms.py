@@ -77,7 +77,7 @@ def transform_point(origin: Origin, point: Vec3) -> Vec3:
     return add(origin.position, rotate(origin.orientation, point))
 
 
-def conjugate(orientation: Quat) -> Quat:
+def conjugate(orientation: Rotation[Column]) -> Rotation[Column]:
     """Invert a rotation."""
     x, y, z, w = orientation
     return (-x, -y, -z, w)

@@ -21,15 +21,25 @@ def find_true_rate_hz(rate_hz: float, environment: Environment) -> float:
     return min(rate_hz, control_hz) if rate_hz > 0.0 else control_hz
 
 
-def is_due(step: int, rate_hz: float, environment: Environment) -> bool:
+def is_due(
+    step: int, rate_hz: float, environment: Environment, seen_step: int | None = None
+) -> bool:
     """Whether a sensor is due at a control step.
 
     It is due at the first control step at or after each multiple of its period since the epoch
     began, so that sensors of one rate are due together, whenever their robots were spawned.
+
+    Args:
+        step: Since the epoch began; a control step.
+        rate_hz: 0 = at every control step.
+        environment: Has the length of steps.
+        seen_step: The last control step that this was asked for, where some are left out: agents
+            miss states while time runs as fast as possible. None = the one before.
     """
-    control_steps = environment.control_steps
+    if seen_step is None:
+        seen_step = step - environment.control_steps
     if rate_hz <= 0.0 or step == 0:
-        return True
+        return step != seen_step
     periods = rate_hz / find_step_rate_hz(environment)
-    now, before = step * periods + ROUNDING, (step - control_steps) * periods + ROUNDING
+    now, before = step * periods + ROUNDING, seen_step * periods + ROUNDING
     return now // 1.0 > before // 1.0

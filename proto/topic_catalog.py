@@ -9,16 +9,21 @@ from zensim.proto.messages.agent_messages import DriveCommand, DriveState
 from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
 from zensim.proto.messages.simulation_messages import StepsProgress
 from zensim.proto.messages.standard_messages import (
+    Altimeter,
     Clock,
+    Imu,
     JointState,
+    MagneticField,
+    NavSatFix,
     Odometry,
     String,
     TFMessage,
     Twist,
     TwistStamped,
+    Vector3Stamped,
 )
 from zensim.proto.messages.telemetry_messages import Event, Snapshot, Stats, WorldClock
-from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_10, Qos
+from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_5, RELIABLE_10, Qos
 from zensim.proto.ros2.ros_graph import Topic
 
 
@@ -229,6 +234,46 @@ JOINT_STATES = TopicSpec(
     publisher=Participant.AGENT,
     rate_hz=30.0,
     description="positions and velocities of joints",
+)
+IMU = TopicSpec(
+    name="imu",
+    scope=TopicScope.ROBOT,
+    messages=(Imu,),
+    publisher=Participant.AGENT,
+    qos=RELIABLE_5,
+    description="orientation, angular velocity and specific force of an IMU",
+)
+FIX = TopicSpec(
+    name="fix",
+    scope=TopicScope.ROBOT,
+    messages=(NavSatFix,),
+    publisher=Participant.AGENT,
+    qos=RELIABLE_5,
+    description="geodetic position of a satellite receiver",
+)
+VEL = TopicSpec(
+    name="vel",
+    scope=TopicScope.ROBOT,
+    messages=(Vector3Stamped,),
+    publisher=Participant.AGENT,
+    qos=RELIABLE_5,
+    description="velocity of a satellite receiver: east, north, up",
+)
+ALTIMETER = TopicSpec(
+    name="altimeter",
+    scope=TopicScope.ROBOT,
+    messages=(Altimeter,),
+    publisher=Participant.AGENT,
+    qos=RELIABLE_5,
+    description="height above that at spawn, and vertical velocity",
+)
+MAGNETIC_FIELD = TopicSpec(
+    name="magnetic_field",
+    scope=TopicScope.ROBOT,
+    messages=(MagneticField,),
+    publisher=Participant.AGENT,
+    qos=RELIABLE_5,
+    description="magnetic field in the axes of a magnetometer",
 )
 ROBOT_DESCRIPTION = TopicSpec(
     name="robot_description",

@@ -17,6 +17,7 @@ from zensim.proto.topic_catalog import CMD_VEL
 from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory, make_topic_factory
 from zensim.robot_agent.base_controller import BaseController
 from zensim.robot_agent.drive_state_decoder import DriveStateLayout, RobotState, unpack_claims
+from zensim.robot_agent.mounted_sensors import list_state_sensors
 from zensim.robot_agent.robot_telemetry import (
     JointTelemetry,
     MotionTelemetry,
@@ -51,10 +52,21 @@ class SensorType:
 
     is_used_by: Callable[[Model], bool]
     make: Callable[[TopicFactory, Claim], SensorTelemetry]
+    has_groups: bool = False
+    """Whether pools simulate it for groups of robots; else they drive its robots one by one."""
 
 
-SENSOR_TYPES: Final = (SensorType(lambda model: bool(model.ground_truths), TrueOdometryTelemetry),)
-"""Pools drive robots with any of these one by one, not in groups."""
+def _make_state_sensors(factory: TopicFactory, claim: Claim) -> SensorTelemetry:
+    # numpy takes 0.1 s and 13 MB to load, which agents of robots without sensors save.
+    from zensim.robot_agent.sensor_telemetry import StateSensorTelemetry  # noqa: PLC0415
+
+    return StateSensorTelemetry(factory, claim)
+
+
+SENSOR_TYPES: Final = (
+    SensorType(lambda model: bool(model.ground_truths), TrueOdometryTelemetry),
+    SensorType(lambda model: bool(list_state_sensors(model)), _make_state_sensors, has_groups=True),
+)
 
 
 class CmdVelSubscriber:

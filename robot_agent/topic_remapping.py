@@ -8,6 +8,7 @@ from zensim.proto.messages.drive_messages import DriveSettings, RosBlock
 from zensim.proto.names import InvalidName, check_namespace
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 from zensim.proto.topic_catalog import CMD_VEL, JOINT_STATES, ODOM, TF
+from zensim.robot_agent.mounted_sensors import list_sensor_keys
 from zensim.robot_agent.robot_frames import (
     DEFAULT_JOINT_STATE_PUBLISHER,
     get_drive,
@@ -28,6 +29,8 @@ class RobotTopicKeys(msgspec.Struct, frozen=True):
     joint_states: str = ""
     shared_tf: str = ""
     """The same for all robots."""
+    sensors: tuple[str, ...] = ()
+    """Of the sensors that agents simulate; see `list_sensor_keys`."""
 
 
 def find_topic_keys(claim: Claim, ros: RosSettings = NO_ROS) -> RobotTopicKeys:
@@ -43,6 +46,7 @@ def find_topic_keys(claim: Claim, ros: RosSettings = NO_ROS) -> RobotTopicKeys:
         tf=tf if has_tf and ros.has_namespaced_tf else "",
         joint_states=joint_states if list_published_joints(model) else "",
         shared_tf=TF.suffix if has_tf and ros.has_global_tf else "",
+        sensors=list_sensor_keys(model, namespace),
     )
 
 

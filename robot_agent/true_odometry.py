@@ -2,19 +2,9 @@
 
 from random import Random
 
-import msgspec
-
+from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.messages.agent_messages import Claim
-from zensim.proto.messages.model_messages import (
-    IDENTITY,
-    ZERO,
-    GroundTruth,
-    Joint,
-    Model,
-    Origin,
-    Quat,
-    Vec3,
-)
+from zensim.proto.messages.model_messages import ZERO, GroundTruth, Model, Vec3
 from zensim.proto.messages.standard_messages import (
     Header,
     Odometry,
@@ -28,89 +18,12 @@ from zensim.proto.messages.standard_messages import (
     time_from_ns,
 )
 from zensim.proto.rate_limiter import RateLimiter
-from zensim.proto.rigid_transforms import (
-    add,
-    compose,
-    conjugate,
-    cross,
-    from_axis_angle,
-    multiply,
-    normalize,
-    rotate,
-    scale,
-)
+from zensim.proto.rigid_transforms import add, conjugate, multiply, rotate, scale
 from zensim.proto.ros2.ros_graph import Topic
 from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory
 from zensim.robot_agent.drive_state_decoder import RobotState
+from zensim.robot_agent.link_motion import LinkChain, LinkState, find_link_chain
 from zensim.robot_agent.topic_remapping import resolve_topic_key
-
-
-class LinkState(msgspec.Struct, frozen=True, gc=False):
-    """Pose and velocities of a link in the world."""
-
-    position: Vec3 = ZERO
-    orientation: Quat = IDENTITY
-    linear: Vec3 = ZERO
-    angular: Vec3 = ZERO
-
-
-class LinkChain:
-    """The joints and fixed frames between the root link and another link."""
-
-    def __init__(self, model: Model, link: str) -> None:
-        """Find the joints.
-
-        Args:
-            model: Of the robot.
-            link: A link, or a frame fixed to one; an unknown name means the root link.
-        """
-        moving = {joint.child: (index, joint) for index, joint in enumerate(model.joints)}
-        places = {frame.name: frame for frame in model.frames}
-        self._fixed = Origin()
-        if link in places:
-            self._fixed, link = places[link].origin, places[link].parent
-        self._joints: list[tuple[int, Joint, Vec3]] = []
-        while link in moving:
-            index, joint = moving[link]
-            self._joints.insert(0, (index, joint, normalize(joint.axis)))
-            link = joint.parent
-
-    def motion(self, state: RobotState) -> LinkState:
-        """Find the state of the link."""
-        px, py, pz, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz = state.base
-        at = LinkState((px, py, pz), (qx, qy, qz, qw), (vx, vy, vz), (wx, wy, wz))
-        for index, joint, axis in self._joints:
-            at = _apply_origin(at, joint.origin)
-            at = _apply_joint(at, joint, axis, state.positions[index], state.velocities[index])
-        return _apply_origin(at, self._fixed)
-
-
-def _apply_origin(at: LinkState, origin: Origin) -> LinkState:
-    arm = rotate(at.orientation, origin.position)
-    return LinkState(
-        add(at.position, arm),
-        multiply(at.orientation, origin.orientation),
-        add(at.linear, cross(at.angular, arm)),
-        at.angular,
-    )
-
-
-def _apply_joint(
-    at: LinkState, joint: Joint, axis: Vec3, position: float, velocity: float
-) -> LinkState:
-    along = rotate(at.orientation, axis)
-    if joint.kind == "prismatic":
-        slid = _apply_origin(at, Origin(scale(axis, position)))
-        return msgspec.structs.replace(slid, linear=add(slid.linear, scale(along, velocity)))
-    if joint.kind == "fixed":
-        return at
-    turned = compose(Origin(ZERO, at.orientation), Origin(ZERO, from_axis_angle(axis, position)))
-    return msgspec.structs.replace(
-        at,
-        orientation=turned.orientation,
-        angular=add(at.angular, scale(along, velocity)),
-    )
-
 
 NO_NOISE = (ZERO, ZERO)
 
@@ -158,8 +71,10 @@ class TrueOdometry:
     def __init__(self, model: Model, settings: GroundTruth, seed: str) -> None:
         links = {link.name for link in model.links} | {frame.name for frame in model.frames}
         self.settings = settings
-        self._body = LinkChain(model, settings.body)
-        self._frame = LinkChain(model, settings.frame_id) if settings.frame_id in links else None
+        self._body = find_link_chain(model, settings.body)
+        self._frame = (
+            find_link_chain(model, settings.frame_id) if settings.frame_id in links else None
+        )
         self._limiter = RateLimiter(settings.update_rate_hz)
         self._seed = seed
         self._random = Random(seed)
@@ -204,10 +119,10 @@ class TrueOdometry:
         spread, draw = self.settings.noise, self._random.gauss
         return (draw(0.0, spread), draw(0.0, spread), draw(0.0, spread))
 
-    def _motion(self, state: RobotState) -> LinkState:
-        motion = self._body.motion(state)
+    def _motion(self, state: RobotState) -> LinkState[float]:
+        motion = _find_motion(self._body, state)
         if self._frame is not None:
-            motion = _make_relative(self._frame.motion(state), motion)
+            motion = _make_relative(_find_motion(self._frame, state), motion)
         linear, angular = motion.linear, motion.angular
         if self.settings.compat != "gazebo11":
             back = conjugate(motion.orientation)
@@ -221,7 +136,11 @@ class TrueOdometry:
         )
 
 
-def _make_relative(frame: LinkState, body: LinkState) -> LinkState:
+def _find_motion(chain: LinkChain, state: RobotState) -> LinkState[float]:
+    return chain.motion(state.base, state.positions, state.velocities, FLOAT_MATH)
+
+
+def _make_relative(frame: LinkState[float], body: LinkState[float]) -> LinkState[float]:
     back = conjugate(frame.orientation)
 
     def difference(one: Vec3, other: Vec3) -> Vec3:

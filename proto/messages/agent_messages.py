@@ -39,6 +39,8 @@ class Claim(msgspec.Struct, frozen=True):
     robot_description: str = ""
     spawn_state: tuple[float, ...] = ()
     """State at spawn; `STATE_COLUMNS` numbers."""
+    environment: Environment = Environment()
+    """That of the response."""
 
 
 class Grant(msgspec.Struct, frozen=True):
@@ -154,6 +156,7 @@ def expand_grants(response: ClaimEntityResponse) -> tuple[Claim, ...]:
                 models[one.model],
                 texts[one.robot_description],
                 one.spawn_state,
+                response.environment,
             )
             for one in response.grants
         )

@@ -13,11 +13,12 @@ from zensim.proto.messages.model_messages import IDENTITY
 from zensim.robot_agent.base_controller import find_motion_rates
 from zensim.robot_agent.odometry import MotionColumns, find_encoder_motion, find_world_motion
 from zensim.robot_agent.pool.group_key import GroupKey
-from zensim.robot_agent.pool.robot_rows import (
+from zensim.robot_agent.robot_rows import (
     BoolArray,
     FloatArray,
     GroupRateLimiter,
     IntArray,
+    StateRows,
     remap_flags,
     remap_floats,
 )
@@ -173,27 +174,17 @@ class GroupBaseController:
             if part is not None:
                 part.reset()
 
-    def update(
-        self,
-        time_ns: int,
-        *,
-        base: FloatArray,
-        positions: FloatArray,
-        velocities: FloatArray,
-        twists: FloatArray,
-    ) -> IntArray:
+    def update(self, state: StateRows, twists: FloatArray) -> IntArray:
         """Update targets and motions that are due.
 
         Args:
-            time_ns: Simulation time.
-            base: States of root links, (n, STATE_COLUMNS).
-            positions: Of all joints [rad or m], (n, joint_count).
-            velocities: [rad/s or m/s].
+            state: Of all rows.
             twists: As commanded, (n, 6).
 
         Returns:
             Rows with a new motion.
         """
+        time_ns, positions, velocities = state.time_ns, state.positions, state.velocities
         if self._encoders is not None and self._group_key.encoder is not None:
             self._encoders.update(positions[:, list(self._group_key.encoder)], time_ns)
         rows, elapsed_s = self._limiters.open(time_ns)
@@ -208,7 +199,7 @@ class GroupBaseController:
         if self._motion_limiter is not None:
             rows, _ = self._motion_limiter.open(time_ns)
         if len(rows):
-            self.motions[rows] = self._new_motions(rows, base)
+            self.motions[rows] = self._new_motions(rows, state.base)
         return rows
 
     def _new_motions(self, rows: IntArray, base: FloatArray) -> FloatArray:

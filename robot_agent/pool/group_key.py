@@ -3,8 +3,11 @@
 import msgspec
 
 from zensim.proto import keys
+from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.drive_messages import Drive, RosBlock
-from zensim.proto.messages.model_messages import Model, Origin
+from zensim.proto.messages.model_messages import Origin
+from zensim.proto.messages.sensor_messages import Environment
+from zensim.robot_agent.mounted_sensors import MountedSensor, mount_sensors
 from zensim.robot_agent.robot_frames import (
     DEFAULT_JOINT_STATE_PUBLISHER,
     find_base_frame,
@@ -36,10 +39,15 @@ class GroupKey(msgspec.Struct, frozen=True):
     """Of the joints in tf."""
     patterns: RobotTopicKeys
     """Patterns of the topic keys."""
+    sensors: tuple[MountedSensor, ...] = ()
+    """Those that agents simulate."""
+    environment: Environment = Environment()
+    """What these sensors know of the world."""
 
 
-def make_group_key(model: Model, topic_keys: RobotTopicKeys) -> GroupKey:
+def make_group_key(claim: Claim, topic_keys: RobotTopicKeys) -> GroupKey:
     """Make the group key of a robot."""
+    model = claim.model
     drive = get_drive(model)
     index = {joint.name: place for place, joint in enumerate(model.joints)}
     pair = drive.encoder
@@ -56,10 +64,25 @@ def make_group_key(model: Model, topic_keys: RobotTopicKeys) -> GroupKey:
         published=list_published_joints(model),
         joint_states_hz=publisher.update_rate_hz,
         geometry=msgspec.msgpack.encode([model.joints[joint] for joint in moving]),
-        patterns=RobotTopicKeys(
-            *(keys.make_pattern(key) if key else "" for key in msgspec.structs.astuple(topic_keys))
-        ),
+        patterns=_make_patterns(topic_keys),
+        sensors=mount_sensors(model),
+        environment=claim.environment,
     )
+
+
+def _make_patterns(found: RobotTopicKeys) -> RobotTopicKeys:
+    return RobotTopicKeys(
+        cmd_vel=_make_pattern(found.cmd_vel),
+        odom=_make_pattern(found.odom),
+        tf=_make_pattern(found.tf),
+        joint_states=_make_pattern(found.joint_states),
+        shared_tf=_make_pattern(found.shared_tf),
+        sensors=tuple(map(_make_pattern, found.sensors)),
+    )
+
+
+def _make_pattern(key: str) -> str:
+    return keys.make_pattern(key) if key else ""
 
 
 def _strip_names(drive: Drive) -> Drive:

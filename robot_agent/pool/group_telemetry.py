@@ -25,10 +25,11 @@ from zensim.robot_agent.message_templates import list_tf_paths, list_tf_stamps
 from zensim.robot_agent.pool.fleet_publisher import FleetTopicPublisher, TopicMember
 from zensim.robot_agent.pool.group_bases import GroupBaseController
 from zensim.robot_agent.pool.group_key import GroupKey
-from zensim.robot_agent.pool.robot_rows import (
+from zensim.robot_agent.robot_rows import (
     FloatArray,
     GroupRateLimiter,
     IntArray,
+    StateRows,
     remap_flags,
     remap_floats,
     remap_ints,
@@ -569,26 +570,18 @@ class GroupTelemetry:
         if self.shared is not None:
             self.shared.reset()
 
-    def publish(
-        self, rows: IntArray, *, positions: FloatArray, velocities: FloatArray, time_ns: int
-    ) -> None:
-        """Publish what is due.
-
-        Args:
-            rows: Rows with a new motion.
-            positions: Of all joints [rad or m], (n, joint_count).
-            velocities: [rad/s or m/s].
-            time_ns: Simulation time.
-        """
+    def publish(self, rows: IntArray, state: StateRows) -> None:
+        """Publish what is due; `rows` have a new motion."""
+        time_ns = state.time_ns
         if self.odometry is not None:
             self.odometry.publish(self.odometry.due(rows, time_ns), time_ns)
-        rows = self._poses.take(rows, positions, time_ns)
+        rows = self._poses.take(rows, state.positions, time_ns)
         if self.transforms is not None:
             self.transforms.publish(rows, time_ns)
         if self.shared is not None:
             self.shared.publish(rows, time_ns)
         if self.joints is not None:
-            self.joints.publish_joints(positions, velocities, time_ns)
+            self.joints.publish_joints(state.positions, state.velocities, time_ns)
 
     def close(self) -> None:
         """Undeclare the shared tf topic; the others go with their robots."""

@@ -28,11 +28,13 @@ from zensim.robot_agent.pool.fleet_publisher import (
 )
 from zensim.robot_agent.pool.group_bases import GroupBaseController
 from zensim.robot_agent.pool.group_key import GroupKey, make_group_key
+from zensim.robot_agent.pool.group_sensors import GroupSensors
 from zensim.robot_agent.pool.group_telemetry import FindPublisher, GroupTelemetry, StaticTopics
-from zensim.robot_agent.pool.robot_rows import (
+from zensim.robot_agent.robot_rows import (
     NEW_ROW,
     FloatArray,
     IntArray,
+    StateRows,
     remap_floats,
     remap_ints,
 )
@@ -233,9 +235,8 @@ class _DueTelemetry:
     """Telemetry that is due at the last state."""
 
     rows: IntArray
-    positions: FloatArray
-    velocities: FloatArray
-    time_ns: int
+    """With a new motion."""
+    state: StateRows
 
 
 class RobotGroup:
@@ -246,6 +247,8 @@ class RobotGroup:
     ) -> None:
         self._bases = GroupBaseController(group_key)
         self._telemetry = GroupTelemetry(group_key, self._bases, find_publisher, node)
+        self._sensors = GroupSensors(group_key, find_publisher)
+        self._topics = self._telemetry.topics + self._sensors.topics
         self._slots: GroupSlots | None = None
         self._due: _DueTelemetry | None = None
 
@@ -265,33 +268,32 @@ class RobotGroup:
         self._due = None
         self._bases.reset()
         self._telemetry.reset()
+        self._sensors.reset()
 
     def advance(self, state: PoolDriveState, targets: FloatArray) -> None:
         """Take a state; write the targets of its robots into those of the pool."""
         if (slots := self._slots) is None:
             return
-        positions, velocities = state.positions[slots.joints], state.velocities[slots.joints]
-        rows = self._bases.update(
+        own = StateRows(
             state.time_ns,
-            base=state.base[slots.places],
-            positions=positions,
-            velocities=velocities,
-            twists=state.twists[slots.places],
+            state.base[slots.places],
+            state.positions[slots.joints],
+            state.velocities[slots.joints],
         )
+        rows = self._bases.update(own, state.twists[slots.places])
         targets[slots.targets] = self._bases.targets
-        self._due = _DueTelemetry(rows, positions, velocities, state.time_ns)
+        self._due = _DueTelemetry(rows, own)
 
     def publish(self) -> None:
         """Publish what is due at the last state."""
         if (due := self._due) is not None:
             self._due = None
-            self._telemetry.publish(
-                due.rows, positions=due.positions, velocities=due.velocities, time_ns=due.time_ns
-            )
+            self._telemetry.publish(due.rows, due.state)
+            self._sensors.publish(due.state)
 
     def release(self, member: GroupMember) -> None:
         """Undeclare a robot's topics."""
-        for topic, topic_member in zip(self._telemetry.topics, member.topics, strict=False):
+        for topic, topic_member in zip(self._topics, member.topics, strict=False):
             topic.publisher.remove(topic_member)
         member.topics = ()
 
@@ -301,8 +303,8 @@ class RobotGroup:
 
     def _declare_topics(self, member: GroupMember) -> tuple[TopicMember, ...]:
         found = []
-        listed = self._telemetry.list_keys(member.topic_keys)
-        for topic, key in zip(self._telemetry.topics, listed, strict=True):
+        listed = self._telemetry.list_keys(member.topic_keys) + member.topic_keys.sensors
+        for topic, key in zip(self._topics, listed, strict=True):
             found.append(TopicMember(key, topic, node=member.node))
             topic.publisher.add(found[-1])
         return tuple(found)
@@ -310,13 +312,16 @@ class RobotGroup:
     def _remap_topics(self, members: Sequence[GroupMember], before: IntArray) -> None:
         new = [member for member in members if not member.templates]
         models = {id(one.claim.model): one.claim.model for one in new}
-        templates = {key: self._telemetry.make_templates(model) for key, model in models.items()}
+        templates = {
+            key: [*self._telemetry.make_templates(model), *self._sensors.make_templates(model)]
+            for key, model in models.items()
+        }
         for one in new:
             one.templates = templates[id(one.claim.model)]
             one.shared_tf = self._telemetry.make_shared_template(
                 one.claim.model, one.claim.namespace
             )
-        for number, topic in enumerate(self._telemetry.topics):
+        for number, topic in enumerate(self._topics):
             topic.remap(
                 [member.topics[number] for member in members],
                 [member.templates[number] for member in members],
@@ -324,6 +329,7 @@ class RobotGroup:
             )
         shared = [one.shared_tf for one in members if one.shared_tf is not None]
         self._telemetry.remap_shared(shared, before)
+        self._sensors.remap([member.claim for member in members], before)
 
 
 FLOAT_BYTES = 8
@@ -437,7 +443,7 @@ class PooledRobots:
             if _can_be_grouped(claim.model):
                 topic_keys = find_topic_keys(claim, self._ros)
                 self._commands.listen(topic_keys.cmd_vel)
-                group_key = make_group_key(claim.model, topic_keys)
+                group_key = make_group_key(claim, topic_keys)
                 member = GroupMember(claim, group_key, topic_keys)
                 member.node = self._join_ros_graph(claim.namespace, topic_keys.cmd_vel)
                 member.static_topics = self._static_topics.add(claim, member.node)
@@ -620,7 +626,9 @@ class PooledRobots:
 
 
 def _can_be_grouped(model: Model) -> bool:
-    return model.drive is not None and not any(one.is_used_by(model) for one in SENSOR_TYPES)
+    return model.drive is not None and not any(
+        one.is_used_by(model) for one in SENSOR_TYPES if not one.has_groups
+    )
 
 
 def _extract_state(single: _SingleRobot, read: PoolDriveState) -> RobotState:

@@ -39,3 +39,15 @@ def test_steps_of_odd_lengths_keep_the_mean_rate() -> None:
     steps = range(0, int(seconds * 1e9 / 1234567) + 1, 8)
 
     assert sum(is_due(step, 10.0, environment) for step in steps) == pytest.approx(1001, abs=1)
+
+
+def test_a_due_step_that_was_left_out_is_made_up_for_at_the_next() -> None:
+    assert is_due(27, 10.0, AT_240_HZ, seen_step=21)
+    assert not is_due(30, 10.0, AT_240_HZ, seen_step=27)
+    assert is_due(24, 10.0, AT_240_HZ, seen_step=21)
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, 10.0, 1000.0])
+def test_a_step_that_was_seen_is_not_due_again(rate_hz: float) -> None:
+    assert not is_due(24, rate_hz, AT_240_HZ, seen_step=24)
+    assert not is_due(0, rate_hz, AT_240_HZ, seen_step=0)

@@ -1,6 +1,7 @@
 """A pool drives and publishes as individual robots do."""
 
 import struct
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import msgspec
@@ -16,8 +17,28 @@ from zensim.proto.codec.message_codec import Format, MalformedPayload, decode
 from zensim.proto.keys import last_chunk
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
 from zensim.proto.messages.drive_messages import Drive, RosBlock
-from zensim.proto.messages.model_messages import GroundTruth, Model
-from zensim.proto.messages.standard_messages import JointState, Odometry, TFMessage, Twist, Vector3
+from zensim.proto.messages.model_messages import GroundTruth, Model, Origin, Sensor
+from zensim.proto.messages.sensor_messages import (
+    AltimeterSensor,
+    Environment,
+    ImuSensor,
+    MagnetometerSensor,
+    NavsatSensor,
+    Noise,
+    SensorTopic,
+)
+from zensim.proto.messages.standard_messages import (
+    Altimeter,
+    Imu,
+    JointState,
+    MagneticField,
+    NavSatFix,
+    Odometry,
+    TFMessage,
+    Twist,
+    Vector3,
+    Vector3Stamped,
+)
 from zensim.proto.network_protocols import Sample
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 from zensim.robot_agent.robots import IndividualRobots
@@ -27,7 +48,47 @@ KINDS: dict[str, type[msgspec.Struct]] = {
     "odom": Odometry,
     "tf": TFMessage,
     "joint_states": JointState,
+    "imu": Imu,
+    "gps": NavSatFix,
+    "gps_vel": Vector3Stamped,
+    "altimeter": Altimeter,
+    "magnetic_field": MagneticField,
 }
+ENVIRONMENT = Environment(seed=3, step_ns=12_500_000, control_steps=1)
+NOISY = (Noise("gaussian", stddev=0.1),) * 3
+SENSORS = (
+    Sensor(
+        *("front", "imu", "base_link", "base_link", Origin((0.1, 0.2, 0.3))),
+        settings=ImuSensor(NOISY, NOISY),
+        topics=(SensorTopic("imu", "front/imu"),),
+        frame_id="imu_link",
+    ),
+    Sensor(
+        *("wheel", "imu", "left_wheel", "left_wheel", Origin(), 40.0),
+        settings=ImuSensor(reference="spawn"),
+        topics=(SensorTopic("imu", "wheel/imu"),),
+        frame_id="left_wheel",
+    ),
+    Sensor(
+        *("gps", "gps", "base_link", "camera", Origin((0.2, 0.0, 0.1)), 10.0),
+        settings=NavsatSensor(NOISY[0], NOISY[0], NOISY[0], NOISY[0]),
+        topics=(SensorTopic("fix", "gps"), SensorTopic("vel", "gps_vel")),
+        frame_id="camera",
+        compat="gazebo11",
+    ),
+    Sensor(
+        *("height", "altimeter", "base_link", "base_link"),
+        settings=AltimeterSensor(),
+        topics=(SensorTopic("altimeter", "altimeter"),),
+        frame_id="base_link",
+    ),
+    Sensor(
+        *("compass", "magnetometer", "base_link", "base_link"),
+        settings=MagnetometerSensor(),
+        topics=(SensorTopic("magnetic_field", "magnetic_field"),),
+        frame_id="base_link",
+    ),
+)
 PERIODS_NS = (12_500_000, 10_000_000, 4_166_667)
 
 
@@ -80,7 +141,9 @@ class Both:
         for model in models:
             number = len(self.claims) + 1
             name = f"{namespace}r{number}"
-            self.claims.append(Claim(number, f"r{number}", name, model, "<robot/>"))
+            self.claims.append(
+                Claim(number, f"r{number}", name, model, "<robot/>", environment=ENVIRONMENT)
+            )
             for one in (self.pool, self.individual):
                 one.add_claims(self.claims[-1:])
         for _ in range(len(self.claims)):
@@ -161,6 +224,39 @@ def test_pool_drives_robots_of_all_kinds_together() -> None:
             if rng.random() < 0.3:
                 both.command(a_twist(rng), list(Format)[rng.integers(3)], claim)
         both.step(rng, 12_500_000, both.claims)
+
+
+def test_pool_publishes_the_sensors_of_its_robots_as_individual_robots_do() -> None:
+    rng, both = np.random.default_rng(11), Both()
+    model = msgspec.structs.replace(two_wheeler(DRIVE), sensors=SENSORS)
+    both.take(model, model)
+    both.take(model, namespace="team/")
+    for step in range(30):
+        if step == 8:
+            both.take(model, two_wheeler(DRIVE))
+        claims = both.claims if step < 20 else [both.claims[3], both.claims[1]]
+        both.step(rng, 12_500_000, claims)
+    both.pool.reset()
+    both.individual.reset()
+    both.time_ns = 0
+    for _ in range(9):
+        both.step(rng, 12_500_000, claims)
+
+    assert len(both.pool._robots) == 0  # noqa: SLF001 - all are in groups
+
+
+def test_pool_publishes_as_many_sensor_messages_as_are_due() -> None:
+    rng, both = np.random.default_rng(11), Both()
+    both.take(*[msgspec.structs.replace(two_wheeler(DRIVE), sensors=SENSORS)] * 3)
+    listener = both.buses[0].subscribe("*/**", 100_000)
+
+    for _ in range(81):
+        both.step(rng, 12_500_000, both.claims)
+
+    counts = Counter(sample.key for sample in listener.take())
+    assert counts["r2/front/imu"] == 80
+    assert counts["r2/wheel/imu"] == pytest.approx(40, abs=1)
+    assert counts["r2/gps"] == counts["r2/gps_vel"] == pytest.approx(10, abs=1)
 
 
 def test_pool_resets_its_robots() -> None:

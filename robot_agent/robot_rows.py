@@ -1,4 +1,6 @@
-"""Arrays with a row per robot: remapping of rows when robots come and go, and rate limiters."""
+"""Arrays with a row per robot: states, rows when robots come and go, and rate limiters."""
+
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +43,24 @@ def remap_flags(column: BoolArray, before: IntArray) -> BoolArray:
     is_kept = before != NEW_ROW
     out[is_kept] = column[before[is_kept]]
     return out
+
+
+@dataclass(frozen=True)
+class StateRows:
+    """States of robots with equal joints at one step, a row each."""
+
+    time_ns: int
+    base: FloatArray
+    """Of the root links, (n, STATE_COLUMNS)."""
+    positions: FloatArray
+    """Of all joints [rad or m], (n, joints)."""
+    velocities: FloatArray
+    """[rad/s or m/s]."""
+
+    def remap(self, before: IntArray) -> "StateRows":
+        """Rearrange the rows; new ones are NaN. See `remap_floats`."""
+        columns = (self.base, self.positions, self.velocities)
+        return StateRows(self.time_ns, *(remap_floats(one, before, np.nan) for one in columns))
 
 
 class GroupRateLimiter:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zensim.proto.rate_limiter import RateLimiter
-from zensim.robot_agent.pool.robot_rows import GroupRateLimiter
+from zensim.robot_agent.robot_rows import GroupRateLimiter
 
 RATES = [0.0, 7.0, 30.0, 50.0, 80.0, 100.0]
 STEPS = st.lists(st.sampled_from([0, 4_166_667, 12_500_000, 10_000_000, 1]), max_size=60)
