@@ -27,7 +27,7 @@ class DifferentialDrive(Generic[Column]):
     def __init__(self, parameters: DiffDrive, xp: ColumnMath[Column]) -> None:
         self._xp: ColumnMath[Column] = xp
         self._parameters = parameters
-        self._radii = tuple(pair.diameter_m / 2.0 for pair in parameters.pairs for _ in range(2))
+        self._radii = tuple(radius for pair in parameters.pairs for radius in pair.radii_m)
         has_limits = parameters.linear_limits != Limits() or parameters.angular_limits != Limits()
         is_limited = has_limits or parameters.max_acceleration != 0.0
         self.state_size = 2 + len(self._radii) if is_limited else 0
@@ -122,8 +122,8 @@ def _limit_step(commanded: Column, desired: Column, step: Column, xp: ColumnMath
 
 def find_base_step(pair: WheelPair, left_rad: Column, right_rad: Column) -> tuple[Column, Column]:
     """Find the distance [m] and rotation [rad] of the base for wheel rotations [rad]."""
-    radius = pair.diameter_m / 2.0
-    left_m, right_m = left_rad * radius, right_rad * radius
+    left_radius, right_radius = pair.radii_m
+    left_m, right_m = left_rad * left_radius, right_rad * right_radius
     return (left_m + right_m) / 2.0, (right_m - left_m) / pair.separation_m
 
 

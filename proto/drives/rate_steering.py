@@ -7,6 +7,11 @@ from zensim.proto.drives.measured_joints import Columns, MeasuredJoints, PlanarT
 from zensim.proto.messages.drive_messages import PAIR_SIZE, SteeringDrive
 
 
+def find_roll_signs(parameters: SteeringDrive) -> tuple[float, ...]:
+    """Find the direction in which each driven wheel rolls at positive speed."""
+    return tuple(-1.0 if one in parameters.reversed_wheels else 1.0 for one in parameters.traction)
+
+
 class RateSteering(Generic[Column]):
     """Steering about one point on the line of the unsteered axle.
 
@@ -17,6 +22,7 @@ class RateSteering(Generic[Column]):
 
     def __init__(self, parameters: SteeringDrive, xp: ColumnMath[Column]) -> None:
         self._parameters = parameters
+        self._signs = find_roll_signs(parameters)
         self._xp: ColumnMath[Column] = xp
 
     def find_targets(
@@ -44,13 +50,16 @@ class RateSteering(Generic[Column]):
         angle = xp.clamp(xp.arctan2(aside, abs(speed)), parameters.max_steer)
         if parameters.is_traction_steered:
             rim = forward * (abs(speed) * xp.cos(angle) + aside * xp.sin(angle))
-            return (rim / parameters.wheel_radius_m, angle), state
+            return (rim / parameters.wheel_radius_m * self._signs[0], angle), state
         slope = xp.tan(angle)
         angles = self._find_angles(angle, slope)
         if parameters.counter_steering:
-            rims = self._find_steered_wheel_speeds(speed, slope, angles)
-            return rims + rims + angles + tuple(-one for one in angles), state
-        return self._find_wheel_speeds(speed, slope) + angles, state
+            rims = self._find_steered_wheel_speeds(speed, slope, angles) * 2
+            angles += tuple(-one for one in angles)
+        else:
+            rims = self._find_wheel_speeds(speed, slope)
+        wheels = tuple(rim * sign for rim, sign in zip(rims, self._signs, strict=True))
+        return wheels + angles, state
 
     def _find_steered_wheel_speeds(
         self, speed: Column, slope: Column, angles: Columns[Column]

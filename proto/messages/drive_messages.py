@@ -47,6 +47,18 @@ class WheelPair(msgspec.Struct, frozen=True):
     right_joint: str
     separation_m: float = 0.34
     diameter_m: float = 0.15
+    is_left_reversed: bool = False
+    """Whether the axis of the joint points to the right, so that positive speeds roll backward."""
+    is_right_reversed: bool = False
+
+    @property
+    def radii_m(self) -> tuple[float, float]:
+        """Way ahead of the left and the right rim per radian of their joints [m]."""
+        radius = self.diameter_m / 2.0
+        return (
+            -radius if self.is_left_reversed else radius,
+            -radius if self.is_right_reversed else radius,
+        )
 
 
 class Limits(msgspec.Struct, frozen=True):
@@ -309,6 +321,8 @@ class SteeringDrive(DriveSettings, frozen=True, tag="steering_drive", tag_field=
     """Steering joints: one, or left and right."""
     counter_steering: tuple[str, ...] = ()
     """Left and right steering joint of a second axle, which turns by the opposite angle."""
+    reversed_wheels: tuple[str, ...] = ()
+    """Driven joints whose axis points to the right, so that positive speeds roll backward."""
     passive: tuple[str, ...] = ()
     """Joints of other wheels."""
     is_traction_steered: bool = False
@@ -358,7 +372,14 @@ class SteeringDrive(DriveSettings, frozen=True, tag="steering_drive", tag_field=
         if self.odometry_source != "encoder" or len(self.traction) != PAIR_SIZE:
             return None
         left, right = self.traction
-        return WheelPair(left, right, self.traction_track_m, 2.0 * self.wheel_radius_m)
+        return WheelPair(
+            left,
+            right,
+            self.traction_track_m,
+            2.0 * self.wheel_radius_m,
+            is_left_reversed=left in self.reversed_wheels,
+            is_right_reversed=right in self.reversed_wheels,
+        )
 
 
 class RollerWheel(msgspec.Struct, frozen=True):

@@ -12,6 +12,7 @@ from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.drives.differential_drive import find_base_step
 from zensim.proto.drives.drive_kinematics import make_drive_kinematics
 from zensim.proto.drives.measured_joints import MeasuredJoints, PlanarTwist
+from zensim.proto.drives.rate_steering import find_roll_signs
 from zensim.proto.messages.drive_messages import (
     AckermannDrive,
     DiffDrive,
@@ -166,7 +167,9 @@ def _find_steered_motion(
 ) -> AxleMotion:
     count = len(drive.traction)
     slope = _find_slope(numbers[count : count + len(drive.steering)])
-    ahead = sum(numbers[:count]) / count * drive.wheel_radius_m
+    signs = find_roll_signs(drive)
+    rims = [number * sign for number, sign in zip(numbers[:count], signs, strict=True)]
+    ahead = sum(rims) / count * drive.wheel_radius_m
     if drive.counter_steering:
         aside = slope / drive.wheelbase_m * drive.steering_track_m / 2.0
         ahead /= (math.hypot(1.0 - aside, slope) + math.hypot(1.0 + aside, slope)) / 2.0

@@ -63,6 +63,7 @@ COMPUTED_FIELDS: dict[type[Drive], set[str]] = {
             "traction",
             "steering",
             "counter_steering",
+            "reversed_wheels",
             "passive",
             "is_traction_steered",
             "wheel_radius_m",

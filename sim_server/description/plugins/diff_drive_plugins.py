@@ -27,14 +27,13 @@ from zensim.sim_server.description.plugins.drive_plugin import (
     find_grip_torque,
     measure_separation,
     measure_wheels,
+    rolls_backward,
 )
 
 if TYPE_CHECKING:
     from zensim.sim_server.description.joint_reduction import LumpedModel
     from zensim.sim_server.description.plugins.plugin_tags import PluginTags
 
-MAX_BACKWARD_AXIS_Y = -0.5
-"""y of an axis that points to the right rather than the left."""
 LEFT_JOINT_TAGS = ("left_joint", "left_front", "left_rear")
 RIGHT_JOINT_TAGS = ("right_joint", "right_front", "right_rear")
 TORQUE_TAGS = ("torque", "max_force", "MaxForce")
@@ -76,7 +75,7 @@ def _find_faults(pair: WheelPair, left: MeasuredWheel, right: MeasuredWheel) -> 
     faults = []
     for wheel in (left, right):
         faults += find_diameter_faults("wheel_diameter", pair.diameter_m, (wheel,))
-        if wheel.axis[1] < MAX_BACKWARD_AXIS_Y:
+        if rolls_backward(wheel):
             faults.append(f"the axis of {wheel.joint!r} points to -y: it rolls backward")
     faults += find_distance_faults("wheel_separation", pair.separation_m, left, right)
     if left.centre[1] < right.centre[1]:

@@ -313,6 +313,15 @@ class MeasuredWheel(msgspec.Struct, frozen=True):
     """Distance of the centre from the axle; infinite for a mesh that is not round."""
 
 
+MAX_BACKWARD_AXIS_Y = -0.5
+"""y of an axis that points to the right rather than the left."""
+
+
+def rolls_backward(wheel: MeasuredWheel) -> bool:
+    """Whether a wheel rolls backward at positive speed of its joint."""
+    return wheel.axis[1] < MAX_BACKWARD_AXIS_Y
+
+
 def measure_wheels(names: Iterable[str], lumped: LumpedModel) -> list[MeasuredWheel]:
     """Find the wheels that joints move."""
     joints = {joint.name: joint for joint in lumped.joints}

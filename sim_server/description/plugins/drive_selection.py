@@ -41,6 +41,7 @@ from zensim.sim_server.description.plugins.drive_plugin import (
     find_grip_torque,
     measure_separation,
     measure_wheels,
+    rolls_backward,
 )
 from zensim.sim_server.description.plugins.plugin_registry import summarize_drive
 from zensim.sim_server.description.plugins.plugin_tags import PluginTags, WrittenTags
@@ -216,11 +217,22 @@ def _make_ordered(order: DriveOrder, lumped: LumpedModel, report: ParseReport) -
         report.applied(SUBJECT, "none, as ordered")
         return None
     report.applied(SUBJECT, f"{order.kind}, as ordered: {summarize_drive(drive)}")
+    if names := _list_reversed(drive):
+        report.applied(SUBJECT, f"the axes of {names} point to the right: they turn backward")
     if isinstance(drive, SteeringDrive):
         for fault_text in find_steering_faults(drive, lumped):
             report.suspicious(SUBJECT, fault_text)
     _report_contacts(drive, lumped, report)
     return drive
+
+
+def _list_reversed(drive: Drive) -> str:
+    if isinstance(drive, SteeringDrive):
+        return ", ".join(map(repr, drive.reversed_wheels))
+    pairs = drive.pairs if isinstance(drive, DiffDrive) else ()
+    names = [pair.left_joint for pair in pairs if pair.is_left_reversed]
+    names += [pair.right_joint for pair in pairs if pair.is_right_reversed]
+    return ", ".join(map(repr, names))
 
 
 def _make_order_error(order: DriveOrder, fault: str) -> ModelError:
@@ -269,6 +281,8 @@ def _order_pairs(order: DriveOrder, lumped: LumpedModel, base: str) -> DiffDrive
             right.joint,
             _choose(order.separation_m, measure_separation(left, right), "distance of wheels"),
             _choose(order.diameter_m, 2.0 * left.radius_m, "diameter of wheels"),
+            is_left_reversed=rolls_backward(left),
+            is_right_reversed=rolls_backward(right),
         )
         for left, right in zip(wheels[::2], wheels[1::2], strict=True)
     ]
@@ -347,11 +361,20 @@ def _order_steering(order: DriveOrder, lumped: LumpedModel, base: str) -> Steeri
         names = [
             order.joints[start : start + PAIR_SIZE] for start in range(0, TWO_AXLES, PAIR_SIZE)
         ]
-        return complete_two_axles(drive, names[:2], names[2:], lumped=lumped, choose=choose)
-    return complete_steering(
+        return _reverse_wheels(
+            complete_two_axles(drive, names[:2], names[2:], lumped=lumped, choose=choose), lumped
+        )
+    completed = complete_steering(
         drive,
         order.joints[:driven],
         order.joints[driven:],
         lumped=lumped,
         choose=choose,
     )
+    return _reverse_wheels(completed, lumped)
+
+
+def _reverse_wheels(drive: SteeringDrive, lumped: LumpedModel) -> SteeringDrive:
+    wheels = measure_wheels(drive.traction, lumped)
+    names = tuple(wheel.joint for wheel in wheels if rolls_backward(wheel))
+    return msgspec.structs.replace(drive, reversed_wheels=names)

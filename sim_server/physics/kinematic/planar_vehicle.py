@@ -308,7 +308,7 @@ def _follow_friction(
     is_known = all(one.ground.rest.is_stable for one in predicted) and np.isfinite(twists).all()
     if not is_known or np.abs(rolled - twists).max() < ROLLING_TOLERANCE:
         return matrix
-    radii = [pair.diameter_m / 2.0 for pair in drive.pairs for _ in range(2)]
+    radii = [radius for pair in drive.pairs for radius in pair.radii_m]
     sides = [side * pair.separation_m / 2.0 for pair in drive.pairs for side in (-1.0, 1.0)]
     commands = np.linalg.pinv(np.stack([np.ones(len(sides)), sides], axis=1)) @ np.diag(radii)
     found: FloatArray = twists @ np.linalg.solve(commands @ speeds, commands)

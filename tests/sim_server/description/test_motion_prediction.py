@@ -10,6 +10,7 @@ from tests.sim_server.description.plugins.driven_robots import (
     a_four_wheeler,
     a_tricycle,
     read_driven,
+    reverse_axes,
 )
 from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_reference
 from zensim.proto.drive_orders import parse_drive_order
@@ -25,6 +26,14 @@ BALLS = "".join(
 )
 ROBOTS = {
     "diff": (a_diff_robot(BALLS), "diff:left,right"),
+    "diff with reversed axes": (
+        reverse_axes(a_diff_robot(BALLS), "left", "right"),
+        "diff:left,right",
+    ),
+    "car with reversed axes": (
+        reverse_axes(a_car(), "rear_left"),
+        "ackermann:rear_left,rear_right,steer_left,steer_right",
+    ),
     "mecanum": (a_four_wheeler(), "mecanum:fl,fr,rl,rr"),
     "omni": (a_four_wheeler(), "omni:fl,fr,rl,rr"),
     "car": (a_car(), "ackermann:rear_left,rear_right,steer_left,steer_right"),

@@ -66,6 +66,14 @@ def a_car(*parts: str) -> str:
     )
 
 
+def reverse_axes(text: str, *joints: str) -> str:
+    """Let the axes of wheels point to the right, as mirrored links of left and right have them."""
+    for name in joints:
+        head, found, tail = text.partition(f'<joint name="{name}"')
+        text = head + found + tail.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 -1 0"/>', 1)
+    return text
+
+
 def a_tricycle(*parts: str) -> str:
     """A wheel that drives and steers at x = 0.5 m, two passive ones at x = 0."""
     return a_robot(

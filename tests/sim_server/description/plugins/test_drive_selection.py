@@ -10,6 +10,7 @@ from tests.sim_server.description.plugins.driven_robots import (
     a_four_wheeler,
     a_tricycle,
     read_driven,
+    reverse_axes,
 )
 from tests.sim_server.description.plugins.test_control_interfaces import TRANSMISSION
 from tests.sim_server.description.robots import a_plugin, a_robot, mentions, subjects
@@ -75,6 +76,27 @@ def test_advice_gives_the_drive_that_it_names() -> None:
     assert model.drive is not None
     assert model.drive.wheel_joints == ("fl", "fr", "rl", "rr")
     assert subjects(model.report, "suspicious") == []
+
+
+@pytest.mark.parametrize(
+    ("text", "order"),
+    [
+        (reverse_axes(a_diff_robot(), "left"), "diff:left,right"),
+        (
+            reverse_axes(a_car(), "rear_left"),
+            "ackermann:rear_left,rear_right,steer_left,steer_right",
+        ),
+    ],
+    ids=["diff", "car"],
+)
+def test_ordered_wheel_whose_axis_points_to_the_right_turns_backward(text: str, order: str) -> None:
+    model = read_driven(text, order=parse_drive_order(order))
+
+    assert model.drive is not None
+    assert model.drive.encoder is not None
+    left, right = model.drive.encoder.radii_m
+    assert (left, right) == pytest.approx((-0.1, 0.1))
+    assert mentions(model.report, "applied", "drive", "turn backward", "left")
 
 
 @pytest.mark.parametrize(
