@@ -147,7 +147,8 @@ def find_robots(paths: Sequence[Path], excluded: Sequence[str]) -> list[RobotChe
     for path in paths:
         for robot in _expand_path(path):
             if not any(_matches(Path(robot.path), pattern) for pattern in excluded):
-                found.setdefault((robot.path, *robot.xacro_args, *robot.controllers), robot)
+                options = (*robot.xacro_args, *robot.controllers, robot.drive)
+                found.setdefault((robot.path, *options), robot)
     return list(found.values())
 
 

@@ -77,8 +77,8 @@ COUNTED_S = 2.0
 """Counted at the end of each drive."""
 STEERING_RAD = 0.3
 """Of steered wheels in a turn."""
-REMARK_SUBJECTS = ("drive", "driving")
-"""Subjects of report entries that explain how a robot drives."""
+REMARK_SUBJECTS = ("driv", "controller ")
+"""How subjects of report entries begin that explain how a robot drives."""
 REMARK_STATUSES = ("suspicious", "predicted")
 
 
@@ -296,7 +296,7 @@ def _describe(robot: RobotCheck, model: Model, report: Sequence[ReportEntry]) ->
         remarks=tuple(
             entry.reason
             for entry in report
-            if entry.subject in REMARK_SUBJECTS and entry.status in REMARK_STATUSES
+            if entry.subject.startswith(REMARK_SUBJECTS) and entry.status in REMARK_STATUSES
         ),
     )
 

@@ -213,6 +213,10 @@ def _describe_sizes(model: Model, ground: GroundMotion, column: int) -> str:
                     f"its wheels measure {2.0 * one.radius_m:.3g} m, the drive's wheel_diameter "
                     f"is {pair.diameter_m:.3g} m"
                 )
+        if left.place[1] < right.place[1]:
+            return (
+                f"{pair.left_joint!r}, its left wheel, is on the right; swap left and right joints"
+            )
         track = math.dist(left.place, right.place)
         if column and _differs(track, pair.separation_m):
             return (

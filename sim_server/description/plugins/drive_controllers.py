@@ -478,7 +478,11 @@ def complete_steering(
     check_wheel_joints((*traction, *steering), lumped)
     driven = _sort_sides(measure_wheels(traction, lumped))
     turned = _sort_sides(measure_wheels(steering, lumped))
-    others = [wheel for wheel in find_wheels(lumped) if wheel.joint not in (*traction, *steering)]
+    others = [
+        wheel
+        for wheel in find_wheels(lumped)
+        if wheel.joint not in (*traction, *steering) and wheel.has_collision
+    ]
     axle = others if drive.is_traction_steered else driven
     apart = _mean_x(turned) - _mean_x(axle) if axle else 0.0
     wheelbase = choose(WHEELBASE, abs(apart))
@@ -589,6 +593,17 @@ def find_steering_faults(drive: SteeringDrive, lumped: LumpedModel) -> list[str]
     )
     if len(driven) == PAIR_SIZE:
         faults += find_distance_faults(TRACTION_TRACK, drive.traction_track_m, *driven)
+    carriers = {joint.parent for joint in lumped.joints}
+    stiff = [
+        wheel.joint
+        for wheel in measure_wheels(drive.steering_joints, lumped)
+        if wheel.has_collision
+        and wheel.joint in {joint.name for joint in lumped.joints if joint.child not in carriers}
+    ]
+    if stiff:
+        faults.append(
+            f"{', '.join(map(repr, stiff))} steer wheels without an axle: they do not roll but drag"
+        )
     return faults
 
 

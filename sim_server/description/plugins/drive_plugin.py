@@ -311,6 +311,7 @@ class MeasuredWheel(msgspec.Struct, frozen=True):
     """0 where the link has no round shape and no mesh that is known here."""
     off_axle_m: float = 0.0
     """Distance of the centre from the axle; infinite for a mesh that is not round."""
+    has_collision: bool = True
 
 
 MAX_BACKWARD_AXIS_Y = -0.5
@@ -330,10 +331,11 @@ def measure_wheels(names: Iterable[str], lumped: LumpedModel) -> list[MeasuredWh
     wheels = []
     for joint in (joints[name] for name in names):
         pose = poses[joint.child]
-        place, radius, off = _measure_wheel(links[joint.child], joint.axis, lumped.corners)
+        link = links[joint.child]
+        place, radius, off = _measure_wheel(link, joint.axis, lumped.corners)
         centre = transform_point(pose, place)
         axis = rotate(pose.orientation, joint.axis)
-        wheels.append(MeasuredWheel(joint.name, centre, axis, radius, off))
+        wheels.append(MeasuredWheel(joint.name, centre, axis, radius, off, bool(link.collisions)))
     return wheels
 
 

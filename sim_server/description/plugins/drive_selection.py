@@ -45,7 +45,10 @@ from zensim.sim_server.description.plugins.drive_plugin import (
 )
 from zensim.sim_server.description.plugins.plugin_registry import summarize_drive
 from zensim.sim_server.description.plugins.plugin_tags import PluginTags, WrittenTags
-from zensim.sim_server.description.plugins.wheel_guess import suggest_drive
+from zensim.sim_server.description.plugins.wheel_guess import (
+    find_wheels_rolling_aside,
+    suggest_drive,
+)
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -120,6 +123,10 @@ def _report_missing(
     suggested = suggest_drive(lumped)
     has_interfaces = any(one.kind == "velocity" for one in model.command_interfaces)
     if suggested is None and not has_interfaces:
+        if len(find_wheels_rolling_aside(lumped)) >= PAIR_SIZE:
+            report.suspicious(
+                SUBJECT, "no drive: its wheels roll along y, a drive goes along x; turn its links"
+            )
         return
     hints = [] if is_controlled or not has_interfaces else ["the controllers' --controllers FILE"]
     if suggested is not None:

@@ -135,6 +135,11 @@ def _find_swivel(wheel: Joint, by_child: dict[str, Joint], upright: set[str]) ->
     return above
 
 
+def find_wheels_rolling_aside(lumped: LumpedModel) -> list[MeasuredWheel]:
+    """Find the wheels whose axles point ahead, so that they roll to the left."""
+    return [wheel for wheel in find_wheels(lumped) if abs(wheel.axis[0]) >= MIN_AXLE_Y]
+
+
 def find_pairs(lumped: LumpedModel) -> list[GuessedPair]:
     """Find the pairs of equal wheels on one axle, the widest first, names as tie break."""
     wheels = find_wheels(lumped)

@@ -60,3 +60,12 @@ def test_robot_whose_wheels_roll_is_predicted_to_move_as_commanded(name: str) ->
     assert turn.nominal[2] == pytest.approx(turn.command[2])
     assert turn.twist == pytest.approx(turn.nominal, abs=2e-3)
     assert not [entry for entry in model.report if entry.status == "predicted"]
+
+
+def test_swapped_wheels_are_predicted_to_turn_the_robot_the_other_way() -> None:
+    model = read_driven(a_diff_robot(BALLS), order=parse_drive_order("diff:right,left"))
+
+    (reason,) = (entry.reason for entry in model.report if entry.status == "predicted")
+
+    assert "-1.00" in reason
+    assert "'right', its left wheel, is on the right" in reason

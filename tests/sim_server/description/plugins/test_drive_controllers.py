@@ -376,6 +376,23 @@ def test_joints_that_mimic_a_virtual_wheel_are_driven_in_its_place() -> None:
     assert mentions(model.report, "applied", "<mimic>", "'steer_left'")
 
 
+def test_steered_wheels_without_an_axle_are_reported() -> None:
+    text = a_controller(
+        "ackermann_steering_controller/AckermannSteeringController",
+        "traction_joints_names: [rear_left, rear_right]\n"
+        "steering_joints_names: [steer_left, steer_right]\n",
+    )
+    stiff = a_car()
+    for side in ("left", "right"):
+        stiff = stiff.replace(
+            f'<joint name="front_{side}" type="continuous"',
+            f'<joint name="front_{side}" type="fixed"',
+        )
+
+    assert not mentions(read_driven(a_car(), text).report, "suspicious", "drag")
+    assert mentions(read_driven(stiff, text).report, "suspicious", "'steer_left'", "drag")
+
+
 FOUR_WHEELS = (
     "front_wheel: [fr, fl]\nrear_wheel: [rl, rr]\nfront_steering: [fl_steer, fr_steer]\n"
     "rear_steering: [rl_steer, rr_steer]\n"

@@ -67,6 +67,15 @@ def test_robot_with_wheels_and_no_drive_is_told_what_to_type() -> None:
     assert mentions(model.report, "suspicious", "--drive diff:left,right", "--controllers")
 
 
+def test_robot_whose_wheels_roll_aside_is_told_why_it_has_no_drive() -> None:
+    text = a_diff_robot().replace('<axis xyz="0 1 0"/>', '<axis xyz="1 0 0"/>')
+    text = text.replace('rpy="1.5707963267948966 0 0"', 'rpy="0 1.5707963267948966 0"')
+
+    report = read_driven(text).report
+
+    assert mentions(report, "suspicious", "no drive", "along y")
+
+
 def test_advice_gives_the_drive_that_it_names() -> None:
     (entry,) = (e for e in read_driven(a_four_wheeler()).report if e.status == "suspicious")
     option = entry.reason.partition("--drive ")[2].split()[0]

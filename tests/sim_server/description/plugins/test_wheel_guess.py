@@ -3,6 +3,7 @@
 import pytest
 
 from tests.sim_server.description.plugins.driven_robots import (
+    BODY,
     FOUR_STEERER,
     a_base,
     a_car,
@@ -12,7 +13,7 @@ from tests.sim_server.description.plugins.driven_robots import (
     a_steering,
     a_tyre,
 )
-from tests.sim_server.description.robots import a_robot
+from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_robot
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.sim_server.description.joint_reduction import LumpedModel
@@ -25,6 +26,13 @@ def lump(text: str) -> LumpedModel:
     return LumpedModel(model.links, model.joints, model.frames)
 
 
+AXIS = '<axis xyz="0 1 0"/>'
+KNEE_LIMIT = '<limit lower="-9.42" upper="9.42" effort="1" velocity="1"/>'
+WHEEL_LIMIT = '<limit lower="-180" upper="180" effort="1" velocity="1"/>'
+FEET = a_link("foot", a_collision(origin='<origin xyz="0 0 -0.3"/>')) + a_joint(
+    "ankle", ("base_link", "foot")
+)
+SHANK = a_link("shank", a_collision(BODY)) + a_joint("knee", ("left_tyre", "shank"), "continuous")
 SWIVEL = a_steering("swivel", -0.3, 0.0).replace("revolute", "continuous").replace("0.7", "0")
 CASTER = SWIVEL + a_tyre("caster", -0.05, 0.0, parent="swivel_knuckle")
 LIDAR = a_tyre("lidar", 0.1, 0.0).replace('<axis xyz="0 1 0"/>', '<axis xyz="0 0 1"/>')
@@ -53,6 +61,20 @@ HIGH = a_tyre("roller_left", 0.0, 0.3).replace('xyz="0.0 0.3 0"', 'xyz="0 0.3 0.
         ),
         (a_four_steerer(), parse_drive_order(FOUR_STEERER)),
         (a_diff_robot().replace('<origin rpy="1', '<origin xyz="0 0 -0.3" rpy="1'), None),
+        (a_diff_robot(FEET), None),
+        (a_diff_robot(SHANK), None),
+        (
+            a_diff_robot().replace("continuous", "revolute").replace(AXIS, AXIS + KNEE_LIMIT),
+            None,
+        ),
+        (
+            a_diff_robot().replace("continuous", "revolute").replace(AXIS, AXIS + WHEEL_LIMIT),
+            DriveOrder("diff", ("left", "right")),
+        ),
+        (
+            a_four_steerer().replace('lower="-0.7" upper="0.7"', 'lower="0" upper="0"'),
+            DriveOrder("diff", ("fl", "fr", "rl", "rr")),
+        ),
         (a_robot(a_base()), None),
         (a_robot(a_base(), a_tyre("one", 0.0, 0.2)), None),
         (a_robot(a_base(), CASTER), None),
@@ -65,7 +87,12 @@ HIGH = a_tyre("roller_left", 0.0, 0.3).replace('xyz="0.0 0.3 0"', 'xyz="0 0.3 0.
         "car",
         "car with void limits",
         "two steered axles",
-        "legs",
+        "round parts off their axles",
+        "feet lower than round joints",
+        "motors of legs",
+        "knees of two turns",
+        "wheels with limits",
+        "locked steering",
         "box",
         "one wheel",
         "caster",
