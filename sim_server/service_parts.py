@@ -14,7 +14,7 @@ from zensim.sim_server.pacing.lockstep import Lockstep
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.pacing.step_goals import StepGoals
 from zensim.sim_server.parser_process.asset_store import AssetStore
-from zensim.sim_server.parser_process.description_cache import DescriptionProvider, list_meshes
+from zensim.sim_server.parser_process.description_cache import DescriptionProvider, list_assets
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.simulated_world import BuiltWorld, World, WorldFactory
 from zensim.sim_server.world_loading.world_catalog import WorldCatalog
@@ -155,7 +155,7 @@ class WorldLoading:
 
     def _pin_meshes(self, model: WorldModel) -> None:
         """Pin the meshes of a world: a reset builds its models again."""
-        for name in {mesh for placed in model.models for mesh in list_meshes(placed.model)}:
+        for name in {mesh for placed in model.models for mesh in list_assets(placed.model)}:
             self.descriptions.store.pin_stored(name)
 
 

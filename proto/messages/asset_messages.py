@@ -1,7 +1,8 @@
 """Services that transfer mesh and texture files by content hash."""
 
+import posixpath
 import re
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 from urllib.parse import unquote
 
 import msgspec
@@ -78,7 +79,7 @@ class GetAssetRequest(msgspec.Struct, frozen=True):
 
 
 class GetAssetResponse(msgspec.Struct, frozen=True):
-    """Part of a file, at most `MAX_CHUNK_BYTES`; meshes of `Shape.mesh` are binary STL."""
+    """Part of a file, at most `MAX_CHUNK_BYTES`; for the formats see `Shape.mesh` and `Texture`."""
 
     ros_type: ClassVar[str] = "zensim/srv/GetAsset_Response"
 
@@ -96,6 +97,47 @@ def resolve_include_uri(include: str, uri: str) -> str:
     folder = include.rpartition("/")[0] if include.endswith(".sdf") else include.rstrip("/")
     is_relative = uri and not uri.startswith("/") and "://" not in uri
     return f"{folder}/{uri}" if folder and is_relative else uri
+
+
+IMAGE_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".tga", ".bmp")
+MATERIAL_SUFFIX: Final = ".mtl"
+"""Of a file with the materials of an OBJ file."""
+_REFERENCES: Final = {
+    ".dae": re.compile(rb"<init_from>\s*(?:<ref>\s*)?([^<]{1,500}?)\s*</"),
+    ".obj": re.compile(rb"^[ \t]*mtllib[ \t]+(\S[^\r\n]{0,500})", re.MULTILINE),
+    MATERIAL_SUFFIX: re.compile(rb"^[ \t]*map_Kd[ \t]+(\S[^\r\n]{0,500})", re.MULTILINE),
+}
+MAX_REFERENCES: Final = 64
+"""Images and material files of one file."""
+_TEXTURE_FOLDER: Final = "../materials/textures"
+
+
+def list_references(uri: str, data: bytes) -> tuple[str, ...]:
+    """List the images and material files that a mesh or material file names, as written there."""
+    pattern = _REFERENCES.get(posixpath.splitext(uri)[1].lower())
+    found = pattern.findall(data) if pattern is not None else ()
+    names = (name.decode("utf-8", "replace").strip() for name in found)
+    kept = (name for name in names if name.lower().endswith((*IMAGE_SUFFIXES, MATERIAL_SUFFIX)))
+    return tuple(dict.fromkeys(kept))[:MAX_REFERENCES]
+
+
+def list_reference_uris(owner: str, reference: str) -> tuple[str, ...]:
+    """List the URIs at which a file may be that the file `owner` names, best first.
+
+    A path is relative to the owner; as in Gazebo, the name alone is also searched beside the owner
+    and in `../materials/textures`: exporters write paths of their own host.
+    """
+    scheme, separator, path = owner.rpartition("://")
+    name = unquote(reference.rpartition(" ")[2] if reference.startswith("-") else reference)
+    name = name.replace("\\", "/").removeprefix("file://")
+    if "://" in name:
+        return (name,)
+    folder, base = posixpath.dirname(path), posixpath.basename(name)
+    is_relative = not name.startswith("/") and ":" not in name
+    paths = [name] if is_relative else []
+    paths += [base, f"{_TEXTURE_FOLDER}/{base}"]
+    whole = (posixpath.normpath(posixpath.join(folder, one)) for one in paths)
+    return tuple(dict.fromkeys(f"{scheme}{separator}{one}" for one in whole))
 
 
 FUEL_URI = re.compile(

@@ -31,6 +31,8 @@ __all__ = [
     "Joint",
     "JointKind",
     "JointStatePublisher",
+    "Light",
+    "LightKind",
     "Link",
     "Mimic",
     "Model",
@@ -42,6 +44,7 @@ __all__ = [
     "RosBlock",
     "Sensor",
     "Shape",
+    "Texture",
     "TierName",
     "Vec3",
     "WheelPair",
@@ -85,6 +88,19 @@ class Contact(msgspec.Struct, frozen=True):
     """Coulomb coefficient (mu2) across `direction`."""
 
 
+class Texture(msgspec.Struct, frozen=True):
+    """An image on a mesh; its colour is multiplied by `Shape.rgba`.
+
+    While a description is read, `image` is the URI of a file, then the sha256 of an asset.
+    """
+
+    image: str
+    """A PNG or JPEG of at most 1024 pixels a side."""
+    coordinates: str = ""
+    """sha256 of float32 (3 f, 2), little-endian, for the corners of the f triangles of the mesh:
+    u to the right and v upward, 0 to 1 over the image, which repeats beyond."""
+
+
 class Shape(msgspec.Struct, frozen=True):
     """A solid in its link's frame.
 
@@ -102,6 +118,35 @@ class Shape(msgspec.Struct, frozen=True):
     contact: Contact = Contact()
     name: str = ""
     """Of a collision: as described, or as Gazebo names it; equal for the parts of one mesh."""
+    texture: Texture | None = None
+    """Of a visual."""
+
+
+LightKind = Literal["point", "spot", "directional"]
+DOWNWARD: Vec3 = (0.0, 0.0, -1.0)
+
+
+class Light(msgspec.Struct, frozen=True):
+    """A light; pose and direction are in the frame of its owner, a link or the world.
+
+    Source: SDFormat's `<light>`.
+    """
+
+    name: str
+    kind: LightKind
+    origin: Origin = Origin()
+    direction: Vec3 = DOWNWARD
+    """Of spot and directional lights; `origin.orientation` is applied already."""
+    rgba: Quat = (1.0, 1.0, 1.0, 1.0)
+    intensity: float = 1.0
+    """Factor of the colour; >= 0."""
+    range_m: float = 10.0
+    """Distance beyond which it has no effect."""
+    attenuation: Vec3 = (1.0, 0.0, 0.0)
+    """c, l, q of 1 / (c + l d + q d^2) at the distance d [m]."""
+    outer_angle_rad: float = 0.0
+    """Full angle of the cone of a spot light; 0 = not specified."""
+    casts_shadows: bool = False
 
 
 class Inertial(msgspec.Struct, frozen=True):
@@ -134,6 +179,7 @@ class Link(msgspec.Struct, frozen=True):
     decay: Decay = Decay()
     self_collides: bool = False
     """Whether it collides with other links of its model, except those that it is joined to."""
+    lights: tuple[Light, ...] = ()
 
 
 Dynamics = Literal["", "full", "kinematic", "auto"]

@@ -1,26 +1,13 @@
 """Services that load, unload and list worlds, and the lights and colours of a world."""
 
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import msgspec
 
 from zensim.proto.messages.entity_messages import TagsFilter
-from zensim.proto.messages.model_messages import Origin, Quat, ReportEntry, Vec3
+from zensim.proto.messages.model_messages import Light, Quat, ReportEntry
 from zensim.proto.messages.result_messages import Result
 from zensim.proto.messages.spawn_messages import Resource
-
-LightKind = Literal["point", "spot", "directional"]
-DOWNWARD: Vec3 = (0.0, 0.0, -1.0)
-
-
-class Light(msgspec.Struct, frozen=True):
-    """A light of a world; `direction` is in the world frame."""
-
-    name: str
-    kind: LightKind
-    origin: Origin = Origin()
-    direction: Vec3 = DOWNWARD
-    rgba: Quat = (1.0, 1.0, 1.0, 1.0)
 
 
 class Scene(msgspec.Struct, frozen=True):
@@ -29,6 +16,7 @@ class Scene(msgspec.Struct, frozen=True):
     ambient: Quat | None = None
     background: Quat | None = None
     lights: tuple[Light, ...] = ()
+    """Poses and directions are in the world frame."""
     has_sun: bool = False
     """Whether it includes `model://sun`."""
 

@@ -19,6 +19,7 @@ from zensim.proto.messages.model_messages import (
     Inertial,
     Joint,
     JointKind,
+    Light,
     Link,
     Origin,
     Quat,
@@ -208,6 +209,7 @@ def _merge_links(name: str, group: list[tuple[Link, Origin]]) -> Link:
         weightless=combine_inertials((link.weightless, origin) for link, origin in group),
         decay=_mean_decay([link for link, _ in group]),
         self_collides=any(link.self_collides for link, _ in group),
+        lights=tuple(_move_light(light, origin) for link, origin in group for light in link.lights),
     )
 
 
@@ -219,6 +221,14 @@ def _mean_decay(links: Sequence[Link]) -> Decay:
     return Decay(
         fsum(link.inertial.mass_kg * link.decay.linear for link in links) / mass,
         fsum(link.inertial.mass_kg * link.decay.angular for link in links) / mass,
+    )
+
+
+def _move_light(light: Light, origin: Origin) -> Light:
+    return msgspec.structs.replace(
+        light,
+        origin=compose(origin, light.origin),
+        direction=rotate(origin.orientation, light.direction),
     )
 
 

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.proto.messages.model_messages import ZERO, Contact, Decay, Inertial, Shape, Vec3
+from zensim.proto.messages.model_messages import (
+    ZERO,
+    Contact,
+    Decay,
+    Inertial,
+    Quat,
+    Shape,
+    Texture,
+    Vec3,
+)
 from zensim.proto.rigid_transforms import rotate
 from zensim.sim_server.description.strict_parsing import parse_flag, quote, read_numbers
 from zensim.sim_server.errors import ModelError
@@ -17,7 +26,7 @@ if TYPE_CHECKING:
 
     from lxml.etree import _Element as Element
 
-    from zensim.proto.messages.model_messages import Link, Quat
+    from zensim.proto.messages.model_messages import Link
     from zensim.sim_server.description.report import ParseReport
 
 GAZEBO_COLOURS: dict[str, Quat] = {
@@ -130,31 +139,48 @@ def read_rgba(text: str, *, where: str, slug: str, report: ParseReport | None) -
     return (r, g, b, a)
 
 
-def read_named_colours(robot: Element, report: ParseReport) -> dict[str, Quat]:
-    """Find the URDF materials that have a colour; those of the robot override those of visuals."""
-    colours: dict[str, Quat] = {}
+class UrdfMaterial(msgspec.Struct, frozen=True):
+    """Colour and image of a URDF <material>; None: not set."""
+
+    rgba: Quat | None = None
+    texture: Texture | None = None
+
+
+def read_named_materials(robot: Element, report: ParseReport) -> dict[str, UrdfMaterial]:
+    """Find the URDF materials that are defined; those of the robot override those of visuals."""
+    looks: dict[str, UrdfMaterial] = {}
     for path in ("material", "link/visual/material"):
         for material in robot.findall(path):
-            colour, name = material.find("color"), material.get("name")
-            if colour is not None and name:
-                colours.setdefault(name, _read_material_colour(colour, name, report))
-    return colours
+            look, name = _read_urdf_material(material, report), material.get("name")
+            if look != UrdfMaterial() and name:
+                looks.setdefault(name, look)
+    return looks
 
 
-def read_visual_colour(
-    visual: Element, colours: dict[str, Quat], report: ParseReport
-) -> Quat | None:
-    """Find the colour of a visual: its own, else that of the material with its name."""
+def read_visual_look(
+    visual: Element, looks: dict[str, UrdfMaterial], report: ParseReport
+) -> UrdfMaterial:
+    """Find the material of a visual: its own, else the one with its name."""
     material = visual.find("material")
     if material is None:
-        return None
+        return UrdfMaterial()
     name = material.get("name") or ""
-    colour = material.find("color")
-    if colour is not None:
-        return _read_material_colour(colour, name, report)
-    if name not in colours and material.find("texture") is None:
+    look = _read_urdf_material(material, report)
+    if look != UrdfMaterial():
+        return look
+    if name not in looks:
         report.suspicious(f"material {quote(name)}", "no <material> with this name has a colour")
-    return colours.get(name)
+    return looks.get(name, UrdfMaterial())
+
+
+def _read_urdf_material(material: Element, report: ParseReport) -> UrdfMaterial:
+    colour, texture = material.find("color"), material.find("texture")
+    name = material.get("name") or ""
+    image = (texture.get("filename") or "").strip() if texture is not None else ""
+    return UrdfMaterial(
+        _read_material_colour(colour, name, report) if colour is not None else None,
+        Texture(image) if image else None,
+    )
 
 
 def _read_material_colour(colour: Element, name: str, report: ParseReport) -> Quat:

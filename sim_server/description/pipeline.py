@@ -17,8 +17,7 @@ from zensim.sim_server.description.builtin_models import read_builtin_model, rea
 from zensim.sim_server.description.joint_reduction import LumpedModel
 from zensim.sim_server.description.meshes.mesh_lookup import (
     HasMesh,
-    list_mesh_uris,
-    list_meshes,
+    has_assets,
     no_meshes,
 )
 from zensim.sim_server.description.model_geometry import describe_mesh_wheels
@@ -29,17 +28,15 @@ from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     import numpy as np
     import numpy.typing as npt
 
     from zensim.proto.messages.spawn_messages import Compat
-    from zensim.sim_server.description.meshes.mesh_conversion import MeshFiles
+    from zensim.sim_server.description.meshes.mesh_conversion import FindFile, MeshFiles
     from zensim.sim_server.description.sdf.sdf_includes import ResolveInclude
     from zensim.sim_server.description.world_model import WorldModel
-
-    FindMesh = Callable[[str], tuple[str, bytes] | None]
 
 
 DESCRIBED_DRIVE = DriveOrder()
@@ -77,7 +74,7 @@ SAMPLE_URDF = """<robot name="sample"><link name="base"><inertial><mass value="1
 
 @dataclass(frozen=True)
 class ModelWithMeshes:
-    """A model and its meshes by sha256."""
+    """A model, and its meshes and textures by sha256."""
 
     model: Model
     meshes: dict[str, bytes]
@@ -85,7 +82,7 @@ class ModelWithMeshes:
 
 @dataclass(frozen=True)
 class WorldWithMeshes:
-    """A world and the meshes of its models by sha256."""
+    """A world, and the meshes and textures of its models by sha256."""
 
     world: WorldModel
     meshes: dict[str, bytes]
@@ -124,16 +121,23 @@ def parse_description(
     model = read_robot(
         text, has_mesh=present.__contains__, allow_missing=allow_missing, resolve=included
     )
-    found = _convert_meshes(model, present) if list_meshes(model) else ModelWithMeshes(model, {})
+    found = ModelWithMeshes(model, {})
+    if has_assets(model):
+        found = _convert_meshes(model, present.get, overrides_materials=is_sdf(text))
     model = _set_compat(_add_drive(found, controllers, drive), compat)
     return ModelWithMeshes(_add_notes(model, found.meshes), found.meshes)
 
 
-def _convert_meshes(model: Model, files: dict[str, tuple[str, bytes]]) -> ModelWithMeshes:
+def _convert_meshes(
+    model: Model, find_file: FindFile, *, overrides_materials: bool
+) -> ModelWithMeshes:
     from zensim.sim_server.description.meshes.mesh_conversion import MeshConversions, convert_meshes
 
     conversions = MeshConversions()
-    return ModelWithMeshes(convert_meshes(model, files, conversions), conversions.meshes)
+    converted = convert_meshes(
+        model, find_file, conversions, overrides_materials=overrides_materials
+    )
+    return ModelWithMeshes(converted, conversions.meshes)
 
 
 def _add_drive(read: ModelWithMeshes, controllers: Sequence[str], order: DriveOrder) -> Model:
@@ -149,14 +153,14 @@ def _add_drive(read: ModelWithMeshes, controllers: Sequence[str], order: DriveOr
 
 
 def parse_world(
-    text: str, *, resolve: ResolveInclude, find_mesh: FindMesh, allow_missing: bool = False
+    text: str, *, resolve: ResolveInclude, find_mesh: FindFile, allow_missing: bool = False
 ) -> WorldWithMeshes:
     """Parse a world and convert its meshes; models with unusable meshes are left out.
 
     Args:
         text: SDF with one <world>.
         resolve: Finds the text of an included model.
-        find_mesh: Finds sha256 and bytes of a mesh by its URI.
+        find_mesh: Finds sha256 and bytes of a mesh, image or material file by its URI.
         allow_missing: Leave out missing included models.
 
     Raises:
@@ -173,15 +177,14 @@ def parse_world(
     conversions, models, report = MeshConversions(), [], list(world.report)
     unusable: list[str] = []
     for placed in world.models:
-        files = {uri: file for uri in list_mesh_uris(placed.model) if (file := find_mesh(uri))}
         try:
-            model = convert_meshes(placed.model, files, conversions)
+            model = convert_meshes(placed.model, find_mesh, conversions)
         except ModelError as error:
             report.append(ReportEntry("suspicious", f"model '{placed.name}'", f"left out: {error}"))
             unusable.append(str(error))
             continue
         new = model.report[len(placed.model.report) :]
-        unusable += [entry.reason for entry in new]
+        unusable += [entry.reason for entry in new if entry.status != "ignored"]
         model = _add_notes(model, conversions.meshes)
         new = model.report[len(placed.model.report) :]
         report += [replace(entry, subject=f"{placed.name}: {entry.subject}") for entry in new]

@@ -24,7 +24,7 @@ from zensim.sim_server.journal.journal_records import (
     make_response_key,
 )
 from zensim.sim_server.journal.sqlite_store import FILES, sync_folder
-from zensim.sim_server.parser_process.description_cache import list_meshes
+from zensim.sim_server.parser_process.description_cache import list_assets
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -76,7 +76,7 @@ class BatchWriter:
         """Remove files that no stored model needs."""
         needed: set[str] = set()
         for body in self._database.rows("model").values():
-            needed |= list_meshes(msgspec.msgpack.decode(body, type=Model))
+            needed |= list_assets(msgspec.msgpack.decode(body, type=Model))
         for file in self._files.iterdir():
             if file.stem not in needed or file.suffix != ".stl":
                 file.unlink()
@@ -155,7 +155,7 @@ class BatchWriter:
         return name
 
     def _copy_meshes(self, model: Model) -> None:
-        missing = [name for name in list_meshes(model) if not self._path(name).exists()]
+        missing = [name for name in list_assets(model) if not self._path(name).exists()]
         for name in missing:
             part = self._files / f"{name}.part"
             shutil.copyfile(self._meshes / f"{name}.stl", part)

@@ -25,7 +25,7 @@ from zensim.sim_server.journal.journal_records import (
     WorldRow,
 )
 from zensim.sim_server.journal.sqlite_store import JournalError, SqliteStore
-from zensim.sim_server.parser_process.description_cache import ParseKey, list_meshes
+from zensim.sim_server.parser_process.description_cache import ParseKey, list_assets
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
 
 if TYPE_CHECKING:
@@ -219,7 +219,7 @@ class MeshRestorer:
 
     def copy(self, model: Model) -> None:
         """Copy the meshes of a model."""
-        for mesh in list_meshes(model):
+        for mesh in list_assets(model):
             self.store.add(mesh, (self.files / f"{mesh}.stl").read_bytes())
 
 

@@ -46,10 +46,10 @@ class ParseKey(NamedTuple):
 
 @dataclass
 class CachedModel:
-    """A model, and the sha256 of its meshes."""
+    """A model, and the sha256 of its meshes and textures."""
 
     model: Model
-    meshes: frozenset[str]
+    assets: frozenset[str]
     is_prepared: bool
     """Whether the engine can add it between two steps."""
     unread_meshes: list[str] = field(default_factory=list)
@@ -128,8 +128,8 @@ class DescriptionCache:
         if isinstance(found, ModelError):
             raise found
         self._results.move_to_end(key)
-        for mesh in found.meshes:
-            self._store.size(mesh)  # marks it as used
+        for name in found.assets:
+            self._store.size(name)  # marks it as used
         return found.model, key.text
 
     def poll(self) -> bool:
@@ -185,9 +185,9 @@ class DescriptionCache:
         self._parser.submit(msgspec.structs.replace(request, number=number))
 
     def _is_usable(self, key: ParseKey) -> bool:
-        """Whether it is cached with all its meshes; drop it if a mesh was evicted."""
+        """Whether it is cached with all its assets; drop it if one was evicted."""
         found = self._results.get(key)
-        if isinstance(found, CachedModel) and not all(mesh in self._store for mesh in found.meshes):
+        if isinstance(found, CachedModel) and not all(name in self._store for name in found.assets):
             del self._results[key]
         return key in self._results
 
@@ -229,7 +229,7 @@ class DescriptionCache:
     def _make_parsed_model(self, model: Model) -> CachedModel:
         colliding = _list_collision_meshes(model)
         is_small = len(colliding) <= MAX_MESHES_AT_ONCE and not (model.is_static and colliding)
-        cached = CachedModel(model, list_meshes(model), is_prepared=is_small)
+        cached = CachedModel(model, list_assets(model), is_prepared=is_small)
         if not is_small:
             cached.unread_meshes.extend(set(colliding))
             self._unprepared.append(cached)
@@ -258,10 +258,12 @@ class DescriptionCache:
         )
 
 
-def list_meshes(model: Model) -> frozenset[str]:
-    """List the sha256 of all meshes of a model."""
-    shapes = (shape for link in model.links for shape in (*link.collisions, *link.visuals))
-    return frozenset(shape.mesh for shape in shapes if shape.mesh)
+def list_assets(model: Model) -> frozenset[str]:
+    """List the sha256 of all meshes, images and texture coordinates of a model."""
+    shapes = [shape for link in model.links for shape in (*link.collisions, *link.visuals)]
+    textures = (shape.texture for shape in shapes if shape.texture is not None)
+    names = (name for texture in textures for name in (texture.image, texture.coordinates))
+    return frozenset(name for name in (*(shape.mesh for shape in shapes), *names) if name)
 
 
 def _list_collision_meshes(model: Model) -> list[str]:

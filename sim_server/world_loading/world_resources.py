@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
@@ -14,6 +14,8 @@ from zensim.proto.messages.asset_messages import (
     MAX_BUNDLE_FILES,
     MAX_FILE_BYTES,
     AssetRef,
+    list_reference_uris,
+    list_references,
     normalize_model_name,
     parse_fuel_uri,
 )
@@ -171,6 +173,7 @@ def _parse_version(text: str) -> tuple[int, ...]:
     return tuple(int(part) for part in text.split(".") if part.isdecimal())
 
 
+MAX_WORLD_FILES = 4 * MAX_BUNDLE_FILES
 MAX_PARSE_ROUNDS = 20
 """Each may add models that include others, nested 16 deep."""
 
@@ -215,7 +218,7 @@ class WorldParseJob:
         )
 
     def _on_parsed(self, result: ParseResult) -> None:
-        new = [uri for uri in result.wanted if uri not in self._supplied and self._supply(uri)]
+        new = [uri for uri in result.wanted if self._supply(uri)]
         if new and self._rounds < MAX_PARSE_ROUNDS:
             self._submit()
         elif (
@@ -229,9 +232,25 @@ class WorldParseJob:
             self.result = result
 
     def _supply(self, uri: str) -> bool:
+        """Add a file, and the materials and images that it names; return whether it is new."""
+        if uri in self._supplied:
+            return False
         text = self._resolve(uri)
         data = text.encode() if text is not None else self._find(uri)
-        if data is None or len(self._supplied) >= MAX_BUNDLE_FILES:
+        if data is None or not self._add(uri, data):
+            return False
+        for reference in list_references(uri, data):
+            self._supply_first(list_reference_uris(uri, reference))
+        return True
+
+    def _supply_first(self, uris: Iterable[str]) -> None:
+        """Add the first of these files that exists."""
+        for uri in uris:
+            if uri in self._supplied or self._supply(uri):
+                return
+
+    def _add(self, uri: str, data: bytes) -> bool:
+        if len(self._supplied) >= MAX_WORLD_FILES:
             return False
         self._supplied_bytes += len(data)
         if self._supplied_bytes > MAX_BUNDLE_BYTES:

@@ -1,5 +1,6 @@
-"""Visual templates of models, and triangle meshes. NumPy only."""
+"""Visual templates of models, triangle meshes and textures. NumPy only."""
 
+import struct
 from collections.abc import Container, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
@@ -9,7 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zensim.proto.forward_kinematics import compute_chain_poses
-from zensim.proto.messages.model_messages import JointKind, Link, Model, Origin, Quat, Shape, Vec3
+from zensim.proto.messages.model_messages import (
+    JointKind,
+    Light,
+    Link,
+    Model,
+    Origin,
+    Quat,
+    Shape,
+    Vec3,
+)
 from zensim.proto.rigid_transforms import normalize
 from zensim.proto.se3 import from_origin, transform_points
 
@@ -25,11 +35,29 @@ class TriangleMesh(msgspec.Struct, frozen=True, eq=False):
     """(v, 3) [m]."""
     faces: Faces
     """(f, 3), indices of shared vertices."""
+    coordinates: NDArray[np.float32] | None = None
+    """(v, 2) of a texture, u to the right and v upward; None without a texture."""
+    image: bytes = b""
+    """PNG or JPEG; empty without a texture."""
 
 
 TriangleMeshes = Mapping[str, TriangleMesh]
-"""By sha256."""
+"""By `find_mesh_name`."""
 NO_MESHES: Final[TriangleMeshes] = MappingProxyType({})
+
+
+def find_mesh_name(shape: Shape) -> str:
+    """Find the name of the mesh of a shape: its sha256, or those of mesh and texture."""
+    texture = shape.texture
+    return f"{shape.mesh}/{texture.image}/{texture.coordinates}" if texture else shape.mesh
+
+
+def make_textured_mesh(
+    corners: NDArray[np.float32], coordinates: NDArray[np.float32], image: bytes
+) -> TriangleMesh:
+    """Make a mesh of triangle corners (3 f, 3), their texture coordinates (3 f, 2) and an image."""
+    faces = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
+    return TriangleMesh(corners.astype(np.float64), faces, coordinates, image)
 
 
 def weld_triangles(corners: NDArray[np.float32]) -> TriangleMesh:
@@ -80,6 +108,8 @@ class VisualTemplate(msgspec.Struct, frozen=True):
     """Visible shapes of every link, the base first."""
     visual_joints: tuple[VisualJoint, ...]
     """`visual_joints[i]` moves `links[i + 1]`."""
+    lights: tuple[tuple[Light, ...], ...] = ()
+    """Of every link; empty if there are none."""
 
 
 def make_template(model: Model, meshes: Container[str] = ()) -> VisualTemplate:
@@ -87,7 +117,7 @@ def make_template(model: Model, meshes: Container[str] = ()) -> VisualTemplate:
 
     Args:
         model: Links in tree order.
-        meshes: The sha256 of the available meshes.
+        meshes: The names of the available meshes.
 
     Raises:
         NotATree: The links are not in tree order, or not connected.
@@ -104,8 +134,11 @@ def make_template(model: Model, meshes: Container[str] = ()) -> VisualTemplate:
                 f"model '{model.name}': joint '{joint.name}' has no parent before its child"
             )
         joints.append(VisualJoint(joint.kind, parent, joint.origin, normalize(joint.axis)))
+    lights = tuple(link.lights for link in model.links)
     return VisualTemplate(
-        tuple(_visible_shapes(link, meshes) for link in model.links), tuple(joints)
+        tuple(_visible_shapes(link, meshes) for link in model.links),
+        tuple(joints),
+        lights if any(lights) else (),
     )
 
 
@@ -116,16 +149,23 @@ def _visible_shapes(link: Link, meshes: Container[str]) -> tuple[Shape, ...]:
 
 
 def _keep_drawable(shapes: tuple[Shape, ...], meshes: Container[str]) -> tuple[Shape, ...]:
-    """Select shapes other than planes; meshes only if available."""
+    """Select shapes other than planes; meshes and textures only if available."""
+    drawn = (
+        msgspec.structs.replace(shape, texture=None)
+        if shape.texture is not None and find_mesh_name(shape) not in meshes
+        else shape
+        for shape in shapes
+    )
     return tuple(
         shape
-        for shape in shapes
-        if shape.kind != "plane" and (shape.kind != "mesh" or shape.mesh in meshes)
+        for shape in drawn
+        if shape.kind != "plane" and (shape.kind != "mesh" or find_mesh_name(shape) in meshes)
     )
 
 
 DEFAULT_RGBA: Final[Quat] = (0.72, 0.74, 0.77, 1.0)
 """Colour of visuals without a colour."""
+WHITE: Final[Quat] = (1.0, 1.0, 1.0, 1.0)
 SMOOTH_KINDS: Final = frozenset({"sphere", "capsule"})
 CIRCLE_SEGMENTS: Final = 32
 """Corners of a circle."""
@@ -147,10 +187,12 @@ class ColouredMesh(msgspec.Struct, frozen=True, eq=False):
 def make_link_meshes(
     shapes: Sequence[Shape], meshes: TriangleMeshes = NO_MESHES
 ) -> list[ColouredMesh]:
-    """Merge the shapes of a link by colour; `meshes` must have all named meshes."""
-    by_colour: dict[Quat, list[Shape]] = {}
+    """Merge the shapes of a link by colour and image; `meshes` must have all named meshes."""
+    by_look: dict[tuple[Quat, str], list[Shape]] = {}
     for shape in shapes:
-        by_colour.setdefault(shape.rgba or DEFAULT_RGBA, []).append(shape)
+        image = shape.texture.image if shape.texture else ""
+        colour = shape.rgba or (WHITE if image else DEFAULT_RGBA)
+        by_look.setdefault((colour, image), []).append(shape)
     return [
         ColouredMesh(
             merge_meshes(_transform_shape(shape, meshes) for shape in group),
@@ -158,7 +200,7 @@ def make_link_meshes(
             is_smooth=all(shape.kind in SMOOTH_KINDS for shape in group),
             has_file=any(shape.kind == "mesh" for shape in group),
         )
-        for rgba, group in by_colour.items()
+        for (rgba, _), group in by_look.items()
     ]
 
 
@@ -213,19 +255,27 @@ def scale_mesh(mesh: TriangleMesh, scale: Vec3) -> TriangleMesh:
     """Scale a mesh along its axes; faces are flipped if the scale mirrors the mesh."""
     is_mirrored = np.prod(scale) < 0.0
     faces = mesh.faces[:, ::-1] if is_mirrored else mesh.faces
-    return TriangleMesh(mesh.vertices * np.asarray(scale), faces)
+    return TriangleMesh(mesh.vertices * np.asarray(scale), faces, mesh.coordinates, mesh.image)
 
 
 def merge_meshes(meshes: Iterable[TriangleMesh]) -> TriangleMesh:
-    """Merge meshes into one."""
+    """Merge meshes into one; all have the image of the first, or none has one."""
     vertices: list[Vertices] = []
     faces: list[Faces] = []
-    count = 0
+    coordinates: list[NDArray[np.float32]] = []
+    image, count = b"", 0
     for mesh in meshes:
         vertices.append(mesh.vertices)
         faces.append(mesh.faces + np.uint32(count))
         count += len(mesh.vertices)
-    return TriangleMesh(np.concatenate(vertices), np.concatenate(faces))
+        image = image or mesh.image
+        coordinates += [] if mesh.coordinates is None else [mesh.coordinates]
+    return TriangleMesh(
+        np.concatenate(vertices),
+        np.concatenate(faces),
+        np.concatenate(coordinates) if image else None,
+        image,
+    )
 
 
 def find_top(template: VisualTemplate, meshes: TriangleMeshes = NO_MESHES) -> float:
@@ -244,11 +294,12 @@ def find_top(template: VisualTemplate, meshes: TriangleMeshes = NO_MESHES) -> fl
 
 def _transform_shape(shape: Shape, meshes: TriangleMeshes) -> TriangleMesh:
     mesh = (
-        scale_mesh(meshes[shape.mesh], shape.size)
+        scale_mesh(meshes[find_mesh_name(shape)], shape.size)
         if shape.kind == "mesh"
         else make_shape_mesh(shape)
     )
-    return TriangleMesh(transform_points(from_origin(shape.origin), mesh.vertices), mesh.faces)
+    vertices = transform_points(from_origin(shape.origin), mesh.vertices)
+    return TriangleMesh(vertices, mesh.faces, mesh.coordinates, mesh.image)
 
 
 def _make_circle() -> Vertices:
@@ -284,3 +335,84 @@ def _close_tube(tube: TriangleMesh, half: float) -> TriangleMesh:
 
 def _to_faces(triples: Iterable[tuple[int, int, int]]) -> Faces:
     return np.array(list(triples), dtype=np.uint32)
+
+
+GLB_MAGIC: Final = b"glTF"
+GLB_VERSION: Final = 2
+FLOAT, UNSIGNED_INT = 5126, 5125
+"""Component types of glTF 2.0."""
+PNG_START: Final = b"\x89PNG"
+SRGB_EXPONENT: Final = 2.2
+
+
+def encode_glb(part: ColouredMesh) -> bytes:
+    """Encode a mesh with a texture as binary glTF 2.0."""
+    mesh = part.mesh
+    assert mesh.coordinates is not None, "the mesh has no texture"
+    # In glTF, v points downward.
+    points = mesh.coordinates * (1.0, -1.0) + (0.0, 1.0)
+    vertices = mesh.vertices.astype("<f4")
+    blobs = [vertices.tobytes(), points.astype("<f4").tobytes(), mesh.faces.astype("<u4").tobytes()]
+    blobs.append(mesh.image)
+    starts = np.cumsum([0, *map(_find_padded_length, blobs)]).tolist()
+    views = [
+        {"buffer": 0, "byteOffset": start, "byteLength": len(blob)}
+        for start, blob in zip(starts, blobs, strict=False)
+    ]
+    attributes = {"POSITION": 0, "TEXCOORD_0": 1}
+    bounds = {"min": vertices.min(axis=0).tolist(), "max": vertices.max(axis=0).tolist()}
+    content = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": 2, "material": 0}]}],
+        "accessors": [
+            {**_describe_array(0, FLOAT, len(vertices), "VEC3"), **bounds},
+            _describe_array(1, FLOAT, len(points), "VEC2"),
+            _describe_array(2, UNSIGNED_INT, mesh.faces.size, "SCALAR"),
+        ],
+        "materials": [_describe_material(part)],
+        "textures": [{"source": 0}],
+        "images": [{"bufferView": 3, "mimeType": "image/png" if _is_png(mesh) else "image/jpeg"}],
+        "buffers": [{"byteLength": starts[-1]}],
+        "bufferViews": views,
+    }
+    return _pack_glb(msgspec.json.encode(content), b"".join(map(_pad_with_zeros, blobs)))
+
+
+def _describe_array(view: int, component: int, count: int, kind: str) -> dict[str, object]:
+    return {"bufferView": view, "componentType": component, "count": count, "type": kind}
+
+
+def _describe_material(part: ColouredMesh) -> dict[str, object]:
+    """Describe a matt material; glTF has linear colours."""
+    factor = [*(channel**SRGB_EXPONENT for channel in part.rgba[:3]), part.rgba[3]]
+    surface = {
+        "baseColorFactor": factor,
+        "baseColorTexture": {"index": 0},
+        "metallicFactor": 0.0,
+        "roughnessFactor": 1.0,
+    }
+    # Only images with transparent parts are PNG.
+    mode = "BLEND" if part.rgba[3] < 1.0 else "MASK" if _is_png(part.mesh) else "OPAQUE"
+    return {"pbrMetallicRoughness": surface, "alphaMode": mode, "doubleSided": True}
+
+
+def _is_png(mesh: TriangleMesh) -> bool:
+    return mesh.image.startswith(PNG_START)
+
+
+def _pack_glb(head: bytes, body: bytes) -> bytes:
+    head = head.ljust(_find_padded_length(head))
+    chunks = struct.pack("<I4s", len(head), b"JSON") + head
+    chunks += struct.pack("<I4s", len(body), b"BIN\0") + body
+    return GLB_MAGIC + struct.pack("<II", GLB_VERSION, 12 + len(chunks)) + chunks
+
+
+def _find_padded_length(data: bytes) -> int:
+    return -(-len(data) // 4) * 4
+
+
+def _pad_with_zeros(data: bytes) -> bytes:
+    return data.ljust(_find_padded_length(data), b"\0")

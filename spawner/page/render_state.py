@@ -1,13 +1,17 @@
 """State to render: link poses of a snapshot, grouped by visual template. NumPy only."""
 
+from collections.abc import Iterator
+from itertools import islice
 from typing import Final
 
 import msgspec
 import numpy as np
 
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
+from zensim.proto.messages.model_messages import Light, Origin
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse, Snapshot
 from zensim.proto.messages.world_messages import Scene
+from zensim.proto.rigid_transforms import compose, rotate
 from zensim.proto.se3 import FloatArray, to_yaw
 from zensim.spawner.page.model_visuals import (
     NO_MESHES,
@@ -19,6 +23,7 @@ from zensim.spawner.page.model_visuals import (
     make_template,
 )
 
+MAX_MODEL_LIGHTS: Final = 8
 VIEW_AZIMUTH_RAD: Final = np.radians(20.0)
 """Angle of the view to the long side of the fleet."""
 VIEW_ELEVATION_RAD: Final = np.radians(17.0)
@@ -61,6 +66,7 @@ class RenderedFleet(msgspec.Struct, frozen=True, eq=False):
     meshes: TriangleMeshes = NO_MESHES
     """Meshes of the templates."""
     scene: Scene = Scene()
+    """Of the world, without the lights of models."""
 
 
 class RenderedFrame(msgspec.Struct, frozen=True, eq=False):
@@ -70,6 +76,8 @@ class RenderedFrame(msgspec.Struct, frozen=True, eq=False):
     """(n, STATE_COLUMNS), in the order of `RenderedFleet.names`."""
     links: tuple[tuple[FloatArray, ...], ...] = ()
     """Poses (k, 7) of every link of every group."""
+    lights: tuple[Light, ...] = ()
+    """Of links, in the world frame; at most `MAX_MODEL_LIGHTS`."""
 
 
 class SimulationStatus(msgspec.Struct, frozen=True):
@@ -147,7 +155,27 @@ def make_frame(fleet: RenderedFleet, snapshot: Snapshot) -> RenderedFrame:
         )
         for group in fleet.groups
     )
-    return RenderedFrame(states, links)
+    return RenderedFrame(
+        states, links, tuple(islice(_place_lights(fleet, links), MAX_MODEL_LIGHTS))
+    )
+
+
+def _place_lights(
+    fleet: RenderedFleet, links: tuple[tuple[FloatArray, ...], ...]
+) -> Iterator[Light]:
+    for group, poses in zip(fleet.groups, links, strict=True):
+        for number, lights in enumerate(group.template.lights):
+            for light in lights:
+                for pose in poses[number].tolist():
+                    yield _place_light(light, Origin(tuple(pose[:3]), tuple(pose[3:])))
+
+
+def _place_light(light: Light, link: Origin) -> Light:
+    return msgspec.structs.replace(
+        light,
+        origin=compose(link, light.origin),
+        direction=rotate(link.orientation, light.direction),
+    )
 
 
 def fit_camera(points: Array, *, aspect: float, fov_rad: float) -> tuple[Array, Array]:

@@ -26,15 +26,16 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from zensim.proto.messages.model_messages import Quat
+from zensim.proto.messages.model_messages import DOWNWARD, Light, Origin, Quat
 from zensim.proto.messages.telemetry_messages import EntityModel
-from zensim.proto.messages.world_messages import Light, Scene
+from zensim.proto.messages.world_messages import Scene
 from zensim.proto.se3 import FloatArray
 from zensim.spawner.page.model_visuals import (
     Array,
     ColouredMesh,
     TriangleMeshes,
     VisualTemplate,
+    encode_glb,
     find_top,
     make_link_meshes,
 )
@@ -365,8 +366,12 @@ SUN_POSITION: Final = (-4.0, 5.0, 8.0)
 """Position of the default light."""
 LAMP_DISTANCE_M: Final = 10.0
 """Distance of directional lamps from the origin."""
-LAMP_INTENSITIES: Final = {"directional": 2.2, "point": 12.0, "spot": 24.0}
-"""Intensity of white by kind of lamp; SDF has colours only."""
+LAMP_INTENSITY: Final = 2.2
+"""Of a white lamp of intensity 1 where its attenuation is 1."""
+FIT_DISTANCES_M: Final = (0.5, 5.0)
+"""Least and greatest distance at which the attenuation of a lamp is fitted: half of its range."""
+SPOT_ANGLE_RAD: Final = 0.8
+"""Half angle of the cone of a spot light without an angle."""
 AMBIENT_INTENSITY: Final = 3.0
 MAX_LIGHTS: Final = 8
 """Limit for the sake of frame rate."""
@@ -375,26 +380,48 @@ LightHandle = viser.SceneNodeHandle
 
 
 class SceneLighting:
-    """Lights and background; changed only when the scene changes."""
+    """Lights and background; changed only when the lights change."""
 
     def __init__(self, scene: viser.SceneApi) -> None:
         self._scene = scene
         self._handles: list[LightHandle] = []
-        self._shown: Scene | None = None
+        self._lamps: tuple[Light, ...] = ()
+        self._lamp_handles: list[LightHandle] = []
+        self._shown: tuple[Scene, list[Light]] | None = None
 
-    def show(self, scene: Scene) -> None:
-        """Show the lights and background of a world."""
-        if scene == self._shown:
+    def show(self, scene: Scene, lights: tuple[Light, ...] = ()) -> None:
+        """Show the lights and background of a world.
+
+        Args:
+            scene: Of the world.
+            lights: Of its models, in the world frame; they may move.
+        """
+        lamps = (*scene.lights, *lights)[:MAX_LIGHTS]
+        shown = (
+            scene,
+            [msgspec.structs.replace(lamp, origin=Origin(), direction=DOWNWARD) for lamp in lamps],
+        )
+        if shown == self._shown:
+            self._move_lamps(lamps)
             return
-        self._shown = scene
-        for handle in self._handles:
+        self._shown, self._lamps = shown, lamps
+        for handle in (*self._handles, *self._lamp_handles):
             handle.remove()
-        lamps = scene.lights[:MAX_LIGHTS]
         self._handles = [self._add_ambient(scene.ambient)]
-        self._handles += [self._add(f"/light/{i}", lamp) for i, lamp in enumerate(lamps)]
-        if scene.has_sun or not lamps:
+        self._lamp_handles = [self._add(f"/light/{i}", lamp) for i, lamp in enumerate(lamps)]
+        if scene.has_sun or not scene.lights:
             self._handles.append(self._add_sun())
         self._scene.set_background_image(make_sky(scene.background), format="png")
+
+    def _move_lamps(self, lamps: tuple[Light, ...]) -> None:
+        for handle, old, lamp in zip(self._lamp_handles, self._lamps, lamps, strict=True):
+            if lamp == old:
+                continue
+            is_far = lamp.kind == "directional"
+            handle.position = find_light_position(lamp) if is_far else lamp.origin.position
+            if isinstance(handle, viser.SpotLightHandle):
+                handle.direction = lamp.direction
+        self._lamps = lamps
 
     def _add_ambient(self, colour: Quat | None) -> LightHandle:
         if colour is not None:
@@ -408,27 +435,53 @@ class SceneLighting:
     def _add_sun(self) -> LightHandle:
         return self._scene.add_light_directional(
             "/light/sun",
-            intensity=LAMP_INTENSITIES["directional"],
+            intensity=LAMP_INTENSITY,
             cast_shadow=True,
             position=SUN_POSITION,
         )
 
     def _add(self, path: str, lamp: Light) -> LightHandle:
-        scene, colour, intensity = self._scene, _to_rgb(lamp.rgba), LAMP_INTENSITIES[lamp.kind]
-        position = lamp.origin.position
-        if lamp.kind == "point":
-            return scene.add_light_point(path, color=colour, intensity=intensity, position=position)
-        if lamp.kind == "spot":
-            return scene.add_light_spot(
-                path, color=colour, intensity=intensity, position=position, direction=lamp.direction
+        scene, colour, position = self._scene, _to_rgb(lamp.rgba), lamp.origin.position
+        if lamp.kind == "directional":
+            return scene.add_light_directional(
+                path,
+                color=colour,
+                intensity=LAMP_INTENSITY * lamp.intensity,
+                cast_shadow=True,
+                position=find_light_position(lamp),
             )
-        return scene.add_light_directional(
+        intensity, decay = fit_attenuation(lamp)
+        if lamp.kind == "point":
+            return scene.add_light_point(
+                path,
+                color=colour,
+                intensity=intensity,
+                decay=decay,
+                distance=lamp.range_m,
+                position=position,
+            )
+        return scene.add_light_spot(
             path,
             color=colour,
             intensity=intensity,
-            cast_shadow=True,
-            position=find_light_position(lamp),
+            decay=decay,
+            distance=lamp.range_m,
+            angle=min(lamp.outer_angle_rad / 2.0 or SPOT_ANGLE_RAD, float(np.pi) / 2.0),
+            penumbra=0.3,
+            position=position,
+            direction=lamp.direction,
         )
+
+
+def fit_attenuation(lamp: Light) -> tuple[float, float]:
+    """Find intensity and exponent of a power law with the attenuation of a lamp and its slope."""
+    near, far = FIT_DISTANCES_M
+    distance = min(max(lamp.range_m / 2.0, near), far)
+    constant, linear, quadratic = lamp.attenuation
+    terms = (constant, linear * distance, quadratic * distance**2)
+    whole = max(sum(terms), 1e-3)
+    decay = (terms[1] + 2.0 * terms[2]) / whole
+    return LAMP_INTENSITY * lamp.intensity * distance**decay / whole, decay
 
 
 def find_light_position(lamp: Light) -> tuple[float, float, float]:
@@ -466,7 +519,11 @@ LOD_MIN_FACES: Final = 2000
 LOD_LEVELS: Final = ((2.0, 0.4), (6.0, 0.1), (20.0, 0.02))
 """Distance [m], and share of faces that are drawn from there; for meshes above the minimum."""
 
-ClickEvent = viser.SceneNodePointerEvent[viser.BatchedMeshHandle]
+BatchHandle = viser.BatchedMeshHandle | viser.BatchedGlbHandle
+ClickEvent = (
+    viser.SceneNodePointerEvent[viser.BatchedMeshHandle]
+    | viser.SceneNodePointerEvent[viser.BatchedGlbHandle]
+)
 PickCallback = Callable[[int, str], None]
 """Called with the client and the entity that was clicked."""
 
@@ -481,7 +538,7 @@ class ModelNodes:
         self.top_m = find_top(template, meshes)
         self._scene = scene
         self._parts = [make_link_meshes(shapes, meshes) for shapes in template.links]
-        self._batches: list[list[viser.BatchedMeshHandle]] = []
+        self._batches: list[list[BatchHandle]] = []
 
     def show(self, links: Sequence[FloatArray]) -> bool:
         """Move all instances; return whether the nodes were created."""
@@ -507,7 +564,9 @@ class ModelNodes:
         for batch in itertools.chain.from_iterable(self._batches):
             batch.remove()
 
-    def _add(self, path: str, part: ColouredMesh, poses: FloatArray) -> viser.BatchedMeshHandle:
+    def _add(self, path: str, part: ColouredMesh, poses: FloatArray) -> BatchHandle:
+        if part.mesh.image:
+            return self._add_textured(path, part, poses)
         red, green, blue = (round(255 * channel) for channel in part.rgba[:3])
         alpha = part.rgba[3]
         return self._scene.add_batched_meshes_simple(
@@ -522,6 +581,18 @@ class ModelNodes:
             side="double" if part.has_file else "front",
             lod=LOD_LEVELS if len(part.mesh.faces) > LOD_MIN_FACES else "off",
             receive_shadow=False,  # artefacts at small faces
+        )
+
+    def _add_textured(
+        self, path: str, part: ColouredMesh, poses: FloatArray
+    ) -> viser.BatchedGlbHandle:
+        return self._scene.add_batched_glb(
+            path,
+            encode_glb(part),
+            poses[:, WXYZ_COLUMNS],
+            poses[:, :3],
+            lod="off",
+            receive_shadow=False,
         )
 
 
@@ -792,7 +863,7 @@ class ViewerPage:
         """Draw one snapshot."""
         self._fleet, self._frame = fleet, frame
         with self._server.atomic():
-            self._lighting.show(fleet.scene)
+            self._lighting.show(fleet.scene, frame.lights)
             self._fleet_nodes.show(fleet, frame)
         self._names = self._fleet_nodes.names_json()
         for client in self._connected_clients():

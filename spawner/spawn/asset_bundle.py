@@ -10,11 +10,15 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from zensim.proto.messages.asset_messages import (
+    IMAGE_SUFFIXES,
+    MATERIAL_SUFFIX,
     MAX_BUNDLE_BYTES,
     MAX_BUNDLE_FILES,
     MAX_CHUNK_BYTES,
     MAX_FILE_BYTES,
     AssetRef,
+    list_reference_uris,
+    list_references,
     resolve_include_uri,
 )
 from zensim.proto.messages.model_messages import ReportEntry
@@ -31,9 +35,11 @@ if TYPE_CHECKING:
     from zensim.spawner.client.sim_client import SimClient
 
 MESH_SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".off", ".glb", ".gltf")
-"""Only these are uploaded, so that an untrusted description cannot read other files."""
-UNSENT_REFERENCES = {".dae": b"<init_from>", ".obj": b"mtllib"}
-"""Text in a mesh file that refers to textures or materials."""
+"""Only these, and images and materials of OBJ files, are uploaded, so that an untrusted description
+cannot read other files.
+"""
+REFERRING_SUFFIXES = (".dae", ".obj", MATERIAL_SUFFIX)
+"""Files that name images or files of materials."""
 BLOCK_BYTES = 1 << 20
 MIB = 1 << 20
 
@@ -85,11 +91,21 @@ def _find_mesh_uris(element: ET.Element) -> Iterable[str]:
             yield uri
 
 
+def find_images(root: ET.Element) -> tuple[str, ...]:
+    """Find the URIs of the images that a URDF or SDF names itself, each once."""
+    written = [texture.get("filename") or "" for texture in root.iter("texture")]
+    written += [image.text or "" for image in root.iter("albedo_map")]
+    uris = (uri.strip() for uri in written)
+    return tuple(dict.fromkeys(uri for uri in uris if uri.lower().endswith(IMAGE_SUFFIXES)))
+
+
 class _FileCollector:
     """Collects the files of a description and of the models that it includes."""
 
     def __init__(self) -> None:
         self.meshes: dict[MeshReference, FileLocation] = {}
+        self.textures: dict[str, Path] = {}
+        """Images and files of materials."""
         self.models: dict[str, Path] = {}
         self._pending: list[tuple[Path, SearchPaths, str]] = []
 
@@ -105,7 +121,13 @@ class _FileCollector:
     def _add(self, root: ET.Element, paths: SearchPaths, *, include: str) -> None:
         for mesh in find_meshes(root):
             resolved = MeshReference(resolve_include_uri(include, mesh.uri), mesh.is_collision)
-            self.meshes.setdefault(resolved, _locate_mesh(mesh, paths))
+            location = _locate_mesh(mesh, paths)
+            self.meshes.setdefault(resolved, location)
+            if location.path is not None:
+                self._add_references(location.path, mesh.uri, resolved.uri, paths)
+        for image in find_images(root):
+            if (path := paths.find(image).path) is not None:
+                self.textures.setdefault(resolve_include_uri(include, image), path)
         for tag in root.iter("include"):
             uri = (tag.findtext("uri") or "").strip()
             resolved_uri = resolve_include_uri(include, uri)
@@ -114,6 +136,30 @@ class _FileCollector:
             self.models[resolved_uri] = file
             if file.stat().st_size <= MAX_TEXT_BYTES:
                 self._pending.append((file, paths.with_folder_of(file), resolved_uri))
+
+    def _add_references(self, file: Path, written: str, resolved: str, paths: SearchPaths) -> None:
+        """Add the images and materials that a file names.
+
+        Args:
+            file: It.
+            written: Its URI in the description.
+            resolved: Its URI for the server.
+            paths: Those of the description.
+        """
+        if file.suffix.lower() not in REFERRING_SUFFIXES or file.stat().st_size > MAX_FILE_BYTES:
+            return
+        for name in list_references(resolved, file.read_bytes()):
+            places = zip(
+                list_reference_uris(written, name),
+                list_reference_uris(resolved, name),
+                strict=False,
+            )
+            for own, uri in places:
+                if (path := paths.find(own).path) is not None:
+                    if uri not in self.textures:
+                        self.textures[uri] = path
+                        self._add_references(path, own, uri, paths)
+                    break
 
 
 def make_bundle(text: str, paths: SearchPaths) -> AssetBundle:
@@ -127,8 +173,10 @@ def make_bundle(text: str, paths: SearchPaths) -> AssetBundle:
     collector.read(text, paths)
     meshes = {mesh: found.path for mesh, found in collector.meshes.items() if found.path}
     by_uri = {**collector.models, **{mesh.uri: path for mesh, path in meshes.items()}}
+    _check_sizes(tuple(dict.fromkeys(by_uri.values())))
+    textures = _limit_textures(collector.textures, set(by_uri.values()))
+    by_uri |= {uri: path for uri, path in textures.items() if uri not in by_uri}
     unique_paths = tuple(dict.fromkeys(by_uri.values()))
-    _check_sizes(unique_paths)
     by_path = {path: _hash_file(path) for path in unique_paths}
     return AssetBundle(
         refs=tuple(AssetRef(uri, by_path[path].sha256) for uri, path in by_uri.items()),
@@ -138,7 +186,11 @@ def make_bundle(text: str, paths: SearchPaths) -> AssetBundle:
             for mesh, found in collector.meshes.items()
             if not found.path
         ),
-        notes=tuple(_report_unsent(meshes)),
+        notes=tuple(
+            ReportEntry("ignored", f"texture {uri[:160]!r}", "too large for the upload; not sent")
+            for uri in collector.textures
+            if uri not in textures
+        ),
     )
 
 
@@ -202,12 +254,19 @@ def _hash_file(path: Path) -> AssetFile:
     return AssetFile(path, digest.hexdigest(), size)
 
 
-def _report_unsent(meshes: dict[MeshReference, Path]) -> Iterable[ReportEntry]:
-    for mesh, path in meshes.items():
-        mark = UNSENT_REFERENCES.get(path.suffix.lower())
-        if mark and not mesh.is_collision and mark in path.read_bytes():
-            reason = "materials and textures are not used, only the shape"
-            yield ReportEntry("ignored", mesh.uri, reason)
+def _limit_textures(textures: dict[str, Path], others: set[Path]) -> dict[str, Path]:
+    """Select the textures for which there is room beside the other files."""
+    kept: dict[str, Path] = {}
+    paths = set(others)
+    total = sum(path.stat().st_size for path in others)
+    for uri, path in textures.items():
+        size = 0 if path in paths else path.stat().st_size
+        has_room = len(paths) < MAX_BUNDLE_FILES and total + size <= MAX_BUNDLE_BYTES
+        if path in paths or (has_room and size <= MAX_FILE_BYTES):
+            kept[uri] = path
+            paths.add(path)
+            total += size
+    return kept
 
 
 MAX_SEND_ATTEMPTS = 3

@@ -66,6 +66,7 @@ def list_meshes(model: Model) -> tuple[str, ...]:
     return tuple(dict.fromkeys(shape.mesh for shape in shapes if shape.kind == "mesh"))
 
 
-def list_mesh_uris(model: Model) -> tuple[str, ...]:
-    """List the URIs of a model's mesh files, each once."""
-    return tuple(uri for uri in list_meshes(model) if not is_generated(uri))
+def has_assets(model: Model) -> bool:
+    """Whether a model has meshes or images."""
+    textured = (shape.texture for link in model.links for shape in link.visuals)
+    return bool(list_meshes(model)) or any(texture is not None for texture in textured)

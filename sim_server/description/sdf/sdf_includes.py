@@ -176,6 +176,8 @@ class IncludeExpander:
 
     def _make_uris_absolute(self, model: Element, uri: str) -> None:
         """Replace relative URIs, which would be equal for different files of two models."""
+        for image in model.iter("albedo_map"):
+            image.text = resolve_include_uri(uri, (image.text or "").strip())
         for tag in model.iter("mesh", "include"):
             written = tag.find("uri")
             if written is None:

@@ -1,24 +1,28 @@
-"""Links of SDF models: inertia, collisions and visuals, with poses in their link."""
+"""Links of SDF models: inertia, collisions, visuals and lights, with poses in their link."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter, deque
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import msgspec
 import numpy as np
 
 from zensim.proto.messages.model_messages import (
+    DOWNWARD,
     Decay,
     Inertial,
     Joint,
     JointKind,
+    Light,
+    LightKind,
     Link,
     Mimic,
     Origin,
     Shape,
+    Texture,
     Vec3,
 )
 from zensim.proto.messages.result_messages import SpawnCode
@@ -36,6 +40,7 @@ from zensim.sim_server.description.link_surfaces import (
     SurfaceParameters,
     SurfaceTagReader,
     read_gazebo_material,
+    read_rgba,
     to_decay_rate,
 )
 from zensim.sim_server.description.meshes.generated_solids import (
@@ -59,7 +64,7 @@ from zensim.sim_server.description.strict_parsing import quote, read_numbers
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence, Set
+    from collections.abc import Iterable, Iterator, Sequence, Set
 
     from lxml.etree import _Element as Element
 
@@ -446,6 +451,59 @@ def read_colour(visual: Element, where: str, report: ParseReport) -> Quat | None
     return read_gazebo_material(material, where=where, slug="sdf.number", report=report)
 
 
+ALBEDO_PATHS = ("material/pbr/metal/albedo_map", "material/pbr/specular/albedo_map")
+
+
+def read_texture(visual: Element) -> Texture | None:
+    """Read the image of a visual's physically based material."""
+    named = (read_text(visual, path) for path in ALBEDO_PATHS)
+    return next((Texture(uri) for uri in named if uri), None)
+
+
+LIGHT_KINDS: dict[str, LightKind] = {kind: kind for kind in get_args(LightKind)}
+
+
+def read_light(light: Element, origin: Origin, report: ParseReport) -> Light | None:
+    """Read a <light>; None and reported when its type is unknown or it is off.
+
+    Args:
+        light: Of a world or a link.
+        origin: Its pose in its owner's frame.
+        report: Gets what was read.
+
+    Raises:
+        ModelError: A value is not a number.
+    """
+    where = f"light {quote(light.get('name'))}"
+    kind = LIGHT_KINDS.get(light.get("type") or "")
+    if kind is None:
+        report.unknown(where, f"unknown light type {quote(light.get('type'))}")
+        return None
+    if not read_flag(light, "light_on", default=True, where=where):
+        report.applied(where, "off")
+        return None
+    report.applied(where, kind)
+    diffuse, default = read_text(light, "diffuse"), Light("", kind)
+    factors = zip(("constant", "linear", "quadratic"), default.attenuation, strict=True)
+    constant, linear, quadratic = (
+        max(read_scalar(light, f"attenuation/{tag}", value, where), 0.0) for tag, value in factors
+    )
+    return Light(
+        name=(light.get("name") or "")[:80],
+        kind=kind,
+        origin=origin,
+        direction=rotate(origin.orientation, read_vector(light, "direction", DOWNWARD, where)),
+        rgba=read_rgba(diffuse, where=f"{where}, diffuse", slug="sdf.number", report=None)
+        if diffuse
+        else default.rgba,
+        intensity=max(read_scalar(light, "intensity", default.intensity, where), 0.0),
+        range_m=max(read_scalar(light, "attenuation/range", default.range_m, where), 0.0),
+        attenuation=(constant, linear, quadratic),
+        outer_angle_rad=max(read_scalar(light, "spot/outer_angle", 0.0, where), 0.0),
+        casts_shadows=read_flag(light, "cast_shadows", default=False, where=where),
+    )
+
+
 def apply_transparency(colour: Quat | None, transparency: float) -> Quat | None:
     """Apply the transparency of a visual to its colour."""
     if transparency <= 0.0:
@@ -563,7 +621,14 @@ class SdfLinkReader:
             decay=Decay(*(self._read_decay(tag, part) for part in ("linear", "angular"))),
             self_collides=tag.scope in self.self_colliding
             or read_flag(tag.element, "self_collide", default=False, where=where),
+            lights=tuple(self._read_lights(tag)),
         )
+
+    def _read_lights(self, tag: LinkElement) -> Iterator[Light]:
+        for element in tag.element.findall("light"):
+            origin = self._read_origin(tag, element, _describe_place(tag, element))
+            if (light := read_light(element, origin, self.report)) is not None:
+                yield light
 
     def _read_decay(self, tag: LinkElement, part: str) -> float:
         where = f"link {quote(tag.name)}"
@@ -620,10 +685,10 @@ class SdfLinkReader:
                 continue
             colour = read_colour(element, where, self.report)
             transparency = read_scalar(element, "transparency", 0.0, where)
-            rgba = apply_transparency(colour, transparency)
+            rgba, texture = apply_transparency(colour, transparency), read_texture(element)
             for shape in shapes:
                 drawn = make_visual_sheet(shape) if shape.kind == "plane" else shape
-                kept.append(msgspec.structs.replace(drawn, rgba=rgba))
+                kept.append(msgspec.structs.replace(drawn, rgba=rgba, texture=texture))
         return kept
 
     def _read_shapes(self, tag: LinkElement, element: Element, where: str) -> list[Shape]:

@@ -73,7 +73,7 @@ if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
 NO_EFFECT = "Gazebo tag without effect"
-NOT_DRAWN = "the page draws plain colours"
+NOT_DRAWN = "the page draws diffuse colours and textures"
 
 
 class SdfElementRule(msgspec.Struct, frozen=True):
@@ -93,15 +93,29 @@ ZENSIM_MODEL_TAGS = ("{urn:zensim}dynamics", "zensim:dynamics")
 OPAQUE = SdfElementRule(is_opaque=True)
 UNUSED = SdfElementRule(unread=NO_EFFECT, is_opaque=True)
 PLAIN = SdfElementRule(unread=NOT_DRAWN, is_opaque=True)
+WORKFLOW = SdfElementRule(
+    children={
+        "albedo_map": LEAF,
+        **dict.fromkeys(
+            (
+                "ambient_occlusion_map", "emissive_map", "environment_map", "glossiness",
+                "glossiness_map", "light_map", "metalness", "metalness_map", "normal_map",
+                "roughness", "roughness_map", "specular_map",
+            ),
+            PLAIN,
+        ),
+    }
+)  # fmt: skip
 MATERIAL = SdfElementRule(
     children={
         "script": OPAQUE,
         "ambient": LEAF,
         "diffuse": LEAF,
+        "pbr": SdfElementRule(children={"metal": WORKFLOW, "specular": WORKFLOW}),
         **dict.fromkeys(
             (
-                "specular", "emissive", "lighting", "shader", "pbr", "render_order",
-                "double_sided", "shininess",
+                "specular", "emissive", "lighting", "shader", "render_order", "double_sided",
+                "shininess",
             ),
             PLAIN,
         ),
@@ -151,10 +165,11 @@ LINK = SdfElementRule(
         "collision": COLLISION,
         "visual": VISUAL,
         "sensor": OPAQUE,
+        "light": OPAQUE,
         **dict.fromkeys(
             (
                 "audio_sink", "audio_source", "battery", "enable_wind", "frame", "kinematic",
-                "light", "must_be_base_link", "particle_emitter", "plugin", "projector",
+                "must_be_base_link", "particle_emitter", "plugin", "projector",
             ),
             UNUSED,
         ),

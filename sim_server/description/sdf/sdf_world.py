@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NoReturn, get_args
+from typing import TYPE_CHECKING, NoReturn
 
 import msgspec
 from lxml import etree
@@ -32,7 +32,7 @@ from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.messages.sensor_messages import SphericalCoordinates
 from zensim.proto.messages.spawn_messages import NamedPose
 from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Vector3
-from zensim.proto.messages.world_messages import DOWNWARD, Light, LightKind, Scene
+from zensim.proto.messages.world_messages import Scene
 from zensim.proto.rigid_transforms import compose
 from zensim.sim_server.description.link_surfaces import read_rgba
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
@@ -45,7 +45,11 @@ from zensim.sim_server.description.sdf.sdf_includes import (
     no_includes,
     parse_sdf,
 )
-from zensim.sim_server.description.sdf.sdf_links import GROUND_SLAB_M, GROUND_SLAB_ORIGIN
+from zensim.sim_server.description.sdf.sdf_links import (
+    GROUND_SLAB_M,
+    GROUND_SLAB_ORIGIN,
+    read_light,
+)
 from zensim.sim_server.description.sdf.sdf_model import (
     ModelPart,
     check_sibling_names,
@@ -59,7 +63,6 @@ from zensim.sim_server.description.sdf.sdf_values import (
     read_pose,
     read_scalar,
     read_text,
-    read_vector,
     zensim_tag,
 )
 from zensim.sim_server.description.strict_parsing import (
@@ -122,7 +125,6 @@ def _read_bounds(texts: dict[str, str], name: str) -> Bounds:
 
 GROUND_MODEL = b"""<model name="ground_plane"><static>true</static><link name="link">
 <collision name="collision"><geometry><plane/></geometry></collision></link></model>"""
-LIGHT_KINDS: dict[str, LightKind] = {kind: kind for kind in get_args(LightKind)}
 MIN_STEP_S, MAX_STEP_S = 1e-4, 1.0
 MAX_REAL_TIME_FACTOR = 1000.0
 
@@ -157,28 +159,6 @@ def read_scene(scene: Element, report: ParseReport) -> Scene:
         if child.tag not in ("ambient", "background"):
             report.ignored(f"scene: <{child.tag[:80]}>", "the page draws plain colours")
     return Scene(_read_colour(scene, "ambient"), _read_colour(scene, "background"))
-
-
-def read_light(light: Element, report: ParseReport) -> Light | None:
-    """Read a <light>; None and reported when its type is unknown.
-
-    Raises:
-        ModelError: A value is not a number.
-    """
-    name = (light.get("name") or "")[:80]
-    where = f"light {quote(name)}"
-    kind = LIGHT_KINDS.get(light.get("type") or "")
-    if kind is None:
-        report.unknown(where, f"unknown light type {quote(light.get('type'))}")
-        return None
-    report.applied(where, kind)
-    return Light(
-        name=name,
-        kind=kind,
-        origin=read_pose(light, where).origin,
-        direction=read_vector(light, "direction", DOWNWARD, where),
-        rgba=_read_colour(light, "diffuse") or (1.0, 1.0, 1.0, 1.0),
-    )
 
 
 def _read_in_range(physics: Element, tag: str, bounds: tuple[float, float]) -> float | None:
@@ -431,7 +411,8 @@ def _read_element(child: Element, draft: _WorldDraft) -> None:
         scene = replace(draft.world.scene, ambient=colours.ambient, background=colours.background)
         draft.world = replace(draft.world, scene=scene)
     elif child.tag == "light":
-        light, scene = read_light(child, report), draft.world.scene
+        where = f"light {quote(child.get('name'))}"
+        light, scene = read_light(child, read_pose(child, where).origin, report), draft.world.scene
         if light is not None:
             scene = replace(scene, lights=(*scene.lights, light))
         draft.world = replace(draft.world, scene=scene)

@@ -31,8 +31,8 @@ from zensim.sim_server.description.link_surfaces import (
     SurfaceTagReader,
     find_gazebo_colour,
     read_gazebo_material,
-    read_named_colours,
-    read_visual_colour,
+    read_named_materials,
+    read_visual_look,
 )
 from zensim.sim_server.description.meshes.generated_solids import make_cone, make_ellipsoid
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
     from zensim.proto.messages.model_messages import Quat
+    from zensim.sim_server.description.link_surfaces import UrdfMaterial
 
 NumberCounts = tuple[int, ...]
 TEXT: NumberCounts = ()
@@ -102,7 +103,7 @@ class UrdfElementRule(msgspec.Struct, frozen=True):
 
 ORIGIN = UrdfElementRule(attributes={"xyz": THREE, "rpy": THREE})
 COLOUR = UrdfElementRule(attributes={"rgba": (3, 4)})
-TEXTURE = UrdfElementRule(attributes={"filename": TEXT}, unread="textures are not drawn")
+TEXTURE = UrdfElementRule(attributes={"filename": TEXT})
 MATERIAL = UrdfElementRule(
     attributes={"name": TEXT},
     children={"color": COLOUR, "texture": TEXTURE},
@@ -474,7 +475,8 @@ def _apply_surface(link: Link, blocks: GazeboExtensions) -> Link:
         link = blocks.surfaces[link.name].apply_to_link(link)
     if link.name in blocks.colours:
         colour = blocks.colours[link.name]
-        link = replace(link, visuals=tuple(replace(shape, rgba=colour) for shape in link.visuals))
+        painted = (replace(shape, rgba=colour, texture=None) for shape in link.visuals)
+        link = replace(link, visuals=tuple(painted))
     return replace(link, self_collides=True) if blocks.self_collides else link
 
 
@@ -592,13 +594,14 @@ def read_collisions(link: Element, policy: MeshPolicy, report: ParseReport) -> t
 
 
 def read_visuals(
-    link: Element, policy: MeshPolicy, colours: dict[str, Quat], report: ParseReport
+    link: Element, policy: MeshPolicy, looks: dict[str, UrdfMaterial], report: ParseReport
 ) -> tuple[Shape, ...]:
     """Read the visuals of a <link>; a missing mesh or a size of 0 is reported."""
     kept = []
     for visual, where in _number_parts(link, "visual"):
-        colour = read_visual_colour(visual, colours, report)
-        shape = msgspec.structs.replace(_read_shape(visual, where, report), rgba=colour)
+        look = read_visual_look(visual, looks, report)
+        shape = _read_shape(visual, where, report)
+        shape = msgspec.structs.replace(shape, rgba=look.rgba, texture=look.texture)
         if has_no_extent(shape) or (shape.kind != "mesh" and min(shape.size) < 0.0):
             report.suspicious(where, f"{_describe_solid(shape)} of size <= 0; not drawn")
         elif policy.can_use(shape, where, collides=False, report=report):
@@ -692,13 +695,13 @@ def read_links_and_joints(robot: Element, policy: MeshPolicy, report: ParseRepor
     Raises:
         ModelError: A joint's type is unknown, or a limit or a collision mesh is missing.
     """
-    colours = read_named_colours(robot, report)
+    looks = read_named_materials(robot, report)
     links = tuple(
         Link(
             name=element.get("name") or "",
             inertial=_read_inertial(element),
             collisions=read_collisions(element, policy, report),
-            visuals=read_visuals(element, policy, colours, report),
+            visuals=read_visuals(element, policy, looks, report),
         )
         for element in robot.findall("link")
     )

@@ -14,7 +14,16 @@ from tests.sim_server.description.robots import (
     mentions,
     subjects,
 )
-from zensim.proto.messages.model_messages import Contact, Decay, Inertial, Link, Origin, Quat, Shape
+from zensim.proto.messages.model_messages import (
+    Contact,
+    Decay,
+    Inertial,
+    Link,
+    Origin,
+    Quat,
+    Shape,
+    Texture,
+)
 from zensim.sim_server.description.joint_reduction import lump_fixed_joints
 from zensim.sim_server.description.link_surfaces import (
     GAZEBO_COLOURS,
@@ -68,12 +77,16 @@ def test_undefined_material_is_reported() -> None:
     assert subjects(model.report, "suspicious") == ["material 'red'"]
 
 
-def test_texture_is_reported_as_ignored() -> None:
+@pytest.mark.parametrize("where", ["visual", "robot"])
+def test_texture_of_a_material_is_read(where: str) -> None:
     material = '<material name="m"><texture filename="t.png"/></material>'
+    visual = a_visual(BALL, material if where == "visual" else '<material name="m"/>')
+    link = a_link("a", an_inertial() + visual)
 
-    model = read_urdf(a_robot(a_link("a", an_inertial() + a_visual(BALL, material))))
+    model = read_urdf(a_robot(link + (material if where == "robot" else "")))
 
-    assert [entry.status for entry in model.report] == ["ignored"]
+    assert model.links[0].visuals[0].texture == Texture("t.png")
+    assert model.report == ()
 
 
 def test_colour_is_clamped_when_it_is_out_of_range() -> None:

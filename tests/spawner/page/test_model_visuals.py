@@ -9,16 +9,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.spawner.page.builders import BLUE, CUBE, make_robot
-from zensim.proto.messages.model_messages import Joint, JointKind, Link, Model, Origin, Shape
+from zensim.proto.messages.model_messages import (
+    Joint,
+    JointKind,
+    Light,
+    Link,
+    Model,
+    Origin,
+    Shape,
+    Texture,
+)
 from zensim.proto.rigid_transforms import normalize
 from zensim.proto.se3 import from_rpy
 from zensim.spawner.page.model_visuals import (
     DEFAULT_RGBA,
+    ColouredMesh,
     NotATree,
     TriangleMesh,
     VisualJoint,
     VisualTemplate,
+    encode_glb,
     find_link_poses,
+    find_mesh_name,
     find_top,
     make_box,
     make_capsule,
@@ -26,6 +38,7 @@ from zensim.spawner.page.model_visuals import (
     make_link_meshes,
     make_shape_mesh,
     make_template,
+    make_textured_mesh,
     merge_meshes,
     weld_triangles,
 )
@@ -322,3 +335,63 @@ def test_top_is_zero_without_shapes() -> None:
         )
         == 0.0
     )
+
+
+PNG = b"\x89PNG and more"
+TEXTURED = Shape("mesh", (1.0, 1.0, -2.0), mesh="m", texture=Texture("i", "c"))
+
+
+def a_textured_mesh() -> TriangleMesh:
+    return make_textured_mesh(SQUARE, np.arange(12, dtype=np.float32).reshape(-1, 2), PNG)
+
+
+def test_mesh_without_its_texture_is_drawn_plain() -> None:
+    model = Model("m", (Link("base", visuals=(TEXTURED,)),))
+
+    plain = make_template(model, {"m"}).links[0][0]
+    textured = make_template(model, {find_mesh_name(TEXTURED)}).links[0][0]
+
+    assert (plain.texture, textured) == (None, TEXTURED)
+    assert make_template(model, ()).links[0] == ()
+
+
+def test_shapes_with_different_images_are_separate() -> None:
+    meshes = {"m": weld_triangles(SQUARE), find_mesh_name(TEXTURED): a_textured_mesh()}
+    plain = msgspec.structs.replace(TEXTURED, texture=None)
+
+    textured, grey = make_link_meshes((TEXTURED, plain, TEXTURED), meshes)
+
+    assert (textured.mesh.image, textured.rgba) == (PNG, (1.0, 1.0, 1.0, 1.0))
+    assert textured.mesh.coordinates is not None
+    assert len(textured.mesh.coordinates) == len(textured.mesh.vertices) == 12
+    assert (grey.mesh.image, grey.rgba) == (b"", DEFAULT_RGBA)
+
+
+@pytest.mark.parametrize(
+    ("image", "alpha", "mode"),
+    [(PNG, 1.0, "MASK"), (PNG, 0.5, "BLEND"), (b"\xff\xd8\xff", 1.0, "OPAQUE")],
+)
+def test_glb_holds_mesh_and_image(image: bytes, alpha: float, mode: str) -> None:
+    mesh = TriangleMesh(
+        a_textured_mesh().vertices, a_textured_mesh().faces, a_textured_mesh().coordinates, image
+    )
+
+    data = encode_glb(ColouredMesh(mesh, (1.0, 0.5, 0.0, alpha), is_smooth=False, has_file=True))
+
+    assert int.from_bytes(data[8:12], "little") == len(data)
+    head = int.from_bytes(data[12:16], "little")
+    content = msgspec.json.decode(data[20 : 20 + head])
+    body = data[28 + head :]
+    parts = [body[v["byteOffset"] :][: v["byteLength"]] for v in content["bufferViews"]]
+    assert np.frombuffer(parts[0], "<f4").tolist() == SQUARE.ravel().tolist()
+    assert np.frombuffer(parts[1], "<f4")[:4].tolist() == [0.0, 0.0, 2.0, -2.0]
+    assert parts[3] == image
+    assert content["materials"][0]["alphaMode"] == mode
+
+
+def test_lights_of_links_are_in_the_template() -> None:
+    lamp = Light("lamp", "point")
+    lit = Model("m", (Link("base", visuals=(CUBE,), lights=(lamp,)),))
+
+    assert make_template(lit).lights == ((lamp,),)
+    assert make_template(make_robot()).lights == ()

@@ -6,9 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.spawner.page.builders import make_models, make_robot, make_snapshot, make_wall
-from zensim.proto.messages.model_messages import Link, Model
+from tests.spawner.page.builders import (
+    make_models,
+    make_models_by_name,
+    make_robot,
+    make_snapshot,
+    make_wall,
+)
+from zensim.proto.messages.model_messages import Light, Link, Model, Origin
 from zensim.spawner.page.render_state import (
+    MAX_MODEL_LIGHTS,
     MismatchedSnapshot,
     UnknownEntity,
     fit_camera,
@@ -124,3 +131,26 @@ def test_pose_is_formatted_in_metres_and_degrees() -> None:
     state = np.array((1.0, -2.0, 0.06, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5), 0.3, 0.4, 0, 0, 0, 1))
 
     assert format_pose(state) == ("x 1.00  y -2.00  z 0.06 m  yaw 90°", "0.50 m/s  1.00 rad/s")
+
+
+def test_lights_of_links_move_with_them() -> None:
+    lamp = Light("lamp", "spot", Origin((1.0, 0.0, 0.0)), direction=(1.0, 0.0, 0.0))
+    model = Model("m", (Link("base", lights=(lamp,)),))
+    fleet = make_fleet(("a", "b"), make_models(a=model, b=model))
+    snapshot = make_snapshot("a", "b", at_x=5.0)
+    base = np.frombuffer(snapshot.base).reshape(-1, 13).copy()
+    base[1, 3:7] = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
+
+    first, second = make_frame(fleet, msgspec.structs.replace(snapshot, base=base.tobytes())).lights
+
+    assert first.origin.position == pytest.approx((6.0, 0.0, 0.0))
+    assert second.origin.position == pytest.approx((6.0, 1.0, 0.0))
+    assert second.direction == pytest.approx((0.0, 1.0, 0.0))
+
+
+def test_number_of_lights_of_links_is_limited() -> None:
+    model = Model("m", (Link("base", lights=(Light("lamp", "point"),)),))
+    names = tuple(f"r{number}" for number in range(20))
+    fleet = make_fleet(names, make_models_by_name(dict.fromkeys(names, model)))
+
+    assert len(make_frame(fleet, make_snapshot(*names)).lights) == MAX_MODEL_LIGHTS

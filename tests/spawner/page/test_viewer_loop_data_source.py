@@ -18,7 +18,7 @@ from tests.spawner.page.builders import (
 from zensim.proto import keys, topic_catalog
 from zensim.proto.bus import NoServer
 from zensim.proto.messages.asset_messages import GetAssetRequest, GetAssetResponse
-from zensim.proto.messages.model_messages import Link, Model, Shape
+from zensim.proto.messages.model_messages import Link, Model, Shape, Texture
 from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import Twist, TwistStamped, Vector3
 from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse
@@ -27,6 +27,7 @@ from zensim.proto.service_catalog import Request, Response, Service
 from zensim.proto.stl import write_corners
 from zensim.spawner.page.render_state import LastCommand
 from zensim.spawner.page.viewer_loop import (
+    FETCH_BUDGET_S,
     MESH_BUDGET_BYTES,
     MESH_RETRY_S,
     MIN_FRAME_PERIOD_S,
@@ -319,6 +320,8 @@ class FileServer:
         self.chunk = chunk
         self.requests: list[tuple[str, int]] = []
         self.error: Exception | None = None
+        self.clock = ManualClock()
+        """Advances at each call, so that each `fetch` makes one."""
 
     def call(
         self,
@@ -332,6 +335,7 @@ class FileServer:
         del request_id
         assert isinstance(request, GetAssetRequest)
         assert (world, timeout_s < 1.0) == ("w", True)
+        self.clock.sleep(FETCH_BUDGET_S)
         self.requests.append((request.sha256, request.offset))
         if self.error is not None:
             raise self.error
@@ -347,7 +351,7 @@ class FetcherSetup:
     def __init__(
         self, server: FileServer, *named: bytes, budget_bytes: int = MESH_BUDGET_BYTES
     ) -> None:
-        self.clock = ManualClock()
+        self.clock = server.clock
         self.fetcher = MeshFetcher(server, "w", self.clock, budget_bytes)
         self.names = [sha256(data).hexdigest() for data in named]
         self.set_meshes(*self.names)
@@ -356,7 +360,7 @@ class FetcherSetup:
         visuals = tuple(Shape("mesh", (1.0, 1.0, 1.0), mesh=name) for name in names)
         self.fetcher.set_models([Model("m", (Link("base", visuals=visuals),))])
 
-    def fetch(self, times: int = 10) -> list[str]:
+    def fetch(self, times: int = 20) -> list[str]:
         for _ in range(times):
             self.fetcher.fetch()
         return list(self.fetcher.meshes)
@@ -407,6 +411,48 @@ def test_mesh_is_requested_again_after_no_reply() -> None:
     assert (setup.fetch(), len(server.requests)) == ([], 1)
     setup.clock.sleep(MESH_RETRY_S)
     assert setup.fetch() == setup.names
+
+
+IMAGE = b"\x89PNG\r\n\x1a\n and more"
+COORDINATES = np.arange(12.0).astype("<f4").tobytes()
+
+
+def show_textured(*files: bytes, image: bytes = IMAGE, points: bytes = COORDINATES) -> MeshFetcher:
+    """Fetch a mesh of two triangles with a texture."""
+    setup = FetcherSetup(FileServer(make_mesh(), *files))
+    mesh, picture, places = (sha256(data).hexdigest() for data in (make_mesh(), image, points))
+    shape = Shape("mesh", (1.0, 1.0, 1.0), mesh=mesh, texture=Texture(picture, places))
+    setup.fetcher.set_models([Model("m", (Link("base", visuals=(shape,)),))])
+    setup.fetch()
+    return setup.fetcher
+
+
+def test_textured_mesh_is_fetched_with_image_and_coordinates() -> None:
+    (mesh,) = show_textured(IMAGE, COORDINATES).meshes.values()
+
+    assert mesh.image == IMAGE
+    assert mesh.coordinates is not None
+    assert mesh.coordinates.ravel().tolist() == list(range(12))
+    assert mesh.vertices.shape == (6, 3)
+
+
+@pytest.mark.parametrize(
+    ("files", "image", "points"),
+    [
+        ((COORDINATES,), IMAGE, COORDINATES),
+        ((IMAGE,), IMAGE, COORDINATES),
+        ((IMAGE, COORDINATES[:-8]), IMAGE, COORDINATES[:-8]),
+        ((b"<svg/>", COORDINATES), b"<svg/>", COORDINATES),
+        ((IMAGE, b"\xff" * 48), IMAGE, b"\xff" * 48),
+    ],
+    ids=["no_image", "no_points", "few_points", "other_image", "nan"],
+)
+def test_mesh_without_a_usable_texture_is_plain(
+    files: tuple[bytes, ...], image: bytes, points: bytes
+) -> None:
+    fetcher = show_textured(*files, image=image, points=points)
+
+    assert [*fetcher.meshes] == [sha256(make_mesh()).hexdigest()]
 
 
 def test_unused_mesh_is_dropped() -> None:

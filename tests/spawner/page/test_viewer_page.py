@@ -3,13 +3,15 @@
 import msgspec
 import pytest
 
-from zensim.proto.messages.model_messages import Origin
-from zensim.proto.messages.world_messages import Light, Scene
+from zensim.proto.messages.model_messages import Light, Origin
+from zensim.proto.messages.world_messages import Scene
 from zensim.spawner.page.viewer_page import (
     LAMP_DISTANCE_M,
+    LAMP_INTENSITY,
     MAX_LIGHTS,
     SceneLighting,
     find_light_position,
+    fit_attenuation,
     make_sky,
 )
 
@@ -18,10 +20,15 @@ OWN = ["/light/ambient", "/light/sun"]
 
 
 class FakeHandle:
-    """A node that can be removed from its scene."""
+    """A node that can be moved and removed from its scene."""
 
     def __init__(self, nodes: dict[str, dict[str, object]], path: str) -> None:
         self._nodes, self._path = nodes, path
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not name.startswith("_"):
+            self._nodes[self._path][name] = value
+        super().__setattr__(name, value)
 
     def remove(self) -> None:
         del self._nodes[self._path]
@@ -71,6 +78,35 @@ def test_lights_of_a_world_are_shown() -> None:
     assert (ambient["kind"], ambient["color"]) == ("ambient", (51, 102, 255))
     assert (point["color"], point["position"]) == ((255, 128, 255), (1.0, 2.0, 3.0))
     assert (cone["kind"], cone["direction"]) == ("spot", (0.0, 1.0, 0.0))
+
+
+def test_lights_of_models_move_without_new_nodes() -> None:
+    fake = FakeScene()
+    lighting = SceneLighting(fake)  # type: ignore[arg-type]
+    lighting.show(Scene(), (LAMP,))
+    node = fake.nodes["/light/0"]
+
+    lighting.show(Scene(), (msgspec.structs.replace(LAMP, origin=Origin((4.0, 5.0, 6.0))),))
+
+    assert fake.nodes["/light/0"] is node
+    assert node["position"] == (4.0, 5.0, 6.0)
+    assert {*fake.nodes} == {*OWN, "/light/0"}
+    lighting.show(Scene())
+    assert {*fake.nodes} == {*OWN}
+
+
+@pytest.mark.parametrize(
+    ("attenuation", "decay"),
+    [((1.0, 0.0, 0.0), 0.0), ((0.0, 1.0, 0.0), 1.0), ((0.0, 0.0, 0.5), 2.0)],
+)
+def test_attenuation_is_a_power_law(attenuation: tuple[float, float, float], decay: float) -> None:
+    lamp = msgspec.structs.replace(LAMP, attenuation=attenuation, intensity=3.0)
+
+    intensity, exponent = fit_attenuation(lamp)
+
+    assert exponent == pytest.approx(decay)
+    at_2_m = 3.0 * LAMP_INTENSITY / sum(k * 2.0**i for i, k in enumerate(attenuation))
+    assert intensity * 2.0**-exponent == pytest.approx(at_2_m)
 
 
 def test_number_of_lights_is_limited() -> None:

@@ -17,6 +17,7 @@ from zensim.proto.messages.asset_messages import (
 )
 from zensim.proto.messages.result_messages import ServiceError, SpawnCode
 from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.spawn import asset_bundle
 from zensim.spawner.spawn.asset_bundle import (
     AssetBundle,
     AssetFile,
@@ -29,7 +30,7 @@ from zensim.spawner.spawn.asset_bundle import (
     send_file,
 )
 from zensim.spawner.spawn.description_xml import parse_description
-from zensim.spawner.spawn.search_paths import collect_search_paths
+from zensim.spawner.spawn.search_paths import SearchPaths, collect_search_paths
 
 if TYPE_CHECKING:
     from zensim.proto.bus import Bus
@@ -133,12 +134,53 @@ def test_large_bundle_is_refused(tmp_path: Path) -> None:
         make_bundle_in(tmp_path, f"<robot>{parts}</robot>")
 
 
-def test_materials_of_a_mesh_are_reported_as_ignored(tmp_path: Path) -> None:
-    (tmp_path / "a.obj").write_text("mtllib a.mtl\nv 0 0 0\n")
+def test_bundle_has_images_of_meshes_and_of_the_description(tmp_path: Path) -> None:
+    for name in ("meshes", "materials/textures"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "meshes" / "a.obj").write_text("mtllib a.mtl\nv 0 0 0\n")
+    (tmp_path / "meshes" / "a.mtl").write_text("newmtl m\nmap_Kd C:\\art\\wood.png\n")
+    (tmp_path / "materials" / "textures" / "wood.png").write_bytes(b"wood")
+    (tmp_path / "own.png").write_bytes(b"own")
+    (tmp_path / "secret.txt").write_bytes(b"secret")
+    texture = '<material name="m"><texture filename="own.png"/></material>'
+    other = '<material name="n"><texture filename="secret.txt"/></material>'
+    mesh = '<geometry><mesh filename="meshes/a.obj"/></geometry>'
+    text = f'<robot name="r"><link name="l"><visual>{mesh}{texture}{other}</visual></link></robot>'
 
-    bundle = make_bundle_in(tmp_path, robot_of("a.obj", "a.obj").replace("collision", "visual"))
+    bundle = make_bundle(text, SearchPaths(folder=tmp_path))
 
-    assert [(note.status, note.subject) for note in bundle.notes] == [("ignored", "a.obj")]
+    assert {ref.uri for ref in bundle.refs} == {
+        "meshes/a.obj", "meshes/a.mtl", "materials/textures/wood.png", "own.png",
+    }  # fmt: skip
+
+
+def test_texture_outside_the_search_paths_is_not_sent(tmp_path: Path) -> None:
+    (tmp_path / "photo.png").write_bytes(b"private")
+    (tmp_path / "robot").mkdir()
+    (tmp_path / "robot" / "a.dae").write_text(
+        f"<init_from>../photo.png</init_from><init_from>{tmp_path}/photo.png</init_from>"
+    )
+    mesh = '<visual><geometry><mesh filename="a.dae"/></geometry></visual>'
+    text = f'<robot name="r"><link name="l">{mesh}</link></robot>'
+
+    bundle = make_bundle(text, SearchPaths(folder=tmp_path / "robot"))
+
+    assert [ref.uri for ref in bundle.refs] == ["a.dae"]
+
+
+def test_texture_without_room_is_left_out_with_a_note(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a.dae").write_text("<init_from>a.png</init_from>")
+    (tmp_path / "a.png").write_bytes(bytes(100))
+    monkeypatch.setattr(asset_bundle, "MAX_BUNDLE_BYTES", 60)
+    mesh = '<visual><geometry><mesh filename="a.dae"/></geometry></visual>'
+    text = f'<robot name="r"><link name="l">{mesh}</link></robot>'
+
+    bundle = make_bundle(text, SearchPaths(folder=tmp_path))
+
+    assert [ref.uri for ref in bundle.refs] == ["a.dae"]
+    assert [note.subject for note in bundle.notes] == ["texture 'a.png'"]
 
 
 def test_bundle_has_included_models_and_their_meshes(tmp_path: Path) -> None:

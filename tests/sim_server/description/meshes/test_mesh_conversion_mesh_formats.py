@@ -102,7 +102,7 @@ FANS = {(0, 1, 2), (0, 2, 3)}
 
 
 def triangles(data: bytes) -> set[tuple[int, ...]]:
-    _, faces = read_obj(data, MOST)
+    faces = read_obj(data, MOST).faces
     return {tuple(face) for face in faces.tolist()}
 
 
@@ -128,7 +128,7 @@ def test_faces_are_read_in_each_notation(face: bytes) -> None:
     "tail", [b"v 5 5 5\n", b"v 5 5 5 1\n", b"v 5 5 5 .1 .2 .3\n", b"  v 5 5 5\n"]
 )
 def test_vertices_are_read_when_other_values_follow(tail: bytes) -> None:
-    corners, _ = read_obj(SQUARE + tail, MOST)
+    corners = read_obj(SQUARE + tail, MOST).corners
 
     assert corners.tolist()[-2:] == [[0.0, 1.0, 0.0], [5.0, 5.0, 5.0]]
 
@@ -159,7 +159,8 @@ def test_invalid_line_is_in_the_error(line: bytes) -> None:
 
 
 def test_empty_file_has_no_triangles() -> None:
-    corners, faces = read_obj(b"", MOST)
+    content = read_obj(b"", MOST)
+    corners, faces = content.corners, content.faces
 
     assert (corners.shape, faces.shape) == ((0, 3), (0, 3))
 
@@ -179,7 +180,7 @@ def test_faces_may_use_corners_of_earlier_chunks() -> None:
 def test_reading_stops_after_too_many_triangles() -> None:
     piece = SQUARE + b"f 1 2 3\n" * (CHUNK_BYTES // 8)
 
-    _, faces = read_obj(piece + b"no end of it\n" * CHUNK_BYTES, len(piece) // 10)
+    faces = read_obj(piece + b"no end of it\n" * CHUNK_BYTES, len(piece) // 10).faces
 
     assert len(faces) < CHUNK_BYTES // 8
 

@@ -4,7 +4,7 @@ import pytest
 
 from tests.sim_server.description.robots import mentions, subjects
 from tests.sim_server.description.sdf_robots import a_joint, a_link, a_model, a_pose, an_axis
-from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.model_messages import Model, Texture
 from zensim.sim_server.description.sdf.sdf_model import read_sdf_model
 from zensim.sim_server.errors import ModelError
 
@@ -152,3 +152,19 @@ def test_merged_include_is_placed_by_its_placement_frame() -> None:
     model = read({"x": hand}, a_link("a"), a_merge(inside), a_joint("j", ("a", "palm")))
 
     assert model.frames[0].origin.position == pytest.approx((0.0, 0.0, 3.0))
+
+
+def test_relative_images_of_an_included_model_are_its_own() -> None:
+    pbr = "<material><pbr><metal><albedo_map>materials/a.png</albedo_map></metal></pbr></material>"
+    visual = f"<visual name='v'><geometry><box/></geometry>{pbr}</visual>"
+    crate = a_model(a_link("box", visual), attributes='name="crate"')
+    joint = a_joint("j", ("a", "crate::box"), kind="fixed")
+
+    model = read_sdf_model(
+        a_model(a_link("a"), an_include("model://crate"), joint),
+        resolve={"model://crate": crate}.get,
+    )
+
+    assert [shape.texture for shape in model.links[0].visuals] == [
+        Texture("model://crate/materials/a.png")
+    ]

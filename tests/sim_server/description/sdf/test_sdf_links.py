@@ -8,7 +8,15 @@ from lxml import etree
 
 from tests.sim_server.description.robots import mentions, subjects
 from tests.sim_server.description.sdf_robots import a_joint, a_link, a_model, a_pose, an_axis, read
-from zensim.proto.messages.model_messages import Contact, Joint, Mimic, Model, Origin, Shape
+from zensim.proto.messages.model_messages import (
+    Contact,
+    Joint,
+    Mimic,
+    Model,
+    Origin,
+    Shape,
+    Texture,
+)
 from zensim.proto.rigid_transforms import rotate
 from zensim.sim_server.description.model_geometry import find_link_poses
 from zensim.sim_server.description.report import ParseReport
@@ -451,3 +459,42 @@ def test_joint_has_its_spring() -> None:
 
     (joint,) = model.joints
     assert (joint.spring_stiffness, joint.spring_reference) == (40.0, 0.1)
+
+
+def test_light_of_a_link_is_in_the_frame_of_the_link_that_it_is_lumped_into() -> None:
+    light = (
+        '<light name="lamp" type="spot"><pose>1 0 0 0 0 0</pose><direction>1 0 0</direction>'
+        "<intensity>2</intensity><spot><outer_angle>0.5</outer_angle></spot>"
+        "<attenuation><range>7</range><linear>0.1</linear></attenuation></light>"
+    )
+    turned = a_link("b", a_pose("0 0 1 0 0 1.5707963267948966") + light)
+
+    model = read(a_link("a"), turned, a_joint("j", ("a", "b"), kind="fixed"))
+
+    (lamp,) = model.links[0].lights
+    assert lamp.origin.position == pytest.approx((0.0, 1.0, 1.0))
+    assert lamp.direction == pytest.approx((0.0, 1.0, 0.0))
+    assert (lamp.kind, lamp.intensity, lamp.range_m) == ("spot", 2.0, 7.0)
+    assert (lamp.attenuation, lamp.outer_angle_rad) == ((1.0, 0.1, 0.0), 0.5)
+
+
+@pytest.mark.parametrize(
+    "light",
+    [
+        '<light name="l" type="beam"/>',
+        '<light name="l" type="point"><light_on>0</light_on></light>',
+    ],
+)
+def test_light_that_is_off_or_of_no_known_type_is_left_out(light: str) -> None:
+    assert read(a_link("a", light)).links[0].lights == ()
+
+
+@pytest.mark.parametrize("workflow", ["metal", "specular"])
+def test_albedo_map_is_the_texture_of_a_visual(workflow: str) -> None:
+    pbr = f"<pbr><{workflow}><albedo_map>a.png</albedo_map></{workflow}></pbr>"
+    visual = f"<visual name='v'><geometry><box/></geometry><material>{pbr}</material></visual>"
+
+    model = read(a_link("a", visual))
+
+    assert model.links[0].visuals[0].texture == Texture("a.png")
+    assert subjects(model.report, "unknown") == []
