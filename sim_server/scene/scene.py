@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.proto.forward_kinematics import compute_link_poses
-from zensim.proto.messages.model_messages import Model, Shape
+from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.proto.se3 import IDENTITY_POSE, FloatArray, compose, from_origin, to_matrix
 from zensim.sim_server.scene.broad_phase import IntArray
 from zensim.sim_server.scene.convex_shapes import (
@@ -38,6 +38,8 @@ from zensim.sim_server.scene.ray_casting import (
 BoolArray = npt.NDArray[np.bool_]
 FindTriangles = Callable[[str], npt.NDArray[np.floating]]
 """Finds the corners (3 f, 3) of the triangles of a `Shape.mesh`, unscaled."""
+
+ListShapes = Callable[[Link], Sequence[Shape]]
 
 ENTITIES_PER_TURN = 32
 """Entities of one model that are posed and tested at once."""
@@ -97,6 +99,11 @@ def place_collision_shapes(
     return [(solid, links[link]) for link, solid in list_collision_shapes(model, vertices)]
 
 
+def list_collisions(link: Link) -> tuple[Shape, ...]:
+    """List the collisions of a link."""
+    return link.collisions
+
+
 class SceneLayout:
     """Entities and shapes of a scene: the part that lasts until the entity set changes.
 
@@ -112,6 +119,7 @@ class SceneLayout:
         triangles: FindTriangles | None = None,
         *,
         has_ground: bool = False,
+        list_shapes: ListShapes = list_collisions,
     ) -> None:
         """Group entities by model.
 
@@ -120,6 +128,7 @@ class SceneLayout:
             vertices: Finds the vertices of meshes, for hulls.
             triangles: Finds the triangles of meshes, for rays; None = `vertices` has them.
             has_ground: Whether there is a ground plane z = 0.
+            list_shapes: Lists the shapes of a link that rays hit.
         """
         counts = np.array([len(model.joints) for model in models], dtype=np.intp)
         starts = np.cumsum(counts) - counts
@@ -134,6 +143,7 @@ class SceneLayout:
         )
         self._triangles = triangles or vertices
         self._has_ground = has_ground
+        self._list_shapes = list_shapes
         self._fixed: dict[int, tuple[FloatArray, FloatArray]] = {}
 
     @cached_property
@@ -143,7 +153,7 @@ class SceneLayout:
         geometry: list[IntArray] = []
         entity: list[IntArray] = []
         for group in self.groups:
-            for shape in _list_shapes(group.model):
+            for shape in self._list_all(group.model):
                 geometry.append(np.full(len(group.rows), len(geometries)))
                 entity.append(group.rows)
                 geometries.append(_make_geometry(shape, self._triangles))
@@ -159,7 +169,7 @@ class SceneLayout:
     def is_fixed(self) -> BoolArray:
         """Which of all shapes (s,) move only when a request moves their entity."""
         parts = [
-            np.full(len(group.rows) * len(_list_shapes(group.model)), group.is_fixed)
+            np.full(len(group.rows) * len(self._list_all(group.model)), group.is_fixed)
             for group in self.groups
         ]
         ground = np.ones(int(self._has_ground), np.bool_)
@@ -187,11 +197,14 @@ class SceneLayout:
         poses = [
             compose(links[link.name], from_origin(shape.origin))
             for link in group.model.links
-            for shape in link.collisions
+            for shape in self._list_shapes(link)
         ]
         if group.is_fixed:
             self._fixed[number] = base.copy(), np.concatenate([np.zeros((0, 7)), *poses])
         return poses
+
+    def _list_all(self, model: Model) -> list[Shape]:
+        return [shape for link in model.links for shape in self._list_shapes(link)]
 
 
 class CollisionScene:
@@ -360,10 +373,6 @@ def _make_group(model: Model, rows: IntArray, starts: IntArray) -> ModelGroup:
     joints = starts[rows, None] + np.arange(len(model.joints))
     is_fixed = model.is_static and all(joint.kind == "fixed" for joint in model.joints)
     return ModelGroup(model, rows, joints, is_fixed)
-
-
-def _list_shapes(model: Model) -> list[Shape]:
-    return [shape for link in model.links for shape in link.collisions]
 
 
 def _make_geometry(shape: Shape, find_triangles: FindTriangles) -> ShapeGeometry:
