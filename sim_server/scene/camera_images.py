@@ -13,9 +13,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from zensim.proto.messages.model_messages import Link, Quat, Shape
+from zensim.proto.messages.model_messages import Light, Link, Quat, Shape
 from zensim.proto.messages.sensor_messages import CameraSensor
-from zensim.proto.messages.world_messages import Light, Scene
+from zensim.proto.messages.world_messages import Scene
 from zensim.proto.se3 import FloatArray
 from zensim.sim_server.scene.ray_casting import PlacedShapes
 

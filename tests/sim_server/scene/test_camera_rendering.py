@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from zensim.proto.messages.model_messages import Link, Model, Origin, Shape
+from zensim.proto.messages.model_messages import Light, Link, Model, Origin, Shape
 from zensim.proto.messages.sensor_messages import CameraSensor
-from zensim.proto.messages.world_messages import Light, Scene
+from zensim.proto.messages.world_messages import Scene
 from zensim.proto.se3 import FloatArray, from_rpy, rotate
 from zensim.sim_server.scene.camera_images import (
     CameraImages,
