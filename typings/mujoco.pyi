@@ -51,8 +51,12 @@ class _Contacts:
     efc_address: _Ints
     dist: _Floats
     friction: _Floats
+    geom: _Ints
+    pos: _Floats
+    frame: _Floats
 
 class MjData:
+    efc_force: _Floats
     ne: int
     nf: int
     ncon: int

@@ -24,11 +24,14 @@ from zensim.sim_server.physics.cells.cell_worker_client import (
     SharedArray,
 )
 from zensim.sim_server.physics.engine import (
+    GROUND,
     BodyStates,
+    ContactPoints,
     Engine,
     EngineRefused,
     FloatArray,
     concatenate_states,
+    make_contact_points,
     make_invalid_state,
 )
 from zensim.sim_server.physics.engine_factory import CellConfig
@@ -160,6 +163,16 @@ class HostedCell:
             return self.engine.read(self.to_engine_numbers(bodies))
         return concatenate_states([self._read_one(body) for body in bodies])
 
+    def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
+        """Read contact points, in the server's numbers."""
+        found = self.engine.read_contacts(self.to_engine_numbers(bodies))
+        server_numbers = {number: body for body, number in self.engine_numbers.items()}
+        pairs = [
+            (server_numbers[body], link, server_numbers.get(other, GROUND), other_link)
+            for body, link, other, other_link in found.bodies.tolist()
+        ]
+        return make_contact_points(pairs, found.points.tolist())
+
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """Set the targets of bodies; those of lost ones have no effect."""
         if not self.lost.isdisjoint(bodies):
@@ -269,6 +282,9 @@ class CellWorker:
 
     def _take_faults(self, cell: int) -> CellWorkerReply:
         return CellWorkerReply(self._cells[cell].take_faults())
+
+    def _read_contacts(self, cell: int, bodies: Sequence[int]) -> CellWorkerReply:
+        return CellWorkerReply(self._cells[cell].read_contacts(bodies))
 
     def _find_overlaps(self, cell: int, body: int) -> CellWorkerReply:
         hosted = self._cells[cell]

@@ -13,6 +13,7 @@ from zensim.proto.messages.result_messages import ResultCode
 from zensim.sim_server.errors import SimError
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.intp]
 
 MIN_MASS_KG = 1e-4
 """Least mass of a moving link: engines treat mass 0 as immovable."""
@@ -81,6 +82,56 @@ def concatenate_states(states: Sequence[BodyStates]) -> BodyStates:
     )
 
 
+GROUND = -1
+"""Stands for the ground among the numbers of bodies."""
+CONTACT_BODIES, CONTACT_NUMBERS = 4, 10
+
+
+@dataclass(frozen=True)
+class ContactPoints:
+    """Points at which some bodies touched something in the last step, as these bodies feel it.
+
+    Attributes:
+        bodies: (n, 4): the body and its link, the other body or `GROUND`, and its link.
+        points: (n, 10) in the world: position [m], unit normal towards the body, depth [m]
+            (positive when overlapping), force on the body [N]; 0 where only motion is blocked.
+    """
+
+    bodies: IntArray
+    points: FloatArray
+
+    def __len__(self) -> int:
+        """Number of points."""
+        return len(self.bodies)
+
+    def select(self, rows: IntArray) -> "ContactPoints":
+        """Select some points."""
+        return ContactPoints(self.bodies[rows], self.points[rows])
+
+
+def concatenate_contacts(parts: Sequence[ContactPoints]) -> ContactPoints:
+    """Concatenate contact points."""
+    if len(parts) == 1:
+        return parts[0]
+    return ContactPoints(
+        np.concatenate([NO_CONTACTS.bodies, *(one.bodies for one in parts)]),
+        np.concatenate([NO_CONTACTS.points, *(one.points for one in parts)]),
+    )
+
+
+def make_contact_points(
+    bodies: Sequence[Sequence[int]], points: Sequence[Sequence[float]]
+) -> ContactPoints:
+    """Make contact points from rows."""
+    return ContactPoints(
+        np.array(bodies, dtype=np.intp).reshape(-1, CONTACT_BODIES),
+        np.array(points, dtype=np.float64).reshape(-1, CONTACT_NUMBERS),
+    )
+
+
+NO_CONTACTS = make_contact_points((), ())
+
+
 def make_invalid_state(model: Model) -> BodyStates:
     """Make the state of a body that is set aside: NaN throughout."""
     joints = np.full(len(model.joints), np.nan)
@@ -94,12 +145,14 @@ class EngineCapabilities:
     Attributes:
         hides: `hide` and `show`.
         sleeps: `sleep`, `wake` and `find_contacts`.
+        has_contacts: `read_contacts`.
         is_remote: Another process does the work: `skip_validation`, `find_overlaps_async` and
             `is_idle` avoid waiting for it.
     """
 
     hides: bool = False
     sleeps: bool = False
+    has_contacts: bool = False
     is_remote: bool = False
 
 
@@ -230,6 +283,13 @@ class Engine(ABC):
     def find_contacts(self, body: int) -> Sequence[int]:  # noqa: ARG002
         """Find the other bodies that a body touched in the last step, the ground excepted."""
         return ()
+
+    def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:  # noqa: ARG002
+        """Read the points at which bodies touched something in the last step, the ground included.
+
+        A body that sleeps has those of the step in which it fell asleep.
+        """
+        return NO_CONTACTS
 
     def take_faults(self) -> Mapping[int, str]:
         """Take the bodies that were set aside since the last call, each with the reason.

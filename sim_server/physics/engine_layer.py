@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from zensim.proto.messages.model_messages import Model, TierName
-from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
+from zensim.sim_server.physics.engine import BodyStates, ContactPoints, Engine, FloatArray
 
 # ruff: noqa: D102 - see `Engine`
 
@@ -79,6 +79,9 @@ class EngineLayer(Engine):
 
     def show(self, bodies: Sequence[int]) -> None:
         self._inner.show(bodies)
+
+    def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
+        return self._inner.read_contacts(bodies)
 
     def take_faults(self) -> Mapping[int, str]:
         return self._inner.take_faults()

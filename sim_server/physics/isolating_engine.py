@@ -10,8 +10,10 @@ from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.actuation import make_actuation
 from zensim.sim_server.physics.engine import (
     BodyStates,
+    ContactPoints,
     Engine,
     FloatArray,
+    concatenate_contacts,
     concatenate_states,
     describe_fault,
     make_invalid_state,
@@ -159,6 +161,21 @@ class IsolatingEngine(EngineLayer):
         found: list[int] = []
         self._try(body, lambda: found.extend(self._inner.find_contacts(body)))
         return found
+
+    def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
+        """See `Engine.read_contacts`; bodies that are set aside have none."""
+        if self._set_aside.isdisjoint(bodies):
+            try:
+                return self._inner.read_contacts(bodies)
+            except Exception:
+                LOG.debug("fault call=read_contacts bodies=%d", len(bodies))
+        found: list[ContactPoints] = []
+        for body in bodies:
+            self._try(body, partial(self._read_contacts_into, found, body))
+        return concatenate_contacts(found)
+
+    def _read_contacts_into(self, found: list[ContactPoints], body: int) -> None:
+        found.append(self._inner.read_contacts((body,)))
 
     def take_faults(self) -> Mapping[int, str]:
         """See `Engine.take_faults`."""

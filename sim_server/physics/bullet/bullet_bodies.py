@@ -48,6 +48,7 @@ class BulletBody:
     Attributes:
         parts: Number of parts besides the root.
         links: Bullet's part numbers, in the order of `Model.links`; the root is -1.
+        part_links: Index of the link of each part, by Bullet's number + 1.
         actuation: Its motors, by Bullet's joint numbers.
         gears: Bullet's numbers of its gear constraints.
         rolling_frictions: Rolling friction of its wheels while it stands.
@@ -58,6 +59,7 @@ class BulletBody:
     model: Model
     parts: int
     links: tuple[int, ...]
+    part_links: tuple[int, ...]
     actuation: Actuation
     loads: Sequence[LinkForce]
     gears: Sequence[int]
@@ -84,6 +86,7 @@ def make_bullet_body(
         model,
         parts=len(blueprint.parts) - 1,
         links=links,
+        part_links=tuple(part.link for part in blueprint.parts),
         actuation=make_actuation(model).renumbered(links[1:]),
         loads=loads,
         gears=gears,

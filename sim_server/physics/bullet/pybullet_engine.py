@@ -46,11 +46,14 @@ from zensim.sim_server.physics.bullet.joint_springs import JointSprings, SpringT
 from zensim.sim_server.physics.bullet.wheel_carriers import add_wheel_carriers, list_carriers
 from zensim.sim_server.physics.command_cache import CommandCache
 from zensim.sim_server.physics.engine import (
+    GROUND,
     BodyStates,
+    ContactPoints,
     Engine,
     EngineCapabilities,
     EngineRefused,
     FloatArray,
+    make_contact_points,
 )
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.link_forces import LinkForce, make_link_forces
@@ -91,6 +94,24 @@ def read_joint_states(
             positions.append(position)
             velocities.append(velocity)
     return np.array(positions, dtype=np.float64), np.array(velocities, dtype=np.float64)
+
+
+def read_contact_point(point: Sequence[Any]) -> tuple[float, ...]:
+    """Convert a contact point of Bullet's, seen from its first body, to `ContactPoints.points`."""
+    (_, _, _, _, _, position, _, (nx, ny, nz), distance, push, *friction) = point
+    one, (ax, ay, az), other, (bx, by, bz) = friction
+    force = (
+        push * nx + one * ax + other * bx,
+        push * ny + one * ay + other * by,
+        push * nz + one * az + other * bz,
+    )
+    return (*position, nx, ny, nz, -distance, *force)
+
+
+def reverse_contact_point(point: tuple[float, ...]) -> tuple[float, ...]:
+    """See a row of `ContactPoints.points` from the other side."""
+    x, y, z, nx, ny, nz, depth_m, fx, fy, fz = point
+    return (x, y, z, -nx, -ny, -nz, depth_m, -fx, -fy, -fz)
 
 
 CYCLIC_AXES = np.array([0, 1, 2, 0, 1])
@@ -237,7 +258,7 @@ class PyBulletEngine(Engine):
     """Bullet's multibody dynamics, DIRECT mode, one client."""
 
     name = "pybullet"
-    capabilities = EngineCapabilities(hides=True, sleeps=True)
+    capabilities = EngineCapabilities(hides=True, sleeps=True, has_contacts=True)
 
     def __init__(self, config: EngineConfig, *, awake: int = 0) -> None:
         """Connect; keep `awake` pooled bodies awake, for bodies that arrive with a velocity."""
@@ -354,6 +375,33 @@ class PyBulletEngine(Engine):
         """See `Engine.find_contacts`."""
         points = pybullet.getContactPoints(body, physicsClientId=self._client) or ()
         return sorted({point[2] for point in points} & self._bodies.keys() - {body})
+
+    def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
+        """See `Engine.read_contacts`."""
+        watched = set(bodies)
+        pairs: list[tuple[int, int, int, int]] = []
+        points: list[tuple[float, ...]] = []
+        # All at once: of a single body, friction has the wrong sign where Bullet swaps the pair,
+        # and many calls take longer.
+        for point in pybullet.getContactPoints(physicsClientId=self._client) or ():
+            _, one, other, one_part, other_part, _, _, _, distance, push, *_ = point
+            if (distance > 0.0 and push <= 0.0) or watched.isdisjoint((one, other)):
+                continue
+            sides = self._identify(one, one_part), self._identify(other, other_part)
+            numbers = read_contact_point(point)
+            if one in watched:
+                pairs.append((*sides[0], *sides[1]))
+                points.append(numbers)
+            if other in watched:
+                pairs.append((*sides[1], *sides[0]))
+                points.append(reverse_contact_point(numbers))
+        return make_contact_points(pairs, points)
+
+    def _identify(self, body: int, part: int) -> tuple[int, int]:
+        """Find the body and link of Bullet's numbers."""
+        if (known := self._bodies.get(body)) is None:
+            return GROUND, 0
+        return body, known.part_links[part + 1]
 
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""

@@ -18,6 +18,7 @@ from zensim.proto.child_process import SINGLE_THREADED, make_module_command, sta
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.engine import (
     BodyStates,
+    ContactPoints,
     Engine,
     EngineCapabilities,
     EngineLost,
@@ -271,7 +272,7 @@ class CellWorkerClient:
 class RemoteCell(Engine):
     """The Engine of a cell in a worker; it numbers bodies itself, so that adding needs no reply."""
 
-    capabilities = EngineCapabilities(hides=True, is_remote=True)
+    capabilities = EngineCapabilities(hides=True, has_contacts=True, is_remote=True)
 
     def __init__(self, worker: CellWorkerClient, cell: int, name: str) -> None:
         self.worker = worker
@@ -330,6 +331,10 @@ class RemoteCell(Engine):
     def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
         """See `Engine.find_overlaps_async`."""
         return self.worker.call_async(list, "find_overlaps", self.cell, body).wait
+
+    def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
+        """See `Engine.read_contacts`."""
+        return self.worker.call(ContactPoints, "read_contacts", self.cell, bodies)
 
     def take_faults(self) -> Mapping[int, str]:
         """See `Engine.take_faults`."""

@@ -12,10 +12,13 @@ from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.body_reach import BodyReach, ReachCache, can_move
 from zensim.sim_server.physics.cells.cell_executor import CellExecutor, CellReadRequest, CellTargets
 from zensim.sim_server.physics.engine import (
+    GROUND,
     BodyStates,
+    ContactPoints,
     Engine,
     EngineRefused,
     FloatArray,
+    concatenate_contacts,
     concatenate_states,
 )
 from zensim.sim_server.physics.engine_config import EngineConfig
@@ -565,12 +568,41 @@ class CellMap:
         each = [engine.read([inner]) for engine, inner in (self.locate(body)[0] for body in bodies)]
         return concatenate_states(each)
 
+    def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
+        """Read the contact points of bodies, each in its cell or cells."""
+        by_cell: dict[int, list[int]] = {}
+        for body in bodies:
+            for cell, inner in self._locate_by_cell(body):
+                by_cell.setdefault(cell, []).append(inner)
+        return concatenate_contacts(
+            [self._read_contacts_of_cell(cell, inner) for cell, inner in by_cell.items()]
+        )
+
+    def _read_contacts_of_cell(self, cell: int, inner: list[int]) -> ContactPoints:
+        found = self.engines[cell].read_contacts(inner)
+        if not len(found):
+            return found
+        touching = found.bodies[:, [0, 2]]
+        number_of = {GROUND: GROUND} | {
+            self._find_inner_number(body, cell): body
+            for body in self._to_body_numbers(cell, set(touching.ravel().tolist()))
+        }
+        bodies = found.bodies.copy()
+        bodies[:, [0, 2]] = [[number_of[one] for one in pair] for pair in touching.tolist()]
+        return ContactPoints(bodies, found.points)
+
+    def _find_inner_number(self, body: int, cell: int) -> int:
+        copies = self.members.by_number[body].copies
+        return copies[cell] if copies else int(self.members.inner[body])
+
     def locate(self, body: int) -> Sequence[tuple[Engine, int]]:
         """List the engines that contain a body, and its number in each."""
+        return [(self.engines[cell], inner) for cell, inner in self._locate_by_cell(body)]
+
+    def _locate_by_cell(self, body: int) -> Sequence[tuple[int, int]]:
         if copies := self.members.by_number[body].copies:
-            return [(self.engines[cell], inner) for cell, inner in copies.items()]
-        cell, inner = int(self.members.cell[body]), int(self.members.inner[body])
-        return [(self.engines[cell], inner)]
+            return list(copies.items())
+        return [(int(self.members.cell[body]), int(self.members.inner[body]))]
 
     def record_static(self, body: int) -> None:
         """Store the state of a body that cannot move."""
@@ -837,6 +869,10 @@ class CelledEngine(Engine):
         if not self._cell_map.is_single_cell and self._may_touch_other_cells(body):
             self._regroup()
         return self._cell_map.find_overlaps_async(body)
+
+    def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
+        """See `Engine.read_contacts`; each cell reads its own."""
+        return self._cell_map.read_contacts(bodies)
 
     def take_faults(self) -> Mapping[int, str]:
         """See `Engine.take_faults`."""

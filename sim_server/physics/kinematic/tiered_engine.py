@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from zensim.proto.se3 import to_yaw
-from zensim.sim_server.physics.engine import BodyStates, EngineRefused, FloatArray
+from zensim.sim_server.physics.engine import (
+    GROUND,
+    NO_CONTACTS,
+    BodyStates,
+    ContactPoints,
+    EngineRefused,
+    FloatArray,
+    concatenate_contacts,
+    make_contact_points,
+)
 from zensim.sim_server.physics.engine_layer import EngineLayer
 from zensim.sim_server.physics.kinematic.collision_limits import (
     DiscMotions,
@@ -62,6 +71,7 @@ CLEAR_M = 0.06
 """Discs with a larger gap to all others are clear."""
 NEIGHBOUR_MARGIN_M = 2.0 * CLEAR_M
 MOVING_M_S = 1e-3
+MIN_APART_M = 1e-9
 
 
 @dataclass(frozen=True)
@@ -239,6 +249,15 @@ class NeighbourLists:
         return make_point_grid(self._samples, size_m)
 
 
+@dataclass(frozen=True)
+class Obstacle:
+    """What stops a disc: the row of a body, the point (3,), the direction (2,) from it."""
+
+    row: int
+    point: tuple[float, float, float]
+    normal: FloatArray
+
+
 class ProximityIndex:
     """Discs of all bodies that can move, and edges of all that cannot.
 
@@ -325,6 +344,33 @@ class ProximityIndex:
             return found, False
         _, gap = find_distances_to_edges(np.broadcast_to(centre, (len(edges), 2)), edges.ends)
         return found, bool((gap < edges.thick + table.radius[row]).any())
+
+    def find_obstacle(self, row: int, way: FloatArray) -> Obstacle | None:
+        """Find what stops the disc of a row that should have moved by `way` (2,)."""
+        table = self._table
+        (centre,) = table.discs(np.array([row]))
+        others = self.discs[self.discs != row]
+        between = centre - table.discs(others)
+        apart = np.hypot(between[:, 0], between[:, 1])
+        away = [between / np.maximum(apart, MIN_APART_M)[:, None]]
+        gap, bodies = [apart - table.radius[others]], [others]
+        low, high = table.place[2, row] + table.heights[:, row]
+        for body, edges in self._outlines.items():
+            meets = (edges.heights[:, 0] < high) & (edges.heights[:, 1] > low + CLEARABLE_HEIGHT_M)
+            ends = edges.ends[meets]
+            from_edges, apart = find_distances_to_edges(np.tile(centre, (len(ends), 1)), ends)
+            away.append(from_edges)
+            gap.append(apart - edges.thick[meets])
+            bodies.append(np.full(len(ends), body))
+        directions = np.concatenate(away)
+        gaps = np.concatenate(gap) - table.radius[row]
+        gaps[directions @ way > 0.0] = np.inf
+        if not len(gaps) or gaps.min() > NEAR_M:
+            return None
+        nearest = int(gaps.argmin())
+        normal = directions[nearest]
+        point = centre - normal * table.radius[row]
+        return Obstacle(int(np.concatenate(bodies)[nearest]), (*point, (low + high) / 2.0), normal)
 
     def _limit_by_edges(self, moves: DiscMotions) -> FloatArray:
         disc, edge = self._edge_pairs_at_height()
@@ -695,6 +741,8 @@ class TieredEngine(EngineLayer):
         self._bodies = TieredBodies(full, self._plans.corners, dt_s, self._every * dt_s)
         self._switcher = TierSwitcher(self._bodies, self._every * dt_s)
         self._verified: dict[int, Model] = {}
+        self._stopped: dict[int, FloatArray] = {}
+        """By body: displacement (2,) that obstacles shortened in the last step."""
 
     def tier_of(self, body: int) -> TierName:
         """See `Engine.tier_of`."""
@@ -764,6 +812,30 @@ class TieredEngine(EngineLayer):
             return lambda: found
         wait, rows = self._inner.find_overlaps_async(number), self._bodies.numbers
         return lambda: sorted(rows[other] for other in wait() if other in rows)
+
+    def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
+        """See `Engine.read_contacts`; kinematic robots that are stopped feel no force."""
+        full, rows = self._bodies.rows.full, self._bodies.numbers
+        numbers = [number for body in bodies if (number := int(full[body])) >= 0]
+        found = self._inner.read_contacts(numbers) if numbers else NO_CONTACTS
+        pairs = [
+            (rows[body], link, rows.get(other, GROUND), other_link)
+            for body, link, other, other_link in found.bodies.tolist()
+        ]
+        stopped = make_contact_points(pairs, found.points.tolist())
+        return concatenate_contacts([stopped, self._list_stops(bodies)])
+
+    def _list_stops(self, bodies: Sequence[int]) -> ContactPoints:
+        """List where kinematic robots were stopped in the last step."""
+        pairs, points = [], []
+        for body in bodies:
+            way = self._stopped.get(body)
+            if way is None or self._bodies.rows.full[body] >= 0:
+                continue
+            if (found := self._bodies.surroundings.find_obstacle(body, way)) is not None:
+                pairs.append((body, 0, found.row, 0))
+                points.append((*found.point, *found.normal.tolist(), *(0.0,) * 5))
+        return make_contact_points(pairs, points)
 
     def take_faults(self) -> Mapping[int, str]:
         """See `Engine.take_faults`."""
@@ -874,7 +946,14 @@ class TieredEngine(EngineLayer):
         kinematic = self._bodies.kinematic
         twists, way = kinematic.propose_motions()
         if way.shape[1]:
-            kinematic.commit(twists, way, self._bodies.surroundings.find_free_fractions(way))
+            fractions = self._bodies.surroundings.find_free_fractions(way)
+            self._stopped = {}
+            if fractions.min() < 1.0:
+                held = np.flatnonzero(fractions < 1.0)
+                self._stopped = dict(
+                    zip(kinematic.rows[held].tolist(), way[:2, held].T.copy(), strict=True)
+                )
+            kinematic.commit(twists, way, fractions)
 
     def _verify_model(self, model: Model, base: FloatArray) -> None:
         """Check that the full engine accepts a model, before a robot switches to it."""

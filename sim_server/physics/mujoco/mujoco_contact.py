@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from zensim.proto.messages.model_messages import Contact
 from zensim.sim_server.physics.blueprint import MIN_DAMPING_STEPS, RigidPart
-from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.engine import CONTACT_NUMBERS, FloatArray
 
 RIGID_ERP = 0.2
 """Share of a penetration or error that a step corrects, where rigid."""
@@ -138,6 +138,13 @@ class MjContacts(Protocol):
     efc_address: ContactInts
     dist: FloatArray
     friction: FloatArray
+
+
+class MjPlacedContacts(MjContacts, Protocol):
+    """Arrays of `mujoco.MjData.contact`, with their places."""
+
+    pos: FloatArray
+    frame: FloatArray
 
 
 def limit_penetration_recovery(
@@ -270,3 +277,22 @@ class LiftIteration:
         is_known = np.abs(change) > MIN_LIFT_CHANGE_MPS
         growth = (found - self._last[1]) / np.where(is_known, change, 1.0)
         return np.where(is_known, np.clip(growth, 0.0, MAX_FEEDBACK), 0.0)
+
+
+def read_contact_points(contacts: MjPlacedContacts, row_forces: FloatArray) -> FloatArray:
+    """Read all contacts as `ContactPoints.points`, seen from the second geometry of each.
+
+    Args:
+        contacts: Of the last step; the cone is elliptic.
+        row_forces: Of all constraint rows [N].
+    """
+    count = len(contacts.dist)
+    found = np.zeros((count, CONTACT_NUMBERS))
+    frames = contacts.frame.reshape(count, 3, 3)
+    found[:, :3], found[:, 3:6], found[:, 6] = contacts.pos, frames[:, 0], -contacts.dist
+    first = contacts.efc_address
+    for axis in range(FRICTION_CONDIM):
+        has_row = (first >= 0) & (axis < contacts.dim)
+        forces = row_forces[first[has_row] + axis]
+        found[has_row, 7:] += forces[:, None] * frames[has_row, axis]
+    return found

@@ -19,11 +19,14 @@ from zensim.proto.se3 import conjugate, rotate
 from zensim.sim_server.physics.actuation import Actuation, impose_planar_twists, make_actuation
 from zensim.sim_server.physics.blueprint import BlueprintCache, check_mesh_files
 from zensim.sim_server.physics.engine import (
+    NO_CONTACTS,
     BodyStates,
+    ContactPoints,
     Engine,
     EngineCapabilities,
     EngineRefused,
     FloatArray,
+    concatenate_contacts,
 )
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.link_forces import LinkForce, make_link_forces
@@ -42,6 +45,7 @@ from zensim.sim_server.physics.mujoco.mujoco_contact import (
     limit_penetration_recovery,
     make_contact_parameters,
     predict_lifts,
+    read_contact_points,
 )
 from zensim.sim_server.physics.mujoco.slot_layout import (
     NO_INDEX,
@@ -487,7 +491,7 @@ class MujocoEngine(Engine):
     """MuJoCo with Newton's method, one MjData."""
 
     name = "mujoco"
-    capabilities = EngineCapabilities(hides=True)
+    capabilities = EngineCapabilities(hides=True, has_contacts=True)
 
     def __init__(self, config: EngineConfig) -> None:
         self._config = config
@@ -592,6 +596,41 @@ class MujocoEngine(Engine):
             chosen.gather.gather_joints(data.qpos, chosen.gather.positions),
             chosen.gather.gather_joints(data.qvel, chosen.gather.velocities),
         )
+
+    def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
+        """See `Engine.read_contacts`."""
+        data = self._data
+        if not data.ncon:
+            return NO_CONTACTS
+        geometries = data.contact.geom
+        is_watched = np.isin(self._owners[geometries], list(bodies))
+        if not is_watched.any():
+            return NO_CONTACTS
+        points = read_contact_points(data.contact, data.efc_force)
+        is_touching = (points[:, 6] > 0.0) | points[:, 7:].any(axis=1)
+        found = []
+        for own, other, towards in ((0, 1, -1.0), (1, 0, 1.0)):
+            rows = np.flatnonzero(is_watched[:, own] & is_touching)
+            sides = [
+                *self._identify(geometries[rows, own]),
+                *self._identify(geometries[rows, other]),
+            ]
+            numbers = points[rows]
+            # Normals and forces are those on the second geometry.
+            numbers[:, 3:6] *= towards
+            numbers[:, 7:] *= towards
+            found.append(ContactPoints(np.stack(sides, axis=1), numbers))
+        return concatenate_contacts(found)
+
+    def _identify(self, geometries: IndexArray) -> tuple[IndexArray, IndexArray]:
+        """Find the bodies and links of geometries."""
+        owners = self._owners[geometries]
+        links = np.zeros(len(owners), np.intp)
+        for number in set(owners.tolist()) - {NO_INDEX}:
+            address, own = self._bodies[number].address, owners == number
+            bodies = self._model.geom_bodyid[geometries[own]] - address.start.bodies
+            links[own] = np.array(address.layout.order)[bodies]
+        return owners, links
 
     def set_base_state(self, body: int, base: FloatArray) -> None:
         """See `Engine.set_base_state`."""
