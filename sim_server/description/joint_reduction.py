@@ -27,6 +27,7 @@ from zensim.proto.messages.model_messages import (
     Vec3,
 )
 from zensim.proto.rigid_transforms import compose, rotate, transform_point
+from zensim.sim_server.description.collision_names import name_merged
 from zensim.sim_server.description.model_geometry import NO_MESHES, FindCorners
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.strict_parsing import quote
@@ -203,7 +204,9 @@ def _merge_links(name: str, group: list[tuple[Link, Origin]]) -> Link:
         name=name,
         inertial=combine_inertials((link.inertial, origin) for link, origin in group),
         collisions=tuple(
-            s for link, origin in group for s in _transform_shapes(link.collisions, origin)
+            shape if link.name == name else _rename_shape(shape, name, link.name)
+            for link, origin in group
+            for shape in _transform_shapes(link.collisions, origin)
         ),
         visuals=tuple(s for link, origin in group for s in _transform_shapes(link.visuals, origin)),
         weightless=combine_inertials((link.weightless, origin) for link, origin in group),
@@ -211,6 +214,10 @@ def _merge_links(name: str, group: list[tuple[Link, Origin]]) -> Link:
         self_collides=any(link.self_collides for link, _ in group),
         lights=tuple(_move_light(light, origin) for link, origin in group for light in link.lights),
     )
+
+
+def _rename_shape(shape: Shape, parent: str, link: str) -> Shape:
+    return msgspec.structs.replace(shape, name=name_merged(parent, link, shape.name))
 
 
 def _mean_decay(links: Sequence[Link]) -> Decay:

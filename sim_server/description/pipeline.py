@@ -22,6 +22,7 @@ from zensim.sim_server.description.meshes.mesh_lookup import (
 )
 from zensim.sim_server.description.model_geometry import describe_mesh_wheels
 from zensim.sim_server.description.plugins.drive_selection import select_drive
+from zensim.sim_server.description.plugins.sensor_reader import complete_sensors
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.strict_parsing import find_root_tag
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
@@ -125,6 +126,7 @@ def parse_description(
     if has_assets(model):
         found = _convert_meshes(model, present.get, overrides_materials=is_sdf(text))
     model = _set_compat(_add_drive(found, controllers, drive), compat)
+    model = complete_sensors(model, compat)
     return ModelWithMeshes(_add_notes(model, found.meshes), found.meshes)
 
 
@@ -185,7 +187,7 @@ def parse_world(
             continue
         new = model.report[len(placed.model.report) :]
         unusable += [entry.reason for entry in new if entry.status != "ignored"]
-        model = _add_notes(model, conversions.meshes)
+        model = _add_notes(complete_sensors(model, "fixed"), conversions.meshes)
         new = model.report[len(placed.model.report) :]
         report += [replace(entry, subject=f"{placed.name}: {entry.subject}") for entry in new]
         models.append(replace(placed, model=model))

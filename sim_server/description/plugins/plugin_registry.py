@@ -24,7 +24,7 @@ from zensim.sim_server.description.plugins.publisher_plugins import (
     read_ground_truth,
     read_joint_state,
 )
-from zensim.sim_server.description.plugins.sensor_tags import SensorElement, read_sensors
+from zensim.sim_server.description.plugins.sensor_reader import is_sensor_plugin, read_sensors
 from zensim.sim_server.description.strict_parsing import quote
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from zensim.sim_server.description.joint_reduction import LumpedModel
     from zensim.sim_server.description.plugins.drive_plugin import DrivePlugin
+    from zensim.sim_server.description.plugins.sensor_tags import SensorElement
     from zensim.sim_server.description.report import ParseReport
 
 MAX_PLUGINS = 100
@@ -54,6 +55,12 @@ UNUSED_PLUGINS = {
     "sensors-system": _NO_SENSOR_PLUGIN,
     "imu-system": _NO_SENSOR_PLUGIN,
     "contact-system": _NO_SENSOR_PLUGIN,
+    "navsat-system": _NO_SENSOR_PLUGIN,
+    "altimeter-system": _NO_SENSOR_PLUGIN,
+    "magnetometer-system": _NO_SENSOR_PLUGIN,
+    "cpu-lidar-system": _NO_SENSOR_PLUGIN,
+    "air-pressure-system": _NOT_SIMULATED,
+    "forcetorque-system": _NOT_SIMULATED,
 }
 """Known plug-ins without effect, by part of their file name, and the reason."""
 DRIVE_PLUGINS: tuple[DrivePlugin[Any], ...] = (
@@ -84,7 +91,9 @@ def make_model(
     Raises:
         ModelError: A value is not a number or out of range.
     """
-    found = read_plugins(plugins, lumped, report)
+    given = list(plugins)
+    measuring = [plugin for plugin in given if is_sensor_plugin(plugin)]
+    found = read_plugins([one for one in given if one not in measuring], lumped, report)
     return Model(
         name=name,
         links=lumped.links,
@@ -93,7 +102,7 @@ def make_model(
         drive=found.drive,
         joint_state=found.joint_state,
         ground_truths=found.ground_truths,
-        sensors=read_sensors(sensors, lumped, report),
+        sensors=read_sensors(sensors, measuring, lumped, report),
     )
 
 

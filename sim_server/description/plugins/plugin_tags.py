@@ -136,6 +136,10 @@ class PluginTags:
         """Name a tag in the report."""
         return f"{self.subject}: <{tag}>" if self._is_xml else f"{self.subject}: {tag}"
 
+    def names(self) -> tuple[str, ...]:
+        """List the tags that are there."""
+        return tuple(self._texts)
+
     def is_renamed(self, tag: str) -> bool:
         """Whether the tag is present in an older spelling."""
         return tag in self._renamed
@@ -235,14 +239,17 @@ class PluginTags:
 
     def report_unread(self, unused: Mapping[str, str]) -> None:
         """Report each tag that was not read; `unused` has the reasons for known tags."""
-        for tag in self._texts:
+        for tag in [one for one in self._texts if one not in self._read]:
             if tag in unused:
                 self.report.ignored(self.label(tag), unused[tag])
-            elif tag not in self._read:
+            else:
                 self.report.unread_tag(self.subject, tag, sorted(self._read))
 
     def _parse_number(self, tag: str, text: str) -> float:
-        return read_number(text, where=f"{self.subject}, {tag}", slug=f"{self._slug}.{tag}")
+        return read_number(text, where=f"{self.subject}, {tag}", slug=self._make_slug(tag))
+
+    def _make_slug(self, tag: str) -> str:
+        return f"{self._slug}.{tag.rpartition('/')[2]}"
 
     def _make_error(self, tag: str, fault: str) -> ModelError:
-        return ModelError(f"{self.subject}, {tag}: {fault}", slug=f"{self._slug}.{tag}")
+        return ModelError(f"{self.subject}, {tag}: {fault}", slug=self._make_slug(tag))

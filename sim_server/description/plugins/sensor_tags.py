@@ -1,106 +1,228 @@
-"""Sensors of URDF <gazebo> blocks and SDF links, with all their settings."""
+"""Tags of a <sensor> and of its plug-in: by path, with noise in both spellings of SDF."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
-from zensim.proto.messages.model_messages import Origin, Parameter, RosBlock, Sensor
-from zensim.proto.rigid_transforms import compose
-from zensim.sim_server.description.model_geometry import make_origin
-from zensim.sim_server.description.plugins.plugin_tags import read_ros_block
-from zensim.sim_server.description.strict_parsing import quote, read_numbers
+from zensim.proto.messages.sensor_messages import (
+    NO_NOISE,
+    Noise,
+    NoiseKind,
+    NoiseOfVector,
+)
+from zensim.sim_server.description.plugins.plugin_tags import (
+    NOT_A_NUMBER,
+    PluginTags,
+    WrittenTags,
+    list_plugin_tags,
+)
+from zensim.sim_server.description.strict_parsing import quote
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator, Sequence
 
     from lxml.etree import _Element as Element
 
-    from zensim.sim_server.description.joint_reduction import LumpedModel
     from zensim.sim_server.description.report import ParseReport
 
-SENSOR_KINDS = (
-    "altimeter", "camera", "contact", "depth", "force_torque", "gps", "gpu_lidar", "gpu_ray", "imu",
-    "lidar", "logical_camera", "magnetometer", "multicamera", "ray", "rgbd_camera", "sonar",
-    "wideanglecamera", "wireless_receiver", "wireless_transmitter",
-)  # fmt: skip
-"""Prefixes of Gazebo's sensor types: `depth_camera` is a `depth`."""
-NUMBER_COUNTS = {"update_rate": 1, "pose": 6}
-"""Tags that are read as so many numbers; all others are kept as text."""
-MAX_SENSORS = 500
-MAX_PARAMETERS = 200
-MAX_VALUE_LENGTH = 1000
+OWN_TAGS = ("sees_itself",)
+"""Tags of the zensim namespace."""
+INFINITIES = ("inf", "infinity")
+PLUGIN_TAG = "plugin"
+
+
+class UnusableSensor(ValueError):
+    """Settings that no sensor can have; the text is the reason for the report."""
 
 
 @dataclass(frozen=True)
 class SensorElement:
-    """A <sensor> and the link that it is on."""
+    """A <sensor>, or a plug-in that is a sensor, and the link that it is on."""
 
     link: str
     element: Element
 
 
-def read_sensors(
-    tags: Iterable[SensorElement], lumped: LumpedModel, report: ParseReport
-) -> tuple[Sensor, ...]:
-    """Read sensors; each is placed in the moving link that its link was merged into.
+@dataclass(frozen=True)
+class SensorSource:
+    """The tags of one sensor.
+
+    Attributes:
+        name: Of the sensor; for one of several cameras with the name of the camera.
+        kind: Type in Gazebo.
+        link: In the description.
+        tags: By path, such as `ray/scan/horizontal/samples`.
+        plugin: Tags of its plug-in, if it has one.
+        node: Name of the plug-in, which stands for `~` in topics.
+    """
+
+    name: str
+    kind: str
+    link: str
+    tags: PluginTags
+    plugin: PluginTags | None = None
+    node: str = ""
+
+    @property
+    def report(self) -> ParseReport:
+        """Gets what is unusual."""
+        return self.tags.report
+
+    @property
+    def subject(self) -> str:
+        """Name of the sensor in the report."""
+        return self.tags.subject
+
+    def written(self, *names: str, default: str = "") -> str:
+        """Read the first tag of the plug-in that has one of these names."""
+        if self.plugin is None:
+            return default
+        for name in names:
+            if text := self.plugin.text(name, ""):
+                return text
+        return default
+
+    def has(self, *names: str) -> bool:
+        """Whether the plug-in has a tag with one of these names."""
+        return self.plugin is not None and any(self.plugin.has(name) for name in names)
+
+    def plugin_value(self, *names: str, default: float = 0.0) -> float:
+        """Read the first number of the plug-in under one of these names; see `read_value`."""
+        for name in names:
+            if self.plugin is not None and self.plugin.has(name):
+                return read_value(self.plugin, name, default)
+        return default
+
+
+def describe_sensor(name: str, link: str) -> str:
+    """Name a sensor in the report."""
+    return f"sensor {quote(name)} on {quote(link)}"
+
+
+def list_sensor_tags(element: Element, subject: str, camera: Element | None = None) -> WrittenTags:
+    """List the tags of a sensor by path.
+
+    Args:
+        element: The <sensor>.
+        subject: Its name in the report.
+        camera: The only one of several cameras whose tags are listed.
+    """
+    left_out = [one for one in element.findall("camera") if camera not in (None, one)]
+    texts = [
+        (path, text)
+        for path, text in list_settings(element, left_out=left_out)
+        if text and path.partition("/")[0] != PLUGIN_TAG
+    ]
+    return WrittenTags(subject, "", texts, is_xml=True)
+
+
+def list_sensor_plugin_tags(plugin: Element, subject: str) -> WrittenTags:
+    """List the tags of a sensor's plug-in."""
+    return list_plugin_tags(plugin)._replace(subject=f"{subject}: plugin")
+
+
+def list_settings(
+    element: Element, above: str = "", left_out: Sequence[Element] = ()
+) -> Iterator[tuple[str, str]]:
+    """List path and text of each setting but the pose; the attribute `type` of noise is one."""
+    for child in element:
+        if child in left_out or (child.tag == "pose" and not above):
+            continue
+        tag = next((own for own in OWN_TAGS if child.tag.endswith(own)), child.tag)
+        if tag == "noise" and (kind := child.get("type")) and child.find("type") is None:
+            yield f"{above}{tag}/type", kind.strip()
+        if len(child):
+            yield from list_settings(child, f"{above}{tag}/")
+        else:
+            yield f"{above}{tag}", (child.text or child.get("value") or "").strip()
+
+
+def read_value(tags: PluginTags, tag: str, default: float) -> float:
+    """Read a number of either sign, or `inf`.
 
     Raises:
-        ModelError: A pose or an update rate is not a number.
+        UnusableSensor: It is NaN.
+        ModelError: It is not a number.
     """
-    places = {link.name: (link.name, Origin()) for link in lumped.links}
-    places |= {frame.name: (frame.parent, frame.origin) for frame in lumped.frames}
-    given = list(tags)
-    if len(given) > MAX_SENSORS:
-        report.suspicious("sensors", f"{len(given)}; the first {MAX_SENSORS} are read")
-    return tuple(_read_sensor(tag, *places[tag.link], report) for tag in given[:MAX_SENSORS])
+    text = tags.text(tag, "").lower()
+    if text.lstrip("+-") in INFINITIES:
+        return -math.inf if text.startswith("-") else math.inf
+    if text in NOT_A_NUMBER:
+        raise UnusableSensor(f"<{tag}> is {text}; write a number")
+    found = tags.signed(tag)
+    return default if found is None else found
 
 
-def _read_sensor(tag: SensorElement, link: str, place: Origin, report: ParseReport) -> Sensor:
-    element, plugin = tag.element, tag.element.find("plugin")
-    kind, name = element.get("type") or "", element.get("name") or ""
-    subject = f"sensor {quote(name)} on {quote(tag.link)}"
-    if kind.startswith(SENSOR_KINDS):
-        report.ignored(subject, f"{quote(kind)} is known, not simulated yet")
-    else:
-        report.unknown(subject, f"unknown sensor type {quote(kind)}")
-    (rate,) = _read_numbers(element, "update_rate", subject)
-    x, y, z, *rpy = _read_numbers(element, "pose", subject)
-    ros = plugin.find("ros") if plugin is not None else None
-    filename = (plugin.get("filename") or "") if plugin is not None else ""
-    return Sensor(
-        name=name[:MAX_VALUE_LENGTH],
-        kind=kind[:MAX_VALUE_LENGTH],
-        link=link,
-        frame=tag.link,
-        origin=compose(place, make_origin((x, y, z), tuple(rpy))),
-        update_rate_hz=max(rate, 0.0),
-        plugin=filename[:MAX_VALUE_LENGTH],
-        ros=RosBlock() if ros is None else read_ros_block(ros, subject=subject, report=report),
-        parameters=_read_parameters(element, subject, report),
-    )
+def read_count(tags: PluginTags, tag: str, default: int) -> float:
+    """Read a whole number.
+
+    Raises:
+        UnusableSensor: It has a fraction, or is NaN or infinite.
+        ModelError: It is not a number.
+    """
+    number = read_value(tags, tag, default)
+    if not math.isfinite(number) or number % 1.0:
+        raise UnusableSensor(f"<{tag}> is {number:g}; write a whole number")
+    return number
 
 
-def _read_numbers(element: Element, tag: str, subject: str) -> tuple[float, ...]:
-    count = NUMBER_COUNTS[tag]
-    text = (element.findtext(tag) or "").strip() or " ".join(["0"] * count)
-    return read_numbers(text, counts=(count,), where=f"{subject}, {tag}", slug="urdf.sensor")
+NOISE_FIELDS = {
+    "mean": "mean",
+    "stddev": "stddev",
+    "bias_mean": "bias_mean",
+    "bias_stddev": "bias_stddev",
+    "precision": "precision",
+    "dynamic_bias_stddev": "dynamic_bias_stddev",
+    "dynamic_bias_correlation_time": "dynamic_bias_correlation_time_s",
+}
+"""Fields of a noise by tag."""
+MAY_BE_NEGATIVE = ("mean", "bias_mean")
 
 
-def _read_parameters(element: Element, subject: str, report: ParseReport) -> tuple[Parameter, ...]:
-    found = list(_flatten_settings(element, ""))
-    if len(found) > MAX_PARAMETERS:
-        report.suspicious(
-            subject, f"has {len(found)} settings; the first {MAX_PARAMETERS} are read"
-        )
-    return tuple(found[:MAX_PARAMETERS])
+def read_noise(tags: PluginTags, path: str) -> Noise:
+    """Read a <noise>; one that is impossible is reported and left out.
+
+    Raises:
+        UnusableSensor: A number is NaN.
+        ModelError: It is not a number.
+    """
+    kind = tags.text(f"{path}/type", "")
+    values = {field: read_value(tags, f"{path}/{tag}", 0.0) for tag, field in NOISE_FIELDS.items()}
+    if not any(values.values()):
+        return NO_NOISE
+    fault = find_noise_fault(kind, values)
+    if fault:
+        tags.report.suspicious(tags.label(path), f"{fault}; no noise")
+    for known in get_args(NoiseKind):
+        if known == kind and known != "none" and not fault:
+            return Noise(kind=known, **values)
+    return NO_NOISE
 
 
-def _flatten_settings(element: Element, above: str) -> Iterator[Parameter]:
-    for child in element:
-        path = f"{above}{child.tag}"
-        if len(child):
-            yield from _flatten_settings(child, f"{path}/")
-        elif path != "pose":
-            text = (child.text or child.get("value") or "").strip()
-            yield Parameter(path[:MAX_VALUE_LENGTH], text[:MAX_VALUE_LENGTH])
+def find_noise_fault(kind: str, values: dict[str, float]) -> str:
+    """Find what is impossible in a noise; empty if nothing is."""
+    if not kind:
+        return "has no type"
+    if kind not in get_args(NoiseKind):
+        return f"type {quote(kind)} is not one of {', '.join(get_args(NoiseKind))}"
+    for field, value in values.items():
+        if not math.isfinite(value) or (value < 0.0 and field not in MAY_BE_NEGATIVE):
+            return f"{field} is {value:g}"
+    if kind == "gaussian_quantized" and values["precision"] == 0.0:
+        return "is quantized without <precision>"
+    return ""
+
+
+def read_vector_noise(tags: PluginTags, path: str) -> NoiseOfVector:
+    """Read the noise along x, y and z."""
+    x, y, z = (read_noise(tags, f"{path}/{axis}/noise") for axis in "xyz")
+    return (x, y, z)
+
+
+def make_gaussian(stddev: float, mean: float = 0.0) -> Noise:
+    """Make the noise of a plug-in's tag; none for 0."""
+    if not (stddev or mean):
+        return NO_NOISE
+    return Noise(kind="gaussian", stddev=abs(stddev), mean=mean)

@@ -671,7 +671,11 @@ class SdfLinkReader:
                 shapes = [make_ground_slab(shapes[0])]
             if self.policy.can_use(shapes[0], where, collides=True, report=self.report):
                 surface = read_surface(element, where, self.report)
-                kept += [surface.apply_to_shape(shape) for shape in shapes]
+                name = element.get("name") or ""
+                kept += [
+                    msgspec.structs.replace(surface.apply_to_shape(shape), name=name)
+                    for shape in shapes
+                ]
         return kept
 
     def _read_visuals(self, tag: LinkElement) -> list[Shape]:

@@ -519,7 +519,6 @@ SDF_SLUGS = dict(
         _map_slug("urdf.mass", slug="sdf.mass"),
         _map_slug("urdf.no_links", slug="sdf.no_links"),
         _map_slug("urdf.number", slug="sdf.number"),
-        _map_slug("urdf.sensor", slug="sdf.sensor"),
         _map_slug("urdf.size", slug="sdf.size"),
         _map_slug("urdf.two_parents", slug="sdf.two_parents"),
         _map_slug("urdf.two_roots", slug="sdf.two_roots"),

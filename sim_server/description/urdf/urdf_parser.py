@@ -20,6 +20,7 @@ from zensim.proto.messages.model_messages import (
     Vec3,
 )
 from zensim.proto.messages.result_messages import SpawnCode
+from zensim.sim_server.description.collision_names import name_collision
 from zensim.sim_server.description.joint_reduction import (
     LumpedModel,
     reduce_joints,
@@ -583,9 +584,10 @@ def read_collisions(link: Element, policy: MeshPolicy, report: ParseReport) -> t
     Raises:
         ModelError: A mesh is missing and must not be.
     """
-    kept = []
-    for collision, where in _number_parts(link, "collision"):
-        shape = _read_shape(collision, where, report)
+    kept, link_name = [], link.get("name") or ""
+    for number, (collision, where) in enumerate(_number_parts(link, "collision")):
+        name = name_collision(collision.get("name") or link_name, number)
+        shape = msgspec.structs.replace(_read_shape(collision, where, report), name=name)
         if has_no_extent(shape):
             report.suspicious(where, f"{_describe_solid(shape)} of size 0; left out")
         elif policy.can_use(shape, f"link {quote(link.get('name'))}", collides=True, report=report):

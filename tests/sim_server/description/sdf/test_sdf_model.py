@@ -173,7 +173,7 @@ def test_collision_keeps_its_place_size_and_friction() -> None:
     model = read(a_link("base", part))
 
     assert model.links[0].collisions == (
-        Shape("sphere", (0.1, 0.0, 0.0), Origin((1.0, 0.0, 0.0)), friction=0.3),
+        Shape("sphere", (0.1, 0.0, 0.0), Origin((1.0, 0.0, 0.0)), friction=0.3, name="c"),
     )
 
 
