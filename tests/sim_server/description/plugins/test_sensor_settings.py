@@ -334,12 +334,15 @@ def test_kind_of_camera_depends_on_type_and_plugin(kind: str, plugin: str, shows
     assert settings_of(CameraSensor, text).kind == shows
 
 
+CUTOFF = "pointCloudCutoff"
+
+
 @pytest.mark.parametrize(
     ("tags", "low", "high"),
     [
         ("", 0.4, math.inf),
         ("<min_depth>0.1</min_depth><max_depth>9</max_depth>", 0.1, 9.0),
-        ("<pointCloudCutoff>1</pointCloudCutoff><pointCloudCutoffMax>3</pointCloudCutoffMax>", 1, 3),
+        (f"<{CUTOFF}>1</{CUTOFF}><{CUTOFF}Max>3</{CUTOFF}Max>", 1, 3),
     ],
 )  # fmt: skip
 def test_limits_of_depth_are_those_of_the_plugin(tags: str, low: float, high: float) -> None:
