@@ -327,6 +327,8 @@ class Model(msgspec.Struct, frozen=True):
     dynamics: Dynamics = ""
     command_interfaces: tuple[CommandInterface, ...] = ()
     """As described; a drive uses joints without them, too."""
+    drags: bool = False
+    """Whether friction takes much of what its driven wheels can transmit, by the prediction."""
 
     @property
     def mass_kg(self) -> float:

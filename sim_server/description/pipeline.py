@@ -196,7 +196,7 @@ def parse_world(
 
 
 def _add_notes(model: Model, meshes: dict[str, bytes]) -> Model:
-    """Report what needs the meshes: round wheels, and how the robot will drive."""
+    """Add what needs the meshes: round wheels, and how the robot will drive."""
     if model.drive is None:
         return model
     from zensim.sim_server.description.driving_notes import describe_driving
@@ -209,8 +209,9 @@ def _add_notes(model: Model, meshes: dict[str, bytes]) -> Model:
     round_wheels = (
         ReportEntry("applied", "drive", note) for note in describe_mesh_wheels(model, corners)
     )
-    report = (*model.report, *round_wheels, *describe_driving(model, corners))
-    return msgspec.structs.replace(model, report=report)
+    notes = describe_driving(model, corners)
+    report = (*model.report, *round_wheels, *notes.entries)
+    return msgspec.structs.replace(model, report=report, drags=notes.drags)
 
 
 def _set_compat(model: Model, compat: Compat) -> Model:

@@ -86,12 +86,16 @@ class Blueprint:
 
     Those of links as in `Model.links`, then further surfaces of links; see also
     `order_depth_first`.
+
+    Attributes:
+        drags: See `Model.drags`.
     """
 
     name: str
     is_static: bool
     parts: tuple[RigidPart, ...]
     links: tuple[Link, ...]
+    drags: bool = False
 
     @cached_property
     def link_parts(self) -> tuple[int, ...]:
@@ -128,7 +132,7 @@ def make_blueprint(model: Model, corners: FindCorners = NO_MESHES) -> Blueprint:
         inertia = wheels[i].reflected_inertia if i in wheels else 0.0
         parts.append(replace(part, reflected_inertia=inertia))
         surfaces.extend(_make_surface_part(group, i) for group in others)
-    return Blueprint(model.name, model.is_static, (*parts, *surfaces), model.links)
+    return Blueprint(model.name, model.is_static, (*parts, *surfaces), model.links, model.drags)
 
 
 def _group_by_surface(link: Link) -> list[tuple[Shape, ...]]:

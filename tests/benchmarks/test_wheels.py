@@ -31,13 +31,7 @@ BOTH = (
     "skid_500_kg",
     "mu_100",
 )
-PYBULLET = (
-    *BOTH,
-    "ball_mu_1",
-    "swivels_all_around",
-    "diff_fdir1_ahead",
-    "skid_com_behind",
-)
+PYBULLET = tuple(name for name in ROBOTS if name != "skid_fdir1_axle")
 MUJOCO = (
     *BOTH,
     "skid_square",

@@ -37,7 +37,7 @@ PARKING_SPACING_M = 100.0
 
 
 MotorNames = tuple[tuple[str, str], ...]
-BodyBuildKey = tuple[tuple[Link, ...], tuple[Joint, ...], bool, tuple[str, ...], MotorNames]
+BodyBuildKey = tuple[tuple[Link, ...], tuple[Joint, ...], bool, bool, tuple[str, ...], MotorNames]
 """What a Bullet body depends on; topics and namespaces do not count, nor do efforts."""
 
 
@@ -184,7 +184,7 @@ class BodyPool:
 def _make_build_key(model: Model) -> BodyBuildKey:
     wheels = model.drive.wheel_joints if model.drive else ()
     motors = tuple((actuator.mode, actuator.joint) for actuator in model.actuators)
-    return model.links, model.joints, model.is_static, wheels, motors
+    return model.links, model.joints, model.is_static, model.drags, wheels, motors
 
 
 class GearConstraint(NamedTuple):

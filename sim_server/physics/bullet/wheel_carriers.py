@@ -80,14 +80,16 @@ class Carrier:
 
 
 def add_wheel_carriers(blueprint: Blueprint) -> Blueprint:
-    """Put a carrier between the body and each wheel of a skid-steered robot; depth first.
+    """Put a carrier between the body and each driven wheel of a robot that slides; depth first.
 
-    Others stay as they are: with fewer than three driven wheels, a wheel that is no sphere on a
-    level axle or is steered, or links that collide with each other.
+    It does with three or more driven wheels, or if it drags. Others stay as they are, and those
+    with a wheel that is no sphere on a level axle or is steered, or links that collide with each
+    other.
     """
     wheels = [i for i, part in enumerate(blueprint.parts) if part.reflected_inertia > 0.0]
     if (
-        len(wheels) < MIN_SKID_WHEELS
+        not wheels
+        or (len(wheels) < MIN_SKID_WHEELS and not blueprint.drags)
         or any(link.self_collides for link in blueprint.links)
         or not all(_can_be_carried(blueprint, i) for i in wheels)
     ):

@@ -16,7 +16,8 @@ AS_COMMANDED = ("mass_ratio_1000", "swivels_all_around", "car_20_kg", "tricycle_
 
 
 def reasons(model: Model) -> list[str]:
-    return [entry.reason for entry in describe_driving(model)]
+    entries = describe_driving(model).entries
+    return [entry.reason for entry in entries if entry.subject == "driving"]
 
 
 @pytest.mark.parametrize("name", ["box_bot", "omni_bot", "car_bot", "trike_bot"])
@@ -128,7 +129,7 @@ def test_robot_that_rests_tilted_is_told_the_angle() -> None:
 
 
 def test_model_without_a_drive_gets_no_entry() -> None:
-    assert describe_driving(a_box()) == ()
+    assert describe_driving(a_box()) == ((), False)
 
 
 def test_parsed_description_has_the_prediction_in_its_report() -> None:
@@ -137,4 +138,25 @@ def test_parsed_description_has_the_prediction_in_its_report() -> None:
     )
 
     entries = [entry for entry in parsed.model.report if entry.status == "predicted"]
-    assert [entry.subject for entry in entries] == ["driving"]
+    assert [entry.subject for entry in entries] == ["driving", "cost"]
+    assert parsed.model.drags
+
+
+@pytest.mark.parametrize(
+    ("name", "drags"),
+    [
+        ("skid_short", True),
+        ("passive_front_wheels", True),
+        ("ball_under_most_of_the_load_mu_1", True),
+        ("ball_mu_0.5", False),
+        ("car_20_kg", False),
+        ("mover_on_wheels", False),
+    ],
+)
+def test_robot_drags_if_friction_takes_much_of_what_its_wheels_transmit(
+    name: str, *, drags: bool
+) -> None:
+    notes = describe_driving(ROBOTS[name].model())
+
+    assert notes.drags is drags
+    assert any(entry.subject == "cost" for entry in notes.entries) is drags

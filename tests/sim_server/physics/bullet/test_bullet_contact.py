@@ -178,7 +178,7 @@ def test_rolling_resistance_is_on_while_targets_are_zero(engine: PyBulletEngine)
     engine.command([body], np.zeros(2))
     stopped = [part.rolling_friction for part in dynamics_of(engine, body)]
 
-    assert born == stopped == [0.0, *[pytest.approx(3.5e-4)] * 2, 0.0]
+    assert born == stopped == [0.0, *[pytest.approx(ROLLING_RESISTANCE * 0.035)] * 2, 0.0]
     assert driven == [0.0] * 4
 
 

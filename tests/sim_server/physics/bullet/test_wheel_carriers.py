@@ -46,6 +46,18 @@ def turn_of(engine: PyBulletEngine, heading: float) -> float:
     return turn
 
 
+def list_axes(blueprint: Blueprint) -> list[bool]:
+    """List whether each carrier turns about the vertical."""
+    poses = find_part_poses(blueprint.parts)
+    joints = [(i + 1, blueprint.parts[i + 1].joint) for i in list_carriers(blueprint)]
+    return [abs(rotate(poses[i].orientation, joint.axis)[2]) > 0.99 for i, joint in joints if joint]
+
+
+def carried(name: str) -> Blueprint:
+    robot = next(one for one in list_robots() if one.name == name)
+    return add_wheel_carriers(order_depth_first(make_blueprint(robot.model())))
+
+
 def test_each_wheel_of_a_skid_steered_robot_has_a_carrier() -> None:
     model = a_skid_bot()
     found = add_wheel_carriers(order_depth_first(make_blueprint(model)))
@@ -63,6 +75,13 @@ def test_robot_with_two_driven_wheels_has_none(model: Model) -> None:
     assert add_wheel_carriers(blueprint) is blueprint
 
 
+@pytest.mark.parametrize(
+    ("name", "count"), [("passive_front_wheels", 2), ("ball_mu_0.5", 0), ("car_20_kg", 0)]
+)
+def test_robot_with_two_driven_wheels_has_carriers_if_it_drags(name: str, count: int) -> None:
+    assert len(list_carriers(carried(name))) == count
+
+
 def test_robot_whose_links_collide_with_each_other_has_none() -> None:
     model = a_skid_bot()
     base = msgspec.structs.replace(model.links[0], self_collides=True)
@@ -71,18 +90,6 @@ def test_robot_whose_links_collide_with_each_other_has_none() -> None:
     )
 
     assert add_wheel_carriers(blueprint) is blueprint
-
-
-def list_axes(blueprint: Blueprint) -> list[bool]:
-    """List whether each carrier turns about the vertical."""
-    poses = find_part_poses(blueprint.parts)
-    joints = [(i + 1, blueprint.parts[i + 1].joint) for i in list_carriers(blueprint)]
-    return [abs(rotate(poses[i].orientation, joint.axis)[2]) > 0.99 for i, joint in joints if joint]
-
-
-def carried(name: str) -> Blueprint:
-    robot = next(one for one in list_robots() if one.name == name)
-    return add_wheel_carriers(order_depth_first(make_blueprint(robot.model())))
 
 
 def test_axes_are_upright_but_those_of_wheels_abeam_of_the_centre_of_mass() -> None:
