@@ -24,6 +24,7 @@ from zensim.sim_server.scene.camera_images import (
     find_rgba,
 )
 from zensim.sim_server.scene.ray_casting import NO_ENTITY, PlacedShapes, ShapeGeometry
+from zensim.sim_server.scene.scene import SceneLayout
 
 FloatArray32 = npt.NDArray[np.float32]
 
@@ -282,11 +283,11 @@ class OpenGlRenderer:
         CamerasUnavailable: There is no OpenGL here.
     """
 
-    def __init__(self, shapes: PlacedShapes, lighting: Lighting) -> None:
+    def __init__(self, layout: SceneLayout, lighting: Lighting) -> None:
         """Upload the solids.
 
         Args:
-            shapes: All visible shapes; poses are not used.
+            layout: Of what cameras see.
             lighting: Of the world.
         """
         self._context = _make_context()
@@ -301,7 +302,7 @@ class OpenGlRenderer:
         )
         self._frames: dict[tuple[int, int], _Frame] = {}
         self._solids: list[tuple[moderngl.VertexArray, moderngl.Buffer, slice]] = []
-        self._add_instances(shapes)
+        self._add_instances(layout.unplaced)
         self._set_uniforms()
 
     def _add_instances(self, shapes: PlacedShapes) -> None:

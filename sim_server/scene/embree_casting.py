@@ -15,7 +15,7 @@ from embreex.rtcore_scene import EmbreeScene
 from zensim.proto.messages.model_messages import Shape
 from zensim.proto.se3 import FloatArray, conjugate, cross, rotate, transform_points
 from zensim.sim_server.scene.broad_phase import IntArray, expand_ranges
-from zensim.sim_server.scene.convex_shapes import UNIT_CUBE
+from zensim.sim_server.scene.convex_shapes import UNIT_CUBE, Z_AXIS
 from zensim.sim_server.scene.level_sections import ROUND_KINDS
 from zensim.sim_server.scene.ray_casting import (
     NO_ENTITY,
@@ -40,10 +40,26 @@ PRISM_MARGIN = 1.0 + 1e-4
 """By which prisms are larger than what they enclose, against rounding."""
 PRISM_REACH = 1.5
 """Bounding radius of a prism in that of what it encloses, at most."""
+END_MARGIN = 1e-6
+"""Points of a cylinder that are this near its end, of its length, are on the end."""
+NO_SHAPE = -1
+"""Index of what a ray hits that hits nothing."""
 DIRECT_KINDS = ("plane", *ROUND_KINDS)
-CUBE_FACES = np.reshape(
-    [int(i) for i in "013032467475045051237276026064157173"],
-    (12, 3),
+CUBE_FACES = np.array(
+    [
+        (0, 1, 3),
+        (0, 3, 2),
+        (4, 6, 7),
+        (4, 7, 5),
+        (0, 4, 5),
+        (0, 5, 1),
+        (2, 3, 7),
+        (2, 7, 6),
+        (0, 2, 6),
+        (0, 6, 4),
+        (1, 5, 7),
+        (1, 7, 3),
+    ]
 )
 """Corners of `UNIT_CUBE` of the triangles of its faces."""
 
@@ -82,6 +98,22 @@ class _Triangles:
         return np.asarray(np.where(is_parallel, np.inf, height / np.where(is_parallel, 1.0, slope)))
 
 
+@dataclass(frozen=True)
+class Surfaces:
+    """What rays (n,) hit first.
+
+    Attributes:
+        ranges: (n,) [m]; infinite where nothing is hit.
+        shape: (n,) index in `PlacedShapes`, or `NO_SHAPE`.
+        triangle: (n,) for boxes and meshes: twice the index of the triangle, plus 1 if it moves;
+            else negative.
+    """
+
+    ranges: FloatArray
+    shape: IntArray
+    triangle: IntArray
+
+
 class EmbreeCaster:
     """Casts rays at the shapes of a scene; what it builds of fixed shapes is kept."""
 
@@ -107,47 +139,79 @@ class EmbreeCaster:
 
     def cast(self, rays: Rays) -> RayHits:
         """Cast rays; see `RayCaster`, but of equally near entities any is hit."""
-        hits = _cast_directly(self._shapes, rays)
+        found = self._cast(rays)
+        entities = np.full(len(found.shape), NO_ENTITY, np.intp)
+        is_hit = found.shape != NO_SHAPE
+        entities[is_hit] = self._shapes.entity[found.shape[is_hit]]
+        return RayHits(found.ranges, entities)
+
+    def find_surfaces(self, rays: Rays) -> tuple[FloatArray, IntArray, FloatArray]:
+        """Cast rays at what has colours.
+
+        Returns:
+            Ranges (n,) [m], shapes (n,) or `NO_SHAPE`, and unit normals (n, 3) towards the origin;
+            0 where nothing is hit.
+        """
+        found = self._cast(rays)
+        normals = np.zeros((len(found.shape), 3))
+        for number, triangles in enumerate(self._parts):
+            chosen = np.flatnonzero((found.triangle >= 0) & (found.triangle % 2 == number))
+            normals[chosen] = triangles.normals[found.triangle[chosen] // 2]
+        others = np.flatnonzero((found.triangle < 0) & (found.shape != NO_SHAPE))
+        points = rays.origins[others] + found.ranges[others, None] * rays.directions[others]
+        normals[others] = _find_round_normals(self._shapes, found.shape[others], points)
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        is_away = np.einsum("ij,ij->i", normals, rays.directions) > 0.0
+        normals *= np.where(is_away[:, None], -1.0, 1.0) / np.where(lengths > 0.0, lengths, 1.0)
+        return found.ranges, found.shape, normals
+
+    def _cast(self, rays: Rays) -> Surfaces:
+        found = _cast_directly(self._shapes, rays)
         active, starts = np.arange(len(rays.origins)), np.zeros(len(rays.origins))
         for _ in range(MAX_PASSES):
-            active, starts = self._advance(rays, hits, active, starts)
+            active, starts = self._advance(rays, found, active, starts)
             if not len(active):
-                return hits
+                return found
         rest = cast_rays_exactly(self._shapes, _take_rays(rays, active))
-        hits.ranges[active], hits.entities[active] = rest.ranges, rest.entities
-        return hits
+        found.ranges[active], found.triangle[active] = rest.ranges, -1
+        found.shape[active] = [
+            np.flatnonzero(self._shapes.entity == entity)[0] if entity != NO_ENTITY else NO_SHAPE
+            for entity in rest.entities.tolist()
+        ]
+        return found
 
     def _advance(
-        self, rays: Rays, hits: RayHits, active: IntArray, starts: FloatArray
+        self, rays: Rays, found: Surfaces, active: IntArray, starts: FloatArray
     ) -> tuple[IntArray, FloatArray]:
         """Find the next triangle of some rays; return those that pass it, and where they go on."""
-        part, triangle, at = self._find_triangles(rays, hits, active, starts)
+        part, triangle, at = self._find_triangles(rays, found, active, starts)
         is_hit = triangle >= 0
         active, part, triangle, at = active[is_hit], part[is_hit], triangle[is_hit], at[is_hit]
-        found = _take_rays(rays, active)
+        beams = _take_rays(rays, active)
         shape, ranges = np.zeros(len(active), np.intp), np.full(len(active), np.inf)
         for number, triangles in enumerate(self._parts):
             chosen = np.flatnonzero(part == number)
             shape[chosen] = triangles.shape[triangle[chosen]]
-            ranges[chosen] = triangles.find_ranges(triangle[chosen], _take_rays(found, chosen))
+            ranges[chosen] = triangles.find_ranges(triangle[chosen], _take_rays(beams, chosen))
         ranges = np.where(np.abs(ranges - at) <= FLOAT32_ERROR_M, ranges, at)
-        is_own = self._shapes.entity[shape] == found.ignored
+        is_own = self._shapes.entity[shape] == beams.ignored
         is_round = np.isin(self._shapes.kinds, ROUND_KINDS)[self._shapes.geometry[shape]]
         exact = np.flatnonzero(is_round & ~is_own)
-        ranges[exact] = _find_round_ranges(self._shapes, shape[exact], _take_rays(found, exact))
-        is_nearer = ~is_own & (ranges <= np.minimum(hits.ranges[active], rays.max_range_m))
-        hits.ranges[active[is_nearer]] = ranges[is_nearer]
-        hits.entities[active[is_nearer]] = self._shapes.entity[shape[is_nearer]]
+        ranges[exact] = _find_round_ranges(self._shapes, shape[exact], _take_rays(beams, exact))
+        is_nearer = ~is_own & (ranges <= np.minimum(found.ranges[active], rays.max_range_m))
+        nearer = active[is_nearer]
+        found.ranges[nearer], found.shape[nearer] = ranges[is_nearer], shape[is_nearer]
+        found.triangle[nearer] = np.where(is_round, -1, 2 * triangle + part)[is_nearer]
         is_passed = is_own | is_round
         return active[is_passed], at[is_passed] + SKIP_M
 
     def _find_triangles(
-        self, rays: Rays, hits: RayHits, active: IntArray, starts: FloatArray
+        self, rays: Rays, known: Surfaces, active: IntArray, starts: FloatArray
     ) -> tuple[IntArray, IntArray, FloatArray]:
         """Find the next triangle of each ray: part, index in it or -1, and range (n,)."""
         directions = rays.directions[active]
         origins = (rays.origins[active] + starts[:, None] * directions).astype(np.float32)
-        limits = np.minimum(hits.ranges[active], rays.max_range_m) - starts
+        limits = np.minimum(known.ranges[active], rays.max_range_m) - starts
         nearest = np.maximum(limits, 0.0).astype(np.float32)
         part, triangle = np.zeros(len(active), np.intp), np.full(len(active), -1)
         for number, triangles in enumerate(self._parts):
@@ -171,10 +235,11 @@ def _take_rays(rays: Rays, chosen: IntArray) -> Rays:
     )
 
 
-def _cast_directly(shapes: PlacedShapes, rays: Rays) -> RayHits:
+def _cast_directly(shapes: PlacedShapes, rays: Rays) -> Surfaces:
     """Cast rays at planes, and at round shapes in whose prisms they may begin."""
     count = len(rays.origins)
-    hits = RayHits(np.full(count, np.inf), np.full(count, NO_ENTITY, np.intp))
+    none = np.full(count, NO_SHAPE)
+    found = Surfaces(np.full(count, np.inf), none, none.copy())
     centres, radii = shapes.bounding_spheres()
     numbers = np.flatnonzero(np.isin(shapes.kinds, DIRECT_KINDS)[shapes.geometry])
     starts = _find_origins(rays)
@@ -183,8 +248,8 @@ def _cast_directly(shapes: PlacedShapes, rays: Rays) -> RayHits:
         away = rays.origins[starts] - centres[number]
         reach = PRISM_REACH * radii[number]
         near = np.flatnonzero((away * away).sum(axis=1) <= reach * reach)
-        _keep_nearest(shapes, rays, hits, expand_ranges(starts[near], counts[near])[1], number)
-    return hits
+        _keep_nearest(shapes, rays, found, expand_ranges(starts[near], counts[near])[1], number)
+    return found
 
 
 def _find_origins(rays: Rays) -> IntArray:
@@ -194,17 +259,17 @@ def _find_origins(rays: Rays) -> IntArray:
 
 
 def _keep_nearest(
-    shapes: PlacedShapes, rays: Rays, hits: RayHits, chosen: IntArray, number: int
+    shapes: PlacedShapes, rays: Rays, found: Surfaces, chosen: IntArray, number: int
 ) -> None:
     """Keep the hits of some rays at one shape where they are nearer."""
     if not len(chosen):
         return
     part = _take_rays(rays, chosen)
     ranges = _find_round_ranges(shapes, np.full(len(chosen), number), part)
-    is_nearer = (ranges < hits.ranges[chosen]) & (ranges <= rays.max_range_m)
+    is_nearer = (ranges < found.ranges[chosen]) & (ranges <= rays.max_range_m)
     is_nearer &= shapes.entity[number] != part.ignored
-    hits.ranges[chosen[is_nearer]] = ranges[is_nearer]
-    hits.entities[chosen[is_nearer]] = shapes.entity[number]
+    found.ranges[chosen[is_nearer]] = ranges[is_nearer]
+    found.shape[chosen[is_nearer]] = number
 
 
 def _find_round_ranges(shapes: PlacedShapes, number: IntArray, rays: Rays) -> FloatArray:
@@ -220,6 +285,19 @@ def _find_round_ranges(shapes: PlacedShapes, number: IntArray, rays: Rays) -> Fl
         sizes = shapes.sizes[geometry[chosen]]
         ranges[chosen] = find_solid_ranges(kind, sizes, origins[chosen], directions[chosen])
     return ranges
+
+
+def _find_round_normals(shapes: PlacedShapes, number: IntArray, points: FloatArray) -> FloatArray:
+    """Find outward normals (n, 3), of any length, of round shapes and planes at points on them."""
+    geometry, poses = shapes.geometry[number], shapes.poses[number]
+    local = rotate(conjugate(poses[:, 3:]), points - poses[:, :3])
+    kind, half, height = shapes.kinds[geometry], shapes.sizes[geometry, 1] / 2.0, local[:, 2]
+    is_end = (kind == "cylinder") & (np.abs(height) >= half * (1.0 - END_MARGIN))
+    # Beside the ends, the normal points away from the nearest point of the axis.
+    is_straight = np.isin(kind, ("capsule", "cylinder"))
+    local[:, 2] -= np.where(is_straight, np.clip(height, -half, half), 0.0)
+    local = np.where((is_end | (kind == "plane"))[:, None], Z_AXIS, local)
+    return rotate(poses[:, 3:], local)
 
 
 def _place_triangles(shapes: PlacedShapes, numbers: IntArray) -> _Triangles:

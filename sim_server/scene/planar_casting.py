@@ -96,10 +96,8 @@ class LevelScan:
 
 
 def make_level_scan(axis: ScanAxis, range_max_m: float, start_m: float = 0.0) -> LevelScan:
-    """Make the scan of a lidar with one row; a single ray points along x, as in Gazebo."""
-    if axis.count == 1:
-        return LevelScan(1, 0.0, 0.0, range_max_m, start_m)
-    increment = (axis.high_rad - axis.low_rad) / (axis.count - 1)
+    """Make the scan of a lidar with one row."""
+    increment = (axis.high_rad - axis.low_rad) / (axis.count - 1) if axis.count > 1 else 0.0
     return LevelScan(axis.count, axis.low_rad, increment, range_max_m, start_m)
 
 

@@ -1,6 +1,6 @@
 """Rendered images show what rays hit, in the colours and under the lights of the world."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -9,8 +9,11 @@ from zensim.proto.messages.model_messages import Light, Link, Model, Origin, Sha
 from zensim.proto.messages.sensor_messages import CameraSensor
 from zensim.proto.messages.world_messages import Scene
 from zensim.proto.se3 import FloatArray, from_rpy, rotate
+from zensim.sim_server.scene.camera_casting import RayRenderer
 from zensim.sim_server.scene.camera_images import (
     CameraImages,
+    CameraRenderer,
+    Lighting,
     list_visible_shapes,
     make_lighting,
     make_pixel_directions,
@@ -41,8 +44,19 @@ def a_model(*visuals: Shape) -> Model:
     return Model("m", (Link("base", visuals=visuals),))
 
 
+MakeRenderer = Callable[[SceneLayout, Lighting], CameraRenderer]
+RENDERERS: dict[str, MakeRenderer] = {"opengl": OpenGlRenderer, "rays": RayRenderer}
+
+
+@pytest.fixture(params=RENDERERS, autouse=True)
+def renderer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Studio, "make_renderer", staticmethod(RENDERERS[request.param]))
+
+
 class Studio:
     """Models that are rendered."""
+
+    make_renderer: MakeRenderer = staticmethod(OpenGlRenderer)
 
     def __init__(
         self, placed: Sequence[tuple[Model, list[float]]], scene: Scene = PLAIN, *, ground: bool
@@ -55,7 +69,7 @@ class Studio:
             list_shapes=lambda link: list_visible_shapes(link, lambda _: True),
         )
         self.base = np.array([pose for _, pose in placed]).reshape(-1, 7)
-        self.renderer = OpenGlRenderer(self.layout.unplaced, make_lighting(scene))
+        self.renderer = self.make_renderer(self.layout, make_lighting(scene))
 
     def render(
         self, camera: CameraSensor = CAMERA, pose: FloatArray = AT_EYE_HEIGHT
