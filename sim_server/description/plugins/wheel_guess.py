@@ -69,6 +69,7 @@ def find_wheels(lumped: LumpedModel) -> list[MeasuredWheel]:
         if _turns_fully(joint)
         and joint.child not in carriers
         and not _is_caster(joint, lumped.joints, upright)
+        and not _is_carried_freely(joint, lumped.joints, upright)
     }
     wheels = [
         wheel
@@ -95,6 +96,17 @@ def _find_ground(lumped: LumpedModel) -> float:
 def _without_meshes(link: Link) -> Link:
     shapes = tuple(shape for shape in link.collisions if shape.kind != "mesh")
     return msgspec.structs.replace(link, collisions=shapes)
+
+
+def _is_carried_freely(wheel: Joint, joints: Iterable[Joint], upright: set[str]) -> bool:
+    """Whether a part that turns freely, such as the ring of a differential, carries a wheel."""
+    by_child = {joint.child: joint for joint in joints}
+    above = by_child.get(wheel.parent)
+    while above is not None:
+        if _turns_fully(above) and above.name not in upright:
+            return True
+        above = by_child.get(above.parent)
+    return False
 
 
 def _turns_fully(joint: Joint) -> bool:

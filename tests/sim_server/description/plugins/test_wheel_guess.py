@@ -33,6 +33,12 @@ FEET = a_link("foot", a_collision(origin='<origin xyz="0 0 -0.3"/>')) + a_joint(
     "ankle", ("base_link", "foot")
 )
 SHANK = a_link("shank", a_collision(BODY)) + a_joint("knee", ("left_tyre", "shank"), "continuous")
+RING_ROBOT = a_robot(
+    a_base(),
+    a_link("ring") + a_joint("spin", ("base_link", "ring"), "continuous", AXIS),
+    a_tyre("left", 0.0, 0.2, parent="ring"),
+    a_tyre("right", 0.0, -0.2, parent="ring"),
+)
 SWIVEL = a_steering("swivel", -0.3, 0.0).replace("revolute", "continuous").replace("0.7", "0")
 CASTER = SWIVEL + a_tyre("caster", -0.05, 0.0, parent="swivel_knuckle")
 LIDAR = a_tyre("lidar", 0.1, 0.0).replace('<axis xyz="0 1 0"/>', '<axis xyz="0 0 1"/>')
@@ -63,6 +69,7 @@ HIGH = a_tyre("roller_left", 0.0, 0.3).replace('xyz="0.0 0.3 0"', 'xyz="0 0.3 0.
         (a_diff_robot().replace('<origin rpy="1', '<origin xyz="0 0 -0.3" rpy="1'), None),
         (a_diff_robot(FEET), None),
         (a_diff_robot(SHANK), None),
+        (RING_ROBOT, None),
         (
             a_diff_robot().replace("continuous", "revolute").replace(AXIS, AXIS + KNEE_LIMIT),
             None,
@@ -90,6 +97,7 @@ HIGH = a_tyre("roller_left", 0.0, 0.3).replace('xyz="0.0 0.3 0"', 'xyz="0 0.3 0.
         "round parts off their axles",
         "feet lower than round joints",
         "motors of legs",
+        "wheels on a ring that turns",
         "knees of two turns",
         "wheels with limits",
         "locked steering",
