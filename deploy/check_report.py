@@ -21,6 +21,12 @@ MARKDOWN_HEADERS = (
     *("robot", "source", "engine", "drive", "found by", "straight", "drift", "turn", "predicted"),
     *("tilt", "creep", "verdict", "remarks"),
 )
+TOTAL_HEADERS = (
+    *("engine", "robots", "mobile", "driven", "straight within 5 %", "turn within 5 %", "both"),
+    "ok or as predicted",
+)
+KEPT_SHARE = 0.05
+"""Of the command, by which a total allows speed or turn to deviate."""
 MAX_REMARKS = 200
 """Characters of the remarks in a table."""
 XML_CONTROLS = dict.fromkeys((*range(9), 11, 12, *range(14, 32), 0xFFFE, 0xFFFF))
@@ -84,6 +90,35 @@ def format_table(rows: Sequence[CheckRow]) -> list[str]:
     return [*lines, summarize(rows)]
 
 
+def format_totals(rows: Sequence[CheckRow]) -> list[tuple[str, ...]]:
+    """Count the robots of each engine that drive, and how well; a row of headers first.
+
+    Mobile robots have a drive or wheels; speed and turn count as commanded within 5 %.
+    """
+    table = [TOTAL_HEADERS]
+    for engine in dict.fromkeys(row.engine for row in rows):
+        own = [row for row in rows if row.engine == engine]
+        driven = [row for row in own if row.result.straight and row.result.turn]
+        straight = [row for row in driven if _is_kept(row.result.straight, 0)]
+        turn = [row for row in driven if _is_kept(row.result.turn, 2)]
+        counts = (
+            len(own),
+            len([row for row in own if row.result.drive or row.verdict == "no drive"]),
+            len(driven),
+            len(straight),
+            len(turn),
+            len([row for row in straight if row in turn]),
+            len([row for row in driven if row.verdict in ("ok", "predicted")]),
+        )
+        table.append((engine, *map(str, counts)))
+    return table
+
+
+def _is_kept(part: DrivenPart | None, axis: int) -> bool:
+    ratio = find_ratio(part, axis) if part else None
+    return ratio is not None and abs(ratio - 1.0) <= KEPT_SHARE
+
+
 def summarize(rows: Sequence[CheckRow]) -> str:
     """Count the verdicts in one line."""
     counts = ", ".join(f"{count} {verdict}" for verdict, count in count_verdicts(rows).items())
@@ -91,13 +126,20 @@ def summarize(rows: Sequence[CheckRow]) -> str:
 
 
 def format_markdown(rows: Sequence[CheckRow]) -> str:
-    """Format all rows as a Markdown table with the sources."""
-    table = [MARKDOWN_HEADERS, ("---",) * len(MARKDOWN_HEADERS)]
+    """Format totals, and all rows with their sources, as Markdown tables."""
+    table = [MARKDOWN_HEADERS]
     for row in rows:
         name, *cells = format_cells(row)
         table.append((name, row.robot.source or row.robot.path, *cells))
-    lines = [f"| {' | '.join(map(_escape, cells))} |" for cells in table]
+    lines = [*_format_lines(format_totals(rows)), "", *_format_lines(table)]
     return "\n".join([*lines, "", summarize(rows), ""])
+
+
+def _format_lines(table: Sequence[tuple[str, ...]]) -> list[str]:
+    head, *rows = table
+    return [
+        f"| {' | '.join(map(_escape, cells))} |" for cells in (head, ("---",) * len(head), *rows)
+    ]
 
 
 def _escape(cell: str) -> str:

@@ -3,12 +3,15 @@
 import json
 from xml.etree import ElementTree
 
+import msgspec
+
 from zensim.deploy.check_report import (
     HEADERS,
     MARKDOWN_HEADERS,
     format_cells,
     format_markdown,
     format_table,
+    format_totals,
     to_json,
     to_junit,
 )
@@ -59,12 +62,32 @@ def test_table_has_a_line_for_each_row_between_headers_and_counts() -> None:
 
 
 def test_markdown_cells_are_escaped() -> None:
-    lines = format_markdown(ROWS).splitlines()
+    lines = format_markdown(ROWS).partition("\n\n")[2].splitlines()
 
     columns = {line.replace(r"\|", "").count("|") for line in lines[: len(ROWS) + 2]}
     assert columns == {len(MARKDOWN_HEADERS) + 1}
     assert "<broken>" not in lines[4]
     assert GOOD.robot.source in lines[2]
+
+
+def test_totals_count_the_robots_of_each_engine() -> None:
+    straight = msgspec.structs.replace(GOOD.result, turn=GOOD.result.straight)
+
+    headers, *totals = format_totals((*ROWS, msgspec.structs.replace(GOOD, result=straight)))
+
+    assert [dict(zip(headers, cells, strict=True)) for cells in totals] == [
+        {
+            "engine": "pybullet", "robots": "2", "mobile": "2", "driven": "2",
+            "straight within 5 %": "2", "turn within 5 %": "0", "both": "0",
+            "ok or as predicted": "2",
+        },
+        {
+            "engine": "mujoco", "robots": "2", "mobile": "1", "driven": "1",
+            "straight within 5 %": "1", "turn within 5 %": "0", "both": "0",
+            "ok or as predicted": "0",
+        },
+    ]  # fmt: skip
+    assert format_markdown(ROWS).startswith("| engine | robots |")
 
 
 def test_json_has_rows_and_counts() -> None:
