@@ -1,6 +1,6 @@
 """`python -m zensim.deploy.prepared_start VERB SETTINGS`: run a program with JSON settings.
 
-An agent would spend most of its start on the command line parser.
+A program would spend most of its start on the command line parser.
 """
 
 import os
@@ -10,10 +10,8 @@ import msgspec
 
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.process_limits import die_with_supervisor
-from zensim.robot_agent.agent import run_agent_process
-from zensim.robot_agent.agent_config import AgentProcessConfig
 
-AGENT_VERB = "agent"
+AGENT_VERB, SENSORS_VERB = "agent", "sensors"
 
 
 def main(verb: str, settings: str) -> None:
@@ -24,9 +22,28 @@ def main(verb: str, settings: str) -> None:
     """
     die_with_supervisor(os.environ)
     with exit_on_failure(verb):
-        if verb != AGENT_VERB:
-            raise ValueError(f"verb must be '{AGENT_VERB}', got {verb!r}")
-        run_agent_process(msgspec.json.decode(settings, type=AgentProcessConfig))
+        if verb == AGENT_VERB:
+            _run_agent(settings)
+        elif verb == SENSORS_VERB:
+            _run_sensors(settings)
+        else:
+            raise ValueError(f"verb must be '{AGENT_VERB}' or '{SENSORS_VERB}', got {verb!r}")
+
+
+def _run_agent(settings: str) -> None:
+    from zensim.robot_agent.agent import run_agent_process  # noqa: PLC0415
+    from zensim.robot_agent.agent_config import AgentProcessConfig  # noqa: PLC0415
+
+    run_agent_process(msgspec.json.decode(settings, type=AgentProcessConfig))
+
+
+def _run_sensors(settings: str) -> None:
+    from zensim.sim_server.sensors.sensor_process import (  # noqa: PLC0415
+        SensorProcessConfig,
+        start_sensor_process,
+    )
+
+    start_sensor_process(msgspec.json.decode(settings, type=SensorProcessConfig))
 
 
 if __name__ == "__main__":

@@ -29,6 +29,16 @@ def alive_agents(world: str) -> str:
     return f"sim/{world}/alive/agent/*"
 
 
+def alive_sensors(world: str, process: str) -> str:
+    """Liveliness token of a sensor process."""
+    return f"sim/{world}/alive/sensors/{process}"
+
+
+def active_sensors(world: str, process: str) -> str:
+    """Liveliness token of a sensor process while it is subscribed to scene states."""
+    return f"sim/{world}/sensors/{process}/active"
+
+
 def bond(world: str, name: str) -> str:
     """Liveliness token to which the existence of entities is bound."""
     return f"sim/{world}/bond/{name}"
@@ -37,6 +47,14 @@ def bond(world: str, name: str) -> str:
 def bonds(world: str) -> str:
     """All bonds of a world."""
     return f"sim/{world}/bond/*"
+
+
+def parse_sensor_process(key: str) -> str:
+    """Return the sensor process of a token or topic of it; empty for other keys."""
+    match key.split("/"):
+        case ["sim", _, "sensors", process, _] | ["sim", _, "alive", "sensors", process]:
+            return process
+    return ""
 
 
 def robot(namespace: str, topic: str) -> str:

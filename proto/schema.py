@@ -52,6 +52,7 @@ MESSAGE_MODULES: tuple[ModuleType, ...] = (
 KEY_ARGUMENTS = {
     "world": "default",
     "agent": "agent_1",
+    "process": "sensors_1",
     "name": "spawn_entity",
     "namespace": "r1",
     "topic": "odom",
@@ -145,7 +146,8 @@ def list_keys() -> dict[str, object]:
 def _make_example_key(topic: TopicSpec) -> str:
     if topic.scope is TopicScope.ROBOT:
         return topic.key(KEY_ARGUMENTS["namespace"])
-    return topic.key(KEY_ARGUMENTS["world"], KEY_ARGUMENTS["agent"])
+    owner = "process" if topic.scope is TopicScope.SENSORS else "agent"
+    return topic.key(KEY_ARGUMENTS["world"], KEY_ARGUMENTS[owner])
 
 
 def list_codes() -> dict[str, object]:

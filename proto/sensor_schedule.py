@@ -43,3 +43,14 @@ def is_due(
     periods = rate_hz / find_step_rate_hz(environment)
     now, before = step * periods + ROUNDING, seen_step * periods + ROUNDING
     return now // 1.0 > before // 1.0
+
+
+def count_due(before: int, step: int, rate_hz: float, environment: Environment) -> int:
+    """Count the control steps after `before` and up to `step` at which a sensor is due."""
+    control_steps = max(environment.control_steps, 1)
+    steps = max(0, (step - before) // control_steps)
+    if rate_hz <= 0.0:
+        return steps
+    periods = rate_hz / find_step_rate_hz(environment)
+    passed = (step * periods + ROUNDING) // 1.0 - (before * periods + ROUNDING) // 1.0
+    return min(steps, max(0, int(passed)))

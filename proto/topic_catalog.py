@@ -7,15 +7,20 @@ import msgspec
 from zensim.proto.codec.message_codec import Format, make_encoding
 from zensim.proto.messages.agent_messages import DriveCommand, DriveState
 from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
+from zensim.proto.messages.sensor_messages import SceneState, SensorsReply, SensorStats
 from zensim.proto.messages.simulation_messages import StepsProgress
 from zensim.proto.messages.standard_messages import (
     Altimeter,
     Clock,
     Imu,
     JointState,
+    LaserScan,
     MagneticField,
     NavSatFix,
     Odometry,
+    PointCloud,
+    PointCloud2,
+    Range,
     String,
     TFMessage,
     Twist,
@@ -32,6 +37,7 @@ class TopicScope(Enum):
 
     WORLD = "sim/{}/"
     AGENT = "sim/{}/drive/{}/"
+    SENSORS = "sim/{}/sensors/{}/"
     ROBOT = "{}/"
 
 
@@ -40,6 +46,7 @@ class Participant(Enum):
 
     SERVER = "server"
     AGENT = "agent"
+    SENSORS = "sensor process"
     USER = "user"
 
 
@@ -85,7 +92,7 @@ class TopicSpec(msgspec.Struct, frozen=True, eq=False, kw_only=True):
         return make_encoding(self.messages[0], self.format)
 
     def key(self, *owner: str) -> str:
-        """Write the key of an owner: world; world and agent; or namespace."""
+        """Write the key of an owner: world; world and agent or sensor process; or namespace."""
         return self.scope.value.format(*owner) + self.suffix
 
     def at(self, key: str) -> Topic:
@@ -194,6 +201,37 @@ DRIVE_COMMAND = TopicSpec(
     is_gettable=False,
     description="actuator targets of all robots of one agent",
 )
+SCENE_STATE = TopicSpec(
+    name="scene_state",
+    scope=TopicScope.WORLD,
+    messages=(SceneState,),
+    publisher=Participant.SERVER,
+    subscriber=Participant.SENSORS,
+    format=Format.MSGPACK,
+    is_gettable=False,
+    description="poses of all entities when a lidar or camera is due",
+)
+SENSORS_REPLY = TopicSpec(
+    name="sensors_reply",
+    suffix="reply",
+    scope=TopicScope.SENSORS,
+    messages=(SensorsReply,),
+    publisher=Participant.SENSORS,
+    subscriber=Participant.SERVER,
+    format=Format.MSGPACK,
+    is_gettable=False,
+    description="all measurements of a scene state are published",
+)
+SENSOR_STATS = TopicSpec(
+    name="sensor_stats",
+    suffix="figures",
+    scope=TopicScope.SENSORS,
+    messages=(SensorStats,),
+    publisher=Participant.SENSORS,
+    format=Format.MSGPACK,
+    rate_hz=1.0,
+    description="messages, late ones and cost of each sensor",
+)
 CMD_VEL = TopicSpec(
     name="cmd_vel",
     scope=TopicScope.ROBOT,
@@ -282,6 +320,38 @@ ROBOT_DESCRIPTION = TopicSpec(
     publisher=Participant.AGENT,
     qos=LATCHED,
     description="the URDF",
+)
+SCAN = TopicSpec(
+    name="scan",
+    scope=TopicScope.ROBOT,
+    messages=(LaserScan,),
+    publisher=Participant.SENSORS,
+    qos=RELIABLE_5,
+    description="ranges of a lidar",
+)
+POINTS = TopicSpec(
+    name="points",
+    scope=TopicScope.ROBOT,
+    messages=(PointCloud2,),
+    publisher=Participant.SENSORS,
+    qos=RELIABLE_5,
+    description="points of a lidar",
+)
+POINT_CLOUD = TopicSpec(
+    name="point_cloud",
+    scope=TopicScope.ROBOT,
+    messages=(PointCloud,),
+    publisher=Participant.SENSORS,
+    qos=RELIABLE_5,
+    description="points of a lidar, as before PointCloud2",
+)
+RANGE = TopicSpec(
+    name="range",
+    scope=TopicScope.ROBOT,
+    messages=(Range,),
+    publisher=Participant.SENSORS,
+    qos=RELIABLE_5,
+    description="least distance in the cone of a range finder",
 )
 
 TOPICS: dict[str, TopicSpec] = {

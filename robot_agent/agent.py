@@ -18,6 +18,7 @@ from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, e
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.network_protocols import AgentNetwork
+from zensim.proto.poll_schedule import MAX_PAUSE_S, PollSchedule
 from zensim.proto.process_limits import set_niceness
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
@@ -32,56 +33,8 @@ from zensim.robot_agent.claim_client import (
 from zensim.robot_agent.drive_state_decoder import StateOrder
 from zensim.robot_agent.robots import IndividualRobots
 
-MIN_PERIOD_S = 0.002
-"""Minimum wall time between two answers while time runs freely."""
-LEAD_S = 0.002
-"""Polling starts this long before the next state is due."""
-POLL_S = 0.001
-"""Polling period from then on."""
-MAX_PAUSE_S = 0.01
-"""Maximum pause; everything else may wait as long."""
 MAX_COMMAND_PAUSE_S = 0.0035
 """Maximum pause of an agent that applies late commands."""
-IDLE_AFTER_S, IDLE_S = 0.5, 0.003
-"""Without states for so long, time is taken as stopped; the first state may wait one pause."""
-EAGER_S, EAGER_POLL_S = 0.02, 0.0003
-"""After an awaited state, polling is fast for so long: time waits for the next answer."""
-PERIOD_GROWTH = 1.1
-"""Growth of the expected period per state when states come less often."""
-
-
-class PollSchedule:
-    """Pauses between polls, from the wall time between drive states."""
-
-    def __init__(self, longest_s: float = MAX_PAUSE_S) -> None:
-        """Start without a known period.
-
-        Args:
-            longest_s: Maximum pause [s].
-        """
-        self._longest_s = longest_s
-        self._state_s = self._eager_until_s = -math.inf
-        self._period_s = 0.0
-
-    def note_state(self, now_s: float, *, is_awaited: bool) -> None:
-        """Note the arrival of a state."""
-        gap_s = now_s - self._state_s
-        self._state_s = now_s
-        self._period_s = min(gap_s, PERIOD_GROWTH * max(self._period_s, MIN_PERIOD_S))
-        if is_awaited:
-            self._eager_until_s = now_s + EAGER_S
-
-    def pause_s(self, now_s: float) -> float:
-        """Find the pause until the next poll [s]."""
-        if now_s < self._eager_until_s:
-            return EAGER_POLL_S
-        passed_s = now_s - self._state_s
-        if passed_s > IDLE_AFTER_S:
-            return IDLE_S
-        left_s = max(MIN_PERIOD_S, self._period_s - LEAD_S) - passed_s
-        return min(left_s, self._longest_s) if left_s > 0.0 else POLL_S
-
-
 NICENESS = 19
 """A seventieth of the default CPU weight; with a tenth, agents that wake preempt physics."""
 RTF_WINDOW_S = 0.5

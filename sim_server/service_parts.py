@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Generic
 
-from zensim.proto.messages.sensor_messages import Environment
+from zensim.proto.messages.sensor_messages import Environment, SensorsReply
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.world_messages import WorldResource
 from zensim.proto.service_catalog import Response
@@ -47,6 +47,16 @@ class Pacing:
     due_ns: int = 0
     """Wall time at which the next step is due."""
 
+    @property
+    def is_awaited(self) -> bool:
+        """Whether the loop waits at control steps for agents and sensor processes."""
+        return self.lockstep.settings.is_on or len(self.step_goals) > 0
+
+    @property
+    def is_paced(self) -> bool:
+        """Whether simulation time runs at most as fast as wall time, or waits for replies."""
+        return 0.0 < self.target_real_time_factor <= 1.0 or self.is_awaited
+
 
 @dataclass
 class Agents:
@@ -55,6 +65,15 @@ class Agents:
     alive: set[str] = field(default_factory=set)
     pool_limits: dict[str, int] = field(default_factory=dict)
     """Most robots of each pool, in the order of their first request."""
+
+
+@dataclass
+class SensorProcesses:
+    """Sensor processes that are subscribed to scene states."""
+
+    active: set[str] = field(default_factory=set)
+    replies: dict[str, SensorsReply] = field(default_factory=dict)
+    """The last of each, with what it has published."""
 
 
 @dataclass
@@ -119,6 +138,7 @@ def make_environment(world: World, current: CurrentWorld) -> Environment:
         spherical_coordinates=current.model.spherical_coordinates,
         step_ns=world.clock.step_ns,
         control_steps=world.control_steps,
+        has_ground=current.model.ground_plane,
     )
 
 
@@ -167,6 +187,7 @@ class ServerParts:
     current_world: CurrentWorld
     pacing: Pacing
     agents: Agents
+    sensors: SensorProcesses
     bonds: Bonds
     descriptions: Descriptions
     store: AssetStore
@@ -190,6 +211,7 @@ def make_server_parts(
         current,
         pacing,
         Agents(),
+        SensorProcesses(),
         bonds,
         descriptions,
         descriptions.store,

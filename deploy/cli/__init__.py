@@ -39,6 +39,11 @@ VERBS: dict[str, Verb] = {
         "zensim.robot_agent.cli",
         "Drive robots: subscribe to cmd_vel, publish odom and tf.",
     ),
+    "sensors": Verb(
+        "Programs",
+        "zensim.deploy.cli.sensor_program",
+        "List sensors, or run a process that publishes lidars and cameras.",
+    ),
     "view": Verb(
         "Programs",
         "zensim.spawner.cli.view_commands",

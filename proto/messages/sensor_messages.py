@@ -177,6 +177,8 @@ class Environment(msgspec.Struct, frozen=True):
     step_ns: UInt64 = 0
     control_steps: UInt32 = 0
     """Steps between two control steps."""
+    has_ground: bool = True
+    """Whether rays hit a ground plane z = 0."""
 
 
 class SceneState(msgspec.Struct, frozen=True):
@@ -195,7 +197,7 @@ class SceneState(msgspec.Struct, frozen=True):
     joint_positions: bytes
     """`<f8`, all joints of all entities, model by model in the order of `Model.joints`."""
     processes: tuple[str, ...] = ()
-    """The running sensor processes, in order: the k-th of n publishes every n-th sensor."""
+    """The active sensor processes, in order: the k-th of n publishes every n-th sensor."""
     is_awaited: bool = False
     """Whether the server waits for a `SensorsReply` of each process."""
 
@@ -207,6 +209,42 @@ class SensorsReply(msgspec.Struct, frozen=True):
 
     epoch: UInt32
     step: UInt64
+    messages: UInt64 = 0
+    """Published since the process started."""
+    late: UInt64 = 0
+    """Measurements since the process started that were published after the next scene state had
+    come, or not at all."""
+
+
+class SensorFigures(msgspec.Struct, frozen=True):
+    """What a sensor process has published of one sensor."""
+
+    entity: str
+    sensor: str
+    topic: str
+    """Key of the first topic."""
+    has_subscribers: bool = False
+    messages: UInt64 = 0
+    late: UInt64 = 0
+    """See `SensorsReply.late`."""
+    cost_s: float = 0.0
+    """CPU time of a measurement; sensors with equal settings are measured together."""
+
+
+class SensorStats(msgspec.Struct, frozen=True):
+    """Statistics of a sensor process since its start."""
+
+    ros_type: ClassVar[str] = "zensim/msg/SensorStats"
+
+    process: str = ""
+    is_active: bool = False
+    """Whether it is subscribed to scene states, which it is while a sensor has subscribers."""
+    cpu_s: float = 0.0
+    messages: UInt64 = 0
+    late: UInt64 = 0
+    """See `SensorsReply.late`."""
+    sensors: tuple[SensorFigures, ...] = ()
+    """The share of this process."""
 
 
 class Contacts(msgspec.Struct, frozen=True):

@@ -83,13 +83,19 @@ class Stats(msgspec.Struct, frozen=True):
     target_real_time_factor: float = 0.0
     """0 = unlimited."""
     awaited: tuple[str, ...] = ()
-    """Agents whose commands the loop waits for now."""
+    """Agents, and sensor processes as `sensors/NAME`, whose replies the loop waits for now."""
     misses: dict[str, UInt64] = {}
-    """Drive states without a command in time, by agent; only agents with claims."""
+    """States without a reply in time, by agent or sensor process; only agents with claims."""
     kinematic: UInt32 = 0
     """Entities that move as their drives compute, not by forces and contacts."""
     busy_max_s: float = 0.0
     """Maximum CPU time of the loop before a step; the rest of `late_max_s` is due to the host."""
+    sensor_processes: tuple[str, ...] = ()
+    """Sensor processes that publish now."""
+    sensor_messages: UInt64 = 0
+    """Published by the present sensor processes since they started."""
+    late_sensor_messages: UInt64 = 0
+    """See `SensorsReply.late`."""
 
 
 class Snapshot(msgspec.Struct, frozen=True):

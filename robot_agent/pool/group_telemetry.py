@@ -12,6 +12,7 @@ from zensim.proto.codec import cdr
 from zensim.proto.codec.cdr import encode
 from zensim.proto.codec.cdr_layout import HEADER_BYTES, find_offsets
 from zensim.proto.drives.array_math import ARRAY_MATH
+from zensim.proto.fleet_publisher import FleetTopicPublisher, TopicMember
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.model_messages import Joint, Model
 from zensim.proto.messages.standard_messages import NANOSECONDS, TFMessage, TransformStamped
@@ -22,7 +23,6 @@ from zensim.proto.topic_catalog import JOINT_STATES, ODOM, ROBOT_TOPICS, TF, TF_
 from zensim.robot_agent import message_templates
 from zensim.robot_agent.base_controller import find_motion_rates
 from zensim.robot_agent.message_templates import list_tf_paths, list_tf_stamps
-from zensim.robot_agent.pool.fleet_publisher import FleetTopicPublisher, TopicMember
 from zensim.robot_agent.pool.group_bases import GroupBaseController
 from zensim.robot_agent.pool.group_key import GroupKey
 from zensim.robot_agent.robot_rows import (

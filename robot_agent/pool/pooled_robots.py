@@ -11,6 +11,11 @@ import numpy as np
 from zensim.proto import keys
 from zensim.proto.cmd_vel_decoding import decode_twist
 from zensim.proto.codec.message_codec import Format, MalformedPayload, make_encoding
+from zensim.proto.fleet_publisher import (
+    FleetTopicPublisher,
+    RosFleetPublisher,
+    TopicMember,
+)
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveCommand, DriveState
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import TFMessage, Twist, TwistStamped
@@ -21,11 +26,6 @@ from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.proto.topic_catalog import CMD_VEL, TopicSpec
 from zensim.proto.topic_endpoints import TopicSubscription, make_topic_factory
 from zensim.robot_agent.drive_state_decoder import RobotState, unpack_claims
-from zensim.robot_agent.pool.fleet_publisher import (
-    FleetTopicPublisher,
-    RosFleetPublisher,
-    TopicMember,
-)
 from zensim.robot_agent.pool.group_bases import GroupBaseController
 from zensim.robot_agent.pool.group_key import GroupKey, make_group_key
 from zensim.robot_agent.pool.group_sensors import GroupSensors

@@ -1,9 +1,12 @@
-"""Lockstep: which agents have not replied to the newest drive state. No clock, no network."""
+"""Lockstep: which clients have not replied to the newest state. No clock, no network.
+
+A client is an agent, which replies to drive states with commands, or a sensor process, which
+replies to scene states.
+"""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
-from zensim.proto.messages.agent_messages import DriveCommand, DriveState
 from zensim.proto.messages.standard_messages import NANOSECONDS
 
 OnMiss = Literal["wait", "hold", "fail"]
@@ -12,13 +15,49 @@ MAX_CHECK_INTERVAL_NS = 20_000_000
 """Most waiting time counted per check: the server itself may have been stopped."""
 
 
+class AwaitedState(Protocol):
+    """A state that was published to a client."""
+
+    @property
+    def epoch(self) -> int:
+        """Number of the epoch."""
+
+    @property
+    def step(self) -> int:
+        """Step since the epoch began."""
+
+    @property
+    def claims(self) -> bytes:
+        """Claims of an agent; empty for other clients."""
+
+    @property
+    def is_awaited(self) -> bool:
+        """Whether the loop waits for the reply."""
+
+
+class StateReply(Protocol):
+    """A reply, which repeats what it replies to."""
+
+    @property
+    def epoch(self) -> int:
+        """Number of the epoch."""
+
+    @property
+    def step(self) -> int:
+        """Step since the epoch began."""
+
+    @property
+    def claims(self) -> bytes:
+        """As in the state."""
+
+
 @dataclass(frozen=True)
 class LockstepSettings:
-    """Waiting for agents at control steps.
+    """Waiting for agents and sensor processes at control steps.
 
     Attributes:
-        is_on: Wait for the agents at each control step; without it only at requested steps.
-        timeout_s: Wall time that an agent has for its command.
+        is_on: Wait at each control step; without it only at requested steps.
+        timeout_s: Wall time that each client has for its reply.
         on_miss: Then `wait` until its token disappears, `hold` the old targets and continue, or
             `fail`: pause and abort the requested steps.
     """
@@ -30,7 +69,7 @@ class LockstepSettings:
 
 @dataclass
 class _SentState:
-    """Last state published to an agent, and whether its reply is awaited."""
+    """Last state published to a client, and whether its reply is awaited."""
 
     epoch: int
     step: int
@@ -38,12 +77,12 @@ class _SentState:
     is_awaited: bool
     waited_ns: int = 0
 
-    def matches(self, command: DriveCommand) -> bool:
-        return (command.epoch, command.step, command.claims) == (self.epoch, self.step, self.claims)
+    def matches(self, reply: StateReply) -> bool:
+        return (reply.epoch, reply.step, reply.claims) == (self.epoch, self.step, self.claims)
 
 
 class Lockstep:
-    """Replies that the agents of one world owe."""
+    """Replies that the agents and sensor processes of one world owe, by name."""
 
     def __init__(self, settings: LockstepSettings | None = None) -> None:
         self.settings = settings or LockstepSettings()
@@ -55,7 +94,7 @@ class Lockstep:
 
     @property
     def awaited(self) -> tuple[str, ...]:
-        """Agents whose reply is awaited."""
+        """Clients whose reply is awaited."""
         return tuple(sorted(self._awaited))
 
     @property
@@ -65,72 +104,72 @@ class Lockstep:
 
     @property
     def misses(self) -> dict[str, int]:
-        """Number of late or missing replies, by agent."""
+        """Number of late or missing replies, by client."""
         return dict(self._misses)
 
-    def has_sent(self, agent: str, state: DriveState) -> bool:
+    def has_sent(self, agent: str, state: AwaitedState) -> bool:
         """Whether the agent has been sent a state with these claims in this epoch."""
         sent = self._sent.get(agent)
         return sent is not None and (sent.epoch, sent.claims) == (state.epoch, state.claims)
 
-    def record_sent(self, agent: str, state: DriveState, now_ns: int) -> bool:
+    def record_sent(self, client: str, state: AwaitedState, now_ns: int) -> bool:
         """Record a published state; replies to older ones are not awaited any more.
 
         Returns:
-            False if the agent was late before, so that its reply is not awaited.
+            False if the client was late before, so that its reply is not awaited.
         """
         if not self._awaited:
             self._last_check_ns = now_ns
-        self._awaited.discard(agent)
-        self._sent[agent] = _SentState(state.epoch, state.step, state.claims, state.is_awaited)
+        self._awaited.discard(client)
+        self._sent[client] = _SentState(state.epoch, state.step, state.claims, state.is_awaited)
         if not state.is_awaited:
             return True
-        if self.settings.on_miss == "hold" and agent in self._unresponsive:
-            self._misses[agent] += 1
+        if self.settings.on_miss == "hold" and client in self._unresponsive:
+            self._misses[client] += 1
             return False
-        self._awaited.add(agent)
+        self._awaited.add(client)
         return True
 
-    def record_answer(self, agent: str, command: DriveCommand) -> bool:
-        """Record a command; return whether it may be applied.
+    def record_answer(self, client: str, reply: StateReply) -> bool:
+        """Record a reply; return whether it may be applied.
 
-        While a reply is awaited, commands for older states are not applied.
+        While a reply is awaited, those to older states are not applied.
         """
-        self._unresponsive.discard(agent)
-        if (sent := self._sent.get(agent)) is None:
+        self._unresponsive.discard(client)
+        if (sent := self._sent.get(client)) is None:
             return True
-        if not sent.matches(command):
+        if not sent.matches(reply):
             return not sent.is_awaited
-        self._awaited.discard(agent)
+        self._awaited.discard(client)
         return True
 
     def find_late(self, now_ns: int) -> tuple[str, ...]:
-        """Advance wall time; list the agents whose timeout has just ended.
+        """Advance wall time; list the clients whose timeout has just ended.
 
         With `wait` their replies stay awaited, with a new timeout.
         """
         passed_ns = min(now_ns - self._last_check_ns, MAX_CHECK_INTERVAL_NS)
         self._last_check_ns = now_ns
-        for agent in self._awaited:
-            self._sent[agent].waited_ns += passed_ns
-        late = tuple(agent for agent in self.awaited if self._is_late(agent))
-        for agent in late:
-            self._sent[agent].waited_ns = 0
+        for client in self._awaited:
+            self._sent[client].waited_ns += passed_ns
+        late = tuple(client for client in self.awaited if self._is_late(client))
+        for client in late:
+            self._sent[client].waited_ns = 0
             if self.settings.on_miss != "wait":
-                self._record_miss(agent)
+                self._record_miss(client)
         return late
 
-    def forget(self, agent: str) -> None:
-        """Await nothing from an agent that has disappeared or drives nothing any more."""
-        self._sent.pop(agent, None)
-        self._misses.pop(agent, None)
-        self._awaited.discard(agent)
-        self._unresponsive.discard(agent)
+    def forget(self, client: str) -> None:
+        """Await nothing from a client that has gone, or from an agent that drives nothing."""
+        self._sent.pop(client, None)
+        self._misses.pop(client, None)
+        self._awaited.discard(client)
+        self._unresponsive.discard(client)
 
-    def _is_late(self, agent: str) -> bool:
-        return self._sent[agent].waited_ns >= self.settings.timeout_s * NANOSECONDS
+    def _is_late(self, client: str) -> bool:
+        return self._sent[client].waited_ns >= self.settings.timeout_s * NANOSECONDS
 
-    def _record_miss(self, agent: str) -> None:
-        self._misses[agent] = self._misses.get(agent, 0) + 1
-        self._unresponsive.add(agent)
-        self._awaited.discard(agent)
+    def _record_miss(self, client: str) -> None:
+        self._misses[client] = self._misses.get(client, 0) + 1
+        self._unresponsive.add(client)
+        self._awaited.discard(client)

@@ -23,10 +23,10 @@ from zensim.proto.topic_catalog import EVENTS, STATS, STEPS_PROGRESS
 from zensim.sim_server.journal_protocol import ChangeJournal
 from zensim.sim_server.runtime.loop_channels import Inbox, WorldPublisher
 from zensim.sim_server.runtime.request_dispatcher import RequestDispatcher
+from zensim.sim_server.runtime.sensor_sessions import SensorSessions
 from zensim.sim_server.runtime.world_telemetry import WorldTelemetry
-from zensim.sim_server.service_parts import Agents, Bonds, Pacing, ServerParts
+from zensim.sim_server.service_parts import ServerParts
 from zensim.sim_server.services.service_registry import ServiceHandlers
-from zensim.sim_server.world.simulated_world import World
 
 TIME_SLICE_NS = 100_000
 """Shortest slice that the kernel grants."""
@@ -76,20 +76,19 @@ class AgentSessions:
 
     def __init__(
         self,
-        world: World,
-        pacing: Pacing,
-        agents: Agents,
-        bonds: Bonds,
+        parts: ServerParts,
         inbox: Inbox,
         publisher: WorldPublisher,
+        sensor_sessions: SensorSessions,
     ) -> None:
-        self._world = world
-        self._pacing = pacing
-        self._lockstep = pacing.lockstep
-        self._agents = agents
-        self._bonds = bonds
+        self._world = parts.world
+        self._pacing = parts.pacing
+        self._lockstep = parts.pacing.lockstep
+        self._agents = parts.agents
+        self._bonds = parts.bonds
         self._inbox = inbox
         self._publisher = publisher
+        self._sensor_sessions = sensor_sessions
         self._published_version = self._version
         self._published_ns = -MIN_STATE_INTERVAL_NS
         self._has_unsent_states = False
@@ -135,7 +134,7 @@ class AgentSessions:
         self._published_version = self._version
 
     def must_wait(self) -> bool:
-        """Whether the next step must wait; apply `LockstepSettings.on_miss` to late agents."""
+        """Whether the next step must wait; apply `LockstepSettings.on_miss` to late clients."""
         if not self._lockstep.is_waiting:
             return False
         late = self._lockstep.find_late(self._pacing.now_ns())
@@ -146,13 +145,8 @@ class AgentSessions:
         return self._lockstep.is_waiting
 
     @property
-    def _is_awaited(self) -> bool:
-        return self._lockstep.settings.is_on or len(self._pacing.step_goals) > 0
-
-    @property
     def _is_unpaced(self) -> bool:
-        is_paced = 0.0 < self._pacing.target_real_time_factor <= 1.0
-        return not (is_paced or self._is_awaited) and self._world.clock.state == State.PLAYING
+        return not self._pacing.is_paced and self._world.clock.state == State.PLAYING
 
     @property
     def _version(self) -> tuple[int, int]:
@@ -167,7 +161,7 @@ class AgentSessions:
         sent = msgspec.structs.replace(
             state,
             newest_claim=self._world.claims.newest,
-            is_awaited=self._is_awaited,
+            is_awaited=self._pacing.is_awaited,
         )
         self._publisher.publish_drive_state(agent, sent)
         self._awaited_since_ns[agent] = self._pacing.now_ns()
@@ -181,13 +175,14 @@ class AgentSessions:
         for agent, state in self._world.drive_states():
             if agent in late:
                 self._publish_state(agent, state)
+        self._sensor_sessions.publish_again(late)
 
     def _miss(self, late: tuple[str, ...]) -> None:
         settings, step = self._lockstep.settings, self._world.clock.steps
-        for agent in late:
-            text = f"agent '{agent}' did not reply to step {step} within {settings.timeout_s:g} s"
-            LOG.warning("missed agent=%s step=%d on_miss=%s", agent, step, settings.on_miss)
-            event = Event("missed", "", agent, step, self._world.clock.epoch, text)
+        for client in late:
+            text = f"{client!r} did not reply to step {step} within {settings.timeout_s:g} s"
+            LOG.warning("missed client=%s step=%d on_miss=%s", client, step, settings.on_miss)
+            event = Event("missed", "", client, step, self._world.clock.epoch, text)
             self._publisher.publish(EVENTS, event)
         if settings.on_miss == "fail":
             self._abort_and_pause(f"{text}; check that it runs, then play again")
@@ -272,7 +267,7 @@ class ServerLoop:
         self._deadline_ns = clock.now_ns()
         self._paced_ns = 0
         self._factor = parts.pacing.target_real_time_factor
-        self._telemetry = WorldTelemetry(parts.world, parts.pacing)
+        self._telemetry = WorldTelemetry(parts.world, parts.pacing, parts.sensors)
         self._dispatcher = RequestDispatcher(
             ServiceHandlers(parts),
             self._telemetry,
@@ -280,9 +275,8 @@ class ServerLoop:
             partial(keys.service, parts.world.name),
             journal,
         )
-        self._agent_sessions = AgentSessions(
-            parts.world, parts.pacing, parts.agents, parts.bonds, inbox, publisher
-        )
+        self._sensor_sessions = SensorSessions(parts, inbox, publisher)
+        self._agent_sessions = AgentSessions(parts, inbox, publisher, self._sensor_sessions)
 
     def run(self, should_stop: Callable[[], bool]) -> None:
         """Run until `should_stop`, or until a request to quit has its reply."""
@@ -312,6 +306,7 @@ class ServerLoop:
         # Calls are taken before tokens and handled after them: an agent declares its token first.
         calls = self._inbox.take_calls()
         self._agent_sessions.serve()
+        self._sensor_sessions.serve()
         for call in calls:
             self._dispatcher.take(call)
         self._descriptions.has_new = self._descriptions.provider.poll()
@@ -319,7 +314,7 @@ class ServerLoop:
         self._agent_sessions.publish_changed_claims()
 
     def tick(self, now_ns: int) -> None:
-        """Advance by one step; publish drive states if it is a control step."""
+        """Advance by one step; publish drive states and scene states if it is a control step."""
         self._world.step()
         took_ns = self._clock.now_ns() - now_ns
         self._loop_stats.note_step(
@@ -329,6 +324,7 @@ class ServerLoop:
         )
         if self._world.is_control_step:
             self._agent_sessions.publish_states()
+            self._sensor_sessions.publish_state()
 
     def publish(self) -> None:
         """Publish events, progress, statistics and the topics that are due."""

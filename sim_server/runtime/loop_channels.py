@@ -17,10 +17,17 @@ from zensim.proto.network_protocols import (
     ServiceCall,
     ServiceCallSource,
 )
-from zensim.proto.topic_catalog import DRIVE_COMMAND, DRIVE_STATE, WORLD_TOPICS, TopicSpec
+from zensim.proto.topic_catalog import (
+    DRIVE_COMMAND,
+    DRIVE_STATE,
+    SENSORS_REPLY,
+    WORLD_TOPICS,
+    TopicSpec,
+)
 from zensim.proto.topic_endpoints import TopicFactory
 
 COMMAND_DEPTH = 8192
+REPLY_DEPTH = 256
 
 
 class Inbox(Protocol):
@@ -35,6 +42,12 @@ class Inbox(Protocol):
     def take_agents(self) -> list[tuple[str, bool]]:
         """Take the agents that appeared (True) or disappeared (False)."""
 
+    def take_sensor_processes(self) -> list[tuple[str, bool]]:
+        """Take the sensor processes that became active (True) or inactive (False)."""
+
+    def take_sensor_replies(self) -> list[Sample]:
+        """Take the replies of sensor processes."""
+
     def take_bonds(self) -> list[tuple[str, bool]]:
         """Take the bonds that appeared (True) or disappeared (False)."""
 
@@ -48,6 +61,8 @@ class BusInbox:
         self._agents = network.watch_tokens(keys.alive_agents(world))
         self._bonds = network.watch_tokens(keys.bonds(world))
         self._commands = network.subscribe(DRIVE_COMMAND.key(world, "*"), COMMAND_DEPTH)
+        self._sensors = network.watch_tokens(keys.active_sensors(world, "*"))
+        self._sensor_replies = network.subscribe(SENSORS_REPLY.key(world, "*"), REPLY_DEPTH)
         self._calls = network.serve(keys.services(world))
         self._others = others
 
@@ -65,6 +80,15 @@ class BusInbox:
     def take_agents(self) -> list[tuple[str, bool]]:
         """See `Inbox`."""
         return [(keys.parse_agent(key), alive) for key, alive in self._agents.take()]
+
+    def take_sensor_processes(self) -> list[tuple[str, bool]]:
+        """See `Inbox`."""
+        changes = self._sensors.take()
+        return [(keys.parse_sensor_process(key), alive) for key, alive in changes]
+
+    def take_sensor_replies(self) -> list[Sample]:
+        """See `Inbox`."""
+        return self._sensor_replies.take()
 
     def take_bonds(self) -> list[tuple[str, bool]]:
         """See `Inbox`."""

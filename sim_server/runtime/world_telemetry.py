@@ -29,7 +29,7 @@ from zensim.proto.topic_catalog import (
     TopicSpec,
 )
 from zensim.sim_server.queries.frame_queries import SCOPE_SEPARATOR
-from zensim.sim_server.service_parts import Pacing
+from zensim.sim_server.service_parts import Pacing, SensorProcesses
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.simulated_world import World
 
@@ -92,9 +92,10 @@ GETTABLE_TOPICS = {topic.suffix: topic for topic in WORLD_TOPICS if topic.is_get
 class WorldTelemetry:
     """Makes the messages of a world's topics at their rates."""
 
-    def __init__(self, world: World, pacing: Pacing) -> None:
+    def __init__(self, world: World, pacing: Pacing, sensors: SensorProcesses) -> None:
         self._world = world
         self._pacing = pacing
+        self._sensors = sensors
         self._loop_stats = pacing.loop_stats
         self._limiters = {
             topic: RateLimiter(topic.rate_hz)
@@ -145,6 +146,7 @@ class WorldTelemetry:
     def stats(self) -> Stats:
         """Make the statistics message."""
         world, loop_stats, engine = self._world, self._loop_stats, self._world.engine
+        replies = self._sensors.replies.values()
         return Stats(
             world=world.name,
             sim_time_s=world.clock.time_ns * 1e-9,
@@ -167,6 +169,9 @@ class WorldTelemetry:
             misses=self._pacing.lockstep.misses,
             kinematic=engine.kinematic_count,
             busy_max_s=loop_stats.busy_max_s,
+            sensor_processes=tuple(sorted(self._sensors.active)),
+            sensor_messages=sum(reply.messages for reply in replies),
+            late_sensor_messages=sum(reply.late for reply in replies),
         )
 
     def _real_time_factor(self) -> float:

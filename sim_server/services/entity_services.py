@@ -99,7 +99,10 @@ def get_models(
     """Return the models of entities, each model once."""
     wanted = request.entities or world.entities.index.names
     entities = [world.entities.find(name) for name in wanted]
-    number = {model: i for i, model in enumerate(dict.fromkeys(e.model for e in entities))}
+    # By identity first: entities of one description share a model, and hashing models is slow.
+    distinct = {id(entity.model): entity.model for entity in entities}
+    number = {model: i for i, model in enumerate(dict.fromkeys(distinct.values()))}
+    model_of = {key: number[model] for key, model in distinct.items()}
     return telemetry_messages.GetModelsResponse(
         Result(),
         world.entities.roster_number,
@@ -107,7 +110,7 @@ def get_models(
             telemetry_messages.EntityModel(
                 entity.name,
                 entity.namespace,
-                number[entity.model],
+                model_of[id(entity.model)],
                 world.claims.agent_of(entity.name),
                 pose_from_row(entity.initial),
             )

@@ -17,10 +17,12 @@ from zensim.spawner.cli.topic_commands import to_plain
 PACKAGES = {
     Participant.SERVER: "sim_server/",
     Participant.AGENT: "robot_agent/",
+    Participant.SENSORS: "sim_server/sensors/",
 }
 PLACEHOLDERS = {
     TopicScope.WORLD: ("<world>",),
     TopicScope.AGENT: ("<world>", "<agent>"),
+    TopicScope.SENSORS: ("<world>", "<process>"),
     TopicScope.ROBOT: ("<ns>",),
 }
 
@@ -57,10 +59,11 @@ def make_sample(key: str, kind: type[msgspec.Struct], format_: Format) -> Sample
 
 @pytest.fixture(scope="module")
 def imported_topics() -> dict[str, set[str]]:
-    """List the topics that each package imports from the catalog."""
+    """List the topics that each package imports from the catalog, the innermost package only."""
     found: dict[str, set[str]] = {package: set() for package in PACKAGES.values()}
+    innermost_first = sorted(found, key=len, reverse=True)
     for path in files():
-        package = next((one for one in found if shown(path).startswith(one)), "")
+        package = next((one for one in innermost_first if shown(path).startswith(one)), "")
         if package and path.suffix == ".py":
             for node in ast.walk(ast.parse(text_of(path))):
                 if isinstance(node, ast.ImportFrom) and node.module == "zensim.proto.topic_catalog":
@@ -72,7 +75,10 @@ def imported_topics() -> dict[str, set[str]]:
 def test_topic_is_in_the_committed_schemas(topic: TopicSpec) -> None:
     committed = json.loads(text_of(SCHEMAS / "keys.json"))["topics"]
     described = json.loads(text_of(SCHEMAS / "messages.json"))["$defs"]
-    owner = ("r1",) if topic.scope is TopicScope.ROBOT else ("default", "agent_1")
+    owner = {
+        TopicScope.ROBOT: ("r1",),
+        TopicScope.SENSORS: ("default", "sensors_1"),
+    }.get(topic.scope, ("default", "agent_1"))
 
     assert committed[topic.key(*owner)] == [kind.__name__ for kind in topic.messages]
     assert {kind.__name__ for kind in topic.messages} <= described.keys()

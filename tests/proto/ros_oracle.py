@@ -148,7 +148,11 @@ ZENSIM = {
     "DriveState": "uint32 epoch; uint64 step; uint64 time_ns; uint8[] claims; uint8[] base;"
     " uint8[] joint_positions; uint8[] joint_velocities; uint32 newest_claim; bool is_awaited",
     "DriveCommand": "uint32 epoch; uint64 step; uint8[] claims; uint8[] targets",
-    "SensorsReply": "uint32 epoch; uint64 step",
+    "SensorsReply": "uint32 epoch; uint64 step; uint64 messages; uint64 late",
+    "SensorFigures": "string entity; string sensor; string topic; bool has_subscribers;"
+    " uint64 messages; uint64 late; float64 cost_s",
+    "SensorStats": "string process; bool is_active; float64 cpu_s; uint64 messages; uint64 late;"
+    " zensim/SensorFigures[] sensors",
     "SceneState": "uint32 epoch; uint64 step; uint64 time_ns; uint32 roster; uint8[] poses;"
     " uint8[] joint_positions; string[] processes; bool is_awaited",
     "Contacts": "uint32 epoch; uint64 step; uint64 time_ns; string[] entities; uint8[] bodies;"

@@ -135,6 +135,8 @@ class ScriptedInbox:
     commands: list[Sample] = field(default_factory=list)
     agents: list[tuple[str, bool]] = field(default_factory=list)
     bonds: list[tuple[str, bool]] = field(default_factory=list)
+    sensor_processes: list[tuple[str, bool]] = field(default_factory=list)
+    sensor_replies: list[Sample] = field(default_factory=list)
 
     def take_calls(self) -> list[ServiceCall]:
         taken, self.calls = self.calls, []
@@ -146,6 +148,14 @@ class ScriptedInbox:
 
     def take_agents(self) -> list[tuple[str, bool]]:
         taken, self.agents = self.agents, []
+        return taken
+
+    def take_sensor_processes(self) -> list[tuple[str, bool]]:
+        taken, self.sensor_processes = self.sensor_processes, []
+        return taken
+
+    def take_sensor_replies(self) -> list[Sample]:
+        taken, self.sensor_replies = self.sensor_replies, []
         return taken
 
     def take_bonds(self) -> list[tuple[str, bool]]:

@@ -15,7 +15,7 @@ from zensim.proto.messages.telemetry_messages import Snapshot, Stats, WorldClock
 from zensim.proto.topic_catalog import CLOCK, SNAPSHOT, STATS, TopicSpec
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, WorldTelemetry
-from zensim.sim_server.service_parts import Pacing
+from zensim.sim_server.service_parts import Pacing, SensorProcesses
 from zensim.sim_server.world.simulated_world import World
 
 SECOND = 1_000_000_000
@@ -98,7 +98,7 @@ def test_snapshot_is_published_at_its_rate_when_flat_out() -> None:
 
 def test_telemetry_lists_the_due_topics_after_a_change() -> None:
     world = a_world("r0")
-    telemetry = WorldTelemetry(world, make_parts(world).pacing)
+    telemetry = WorldTelemetry(world, make_parts(world).pacing, SensorProcesses())
     for i in range(5):
         due(telemetry, SECOND + i * 100 * MILLISECOND)
     nothing = due(telemetry, SECOND + 500 * MILLISECOND)
@@ -124,7 +124,7 @@ def test_clock_has_time_step_and_epoch() -> None:
     for _ in range(240):
         world.step()
 
-    clock = WorldTelemetry(world, make_parts(world).pacing).message(CLOCK)
+    clock = WorldTelemetry(world, make_parts(world).pacing, SensorProcesses()).message(CLOCK)
 
     assert clock == WorldClock(Time(1, 80), 240, 1)
 
@@ -137,7 +137,7 @@ def test_stats_contain_the_loop_statistics() -> None:
     loop_stats.slipped_ns = SECOND
     loop_stats.close_window(SECOND)
 
-    stats = WorldTelemetry(world, Pacing(lambda: 0, loop_stats)).message(STATS)
+    stats = WorldTelemetry(world, Pacing(lambda: 0, loop_stats), SensorProcesses()).message(STATS)
 
     assert isinstance(stats, Stats)
     assert (stats.entities, stats.agents, stats.claimed) == (2, 1, 1)
@@ -152,7 +152,7 @@ def test_real_time_factor_is_zero_while_paused(topic: TopicSpec) -> None:
     loop_stats.real_time_factor = 1.0
     world.clock.pause()
 
-    message = WorldTelemetry(world, Pacing(lambda: 0, loop_stats)).message(topic)
+    message = WorldTelemetry(world, Pacing(lambda: 0, loop_stats), SensorProcesses()).message(topic)
 
     assert isinstance(message, (Stats, Snapshot))
     assert message.real_time_factor == 0.0

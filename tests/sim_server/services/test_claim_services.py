@@ -129,7 +129,13 @@ def test_claims_and_models_come_with_the_environment_of_the_loaded_world() -> No
         "field", gravity=(0.0, 0.0, -1.6), spherical_coordinates=place
     )
     expected = Environment(
-        9, (0.0, 0.0, -1.6), EARTH_MAGNETIC_FIELD, place, parts.world.clock.step_ns, CONTROL_STEPS
+        9,
+        (0.0, 0.0, -1.6),
+        EARTH_MAGNETIC_FIELD,
+        place,
+        parts.world.clock.step_ns,
+        CONTROL_STEPS,
+        has_ground=False,
     )
 
     shared = share(parts, "p", 1)

@@ -201,6 +201,10 @@ class RosFleetPublisher:
         else:
             self._matched.check_some()
 
+    def has_subscribers(self, member: TopicMember) -> bool:
+        """Whether a member has subscribers, as of the last check."""
+        return member in self._matched.matched and self.is_wanted
+
     def put(self, members: Sequence[TopicMember], payloads: Sequence[bytes]) -> None:
         """Publish to members with subscribers; those without a publisher yet are skipped."""
         matched = self._matched.matched
@@ -317,6 +321,17 @@ class FleetTopicPublisher:
     def is_empty(self) -> bool:
         """Whether there are no robots."""
         return not self._members
+
+    @property
+    def is_declaring(self) -> bool:
+        """Whether there are subscribers and members without a publisher; see `declare_some`."""
+        return self._probe.is_matched and bool(self._undeclared)
+
+    def has_subscribers(self, member: TopicMember) -> bool:
+        """Whether a member has subscribers, as of the last check."""
+        return (self._probe.is_matched and member in self._matched.matched) or (
+            self._ros is not None and self._ros.has_subscribers(member)
+        )
 
     def add(self, member: TopicMember) -> None:
         """Add a robot; its publisher is declared once there are subscribers."""

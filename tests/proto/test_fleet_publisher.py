@@ -5,12 +5,7 @@ from dataclasses import dataclass
 import pytest
 
 from tests.fakes import MemoryBus
-from zensim.proto.messages.standard_messages import String
-from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_10
-from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
-from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
-from zensim.proto.ros2.ros_settings import RosSettings
-from zensim.robot_agent.pool.fleet_publisher import (
+from zensim.proto.fleet_publisher import (
     MAX_CHECKED_AT_ONCE,
     MAX_ROS_DECLARED_AT_ONCE,
     AttachmentRows,
@@ -19,6 +14,11 @@ from zensim.robot_agent.pool.fleet_publisher import (
     RosFleetPublisher,
     TopicMember,
 )
+from zensim.proto.messages.standard_messages import String
+from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_10
+from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
+from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
+from zensim.proto.ros2.ros_settings import RosSettings
 
 GID = bytes(range(16))
 

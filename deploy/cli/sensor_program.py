@@ -1,0 +1,74 @@
+"""`zensim sensors run`: run a sensor process."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import typer
+
+from zensim.proto.cli_options import (
+    ConnectOption,
+    RosOptions,
+    WorldNameOption,
+    expand_options,
+    flag,
+)
+from zensim.proto.endpoints import DEFAULT_ENDPOINT
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.names import check_name
+from zensim.sim_server.server_extra import MissingServerExtra, server_extra
+from zensim.spawner.cli.sensor_commands import app
+
+__all__ = ["app"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorRunOptions(RosOptions):
+    """All options of `zensim sensors run`."""
+
+    name: Annotated[
+        str,
+        typer.Option(metavar="NAME", help="Name of this process.", show_default="generated"),
+    ] = ""
+    always: Annotated[
+        bool,
+        flag("--always", help="Follow the scene without subscribers, too, as for recorders."),
+    ] = False
+    quiet: Annotated[bool, flag("--quiet", "-q", help="Log at level WARNING.")] = False
+    connect: ConnectOption = ""
+    world_name: WorldNameOption = "default"
+    wait: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            metavar="SECONDS",
+            help=r"Timeout of waiting for the server at start \[s].",
+            rich_help_panel="Connection",
+        ),
+    ] = 30.0
+
+
+@app.command(
+    epilog="""Examples:
+  zensim sensors run
+  zensim sensors run --connect tcp/10.0.0.5:7447"""
+)
+@expand_options
+def run(given: SensorRunOptions) -> None:
+    """Publish lidars, range finders and cameras; several processes share them evenly."""
+    with exit_on_failure("sensors run", MissingServerExtra):
+        with server_extra():
+            from zensim.sim_server.sensors.sensor_process import (
+                SensorProcessConfig,
+                start_sensor_process,
+            )
+        start_sensor_process(
+            SensorProcessConfig(
+                endpoint=given.connect or DEFAULT_ENDPOINT,
+                world=check_name(given.world_name, "world"),
+                name=check_name(given.name, "sensor process") if given.name else "",
+                is_always_on=given.always,
+                wait_s=given.wait,
+                ros=given.ros,
+                is_quiet=given.quiet,
+            )
+        )

@@ -1,0 +1,252 @@
+"""Lidars and range finders: scans of a scene as LaserScan, PointCloud2, PointCloud and Range."""
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import msgspec
+import numpy as np
+
+from zensim.proto.messages.drive_messages import Compat
+from zensim.proto.messages.sensor_messages import RaySensor
+from zensim.proto.messages.standard_messages import (
+    Header,
+    LaserScan,
+    Point32,
+    PointCloud,
+    PointCloud2,
+    PointField,
+    Range,
+)
+from zensim.proto.se3 import FloatArray
+from zensim.proto.sensor_noise import SensorNoise, make_noise_key
+from zensim.proto.topic_catalog import POINT_CLOUD, POINTS, RANGE, SCAN
+from zensim.sim_server.scene.broad_phase import IntArray
+from zensim.sim_server.scene.scan_casting import find_increment, make_ray_directions
+from zensim.sim_server.sensors.array_messages import ArrayMessages, split_rows
+from zensim.sim_server.sensors.scene_roster import SceneRoster, SceneSensor, SensorPlaces
+from zensim.sim_server.sensors.sensor_groups import GroupTopics, SceneMoment, SensedScene
+from zensim.sim_server.sensors.sensor_publishers import SensorTopics
+
+NOTHING_IN_RANGE_GAZEBO = float(np.finfo(np.float32).max)
+"""Range of a Range message in Gazebo Classic where nothing is hit."""
+FLOAT32 = 7
+"""`PointField.datatype`."""
+POINT_FIELDS = tuple(
+    PointField(name, 4 * number, FLOAT32, 1)
+    for number, name in enumerate(("x", "y", "z", "intensity"))
+)
+POINT_STEP = 16
+
+
+class ScanWriter(Protocol):
+    """Writes the measurements of a group as messages of one topic."""
+
+    def write(self, rows: IntArray, time_ns: int, ranges: FloatArray) -> list[bytes]:
+        """Write the messages of some rows; ranges are (m, vertical, horizontal)."""
+
+
+def limit_ranges(ranges: FloatArray, settings: RaySensor) -> FloatArray:
+    """Replace ranges [m] below the minimum by -inf and those above the maximum by +inf."""
+    limited = np.where(ranges < settings.range_min_m, -np.inf, ranges)
+    return np.where(limited > settings.range_max_m, np.inf, limited)
+
+
+class LaserScanWriter:
+    """Writes the middle row as LaserScan."""
+
+    def __init__(self, settings: RaySensor, frames: Sequence[str], compat: Compat) -> None:
+        """Encode the templates of sensors with these frames."""
+        axis = settings.horizontal
+        is_single = axis.count == 1
+        has_zeros = compat == "gazebo11"
+        template = LaserScan(
+            angle_min=axis.low_rad,
+            angle_max=axis.low_rad if is_single else axis.high_rad,
+            angle_increment=np.nan if is_single and has_zeros else find_increment(axis),
+            range_min=settings.range_min_m,
+            range_max=settings.range_max_m,
+            intensities=(0.0,) * axis.count if has_zeros else (),
+        )
+        self._count = axis.count
+        self._messages = ArrayMessages(_in_frames(template, frames), array="ranges", item=(0.0,))
+
+    def write(self, rows: IntArray, time_ns: int, ranges: FloatArray) -> list[bytes]:
+        """See `ScanWriter`."""
+        self._messages.fill(rows, time_ns, lengths=self._count)
+        middle = ranges[:, ranges.shape[1] // 2]
+        return self._messages.write(rows, split_rows(middle.astype("<f4")))
+
+
+class RangeWriter:
+    """Writes the least range of all rays as Range."""
+
+    def __init__(self, settings: RaySensor, frames: Sequence[str], compat: Compat) -> None:
+        """Encode the templates of sensors with these frames."""
+        axes = settings.horizontal, settings.vertical
+        template = Range(
+            radiation_type=settings.radiation_type,
+            field_of_view=max(axis.high_rad - axis.low_rad for axis in axes),
+            min_range=settings.range_min_m,
+            max_range=settings.range_max_m,
+        )
+        self._nothing = NOTHING_IN_RANGE_GAZEBO if compat == "gazebo11" else np.inf
+        self._messages = ArrayMessages(_in_frames(template, frames), numbers=("range",))
+
+    def write(self, rows: IntArray, time_ns: int, ranges: FloatArray) -> list[bytes]:
+        """See `ScanWriter`."""
+        least = ranges.reshape(len(ranges), -1).min(axis=1)
+        least = np.where(least == np.inf, self._nothing, least)
+        self._messages.fill(rows, time_ns, numbers=least[:, None])
+        return self._messages.write(rows, [b""] * len(rows))
+
+
+class PointsWriter:
+    """Writes the finite points as PointCloud2: x, y, z and intensity 0, as Gazebo does."""
+
+    def __init__(self, settings: RaySensor, frames: Sequence[str], _: Compat) -> None:
+        """Encode the templates of sensors with these frames."""
+        template = PointCloud2(height=1, fields=POINT_FIELDS, point_step=POINT_STEP, is_dense=True)
+        self._directions = make_ray_directions(settings)
+        self._messages = ArrayMessages(
+            _in_frames(template, frames),
+            array="data",
+            item=b"\1",
+            integers=("width", "row_step"),
+        )
+
+    def write(self, rows: IntArray, time_ns: int, ranges: FloatArray) -> list[bytes]:
+        """See `ScanWriter`."""
+        points = _find_points(self._directions, ranges)
+        counts = np.array([len(one) for one in points], dtype=np.intp)
+        sizes = counts * POINT_STEP
+        self._messages.fill(
+            rows, time_ns, lengths=sizes, integers=np.stack([counts, sizes], axis=1)
+        )
+        return self._messages.write(rows, [_add_intensity(one).tobytes() for one in points])
+
+
+class PointCloudWriter:
+    """Writes the finite points as PointCloud without channels."""
+
+    def __init__(self, settings: RaySensor, frames: Sequence[str], _: Compat) -> None:
+        """Encode the templates of sensors with these frames."""
+        self._directions = make_ray_directions(settings)
+        self._messages = ArrayMessages(
+            _in_frames(PointCloud(), frames), array="points", item=(Point32(),)
+        )
+
+    def write(self, rows: IntArray, time_ns: int, ranges: FloatArray) -> list[bytes]:
+        """See `ScanWriter`."""
+        points = _find_points(self._directions, ranges)
+        counts = np.array([len(one) for one in points], dtype=np.intp)
+        self._messages.fill(rows, time_ns, lengths=counts)
+        return self._messages.write(rows, [one.astype("<f4").tobytes() for one in points])
+
+
+MakeScanWriter = Callable[[RaySensor, Sequence[str], Compat], ScanWriter]
+SCAN_WRITERS: dict[str, MakeScanWriter] = {
+    SCAN.name: LaserScanWriter,
+    RANGE.name: RangeWriter,
+    POINTS.name: PointsWriter,
+    POINT_CLOUD.name: PointCloudWriter,
+}
+
+
+class RaySensorGroup:
+    """Lidars or range finders with equal settings; see `SensorGroup`."""
+
+    def __init__(
+        self,
+        sensors: Sequence[SceneSensor],
+        settings: RaySensor,
+        roster: SceneRoster,
+        topics: SensorTopics,
+        scene: SensedScene,
+    ) -> None:
+        """Prepare the messages.
+
+        Args:
+            sensors: With these settings, and topics of the same names.
+            settings: Of all of them.
+            roster: Of their entities.
+            topics: Publishes.
+            scene: Of these entities.
+        """
+        self.sensors = sensors
+        self._settings = settings
+        self._environment = roster.environment
+        self._scene = scene
+        self._places = SensorPlaces(sensors, roster)
+        self._topics = GroupTopics(sensors, topics)
+        self._noise: tuple[bytes, SensorNoise] | None = None
+        frames = [sensor.sensor.frame_id for sensor in sensors]
+        compat = sensors[0].sensor.compat
+        self._writers = {
+            name: SCAN_WRITERS[name](settings, frames, compat)
+            for name in self._topics.names
+            if name in SCAN_WRITERS
+        }
+
+    def publish(self, moment: SceneMoment) -> IntArray:
+        """See `SensorGroup`."""
+        wanted, rows_of = self._topics.find_all_wanted()
+        if not len(wanted):
+            return wanted
+        ranges = self._measure(moment, wanted)
+        for name, writer in self._writers.items():
+            rows = rows_of[name]
+            if len(rows):
+                found = ranges[np.searchsorted(wanted, rows)]
+                self._topics.put(name, rows, writer.write(rows, moment.time_ns, found))
+        return wanted
+
+    def _measure(self, moment: SceneMoment, rows: IntArray) -> FloatArray:
+        """Measure ranges (m, vertical, horizontal)."""
+        settings = self._settings
+        poses = self._places.find_poses(moment.base, moment.joint_positions)[rows]
+        caster = self._scene.find_caster(moment)
+        exact = caster.cast(settings, poses, self._places.entities[rows])
+        noisy = self._find_noise(rows).apply_to_ranges(
+            limit_ranges(exact, settings),
+            moment.step,
+            range_min_m=settings.range_min_m,
+            range_max_m=settings.range_max_m,
+        )
+        return noisy.reshape(len(rows), settings.vertical.count, settings.horizontal.count)
+
+    def _find_noise(self, rows: IntArray) -> SensorNoise:
+        """Find the noise of some rows, which are mostly the same as the last time."""
+        key = rows.tobytes()
+        if self._noise is None or self._noise[0] != key:
+            chosen = [self.sensors[row] for row in rows.tolist()]
+            seed = self._environment.seed
+            self._noise = (
+                key,
+                SensorNoise(
+                    [self._settings.noise],
+                    [make_noise_key(seed, one.entity, one.sensor) for one in chosen],
+                    self._environment,
+                    chosen[0].sensor.compat,
+                ),
+            )
+        return self._noise[1]
+
+
+def _in_frames(template: msgspec.Struct, frames: Sequence[str]) -> list[msgspec.Struct]:
+    return [msgspec.structs.replace(template, header=Header(frame_id=frame)) for frame in frames]
+
+
+def _find_points(directions: FloatArray, ranges: FloatArray) -> list[FloatArray]:
+    """Find the finite points (p, 3) of each row in the sensor's axes."""
+    flat = ranges.reshape(len(ranges), -1)
+    points = []
+    for row in flat:
+        is_finite = np.isfinite(row)
+        points.append(directions[is_finite] * row[is_finite, None])
+    return points
+
+
+def _add_intensity(points: FloatArray) -> FloatArray:
+    table = np.zeros((len(points), POINT_STEP // 4), dtype="<f4")
+    table[:, :3] = points
+    return table

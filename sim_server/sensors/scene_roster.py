@@ -1,0 +1,223 @@
+"""Entities of a world as sensor processes know them: models, sensors, shapes and meshes."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from zensim.proto import keys
+from zensim.proto.bus import BusError
+from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.forward_kinematics import compute_link_poses
+from zensim.proto.messages.asset_messages import GetAssetRequest
+from zensim.proto.messages.model_messages import Model, Origin, Sensor
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor, SensorTopic
+from zensim.proto.messages.telemetry_messages import GetModelsResponse
+from zensim.proto.network_protocols import CallingNetwork
+from zensim.proto.se3 import FloatArray, compose, from_origin
+from zensim.proto.service_catalog import GET_ASSET
+from zensim.proto.stl import read_corners
+from zensim.sim_server.scene.scene import SceneLayout
+
+if TYPE_CHECKING:
+    from zensim.sim_server.scene.broad_phase import IntArray
+
+ASSET_TIMEOUT_S = 5.0
+NO_CORNERS = np.zeros((3, 3), dtype=np.float32)
+"""A triangle that no ray hits."""
+POSE_COLUMNS = 7
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSensor:
+    """A sensor that sensor processes publish.
+
+    Attributes:
+        row: Index of its entity.
+        model: Of the entity.
+    """
+
+    row: int
+    entity: str
+    namespace: str
+    model: Model
+    sensor: Sensor
+
+    @property
+    def name(self) -> tuple[str, str, str]:
+        """Names of entity, link and sensor: unique in the world."""
+        return self.entity, self.sensor.link, self.sensor.name
+
+    def find_key(self, topic: SensorTopic) -> str:
+        """Write the key of one of its topics."""
+        return keys.robot(self.namespace or self.entity, topic.name)
+
+
+class SensorMount:
+    """The place of a sensor in all entities of one model."""
+
+    def __init__(self, model: Model, sensor: Sensor) -> None:
+        """Keep the joints between the root link and the sensor."""
+        joint_to = {joint.child: number for number, joint in enumerate(model.joints)}
+        chain: list[int] = []
+        link = sensor.link
+        while (number := joint_to.get(link)) is not None:
+            chain.insert(0, number)
+            link = model.joints[number].parent
+        self.joints = np.array(chain, dtype=np.intp)
+        """Of the chain, in the order of `Model.joints`."""
+        joints = tuple(model.joints[number] for number in chain)
+        wanted = {model.links[0].name, *(joint.child for joint in joints)}
+        links = tuple(one for one in model.links if one.name in wanted)
+        self._chain = msgspec.structs.replace(model, links=links, joints=joints, frames=())
+        self._link = sensor.link
+        self._origin = from_origin(sensor.origin)
+
+    def find_poses(self, base: FloatArray, joint_positions: FloatArray) -> FloatArray:
+        """Find the poses (n, 7) of the sensors in the world.
+
+        Args:
+            base: (n, 7) of the root links.
+            joint_positions: (n, k) of the joints of the chain.
+        """
+        return compose(
+            compute_link_poses(self._chain, base, joint_positions)[self._link], self._origin
+        )
+
+
+class SceneRoster:
+    """The entities of a world at one roster number.
+
+    Attributes:
+        number: Of `SceneState.roster`.
+        environment: Of the world.
+        models: Of each entity.
+        joint_starts: (n,) index of the first joint position of each entity.
+        joint_count: Of all entities.
+        sensors: All sensors of sensor processes, in the order of the entities and of their models.
+    """
+
+    def __init__(self, response: GetModelsResponse, known: "SceneRoster | None" = None) -> None:
+        """Read the entities.
+
+        Args:
+            response: Of `get_models`, for all entities.
+            known: An earlier roster, whose equal models are used again.
+        """
+        self.number = response.roster
+        self.environment = response.environment
+        former: dict[Model, Model] = {}
+        if known is not None:
+            former = {model: model for model in known.distinct_models}
+        self.distinct_models: tuple[Model, ...] = tuple(
+            former.get(model, model) for model in response.models
+        )
+        self.models = tuple(self.distinct_models[one.model] for one in response.entities)
+        counts = np.array([len(model.joints) for model in self.models], dtype=np.intp)
+        self.joint_starts = np.cumsum(counts) - counts
+        self.joint_count = int(counts.sum())
+        self.sensors = tuple(
+            SceneSensor(row, one.entity, one.namespace, self.distinct_models[one.model], sensor)
+            for row, one in enumerate(response.entities)
+            for sensor in self.distinct_models[one.model].sensors
+            if isinstance(sensor.settings, RaySensor | CameraSensor)
+        )
+
+    @cached_property
+    def meshes(self) -> tuple[str, ...]:
+        """Names of the meshes of collisions."""
+        return tuple(
+            dict.fromkeys(
+                shape.mesh
+                for model in self.distinct_models
+                for link in model.links
+                for shape in link.collisions
+                if shape.kind == "mesh"
+            )
+        )
+
+    def fits(self, poses: FloatArray, joint_positions: FloatArray) -> bool:
+        """Whether arrays have a row for each entity and joint."""
+        return len(poses) == len(self.models) and len(joint_positions) == self.joint_count
+
+    def make_layout(self, meshes: "SceneMeshes") -> SceneLayout:
+        """Group the shapes of all entities."""
+        return SceneLayout(
+            self.models,
+            meshes.find_corners,
+            meshes.find_corners,
+            has_ground=self.environment.has_ground,
+        )
+
+
+class SceneMeshes:
+    """Triangles of meshes, fetched from the server once."""
+
+    def __init__(self, network: CallingNetwork, world: str) -> None:
+        self._network = network
+        self._world = world
+        self._corners: dict[str, npt.NDArray[np.floating]] = {}
+
+    def find_corners(self, name: str) -> npt.NDArray[np.floating]:
+        """Find the corners (3 f, 3) of a mesh; nothing that can be hit while it is missing."""
+        return self._corners.get(name, NO_CORNERS)
+
+    def fetch(self, names: Iterable[str]) -> bool:
+        """Fetch missing meshes; return whether all are there."""
+        missing = [name for name in names if name not in self._corners]
+        found = [self._fetch_one(name) for name in missing]
+        return all(found)
+
+    def _fetch_one(self, name: str) -> bool:
+        data, total = bytearray(), 1
+        try:
+            while len(data) < total:
+                request = GetAssetRequest(name, len(data))
+                part = self._network.call(
+                    GET_ASSET, request, world=self._world, timeout_s=ASSET_TIMEOUT_S
+                )
+                data, total = data + part.data, part.total if part.data else 0
+            corners = read_corners(bytes(data))
+        except (BusError, ServiceError, TimeoutError, MalformedPayload, ValueError):
+            return False
+        if sha256(data).hexdigest() != name:
+            return False
+        self._corners[name] = corners
+        return True
+
+
+class SensorPlaces:
+    """Where some sensors are."""
+
+    def __init__(self, sensors: Sequence[SceneSensor], roster: SceneRoster) -> None:
+        """Group the sensors by their mounts, so that poses are found in arrays."""
+        self.entities = np.array([sensor.row for sensor in sensors], dtype=np.intp)
+        """(m,) rows of the entities that carry them."""
+        members: dict[tuple[int, str, Origin], list[int]] = {}
+        for number, one in enumerate(sensors):
+            key = id(one.model), one.sensor.link, one.sensor.origin
+            members.setdefault(key, []).append(number)
+        self._mounts: list[tuple[IntArray, SensorMount, IntArray]] = []
+        for numbers in members.values():
+            mount = SensorMount(sensors[numbers[0]].model, sensors[numbers[0]].sensor)
+            rows = np.array(numbers, dtype=np.intp)
+            joints = roster.joint_starts[self.entities[rows], None] + mount.joints
+            self._mounts.append((rows, mount, joints))
+
+    def find_poses(self, base: FloatArray, joint_positions: FloatArray) -> FloatArray:
+        """Find the poses (m, 7) in the world.
+
+        Args:
+            base: (n, 7) of the root links of all entities.
+            joint_positions: Of all entities.
+        """
+        poses = np.empty((len(self.entities), POSE_COLUMNS))
+        for rows, mount, joints in self._mounts:
+            poses[rows] = mount.find_poses(base[self.entities[rows]], joint_positions[joints])
+        return poses

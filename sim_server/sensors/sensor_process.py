@@ -1,0 +1,482 @@
+"""The sensor process: measures and publishes its share of the sensors of a world."""
+
+import logging
+import math
+import signal
+import sys
+import time
+import uuid
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing, suppress
+
+import msgspec
+import numpy as np
+
+from zensim.proto import keys
+from zensim.proto.bus import BusConfig, BusError, open_bus_with_retry
+from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.sensor_messages import (
+    RaySensor,
+    SceneState,
+    SensorFigures,
+    SensorsReply,
+    SensorStats,
+)
+from zensim.proto.messages.telemetry_messages import Event, GetModelsRequest
+from zensim.proto.network_protocols import AgentNetwork, Sample
+from zensim.proto.poll_schedule import PollSchedule
+from zensim.proto.ros2.ros_graph import RosGraph
+from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
+from zensim.proto.sensor_schedule import count_due, is_due
+from zensim.proto.service_catalog import GET_MODELS
+from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
+from zensim.proto.topic_catalog import EVENTS, SCENE_STATE, SENSOR_STATS, SENSORS_REPLY
+from zensim.sim_server.sensors.ray_sensors import RaySensorGroup
+from zensim.sim_server.sensors.scene_roster import (
+    POSE_COLUMNS,
+    SceneMeshes,
+    SceneRoster,
+    SceneSensor,
+)
+from zensim.sim_server.sensors.sensor_groups import (
+    SceneMoment,
+    SensedScene,
+    SensorGroup,
+    group_sensors,
+    list_addresses,
+)
+from zensim.sim_server.sensors.sensor_publishers import SensorAddress, SensorTopics
+
+LOG = logging.getLogger("zensim.sensors")
+HOUSEKEEPING_PERIOD_S = 0.02
+IDLE_POLL_S = 0.025
+IDLE_AFTER_S = 2.0
+"""Without subscribers for so long, the subscription to scene states ends."""
+MODELS_TIMEOUT_S = 2.0
+MODELS_RETRY_S = 0.5
+SETTLE_S = 0.1
+"""After an event on entities, more are awaited for so long before the models are fetched."""
+MAX_WAITING_STATES = 8
+"""Older scene states that have not been handled are left out."""
+EVENTS_DEPTH = 1024
+ROSTER_EVENTS = frozenset({"spawned", "deleted", "loaded", "unloaded"})
+
+
+class SensorProcessConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """Configuration of a sensor process; `zensim.deploy.prepared_start` gets it as JSON."""
+
+    endpoint: str
+    """Of a router or server."""
+    world: str = "default"
+    name: str = ""
+    """Unique in the world; empty = generated."""
+    is_always_on: bool = False
+    """Whether scene states are subscribed to without subscribers, too, as for recorders."""
+    wait_s: float = 30.0
+    """Time to wait for the router or server at the start."""
+    ros: RosSettings = NO_ROS
+    is_quiet: bool = False
+    """Whether only warnings are logged."""
+
+
+class SensorCounts:
+    """What was published of each sensor, by `SceneSensor.name`."""
+
+    def __init__(self) -> None:
+        self.messages: Counter[tuple[str, str, str]] = Counter()
+        self.late: Counter[tuple[str, str, str]] = Counter()
+        self.cost_s: dict[tuple[str, str, str], float] = {}
+        self.total = 0
+        self.total_late = 0
+
+    def add(self, sensors: Iterable[SceneSensor], cost_s: float, *, is_late: bool) -> None:
+        """Count a measurement of some sensors, and what each cost [s]."""
+        for sensor in sensors:
+            self.messages[sensor.name] += 1
+            self.cost_s[sensor.name] = cost_s
+            self.total += 1
+            if is_late:
+                self.late[sensor.name] += 1
+                self.total_late += 1
+
+    def add_missing(self, sensors: Iterable[SceneSensor], count: int) -> None:
+        """Count measurements that were not made."""
+        for sensor in sensors:
+            self.late[sensor.name] += count
+            self.total_late += count
+
+
+class SensorShare:
+    """The sensors that this process publishes, in groups of equal settings."""
+
+    def __init__(self, network: AgentNetwork, world: str, graph: RosGraph) -> None:
+        self.topics = SensorTopics(network, graph)
+        self.roster: SceneRoster | None = None
+        self._meshes = SceneMeshes(network, world)
+        self._has_meshes = True
+        self._place = (0, 1)
+        self._scene: SensedScene | None = None
+        self._groups: tuple[SensorGroup, ...] | None = None
+
+    @property
+    def sensors(self) -> Sequence[SceneSensor]:
+        """The sensors of the share."""
+        number, count = self._place
+        return () if self.roster is None else self.roster.sensors[number::count]
+
+    def set_roster(self, roster: SceneRoster) -> None:
+        """Set the entities of the world."""
+        self.roster, self._scene = roster, None
+        self._set_addresses()
+
+    def set_place(self, place: tuple[int, int]) -> None:
+        """Set the number of this process, and how many there are."""
+        if place != self._place:
+            self._place = place
+            self._set_addresses()
+
+    def find_groups(self) -> tuple[SensorGroup, ...]:
+        """Find the groups, which takes a while after each change."""
+        if self._groups is None or not self._has_meshes:
+            self._groups = () if self.roster is None else tuple(self._make_groups(self.roster))
+        return self._groups
+
+    def _set_addresses(self) -> None:
+        every = self.roster.sensors if self.roster is not None else ()
+        self.topics.set_addresses(_list_all_addresses(every), _list_all_addresses(self.sensors))
+        # Sensors with subscribers that are new here must not miss the next state.
+        self.topics.poll()
+        self._groups = None
+
+    def _make_groups(self, roster: SceneRoster) -> Iterator[SensorGroup]:
+        if not self.sensors:
+            return
+        if self._scene is None or not self._has_meshes:
+            self._has_meshes = self._meshes.fetch(roster.meshes)
+            self._scene = SensedScene(roster.make_layout(self._meshes))
+        for sensors in group_sensors(self.sensors):
+            settings = sensors[0].sensor.settings
+            if isinstance(settings, RaySensor):
+                yield RaySensorGroup(sensors, settings, roster, self.topics, self._scene)
+
+
+class RosterClient:
+    """Fetches the entities of the world when they have changed."""
+
+    def __init__(self, network: AgentNetwork, world: str) -> None:
+        self._network = network
+        self._world = world
+        self._events = network.subscribe(EVENTS.key(world), EVENTS_DEPTH)
+        self._fetch_at_s = -math.inf
+
+    def retry_soon(self) -> None:
+        """Fetch at the next poll."""
+        self._fetch_at_s = -math.inf
+
+    def poll(self, now_s: float, known: SceneRoster | None) -> SceneRoster | None:
+        """Fetch the entities if events say that they have changed; None otherwise."""
+        if any(_is_roster_event(sample) for sample in self._events.take()):
+            self._fetch_at_s = min(self._fetch_at_s, now_s + SETTLE_S)
+        if now_s < self._fetch_at_s:
+            return None
+        found = self.fetch(known)
+        self._fetch_at_s = math.inf if found is not None else now_s + MODELS_RETRY_S
+        return found
+
+    def fetch(self, known: SceneRoster | None) -> SceneRoster | None:
+        """Fetch the entities now; None if no server replies."""
+        try:
+            response = self._network.call(
+                GET_MODELS, GetModelsRequest(), world=self._world, timeout_s=MODELS_TIMEOUT_S
+            )
+        except (BusError, ServiceError, TimeoutError, MalformedPayload) as error:
+            LOG.debug("models reason=%s", error)
+            return None
+        return SceneRoster(response, known)
+
+
+class StatsPublisher:
+    """Publishes the statistics of a sensor process, and replies to queries with them."""
+
+    def __init__(
+        self, network: AgentNetwork, key: str, make_stats: Callable[[], SensorStats]
+    ) -> None:
+        self._key = key
+        self._make_stats = make_stats
+        self._publisher = network.advertise(key, SENSOR_STATS.encoding)
+        self._queries = network.serve(key)
+        self._next_s = -math.inf
+
+    def poll(self, now_s: float) -> None:
+        """Reply to queries; publish once a second if there are subscribers."""
+        for query in self._queries.take():
+            query.reply(self._encode(), SENSOR_STATS.encoding, self._key)
+        if now_s >= self._next_s:
+            self._next_s = now_s + 1.0 / SENSOR_STATS.rate_hz
+            if self._publisher.is_matched:
+                self._publisher.send(self._encode())
+
+    def close(self) -> None:
+        """Undeclare publisher and queryable."""
+        self._publisher.close()
+        self._queries.close()
+
+    def _encode(self) -> bytes:
+        return encode(self._make_stats(), SENSOR_STATS.format)
+
+
+class SceneStream:
+    """The subscription to scene states, while it is active."""
+
+    def __init__(self, network: AgentNetwork, world: str, name: str) -> None:
+        """Subscribe; the token comes after that, since the server waits for who has it."""
+        self._states = network.subscribe(SCENE_STATE.key(world), MAX_WAITING_STATES)
+        self._token = network.token(keys.active_sensors(world, name))
+
+    def take(self) -> list[Sample]:
+        """Take all states received."""
+        return self._states.take()
+
+    def close(self) -> None:
+        """Undeclare the token, then the subscription."""
+        self._token.close()
+        self._states.close()
+
+
+class SensorProcess:
+    """One sensor process; it acts only in `poll`."""
+
+    def __init__(self, network: AgentNetwork, config: SensorProcessConfig) -> None:
+        world, self.name = config.world, config.name
+        self.counts = SensorCounts()
+        self._network = network
+        self._config = config
+        self._token = network.token(keys.alive_sensors(world, self.name))
+        self._servers = network.watch_tokens(keys.alive_server(world))
+        self._processes = network.watch_tokens(keys.alive_sensors(world, "*"))
+        self._alive: set[str] = set()
+        self._replies = network.advertise(
+            SENSORS_REPLY.key(world, self.name), SENSORS_REPLY.encoding
+        )
+        self._graph = RosGraph(network, config.ros)
+        self._share = SensorShare(network, world, self._graph)
+        self._roster_client = RosterClient(network, world)
+        self._stats = StatsPublisher(network, SENSOR_STATS.key(world, self.name), self.make_stats)
+        self._stream: SceneStream | None = None
+        self._wanted_s = -math.inf
+        self._last: tuple[int, int] | None = None
+        """Epoch and step of the last scene state."""
+        self._schedule = PollSchedule()
+        self._housekeeping_s = self._now_s = -math.inf
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it is subscribed to scene states."""
+        return self._stream is not None
+
+    def pause_s(self, now_s: float) -> float:
+        """Find how long to sleep [s] before the next poll."""
+        return self._schedule.pause_s(now_s) if self.is_active else IDLE_POLL_S
+
+    def poll(self, now_s: float) -> None:
+        """Do what is due.
+
+        Args:
+            now_s: Wall time from any origin.
+        """
+        self._now_s = now_s
+        if now_s >= self._housekeeping_s:
+            self._housekeeping_s = now_s + HOUSEKEEPING_PERIOD_S
+            self._do_housekeeping()
+        if self._stream is not None:
+            self._take_states(self._stream)
+
+    def close(self) -> None:
+        """Undeclare what is not part of the session."""
+        self._set_active(is_active=False)
+        self._share.topics.close()
+        self._graph.close()
+        self._token.close()
+
+    def make_stats(self) -> SensorStats:
+        """Make the statistics of this process."""
+        counts, topics = self.counts, self._share.topics
+        return SensorStats(
+            process=self.name,
+            is_active=self.is_active,
+            cpu_s=time.process_time(),
+            messages=counts.total,
+            late=counts.total_late,
+            sensors=tuple(
+                SensorFigures(
+                    entity=one.entity,
+                    sensor=one.sensor.name,
+                    topic=addresses[0].key if addresses else "",
+                    has_subscribers=any(map(topics.has_subscribers, addresses)),
+                    messages=counts.messages[one.name],
+                    late=counts.late[one.name],
+                    cost_s=counts.cost_s.get(one.name, 0.0),
+                )
+                for one, addresses in ((one, list_addresses(one)) for one in self._share.sensors)
+            ),
+        )
+
+    def _do_housekeeping(self) -> None:
+        self._watch_tokens()
+        roster = self._roster_client.poll(self._now_s, self._share.roster)
+        if roster is not None:
+            self._share.set_roster(roster)
+        self._share.topics.poll()
+        if self._config.is_always_on or self._share.topics.is_wanted:
+            self._wanted_s = self._now_s
+        self._set_active(is_active=self._now_s - self._wanted_s < IDLE_AFTER_S)
+        self._stats.poll(self._now_s)
+
+    def _watch_tokens(self) -> None:
+        for _, is_alive in self._servers.take():
+            if is_alive:
+                self._last = None
+                self._roster_client.retry_soon()
+        for key, is_alive in self._processes.take():
+            process = keys.parse_sensor_process(key)
+            (self._alive.add if is_alive else self._alive.discard)(process)
+        if not self.is_active:
+            self._take_place(sorted(self._alive))
+
+    def _take_place(self, processes: Sequence[str]) -> bool:
+        """Take the share of this process; return whether it is one of them."""
+        if self.name not in processes:
+            return False
+        self._share.set_place((processes.index(self.name), len(processes)))
+        return True
+
+    def _set_active(self, *, is_active: bool) -> None:
+        if is_active and self._stream is None:
+            self._stream = SceneStream(self._network, self._config.world, self.name)
+            LOG.info("active sensors=%s", self.name)
+        elif not is_active and self._stream is not None:
+            self._stream.close()
+            self._stream, self._last = None, None
+            LOG.info("inactive sensors=%s", self.name)
+
+    def _take_states(self, stream: SceneStream) -> None:
+        samples = stream.take()
+        for number, sample in enumerate(samples):
+            try:
+                state = decode(SceneState, sample.payload, sample.encoding)
+            except MalformedPayload as error:
+                LOG.warning("scene_state reason=%r", str(error))
+                continue
+            self._schedule.note_state(self._now_s, is_awaited=state.is_awaited)
+            if self._is_new(state):
+                self._measure(state, is_late=number + 1 < len(samples))
+            self._reply(state)
+
+    def _is_new(self, state: SceneState) -> bool:
+        """Whether a state has not been handled, and is not older than one that has."""
+        return self._last is None or (state.epoch, state.step) > self._last
+
+    def _reply(self, state: SceneState) -> None:
+        counts = self.counts
+        reply = SensorsReply(state.epoch, state.step, counts.total, counts.total_late)
+        self._replies.send(encode(reply, Format.MSGPACK))
+
+    def _measure(self, state: SceneState, *, is_late: bool) -> None:
+        before, self._last = self._last, (state.epoch, state.step)
+        if not self._take_place(state.processes) or (moment := self._find_moment(state)) is None:
+            return
+        roster = self._share.roster
+        if roster is None:
+            return
+        for group in self._share.find_groups():
+            rate_hz = group.sensors[0].sensor.update_rate_hz
+            if is_due(state.step, rate_hz, roster.environment):
+                self._publish(group, moment, is_late=is_late)
+            if before is not None and before[0] == state.epoch:
+                self._count_missing(group, roster, before[1], state.step)
+
+    def _publish(self, group: SensorGroup, moment: SceneMoment, *, is_late: bool) -> None:
+        began_s = time.thread_time()
+        rows = group.publish(moment)
+        if len(rows):
+            cost_s = (time.thread_time() - began_s) / len(rows)
+            sensors = [group.sensors[row] for row in rows.tolist()]
+            self.counts.add(sensors, cost_s, is_late=is_late)
+
+    def _count_missing(
+        self, group: SensorGroup, roster: SceneRoster, before: int, step: int
+    ) -> None:
+        """Count what was due at states between two that came."""
+        rate_hz = group.sensors[0].sensor.update_rate_hz
+        last = step - roster.environment.control_steps
+        missing = count_due(before, last, rate_hz, roster.environment)
+        if missing > 0:
+            topics = self._share.topics
+            heard = [
+                one
+                for one in group.sensors
+                if any(map(topics.has_subscribers, list_addresses(one)))
+            ]
+            self.counts.add_missing(heard, missing)
+
+    def _find_moment(self, state: SceneState) -> SceneMoment | None:
+        """Find the poses of all entities; None if they are not of a known roster."""
+        base = np.frombuffer(state.poses, dtype="<f8").reshape(-1, POSE_COLUMNS)
+        joints = np.frombuffer(state.joint_positions, dtype="<f8")
+        roster = self._share.roster
+        if roster is None or roster.number != state.roster:
+            roster = self._roster_client.fetch(roster)
+            if roster is not None:
+                self._share.set_roster(roster)
+        if roster is None or not roster.fits(base, joints):
+            return None
+        return SceneMoment(state.step, state.time_ns, base, joints)
+
+
+def run_sensor_process(
+    network: AgentNetwork,
+    config: SensorProcessConfig,
+    should_stop: Callable[[], bool],
+    *,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> None:
+    """Publish sensors until `should_stop`."""
+    with closing(SensorProcess(network, config)) as process:
+        while not should_stop():
+            process.poll(clock())
+            sleep(process.pause_s(clock()))
+
+
+def start_sensor_process(config: SensorProcessConfig) -> None:
+    """Run a sensor process until it is stopped; without a name it generates one.
+
+    Raises:
+        Unreachable: Nothing accepts connections at the endpoint.
+    """
+    logging.basicConfig(
+        level=logging.WARNING if config.is_quiet else logging.INFO,
+        format="%(levelname)s %(name)s %(message)s",
+        stream=sys.stderr,
+    )
+    for number in STOP_SIGNALS:
+        signal.signal(number, signal.SIG_DFL)
+    with open_bus_with_retry(BusConfig(connect=(config.endpoint,)), config.wait_s) as bus:
+        name = config.name or f"sensors_{uuid.uuid4().hex[:8]}"
+        # An interrupt in a callback of Python is lost: the flag is read, too.
+        with suppress(KeyboardInterrupt):
+            stop = StopFlag(is_armed=False)
+            run_sensor_process(bus, msgspec.structs.replace(config, name=name), stop)
+
+
+def _list_all_addresses(sensors: Iterable[SceneSensor]) -> list[SensorAddress]:
+    return [address for sensor in sensors for address in list_addresses(sensor)]
+
+
+def _is_roster_event(sample: Sample) -> bool:
+    try:
+        return decode(Event, sample.payload, sample.encoding).kind in ROSTER_EVENTS
+    except MalformedPayload:
+        return False

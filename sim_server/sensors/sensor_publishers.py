@@ -1,0 +1,141 @@
+"""Topics of sensors: publishers on plain and ROS 2 keys, and who has subscribers."""
+
+from collections.abc import Iterable, Sequence
+
+import msgspec
+
+from zensim.proto import keys
+from zensim.proto.fleet_publisher import FleetTopicPublisher, RosFleetPublisher, TopicMember
+from zensim.proto.network_protocols import AgentNetwork
+from zensim.proto.ros2.ros_graph import RosGraph, RosNode
+from zensim.proto.topic_catalog import TopicSpec
+
+NODE_NAME = "sensors"
+"""Of the ROS 2 node of each robot."""
+
+
+class SensorAddress(msgspec.Struct, frozen=True):
+    """A topic of one sensor."""
+
+    topic: TopicSpec
+    key: str
+    namespace: str
+    """Of the ROS 2 node."""
+
+
+class LastPayloads:
+    """The last message of each sensor on one topic, by row."""
+
+    def __init__(self) -> None:
+        self._payloads: dict[int, bytes] = {}
+        self._next_row = 0
+
+    def add_row(self) -> int:
+        """Add a sensor without a message."""
+        self._next_row += 1
+        return self._next_row
+
+    def store(self, member: TopicMember, payload: bytes) -> None:
+        """Store the last message of a sensor."""
+        self._payloads[member.row] = payload
+
+    def payload(self, row: int) -> bytes | None:
+        """See `LastValues`."""
+        return self._payloads.get(row)
+
+    def forget(self, member: TopicMember) -> None:
+        """Forget a sensor."""
+        self._payloads.pop(member.row, None)
+
+
+class SensorTopics:
+    """All topics of the sensors of a world; messages are published on those of a share."""
+
+    def __init__(self, network: AgentNetwork, graph: RosGraph) -> None:
+        self._network = network
+        self._graph = graph
+        self._publishers: dict[tuple[str, TopicSpec], FleetTopicPublisher] = {}
+        self._members: dict[SensorAddress, tuple[TopicMember, FleetTopicPublisher]] = {}
+        self._nodes: dict[str, RosNode] = {}
+        self._payloads = LastPayloads()
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether any topic has subscribers, also one of another process's share."""
+        return any(publisher.is_wanted for publisher in self._publishers.values())
+
+    def set_addresses(self, every: Iterable[SensorAddress], share: Iterable[SensorAddress]) -> None:
+        """Set the topics of all sensors, and those that this process publishes."""
+        patterns = {(keys.make_pattern(one.key), one.topic) for one in every}
+        for pattern, topic in patterns - self._publishers.keys():
+            self._publishers[pattern, topic] = self._make_publisher(pattern, topic)
+        wanted = dict.fromkeys(share)
+        for address in [one for one in self._members if one not in wanted]:
+            self._remove(address)
+        for address in [one for one in wanted if one not in self._members]:
+            self._add(address)
+        for used in [one for one in self._publishers if one not in patterns]:
+            self._publishers.pop(used).close()
+        self._close_unused_nodes()
+
+    def has_subscribers(self, address: SensorAddress) -> bool:
+        """Whether a topic of the share has subscribers."""
+        if (found := self._members.get(address)) is None:
+            return False
+        member, publisher = found
+        return publisher.has_subscribers(member)
+
+    def put(self, addresses: Sequence[SensorAddress], payloads: Sequence[bytes]) -> None:
+        """Publish messages of one topic of the share to those with subscribers."""
+        by_publisher: dict[FleetTopicPublisher, tuple[list[TopicMember], list[bytes]]] = {}
+        for address, payload in zip(addresses, payloads, strict=True):
+            member, publisher = self._members[address]
+            self._payloads.store(member, payload)
+            members, listed = by_publisher.setdefault(publisher, ([], []))
+            members.append(member)
+            listed.append(payload)
+        for publisher, (members, listed) in by_publisher.items():
+            publisher.put(members, listed)
+
+    def poll(self) -> None:
+        """Declare missing publishers, and reply to queries with the last messages."""
+        for publisher in self._publishers.values():
+            publisher.declare_some()
+            while publisher.is_declaring:
+                publisher.declare_some()
+            publisher.reply_to_queries()
+
+    def close(self) -> None:
+        """Undeclare everything."""
+        self.set_addresses((), ())
+
+    def _make_publisher(self, pattern: str, topic: TopicSpec) -> FleetTopicPublisher:
+        endpoint = topic.at(pattern)
+        has_ros = self._graph.domain is not None
+        ros = RosFleetPublisher(self._network, self._graph, endpoint) if has_ros else None
+        return FleetTopicPublisher(self._network, pattern, endpoint.kind, ros)
+
+    def _add(self, address: SensorAddress) -> None:
+        if address.namespace not in self._nodes:
+            node = self._graph.add_node(address.namespace, NODE_NAME)
+            if node is not None:
+                self._nodes[address.namespace] = node
+        member = TopicMember(
+            address.key,
+            self._payloads,
+            self._payloads.add_row(),
+            self._nodes.get(address.namespace),
+        )
+        publisher = self._publishers[keys.make_pattern(address.key), address.topic]
+        self._members[address] = member, publisher
+        publisher.add(member)
+
+    def _remove(self, address: SensorAddress) -> None:
+        member, publisher = self._members.pop(address)
+        self._payloads.forget(member)
+        publisher.remove(member)
+
+    def _close_unused_nodes(self) -> None:
+        used = {address.namespace for address in self._members}
+        for namespace in [one for one in self._nodes if one not in used]:
+            self._nodes.pop(namespace).close()
