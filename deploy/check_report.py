@@ -95,7 +95,7 @@ def format_totals(rows: Sequence[CheckRow]) -> list[tuple[str, ...]]:
 
     Mobile robots have a drive or wheels; speed and turn count as commanded within 5 %.
     """
-    table = [TOTAL_HEADERS]
+    table: list[tuple[str, ...]] = [TOTAL_HEADERS]
     for engine in dict.fromkeys(row.engine for row in rows):
         own = [row for row in rows if row.engine == engine]
         driven = [row for row in own if row.result.straight and row.result.turn]
@@ -127,7 +127,7 @@ def summarize(rows: Sequence[CheckRow]) -> str:
 
 def format_markdown(rows: Sequence[CheckRow]) -> str:
     """Format totals, and all rows with their sources, as Markdown tables."""
-    table = [MARKDOWN_HEADERS]
+    table: list[tuple[str, ...]] = [MARKDOWN_HEADERS]
     for row in rows:
         name, *cells = format_cells(row)
         table.append((name, row.robot.source or row.robot.path, *cells))
