@@ -12,6 +12,7 @@ from tests.contract.repository import PACKAGES, ROOT, files, shown, text_of
 
 EXTRA_OF = {
     "sim_server/physics/mujoco/": {"", "server", "mujoco"},
+    "sim_server/scene/camera_rendering.py": {"", "server", "cameras"},
     "sim_server/": {"", "server"},
     "spawner/page/": {"", "viewer"},
 }
