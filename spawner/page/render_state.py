@@ -1,6 +1,6 @@
 """State to render: link poses of a snapshot, grouped by visual template. NumPy only."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import islice
 from typing import Final
 
@@ -27,6 +27,12 @@ MAX_MODEL_LIGHTS: Final = 8
 VIEW_AZIMUTH_RAD: Final = np.radians(20.0)
 """Angle of the view to the long side of the fleet."""
 VIEW_ELEVATION_RAD: Final = np.radians(17.0)
+HIGH_ELEVATION_RAD: Final = np.radians(50.0)
+"""Of a view into a world, whose walls would hide what is behind them."""
+TALL_M: Final = 0.2
+"""A static model that rises higher above the lowest robot may hide robots."""
+FLAT_M: Final = 0.1
+"""A lower static model is a floor, which may be much larger than what stands on it."""
 VIEW_MARGIN_M: Final = 0.2
 """Margin around the outermost robots."""
 
@@ -178,17 +184,51 @@ def _place_light(light: Light, link: Origin) -> Light:
     )
 
 
-def fit_camera(points: Array, *, aspect: float, fov_rad: float) -> tuple[Array, Array]:
+class View(msgspec.Struct, frozen=True, eq=False):
+    """What a camera shows."""
+
+    points: Array
+    """(n, 3) in the world frame; n > 0."""
+    elevation_rad: float = VIEW_ELEVATION_RAD
+    """Angle by which the camera looks down."""
+
+
+def choose_view(
+    fleet: RenderedFleet, frame: RenderedFrame, find_bounds: Callable[[VisualTemplate], Array]
+) -> View:
+    """Choose a view of the robots, or of the whole world if there are none.
+
+    Args:
+        fleet: Not empty.
+        frame: Of the fleet.
+        find_bounds: Finds the lowest and highest corner (2, 3) of a template.
+    """
+    boxes = {
+        name: frame.base[fleet.rows[name], :3] + find_bounds(fleet.templates[name])
+        for name in fleet.names
+    }
+    robots = set(fleet.robots)
+    others = [box for name, box in boxes.items() if name not in robots]
+    solids = [box for box in others if np.ptp(box[:, 2]) > FLAT_M]
+    if not robots:
+        return View(np.concatenate(solids or others), HIGH_ELEVATION_RAD)
+    points = frame.base[[fleet.rows[name] for name in fleet.robots], :3]
+    is_hidden = any(box[1, 2] > points[:, 2].min() + TALL_M for box in solids)
+    return View(points, HIGH_ELEVATION_RAD if is_hidden else VIEW_ELEVATION_RAD)
+
+
+def fit_camera(view: View, *, aspect: float, fov_rad: float) -> tuple[Array, Array]:
     """Find camera position and target point so that all points are in view.
 
     Args:
-        points: (n, 3) in the world frame; n > 0.
+        view: What to show.
         aspect: Width / height of the image.
         fov_rad: Vertical field of view.
     """
+    points = view.points
     low, high = points.min(axis=0), points.max(axis=0)
     centre = (low + high) / 2.0
-    right, up, ahead = _find_view_axes(high - low)
+    right, up, ahead = _find_view_axes(high - low, view.elevation_rad)
     offsets = np.stack([points - centre + corner for corner in _make_corners(VIEW_MARGIN_M)])
     half_height = np.tan(fov_rad / 2.0)
     distances = np.maximum(
@@ -224,11 +264,11 @@ def _read_numbers(payload: bytes, count: int, what: str) -> Array:
     return numbers
 
 
-def _find_view_axes(extent: Array) -> tuple[Array, Array, Array]:
+def _find_view_axes(extent: Array, elevation_rad: float) -> tuple[Array, Array, Array]:
     """Find right, up and ahead of a camera that looks along the long side from above."""
     azimuth = VIEW_AZIMUTH_RAD if extent[0] >= extent[1] else np.pi / 2.0 - VIEW_AZIMUTH_RAD
-    flat = np.cos(VIEW_ELEVATION_RAD)
-    ahead = np.array((flat * np.cos(azimuth), flat * np.sin(azimuth), -np.sin(VIEW_ELEVATION_RAD)))
+    flat = np.cos(elevation_rad)
+    ahead = np.array((flat * np.cos(azimuth), flat * np.sin(azimuth), -np.sin(elevation_rad)))
     right = np.array((np.sin(azimuth), -np.cos(azimuth), 0.0))
     return right, np.cross(right, ahead), ahead
 

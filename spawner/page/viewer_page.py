@@ -36,7 +36,7 @@ from zensim.spawner.page.model_visuals import (
     TriangleMeshes,
     VisualTemplate,
     encode_glb,
-    find_top,
+    find_bounds,
     make_link_meshes,
 )
 from zensim.spawner.page.render_state import (
@@ -45,6 +45,8 @@ from zensim.spawner.page.render_state import (
     RenderedFleet,
     RenderedFrame,
     SimulationStatus,
+    View,
+    choose_view,
     fit_camera,
 )
 from zensim.spawner.page.side_panel import BUTTONS, Button, make_robot_html, make_status_html
@@ -535,9 +537,10 @@ class ModelNodes:
         self, template: VisualTemplate, meshes: TriangleMeshes, scene: viser.SceneApi, path: str
     ) -> None:
         self.path = path
-        self.top_m = find_top(template, meshes)
         self._scene = scene
         self._parts = [make_link_meshes(shapes, meshes) for shapes in template.links]
+        self.bounds = find_bounds(template, self._parts)
+        """Lowest and highest corner (2, 3) in the frame of the base."""
         self._batches: list[list[BatchHandle]] = []
 
     def show(self, links: Sequence[FloatArray]) -> bool:
@@ -627,9 +630,13 @@ class FleetNodes:
                 )
             self._labels[name].position = position
 
+    def find_bounds(self, template: VisualTemplate) -> Array:
+        """Find the lowest and highest corner (2, 3) of a template in the frame of its base."""
+        return self._nodes[template].bounds
+
     def top_m(self, template: VisualTemplate) -> float:
         """Height of a template above its base."""
-        return self._nodes[template].top_m
+        return float(self._nodes[template].bounds[1, 2])
 
     def names_json(self) -> bytes:
         """Encode the names of instances by scene node, for `GET /names`."""
@@ -680,22 +687,23 @@ class ViewerClient:
         self._label: viser.LabelHandle | None = None
         self._focus = np.zeros(3)
         self._camera_at = np.array(START_CAMERA[0])
-        self._shown: tuple[str, ...] = ()
+        self._shown: tuple[tuple[str, ...], int] = ((), 0)
         self.follows = ""
 
-    def frame_all_if_changed(self, names: tuple[str, ...], points: Array) -> None:
-        """Show all entities when their set changes, unless the user has moved the camera."""
-        if names and names != self._shown and not self.follows and self._is_untouched():
-            self.look_at_all(names, points)
+    def frame_all_if_changed(self, fleet: RenderedFleet, find_view: Callable[[], View]) -> None:
+        """Show all when the entities or their meshes change, unless the user moved the camera."""
+        shown = (fleet.names, len(fleet.meshes))
+        if fleet.names and shown != self._shown and not self.follows and self._is_untouched():
+            self.look_at_all(fleet, find_view())
 
-    def look_at_all(self, names: tuple[str, ...], points: Array) -> None:
-        """Move the camera so that all entities are in view."""
+    def look_at_all(self, fleet: RenderedFleet, view: View) -> None:
+        """Move the camera so that the view is seen."""
         camera = self._client.camera
-        position, look_at = fit_camera(points, aspect=camera.aspect, fov_rad=camera.fov)
+        position, look_at = fit_camera(view, aspect=camera.aspect, fov_rad=camera.fov)
         with self._client.atomic():
             camera.position = position
             camera.look_at = look_at
-        self._camera_at, self._shown = position, names
+        self._camera_at, self._shown = position, (fleet.names, len(fleet.meshes))
 
     def follow(self, member: EntityModel | None) -> None:
         """Follow a robot; None = stop following."""
@@ -867,11 +875,14 @@ class ViewerPage:
             self._fleet_nodes.show(fleet, frame)
         self._names = self._fleet_nodes.names_json()
         for client in self._connected_clients():
-            client.frame_all_if_changed(fleet.names, frame.base[:, :3])
+            client.frame_all_if_changed(fleet, self._find_view)
         self.move_cameras()
         if time.monotonic() >= self._next_text_at:
             self._next_text_at = time.monotonic() + TEXT_PERIOD_S
             self._update_texts(status, commands)
+
+    def _find_view(self) -> View:
+        return choose_view(self._fleet, self._frame, self._fleet_nodes.find_bounds)
 
     def move_cameras(self) -> None:
         """Move each camera towards the robot that it follows; call periodically."""
@@ -920,7 +931,7 @@ class ViewerPage:
         else:
             self._clients[client_id].follow(None)
             if self._fleet.names:
-                self._clients[client_id].look_at_all(self._fleet.names, self._frame.base[:, :3])
+                self._clients[client_id].look_at_all(self._fleet, self._find_view())
 
     def _update_texts(self, status: SimulationStatus, commands: Mapping[str, LastCommand]) -> None:
         self._status.content = make_status_html(status)

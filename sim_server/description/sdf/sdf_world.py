@@ -157,7 +157,7 @@ def read_scene(scene: Element, report: ParseReport) -> Scene:
     """
     for child in scene:
         if child.tag not in ("ambient", "background"):
-            report.ignored(f"scene: <{child.tag[:80]}>", "the page draws plain colours")
+            report.ignored(f"scene: <{child.tag[:80]}>", "the page draws colours and lights only")
     return Scene(_read_colour(scene, "ambient"), _read_colour(scene, "background"))
 
 

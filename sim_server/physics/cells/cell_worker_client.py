@@ -288,7 +288,9 @@ class RemoteCell(Engine):
         return self._name
 
     def prepare(self, model: Model) -> bool:
-        """See `Engine.prepare`."""
+        """See `Engine.prepare`; not asked for what PyBullet adds in less than the round trip."""
+        if self._name == "pybullet" and _is_quickly_added(model):
+            return True
         self.worker.select_model(model)
         return self.worker.call(bool, "prepare", self.cell)
 
@@ -384,6 +386,13 @@ class RemoteCell(Engine):
         self.worker.cells -= 1
         with suppress(CellWorkerDied):
             self.worker.send("close", self.cell)
+
+
+MAX_QUICK_LINKS = 8
+
+
+def _is_quickly_added(model: Model) -> bool:
+    return len(model.links) <= MAX_QUICK_LINKS and not _has_meshes(model)
 
 
 def _has_meshes(model: Model) -> bool:

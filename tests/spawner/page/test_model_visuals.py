@@ -27,11 +27,10 @@ from zensim.spawner.page.model_visuals import (
     NotATree,
     TriangleMesh,
     VisualJoint,
-    VisualTemplate,
     encode_glb,
+    find_bounds,
     find_link_poses,
     find_mesh_name,
-    find_top,
     make_box,
     make_capsule,
     make_cylinder,
@@ -324,17 +323,19 @@ def test_part_is_placed_at_its_origin() -> None:
     assert part.mesh.vertices[:, 0].max() == pytest.approx(2.0)
 
 
-def test_top_is_the_height_of_the_highest_link() -> None:
-    assert find_top(make_template(make_robot())) == pytest.approx(0.05)
+def test_bounds_are_those_of_all_links() -> None:
+    template = make_template(make_robot())
+
+    low, high = find_bounds(template, [make_link_meshes(shapes) for shapes in template.links])
+
+    assert low == pytest.approx((-0.05, -0.05, -0.05))
+    assert high == pytest.approx((0.05, 0.085, 0.05), abs=1e-3)
 
 
-def test_top_is_zero_without_shapes() -> None:
-    assert (
-        find_top(
-            VisualTemplate(links=((), ()), visual_joints=make_template(make_robot()).visual_joints)
-        )
-        == 0.0
-    )
+def test_bounds_without_shapes_are_zero() -> None:
+    template = make_template(make_robot())
+
+    assert find_bounds(template, [[], []]).tolist() == [[0.0] * 3] * 2
 
 
 PNG = b"\x89PNG and more"

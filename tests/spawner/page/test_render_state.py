@@ -18,6 +18,8 @@ from zensim.spawner.page.render_state import (
     MAX_MODEL_LIGHTS,
     MismatchedSnapshot,
     UnknownEntity,
+    View,
+    choose_view,
     fit_camera,
     format_pose,
     make_fleet,
@@ -108,7 +110,7 @@ def test_camera_sees_every_point(
 ) -> None:
     cloud = np.array(points)
 
-    position, look_at = fit_camera(cloud, aspect=aspect, fov_rad=fov_rad)
+    position, look_at = fit_camera(View(cloud), aspect=aspect, fov_rad=fov_rad)
 
     ahead = (look_at - position) / np.linalg.norm(look_at - position)
     right = np.cross(ahead, (0.0, 0.0, 1.0))
@@ -122,7 +124,7 @@ def test_camera_sees_every_point(
 def test_camera_looks_along_a_row() -> None:
     row = np.array([(0.0, y, 0.06) for y in range(10)])
 
-    position, look_at = fit_camera(row, aspect=1.6, fov_rad=0.8)
+    position, look_at = fit_camera(View(row), aspect=1.6, fov_rad=0.8)
 
     assert abs(look_at - position)[1] > abs(look_at - position)[0]
 
@@ -154,3 +156,33 @@ def test_number_of_lights_of_links_is_limited() -> None:
     fleet = make_fleet(names, make_models_by_name(dict.fromkeys(names, model)))
 
     assert len(make_frame(fleet, make_snapshot(*names)).lights) == MAX_MODEL_LIGHTS
+
+
+def view_of(low: tuple[float, ...], high: tuple[float, ...], **entities: Model) -> View:
+    """Choose a view of entities whose models all have these bounds."""
+    fleet = make_fleet(tuple(entities), make_models_by_name(entities))
+    frame = make_frame(fleet, make_snapshot(*entities, joints=fleet.joints))
+    return choose_view(fleet, frame, lambda _: np.array((low, high)))
+
+
+def test_view_shows_the_robots_only() -> None:
+    view = view_of((-9.0, -9.0, -0.1), (9.0, 9.0, 0.0), wall=make_wall(), r1=make_robot())
+
+    assert view.points.tolist() == [[1.0, 0.0, 0.0]]
+    assert view.elevation_rad < 0.5
+
+
+def test_view_over_walls_is_from_above() -> None:
+    view = view_of((-1.0, -1.0, 0.0), (1.0, 1.0, 2.0), wall=make_wall(), r1=make_robot())
+
+    assert view.elevation_rad > 0.7
+
+
+def test_view_without_robots_shows_the_world() -> None:
+    view = view_of((-1.0, -1.0, 0.0), (1.0, 1.0, 2.0), a=make_wall(), b=make_wall())
+
+    assert view.points.tolist() == [[-1, -1, 0], [1, 1, 2], [0, -1, 0], [2, 1, 2]]
+
+
+def test_view_of_a_floor_shows_it() -> None:
+    assert len(view_of((-1.0, -1.0, 0.0), (1.0, 1.0, 0.0), a=make_wall()).points) == 2
