@@ -180,6 +180,10 @@ class PluginTags:
             return None
         return self._parse_number(tag, text) if text else None
 
+    def is_true(self, tag: str) -> bool:
+        """Whether the tag is there and true; it is not marked as read."""
+        return any(parse_flag(text) for text in self._texts.get(tag, ()))
+
     def has(self, tag: str) -> bool:
         """Whether the tag is there."""
         return tag in self._texts

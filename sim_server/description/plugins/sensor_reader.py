@@ -88,9 +88,9 @@ MODEL_PLUGINS = {
 """Kind of sensor that a plug-in of a model is, by part of its file name; of ROS 1."""
 _ALWAYS = "every sensor publishes while somebody listens"
 _NAMESPACE = "the namespace is set by the spawn request"
+ALWAYS_ON_TAGS = ("always_on", "alwaysOn")
 UNUSED_TAGS = {
-    "always_on": _ALWAYS,
-    "alwaysOn": _ALWAYS,
+    **dict.fromkeys(ALWAYS_ON_TAGS, _ALWAYS),
     "visualize": "the viewer draws sensors on request",
     "enable_metrics": "`zensim sensors` shows rates",
     "camera/save/path": "pictures are not saved",
@@ -113,7 +113,7 @@ UNUSED_TAGS = {
 }
 """Known tags of <sensor> without effect, and the reason."""
 UNUSED_PLUGIN_TAGS = {
-    **dict.fromkeys(("always_on", "alwaysOn"), _ALWAYS),
+    **dict.fromkeys(ALWAYS_ON_TAGS, _ALWAYS),
     **dict.fromkeys(("robotNamespace", "robot_namespace"), _NAMESPACE),
     **dict.fromkeys(
         ("serviceName", "service", "status", "interface:imu", "interface", "setIMURate"),
@@ -312,10 +312,20 @@ def _report_not_simulated(source: SensorSource) -> None:
 
 
 def _report_unread(source: SensorSource) -> None:
+    given = [tags for tags in (source.tags, source.plugin) if tags is not None]
+    for tags in given:
+        _take_always_on(tags)
     lenses = (name for name in source.tags.names() if name.startswith("camera/lens/"))
     source.tags.report_unread(UNUSED_TAGS | dict.fromkeys(lenses, "a pinhole is simulated"))
     if source.plugin is not None:
         source.plugin.report_unread(UNUSED_PLUGIN_TAGS)
+
+
+def _take_always_on(tags: PluginTags) -> None:
+    """Read the tag where it is true: it is as asked for."""
+    for name in ALWAYS_ON_TAGS:
+        if tags.is_true(name):
+            tags.text(name, "")
 
 
 def _read_ros(element: Element, source: SensorSource) -> RosBlock:

@@ -1,7 +1,10 @@
 """Sensors keep their settings, are placed in moving links, and are reported."""
 
+import re
+
 import pytest
 
+from tests.contract.repository import ROOT
 from tests.sim_server.description.plugins.sensor_samples import (
     MAST_HEIGHT_M,
     a_model,
@@ -181,11 +184,19 @@ def test_robot_with_a_thousand_sensors_is_refused_by_a_limit() -> None:
     assert caught.value.slug == "sensor.count"
 
 
-@pytest.mark.parametrize("tag", ["always_on", "visualize", "enable_metrics"])
-def test_known_tag_without_effect_is_ignored(tag: str) -> None:
-    report = a_model_with(a_sensor("imu", f"<{tag}>1</{tag}>")).report
+@pytest.mark.parametrize(
+    ("tag", "value"), [("always_on", "0"), ("visualize", "1"), ("enable_metrics", "true")]
+)
+def test_known_tag_without_effect_is_ignored(tag: str, value: str) -> None:
+    report = a_model_with(a_sensor("imu", f"<{tag}>{value}</{tag}>")).report
 
     assert subjects(report, "ignored") == [f"{SUBJECT}: <{tag}>"]
+
+
+def test_sensor_that_is_always_on_is_as_asked_for() -> None:
+    report = a_model_with(a_sensor("imu", "<always_on>true</always_on>")).report
+
+    assert subjects(report, "ignored") == []
 
 
 def test_unknown_tag_is_reported() -> None:
@@ -320,6 +331,27 @@ def test_ray_sees_its_own_robot_when_asked_to_and_with_compat() -> None:
         settings = the_sensor(sensor, compat=compat).settings
         assert isinstance(settings, RaySensor)
         assert settings.sees_itself is expected
+
+
+@pytest.mark.parametrize("tag", ["zensim:sees_itself", "sees_itself"])
+def test_tag_of_the_zensim_namespace_is_read(tag: str) -> None:
+    settings = the_sensor(a_sensor("ray", f"<{tag}>1</{tag}>")).settings
+
+    assert isinstance(settings, RaySensor)
+    assert settings.sees_itself
+
+
+def test_lidar_of_the_documentation_is_read() -> None:
+    page = (ROOT / "docs" / "sensors.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```xml\n(.*?)```", page, re.DOTALL)
+    assert len(block.splitlines()) == 5
+
+    model = a_model(block.replace("laser_link", "mast"))
+
+    assert isinstance(found := model.sensors[0].settings, RaySensor)
+    assert (found.horizontal.count, found.range_max_m) == (360, 12.0)
+    assert topics_of(model.sensors[0]) == {"scan": "scan"}
+    assert subjects(model.report, "suspicious") == []
 
 
 @pytest.mark.parametrize("compat", ["fixed", "gazebo11"])
