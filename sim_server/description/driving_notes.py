@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from zensim.proto.messages.drive_messages import DiffDrive
+from zensim.proto.messages.drive_messages import DiffDrive, SteeringDrive
 from zensim.proto.messages.model_messages import ReportEntry
 from zensim.sim_server.description.ground_friction import GroundFriction, GroundMotion
 from zensim.sim_server.description.model_geometry import NO_MESHES
@@ -20,6 +20,7 @@ from zensim.sim_server.description.motion_prediction import (
     STRAIGHT,
     PredictedMotion,
     find_drive_targets,
+    find_middle,
     is_moved_by_twist,
     make_joint_targets,
     predict_motion,
@@ -223,6 +224,7 @@ def _find_cause(case: _Case, motion: PredictedMotion, column: int) -> str:
     share = _ratio(motion.twist[column], nominal)
     return (
         _describe_sizes(case.model, ground, column)
+        or _describe_wheelbase(case.model, column)
         or _describe_axles(case.model, ground, share)
         or "friction of its wheels holds it"
     )
@@ -273,6 +275,19 @@ def _describe_sizes(model: Model, ground: GroundMotion, column: int) -> str:
                 f"{pair.separation_m:.3g} m"
             )
     return ""
+
+
+def _describe_wheelbase(model: Model, column: int) -> str:
+    """Name a wheelbase that is not that of the links."""
+    drive = model.drive
+    if not isinstance(drive, SteeringDrive) or drive.is_traction_steered or column == 0:
+        return ""
+    unsteered = find_middle(model, drive.traction)[0]
+    apart = abs(find_middle(model, drive.steering)[0] - unsteered)
+    if not _differs(apart, abs(drive.wheelbase_m)):
+        return ""
+    written = abs(drive.wheelbase_m)
+    return f"its axles are {apart:.3g} m apart, the drive's wheelbase is {written:.3g} m"
 
 
 def _differs(measured: float, written: float) -> bool:

@@ -127,11 +127,11 @@ def find_nominal_twist(model: Model, numbers: tuple[float, ...]) -> PlanarTwist[
     match model.drive:
         case DiffDrive() as drive:
             ahead, turn = find_base_step(drive.pairs[0], *numbers[:2])
-            axle = _find_middle(model, drive.wheel_joints)
+            axle = find_middle(model, drive.wheel_joints)
         case AckermannDrive() as drive:
             ahead = (numbers[0] + numbers[1]) / 2.0 * drive.wheel_radius_m
             turn = ahead * _find_slope(numbers[2:4]) / drive.wheelbase_m
-            axle = _find_middle(model, drive.wheel_joints[:2])
+            axle = find_middle(model, drive.wheel_joints[:2])
         case TricycleDrive() as drive:
             ahead, turn, axle = _find_tricycle_motion(model, drive, numbers)
         case SteeringDrive() as drive:
@@ -157,8 +157,8 @@ def _find_tricycle_motion(
     speed, angle = numbers[0] * drive.actuated_wheel_diameter_m / 2.0, numbers[1]
     if drive.max_steering_speed > 0.0:
         angle *= SETTLED_S
-    axle = _find_middle(model, drive.wheel_joints[1:])
-    reach = _find_middle(model, drive.wheel_joints[:1])[0] - axle[0]
+    axle = find_middle(model, drive.wheel_joints[1:])
+    reach = find_middle(model, drive.wheel_joints[:1])[0] - axle[0]
     return speed * math.cos(angle), speed * math.sin(angle) / reach, axle
 
 
@@ -175,14 +175,14 @@ def _find_steered_motion(
         ahead /= (math.hypot(1.0 - aside, slope) + math.hypot(1.0 + aside, slope)) / 2.0
     if drive.is_traction_steered:
         ahead /= math.hypot(1.0, slope)
-        x, y = _find_middle(model, drive.steering)
+        x, y = find_middle(model, drive.steering)
         axle = x - drive.wheelbase_m, y
     else:
-        axle = _find_middle(model, drive.traction)
+        axle = find_middle(model, drive.traction)
     return ahead, ahead * slope / drive.wheelbase_m, axle
 
 
-def _find_middle(model: Model, joints: tuple[str, ...]) -> tuple[float, float]:
+def find_middle(model: Model, joints: tuple[str, ...]) -> tuple[float, float]:
     """Find the middle (x, y) [m] of the links of joints, in the root link."""
     poses = find_link_poses(model.links[0].name, model.joints)
     children = {joint.name: joint.child for joint in model.joints}

@@ -478,11 +478,7 @@ def complete_steering(
     check_wheel_joints((*traction, *steering), lumped)
     driven = _sort_sides(measure_wheels(traction, lumped))
     turned = _sort_sides(measure_wheels(steering, lumped))
-    others = [
-        wheel
-        for wheel in find_wheels(lumped)
-        if wheel.joint not in (*traction, *steering) and wheel.has_collision
-    ]
+    others = _list_passive(lumped, (*traction, *steering))
     axle = others if drive.is_traction_steered else driven
     apart = _mean_x(turned) - _mean_x(axle) if axle else 0.0
     wheelbase = choose(WHEELBASE, abs(apart))
@@ -498,6 +494,11 @@ def complete_steering(
         odometry_source="encoder" if len(driven) == PAIR_SIZE else "world",
     )
     return _limit_steering(measured, lumped)
+
+
+def _list_passive(lumped: LumpedModel, moved: Sequence[str]) -> list[MeasuredWheel]:
+    """List the wheels that roll along; a virtual one without a collision does not."""
+    return [one for one in find_wheels(lumped) if one.joint not in moved and one.has_collision]
 
 
 def complete_two_axles(

@@ -12,7 +12,13 @@ from tests.sim_server.description.plugins.driven_robots import (
     read_driven,
     reverse_axes,
 )
-from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_reference
+from tests.sim_server.description.robots import (
+    a_collision,
+    a_joint,
+    a_link,
+    a_reference,
+    an_inertial,
+)
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.drive_messages import SteeringDrive
 from zensim.sim_server.description.ground_friction import GroundFriction
@@ -69,3 +75,15 @@ def test_swapped_wheels_are_predicted_to_turn_the_robot_the_other_way() -> None:
 
     assert "-1.00" in reason
     assert "'right', its left wheel, is on the right" in reason
+
+
+def test_wheelbase_that_is_not_that_of_the_links_is_named_as_the_cause() -> None:
+    _, order = ROBOTS["car"]
+    load = a_link("load", an_inertial("20")) + a_joint(
+        "hold", ("base_link", "load"), inside='<origin xyz="0.4 0 0"/>'
+    )
+    model = read_driven(a_car(load), order=parse_drive_order(f"{order},0.4,0.2,0.4"))
+
+    (reason,) = (entry.reason for entry in model.report if entry.status == "predicted")
+
+    assert "its axles are 0.6 m apart, the drive's wheelbase is 0.4 m" in reason
