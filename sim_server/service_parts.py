@@ -150,6 +150,7 @@ class Spawning:
     descriptions: Descriptions
     bonds: Bonds
     pacing: Pacing
+    current: CurrentWorld
 
 
 @dataclass
@@ -215,6 +216,6 @@ def make_server_parts(
         bonds,
         descriptions,
         descriptions.store,
-        Spawning(world, descriptions, bonds, pacing),
+        Spawning(world, descriptions, bonds, pacing, current),
         WorldLoading(world, current, pacing, bonds, descriptions, catalog, factory),
     )

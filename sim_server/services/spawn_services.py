@@ -10,6 +10,7 @@ from zensim.proto.messages import asset_messages, spawn_messages
 from zensim.proto.messages.entity_messages import BoundsType
 from zensim.proto.messages.model_messages import Model, ReportEntry
 from zensim.proto.messages.result_messages import Result, ResultCode, SpawnCode, SpawnEntitiesCode
+from zensim.proto.messages.sensor_messages import Environment, NavsatSensor
 from zensim.proto.messages.spawn_messages import (
     MAX_SPAWNS,
     NOT_SPAWNED_PREFIX,
@@ -23,6 +24,7 @@ from zensim.proto.messages.spawn_messages import (
 )
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.se3 import IDENTITY_POSE
+from zensim.proto.sensor_schedule import find_true_rate_hz
 from zensim.sim_server.description.builtin_models import list_builtin_models
 from zensim.sim_server.description.model_geometry import find_ground_clearance
 from zensim.sim_server.errors import IncorrectState, ModelError, RequestRefused, SimError
@@ -31,7 +33,12 @@ from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.queries.bounds_queries import make_bounds
 from zensim.sim_server.queries.frame_queries import pose_to_world
 from zensim.sim_server.scene.scene import place_collision_shapes
-from zensim.sim_server.service_parts import DeferredResponse, Descriptions, Spawning
+from zensim.sim_server.service_parts import (
+    DeferredResponse,
+    Descriptions,
+    Spawning,
+    make_environment,
+)
 from zensim.sim_server.world.entity import Entity, check_entity_info
 from zensim.sim_server.world.pose_conversion import is_zero_quaternion, pose_to_row
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
@@ -67,6 +74,8 @@ def get_asset(
 
 UNDERGROUND_M = 0.001
 MAX_NAMED = 3
+RATE_TOLERANCE = 1e-3
+"""Share by which a rate may be above the control rate without a note."""
 
 
 def spawn_entity(spawning: Spawning, order: SpawnEntityOrder) -> SpawnEntityReport:
@@ -171,6 +180,7 @@ def _resolve_spawn(
     spawning: Spawning, order: SpawnEntityOrder, model: Model, description: str
 ) -> tuple[ValidatedSpawn, list[ReportEntry]]:
     pose, notes = _resolve_pose(spawning, order, model)
+    notes += make_sensor_notes(model, make_environment(spawning.world, spawning.current))
     validated = ValidatedSpawn(
         name=order.name or model.name,
         namespace=order.entity_namespace,
@@ -224,6 +234,24 @@ def _resolve_pose(
             )
         )
     return pose, notes
+
+
+def make_sensor_notes(model: Model, environment: Environment) -> list[ReportEntry]:
+    """Report what sensors of a model will not do in this world as their description says."""
+    notes = []
+    for sensor in model.sensors:
+        subject = f"sensor '{sensor.name}'"
+        true_hz = find_true_rate_hz(sensor.update_rate_hz, environment)
+        if sensor.settings is not None and sensor.update_rate_hz > true_hz * (1.0 + RATE_TOLERANCE):
+            fault = (
+                f"asks for {sensor.update_rate_hz:g} Hz, but the server reports {true_hz:g} "
+                f"control steps a second: {true_hz:g} Hz; zensim serve --control-hz sets more"
+            )
+            notes.append(ReportEntry("suspicious", subject, fault))
+        if isinstance(sensor.settings, NavsatSensor) and not environment.spherical_coordinates:
+            fault = "the world has no <spherical_coordinates>: its origin is at 0 N 0 E"
+            notes.append(ReportEntry("suspicious", subject, fault))
+    return notes
 
 
 def _make_overlap_notes(others: list[str]) -> list[ReportEntry]:

@@ -22,8 +22,15 @@ from tests.sim_server.fakes import (
 )
 from tests.sim_server.orders import BOX_BOT, LYING, an_order, spawned, suspicions
 from zensim.proto.messages.entity_messages import EntityInfo
-from zensim.proto.messages.model_messages import Inertial, Link, Model, Shape
+from zensim.proto.messages.model_messages import Inertial, Link, Model, Sensor, Shape
 from zensim.proto.messages.result_messages import ResultCode, SpawnCode, SpawnEntitiesCode
+from zensim.proto.messages.sensor_messages import (
+    Environment,
+    ImuSensor,
+    NavsatSensor,
+    SensorSettings,
+    SphericalCoordinates,
+)
 from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.proto.messages.spawn_messages import (
     NOT_SPAWNED_PREFIX,
@@ -631,3 +638,55 @@ def test_more_orders_than_are_parsed_ahead_are_spawned_together(*, is_shared: bo
 
     assert isinstance(response, SpawnEntitiesResponse)
     assert len(names_in(parts.world)) == spawn_services.MAX_PARSES_AHEAD + 6
+
+
+IMU_SETTINGS = ImuSensor()
+
+
+def a_sensing_model(*sensors: Sensor) -> Model:
+    return Model("r", (Link("base"),), sensors=sensors)
+
+
+def a_rated_sensor(rate_hz: float, settings: SensorSettings | None = IMU_SETTINGS) -> Sensor:
+    return Sensor("s", "imu", "base", "base", update_rate_hz=rate_hz, settings=settings)
+
+
+PLACE = SphericalCoordinates(latitude_deg=52.0)
+CONTROL_AT_80_HZ = Environment(step_ns=4_166_667, control_steps=3, spherical_coordinates=PLACE)
+
+
+@pytest.mark.parametrize(("rate_hz", "count"), [(0.0, 0), (10.0, 0), (80.0, 0), (200.0, 1)])
+def test_sensor_above_the_control_rate_is_reported(rate_hz: float, count: int) -> None:
+    model = a_sensing_model(a_rated_sensor(rate_hz))
+
+    notes = spawn_services.make_sensor_notes(model, CONTROL_AT_80_HZ)
+
+    assert [note.status for note in notes] == ["suspicious"] * count
+    assert all("80 Hz" in note.reason for note in notes)
+
+
+def test_rate_of_a_sensor_that_is_not_simulated_is_not_reported() -> None:
+    model = a_sensing_model(a_rated_sensor(200.0, settings=None))
+
+    assert spawn_services.make_sensor_notes(model, CONTROL_AT_80_HZ) == []
+
+
+def test_navsat_without_a_place_of_the_world_is_reported() -> None:
+    model = a_sensing_model(a_rated_sensor(1.0, NavsatSensor()))
+    nowhere = msgspec.structs.replace(CONTROL_AT_80_HZ, spherical_coordinates=None)
+
+    assert spawn_services.make_sensor_notes(model, CONTROL_AT_80_HZ) == []
+    assert len(spawn_services.make_sensor_notes(model, nowhere)) == 1
+
+
+def test_spawn_reports_sensors_above_the_control_rate() -> None:
+    parts = make_parts(a_world())
+    order = msgspec.structs.replace(an_order(), entity_resource=Resource(resource_string=FAST_IMU))
+
+    assert any("control steps a second" in reason for reason in suspicions(spawned(parts, order)))
+
+
+FAST_IMU = """<robot name="r"><link name="base"><inertial><mass value="1"/>
+<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+<gazebo reference="base"><sensor type="imu" name="imu"><update_rate>1000</update_rate></sensor>
+</gazebo></robot>"""
