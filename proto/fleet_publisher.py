@@ -146,6 +146,7 @@ class RosFleetPublisher:
         self._network = network
         self._topic = topic
         self._encoding = topic.encoding
+        self._surplus = graph.settings.count_surplus_bytes(topic.ros_type)
         self._unjoined: list[TopicMember] = []
         self._joined: dict[TopicMember, GraphEndpoint] = {}
         self._key_publishers: dict[TopicMember, KeyPublisher] = {}
@@ -207,6 +208,8 @@ class RosFleetPublisher:
 
     def put(self, members: Sequence[TopicMember], payloads: Sequence[bytes]) -> None:
         """Publish to members with subscribers; those without a publisher yet are skipped."""
+        if self._surplus:
+            payloads = [payload[: -self._surplus] for payload in payloads]
         matched = self._matched.matched
         messages = [
             (publisher, payload, self._rows[member])

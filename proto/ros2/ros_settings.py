@@ -13,6 +13,10 @@ DISTRIBUTION_WITHOUT_HASHES: Final = "humble"
 DISTRIBUTIONS: Final = ("humble", "iron", "jazzy", "kilted", "lyrical", "rolling")
 
 
+SINCE_IRON: Final = {"sensor_msgs/msg/Range": 4}
+"""Bytes of the last fields of messages that humble does not have: `variance`."""
+
+
 class RosSettings(msgspec.Struct, frozen=True, kw_only=True):
     """Settings of the ROS 2 endpoints of a program."""
 
@@ -25,6 +29,10 @@ class RosSettings(msgspec.Struct, frozen=True, kw_only=True):
     """Parent of the odometry frames on `/tf_static`; empty for none."""
     is_bridged: bool = False
     """Whether topics and services are announced to zenoh-bridge-ros2dds."""
+
+    def count_surplus_bytes(self, ros_type: str) -> int:
+        """Count the bytes at the end of a message that the distribution does not know."""
+        return 0 if self.has_hashes else SINCE_IRON.get(ros_type, 0)
 
     @property
     def has_global_tf(self) -> bool:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import pytest
 
 from tests.fakes import MemoryBus
+from zensim.proto.codec import cdr
 from zensim.proto.fleet_publisher import (
     MAX_CHECKED_AT_ONCE,
     MAX_ROS_DECLARED_AT_ONCE,
@@ -14,8 +15,8 @@ from zensim.proto.fleet_publisher import (
     RosFleetPublisher,
     TopicMember,
 )
-from zensim.proto.messages.standard_messages import String
-from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_10
+from zensim.proto.messages.standard_messages import Range, String
+from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_5, RELIABLE_10
 from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
 from zensim.proto.ros2.ros_settings import RosSettings
@@ -248,6 +249,25 @@ def test_messages_are_published_once_there_are_subscribers() -> None:
     assert [sample.payload for sample in samples] == [b"1", b"2", b"3"]
     assert [one.sequence_number for one in read if one] == [1, 1, 2]
     assert len({one.gid for one in read if one}) == 2
+
+
+@pytest.mark.parametrize("has_hashes", [True, False], ids=["iron", "humble"])
+def test_range_ends_where_the_distribution_ends_it(*, has_hashes: bool) -> None:
+    bus = MemoryBus()
+    graph = RosGraph(bus, RosSettings(has_hashes=has_hashes))
+    topic = Topic("*/range", Range, RELIABLE_5)
+    publisher = RosFleetPublisher(bus, graph, topic)
+    member = TopicMember("r1/range", NoValues(), node=a_node(graph, "r1"))
+    received = bus.subscribe("0/r1/range/**")
+    payload = cdr.encode(Range(range=1.5, variance=0.25))
+
+    publisher.add(member)
+    publisher.declare_some()
+    publisher.declare_some()
+    publisher.put([member], [payload])
+
+    (sample,) = received.take()
+    assert sample.payload == (payload if has_hashes else payload[:-4])
 
 
 def test_earlier_subscriber_gets_the_latched_message() -> None:
