@@ -121,6 +121,7 @@ GET_ENTITY_BOUNDS = Service(
     entity_messages.GetEntityBoundsOrder,
     entity_messages.GetEntityBoundsResponse,
 )
+CAST_RAYS = Service("cast_rays", entity_messages.CastRaysRequest, entity_messages.CastRaysResponse)
 GET_SPAWNABLES = Service(
     "get_spawnables", spawn_messages.GetSpawnablesRequest, spawn_messages.GetSpawnablesResponse
 )

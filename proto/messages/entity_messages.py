@@ -8,7 +8,7 @@ import msgspec
 from zensim.proto.messages.model_messages import TierName
 from zensim.proto.messages.result_messages import Result
 from zensim.proto.messages.scalar_types import UInt8
-from zensim.proto.messages.standard_messages import Accel, Header, Pose, Twist, Vector3
+from zensim.proto.messages.standard_messages import Accel, Header, Point, Pose, Twist, Vector3
 
 MAX_TAGS = 64
 MAX_TAG_LENGTH = 128
@@ -240,6 +240,37 @@ class SetEntityInfoResponse(msgspec.Struct, frozen=True):
     ros_type: ClassVar[str] = "simulation_interfaces/srv/SetEntityInfo_Response"
 
     result: Result = Result()
+
+
+NOTHING_HIT_M = -1.0
+"""Range of a ray that hits nothing; JSON has no infinity."""
+
+
+class CastRaysRequest(msgspec.Struct, frozen=True):
+    """Find what rays hit first: the collisions of entities, and the ground."""
+
+    ros_type: ClassVar[str] = "zensim/srv/CastRays_Request"
+
+    origins: tuple[Point, ...] = ()
+    """In the world; at most 10 000."""
+    directions: tuple[Vector3, ...] = ()
+    """In the world, of any length but 0; as many as origins."""
+    range_max_m: float = 100.0
+    """Hits beyond it do not count; > 0."""
+    ignored_entity: str = ""
+    """Entity that the rays pass through; empty = none."""
+
+
+class CastRaysResponse(msgspec.Struct, frozen=True):
+    """The first hit of each ray."""
+
+    ros_type: ClassVar[str] = "zensim/srv/CastRays_Response"
+
+    result: Result = Result()
+    ranges: tuple[float, ...] = ()
+    """[m]; -1 where nothing is hit."""
+    entities: tuple[str, ...] = ()
+    """Names; empty where nothing or the ground is hit."""
 
 
 class GetEntityBoundsRequest(msgspec.Struct, frozen=True):

@@ -160,6 +160,14 @@ class AssetStore:
             self._vertices.popitem(last=False)
         return found
 
+    def corners(self, sha256: str) -> NDArray[np.float32]:
+        """Read the corners (3 f, 3) of the triangles of a generated mesh.
+
+        Raises:
+            AssetRefused: It is not stored.
+        """
+        return read_corners(self.read(sha256, 0, -1))
+
     @property
     def folder(self) -> str:
         """Folder of the files, named `<sha256>.stl`."""

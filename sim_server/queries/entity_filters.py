@@ -7,10 +7,10 @@ import msgspec
 import re2
 
 from zensim.proto.messages.entity_messages import MAX_TAGS, EntityFilters, FilterMode, TagsFilter
-from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.queries.bounds_queries import parse_bounds
+from zensim.sim_server.queries.sliced_work import MAX_WORK_S, SlicedWork
 from zensim.sim_server.scene.scene import CollisionScene, Region
 from zensim.sim_server.service_parts import DeferredResponse, Pacing
 from zensim.sim_server.world.entity import Entity
@@ -81,11 +81,6 @@ def _format_reason(error: Exception) -> str:
 
 FilterResponse = TypeVar("FilterResponse", bound=msgspec.Struct)
 
-SEARCH_SLICE_NS = 2 * NANOSECONDS // 1000
-"""Least time that a search takes of each turn of the loop; a quarter of a step if that is more."""
-MAX_SEARCH_NS = NANOSECONDS
-"""Most time that a search may take in total."""
-
 
 class TagsRefused(SimError):
     """A tags filter that is not valid."""
@@ -119,57 +114,40 @@ def filter_entities(
     if region is None and pattern is None:
         return make_response(tuple(entity.name for entity in found))
     search = _EntitySearch(
-        world.scene(store.vertices),
+        world.scene(store.vertices, store.corners),
         world.entities.index.row,
         found,
-        pacing.now_ns,
-        pacing.loop_stats.work_budget_ns(SEARCH_SLICE_NS),
     )
-    search.start(pattern, region)
-    if search.advance():
-        return make_response(search.outcome())
-    return DeferredResponse(search.advance, lambda: make_response(search.outcome()))
+    work = SlicedWork(search.run(pattern, region), pacing)
+    return work.respond(lambda: _finish_search(work, search, make_response))
+
+
+def _finish_search(
+    work: SlicedWork,
+    search: "_EntitySearch",
+    make_response: Callable[[tuple[str, ...]], FilterResponse],
+) -> FilterResponse:
+    if work.is_too_long:
+        raise SearchTooLong(f"the filters took more than {MAX_WORK_S:g} s; use simpler ones")
+    return make_response(search.found)
 
 
 class _EntitySearch:
-    """A search that advances by one time slice in each call."""
+    """A search that is made in steps."""
 
     def __init__(
-        self,
-        scene: CollisionScene,
-        rows: Mapping[str, int],
-        entities: Sequence[Entity],
-        now_ns: Callable[[], int],
-        slice_ns: int,
+        self, scene: CollisionScene, rows: Mapping[str, int], entities: Sequence[Entity]
     ) -> None:
         self._scene = scene
         self._rows = rows
         self._entities = {entity.name: entity for entity in entities}
-        self._now_ns = now_ns
-        self._slice_ns = slice_ns
-        self._elapsed_ns = 0
-        self._work: Iterator[None] = iter(())
 
-    def start(self, pattern: PosixPattern | None, region: Region | None) -> None:
-        self._work = self._run_filters(pattern, region)
-
-    def advance(self) -> bool:
-        start_ns = self._now_ns()
-        for _ in self._work:
-            passed_ns = self._now_ns() - start_ns
-            if passed_ns >= self._slice_ns:
-                self._elapsed_ns += passed_ns
-                return self._elapsed_ns > MAX_SEARCH_NS
-        return True
-
-    def outcome(self) -> tuple[str, ...]:
-        if self._elapsed_ns > MAX_SEARCH_NS:
-            raise SearchTooLong(
-                f"the filters took more than {MAX_SEARCH_NS / NANOSECONDS:g} s; use simpler ones"
-            )
+    @property
+    def found(self) -> tuple[str, ...]:
+        """The entities that pass, after the last step."""
         return tuple(self._entities)
 
-    def _run_filters(self, pattern: PosixPattern | None, region: Region | None) -> Iterator[None]:
+    def run(self, pattern: PosixPattern | None, region: Region | None) -> Iterator[None]:
         if pattern is not None:
             yield from self._keep_found(pattern.search(list(self._entities)))
         if region is not None:

@@ -27,7 +27,7 @@ from zensim.sim_server.physics.engine import (
     refuse_faults,
 )
 from zensim.sim_server.scene.convex_shapes import MeshVertices
-from zensim.sim_server.scene.scene import CollisionScene, SceneLayout
+from zensim.sim_server.scene.scene import CollisionScene, FindTriangles, SceneLayout
 from zensim.sim_server.world.applied_forces import AppliedForces
 from zensim.sim_server.world.claim_registry import ClaimedEntities, ClaimRegistry
 from zensim.sim_server.world.entity import Entity, EntityIndex, default_info
@@ -237,7 +237,7 @@ class World:
         self.ready_s: dict[str, float] = {}
         """Time from spawn to the first command of its agent, by name of entity."""
         self._recorded_changes: dict[str, int] = {}
-        self._scene_layout: tuple[EntityIndex, SceneLayout] | None = None
+        self._scene_layouts: tuple[EntityIndex, dict[bool, SceneLayout]] | None = None
         self._states: BodyStates | None = None
         self._states_step = 0
         """The step that the states are of."""
@@ -559,13 +559,24 @@ class World:
         owners = {body: name for body in faults for name in self.entities.find_owners([body])}
         return {name: faults[body] for body, name in owners.items() if name in self.entities}
 
-    def scene(self, vertices: MeshVertices) -> CollisionScene:
-        """Make the scene of this step; meshes have these vertices."""
+    def scene(
+        self, vertices: MeshVertices, triangles: FindTriangles, *, has_ground: bool = False
+    ) -> CollisionScene:
+        """Make the scene of this step.
+
+        Args:
+            vertices: Finds the vertices of meshes.
+            triangles: Finds the triangles of meshes.
+            has_ground: Whether rays hit the ground plane.
+        """
         index, states = self.entities.index, self.states()
-        if self._scene_layout is None or self._scene_layout[0] is not index:
+        if self._scene_layouts is None or self._scene_layouts[0] is not index:
+            self._scene_layouts = index, {}
+        layouts = self._scene_layouts[1]
+        if has_ground not in layouts:
             models = [entity.model for entity in self.entities]
-            self._scene_layout = index, SceneLayout(models, vertices)
-        return CollisionScene(self._scene_layout[1], states.base, states.joint_positions)
+            layouts[has_ground] = SceneLayout(models, vertices, triangles, has_ground=has_ground)
+        return CollisionScene(layouts[has_ground], states.base, states.joint_positions)
 
     @property
     def _is_read(self) -> bool:

@@ -166,6 +166,9 @@ ZENSIM = {
     "SetSpeed_Request": "float64 real_time_factor",
     "SetSpeed_Response": "simulation_interfaces/Result result",
     "Info_Request": EMPTY,
+    "CastRays_Request": "geometry_msgs/Point[] origins; geometry_msgs/Vector3[] directions;"
+    " float64 range_max_m; string ignored_entity",
+    "CastRays_Response": "simulation_interfaces/Result result; float64[] ranges; string[] entities",
     "GetModels_Request": "string[] entities",
     "MissingAssets_Request": "string[] sha256s",
     "MissingAssets_Response": "simulation_interfaces/Result result; string[] missing;"

@@ -23,12 +23,11 @@ from zensim.proto.messages.entity_messages import (
 from zensim.proto.messages.standard_messages import Vector3
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.queries.entity_filters import (
-    MAX_SEARCH_NS,
-    SEARCH_SLICE_NS,
     PatternRefused,
     PosixPattern,
     SearchTooLong,
 )
+from zensim.sim_server.queries.sliced_work import MAX_WORK_S, SLICE_NS
 from zensim.sim_server.service_parts import DeferredResponse, ServerParts
 from zensim.sim_server.world.simulated_world import World
 
@@ -151,7 +150,7 @@ LARGE = "r|(a?){500}a{500}"
 class SlowWall(WallTime):
     """A clock that advances at each reading."""
 
-    pace_ns = SEARCH_SLICE_NS
+    pace_ns = SLICE_NS
 
     def now_ns(self) -> int:
         self.ns += self.pace_ns
@@ -180,7 +179,7 @@ def test_search_that_takes_too_long_is_refused() -> None:
     response = handle_request(parts, entity_messages.GetEntitiesRequest(EntityFilters("r")))
     assert isinstance(response, DeferredResponse)
 
-    wall.pace_ns = 2 * MAX_SEARCH_NS
+    wall.pace_ns = 2 * int(MAX_WORK_S * 1e9)
     while not response.is_ready():
         pass
 
