@@ -114,8 +114,14 @@ class Surfaces:
     triangle: IntArray
 
 
+NO_SHAPES = PlacedShapes((), np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros((0, 7)))
+
+
 class EmbreeCaster:
-    """Casts rays at the shapes of a scene; what it builds of fixed shapes is kept."""
+    """A `RayCaster` that keeps what it builds of fixed shapes.
+
+    All shapes are of one layout. Of equally near entities it hits any.
+    """
 
     def __init__(self, is_fixed: BoolArray) -> None:
         """Cast at the shapes of a layout.
@@ -126,24 +132,28 @@ class EmbreeCaster:
         self._fixed = np.flatnonzero(is_fixed)
         self._moving = np.flatnonzero(~is_fixed)
         self._fixed_shapes: PlacedShapes | None = None
+        self._shapes: PlacedShapes = NO_SHAPES
         self._parts: tuple[_Triangles, ...] = ()
+
+    def __call__(self, shapes: PlacedShapes, rays: Rays) -> RayHits:
+        """Cast rays at shapes of the layout; see `RayCaster`."""
+        self.place(shapes)
+        found = self._cast(rays)
+        entities = np.full(len(found.shape), NO_ENTITY, np.intp)
+        is_hit = found.shape != NO_SHAPE
+        entities[is_hit] = shapes.entity[found.shape[is_hit]]
+        return RayHits(found.ranges, entities)
 
     def place(self, shapes: PlacedShapes) -> None:
         """Take the poses of one step; what was built of fixed shapes is valid while they stay."""
+        if shapes is self._shapes:
+            return
         known = self._fixed_shapes
         poses = shapes.poses[self._fixed]
         if known is None or not np.array_equal(known.poses[self._fixed], poses):
             self._fixed_shapes, self._parts = shapes, (_place_triangles(shapes, self._fixed),)
         self._shapes = shapes
         self._parts = self._parts[0], _place_triangles(shapes, self._moving)
-
-    def cast(self, rays: Rays) -> RayHits:
-        """Cast rays; see `RayCaster`, but of equally near entities any is hit."""
-        found = self._cast(rays)
-        entities = np.full(len(found.shape), NO_ENTITY, np.intp)
-        is_hit = found.shape != NO_SHAPE
-        entities[is_hit] = self._shapes.entity[found.shape[is_hit]]
-        return RayHits(found.ranges, entities)
 
     def find_surfaces(self, rays: Rays) -> tuple[FloatArray, IntArray, FloatArray]:
         """Cast rays at what has colours.

@@ -405,6 +405,8 @@ class PlanarCaster:
 
     def place(self, shapes: PlacedShapes) -> None:
         """Take the poses of one step; what is kept of fixed shapes is valid while they stay."""
+        if shapes is self._shapes:
+            return
         fixed, known = shapes.poses[self._fixed], self._fixed_shapes.poses
         if not len(known) or not np.array_equal(fixed, known[self._fixed]):
             self._bands, self._fixed_shapes = {}, shapes

@@ -1,4 +1,4 @@
-"""Casting of whole scans: the interface of a caster of lidars, and an exact one on arrays."""
+"""Casting of whole scans: the interface of a caster of lidars, and casting ray by ray."""
 
 from typing import Protocol
 
@@ -7,8 +7,7 @@ import numpy as np
 from zensim.proto.messages.sensor_messages import RaySensor, ScanAxis
 from zensim.proto.se3 import FloatArray, rotate
 from zensim.sim_server.scene.broad_phase import IntArray
-from zensim.sim_server.scene.ray_casting import NO_ENTITY, RayCaster, Rays, cast_rays_exactly
-from zensim.sim_server.scene.scene import CollisionScene, SceneLayout
+from zensim.sim_server.scene.ray_casting import NO_ENTITY, PlacedShapes, RayCaster, Rays
 
 
 class ScanCaster(Protocol):
@@ -57,47 +56,32 @@ def find_increment(axis: ScanAxis) -> float:
     return (axis.high_rad - axis.low_rad) / (axis.count - 1) if axis.count > 1 else 0.0
 
 
-class RayByRayCaster:
-    """A `ScanCaster` that casts each ray by itself."""
-
-    def __init__(self, layout: SceneLayout, cast: RayCaster = cast_rays_exactly) -> None:
-        """Prepare a scene without poses.
-
-        Args:
-            layout: Entities and shapes.
-            cast: Finds the first hits of rays.
-        """
-        self._layout = layout
-        self._cast = cast
-        self._scene: CollisionScene | None = None
-
-    def place(self, base: FloatArray, joint_positions: FloatArray) -> None:
-        """See `ScanCaster`."""
-        self._scene = CollisionScene(self._layout, base, joint_positions)
-
-    def cast(self, settings: RaySensor, poses: FloatArray, carriers: IntArray) -> FloatArray:
-        """See `ScanCaster`.
-
-        Raises:
-            ValueError: There are no poses yet.
-        """
-        if self._scene is None:
-            raise ValueError("the scene has no poses; call place first")
-        directions = make_ray_directions(settings)
-        count = len(directions)
-        turned = rotate(
-            np.repeat(poses[:, 3:], count, axis=0), np.tile(directions, (len(poses), 1))
-        )
-        ignored = np.full(len(poses), NO_ENTITY) if settings.sees_itself else carriers
-        rays = Rays(
-            np.repeat(poses[:, :3], count, axis=0),
-            turned,
-            settings.range_max_m,
-            np.repeat(ignored, count),
-        )
-        return self._cast(self._scene.shapes, rays).ranges.reshape(len(poses), count)
+def cast_ray_by_ray(
+    cast: RayCaster,
+    shapes: PlacedShapes,
+    settings: RaySensor,
+    poses: FloatArray,
+    carriers: IntArray,
+) -> FloatArray:
+    """Find the ranges of lidars by a caster of rays of any direction; see `ScanCaster.cast`."""
+    local = make_ray_directions(settings)
+    directions = rotate(poses[:, None, 3:], local).reshape(-1, 3)
+    ignored, start_m = choose_ignored(settings, carriers)
+    rays = Rays(
+        np.repeat(poses[:, :3], len(local), axis=0) + start_m * directions,
+        directions,
+        settings.range_max_m - start_m,
+        np.repeat(ignored, len(local)),
+    )
+    return (cast(shapes, rays).ranges + start_m).reshape(len(poses), len(local))
 
 
-def make_scan_caster(layout: SceneLayout) -> ScanCaster:
-    """Make the caster of a scene."""
-    return RayByRayCaster(layout)
+def choose_ignored(settings: RaySensor, carriers: IntArray) -> tuple[IntArray, float]:
+    """Find the entities that the rays of lidars pass through, and where the rays begin [m].
+
+    A lidar that sees its robot does not see what is nearer than its least range, such as its own
+    housing.
+    """
+    if settings.sees_itself:
+        return np.full(len(carriers), NO_ENTITY), settings.range_min_m
+    return carriers, 0.0

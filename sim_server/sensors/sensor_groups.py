@@ -9,7 +9,8 @@ import numpy as np
 from zensim.proto.se3 import FloatArray
 from zensim.proto.topic_catalog import TOPICS
 from zensim.sim_server.scene.broad_phase import IntArray
-from zensim.sim_server.scene.scan_casting import ScanCaster, make_scan_caster
+from zensim.sim_server.scene.fleet_casting import make_scan_caster
+from zensim.sim_server.scene.scan_casting import ScanCaster
 from zensim.sim_server.scene.scene import SceneLayout
 from zensim.sim_server.sensors.scene_roster import SceneSensor
 from zensim.sim_server.sensors.sensor_publishers import SensorAddress, SensorTopics

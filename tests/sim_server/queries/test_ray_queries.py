@@ -49,7 +49,7 @@ def test_rays_hit_the_nearest_entity_the_ground_or_nothing() -> None:
     response = cast(parts_with_boxes(), request)
 
     assert response.entities == ("near", "", "")
-    assert response.ranges == (pytest.approx(2.9), pytest.approx(0.05), NOTHING_HIT_M)
+    assert response.ranges == pytest.approx((2.9, 0.05, NOTHING_HIT_M))
 
 
 def test_rays_pass_through_the_ignored_entity() -> None:

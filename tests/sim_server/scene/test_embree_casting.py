@@ -24,9 +24,7 @@ from zensim.sim_server.scene.ray_casting import GROUND, NO_ENTITY, RayHits, Rays
 
 
 def cast(trial: Trial, rays: Rays) -> RayHits:
-    caster = EmbreeCaster(trial.layout.is_fixed)
-    caster.place(trial.layout.place(trial.base, JOINTS))
-    return caster.cast(rays)
+    return EmbreeCaster(trial.layout.is_fixed)(trial.layout.place(trial.base, JOINTS), rays)
 
 
 def random_rays(rng: np.random.Generator, count: int, entities: int) -> Rays:
@@ -116,8 +114,8 @@ def test_fixed_entity_is_hit_where_a_request_puts_it() -> None:
     caster, found = EmbreeCaster(trial.layout.is_fixed), []
     for x in (3.0, 5.0):
         trial.base = np.array([a_pose(x, 0.0)])
-        caster.place(trial.layout.place(trial.base, JOINTS))
-        found.append(caster.cast(look((0.0, 0.0, 0.1), (1.0, 0.0, 0.0))).ranges[0])
+        shapes = trial.layout.place(trial.base, JOINTS)
+        found.append(caster(shapes, look((0.0, 0.0, 0.1), (1.0, 0.0, 0.0))).ranges[0])
 
     assert found == pytest.approx([2.8, 4.8], abs=1e-12)
 

@@ -1,0 +1,99 @@
+"""Each lidar is cast by the caster that suits it, with the same ranges as ray by ray."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.sim_server.scene.test_planar_casting import (
+    JOINTS,
+    SOLIDS,
+    Trial,
+    a_mixture,
+    a_model,
+    a_pose,
+    a_warehouse,
+    random_sensors,
+)
+from zensim.proto.messages.model_messages import Origin, Shape
+from zensim.proto.messages.sensor_messages import RaySensor, ScanAxis
+from zensim.sim_server.scene import fleet_casting
+from zensim.sim_server.scene.fleet_casting import FleetCaster, are_level
+from zensim.sim_server.scene.ray_casting import cast_rays_exactly
+from zensim.sim_server.scene.scan_casting import cast_ray_by_ray
+
+FLAT = RaySensor(ScanAxis(90, -math.pi, math.pi), range_max_m=10.0)
+DEEP = RaySensor(ScanAxis(90, -math.pi, math.pi), ScanAxis(8, -0.3, 0.2), range_max_m=10.0)
+UPWARD = RaySensor(ScanAxis(90, -1.0, 1.0), ScanAxis(1, 0.2, 0.2), range_max_m=10.0)
+
+
+@pytest.fixture
+def trial() -> Trial:
+    rng = np.random.default_rng(8)
+    return Trial([*a_mixture(rng), *a_warehouse(rng)])
+
+
+@pytest.mark.parametrize("settings", [FLAT, DEEP, UPWARD], ids=["flat", "deep", "upward"])
+@pytest.mark.parametrize("library", ["embreex", "none"])
+def test_fleet_is_cast_as_ray_by_ray(
+    trial: Trial, settings: RaySensor, library: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if library == "none":
+        monkeypatch.setattr(fleet_casting, "find_spec", lambda _: None)
+    sensors = random_sensors(np.random.default_rng(9), 10, 8.0)
+    carriers = np.arange(10)
+    caster = FleetCaster(trial.layout)
+    caster.place(trial.base, JOINTS)
+
+    found = caster.cast(settings, sensors, carriers)
+
+    shapes = trial.layout.place(trial.base, JOINTS)
+    expected = cast_ray_by_ray(cast_rays_exactly, shapes, settings, sensors, carriers)
+    assert found.shape == expected.shape
+    is_hit = np.isfinite(expected)
+    assert np.array_equal(np.isfinite(found), is_hit)
+    assert np.abs(found[is_hit] - expected[is_hit]).max() <= 1e-6
+
+
+@pytest.mark.parametrize(
+    ("settings", "pitch_deg", "expected"),
+    [
+        (FLAT, 0.0, True),
+        (FLAT, 1.9, True),
+        (FLAT, 2.1, False),
+        (DEEP, 0.0, False),
+        (UPWARD, 0.0, False),
+    ],
+)
+def test_scan_of_one_row_is_level_up_to_two_degrees(
+    settings: RaySensor, pitch_deg: float, expected: object
+) -> None:
+    poses = np.array([a_pose(0.0, 0.0, 0.1, 0.0, math.radians(pitch_deg), 0.5)])
+
+    assert are_level(settings, poses).tolist() == [expected]
+
+
+def test_lidar_that_leans_sees_the_ground_and_its_level_neighbour_does_not() -> None:
+    caster = FleetCaster(Trial([]).layout)
+    caster.place(np.zeros((0, 7)), JOINTS)
+    sensors = np.array([a_pose(0.0, 0.0, 0.1, 0.0, pitch, 0.0) for pitch in (0.1, 0.01)])
+
+    ahead = RaySensor(ScanAxis(1), range_max_m=20.0)
+    ranges = caster.cast(ahead, sensors, np.array([0, 1]))
+
+    assert ranges.tolist() == [[pytest.approx(0.1 / math.sin(0.1))], [np.inf]]
+
+
+@pytest.mark.parametrize("pitch", [0.0, 0.05])
+def test_lidar_that_sees_itself_begins_at_its_least_range(pitch: float) -> None:
+    housing = a_model(
+        SOLIDS[1], Shape("box", (0.1, 9.0, 9.0), Origin((2.0, 0.0, 0.0))), is_static=False
+    )
+    caster = FleetCaster(Trial([(housing, a_pose(0.0, 0.0))], ground=False).layout)
+    caster.place(np.array([a_pose(0.0, 0.0, 0.0, 0.0, pitch, 0.0)]), JOINTS)
+    settings = RaySensor(ScanAxis(1), range_min_m=1.0, range_max_m=5.0, sees_itself=True)
+    sensor = np.array([a_pose(0.0, 0.0, 0.0, 0.0, pitch, 0.0)])
+
+    ranges = caster.cast(settings, sensor, np.array([0]))
+
+    assert ranges.tolist() == [[pytest.approx(1.95)]]
