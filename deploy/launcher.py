@@ -17,6 +17,7 @@ from zensim.proto.messages.telemetry_messages import Info
 from zensim.proto.ros2.ros_settings import RosSettings, to_cli_arguments
 from zensim.proto.topic_catalog import ODOM
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, RateOverrides
+from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn.spawn_client import spawn_fleet
 from zensim.spawner.spawn.spawn_poses import RobotPlacement
@@ -69,6 +70,8 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     dynamics: Dynamics = "full"
     """Empty = default of the server."""
     agents: LaunchAgentsConfig = LaunchAgentsConfig()
+    sensor_processes: int = 0
+    """Number of processes that share lidars and cameras."""
     ros: RosSettings = RosSettings()
     has_viewer: bool
     viewer_port: int
@@ -112,6 +115,8 @@ def launch(
         bus = stack.enter_context(_open_bus(config, supervisor))
         deployment = LocalDeployment(config, supervisor, bus, SimClient(bus, config.world_name))
         _wait_until_ready(deployment, progress, began_s)
+        # Last, since no robot waits for them.
+        _start_sensors(config, supervisor)
         # The caller closes the bus.
         stack.pop_all()
     return deployment
@@ -157,6 +162,16 @@ def make_agent_starts(config: LaunchConfig) -> dict[str, AgentProcessConfig]:
     }
 
 
+def make_sensor_starts(config: LaunchConfig) -> dict[str, SensorProcessConfig]:
+    """Make the settings of the sensor processes, by program name."""
+    return {
+        f"sensor process {number}": SensorProcessConfig(
+            endpoint=config.endpoint, world=config.world_name, ros=config.ros, is_quiet=True
+        )
+        for number in range(config.sensor_processes)
+    }
+
+
 def choose_pool_count(robots: int, cores: int) -> int:
     """Choose the number of pools for a number of robots."""
     return max(1, min(cores, -(-robots // ROBOTS_PER_POOL)))
@@ -170,6 +185,12 @@ def _start_programs(config: LaunchConfig, supervisor: Supervisor) -> None:
     supervisor.start("server", make_serve_arguments(config))
     for name, start in make_agent_starts(config).items():
         words = ("agent", msgspec.json.encode(start).decode())
+        supervisor.start(name, words, is_restarted=True, module=PREPARED_START_MODULE)
+
+
+def _start_sensors(config: LaunchConfig, supervisor: Supervisor) -> None:
+    for name, start in make_sensor_starts(config).items():
+        words = ("sensors", msgspec.json.encode(start).decode())
         supervisor.start(name, words, is_restarted=True, module=PREPARED_START_MODULE)
 
 

@@ -38,10 +38,8 @@ def _run_agent(settings: str) -> None:
 
 
 def _run_sensors(settings: str) -> None:
-    from zensim.sim_server.sensors.sensor_process import (  # noqa: PLC0415
-        SensorProcessConfig,
-        start_sensor_process,
-    )
+    from zensim.sim_server.sensors.sensor_config import SensorProcessConfig  # noqa: PLC0415
+    from zensim.sim_server.sensors.sensor_process import start_sensor_process  # noqa: PLC0415
 
     start_sensor_process(msgspec.json.decode(settings, type=SensorProcessConfig))
 

@@ -15,6 +15,7 @@ from zensim.proto.cli_options import (
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
+from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 from zensim.spawner.cli.sensor_commands import app
 
@@ -57,10 +58,7 @@ def run(given: SensorRunOptions) -> None:
     """Publish lidars, range finders and cameras; several processes share them evenly."""
     with exit_on_failure("sensors run", MissingServerExtra):
         with server_extra():
-            from zensim.sim_server.sensors.sensor_process import (
-                SensorProcessConfig,
-                start_sensor_process,
-            )
+            from zensim.sim_server.sensors.sensor_process import start_sensor_process
         start_sensor_process(
             SensorProcessConfig(
                 endpoint=given.connect or DEFAULT_ENDPOINT,

@@ -130,6 +130,15 @@ class UpOptions(RosTfOptions):
     ] = ""
     odom_hz: OdomHzOption = None
     tf_hz: TfHzOption = None
+    sensors: Annotated[
+        int,
+        typer.Option(
+            "--sensors",
+            min=0,
+            metavar="N",
+            help="Number of processes that publish lidars and cameras; idle without subscribers.",
+        ),
+    ] = 1
     lockstep: LockstepOption = False
     viewer: Annotated[
         bool, _viewer("--viewer/--no-viewer", metavar="", help="Serve the 3D web page.")
@@ -184,6 +193,7 @@ def _make_config(given: UpOptions) -> LaunchConfig:
         engine_workers=given.engine_workers,
         ros=given.ros,
         agents=_choose_agents(given.agents, given.robots, given.odom_hz, given.tf_hz),
+        sensor_processes=given.sensors,
         has_viewer=given.viewer,
         viewer_port=given.viewer_port,
     )

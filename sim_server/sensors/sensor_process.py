@@ -28,7 +28,6 @@ from zensim.proto.messages.telemetry_messages import Event, GetModelsRequest
 from zensim.proto.network_protocols import AgentNetwork, Sample
 from zensim.proto.poll_schedule import PollSchedule
 from zensim.proto.ros2.ros_graph import RosGraph
-from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 from zensim.proto.sensor_schedule import count_due, is_due
 from zensim.proto.service_catalog import GET_MODELS
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
@@ -40,6 +39,7 @@ from zensim.sim_server.sensors.scene_roster import (
     SceneRoster,
     SceneSensor,
 )
+from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
 from zensim.sim_server.sensors.sensor_groups import (
     SceneMoment,
     SensedScene,
@@ -62,23 +62,6 @@ MAX_WAITING_STATES = 8
 """Older scene states that have not been handled are left out."""
 EVENTS_DEPTH = 1024
 ROSTER_EVENTS = frozenset({"spawned", "deleted", "loaded", "unloaded"})
-
-
-class SensorProcessConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """Configuration of a sensor process; `zensim.deploy.prepared_start` gets it as JSON."""
-
-    endpoint: str
-    """Of a router or server."""
-    world: str = "default"
-    name: str = ""
-    """Unique in the world; empty = generated."""
-    is_always_on: bool = False
-    """Whether scene states are subscribed to without subscribers, too, as for recorders."""
-    wait_s: float = 30.0
-    """Time to wait for the router or server at the start."""
-    ros: RosSettings = NO_ROS
-    is_quiet: bool = False
-    """Whether only warnings are logged."""
 
 
 class SensorCounts:

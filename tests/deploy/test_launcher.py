@@ -8,6 +8,7 @@ from zensim.deploy.launcher import (
     LaunchConfig,
     choose_pool_count,
     make_agent_starts,
+    make_sensor_starts,
     make_serve_arguments,
 )
 from zensim.proto.ros2.ros_settings import RosSettings
@@ -103,3 +104,12 @@ def test_ros_settings_are_passed() -> None:
         *COMMON,
         *("--ros-domain", "7", "--ros-distro", "humble", "--ros-bridge"),
     )
+
+
+def test_sensor_processes_get_the_endpoint_and_the_world() -> None:
+    config = msgspec.structs.replace(DEFAULTS, world_name="w2", sensor_processes=2)
+
+    starts = make_sensor_starts(config).values()
+
+    assert [(one.endpoint, one.world) for one in starts] == [("tcp/127.0.0.1:1", "w2")] * 2
+    assert make_sensor_starts(DEFAULTS) == {}

@@ -20,7 +20,8 @@ from zensim.proto.messages.standard_messages import LaserScan
 from zensim.proto.messages.telemetry_messages import EntityModel, Event, GetModelsResponse
 from zensim.proto.se3 import FloatArray, from_rpy
 from zensim.proto.topic_catalog import EVENTS, SCENE_STATE
-from zensim.sim_server.sensors.sensor_process import SensorProcess, SensorProcessConfig
+from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
+from zensim.sim_server.sensors.sensor_process import SensorProcess
 
 WORLD = "default"
 STEP_NS = 4_166_667
