@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 DEPTH = 100_000
 LIDAR = """
 <gazebo reference="chassis"><sensor name="lidar" type="ray">
-  <pose>0.05 0 0.15 0 0 0</pose><update_rate>10</update_rate>
+  <pose>0.05 0 0 0 0 0</pose><update_rate>10</update_rate>
   <ray>
     <scan><horizontal><samples>360</samples>
       <min_angle>-3.14159</min_angle><max_angle>3.14159</max_angle></horizontal></scan>
@@ -45,7 +45,7 @@ LOCKSTEP = ("--paused", "--lockstep", "--on-miss", "wait", "--seed", "7", "--wor
 
 
 def lidar_bot() -> str:
-    """Write a box_bot with a noisy lidar of 360 rays at 10 Hz above it."""
+    """Write a box_bot with a noisy lidar of 360 rays at 10 Hz that sees other robots."""
     return re.sub(r"</robot>\s*$", LIDAR + "</robot>", read_builtin_model("box_bot"))
 
 
