@@ -10,7 +10,7 @@ from tests.integration.processes import START_S, Server, eventually, running, se
 from zensim.proto import keys
 from zensim.proto.bus import BusSubscription
 from zensim.proto.codec.message_codec import decode
-from zensim.proto.messages.spawn_messages import Resource, SpawnEntitiesOrder, SpawnEntityOrder
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntitiesOrder, SpawnEntity
 from zensim.proto.messages.standard_messages import (
     LaserScan,
     Point,
@@ -53,7 +53,7 @@ def spawn_lidar_bots(server: Server, count: int) -> list[str]:
     """Spawn robots in a row, and return their names."""
     names = [f"r{number}" for number in range(count)]
     orders = tuple(
-        SpawnEntityOrder(
+        SpawnEntity(
             name=name,
             entity_namespace=name,
             entity_resource=Resource(resource_string=lidar_bot()),

@@ -2,6 +2,7 @@
 
 import json
 import signal
+from typing import Any
 
 import pytest
 
@@ -111,7 +112,7 @@ def test_reset_begins_a_new_epoch_of_scans() -> None:
         server.client.simulate_steps(2 * PERIOD_STEPS)
         server.client.reset(ResetScope.TIME | ResetScope.STATE)
         server.client.simulate_steps(2 * PERIOD_STEPS)
-        eventually(lambda: scans.take() or scans.count >= 4, START_S, "scans")
+        eventually(lambda: _has_heard(scans, 4), START_S, "scans")
 
     stamps = scans.stamps_ns["r0"]
     assert len(stamps) == 4
@@ -123,7 +124,12 @@ def _heard(scans: ScanHasher, names: list[str], *, since_ns: int) -> bool:
     return all(scans.stamps_ns.get(name, [-1])[-1] > since_ns for name in names)
 
 
-def _list(server: Server) -> dict[str, dict[str, object]]:
+def _has_heard(scans: ScanHasher, count: int) -> bool:
+    scans.take()
+    return scans.count >= count
+
+
+def _list(server: Server) -> dict[str, dict[str, Any]]:
     done = server.zensim("sensors", "list", "--json")
     assert done.returncode == 0, done.stderr
     return {row["entity"]: row for row in json.loads(done.stdout)["sensors"]}
