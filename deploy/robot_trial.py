@@ -44,13 +44,20 @@ from zensim.sim_server.description.motion_prediction import (
 )
 from zensim.sim_server.description.pipeline import is_sdf, parse_description
 from zensim.sim_server.description.urdf.independent_reading import find_reading_differences
+from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.physics.engine_config import EngineOptions, parse_engine_name
 from zensim.sim_server.server import load_initial_world, make_initial_world
 from zensim.sim_server.server_config import ServerConfig, validate_config
-from zensim.sim_server.service_parts import Bonds, Descriptions, Pacing, Spawning
+from zensim.sim_server.service_parts import (
+    Bonds,
+    CurrentWorld,
+    Descriptions,
+    Pacing,
+    Spawning,
+)
 from zensim.sim_server.services.spawn_services import spawn_entity
 from zensim.spawner.cli.spawn_arguments import COMPATS
 from zensim.spawner.spawn.description_sources import parse_xacro_arguments, read_model_argument
@@ -224,6 +231,7 @@ def _spawn(
         Descriptions(ParsedDescription(model, payload.text), store),
         Bonds(world),
         Pacing(lambda: 0, LoopStats(0)),
+        CurrentWorld(WorldModel("empty")),
     )
     order = SpawnEntityOrder(
         NAME, entity_resource=Resource(resource_string=payload.text), snap_to_ground=True

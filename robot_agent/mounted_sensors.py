@@ -5,16 +5,8 @@ import msgspec
 from zensim.proto import keys
 from zensim.proto.messages.drive_messages import Compat
 from zensim.proto.messages.model_messages import Model, Sensor
-from zensim.proto.messages.sensor_messages import (
-    AltimeterSensor,
-    ImuSensor,
-    MagnetometerSensor,
-    NavsatSensor,
-)
+from zensim.proto.messages.sensor_messages import StateSensorSettings
 from zensim.robot_agent.link_motion import LinkChain, find_link_chain
-
-StateSensorSettings = ImuSensor | NavsatSensor | AltimeterSensor | MagnetometerSensor
-"""Sensors of a robot's own state, which agents have."""
 
 
 class MountedSensor(msgspec.Struct, frozen=True):

@@ -135,15 +135,9 @@ class CameraSensor(msgspec.Struct, frozen=True, tag="camera"):
     """`hack_baseline` of Gazebo: P[3] = -f * baseline."""
 
 
-SensorSettings: TypeAlias = (
-    RaySensor
-    | ImuSensor
-    | ContactSensor
-    | NavsatSensor
-    | AltimeterSensor
-    | MagnetometerSensor
-    | CameraSensor
-)
+StateSensorSettings: TypeAlias = ImuSensor | NavsatSensor | AltimeterSensor | MagnetometerSensor
+"""Sensors of a robot's own state, which its agent has."""
+SensorSettings: TypeAlias = StateSensorSettings | ContactSensor | RaySensor | CameraSensor
 
 
 class SensorTopic(msgspec.Struct, frozen=True):

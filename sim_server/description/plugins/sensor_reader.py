@@ -22,7 +22,6 @@ from zensim.proto.messages.sensor_messages import (
     ContactSensor,
     RaySensor,
     SensorSettings,
-    SensorTopic,
 )
 from zensim.proto.names import InvalidName, check_frame
 from zensim.proto.rigid_transforms import compose, conjugate, multiply, rotate
@@ -46,7 +45,7 @@ from zensim.sim_server.description.plugins.sensor_tags import (
     read_value,
 )
 from zensim.sim_server.description.plugins.sensor_topics import (
-    MESSAGE_OF_TOPIC,
+    describe_topic,
     list_topics,
     make_topics_unique,
 )
@@ -590,11 +589,6 @@ def _report_sensor(sensor: Sensor, report: ParseReport) -> None:
         f"{topics}; frame {quote(sensor.frame_id)}, {rate}, "
         f"{describe_cost(settings, sensor.update_rate_hz)}{sees}",
     )
-
-
-def describe_topic(topic: SensorTopic) -> str:
-    """Write type and name of a topic of a sensor."""
-    return f"{MESSAGE_OF_TOPIC[topic.topic]} on <namespace>/{topic.name}"
 
 
 SCAN_S, RAY_S = 3e-5, 3.5e-7

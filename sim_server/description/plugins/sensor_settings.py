@@ -477,3 +477,11 @@ READERS: dict[str, Callable[[SensorSource], SensorSettings]] = {
     **dict.fromkeys(CAMERA_KINDS, read_camera),
 }
 """By type in Gazebo."""
+TOPIC_OF_SETTINGS: dict[type, str] = {
+    ImuSensor: "imu",
+    ContactSensor: "bumper_states",
+    NavsatSensor: "fix",
+    AltimeterSensor: "altimeter",
+    MagnetometerSensor: "magnetic_field",
+}
+"""Topic of the catalog of sensors with one main topic, which is its name where nothing names it."""

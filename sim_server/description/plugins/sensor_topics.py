@@ -9,18 +9,15 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from zensim.proto.messages.sensor_messages import (
-    AltimeterSensor,
     CameraSensor,
-    ContactSensor,
-    ImuSensor,
-    MagnetometerSensor,
-    NavsatSensor,
     RaySensor,
     SensorSettings,
     SensorTopic,
 )
 from zensim.proto.names import RESERVED_NAMES
+from zensim.proto.topic_catalog import TOPICS
 from zensim.sim_server.description.plugins.drive_plugin import SUBSTITUTION
+from zensim.sim_server.description.plugins.sensor_settings import TOPIC_OF_SETTINGS
 from zensim.sim_server.description.plugins.sensor_tags import UnusableSensor, describe_sensor
 from zensim.sim_server.description.strict_parsing import quote
 
@@ -41,17 +38,8 @@ TOPIC_OF_OUTPUT = {
 OUT = "~/out"
 """Name of the main topic of plug-ins of gazebo_ros."""
 TOPIC_TAGS = ("topicName", "topic_name")
-MESSAGE_OF_TOPIC = {
-    "scan": "LaserScan",
-    "points": "PointCloud2",
-    "point_cloud": "PointCloud",
-    "range": "Range",
-    "imu": "Imu",
+NOT_IN_CATALOG = {
     "bumper_states": "ContactsState",
-    "fix": "NavSatFix",
-    "vel": "Vector3Stamped",
-    "altimeter": "Altimeter",
-    "magnetic_field": "MagneticField",
     "image_raw": "Image",
     "image_compressed": "CompressedImage",
     "camera_info": "CameraInfo",
@@ -60,15 +48,7 @@ MESSAGE_OF_TOPIC = {
     "depth_points": "PointCloud2",
     "labels": "Image",
 }
-"""Type of the message on each topic of the catalog, for the report."""
-DEFAULT_NAMES: dict[type, str] = {
-    ImuSensor: "imu",
-    ContactSensor: "bumper_states",
-    NavsatSensor: "fix",
-    AltimeterSensor: "altimeter",
-    MagnetometerSensor: "magnetic_field",
-}
-"""Topic of the catalog, and name where nothing names it."""
+"""Type of the message on topics that the catalog does not have yet."""
 DRIVE_TOPICS = ("cmd_vel", "odom", "tf", "tf_static", "joint_states", "robot_description")
 MAX_TOPIC_LENGTH = 100
 _NO_LETTER = re.compile(r"[^A-Za-z0-9_]")
@@ -94,6 +74,13 @@ def _name_topic(topic: str, name: str, source: SensorSource, ros: RosBlock) -> S
     if not name and resolved == topic:
         return SensorTopic(topic, "")
     return SensorTopic(topic, _to_valid_name(resolved, source))
+
+
+def describe_topic(topic: SensorTopic) -> str:
+    """Write type and name of a topic of a sensor."""
+    row = TOPICS.get(topic.topic)
+    kind = row.messages[0].__name__ if row else NOT_IN_CATALOG[topic.topic]
+    return f"{kind} on <namespace>/{topic.name}"
 
 
 def make_topics_unique(sensors: Sequence[Sensor], report: ParseReport) -> tuple[Sensor, ...]:
@@ -153,7 +140,7 @@ def _list_ray_names(source: SensorSource, settings: RaySensor) -> list[Named]:
 
 
 def _list_plain_names(source: SensorSource, settings: SensorSettings) -> list[Named]:
-    topic = DEFAULT_NAMES[type(settings)]
+    topic = TOPIC_OF_SETTINGS[type(settings)]
     if source.plugin is None:
         name = _read_gz_topic(source)
         return [(topic, name), ("vel", "")] if topic == "fix" and not name else [(topic, name)]
