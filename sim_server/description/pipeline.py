@@ -228,8 +228,10 @@ def warm_up() -> None:
     import numpy as np
     import trimesh
 
+    from zensim.sim_server.description.meshes.textures import warm_up_images
     from zensim.sim_server.description.sdf.sdf_includes import no_includes
 
+    warm_up_images()
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     sides = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
     tetrahedron = trimesh.Trimesh(corners, sides)

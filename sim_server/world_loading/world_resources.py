@@ -71,14 +71,26 @@ def make_file_finder(folders: Sequence[Path]) -> FindFile:
     list_folders = cache(_list_folders)
 
     def find(uri: str) -> Path | None:
-        paths = (
-            resolve_below(root, part)
-            for root in roots
-            for part in _list_parts(uri, root, list_folders)
+        places = [(root, part) for root in roots for part in _list_parts(uri, root, list_folders)]
+        exact = (resolve_below(root, part) for root, part in places)
+        found = next((path for path in exact if path is not None and path.is_file()), None)
+        return found or next(
+            (path for root, part in places if (path := _find_in_any_case(root, part))), None
         )
-        return next((path for path in paths if path is not None and path.is_file()), None)
 
     return find
+
+
+def _find_in_any_case(root: Path, part: str) -> Path | None:
+    """Find a file whose name differs in case: authors have file systems that do not care."""
+    folder, _, name = part.rpartition("/")
+    where = resolve_below(root, folder or ".")
+    if where is None or not where.is_dir():
+        return None
+    matches = sorted(one.name for one in where.iterdir() if one.name.lower() == name.lower())
+    path = resolve_below(where, matches[0]) if matches else None
+    is_inside = path is not None and path.is_relative_to(root) and path.is_file()
+    return path if is_inside else None
 
 
 def make_file_reader(folders: Sequence[Path]) -> Callable[[str], bytes | None]:

@@ -29,6 +29,8 @@ VIEW_AZIMUTH_RAD: Final = np.radians(20.0)
 VIEW_ELEVATION_RAD: Final = np.radians(17.0)
 HIGH_ELEVATION_RAD: Final = np.radians(50.0)
 """Of a view into a world, whose walls would hide what is behind them."""
+SURROUNDINGS_M: Final = 1.0
+"""What is shown around robots among walls."""
 TALL_M: Final = 0.2
 """A static model that rises higher above the lowest robot may hide robots."""
 FLAT_M: Final = 0.1
@@ -213,8 +215,10 @@ def choose_view(
     if not robots:
         return View(np.concatenate(solids or others), HIGH_ELEVATION_RAD)
     points = frame.base[[fleet.rows[name] for name in fleet.robots], :3]
-    is_hidden = any(box[1, 2] > points[:, 2].min() + TALL_M for box in solids)
-    return View(points, HIGH_ELEVATION_RAD if is_hidden else VIEW_ELEVATION_RAD)
+    if not any(box[1, 2] > points[:, 2].min() + TALL_M for box in solids):
+        return View(points)
+    around = (points + offset for offset in _make_corners(SURROUNDINGS_M) * (1.0, 1.0, 0.0))
+    return View(np.concatenate([*around]), HIGH_ELEVATION_RAD)
 
 
 def fit_camera(view: View, *, aspect: float, fov_rad: float) -> tuple[Array, Array]:

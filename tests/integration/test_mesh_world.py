@@ -18,6 +18,7 @@ from tests.integration.processes import (
     serving,
 )
 from tests.integration.test_view import BATCHES, viewing
+from tests.sim_server.description.meshes.test_textures import a_bomb, an_image
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.messages.asset_messages import GetAssetRequest
 from zensim.proto.service_catalog import GET_ASSET
@@ -46,6 +47,30 @@ RING_SDF = """<sdf version="1.6"><model name="ring"><static>true</static><link n
 ROBOT = """<robot name="wedge"><link name="base"><inertial><mass value="1"/>
 <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>
 <collision><geometry><mesh filename="wedge.stl"/></geometry></collision></link></robot>"""
+
+
+BOARD_OBJ = """mtllib board.mtl
+v -2 0 0\nv 2 0 0\nv 2 0 2\nv -2 0 2\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1
+usemtl paint\nf 1/1 2/2 3/3 4/4\n"""
+BOARD_URDF = """<robot name="board"><link name="base"><inertial><mass value="1"/>
+<inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>
+<visual><geometry><mesh filename="board.obj"/></geometry></visual>
+<collision><geometry><box size="1 1 1"/></geometry></collision></link></robot>"""
+BOARD_WORLD = """<sdf version="1.6"><world name="w"><include><uri>model://ground_plane</uri></include>
+<model name="board"><static>true</static><link name="l"><visual name="v"><geometry><mesh>
+<uri>board.obj</uri></mesh></geometry></visual></link></model></world></sdf>"""
+BLUE = (0, 0, 255)
+
+
+def make_board(folder: Path, image: bytes = b"") -> Path:
+    """Make a folder with a robot and a world that are a board with an image."""
+    folder.mkdir(exist_ok=True)
+    (folder / "board.obj").write_text(BOARD_OBJ)
+    (folder / "board.mtl").write_text("newmtl paint\nmap_Kd paint.png\n")
+    (folder / "paint.png").write_bytes(image or an_image(colour=BLUE))
+    (folder / "board.urdf").write_text(BOARD_URDF)
+    (folder / "board.world").write_text(BOARD_WORLD)
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -105,13 +130,41 @@ def test_robot_of_a_mesh_is_placed_on_its_lowest_corner(server: Server, folder: 
     assert height(server, "wedge") == pytest.approx(0.5)
 
 
+def test_image_of_a_robot_can_be_fetched(server: Server, tmp_path: Path) -> None:
+    wish = ("spawn", str(make_board(tmp_path / "a") / "board.urdf"), "-n", "painted", "-y", "5")
+
+    done = server.zensim(*wish, "--strict")
+
+    assert done.returncode == 0, done.stderr
+    (model,) = server.client.models(("painted",)).models
+    (shape,) = model.links[0].visuals
+    assert shape.texture is not None
+    image = server.bus.call(GET_ASSET, GetAssetRequest(shape.texture.image), world="default")
+    points = server.bus.call(GET_ASSET, GetAssetRequest(shape.texture.coordinates), world="default")
+    assert image.data.startswith(b"\xff\xd8\xff")
+    assert points.total == 2 * 3 * 2 * 4
+
+
+@pytest.mark.parametrize("image", [a_bomb(), b"\x89PNG\r\n\x1a\n" * 50], ids=["bomb", "broken"])
+def test_robot_with_a_hostile_image_is_spawned_without_it(
+    server: Server, tmp_path: Path, image: bytes
+) -> None:
+    file = make_board(tmp_path / "a", image) / "board.urdf"
+
+    done = server.zensim("spawn", str(file), "-n", f"plain{len(image)}", "-y", "-5", "--dry-run")
+
+    assert done.returncode == 0, done.stderr
+    assert "texture 'in the mesh'" in done.stdout + done.stderr
+
+
 def test_light_of_a_world_is_returned_with_its_models(server: Server) -> None:
     assert server.client.models().scene.background == (0.1, 0.8, 0.1, 1.0)
 
 
 @pytest.mark.browser
 def test_page_draws_the_meshes_and_the_sky_of_a_world(server: Server) -> None:
-    with viewing(server.endpoint) as (url, _), open_page(url) as tab:
+    low = "?initialCameraPosition=-2,-2,0.6&initialCameraLookAt=0,0,0.3"
+    with viewing(server.endpoint) as (url, _), open_page(f"{url}/{low}") as tab:
         tab.until(f"{BATCHES}.length > 0", PATIENCE_S)
 
         def are_seen() -> bool:
@@ -138,3 +191,22 @@ def test_up_finds_the_models_of_its_world_and_runs_in_real_time(folder: Path) ->
             info = SimClient(bus).info()
 
     assert (info.target_real_time_factor, info.entities) == (0.5, 2)
+
+
+@pytest.mark.browser
+def test_page_draws_the_image_of_a_mesh(tmp_path: Path) -> None:
+    board = make_board(tmp_path / "worlds")
+    with (
+        serving("--paused", "--model-path", str(board)) as server,
+        viewing(server.endpoint) as (url, _),
+    ):
+        server.client.load_world("board.world")
+        with open_page(url) as tab:
+            tab.until(f"{BATCHES}.length > 0", PATIENCE_S)
+
+            def is_seen() -> bool:
+                red, green, blue = np.moveaxis(tab.pixels().astype(int), -1, 0)
+                return int(((blue > red + 60) & (blue > green + 60)).sum()) > LEAST_PX
+
+            eventually(is_seen, PATIENCE_S, "a blue board")
+            assert tab.complaints == []

@@ -69,6 +69,15 @@ def reduce_image(data: bytes) -> ReducedImage:
         raise ImageError(f"cannot be decoded: {type(error).__name__} {str(error)[:80]}") from error
 
 
+def warm_up_images() -> None:
+    """Read and write an image of each format: the sandbox later prevents lazy imports."""
+    for kind in IMAGE_FORMATS:
+        stream = BytesIO()
+        Image.new("RGB", (2, 2)).save(stream, kind)
+        reduce_image(stream.getvalue())
+    _encode(Image.new("RGBA", (2, 2)))
+
+
 def _check_size(width: int, height: int) -> None:
     if width * height > MAX_SOURCE_PIXELS:
         raise ImageError(f"has {width} by {height} pixels; reduce it")

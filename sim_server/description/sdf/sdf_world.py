@@ -252,7 +252,7 @@ def read_world(
     report = ParseReport()
     world = _find_world(parse_sdf(text, report))
     draft = _WorldDraft(
-        WorldModel(name=read_name(world, "world")),
+        WorldModel(name=_read_world_name(world, report)),
         report,
         MeshPolicy(has_mesh, allow_missing=True),
     )
@@ -267,6 +267,14 @@ def read_world(
     if not draft.world.ground_plane and not any(map(_is_support, draft.models)):
         report.suspicious("world", "no ground_plane; robots will fall")
     return msgspec.structs.replace(draft.world, models=tuple(draft.models), report=report.entries())
+
+
+def _read_world_name(world: Element, report: ParseReport) -> str:
+    if (world.get("name") or "").strip() == WORLD_LINK:
+        # Gazebo Classic loads such worlds.
+        report.suspicious("world", f"its name {WORLD_LINK!r} is reserved by SDF")
+        return WORLD_LINK
+    return read_name(world, "world")
 
 
 def _find_world(sdf: Element) -> Element:

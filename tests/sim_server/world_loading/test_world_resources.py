@@ -151,3 +151,16 @@ def test_model_of_fuel_is_found_by_its_name(tmp_path: Path, folder: str) -> None
     assert make_file_reader([tmp_path])(f"{uri}/meshes/a.stl") == b"stl"
     assert make_file_reader([tmp_path])(f"{uri}/3/files/meshes/a.stl") == b"stl"
     assert make_model_resolver([tmp_path])(uri.replace("Wood", "Tin")) is None
+
+
+def test_file_is_found_in_another_case_below_its_folder_only(tmp_path: Path) -> None:
+    (tmp_path / "crate" / "meshes").mkdir(parents=True)
+    (tmp_path / "crate" / "meshes" / "Crate.DAE").write_bytes(b"crate")
+    (tmp_path / "secret.dae").write_bytes(b"secret")
+    (tmp_path / "crate" / "meshes" / "Link.dae").symlink_to(tmp_path / "secret.dae")
+    find = make_file_finder([tmp_path / "crate"])
+
+    assert find("model://crate/meshes/crate.dae") == tmp_path / "crate" / "meshes" / "Crate.DAE"
+    assert find("model://crate/meshes/link.dae") is None
+    assert find("model://crate/meshes/other.dae") is None
+    assert find("model://crate/meshes/../../SECRET.dae") is None

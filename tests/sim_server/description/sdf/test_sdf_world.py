@@ -522,3 +522,10 @@ def test_large_worlds_are_read() -> None:
     world = read_world(a_world(*(a_crate(f"c{i}") for i in range(3000))))
 
     assert len(world.models) == 3000
+
+
+def test_world_may_have_the_reserved_name_world() -> None:
+    world = read_world(a_world(GROUND).replace('name="w"', 'name="world"'))
+
+    assert world.name == "world"
+    assert subjects(world.report, "suspicious") == ["world"]
