@@ -105,6 +105,11 @@ class Blueprint:
         return tuple(found[link] for link in range(len(self.links)))
 
     @property
+    def has_driven_wheels(self) -> bool:
+        """Whether a part reflects the inertia of a motor."""
+        return any(part.reflected_inertia > 0.0 for part in self.parts)
+
+    @property
     def mass_kg(self) -> float:
         """Mass of all parts."""
         return sum(part.mass_kg for part in self.parts)

@@ -360,39 +360,61 @@ class CollisionShapeCache:
     """Collision shapes of an engine; equal shapes are created once."""
 
     def __init__(
-        self, make: Callable[..., int], *, folder: str, kinds: Mapping[str, int], concave: int
+        self,
+        make: Callable[..., int],
+        *,
+        make_exact: Callable[[int], None],
+        folder: str,
+        kinds: Mapping[str, int],
+        concave: int,
     ) -> None:
         """Make an empty cache.
 
         Args:
             make: Creates a shape from arguments of createCollisionShapeArray.
+            make_exact: Takes the margin from the hulls of a shape.
             folder: Of `<Shape.mesh>.stl`.
             kinds: The engine's number for each kind of shape.
             concave: The flag for concave meshes, which only static bodies may have.
         """
         self._make = make
+        self._make_exact = make_exact
         self._folder = folder
         self._kinds = kinds
         self._concave = concave
-        self._shapes: dict[ShapeKey, int] = {(): -1}
+        self._shapes: dict[tuple[ShapeKey, bool], int] = {}
 
     def find(self, blueprint: Blueprint, shapes: tuple[Shape, ...]) -> int:
         """Find the engine's number for the shapes of one part; create it if missing."""
-        key = make_shape_key(shapes, is_static=blueprint.is_static)
+        if not shapes:
+            return -1
+        key = _make_shape_key(blueprint, shapes)
         if key not in self._shapes:
             flag = self._concave if blueprint.is_static else 0
             arguments = make_collision_shape_arguments(
                 shapes, folder=self._folder, kinds=self._kinds, mesh_flag=flag
             )
             self._shapes[key] = self._make(**arguments)
+            if key[1]:
+                self._make_exact(self._shapes[key])
         return self._shapes[key]
 
     def find_missing(self, blueprint: Blueprint) -> list[RigidPart]:
         """List the parts whose shapes are not created yet."""
-        is_static = blueprint.is_static
-        keys = {make_shape_key(part.shapes, is_static=is_static): part for part in blueprint.parts}
+        solid = (part for part in blueprint.parts if part.shapes)
+        keys = {_make_shape_key(blueprint, part.shapes): part for part in solid}
         return [part for key, part in keys.items() if key not in self._shapes]
 
     def check(self, blueprint: Blueprint, parts: list[RigidPart]) -> None:
         """Check that the mesh files of parts exist; raises EngineRefused if not."""
         check_mesh_files(blueprint.name, parts, self._folder)
+
+
+def _make_shape_key(blueprint: Blueprint, shapes: tuple[Shape, ...]) -> tuple[ShapeKey, bool]:
+    """Make the key of a shape, and whether its hulls need their exact size.
+
+    Bullet's hulls are 1 mm larger than their mesh. On the casters of a robot they would lift its
+    driven wheels, which are spheres.
+    """
+    is_exact = blueprint.has_driven_wheels and any(shape.mesh for shape in shapes)
+    return make_shape_key(shapes, is_static=blueprint.is_static), is_exact

@@ -24,6 +24,7 @@ from zensim.sim_server.physics.blueprint import (
 )
 from zensim.sim_server.physics.bullet.bullet_bodies import (
     COLLISION_SHAPE_KINDS,
+    PARKING_DEPTH_M,
     BodyPool,
     BulletBody,
     CollisionShapeCache,
@@ -265,6 +266,7 @@ class PyBulletEngine(Engine):
         self._client = client = pybullet.connect(pybullet.DIRECT)
         self._shapes = CollisionShapeCache(
             partial(pybullet.createCollisionShapeArray, physicsClientId=client),
+            make_exact=self._take_margin,
             folder=config.mesh_folder,
             kinds=GEOMETRY_TYPES,
             concave=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
@@ -679,6 +681,13 @@ class PyBulletEngine(Engine):
         )
         flags = pybullet.URDF_USE_SELF_COLLISION if has_self_collision(blueprint.links) else 0
         return int(pybullet.createMultiBody(**arguments, flags=flags, physicsClientId=self._client))
+
+    def _take_margin(self, shape: int) -> None:
+        """Take the margin from the hulls of a shape: Bullet does so for the root of a body only."""
+        far = (0.0, 0.0, -PARKING_DEPTH_M)
+        body = pybullet.createMultiBody(0.0, shape, self._visual, far, physicsClientId=self._client)
+        pybullet.changeDynamics(body, -1, collisionMargin=0.0, physicsClientId=self._client)
+        pybullet.removeBody(body, physicsClientId=self._client)
 
     def _set_self_collision(self, body: int, blueprint: Blueprint) -> None:
         if not has_self_collision(blueprint.links):

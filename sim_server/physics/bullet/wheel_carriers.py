@@ -10,14 +10,14 @@ direction does not move it in the other by turning the robot. Wheels that are ab
 too heavy for that, have a level axis ahead through their centre.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
-from zensim.proto.messages.model_messages import ZERO, Contact, Joint, Origin, Vec3
+from zensim.proto.messages.model_messages import ZERO, Contact, Joint, Origin, Shape, Vec3
 from zensim.proto.rigid_transforms import (
     compose,
     conjugate,
@@ -59,6 +59,7 @@ class Carrier:
         axle: Unit.
         touching: Lowest point of the wheel.
         radius_m: Of the wheel.
+        friction_ratio: See `_find_friction_ratio`.
         axis: Unit.
         pivot: A point of the axis.
         moment: About the axis [kg m^2].
@@ -68,6 +69,7 @@ class Carrier:
     axle: Vec3
     touching: Vec3
     radius_m: float
+    friction_ratio: float
     axis: Vec3
     pivot: Vec3
     moment: float
@@ -115,7 +117,7 @@ def list_carriers(blueprint: Blueprint) -> tuple[int, ...]:
 def _can_be_carried(blueprint: Blueprint, wheel: int) -> bool:
     poses = find_part_poses(blueprint.parts)
     part = blueprint.parts[wheel]
-    if [shape.kind for shape in part.shapes] != ["sphere"]:
+    if not any(_list_spheres(blueprint, part.link)):
         return False
     if abs(_find_axis(part, poses[wheel])[2]) >= MAX_AXLE_RISE:
         return False
@@ -126,6 +128,13 @@ def _can_be_carried(blueprint: Blueprint, wheel: int) -> bool:
             return False
         above = blueprint.parts[above].parent
     return True
+
+
+def _list_spheres(blueprint: Blueprint, link: int) -> Iterator[tuple[RigidPart, Shape]]:
+    """List the spheres of a link, each with its part: further surfaces have parts of their own."""
+    for part in blueprint.parts:
+        if part.link == link:
+            yield from ((part, shape) for shape in part.shapes if shape.kind == "sphere")
 
 
 def _find_axis(part: RigidPart, pose: Origin) -> Vec3:
@@ -143,14 +152,24 @@ def _find_center_of_mass(blueprint: Blueprint) -> Vec3:
 
 def _place_carrier(blueprint: Blueprint, wheel: int, com: Vec3) -> Carrier:
     part, pose = blueprint.parts[wheel], find_part_poses(blueprint.parts)[wheel]
-    (shape,) = part.shapes
+    surface, shape = max(
+        _list_spheres(blueprint, part.link),
+        key=lambda one: one[1].size[0] - transform_point(pose, one[1].origin.position)[2],
+    )
     radius = shape.size[0]
     x, y, z = center = transform_point(pose, shape.origin.position)
     axle = _find_axis(part, pose)
     ahead = normalize(cross(axle, UP))
     lever = _dot(_subtract(center, com), ahead)
     level = Carrier(
-        part.link, axle, (x, y, z - radius), radius, ahead, center, part.reflected_inertia
+        part.link,
+        axle,
+        touching=(x, y, z - radius),
+        radius_m=radius,
+        friction_ratio=_find_friction_ratio(surface),
+        axis=ahead,
+        pivot=center,
+        moment=part.reflected_inertia,
     )
     if abs(lever) < MIN_LEVER_RADII * radius:
         return level
@@ -219,7 +238,7 @@ def _balance_moments(blueprint: Blueprint, carriers: Sequence[Carrier]) -> list[
         for n, (one, own) in enumerate(zip(carriers, efforts, strict=True)):
             lever = one.lever_m**2
             turning = matrix[own.row, own.row]
-            wanted = own.ratio * (own.ahead @ inverse @ own.ahead) + lever / turning
+            wanted = one.friction_ratio * (own.ahead @ inverse @ own.ahead) + lever / turning
             wanted = max(wanted - own.aside @ inverse @ own.aside, lever / own.most)
             moment = max(lever / wanted - (turning - moments[n]), MIN_INERTIA)
             matrix += (moment - moments[n]) * np.outer(own.turn, own.turn)
@@ -234,7 +253,6 @@ class _Efforts(NamedTuple):
         ahead, aside: By a force in this direction.
         turn: By a torque on the carrier.
         row: Of the carrier.
-        ratio: See `_find_friction_ratio`.
         most: Bound of the carrier's moment.
     """
 
@@ -242,7 +260,6 @@ class _Efforts(NamedTuple):
     aside: FloatArray
     turn: FloatArray
     row: int
-    ratio: float
     most: float
 
 
@@ -255,7 +272,6 @@ def _find_efforts(mass: MassMatrix, blueprint: Blueprint, carrier: Carrier) -> _
         _find_effort(mass, blueprint, i, (*cross(carrier.touching, aside), *aside)),
         _find_effort(mass, blueprint, wheel.parent, (*carrier.axis, *ZERO)),
         mass.rows[wheel.parent],
-        _find_friction_ratio(wheel),
         MAX_MOMENT_RATIO * wheel.reflected_inertia,
     )
 
@@ -273,10 +289,10 @@ def _find_effort(
     return effort
 
 
-def _find_friction_ratio(wheel: RigidPart) -> float:
+def _find_friction_ratio(surface: RigidPart) -> float:
     """Find (friction across the axle / friction along it) squared."""
-    across, along = wheel.contact.friction_across, wheel.friction
-    if wheel.contact.direction == ZERO or along == 0.0:
+    across, along = surface.contact.friction_across, surface.friction
+    if surface.contact.direction == ZERO or along == 0.0:
         return 1.0
     return (across / along) ** 2
 

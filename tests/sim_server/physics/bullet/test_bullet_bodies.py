@@ -1,18 +1,22 @@
 """Joints in each engine: mimic, damping, planar and floating chains, fixed roots."""
 
 import math
+import re
 from collections.abc import Iterator
+from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.wheel_models import list_robots
 from tests.engines import PHYSICAL, STEP_NS, advance, running
 from tests.models import a_box_bot, a_state, an_arm
 from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_robot, an_inertial
 from tests.sim_server.physics.bullet_probe import dynamics_of
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.joint_reduction import MAX_JOINTS
+from zensim.sim_server.description.pipeline import parse_description
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.blueprint import make_blueprint
 from zensim.sim_server.physics.bullet.bullet_bodies import (
@@ -31,8 +35,13 @@ def test_equal_shapes_are_created_once() -> None:
         made.append(solids)
         return len(made)
 
+    exact: list[int] = []
     shapes = CollisionShapeCache(
-        make, folder="", kinds=dict.fromkeys(COLLISION_SHAPE_KINDS, 1), concave=8
+        make,
+        make_exact=exact.append,
+        folder="",
+        kinds=dict.fromkeys(COLLISION_SHAPE_KINDS, 1),
+        concave=8,
     )
     plan = make_blueprint(a_box_bot())
     _, left, right, _ = plan.parts
@@ -40,8 +49,31 @@ def test_equal_shapes_are_created_once() -> None:
     first, second = shapes.find(plan, left.shapes), shapes.find(plan, right.shapes)
 
     assert first == second == len(made) == 1
+    assert exact == []
     assert left not in shapes.find_missing(plan)
     assert shapes.find(plan, ()) == -1
+
+
+def test_robot_with_feet_of_meshes_drives_on_its_wheels(tmp_path: Path) -> None:
+    urdf = next(one for one in list_robots() if one.name == "mass_ratio_10").urdf
+    feet = re.compile(r"<sphere radius=[^>]*>")
+    found = parse_description(
+        feet.sub('<ellipsoid radii="0.02 0.021 0.02"/>', urdf),
+        assets={},
+        allow_missing=False,
+        compat="fixed",
+    )
+    for name, data in found.meshes.items():
+        (tmp_path / f"{name}.stl").write_bytes(data)
+    engine = PyBulletEngine(EngineConfig(STEP_NS, mesh_folder=str(tmp_path)))
+    body = engine.add(found.model, a_state((0.0, 0.0, 0.05)))
+
+    engine.command([body], np.array([4.0, 4.0]))
+    advance(engine, 480)
+
+    assert found.meshes
+    assert engine.read([body]).base[0, 7] == pytest.approx(0.2, rel=0.01)
+    engine.close()
 
 
 LIMIT = '<limit lower="-3" upper="3" effort="1" velocity="1"/>'

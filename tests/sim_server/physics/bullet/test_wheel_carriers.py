@@ -124,6 +124,25 @@ def test_wheels_on_carriers_yield_alike_in_all_directions(name: str) -> None:
         assert yielding == pytest.approx(yielding[0, 0] * np.eye(2), abs=0.01 * yielding[0, 0])
 
 
+def test_wheel_is_carried_by_the_sphere_of_any_of_its_surfaces() -> None:
+    found = a_skid_bot()
+    links = [
+        msgspec.structs.replace(
+            link,
+            collisions=(
+                *link.collisions,
+                msgspec.structs.replace(link.collisions[0], size=(0.01, 0.0, 0.0), friction=0.5),
+            )[:: -1 if number % 2 else 1],
+        )
+        for number, link in enumerate(found.links[1:])
+    ]
+    model = msgspec.structs.replace(found, links=(found.links[0], *links))
+
+    carriers = list_carriers(add_wheel_carriers(order_depth_first(make_blueprint(model))))
+
+    assert len(carriers) == 4
+
+
 def test_wheels_on_arms_are_carried_and_steered_ones_are_not() -> None:
     found = a_skid_bot()
     assert found.drive is not None
