@@ -11,7 +11,10 @@ from zensim.proto.messages.sensor_messages import SceneState, SensorsReply, Sens
 from zensim.proto.messages.simulation_messages import StepsProgress
 from zensim.proto.messages.standard_messages import (
     Altimeter,
+    CameraInfo,
     Clock,
+    CompressedImage,
+    Image,
     Imu,
     JointState,
     LaserScan,
@@ -352,6 +355,66 @@ RANGE = TopicSpec(
     publisher=Participant.SENSORS,
     qos=RELIABLE_5,
     description="least distance in the cone of a range finder",
+)
+IMAGE_RAW = TopicSpec(
+    name="image_raw",
+    scope=TopicScope.ROBOT,
+    messages=(Image,),
+    publisher=Participant.SENSORS,
+    qos=RELIABLE_5,
+    description="colours of a camera",
+)
+IMAGE_COMPRESSED = TopicSpec(
+    name="image_compressed",
+    scope=TopicScope.ROBOT,
+    messages=(CompressedImage,),
+    publisher=Participant.SENSORS,
+    qos=RELIABLE_5,
+    description="the same as JPEG",
+    suffix="image_raw/compressed",
+)
+CAMERA_INFO = TopicSpec(
+    name="camera_info",
+    scope=TopicScope.ROBOT,
+    messages=(CameraInfo,),
+    publisher=Participant.SENSORS,
+    qos=RELIABLE_5,
+    description="calibration of a camera",
+)
+DEPTH_IMAGE = TopicSpec(
+    name="depth_image",
+    scope=TopicScope.ROBOT,
+    messages=(Image,),
+    publisher=Participant.SENSORS,
+    qos=RELIABLE_5,
+    description="distances along the optical axis",
+    suffix="depth/image_raw",
+)
+DEPTH_CAMERA_INFO = TopicSpec(
+    name="depth_camera_info",
+    scope=TopicScope.ROBOT,
+    messages=(CameraInfo,),
+    publisher=Participant.SENSORS,
+    qos=RELIABLE_5,
+    description="calibration of a depth camera",
+    suffix="depth/camera_info",
+)
+DEPTH_POINTS = TopicSpec(
+    name="depth_points",
+    scope=TopicScope.ROBOT,
+    messages=(PointCloud2,),
+    publisher=Participant.SENSORS,
+    qos=RELIABLE_5,
+    description="points of a depth camera, with colours",
+    suffix="depth/points",
+)
+LABELS = TopicSpec(
+    name="labels",
+    scope=TopicScope.ROBOT,
+    messages=(Image,),
+    publisher=Participant.SENSORS,
+    qos=RELIABLE_5,
+    description="index of the entity that each pixel shows; -1 nothing, -2 the ground",
 )
 
 TOPICS: dict[str, TopicSpec] = {

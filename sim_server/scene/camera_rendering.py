@@ -5,6 +5,7 @@ The only importer of moderngl. Without a display and without a GPU it runs on Me
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import moderngl
@@ -290,7 +291,7 @@ class OpenGlRenderer:
             layout: Of what cameras see.
             lighting: Of the world.
         """
-        self._context = _make_context()
+        self._context = find_context()
         self._lighting = lighting
         self._program = self._context.program(VERTEX_SHADER, FRAGMENT_SHADER)
         self._background = self._context.program(
@@ -440,12 +441,18 @@ def _set_uniform(
     uniform.write(values.astype(kind).tobytes())
 
 
-def _make_context() -> moderngl.Context:
+@cache
+def find_context() -> moderngl.Context:
+    """Find the context of this process; what is drawn with it belongs to the thread that made it.
+
+    Raises:
+        CamerasUnavailable: OpenGL cannot be used.
+    """
     # Its stubs have another type for the name of a backend.
     settings: Any = {"backend": "egl"}
     try:
-        return moderngl.create_context(GL_VERSION, standalone=True, **settings)
+        context = moderngl.create_context(GL_VERSION, standalone=True, **settings)
     except Exception as error:
-        raise CamerasUnavailable(
-            f"OpenGL cannot be used by EGL ({error}); install libegl1 and libgl1-mesa-dri"
-        ) from error
+        raise CamerasUnavailable(f"OpenGL cannot be used by EGL ({error})") from error
+    context.gc_mode = "auto"  # renderers are made anew when the entities change
+    return context

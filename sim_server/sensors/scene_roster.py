@@ -23,6 +23,7 @@ from zensim.proto.network_protocols import CallingNetwork
 from zensim.proto.se3 import FloatArray, compose, from_origin
 from zensim.proto.service_catalog import GET_ASSET
 from zensim.proto.stl import read_corners
+from zensim.sim_server.scene.camera_images import list_visible_shapes
 from zensim.sim_server.scene.scene import SceneLayout
 
 if TYPE_CHECKING:
@@ -97,6 +98,7 @@ class SceneRoster:
     Attributes:
         number: Of `SceneState.roster`.
         environment: Of the world.
+        scene: Lights and colours of the world.
         models: Of each entity.
         joint_starts: (n,) index of the first joint position of each entity.
         joint_count: Of all entities.
@@ -112,6 +114,7 @@ class SceneRoster:
         """
         self.number = response.roster
         self.environment = response.environment
+        self.scene = response.scene
         former: dict[Model, Model] = {}
         if known is not None:
             former = {model: model for model in known.distinct_models}
@@ -142,6 +145,19 @@ class SceneRoster:
             )
         )
 
+    @cached_property
+    def visual_meshes(self) -> tuple[str, ...]:
+        """Names of the meshes that cameras see."""
+        return tuple(
+            dict.fromkeys(
+                shape.mesh
+                for model in self.distinct_models
+                for link in model.links
+                for shape in (*link.visuals, *link.collisions)
+                if shape.kind == "mesh"
+            )
+        )
+
     def fits(self, poses: FloatArray, joint_positions: FloatArray) -> bool:
         """Whether arrays have a row for each entity and joint."""
         return len(poses) == len(self.models) and len(joint_positions) == self.joint_count
@@ -153,6 +169,16 @@ class SceneRoster:
             meshes.find_corners,
             meshes.find_corners,
             has_ground=self.environment.has_ground,
+        )
+
+    def make_visual_layout(self, meshes: "SceneMeshes") -> SceneLayout:
+        """Group what cameras see of all entities."""
+        return SceneLayout(
+            self.models,
+            meshes.find_corners,
+            meshes.find_corners,
+            has_ground=self.environment.has_ground,
+            list_shapes=lambda link: list_visible_shapes(link, meshes.has),
         )
 
 
@@ -167,6 +193,10 @@ class SceneMeshes:
     def find_corners(self, name: str) -> npt.NDArray[np.floating]:
         """Find the corners (3 f, 3) of a mesh; nothing that can be hit while it is missing."""
         return self._corners.get(name, NO_CORNERS)
+
+    def has(self, name: str) -> bool:
+        """Whether a mesh has been fetched."""
+        return name in self._corners
 
     def fetch(self, names: Iterable[str]) -> bool:
         """Fetch missing meshes; return whether all are there."""

@@ -18,6 +18,7 @@ from zensim.proto.bus import BusConfig, BusError, open_bus_with_retry
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.sensor_messages import (
+    CameraSensor,
     RaySensor,
     SceneState,
     SensorFigures,
@@ -32,6 +33,8 @@ from zensim.proto.sensor_schedule import count_due, is_due
 from zensim.proto.service_catalog import GET_MODELS
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
 from zensim.proto.topic_catalog import EVENTS, SCENE_STATE, SENSOR_STATS, SENSORS_REPLY
+from zensim.sim_server.scene.camera_selection import find_camera_fault
+from zensim.sim_server.sensors.camera_sensors import CameraSensorGroup, ViewedScene
 from zensim.sim_server.sensors.ray_sensors import RaySensorGroup
 from zensim.sim_server.sensors.scene_roster import (
     POSE_COLUMNS,
@@ -101,6 +104,8 @@ class SensorShare:
         self._has_meshes = True
         self._place = (0, 1)
         self._scene: SensedScene | None = None
+        self._view: ViewedScene | None = None
+        self._has_visual_meshes = True
         self._groups: tuple[SensorGroup, ...] | None = None
 
     @property
@@ -111,7 +116,7 @@ class SensorShare:
 
     def set_roster(self, roster: SceneRoster) -> None:
         """Set the entities of the world."""
-        self.roster, self._scene = roster, None
+        self.roster, self._scene, self._view = roster, None, None
         self._set_addresses()
 
     def set_place(self, place: tuple[int, int]) -> None:
@@ -122,13 +127,14 @@ class SensorShare:
 
     def find_groups(self) -> tuple[SensorGroup, ...]:
         """Find the groups, which takes a while after each change."""
-        if self._groups is None or not self._has_meshes:
+        if self._groups is None or not (self._has_meshes and self._has_visual_meshes):
             self._groups = () if self.roster is None else tuple(self._make_groups(self.roster))
         return self._groups
 
     def _set_addresses(self) -> None:
-        every = self.roster.sensors if self.roster is not None else ()
-        self.topics.set_addresses(_list_all_addresses(every), _list_all_addresses(self.sensors))
+        every = _keep_possible(self.roster.sensors if self.roster is not None else ())
+        share = _keep_possible(self.sensors)
+        self.topics.set_addresses(_list_all_addresses(every), _list_all_addresses(share))
         # Sensors with subscribers that are new here must not miss the next state.
         self.topics.poll()
         self._groups = None
@@ -139,10 +145,19 @@ class SensorShare:
         if self._scene is None or not self._has_meshes:
             self._has_meshes = self._meshes.fetch(roster.meshes)
             self._scene = SensedScene(roster.make_layout(self._meshes))
-        for sensors in group_sensors(self.sensors):
+        for sensors in group_sensors(_keep_possible(self.sensors)):
             settings = sensors[0].sensor.settings
             if isinstance(settings, RaySensor):
                 yield RaySensorGroup(sensors, settings, roster, self.topics, self._scene)
+            elif isinstance(settings, CameraSensor):
+                view = self._find_view(roster)
+                yield CameraSensorGroup(sensors, settings, roster, self.topics, view)
+
+    def _find_view(self, roster: SceneRoster) -> ViewedScene:
+        if self._view is None or not self._has_visual_meshes:
+            self._has_visual_meshes = self._meshes.fetch(roster.visual_meshes)
+            self._view = ViewedScene(roster.make_visual_layout(self._meshes), roster.scene)
+        return self._view
 
 
 class RosterClient:
@@ -452,6 +467,16 @@ def start_sensor_process(config: SensorProcessConfig) -> None:
         with suppress(KeyboardInterrupt):
             stop = StopFlag(is_armed=False)
             run_sensor_process(bus, msgspec.structs.replace(config, name=name), stop)
+
+
+def _keep_possible(sensors: Iterable[SceneSensor]) -> list[SceneSensor]:
+    """Keep the sensors that this host can measure: cameras need a renderer."""
+    listed = list(sensors)
+    cameras = [one for one in listed if isinstance(one.sensor.settings, CameraSensor)]
+    if not cameras or not (fault := find_camera_fault()):
+        return listed
+    LOG.warning("cameras count=%d reason=%r", len(cameras), fault)
+    return [one for one in listed if not isinstance(one.sensor.settings, CameraSensor)]
 
 
 def _list_all_addresses(sensors: Iterable[SceneSensor]) -> list[SensorAddress]:

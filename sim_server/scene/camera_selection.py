@@ -1,0 +1,61 @@
+"""Choice of the renderer of cameras by what is installed here."""
+
+from functools import cache
+from importlib.util import find_spec
+
+from zensim.proto.messages.world_messages import Scene
+from zensim.sim_server.scene.camera_images import (
+    CameraRenderer,
+    CamerasUnavailable,
+    make_lighting,
+)
+from zensim.sim_server.scene.scene import SceneLayout
+
+INSTALL_HINT = (
+    "install the extra 'cameras' and the packages libegl1 and libgl1-mesa-dri, or embreex for "
+    "plain shading"
+)
+
+
+def make_camera_renderer(layout: SceneLayout, scene: Scene) -> CameraRenderer:
+    """Make the renderer of a scene: by OpenGL, else by rays.
+
+    Args:
+        layout: Of what cameras see.
+        scene: Lights and colours of the world.
+
+    Raises:
+        CamerasUnavailable: Neither is possible here.
+    """
+    lighting = make_lighting(scene)
+    reason = find_opengl_fault()
+    if not reason:
+        from zensim.sim_server.scene.camera_rendering import OpenGlRenderer  # noqa: PLC0415
+
+        return OpenGlRenderer(layout, lighting)
+    if find_spec("embreex") is None:
+        raise CamerasUnavailable(f"{reason}; {INSTALL_HINT}")
+    from zensim.sim_server.scene.camera_casting import RayRenderer  # noqa: PLC0415
+
+    return RayRenderer(layout, lighting)
+
+
+def find_camera_fault() -> str:
+    """Find why no camera image can be made here, and what to install; empty if it can."""
+    reason = find_opengl_fault()
+    return f"{reason}; {INSTALL_HINT}" if reason and find_spec("embreex") is None else ""
+
+
+@cache
+def find_opengl_fault() -> str:
+    """Find why OpenGL cannot be used here; empty if it can."""
+    if find_spec("moderngl") is None:
+        return "moderngl is not installed"
+    # Optional; its import takes a while.
+    from zensim.sim_server.scene.camera_rendering import find_context  # noqa: PLC0415
+
+    try:
+        find_context()
+    except CamerasUnavailable as error:
+        return str(error)
+    return ""
