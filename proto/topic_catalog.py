@@ -14,6 +14,7 @@ from zensim.proto.messages.standard_messages import (
     CameraInfo,
     Clock,
     CompressedImage,
+    FluidPressure,
     Image,
     Imu,
     JointState,
@@ -315,6 +316,14 @@ MAGNETIC_FIELD = TopicSpec(
     publisher=Participant.AGENT,
     qos=RELIABLE_5,
     description="magnetic field in the axes of a magnetometer",
+)
+AIR_PRESSURE = TopicSpec(
+    name="air_pressure",
+    scope=TopicScope.ROBOT,
+    messages=(FluidPressure,),
+    publisher=Participant.AGENT,
+    qos=RELIABLE_5,
+    description="absolute pressure of the air",
 )
 ROBOT_DESCRIPTION = TopicSpec(
     name="robot_description",

@@ -14,6 +14,7 @@ from zensim.proto.geodesy import WorldGeodesy
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim
 from zensim.proto.messages.model_messages import IDENTITY, Sensor
 from zensim.proto.messages.sensor_messages import (
+    AirPressureSensor,
     AltimeterSensor,
     Environment,
     ImuSensor,
@@ -25,6 +26,7 @@ from zensim.proto.messages.sensor_messages import (
 from zensim.proto.messages.standard_messages import (
     NANOSECONDS,
     Altimeter,
+    FluidPressure,
     Header,
     Imu,
     MagneticField,
@@ -34,7 +36,15 @@ from zensim.proto.messages.standard_messages import (
 from zensim.proto.rigid_transforms import conjugate, multiply, rotate
 from zensim.proto.sensor_noise import SensorNoise, make_noise_key
 from zensim.proto.sensor_schedule import is_due
-from zensim.proto.topic_catalog import ALTIMETER, FIX, IMU, MAGNETIC_FIELD, VEL, TopicSpec
+from zensim.proto.topic_catalog import (
+    AIR_PRESSURE,
+    ALTIMETER,
+    FIX,
+    IMU,
+    MAGNETIC_FIELD,
+    VEL,
+    TopicSpec,
+)
 from zensim.robot_agent.link_motion import LinkState
 from zensim.robot_agent.message_templates import POSITION_AXES, QUATERNION_AXES
 from zensim.robot_agent.mounted_sensors import MountedSensor
@@ -379,6 +389,42 @@ class MagnetometerRows(StateSensor):
         return self.add_noise(np.stack(rotate(back, self._environment.magnetic_field), axis=1))
 
 
+SEA_LEVEL_PA, SEA_LEVEL_K, LAPSE_K_PER_M, PRESSURE_EXPONENT = 101_325.0, 288.15, 0.0065, 5.25588
+"""Of the troposphere. Source: ISO 2533, standard atmosphere."""
+
+
+class AirPressureRows(StateSensor):
+    """Barometers: the pressure of the standard atmosphere at the height of the sensor."""
+
+    outputs: ClassVar = {
+        AIR_PRESSURE.name: SensorOutput(AIR_PRESSURE, ("fluid_pressure",), slice(0, 1))
+    }
+
+    def __init__(
+        self, mounted: MountedSensor, environment: Environment, settings: AirPressureSensor
+    ) -> None:
+        super().__init__(mounted, environment)
+        self._settings = settings
+        place = environment.spherical_coordinates or SphericalCoordinates()
+        given = settings.reference_altitude_m
+        self._origin_m = place.elevation_m if given is None else given
+
+    def make_template(self, topic: TopicSpec, header: Header) -> FluidPressure:  # noqa: ARG002
+        """See `StateSensor`."""
+        return FluidPressure(header, variance=self._settings.pressure.stddev**2)
+
+    def list_noises(self) -> list[Noise]:
+        """See `StateSensor`."""
+        return [self._settings.pressure]
+
+    def measure(self) -> FloatArray:
+        """See `StateSensor`: the pressure [Pa]."""
+        altitude = self._origin_m + self.motion().position[2]
+        share = 1.0 - LAPSE_K_PER_M * altitude / SEA_LEVEL_K
+        exact = SEA_LEVEL_PA * np.maximum(share, 0.0) ** PRESSURE_EXPONENT
+        return self.add_noise(exact[:, None])
+
+
 def make_state_sensor(mounted: MountedSensor, environment: Environment) -> StateSensor:
     """Make the sensors of robots that are mounted alike, without rows."""
     settings = mounted.settings
@@ -388,4 +434,6 @@ def make_state_sensor(mounted: MountedSensor, environment: Environment) -> State
         return NavsatRows(mounted, environment, settings)
     if isinstance(settings, AltimeterSensor):
         return AltimeterRows(mounted, environment, settings)
+    if isinstance(settings, AirPressureSensor):
+        return AirPressureRows(mounted, environment, settings)
     return MagnetometerRows(mounted, environment, settings)

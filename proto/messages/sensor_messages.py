@@ -110,6 +110,14 @@ class MagnetometerSensor(msgspec.Struct, frozen=True, tag="magnetometer"):
     field: NoiseOfVector = NO_VECTOR_NOISE
 
 
+class AirPressureSensor(msgspec.Struct, frozen=True, tag="air_pressure"):
+    """Pressure of the air [Pa] at the height of the sensor."""
+
+    pressure: Noise = NO_NOISE
+    reference_altitude_m: float | None = None
+    """Altitude of the world's origin; None = that of the world."""
+
+
 CameraKind = Literal["rgb", "depth", "rgbd"]
 
 
@@ -135,7 +143,9 @@ class CameraSensor(msgspec.Struct, frozen=True, tag="camera"):
     """`hack_baseline` of Gazebo: P[3] = -f * baseline."""
 
 
-StateSensorSettings: TypeAlias = ImuSensor | NavsatSensor | AltimeterSensor | MagnetometerSensor
+StateSensorSettings: TypeAlias = (
+    ImuSensor | NavsatSensor | AltimeterSensor | MagnetometerSensor | AirPressureSensor
+)
 """Sensors of a robot's own state, which its agent has."""
 SensorSettings: TypeAlias = StateSensorSettings | ContactSensor | RaySensor | CameraSensor
 

@@ -425,6 +425,18 @@ class Altimeter(msgspec.Struct, frozen=True):
     """Height of the sensor at spawn, in the world [m]."""
 
 
+class FluidPressure(msgspec.Struct, frozen=True):
+    """Pressure of air or water. Source: sensor_msgs/msg/FluidPressure."""
+
+    ros_type: ClassVar[str] = "sensor_msgs/msg/FluidPressure"
+
+    header: Header = Header()
+    fluid_pressure: float = 0.0
+    """Absolute [Pa]."""
+    variance: float = 0.0
+    """[Pa^2]; 0 = unknown."""
+
+
 class NavSatStatus(msgspec.Struct, frozen=True):
     """Kind of a satellite fix. Source: sensor_msgs/msg/NavSatStatus."""
 

@@ -12,6 +12,7 @@ from tests.models import a_body, a_box, a_box_bot, a_state, box_bot_at
 from zensim.proto.messages.drive_messages import Compat
 from zensim.proto.messages.model_messages import Joint, Link, Model, Origin, Sensor
 from zensim.proto.messages.sensor_messages import (
+    AirPressureSensor,
     AltimeterSensor,
     Environment,
     ImuSensor,
@@ -48,6 +49,7 @@ TOPICS = {
     NavsatSensor: ("fix", "vel"),
     AltimeterSensor: ("altimeter",),
     MagnetometerSensor: ("magnetic_field",),
+    AirPressureSensor: ("air_pressure",),
 }
 ENGINES = (PyBulletEngine, MujocoEngine)
 AT_LINK = Origin()
@@ -383,6 +385,25 @@ def test_altimeter_tells_the_height_above_that_at_spawn() -> None:
     sensor.take(rows_of(0, a_state((5.0, 0.0, 1.7), linear=(1.0, 0.0, -0.3))))
 
     assert measure(sensor, "altimeter") == pytest.approx([0.7, -0.3, 1.2])
+
+
+@pytest.mark.parametrize(
+    ("settings", "height", "pressure"),
+    [
+        (AirPressureSensor(), 0.0, 95_461.0),
+        (AirPressureSensor(), 500.0, 89_875.0),
+        (AirPressureSensor(reference_altitude_m=0.0), 0.0, 101_325.0),
+        (AirPressureSensor(reference_altitude_m=5000.0), 0.0, 54_020.0),
+    ],
+)
+def test_air_pressure_is_that_of_the_standard_atmosphere(
+    settings: AirPressureSensor, height: float, pressure: float
+) -> None:
+    sensor = make_sensor(with_sensor(a_box(), settings))
+
+    sensor.take(rows_of(0, a_state((0.0, 0.0, height))))
+
+    assert measure(sensor, "air_pressure") == pytest.approx([pressure], abs=1.0)
 
 
 def test_magnetometer_tells_the_field_in_its_axes() -> None:

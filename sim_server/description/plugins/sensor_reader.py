@@ -66,7 +66,7 @@ MAX_SENSORS = 200
 MAX_PARAMETERS = 200
 MAX_VALUE_LENGTH = 1000
 NOT_SIMULATED = (
-    "air_pressure", "air_speed", "boundingbox", "custom", "environmental_sensor", "force_torque",
+    "air_speed", "boundingbox", "custom", "environmental_sensor", "force_torque",
     "logical_camera", "rfid", "segmentation", "thermal",
     "wireless_receiver", "wireless_transmitter", "dvl",
 )  # fmt: skip

@@ -10,6 +10,7 @@ import msgspec
 from zensim.proto.messages.sensor_messages import (
     NO_NOISE,
     NO_VECTOR_NOISE,
+    AirPressureSensor,
     AltimeterSensor,
     CameraKind,
     CameraSensor,
@@ -356,6 +357,16 @@ def read_magnetometer(source: SensorSource) -> MagnetometerSensor:
     )
 
 
+def read_air_pressure(source: SensorSource) -> AirPressureSensor:
+    """Read an <air_pressure>."""
+    path = "air_pressure/reference_altitude"
+    altitude = read_value(source.tags, path, 0.0)
+    return AirPressureSensor(
+        pressure=read_noise(source.tags, "air_pressure/pressure/noise"),
+        reference_altitude_m=altitude if source.tags.has(path) else None,
+    )
+
+
 CAMERA_KINDS: dict[str, CameraKind] = {
     "camera": "rgb",
     "multicamera": "rgb",
@@ -474,6 +485,7 @@ READERS: dict[str, Callable[[SensorSource], SensorSettings]] = {
     **dict.fromkeys(("gps", "navsat"), read_navsat),
     "altimeter": read_altimeter,
     "magnetometer": read_magnetometer,
+    "air_pressure": read_air_pressure,
     **dict.fromkeys(CAMERA_KINDS, read_camera),
 }
 """By type in Gazebo."""
@@ -483,5 +495,6 @@ TOPIC_OF_SETTINGS: dict[type, str] = {
     NavsatSensor: "fix",
     AltimeterSensor: "altimeter",
     MagnetometerSensor: "magnetic_field",
+    AirPressureSensor: "air_pressure",
 }
 """Topic of the catalog of sensors with one main topic, which is its name where nothing names it."""

@@ -38,6 +38,7 @@ PUBLISHED = {
     standard_messages.RegionOfInterest: "ad16bcba",
     standard_messages.MagneticField: "e80f32f5",
     standard_messages.Vector3Stamped: "d4829622",
+    standard_messages.FluidPressure: "22dfb2b1",
 }
 """Hashes or their prefixes."""
 PUBLISHED_SERVICES = {

@@ -75,7 +75,15 @@ def test_report_says_topic_type_frame_rate_and_cost_of_a_sensor() -> None:
     "kind",
     [
         *("ray", "gpu_ray", "lidar", "gpu_lidar", "sonar", "imu", "contact", "gps", "navsat"),
-        *("altimeter", "magnetometer", "camera", "depth", "depth_camera", "rgbd_camera"),
+        *(
+            "altimeter",
+            "magnetometer",
+            "air_pressure",
+            "camera",
+            "depth",
+            "depth_camera",
+            "rgbd_camera",
+        ),
     ],
 )
 def test_kind_of_sensor_gets_topics_and_a_frame(kind: str) -> None:
@@ -86,7 +94,7 @@ def test_kind_of_sensor_gets_topics_and_a_frame(kind: str) -> None:
     assert sensor.frame_id == ("world" if kind == "contact" else "mast")
 
 
-@pytest.mark.parametrize("kind", ["air_pressure", "force_torque", "logical_camera", "thermal"])
+@pytest.mark.parametrize("kind", ["air_speed", "force_torque", "logical_camera", "thermal"])
 def test_kind_that_is_not_simulated_is_reported(kind: str) -> None:
     model = a_model_with(a_sensor(kind, "<update_rate>5</update_rate><any/>"))
 

@@ -15,6 +15,7 @@ from tests.sim_server.description.plugins.sensor_samples import (
 from tests.sim_server.description.robots import mentions
 from zensim.proto.messages.sensor_messages import (
     NO_NOISE,
+    AirPressureSensor,
     AltimeterSensor,
     CameraSensor,
     ImuSensor,
@@ -292,6 +293,18 @@ def test_altimeter_and_magnetometer_are_read() -> None:
 
     assert settings_of(AltimeterSensor, a_sensor("altimeter", height)) == AltimeterSensor(NOISE)
     assert settings_of(MagnetometerSensor, a_sensor("magnetometer", field)).field[2] == NOISE
+
+
+@pytest.mark.parametrize(
+    ("altitude", "read"),
+    [("", None), ("<reference_altitude>123</reference_altitude>", 123.0)],
+)
+def test_air_pressure_is_read(altitude: str, read: float | None) -> None:
+    inside = f"<air_pressure>{altitude}<pressure>{ATTRIBUTE}</pressure></air_pressure>"
+
+    settings = settings_of(AirPressureSensor, a_sensor("air_pressure", inside))
+
+    assert settings == AirPressureSensor(NOISE, read)
 
 
 CAMERA = """<camera><horizontal_fov>1.5</horizontal_fov>

@@ -39,6 +39,7 @@ def topics(kind: str, inside: str = "", plugin: str = "") -> dict[str, str]:
         ("navsat", "<topic>navsat</topic>", {"fix": "navsat"}),
         ("altimeter", "", {"altimeter": "altimeter"}),
         ("magnetometer", "", {"magnetic_field": "magnetic_field"}),
+        ("air_pressure", "<topic>barometer</topic>", {"air_pressure": "barometer"}),
     ],
 )
 def test_sensor_without_plugin_has_the_topic_that_gz_names(
