@@ -6,8 +6,13 @@ import msgspec
 
 from zensim.proto.codec.message_codec import Format, make_encoding
 from zensim.proto.messages.agent_messages import DriveCommand, DriveState
-from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
-from zensim.proto.messages.sensor_messages import SceneState, SensorsReply, SensorStats
+from zensim.proto.messages.gazebo_messages import ContactsState, LinkStates, ModelStates
+from zensim.proto.messages.sensor_messages import (
+    Contacts,
+    SceneState,
+    SensorsReply,
+    SensorStats,
+)
 from zensim.proto.messages.simulation_messages import StepsProgress
 from zensim.proto.messages.standard_messages import (
     Altimeter,
@@ -181,6 +186,16 @@ STEPS_PROGRESS = TopicSpec(
     is_gettable=False,
     description="progress of each `simulate_steps` goal",
 )
+CONTACTS = TopicSpec(
+    name="contacts",
+    scope=TopicScope.WORLD,
+    messages=(Contacts,),
+    publisher=Participant.SERVER,
+    subscriber=Participant.AGENT,
+    format=Format.MSGPACK,
+    is_gettable=False,
+    description="contacts of all contact sensors, at each control step",
+)
 DRIVE_STATE = TopicSpec(
     name="drive_state",
     suffix="state",
@@ -324,6 +339,14 @@ AIR_PRESSURE = TopicSpec(
     publisher=Participant.AGENT,
     qos=RELIABLE_5,
     description="absolute pressure of the air",
+)
+BUMPER_STATES = TopicSpec(
+    name="bumper_states",
+    scope=TopicScope.ROBOT,
+    messages=(ContactsState,),
+    publisher=Participant.AGENT,
+    qos=RELIABLE_5,
+    description="what the collisions of a contact sensor touch",
 )
 ROBOT_DESCRIPTION = TopicSpec(
     name="robot_description",

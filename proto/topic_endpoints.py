@@ -264,6 +264,11 @@ class LazyTopicPublisher:
         self._publisher = topics.publisher(topic)
         self._queries = topics.serve(topic.key, QUERY_DEPTH, is_complete=not is_shared)
 
+    @property
+    def is_matched(self) -> bool:
+        """Whether there is a subscriber."""
+        return self._publisher.is_matched
+
     def publish(self) -> None:
         """Publish the value if there is a subscriber."""
         self._publisher.publish(self._payload)

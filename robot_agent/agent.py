@@ -16,14 +16,16 @@ from zensim.proto import keys
 from zensim.proto.bus import BusConfig, open_bus_with_retry
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
+from zensim.proto.messages.sensor_messages import Contacts
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.proto.network_protocols import AgentNetwork
+from zensim.proto.network_protocols import AgentNetwork, Subscription
 from zensim.proto.poll_schedule import MAX_PAUSE_S, PollSchedule
 from zensim.proto.process_limits import set_niceness
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
-from zensim.proto.topic_catalog import DRIVE_COMMAND, DRIVE_STATE
+from zensim.proto.topic_catalog import CONTACTS, DRIVE_COMMAND, DRIVE_STATE
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, override_rates
+from zensim.robot_agent.bumpers import ContactReport, read_contact_report
 from zensim.robot_agent.claim_client import (
     ClaimSettings,
     NamedClaimClient,
@@ -192,6 +194,17 @@ class RobotSet(HousekeepingTarget, Protocol):
     def publish(self) -> None:
         """Publish what is due at the last state."""
 
+    @property
+    def wants_contacts(self) -> bool:
+        """Whether a contact sensor may have a subscriber."""
+
+    def publish_contacts(self, report: ContactReport) -> None:
+        """Publish what contact sensors feel."""
+
+
+CONTACTS_DEPTH = 64
+"""Control steps whose contacts may wait."""
+
 
 class Agent:
     """The agent of one process; it acts only in `poll`."""
@@ -199,7 +212,7 @@ class Agent:
     def __init__(self, network: AgentNetwork, config: AgentConfig) -> None:
         world, agent = config.world, config.agent
         self.malformed = 0
-        """Number of malformed drive states."""
+        """Number of malformed drive states and contacts."""
         self._network = network
         self._config = config
         # A claim is bound to the token, which must exist before.
@@ -209,6 +222,8 @@ class Agent:
         # publishers. States and commands share a session, so that their order is kept.
         self._rx_session = network if config.pool_limit is None else network.open_session()
         self._states = self._rx_session.subscribe(DRIVE_STATE.key(world, agent))
+        self._contacts: Subscription | None = None
+        """While a contact sensor has a subscriber."""
         self._commands = network.advertise(DRIVE_COMMAND.key(world, agent), DRIVE_COMMAND.encoding)
         self._graph = RosGraph(network, config.ros)
         self._claim_client = _make_claim_client(network, config)
@@ -256,6 +271,21 @@ class Agent:
         if claims:
             self._add_claims(claims)
         self._housekeeping.poll(now_s)
+        self._subscribe_to_contacts()
+
+    def _subscribe_to_contacts(self) -> None:
+        is_wanted = self._robots.wants_contacts
+        if is_wanted and self._contacts is None:
+            key = CONTACTS.key(self._config.world)
+            self._contacts = self._rx_session.subscribe(key, CONTACTS_DEPTH)
+        elif self._contacts is not None and not is_wanted:
+            self._contacts.close()
+            self._contacts = None
+
+    def _publish_contacts(self) -> None:
+        for sample in self._contacts.take() if self._contacts is not None else ():
+            contacts = decode(Contacts, sample.payload, sample.encoding)
+            self._robots.publish_contacts(read_contact_report(contacts))
 
     def _watch_server(self) -> None:
         for _, is_alive in self._servers.take():
@@ -281,6 +311,11 @@ class Agent:
 
     def _drive(self) -> bool:
         sample = self._states.newest()
+        try:
+            # The server tells the contacts of a step before its state.
+            self._publish_contacts()
+        except MalformedPayload as error:
+            self._note_malformed("contacts", error)
         if sample is None:
             self._revise()
             return False
@@ -290,10 +325,13 @@ class Agent:
             self._priority.note_state(self._now_s, state)
             self._follow(state)
         except MalformedPayload as error:
-            self.malformed += 1
-            if self.malformed == 1:
-                LOG.warning("drive_state agent=%s reason=%r", self._config.agent, str(error))
+            self._note_malformed("drive_state", error)
         return True
+
+    def _note_malformed(self, subject: str, error: MalformedPayload) -> None:
+        self.malformed += 1
+        if self.malformed == 1:
+            LOG.warning("%s agent=%s reason=%r", subject, self._config.agent, str(error))
 
     def _follow(self, state: DriveState) -> None:
         # A state from before the newest claim lacks its robot.

@@ -16,6 +16,7 @@ from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.topic_catalog import CMD_VEL
 from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory, make_topic_factory
 from zensim.robot_agent.base_controller import BaseController
+from zensim.robot_agent.bumpers import BumperTelemetry, ContactReport
 from zensim.robot_agent.drive_state_decoder import DriveStateLayout, RobotState, unpack_claims
 from zensim.robot_agent.mounted_sensors import list_state_sensors
 from zensim.robot_agent.robot_telemetry import (
@@ -140,6 +141,7 @@ class Robot:
         self._sensors = [
             sensor.make(factory, claim) for sensor in SENSOR_TYPES if sensor.is_used_by(claim.model)
         ]
+        self.bumpers = BumperTelemetry(factory, claim)
         self._static = make_static_publishers(factory, claim)
         self._state: RobotState | None = None
         self._is_motion_new = False
@@ -155,6 +157,7 @@ class Robot:
         self._joints.reset()
         for sensor in self._sensors:
             sensor.reset()
+        self.bumpers.reset()
         if self.cmd_vel is not None:
             self.cmd_vel.reset()
 
@@ -211,6 +214,7 @@ class Robot:
             *self._motion.publishers,
             *self._joints.publishers,
             *(publisher for sensor in self._sensors for publisher in sensor.publishers),
+            *self.bumpers.publishers,
             *self._static,
         ]
 
@@ -327,6 +331,16 @@ class IndividualRobots:
         """Publish what is due at the last state."""
         for robot in self._robots_in_order:
             robot.publish()
+
+    @property
+    def wants_contacts(self) -> bool:
+        """Whether a contact sensor has a subscriber."""
+        return any(robot.bumpers.is_wanted for robot in self._robots.values())
+
+    def publish_contacts(self, report: ContactReport) -> None:
+        """Publish what contact sensors feel."""
+        for robot in self._robots.values():
+            robot.bumpers.publish(report)
 
     def _make_command(self, state: DriveState) -> DriveCommand:
         targets = [target for robot in self._robots_in_order for target in robot.targets]

@@ -260,9 +260,12 @@ class Contacts(msgspec.Struct, frozen=True):
     step: UInt64
     time_ns: UInt64
     entities: tuple[str, ...]
-    """Names that `bodies` refers to."""
+    """Watched entities that touch something."""
+    collisions: tuple[str, ...]
+    """What they touch: names `entity::link::collision`, as in Gazebo."""
     bodies: bytes
-    """`<u4`, (n, 6): entity, link and collision of the watched side, then of the other side."""
+    """`<u4`, (n, 4): index in `entities`, link and collision of the watched side, index in
+    `collisions`."""
     points: bytes
     """`<f8`, (n, 10): position [m] and normal towards the watched side, both in the world, depth
     [m] (positive when overlapping), force on the watched side [N] in the world."""

@@ -131,6 +131,7 @@ EventKind = Literal[
     "unloaded",
     "quitting",
     "missed",
+    "touched",
     "warning",
 ]
 

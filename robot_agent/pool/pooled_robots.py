@@ -25,11 +25,13 @@ from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
 from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.proto.topic_catalog import CMD_VEL, TopicSpec
 from zensim.proto.topic_endpoints import TopicSubscription, make_topic_factory
+from zensim.robot_agent.bumpers import ContactReport
 from zensim.robot_agent.drive_state_decoder import RobotState, unpack_claims
 from zensim.robot_agent.pool.group_bases import GroupBaseController
 from zensim.robot_agent.pool.group_key import GroupKey, make_group_key
 from zensim.robot_agent.pool.group_sensors import GroupSensors
 from zensim.robot_agent.pool.group_telemetry import FindPublisher, GroupTelemetry, StaticTopics
+from zensim.robot_agent.pool.pooled_bumpers import PooledBumpers
 from zensim.robot_agent.robot_rows import (
     NEW_ROW,
     FloatArray,
@@ -429,6 +431,7 @@ class PooledRobots:
         self._robots: dict[int, Robot] = {}
         self._publishers: dict[tuple[str, TopicSpec], FleetTopicPublisher] = {}
         self._static_topics = StaticTopics(self._find_publisher, self._ros)
+        self._bumpers = PooledBumpers(self._find_publisher)
         self._commands = FleetCmdVel(
             rx_session or network, timeout_ns, graph.domain if graph else None
         )
@@ -447,6 +450,7 @@ class PooledRobots:
                 member = GroupMember(claim, group_key, topic_keys)
                 member.node = self._join_ros_graph(claim.namespace, topic_keys.cmd_vel)
                 member.static_topics = self._static_topics.add(claim, member.node)
+                self._bumpers.add(claim, member.node)
                 self._members[claim.claim] = member
             else:
                 factory = make_topic_factory(self._network, self._graph, claim.namespace, NODE_NAME)
@@ -489,6 +493,7 @@ class PooledRobots:
         self._commands.reset()
         for group in self._groups.values():
             group.reset()
+        self._bumpers.reset()
         for robot in self._robots.values():
             robot.reset()
 
@@ -517,6 +522,19 @@ class PooledRobots:
             group.publish()
         for single in self._singles:
             single.robot.publish()
+
+    @property
+    def wants_contacts(self) -> bool:
+        """Whether a contact sensor may have a subscriber."""
+        return self._bumpers.is_wanted or any(
+            robot.bumpers.is_wanted for robot in self._robots.values()
+        )
+
+    def publish_contacts(self, report: ContactReport) -> None:
+        """Publish what contact sensors feel."""
+        self._bumpers.publish(report)
+        for robot in self._robots.values():
+            robot.bumpers.publish(report)
 
     def reply_to_queries(self) -> None:
         """Reply to queries with the last values; declare some of the missing publishers."""
@@ -547,6 +565,7 @@ class PooledRobots:
             return robot.entity
         member = self._members.pop(claim)
         self._static_topics.remove(member.static_topics)
+        self._bumpers.remove(claim)
         if member.group_key in self._groups:
             self._groups[member.group_key].release(member)
         if member.node is not None:

@@ -19,8 +19,9 @@ from zensim.proto.messages.agent_messages import DriveCommand, DriveState
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.network_protocols import Sample
-from zensim.proto.topic_catalog import EVENTS, STATS, STEPS_PROGRESS
+from zensim.proto.topic_catalog import CONTACTS, EVENTS, STATS, STEPS_PROGRESS
 from zensim.sim_server.journal_protocol import ChangeJournal
+from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
 from zensim.sim_server.runtime.loop_channels import Inbox, WorldPublisher
 from zensim.sim_server.runtime.request_dispatcher import RequestDispatcher
 from zensim.sim_server.runtime.sensor_sessions import SensorSessions
@@ -268,6 +269,7 @@ class ServerLoop:
         self._paced_ns = 0
         self._factor = parts.pacing.target_real_time_factor
         self._telemetry = WorldTelemetry(parts.world, parts.pacing, parts.sensors)
+        self._contacts = ContactTelemetry(parts.world, parts.store.vertices)
         self._dispatcher = RequestDispatcher(
             ServiceHandlers(parts),
             self._telemetry,
@@ -323,8 +325,17 @@ class ServerLoop:
             late_ns=max(0, now_ns - self._deadline_ns),
         )
         if self._world.is_control_step:
+            # First the contacts: an agent that replies to a state has them.
+            self._publish_contacts()
             self._agent_sessions.publish_states()
             self._sensor_sessions.publish_state()
+
+    def _publish_contacts(self) -> None:
+        wanted = [topic for topic in (CONTACTS, EVENTS) if self._publisher.is_wanted(topic)]
+        if wanted and self._contacts.has_sensors:
+            contacts = self._contacts.read()
+            if CONTACTS in wanted:
+                self._publisher.publish(CONTACTS, contacts)
 
     def publish(self) -> None:
         """Publish events, progress, statistics and the topics that are due."""
