@@ -154,7 +154,7 @@ EVENTS = TopicSpec(
     publisher=Participant.SERVER,
     format=Format.MSGPACK,
     is_gettable=False,
-    description="spawned, deleted, claimed, released, reset",
+    description="spawned, deleted, claimed, released, touched, reset",
 )
 MODEL_STATES = TopicSpec(
     name="model_states",

@@ -3,11 +3,11 @@
 from collections.abc import Callable
 
 from zensim.proto import keys
+from zensim.proto.fleet_publisher import FleetTopicPublisher, TopicMember
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.ros2.ros_graph import RosNode
 from zensim.proto.topic_catalog import BUMPER_STATES, TopicSpec
 from zensim.robot_agent.bumpers import Bumper, ContactReport, make_bumpers
-from zensim.robot_agent.pool.fleet_publisher import FleetTopicPublisher, TopicMember
 
 FindPatternPublisher = Callable[[str, TopicSpec], FleetTopicPublisher]
 """Finds the publisher of a key pattern and topic."""
