@@ -3,7 +3,7 @@
 Own robots that span what public ones have: mass ratios of 1 to 1000, wheels of 1 cm to 30 cm, 0.1
 to 500 kg, casters of each kind, suspensions, skid steering on up to eight wheels, friction
 directions, and every drive. Each runs in a world of its own with the product's engine and drive
-controller, in lockstep at 240 Hz: 1.5 s at rest, 4 s at 0.2 m/s, 1 s stop, 4 s at 0.5 rad/s
+controller, in lockstep at 240 Hz: 2 s at rest, 4 s at 0.2 m/s, 1 s stop, 4 s at 0.5 rad/s
 (steered drives: 0.2 m/s at 0.3 rad of steering). The last 2 s of each drive count.
 
 *Predicted* is the steady motion that Coulomb friction allows ([accuracy](accuracy.md)). *Off* is
@@ -95,14 +95,14 @@ def measure_robot(robot: WheelRobot, engines: Iterable[str]) -> Iterator[WheelRo
             commanded,
             predicted,
             _found(trial),
-            trial.creep_mm_s,
-            trial.tilt_rad,
+            1e3 * trial.rest.creep_m_s,
+            trial.rest.tilt_rad,
             0.0 if is_kinematic else tilt,
         )
 
 
 def _found(trial: Trial) -> Expected:
-    return Expected(trial.straight.ahead, trial.straight.turn, trial.turning.turn)
+    return Expected(trial.straight[0], trial.straight[2], trial.turning[2])
 
 
 def rows(*, is_short: bool) -> Iterator[WheelRow | Figure]:

@@ -4,8 +4,9 @@ import math
 from collections.abc import Sequence
 
 from benchmarks.wheel_models import STRAIGHT, WheelRobot
-from benchmarks.wheel_trial import COUNTED_S, DRIVE_S, KINEMATIC, STAND_S, STOP_S
+from benchmarks.wheel_trial import KINEMATIC
 from tests.integration.processes import Server, eventually, running_agents, serving
+from zensim.deploy.robot_trial import COUNTED_S, DRIVE_S, SETTLE_S, STOP_S
 from zensim.proto.bus import BusPublisher
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.simulation_messages import State
@@ -82,7 +83,7 @@ def _drive(
         return list(zip(before, (_find_place(server, name) for name in names), strict=True))
 
     assert server.client.simulation_state() == State.PAUSED
-    command(0.0, 0.0, STAND_S)
+    command(0.0, 0.0, SETTLE_S)
     straight = measure(*STRAIGHT)
     command(0.0, 0.0, STOP_S)
     turned = measure(*turn)

@@ -117,16 +117,19 @@ def _run(request: TrialRequest, cleanup: ExitStack) -> TrialResult:
     store = AssetStore()
     cleanup.callback(store.close)
     payload, model = _read_model(request, store)
-    world = _make_world(request.engine, store)
+    world = make_trial_world(EngineOptions(engine=parse_engine_name(request.engine)), store)
     cleanup.callback(world.close)
-    report = _spawn(world, store, payload, model)
+    report = spawn_on_ground(world, store, model, payload.text)
     trial = LockstepTrial(world)
     rest = trial.drive(SETTLE_S, STRAIGHT, share=0.0)
     result = _describe(request.robot, model, (*model.report, *report))
     result = msgspec.structs.replace(
         result, remarks=(*result.remarks, *_compare_readings(payload.text, model))
     )
-    result = msgspec.structs.replace(result, **_measure_rest(rest, trial.control_s))
+    at_rest = measure_rest(rest, trial.control_s)
+    result = msgspec.structs.replace(
+        result, tilt_rad=at_rest.tilt_rad, creep_m_s=at_rest.creep_m_s, shift=at_rest.shift
+    )
     if model.drive is not None:
         friction = GroundFriction(model, store.vertices)
         straight = trial.drive(DRIVE_S, STRAIGHT)
@@ -183,8 +186,9 @@ def _compare_readings(text: str, model: Model) -> tuple[str, ...]:
     return find_reading_differences(text, model)
 
 
-def _make_world(engine: str, store: AssetStore) -> World:
-    physics = EngineOptions(engine=parse_engine_name(engine), clusters="off", workers=0)
+def make_trial_world(options: EngineOptions, store: AssetStore) -> World:
+    """Make a world for one robot: ground, no cells and no workers."""
+    physics = msgspec.structs.replace(options, clusters="off", workers=0)
     config = validate_config(ServerConfig(bus=BusConfig(), physics=physics))
     loaded, config = load_initial_world(config, None)
     return make_initial_world(config, loaded, store)
@@ -220,21 +224,21 @@ class ParsedDescription:
         """See `DescriptionProvider`."""
 
 
-def _spawn(
-    world: World, store: AssetStore, payload: SpawnPayload, model: Model
+def spawn_on_ground(
+    world: World, store: AssetStore, model: Model, text: str
 ) -> tuple[ReportEntry, ...]:
-    """Spawn on the ground with the server's handler."""
+    """Spawn a model, read from a text, on the ground with the server's handler."""
     while not world.prepare(model):
         pass
     spawning = Spawning(
         world,
-        Descriptions(ParsedDescription(model, payload.text), store),
+        Descriptions(ParsedDescription(model, text), store),
         Bonds(world),
         Pacing(lambda: 0, LoopStats(0)),
         CurrentWorld(WorldModel("empty")),
     )
     order = SpawnEntityOrder(
-        NAME, entity_resource=Resource(resource_string=payload.text), snap_to_ground=True
+        NAME, entity_resource=Resource(resource_string=text), snap_to_ground=True
     )
     return spawn_entity(spawning, order).report
 
@@ -319,23 +323,33 @@ def _find_drive_source(robot: RobotCheck, report: Sequence[ReportEntry]) -> str:
     return "controllers" if is_controlled else "plug-in"
 
 
-def _measure_rest(rows: FloatArray, control_s: float) -> dict[str, float | Vec3]:
+@dataclass(frozen=True)
+class RestMeasurement:
+    """What a robot did while it stood: at the end of it, but for the shift since it was spawned."""
+
+    tilt_rad: float
+    creep_m_s: float
+    shift: Vec3
+
+
+def measure_rest(rows: FloatArray, control_s: float) -> RestMeasurement:
+    """Measure a robot at rest; arguments as of `measure_twist`."""
     counted = rows[-round(REST_S / control_s) :]
     x, y = counted[-1, 3:5]
     moved = float(np.linalg.norm(counted[-1, :2] - counted[0, :2]))
     dx, dy, dz = (rows[-1, :3] - rows[0, :3]).tolist()
-    return {
-        "tilt_rad": float(np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0))),
-        "creep_m_s": moved / ((len(counted) - 1) * control_s),
-        "shift": (dx, dy, dz),
-    }
+    return RestMeasurement(
+        tilt_rad=float(np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0))),
+        creep_m_s=moved / ((len(counted) - 1) * control_s),
+        shift=(dx, dy, dz),
+    )
 
 
 def _make_part(
     trial: LockstepTrial, rows: FloatArray, command: PlanarTwist[float], friction: GroundFriction
 ) -> DrivenPart:
     model = trial.model
-    measured = measure_twist(rows[-round(COUNTED_S / trial.control_s) - 1 :], trial.control_s)
+    measured = measure_twist(rows, trial.control_s)
     nominal, predicted = command, None
     if not is_moved_by_twist(model):
         nominal = find_nominal_twist(model, find_drive_targets(model, command))
@@ -359,9 +373,10 @@ def measure_twist(rows: FloatArray, control_s: float) -> Vec3:
     """Measure the mean twist of the root link along its path: vx, vy [m/s], wz [rad/s].
 
     Args:
-        rows: Root states (n, 13), one per control step.
+        rows: Root states (n, 13), one per control step; the last `COUNTED_S` count.
         control_s: Time between rows.
     """
+    rows = rows[-round(COUNTED_S / control_s) - 1 :]
     qx, qy, qz, qw = rows[:, 3:7].T
     yaw = np.unwrap(find_yaw((qx, qy, qz, qw), ARRAY_MATH))
     middle = (yaw[1:] + yaw[:-1]) / 2.0
