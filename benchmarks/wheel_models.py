@@ -465,8 +465,11 @@ def list_directions() -> Iterator[WheelRobot]:
     chassis = Chassis(20.0, 0.1, 0.5, 1.0)
     ahead = replace(chassis, surface=Surface(3.0, 1.0, (1.0, 0.0, 0.0)))
     yield a_skid("skid_fdir1_ahead", ahead, (-0.2, 0.2))
-    axle = replace(chassis, surface=Surface(0.5, 1.0, (0.0, 1.0, 0.0)))
+    # In the frame of the collision, whose z is the axle.
+    axle = replace(chassis, surface=Surface(0.5, 1.0, (0.0, 0.0, 1.0)))
     yield a_skid("skid_fdir1_axle", axle, (-0.2, 0.2))
+    upright = replace(chassis, surface=Surface(0.5, 1.0, (0.0, 1.0, 0.0)))
+    yield a_skid("skid_fdir1_upright", upright, (-0.2, 0.2))
     alike = replace(chassis, surface=Surface(1.0, 1.0, (1.0, 0.0, 0.0)))
     yield a_skid("skid_fdir1_alike", alike, (-0.2, 0.2))
     yield a_diff("diff_fdir1_ahead", Chassis(surface=Surface(1.0, 0.5, (1.0, 0.0, 0.0))), 0.1)

@@ -1,8 +1,8 @@
 """Geometry of a model: link poses, ground clearance, wheel contact shapes.
 
 A cylinder touches the ground along a line. Engines solve a few contact points of it one after the
-other, so that the robot drifts while it turns on the spot. A sphere of the same radius rolls the
-same way and touches at one point. A round mesh is a polygon, on which a robot hops; it becomes a
+other, so that the robot drifts while it turns on the spot, and a caster's edges rub when it swivels.
+A sphere of the same radius rolls the same way and touches at one point. A round mesh is a polygon, on which a robot hops; it becomes a
 sphere too. Where the twist is applied to the body, friction is removed.
 """
 
@@ -119,10 +119,13 @@ def _lowest_height(shape: Shape, frame: _TiltedFrame, corners: FindCorners) -> f
     return frame.height - reach
 
 
+HALF = 0.5
 MAX_AXLE_OFFSET = 0.01
 """Distance of a wheel cylinder from its axle, in radii."""
 MIN_AXLE_COS = 0.9999
 """Cosine of the angle between the cylinder and its axle."""
+MAX_LEVEL_AXLE_Z = 0.1
+"""Slope of the axle of a wheel on the ground."""
 MAX_WHEEL_WIDTH = 2.0
 """In radii; wider cylinders are rollers."""
 MIN_TREAD_SHARE = 0.97
@@ -132,7 +135,7 @@ MAX_TREAD_GAP_RAD = math.radians(30.0) + 1e-3
 
 
 def links_in_contact(model: Model, corners: FindCorners = NO_MESHES) -> tuple[Link, ...]:
-    """List the links with the collisions that engines use: spheres for wheels of the drive.
+    """List the links with the collisions that engines use: spheres for wheels.
 
     Args:
         model: The robot.
@@ -143,18 +146,45 @@ def links_in_contact(model: Model, corners: FindCorners = NO_MESHES) -> tuple[Li
         return model.links
     if _is_driven_by_twist(drive):
         return tuple(_without_friction(link) for link in model.links)
-    axles = _find_axles(drive, model.joints)
+    axles = _find_axles(drive, model.links, model.joints, corners)
     return tuple(
         _with_sphere_wheels(link, axles[link.name], corners) if link.name in axles else link
         for link in model.links
     )
 
 
+def align_friction_to_axle(link: Link, joint: Joint | None) -> Link:
+    """Replace friction directions of a link that turns without limits by its axle.
+
+    Only along and across the axle is a direction the same at any angle. Along it is the friction of
+    the direction that is nearer to it at joint position zero.
+    """
+    if joint is None or joint.kind != "continuous":
+        return link
+    if all(shape.contact.direction == ZERO for shape in link.collisions):
+        return link
+    shapes = tuple(_align_shape_friction(shape, joint.axis) for shape in link.collisions)
+    return msgspec.structs.replace(link, collisions=shapes)
+
+
+def _align_shape_friction(shape: Shape, axle: Vec3) -> Shape:
+    contact = shape.contact
+    if contact.direction == ZERO:
+        return shape
+    cosine = _dot(contact.direction, normalize(axle))
+    along, across = shape.friction, contact.friction_across
+    if cosine * cosine < HALF:
+        along, across = across, along
+    contact = msgspec.structs.replace(contact, direction=normalize(axle), friction_across=across)
+    return msgspec.structs.replace(shape, friction=along, contact=contact)
+
+
 def describe_contacts(drive: Drive, links: Iterable[Link], joints: Iterable[Joint]) -> list[str]:
     """Describe what `links_in_contact` changes on a robot with this drive; without its meshes."""
     if _is_driven_by_twist(drive):
         return ["friction of its collisions is not used: the twist is applied to the body"]
-    axles = _find_axles(drive, joints)
+    links, joints = tuple(links), tuple(joints)
+    axles = _find_axles(drive, links, joints, None)
     rolling = [
         repr(link.name)
         for link in links
@@ -170,7 +200,7 @@ def describe_mesh_wheels(model: Model, corners: FindCorners) -> list[str]:
     """Describe the wheels whose meshes `links_in_contact` replaces by spheres."""
     if model.drive is None or _is_driven_by_twist(model.drive):
         return []
-    axles = _find_axles(model.drive, model.joints)
+    axles = _find_axles(model.drive, model.links, model.joints, corners)
     return [
         f"mesh of {link.name!r} is round: it touches the ground as a sphere of its largest "
         f"radius, {sphere.size[0]:.4g} m"
@@ -255,8 +285,49 @@ def _is_driven_by_twist(drive: Drive) -> bool:
     return any(actuator.mode == "twist" for actuator in drive.actuators)
 
 
-def _find_axles(drive: Drive, joints: Iterable[Joint]) -> dict[str, Joint]:
-    return {joint.child: joint for joint in joints if joint.name in drive.wheel_joints}
+def _find_axles(
+    drive: Drive, links: tuple[Link, ...], joints: tuple[Joint, ...], corners: FindCorners | None
+) -> dict[str, Joint]:
+    """Find the axle of each wheel, by link: those of the drive, and passive ones on the ground.
+
+    Without `corners`, passive wheels of meshes are left out.
+    """
+    driven = {joint.child: joint for joint in joints if joint.name in drive.wheel_joints}
+    held = {actuator.joint for actuator in drive.actuators}
+    passive = {
+        joint.child: joint
+        for joint in joints
+        if joint.kind == "continuous" and joint.mimic is None and joint.name not in held
+    }
+    if not passive or not driven:
+        return driven
+    poses = find_link_poses(links[0].name, joints)
+    wheels = {
+        link.name: list(_list_wheel_bottoms(link, axles[link.name], poses[link.name], corners))
+        for axles in (passive, driven)
+        for link in links
+        if link.name in axles
+    }
+    ground = min((low for name in driven for low, _ in wheels[name]), default=-math.inf)
+    return driven | {
+        name: joint
+        for name, joint in passive.items()
+        if any(low - radius <= ground for low, radius in wheels[name])
+    }
+
+
+def _list_wheel_bottoms(
+    link: Link, axle: Joint, pose: Origin, corners: FindCorners | None
+) -> Iterable[tuple[float, float]]:
+    """List height [m] in the root link and radius [m] of the round shapes of a wheel, if level."""
+    if abs(rotate(pose.orientation, normalize(axle.axis))[2]) > MAX_LEVEL_AXLE_Z:
+        return
+    for shape in link.collisions:
+        if corners is None and shape.kind == "mesh":
+            continue
+        if (sphere := find_wheel_sphere(shape, axle, corners or NO_MESHES)) is not None:
+            radius = sphere.size[0]
+            yield compose(pose, sphere.origin).position[2] - radius, radius
 
 
 def _with_sphere_wheels(link: Link, axle: Joint, corners: FindCorners) -> Link:

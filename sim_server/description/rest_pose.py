@@ -13,7 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.proto.se3 import from_origin, to_matrix
-from zensim.sim_server.description.model_geometry import NO_MESHES, links_in_contact
+from zensim.sim_server.description.model_geometry import (
+    NO_MESHES,
+    align_friction_to_axle,
+    links_in_contact,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -338,8 +342,9 @@ def _find_joint_force(joint: Joint, position: float, hardest: float) -> tuple[fl
 def _list_support_points(model: Model, corners: FindCorners, frames: LinkFrames) -> SupportPoints:
     shapes: list[Shape] = []
     rows: list[tuple[int, FloatArray, FloatArray, float, float, int]] = []
+    axles = (None, *model.joints)
     for link, one in enumerate(links_in_contact(model, corners)):
-        for shape in one.collisions:
+        for shape in align_friction_to_axle(one, axles[link]).collisions:
             if shape.kind == "plane":
                 continue
             pose = from_origin(shape.origin)

@@ -28,6 +28,7 @@ from zensim.proto.stl import read_corners
 from zensim.sim_server.description.model_geometry import (
     NO_MESHES,
     FindCorners,
+    align_friction_to_axle,
     links_in_contact,
 )
 from zensim.sim_server.physics.driven_wheels import find_driven_wheels
@@ -37,7 +38,6 @@ DEFAULT_FRICTION = 1.0
 X_AXIS: Vec3 = (1.0, 0.0, 0.0)
 MIN_ALIGNMENT_COS = 0.9999
 """Cosine of the angle between a friction direction and a principal axis."""
-HALF = 0.5
 NO_CORNERS: npt.NDArray[np.float64] = np.zeros((0, 3))
 MAX_SHAPES_PER_PART = 16
 """Bullet ignores further shapes of a part without an error."""
@@ -129,9 +129,7 @@ def make_blueprint(model: Model, corners: FindCorners = NO_MESHES) -> Blueprint:
     parts: list[RigidPart] = []
     surfaces: list[RigidPart] = []
     for i, (link, joint) in enumerate(zip(links, joints, strict=True)):
-        shapes, *others = _group_by_surface(
-            link if joint is None else align_friction_to_axle(link, joint)
-        )
+        shapes, *others = _group_by_surface(align_friction_to_axle(link, joint))
         parent = -1 if joint is None else index[joint.parent]
         part = _make_part(link.inertial, shapes, parent, link=i, joint=joint)
         inertia = wheels[i].reflected_inertia if i in wheels else 0.0
@@ -154,32 +152,6 @@ def _group_by_surface(link: Link) -> list[tuple[Shape, ...]]:
 def _fits_principal_axes(inertial: Inertial, direction: Vec3) -> bool:
     part = _make_part(inertial, (), -1, link=0, joint=None)
     return direction == ZERO or find_nearest_principal_axis(part, direction)[1] > MIN_ALIGNMENT_COS
-
-
-def align_friction_to_axle(link: Link, joint: Joint) -> Link:
-    """Replace friction directions of a link that turns without limits by its axle.
-
-    Only along and across the axle is a direction the same at any angle. Along it is the friction of
-    the direction that is nearer to it at joint position zero.
-    """
-    if joint.kind != "continuous" or all(
-        shape.contact.direction == ZERO for shape in link.collisions
-    ):
-        return link
-    shapes = tuple(_align_shape_friction(shape, joint.axis) for shape in link.collisions)
-    return msgspec.structs.replace(link, collisions=shapes)
-
-
-def _align_shape_friction(shape: Shape, axle: Vec3) -> Shape:
-    contact = shape.contact
-    if contact.direction == ZERO:
-        return shape
-    cosine = sum(a * b for a, b in zip(contact.direction, normalize(axle), strict=True))
-    along, across = shape.friction, contact.friction_across
-    if cosine * cosine < HALF:
-        along, across = across, along
-    contact = msgspec.structs.replace(contact, direction=normalize(axle), friction_across=across)
-    return msgspec.structs.replace(shape, friction=along, contact=contact)
 
 
 def _limit_shapes_per_part(group: list[Shape]) -> list[tuple[Shape, ...]]:

@@ -13,6 +13,7 @@ from zensim.proto.messages.model_messages import (
     Model,
     Origin,
     Shape,
+    Vec3,
 )
 from zensim.proto.rigid_transforms import from_rpy
 from zensim.sim_server.description.ground_friction import (
@@ -150,6 +151,18 @@ def test_friction_along_its_direction_counts_for_motion_along_it() -> None:
 
     assert held.twist[0] == pytest.approx(0.0, abs=1e-3)
     assert free.twist[0] == pytest.approx(SPEED * WHEEL_RADIUS_M, abs=1e-3)
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
+def test_friction_direction_of_a_wheel_that_is_not_its_axle_is_across_it(direction: Vec3) -> None:
+    contact = Contact(direction=direction, friction_across=0.5)
+    tyre = Shape("sphere", (WHEEL_RADIUS_M, 0.0, 0.0), friction=0.2, contact=contact)
+    model = with_collisions(a_cart(), 1, tyre)
+
+    found = GroundFriction(model).move(JointTargets(np.zeros(2), {}, {}))
+
+    (wheel,) = (one for one in found.contacts if one.link == 1)
+    assert (wheel.friction, wheel.along) == ((0.5, 0.2), (0.0, 1.0))
 
 
 def test_contacts_of_box_bot_have_its_wheel_radius() -> None:

@@ -8,7 +8,17 @@ import numpy.typing as npt
 import pytest
 
 from tests.models import WHEEL_RADIUS_M, a_box, a_cart, a_puck
-from zensim.proto.messages.model_messages import IDENTITY, Joint, Link, Model, Origin, Quat, Shape
+from zensim.proto.messages.model_messages import (
+    IDENTITY,
+    Joint,
+    JointKind,
+    Link,
+    Model,
+    Origin,
+    Quat,
+    Shape,
+    Vec3,
+)
 from zensim.proto.se3 import from_rpy
 from zensim.sim_server.description import model_geometry
 from zensim.sim_server.description.model_geometry import (
@@ -117,6 +127,48 @@ def test_other_cylinder_is_unchanged(shape: Shape) -> None:
     model = a_cart_on(TYRE, shape)
 
     assert links_in_contact(model)[1].collisions[1] == shape
+
+
+def a_cart_with_caster(
+    height: float, axis: Vec3 = (0.0, 1.0, 0.0), kind: JointKind = "continuous"
+) -> Model:
+    """A cart with a cylinder of 2 cm radius that nothing drives, this high over its axles."""
+    cart = a_cart_on(TYRE)
+    roller = Shape("cylinder", (0.02, 0.01, 0.0), Origin(orientation=SIDEWAYS))
+    axle = Joint("caster_joint", kind, "base", "caster", Origin((-0.1, 0.0, height)), axis=axis)
+    return msgspec.structs.replace(
+        cart,
+        links=(*cart.links, Link("caster", collisions=(roller,))),
+        joints=(*cart.joints, axle),
+    )
+
+
+def test_passive_wheel_on_the_ground_becomes_a_sphere() -> None:
+    caster = links_in_contact(a_cart_with_caster(0.025 - WHEEL_RADIUS_M))[-1]
+
+    assert [shape.kind for shape in caster.collisions] == ["sphere"]
+    assert caster.collisions[0].size[0] == 0.02
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        a_cart_with_caster(0.045 - WHEEL_RADIUS_M),
+        a_cart_with_caster(0.02 - WHEEL_RADIUS_M, kind="revolute"),
+        a_cart_with_caster(0.02 - WHEEL_RADIUS_M, axis=(1.0, 0.0, 0.0)),
+    ],
+    ids=["in the air", "limited", "across its axle"],
+)
+def test_other_passive_cylinder_is_unchanged(model: Model) -> None:
+    assert links_in_contact(model)[-1] == model.links[-1]
+
+
+def test_disc_on_an_upright_axle_is_unchanged() -> None:
+    cart = a_cart_with_caster(0.01 - WHEEL_RADIUS_M, axis=(0.0, 0.0, 1.0))
+    disc = Link("caster", collisions=(Shape("cylinder", (0.02, 0.01, 0.0)),))
+    model = msgspec.structs.replace(cart, links=(*cart.links[:-1], disc))
+
+    assert links_in_contact(model)[-1] == disc
 
 
 def a_prism(sides: int, *, width: float = 0.4, squash: float = 1.0) -> npt.NDArray[np.float64]:
