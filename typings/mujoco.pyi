@@ -30,6 +30,8 @@ class MjModel:
     body_contype: _Ints
     body_conaffinity: _Ints
     geom_bodyid: _Ints
+    geom_priority: _Ints
+    geom_friction: _Floats
     geom_contype: _Ints
     geom_conaffinity: _Ints
     geom_rbound: _Floats
@@ -49,7 +51,9 @@ class MjModel:
 class _Contacts:
     dim: _Ints
     efc_address: _Ints
+    geom: _Ints
     dist: _Floats
+    frame: _Floats
     friction: _Floats
     geom: _Ints
     pos: _Floats
@@ -71,6 +75,7 @@ class MjData:
     efc_vel: _Floats
     efc_KBIP: _Floats
     geom_xpos: _Floats
+    xmat: _Floats
     cvel: _Floats
     xipos: _Floats
     ximat: _Floats
@@ -80,6 +85,9 @@ class MjData:
 
 def mj_step1(m: MjModel, d: MjData) -> None: ...
 def mj_step2(m: MjModel, d: MjData) -> None: ...
+def mj_makeConstraint(m: MjModel, d: MjData) -> None: ...
+def mj_island(m: MjModel, d: MjData) -> None: ...
+def mj_referenceConstraint(m: MjModel, d: MjData) -> None: ...
 def mj_mulJacVec(m: MjModel, d: MjData, res: _Floats, vec: _Floats) -> None: ...
 def mj_kinematics(m: MjModel, d: MjData) -> None: ...
 def mj_setConst(m: MjModel, d: MjData) -> None: ...

@@ -34,8 +34,8 @@ from zensim.sim_server.physics.mujoco.slot_layout import (
 
 LoadPieces = Callable[[Shape, bool], Sequence[HullPoints]]
 """Finds the convex pieces of a mesh, scaled; the flag is whether it is static."""
-IMPRATIO = 10.0
-"""Ratio of frictional to normal constraint impedance."""
+IMPRATIO = 30.0
+"""Ratio of frictional to normal constraint impedance: friction yields by a thousandth."""
 MIN_JOINT_RANGE = 1e-6
 """Least range of a joint with equal limits [rad or m]."""
 SLOT_PLACEHOLDER = "@"

@@ -1,5 +1,6 @@
-"""Contact and friction as MuJoCo's solver parameters; correction of contact rows between solves."""
+"""Contact and friction as MuJoCo's solver parameters; correction of contacts and of their rows."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -9,11 +10,16 @@ import numpy.typing as npt
 from zensim.proto.messages.model_messages import Contact
 from zensim.sim_server.physics.blueprint import MIN_DAMPING_STEPS, RigidPart
 from zensim.sim_server.physics.engine import CONTACT_NUMBERS, FloatArray
+from zensim.sim_server.physics.mujoco.slot_layout import NO_INDEX, IndexArray
 
 RIGID_ERP = 0.2
 """Share of a penetration or error that a step corrects, where rigid."""
-RIGID_IMPEDANCE = 0.99
-"""d of rigid contacts: compliance is a hundredth of the unconstrained one."""
+RIGID_IMPEDANCE = 0.97
+"""d of rigid contacts: they yield by 0.03 of what would move without them.
+
+What shares a load in many ways shares it by this alone. With 0.99, an error of a lift below its
+tolerance shifts most of the load of four wheels, and the correction of six and more diverges.
+"""
 MIN_HARD_ERP = 0.05
 """Likewise, of a compliant contact that is as hard as a rigid one."""
 MAX_IMPEDANCE = 0.9999
@@ -22,15 +28,19 @@ MIN_IMPEDANCE = 1e-4
 STATIC_PRIORITY = -2_000_000_000
 """Of the ground and static models whose friction does not count."""
 PRIORITIES_PER_FRICTION = 1e6
-MAX_FRICTION = 2.0
-"""Of a shape: a steeper cone turns the least slip into lift, and `LiftIteration` fails."""
-MAX_PENETRATION_RECOVERY_MPS = 0.5
+MAX_FRICTION = 10.0
+"""Of a shape: a steeper cone turns the least slip into lift, and `LiftIteration` takes longer."""
+MIN_FRICTION = 1e-5
+"""MuJoCo's least friction along a tangent."""
+MIN_LEVEL_AXIS = 0.1
+"""Length on the plane of contact from which an axis of friction counts."""
+MAX_PENETRATION_RECOVERY_MPS = 0.2
 """Limit of the speed that corrects a penetration."""
 FRICTION_CONDIM = 3
 """Rows of a contact with friction: normal, and two tangents."""
 TANGENTS = 2
 MIN_LIFT_MPS = 1e-5
-"""Lift that is corrected; at 240 Hz, it shifts 2 % of the load between rigid supports."""
+"""Lift that is corrected; at 240 Hz, it shifts 0.8 % of the load between rigid supports."""
 LIFT_TOLERANCE_MPS = 3e-4
 """Difference of lift that does not need another solve."""
 MIN_LIFT_CHANGE_MPS = 1e-9
@@ -116,7 +126,7 @@ class GeomFriction:
 
 
 def find_geom_friction(part: RigidPart, *, is_static: bool) -> GeomFriction:
-    """Find the friction of a part; the mean of two directions, as MuJoCo has one for both."""
+    """Find the friction of a part; of two, the mean, which `FrictionAxes` replaces in contacts."""
     friction = part.friction
     if any(part.contact.direction):
         friction = (friction + part.contact.friction_across) / 2.0
@@ -136,7 +146,9 @@ class MjContacts(Protocol):
 
     dim: ContactInts
     efc_address: ContactInts
+    geom: ContactInts
     dist: FloatArray
+    frame: FloatArray
     friction: FloatArray
 
 
@@ -144,7 +156,83 @@ class MjPlacedContacts(MjContacts, Protocol):
     """Arrays of `mujoco.MjData.contact`, with their places."""
 
     pos: FloatArray
-    frame: FloatArray
+
+
+@dataclass(frozen=True)
+class FrictionAxes:
+    """Geometries with two frictions: along an axis of their body, and across it.
+
+    Attributes:
+        rows: (geometries,) row of each below; NO_INDEX = one friction in all directions.
+        bodies: (n,) body of each.
+        axes: (n, 3) unit axis in the body.
+        friction: (n, 2) along the axis and across it.
+        limits: (geometries,) friction of each as the other of a pair; infinite if it has no effect.
+    """
+
+    rows: IndexArray
+    bodies: IndexArray
+    axes: FloatArray
+    friction: FloatArray
+    limits: FloatArray
+
+    def turn_contacts(self, contacts: MjContacts, rotations: FloatArray) -> bool:
+        """Turn the tangents of contacts along the axis; return whether there are such contacts.
+
+        Args:
+            contacts: Their frames and frictions are changed.
+            rotations: (bodies, 9) matrices of the bodies in the world.
+        """
+        rows = self.rows[contacts.geom]
+        found = np.flatnonzero((rows.max(axis=1) != NO_INDEX) & (contacts.dim == FRICTION_CONDIM))
+        if not len(found):
+            return False
+        # Of two such geometries, the second counts by its mean.
+        own = np.argmax(rows[found] != NO_INDEX, axis=1)
+        row = rows[found, own]
+        axes = np.einsum("nij,nj->ni", rotations[self.bodies[row]].reshape(-1, 3, 3), self.axes[row])
+        frames = contacts.frame
+        normals = frames[found, :3]
+        level = axes - np.einsum("ij,ij->i", axes, normals)[:, None] * normals
+        lengths = np.sqrt(np.einsum("ij,ij->i", level, level))
+        is_level = lengths > MIN_LEVEL_AXIS
+        found, along = found[is_level], level[is_level] / lengths[is_level, None]
+        frames[found, 3:6] = along
+        frames[found, 6:] = np.cross(normals[is_level], along)
+        others = contacts.geom[found, 1 - own[is_level]]
+        limited = np.minimum(self.friction[row[is_level]], self.limits[others][:, None])
+        contacts.friction[found, :TANGENTS] = np.maximum(limited, MIN_FRICTION)
+        return bool(len(found))
+
+
+def make_friction_axes(
+    parts: Iterable[tuple[int, int, RigidPart]], frictions: FloatArray, priorities: ContactInts
+) -> FrictionAxes | None:
+    """Make the axes of a model; None if each geometry has one friction.
+
+    Args:
+        parts: Index of each geometry, of its body, and its part.
+        frictions: (geometries,) of a pair of equals.
+        priorities: (geometries,)
+    """
+    found = [one for one in parts if _has_two_frictions(one[2])]
+    if not found:
+        return None
+    rows = np.full(len(frictions), NO_INDEX, np.intp)
+    rows[[geometry for geometry, _, _ in found]] = np.arange(len(found))
+    axes = np.array([part.contact.direction for _, _, part in found])
+    pairs = [(part.friction, part.contact.friction_across) for _, _, part in found]
+    return FrictionAxes(
+        rows,
+        np.array([body for _, body, _ in found], np.intp),
+        axes / np.linalg.norm(axes, axis=1)[:, None],
+        np.minimum(pairs, MAX_FRICTION),
+        np.where(priorities == STATIC_PRIORITY, np.inf, frictions),
+    )
+
+
+def _has_two_frictions(part: RigidPart) -> bool:
+    return any(part.contact.direction) and max(part.friction, part.contact.friction_across) > 0.0
 
 
 def limit_penetration_recovery(

@@ -40,10 +40,12 @@ from zensim.sim_server.physics.mujoco.mjcf import (
     write_mjcf,
 )
 from zensim.sim_server.physics.mujoco.mujoco_contact import (
+    FrictionAxes,
     LiftIteration,
     find_sliding_rows,
     limit_penetration_recovery,
     make_contact_parameters,
+    make_friction_axes,
     predict_lifts,
     read_contact_points,
 )
@@ -485,6 +487,7 @@ class CompiledModel:
 
     model: mujoco.MjModel
     layout: ModelLayout
+    friction_axes: FrictionAxes | None
 
 
 class MujocoEngine(Engine):
@@ -697,6 +700,8 @@ class MujocoEngine(Engine):
         if len(inputs.twisted_roots.free):
             inputs.impose_twists(self._targets, data.qpos, data.qvel)
         mujoco.mj_step1(model, data)
+        if self._compiled.friction_axes is not None and data.ncon:
+            self._turn_friction(self._compiled.friction_axes)
         if len(inputs.link_forces):
             inputs.link_forces.apply(data, model.body_rootid)
         if len(inputs.motors):
@@ -808,6 +813,14 @@ class MujocoEngine(Engine):
             model.dof_frictionloss,
             model.jnt_qposadr[model.dof_jntid].astype(np.intp),
         )
+
+    def _turn_friction(self, axes: FrictionAxes) -> None:
+        """Give contacts of geometries with two frictions both of them, and make the rows again."""
+        model, data = self._model, self._data
+        if axes.turn_contacts(data.contact, data.xmat):
+            mujoco.mj_makeConstraint(model, data)
+            mujoco.mj_island(model, data)
+            mujoco.mj_referenceConstraint(model, data)
 
     def _solve_contacts(self) -> None:
         """Solve and integrate; again while contacts slide otherwise than assumed."""
@@ -922,7 +935,13 @@ def _compile_model(counts: SlotCounts, config: EngineConfig) -> CompiledModel:
         solver = make_contact_parameters(part.contact, dt_s, inverse_mass, mass_kg)
         model.geom_solref[geometry] = solver.stiffness, solver.damping
         model.geom_solimp[geometry, :2] = solver.impedance
-    return CompiledModel(model, layout)
+    bodies = model.geom_bodyid.tolist()
+    axes = make_friction_axes(
+        ((geometry, bodies[geometry], part) for geometry, part, _ in layout.geometries()),
+        model.geom_friction[:, 0],
+        model.geom_priority,
+    )
+    return CompiledModel(model, layout, axes)
 
 
 _COMPILE_CACHE = CompileCache(_compile_model)
