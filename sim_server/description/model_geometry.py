@@ -1,9 +1,10 @@
 """Geometry of a model: link poses, ground clearance, wheel contact shapes.
 
 A cylinder touches the ground along a line. Engines solve a few contact points of it one after the
-other, so that the robot drifts while it turns on the spot, and a caster's edges rub when it swivels.
-A sphere of the same radius rolls the same way and touches at one point. A round mesh is a polygon, on which a robot hops; it becomes a
-sphere too. Where the twist is applied to the body, friction is removed.
+other, so that the robot drifts while it turns on the spot, and a caster's edges rub when it
+swivels. A sphere of the same radius rolls the same way and touches at one point. A round mesh is a
+polygon, on which a robot hops; it becomes a sphere too. Where the twist is applied to the body,
+friction is removed.
 """
 
 from __future__ import annotations

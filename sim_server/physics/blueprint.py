@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 

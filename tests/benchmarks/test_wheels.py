@@ -34,8 +34,13 @@ BOTH = (
 PYBULLET = tuple(name for name in ROBOTS if name != "skid_fdir1_axle")
 MUJOCO = (
     *BOTH,
+    "swivels_all_around",
     "skid_square",
     "skid_long",
+    "skid_com_left",
+    "skid_eight_wheels",
+    "skid_fdir1_ahead",
+    "skid_fdir1_axle",
 )
 CASES = [("pybullet", name) for name in PYBULLET] + [("mujoco", name) for name in MUJOCO]
 

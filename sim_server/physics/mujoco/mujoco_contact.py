@@ -33,7 +33,7 @@ MAX_FRICTION = 10.0
 MIN_FRICTION = 1e-5
 """MuJoCo's least friction along a tangent."""
 MIN_LEVEL_AXIS = 0.1
-"""Length on the plane of contact from which an axis of friction counts."""
+"""Length on the plane of contact from which an axis of friction has an effect."""
 MAX_PENETRATION_RECOVERY_MPS = 0.2
 """Limit of the speed that corrects a penetration."""
 FRICTION_CONDIM = 3
@@ -190,19 +190,26 @@ class FrictionAxes:
         # Of two such geometries, the second counts by its mean.
         own = np.argmax(rows[found] != NO_INDEX, axis=1)
         row = rows[found, own]
-        axes = np.einsum("nij,nj->ni", rotations[self.bodies[row]].reshape(-1, 3, 3), self.axes[row])
-        frames = contacts.frame
-        normals = frames[found, :3]
-        level = axes - np.einsum("ij,ij->i", axes, normals)[:, None] * normals
-        lengths = np.sqrt(np.einsum("ij,ij->i", level, level))
-        is_level = lengths > MIN_LEVEL_AXIS
-        found, along = found[is_level], level[is_level] / lengths[is_level, None]
-        frames[found, 3:6] = along
-        frames[found, 6:] = np.cross(normals[is_level], along)
-        others = contacts.geom[found, 1 - own[is_level]]
-        limited = np.minimum(self.friction[row[is_level]], self.limits[others][:, None])
+        matrices = rotations[self.bodies[row]].reshape(-1, 3, 3)
+        axes = np.einsum("nij,nj->ni", matrices, self.axes[row])
+        is_turned = _turn_frames(contacts.frame, found, axes)
+        found, row, other = found[is_turned], row[is_turned], 1 - own[is_turned]
+        limits = self.limits[contacts.geom[found, other]]
+        limited = np.minimum(self.friction[row], limits[:, None])
         contacts.friction[found, :TANGENTS] = np.maximum(limited, MIN_FRICTION)
         return bool(len(found))
+
+
+def _turn_frames(frames: FloatArray, chosen: IndexArray, axes: FloatArray) -> npt.NDArray[np.bool_]:
+    """Turn the tangents of chosen contacts along axes; return which are not normal to the plane."""
+    normals = frames[chosen, :3]
+    level = axes - np.einsum("ij,ij->i", axes, normals)[:, None] * normals
+    lengths = np.sqrt(np.einsum("ij,ij->i", level, level))
+    is_level = np.asarray(lengths > MIN_LEVEL_AXIS)
+    along = level[is_level] / lengths[is_level, None]
+    frames[chosen[is_level], 3:6] = along
+    frames[chosen[is_level], 6:] = np.cross(normals[is_level], along)
+    return is_level
 
 
 def make_friction_axes(

@@ -699,9 +699,7 @@ class MujocoEngine(Engine):
         inputs = self._step_inputs
         if len(inputs.twisted_roots.free):
             inputs.impose_twists(self._targets, data.qpos, data.qvel)
-        mujoco.mj_step1(model, data)
-        if self._compiled.friction_axes is not None and data.ncon:
-            self._turn_friction(self._compiled.friction_axes)
+        self._make_constraints()
         if len(inputs.link_forces):
             inputs.link_forces.apply(data, model.body_rootid)
         if len(inputs.motors):
@@ -814,10 +812,11 @@ class MujocoEngine(Engine):
             model.jnt_qposadr[model.dof_jntid].astype(np.intp),
         )
 
-    def _turn_friction(self, axes: FrictionAxes) -> None:
-        """Give contacts of geometries with two frictions both of them, and make the rows again."""
-        model, data = self._model, self._data
-        if axes.turn_contacts(data.contact, data.xmat):
+    def _make_constraints(self) -> None:
+        """Find the contacts and make the rows; again where a contact has two frictions."""
+        model, data, axes = self._model, self._data, self._compiled.friction_axes
+        mujoco.mj_step1(model, data)
+        if axes is not None and data.ncon and axes.turn_contacts(data.contact, data.xmat):
             mujoco.mj_makeConstraint(model, data)
             mujoco.mj_island(model, data)
             mujoco.mj_referenceConstraint(model, data)

@@ -74,7 +74,9 @@ class Contacts:
     efc_address: npt.NDArray[np.int32] = field(
         default_factory=lambda: np.array([0, -1, 1, 4], np.int32)
     )
+    geom: npt.NDArray[np.int32] = field(default_factory=lambda: np.zeros((4, 2), np.int32))
     dist: FloatArray = field(default_factory=lambda: np.zeros(4))
+    frame: FloatArray = field(default_factory=lambda: np.zeros((4, 9)))
     friction: FloatArray = field(default_factory=lambda: np.full((4, 5), 0.5))
 
 

@@ -169,7 +169,7 @@ def test_robots_of_different_archetypes_collide(engine: Engine) -> None:
     assert x_box - x_cart > 0.2
 
 
-@pytest.mark.parametrize("places", [(0.0, 0.01, 0.02), (0.0, 0.0), (0.0, 0.05)])
+@pytest.mark.parametrize("places", [(0.0, 0.01, 0.02), (0.0, 0.05)])
 def test_robots_spawned_inside_each_other_separate_slowly(
     engine: Engine, places: tuple[float, ...]
 ) -> None:

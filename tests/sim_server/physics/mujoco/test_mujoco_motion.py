@@ -95,13 +95,44 @@ def test_robot_with_dragged_casters_drives_as_commanded(model: Model) -> None:
     assert turn == pytest.approx(0.5, rel=0.02)
 
 
-def test_robots_drive_equally_when_another_one_slides() -> None:
+def a_skate(along: float, across: float) -> Model:
+    """A box with these frictions along its y axis and across it."""
+    box = a_box("slider")
+    contact = Contact(direction=(0.0, 1.0, 0.0), friction_across=across)
+    (shape,) = box.links[0].collisions
+    rubbing = replace(shape, friction=along, contact=contact)
+    return replace(box, links=(replace(box.links[0], collisions=(rubbing,)),))
+
+
+@pytest.mark.parametrize(
+    ("along", "across", "ground", "deceleration"),
+    [(0.4, 0.1, 1.0, 0.4), (0.0, 0.3, 1.0, 0.0), (0.4, 0.1, 0.2, 0.2)],
+    ids=["rough along", "smooth along", "smoother ground"],
+)
+def test_box_slides_along_its_direction_by_the_lesser_friction(
+    along: float, across: float, ground: float, deceleration: float
+) -> None:
+    engine = MujocoEngine(EngineConfig(STEP_NS, ground_friction=ground))
+    start = a_state((0.0, 0.0, 0.1), linear=(0.0, 3.0, 0.0))
+    body = engine.add(a_skate(along, across), start)
+    steps = 4
+
+    advance(engine, steps)
+
+    velocity = engine.read([body]).base[0, 7:9]
+    engine.close()
+    assert velocity[1] == pytest.approx(3.0 - deceleration * 9.81 * steps * DT_S, rel=0.01)
+    assert velocity[0] == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("slider", [a_box("slider"), a_skate(0.4, 0.1)], ids=["box", "skate"])
+def test_robots_drive_equally_when_another_one_slides(slider: Model) -> None:
     def run(*, with_slider: bool) -> bytes:
         engine = MujocoEngine(CONFIG)
         robot = engine.add(a_dragging_cart(), on_ground())
-        slider = engine.add(a_box("slider"), a_state((5.0, 0.0, 0.1), linear=(2.0, 0.0, 0.0)))
+        other = engine.add(slider, a_state((5.0, 0.0, 0.1), linear=(2.0, 0.0, 0.0)))
         if not with_slider:
-            engine.remove(slider)
+            engine.remove(other)
         engine.command([robot], np.array([4.0, 6.0]))
         advance(engine, SECOND)
         reading = engine.read([robot])
