@@ -27,6 +27,7 @@ NAMES = (
     "fleet_traffic",
     "fleet_physics",
     "pools",
+    "sensors",
     "containers",
     "ros2",
     "ros2_fleet",

@@ -244,6 +244,9 @@ __all__ = [
 MAX_MESSAGE_BYTES: Final = 64 << 20
 """Zenoh drops a larger message without a word, so a request beyond it gets no reply. A link may
 hold as much memory; Zenoh's default is 1 GiB."""
+BATCHES_OF_DATA: Final = 16
+"""Batches of 64 KiB that a link may hold before messages are dropped; Zenoh's default is 2. The
+scans of a hundred robots, published at once, are 150 kB; memory is allocated when it is needed."""
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
 """A query may return nothing after a reconnect (zenoh#2767): retry with the same id."""
 MAX_REPLIES: Final = 16384
@@ -476,6 +479,7 @@ def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
         "transport/shared_memory/enabled": False,
         "transport/link/tx/lease": config.lease_ms,
         "transport/link/rx/max_message_size": config.max_message_bytes,
+        "transport/link/tx/queue/size/data": BATCHES_OF_DATA,
     }
     made: zenoh.Config = zenoh.Config()
     for path, value in entries.items():

@@ -91,6 +91,20 @@ def test_samples_arrive_in_order_when_the_subscription_is_deep(router: Bus, clie
     assert {sample.encoding for sample in found} == {"application/cdr"}
 
 
+def test_scans_of_a_fleet_that_are_published_at_once_all_arrive(router: Bus, client: Bus) -> None:
+    with open_bus(BusConfig(connect=(router.endpoint,))) as listener:
+        heard = listener.subscribe("*/scan", 1000)
+        publishers = [client.advertise(f"r{number}/scan", "") for number in range(600)]
+        eventually(lambda: all(one.is_matched for one in publishers), 5.0, "matching")
+
+        for one in publishers:
+            one.send(bytes(1508))
+        arrived: list[Sample] = []
+        eventually(lambda: arrived.extend(heard.take()) or len(arrived) >= 600, 5.0, "scans")
+
+    assert len(arrived) == 600
+
+
 def test_newest_sample_is_kept_when_the_subscription_is_latest(router: Bus, client: Bus) -> None:
     latest, deep = router.subscribe("a"), router.subscribe("a", depth=10)
     publisher = client.advertise("a", "")

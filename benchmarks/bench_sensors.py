@@ -1,0 +1,341 @@
+"""Sensors
+
+box_bot_lidars with 360 rays each, which stand without agents, except in the cases of `zensim up`:
+there one process drives nothing and subscribes to all scans, imu, odometry and tf. Server, sensor
+processes and the listener are separate processes, at real-time factor 1; CPU is in cores, a sample
+is a second. Turns with and without the listener alternate. Floor: as many ready payloads put by one
+process. First scan: from a subscription until the first scan of any robot.
+"""
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import msgspec
+import psutil
+
+from benchmarks.figures import Figure, Limit, table
+from benchmarks.fleet_server import program
+from benchmarks.machine import used_s
+from benchmarks.scan_listener import SCAN_TALLY, ScanTally
+from benchmarks.ten_robots import MILLISECONDS, poll_until
+from tests.integration.processes import (
+    START_S,
+    connected,
+    eventually,
+    free_endpoint,
+    read_json_line,
+    running,
+    serving,
+)
+from zensim.proto import keys
+from zensim.proto.bus import Bus
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.spawn_messages import SpawnEntityOrder
+from zensim.proto.messages.telemetry_messages import Stats
+from zensim.proto.topic_catalog import SCAN, STATS
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.spawn.spawn_client import read_payload, spawn_many
+from zensim.spawner.spawn.spawn_poses import make_fleet_layout
+
+if TYPE_CHECKING:
+    from subprocess import Popen
+
+__all__ = ["rows", "table"]
+
+MODEL = "box_bot_lidar"
+RATE = "<update_rate>10</update_rate>"
+SPACING_M = 1.2
+SECONDS, SECONDS_WHEN_SHORT = 10.0, 2.0
+TURNS = 3
+FIRST_SCANS, FIRST_SCANS_WHEN_SHORT = 20, 2
+TALLIES = 64
+MANY = 10
+"""Robots up to which each has an agent and its own physics."""
+
+
+@dataclass(frozen=True)
+class FleetCase:
+    """Robots of one server, and the limits of their sensor processes."""
+
+    label: str
+    robots: int
+    rate_hz: float
+    serve: tuple[str, ...]
+    processes: int = 1
+    limit: Limit | None = None
+
+
+@dataclass
+class Spent:
+    """What each second cost."""
+
+    factors: list[float] = field(default_factory=list)
+    cores: dict[str, list[float]] = field(default_factory=dict)
+    step_ms: list[float] = field(default_factory=list)
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Measure fleets with listeners, idle processes, the first scan, and `zensim up`."""
+    seconds = SECONDS_WHEN_SHORT if is_short else SECONDS
+    for case in fleet_cases(is_short=is_short):
+        yield from _fleet_figures(
+            case, seconds, FIRST_SCANS_WHEN_SHORT if is_short else FIRST_SCANS
+        )
+    yield from _up_figures(2 if is_short else 10, (), seconds, is_short=is_short)
+    if not is_short:
+        pooled = ("--agents", "pooled", "--layout", "grid", "--odom-hz", "10", "--tf-hz", "10")
+        yield from _up_figures(100, pooled, seconds, is_short=False)
+
+
+def fleet_cases(*, is_short: bool) -> Sequence[FleetCase]:
+    """List the measured fleets."""
+    if is_short:
+        return (FleetCase("2 robots at 10 Hz", 2, 10.0, ("--world", "warehouse")),)
+    coarse = ("--step-hz", "100", "--dynamics", "auto")
+    most = Limit("median", "<=", 1.0)
+    return (
+        FleetCase(
+            "100 robots at 10 Hz, warehouse",
+            100,
+            10.0,
+            ("--world", "warehouse", *coarse),
+            limit=Limit("median", "<=", 0.25),
+        ),
+        FleetCase("1000 robots at 5 Hz, empty", 1000, 5.0, coarse, limit=most),
+        FleetCase("1000 robots at 5 Hz, empty, 2 processes", 1000, 5.0, coarse, 2, most),
+    )
+
+
+def _fleet_figures(case: FleetCase, seconds: float, first_scans: int) -> Iterator[Figure]:
+    idle, heard = Spent(), Spent()
+    tallies: list[ScanTally] = []
+    with serving(*case.serve) as server, ExitStack() as stack:
+        _spawn(server.client, case)
+        sensors = [
+            stack.enter_context(running("sensors", "run", "--quiet", "--connect", server.endpoint))
+            for _ in range(case.processes)
+        ]
+        pids = {"server": (server.process.pid,), "sensors": tuple(one.pid for one in sensors)}
+        _wait_for_processes(server.bus, case.processes)
+        for _ in range(TURNS):
+            _spend(server.bus, server.client, pids, seconds / TURNS, idle)
+            with _listener(server.bus) as found:
+                _spend(server.bus, server.client, pids, seconds / TURNS, heard)
+                tallies = found.tallies()
+            _wait_until_idle(server.bus)
+        waits_ms = tuple(_first_scan_ms(server.bus) for _ in range(first_scans))
+    name = f"{case.label}: "
+    yield Figure(
+        what=f"{name}CPU, sensors, all heard",
+        unit="cores",
+        samples=tuple(heard.cores["sensors"]),
+        limit=case.limit,
+    )
+    yield Figure(
+        what=f"{name}CPU, sensors, nobody listens",
+        unit="cores",
+        samples=tuple(idle.cores["sensors"]),
+        limit=Limit("median", "<=", 0.01 * case.processes),
+    )
+    for when, spent in (("nobody listens", idle), ("all heard", heard)):
+        yield Figure(
+            what=f"{name}CPU, server, {when}", unit="cores", samples=tuple(spent.cores["server"])
+        )
+        yield Figure(what=f"{name}real-time factor, {when}", unit="", samples=tuple(spent.factors))
+        yield Figure(
+            what=f"{name}longest step of each second, {when}",
+            unit="ms",
+            samples=tuple(spent.step_ms),
+        )
+    yield Figure(what=f"{name}scans heard", unit="Hz", samples=_scan_rates(tallies))
+    yield Figure(
+        what=f"{name}first scan after a subscription",
+        unit="ms",
+        samples=waits_ms,
+        limit=Limit("median", "<=", 300.0),
+    )
+    yield Figure(
+        what=f"{name}floor, as many ready scans put",
+        unit="cores",
+        samples=_put_floor(case.robots, case.rate_hz, min(seconds, 3.0)),
+    )
+
+
+def _up_figures(
+    robots: int, options: tuple[str, ...], seconds: float, *, is_short: bool
+) -> Iterator[Figure]:
+    """Measure `zensim up` with everything subscribed."""
+    endpoint, spent = free_endpoint(), Spent()
+    arguments = ("--robots", str(robots), "--model", MODEL, "--world", "warehouse", "--no-viewer")
+    with running(
+        "up", *arguments, "--listen", endpoint, "--json", *_pace(robots), *options
+    ) as process:
+        ready = read_json_line(process)
+        with connected(endpoint, process) as bus, _listener(bus) as found:
+            _wait_until_heard(found, robots)
+            pids = _find_programs(process)
+            _spend(bus, SimClient(bus), pids, seconds, spent)
+            rates = _scan_rates(found.tallies())
+    name = f"zensim up, {robots} robots: "
+    is_few = robots <= MANY
+    ready_s = ready["ready_s"]
+    assert isinstance(ready_s, float)
+    yield Figure(
+        what=f"{name}ready",
+        unit="s",
+        samples=(ready_s,),
+        limit=Limit("median", "<=", 6.0) if is_few and not is_short else None,
+    )
+    yield Figure(
+        what=f"{name}real-time factor",
+        unit="",
+        samples=tuple(spent.factors),
+        limit=Limit("median", ">=", 0.99 if is_few else 0.98),
+    )
+    total = tuple(map(sum, zip(*spent.cores.values(), strict=True)))
+    yield Figure(
+        what=f"{name}CPU, all programs",
+        unit="cores",
+        samples=total,
+        limit=Limit("median", "<=", 1.6) if is_few else None,
+    )
+    for group, cores in spent.cores.items():
+        yield Figure(what=f"{name}CPU, {group}", unit="cores", samples=tuple(cores))
+    yield Figure(what=f"{name}scans heard", unit="Hz", samples=rates)
+
+
+def _pace(robots: int) -> tuple[str, ...]:
+    """Use kinematic robots where many stand in one world."""
+    return ("--dynamics", "auto") if robots > MANY else ()
+
+
+def _spawn(client: SimClient, case: FleetCase) -> None:
+    text = read_builtin_model(MODEL).replace(RATE, f"<update_rate>{case.rate_hz:g}</update_rate>")
+    payload = msgspec.structs.replace(read_payload(MODEL), text=text)
+    places = make_fleet_layout("r", case.robots, "grid", SPACING_M)
+    outcomes = spawn_many(client, payload, places, SpawnEntityOrder())
+    if refused := [outcome for outcome in outcomes if outcome.message]:
+        raise RuntimeError(f"{len(refused)} robots were refused, first {refused[0]}")
+
+
+class ScanListener:
+    """Counts of a process that subscribes to everything."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._samples = bus.subscribe(SCAN_TALLY, TALLIES)
+        self._taken: list[ScanTally] = []
+
+    def tallies(self) -> list[ScanTally]:
+        """List the counts of all seconds so far."""
+        self._taken += [
+            msgspec.msgpack.decode(one.payload, type=ScanTally) for one in self._samples.take()
+        ]
+        return self._taken
+
+
+@contextmanager
+def _listener(bus: Bus) -> Iterator[ScanListener]:
+    found = ScanListener(bus)
+    with program("scan_listener", bus.endpoint):
+        _wait_until_heard(found, 1)
+        yield found
+
+
+def _wait_until_heard(found: ScanListener, scans: int) -> None:
+    eventually(lambda: any(one.scans >= scans for one in found.tallies()), START_S, "scans of all")
+
+
+def _spend(
+    bus: Bus, client: SimClient, pids: dict[str, tuple[int, ...]], seconds: float, spent: Spent
+) -> None:
+    """Add what each second costs."""
+    stats = bus.subscribe(STATS.key("default"), TALLIES)
+    samples = [_sample(client, pids)]
+    for _ in range(max(1, round(seconds))):
+        time.sleep(1.0)
+        samples.append(_sample(client, pids))
+    spent.step_ms += [
+        decode(Stats, one.payload, one.encoding).step_time_max_s * MILLISECONDS
+        for one in stats.take()
+    ]
+    stats.close()
+    for (wall_s, time_s, used), (later_s, later_time_s, later_used) in pairwise(samples):
+        lasted_s = later_s - wall_s
+        spent.factors.append((later_time_s - time_s) / lasted_s)
+        for group, before_s in used.items():
+            cores = (later_used[group] - before_s) / lasted_s
+            spent.cores.setdefault(group, []).append(cores)
+
+
+def _sample(
+    client: SimClient, pids: dict[str, tuple[int, ...]]
+) -> tuple[float, float, dict[str, float]]:
+    used = {group: sum(map(used_s, found)) for group, found in pids.items()}
+    return time.monotonic(), client.info().sim_time_s, used
+
+
+def _find_programs(process: "Popen[str]") -> dict[str, tuple[int, ...]]:
+    """Group the processes of `zensim up` by program."""
+    groups: dict[str, list[int]] = {"server": [], "agents": [], "sensors": [], "zensim up": []}
+    groups["zensim up"].append(process.pid)
+    for child in psutil.Process(process.pid).children(recursive=True):
+        words = " ".join(child.cmdline())
+        is_sensors, is_agent = ".prepared_start sensors" in words, ".prepared_start agent" in words
+        group = "sensors" if is_sensors else "agents" if is_agent else "server"
+        groups[group].append(child.pid)
+    return {group: tuple(found) for group, found in groups.items()}
+
+
+def _wait_for_processes(bus: Bus, count: int) -> None:
+    pattern = keys.alive_sensors("default", "*")
+    eventually(lambda: len(bus.list_tokens(pattern)) == count, START_S, "sensor processes")
+
+
+def _wait_until_idle(bus: Bus) -> None:
+    pattern = keys.active_sensors("default", "*")
+    eventually(lambda: not bus.list_tokens(pattern), START_S, "the end of the stream")
+
+
+def _first_scan_ms(bus: Bus) -> float:
+    """Subscribe; return the time until a scan comes [ms]."""
+    began_s = time.monotonic()
+    scans = bus.subscribe(SCAN.key("*"), TALLIES)
+    poll_until(scans.newest)
+    took_ms = (time.monotonic() - began_s) * MILLISECONDS
+    scans.close()
+    _wait_until_idle(bus)
+    return took_ms
+
+
+def _scan_rates(tallies: Sequence[ScanTally]) -> tuple[float, ...]:
+    return tuple(
+        (after.scans - before.scans) / (after.wall_s - before.wall_s)
+        for before, after in pairwise(tallies)
+    ) or (0.0,)
+
+
+def _put_floor(robots: int, rate_hz: float, seconds: float) -> tuple[float, ...]:
+    """Put as many ready scans; return the CPU of each second [cores]."""
+    endpoint = free_endpoint()
+    payload = bytes(1508)
+    with (
+        running("router", "--listen", endpoint) as router,
+        connected(endpoint, router) as bus,
+        program("scan_listener", endpoint),
+    ):
+        puts = [bus.advertise(SCAN.key(f"r{number}"), SCAN.encoding) for number in range(robots)]
+        eventually(lambda: puts[0].is_matched, START_S, "the listener")
+        cores = []
+        for _ in range(max(1, round(seconds))):
+            began_s, used_before_s = time.monotonic(), time.process_time()
+            for _ in range(round(rate_hz)):
+                for one in puts:
+                    one.send(payload)
+                time.sleep(1.0 / rate_hz)
+            cores.append((time.process_time() - used_before_s) / (time.monotonic() - began_s))
+    return tuple(cores)

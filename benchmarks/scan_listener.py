@@ -1,0 +1,52 @@
+"""Process that subscribes to all topics of sensors, odometry and tf, and counts the messages.
+
+`python -m benchmarks.scan_listener ENDPOINT` publishes the counts on `bench/scans` each second.
+"""
+
+import os
+import sys
+import time
+
+import msgspec
+
+from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.process_limits import die_with_supervisor
+from zensim.proto.topic_catalog import IMU, ODOM, SCAN, TF
+
+SCAN_TALLY = "bench/scans"
+DEPTH = 65536
+PUBLISH_EVERY_S = 1.0
+POLL_S = 0.005
+
+
+class ScanTally(msgspec.Struct):
+    """Message counts since the start."""
+
+    scans: int = 0
+    scan_bytes: int = 0
+    others: int = 0
+    wall_s: float = 0.0
+    """Monotonic time of publication."""
+
+
+def listen(bus: Bus) -> None:
+    """Count messages for ever."""
+    scans = bus.subscribe(SCAN.key("*"), DEPTH)
+    others = [bus.subscribe(topic.key("*"), DEPTH) for topic in (ODOM, TF, IMU)]
+    publisher = bus.advertise(SCAN_TALLY, "application/msgpack")
+    tally, publish_s = ScanTally(), time.monotonic()
+    while True:
+        for sample in scans.take():
+            tally.scans += 1
+            tally.scan_bytes += len(sample.payload)
+        tally.others += sum(len(one.take()) for one in others)
+        if (now_s := time.monotonic()) >= publish_s:
+            publish_s, tally.wall_s = now_s + PUBLISH_EVERY_S, now_s
+            publisher.send(msgspec.msgpack.encode(tally))
+        time.sleep(POLL_S)
+
+
+if __name__ == "__main__":
+    die_with_supervisor(os.environ)
+    with open_bus(BusConfig(connect=(sys.argv[1],))) as connected:
+        listen(connected)
