@@ -4,12 +4,14 @@ from typing import Any
 
 import msgspec
 
-from zensim.proto.messages.model_messages import Joint, Model
+from zensim.proto.messages.model_messages import Joint, Model, Sensor
 from zensim.sim_server.description.plugins.plugin_registry import summarize_drive
+from zensim.sim_server.description.plugins.sensor_reader import estimate_cost_s
+from zensim.sim_server.description.plugins.sensor_topics import find_message
 
 
 def model_to_json(model: Model) -> dict[str, Any]:
-    """Convert links, joints, frames, mass [kg], drive and report to JSON values."""
+    """Convert links, joints, frames, mass [kg], drive, sensors and report to JSON values."""
     return {
         "name": model.name,
         "links": [{"name": link.name, "mass_kg": link.inertial.mass_kg} for link in model.links],
@@ -22,7 +24,21 @@ def model_to_json(model: Model) -> dict[str, Any]:
         "is_static": model.is_static,
         "drive": msgspec.to_builtins(model.drive),
         "joint_state": msgspec.to_builtins(model.joint_state),
+        "sensors": [_sensor_to_json(sensor) for sensor in model.sensors],
         "report": msgspec.to_builtins(model.report),
+    }
+
+
+def _sensor_to_json(sensor: Sensor) -> dict[str, Any]:
+    return {
+        "name": sensor.name,
+        "kind": sensor.kind,
+        "link": sensor.frame,
+        "is_simulated": sensor.settings is not None,
+        "topics": [{"name": topic.name, "message": find_message(topic)} for topic in sensor.topics],
+        "frame_id": sensor.frame_id,
+        "update_rate_hz": sensor.update_rate_hz,
+        "cpu_s_per_message": sensor.settings and estimate_cost_s(sensor.settings),
     }
 
 

@@ -38,16 +38,7 @@ TOPIC_OF_OUTPUT = {
 OUT = "~/out"
 """Name of the main topic of plug-ins of gazebo_ros."""
 TOPIC_TAGS = ("topicName", "topic_name")
-NOT_IN_CATALOG = {
-    "bumper_states": "ContactsState",
-    "image_raw": "Image",
-    "image_compressed": "CompressedImage",
-    "camera_info": "CameraInfo",
-    "depth_image": "Image",
-    "depth_camera_info": "CameraInfo",
-    "depth_points": "PointCloud2",
-    "labels": "Image",
-}
+NOT_IN_CATALOG = {"bumper_states": "ContactsState"}
 """Type of the message on topics that the catalog does not have yet."""
 DRIVE_TOPICS = ("cmd_vel", "odom", "tf", "tf_static", "joint_states", "robot_description")
 MAX_TOPIC_LENGTH = 100
@@ -76,11 +67,15 @@ def _name_topic(topic: str, name: str, source: SensorSource, ros: RosBlock) -> S
     return SensorTopic(topic, _to_valid_name(resolved, source))
 
 
+def find_message(topic: SensorTopic) -> str:
+    """Find the type of the messages of a topic."""
+    row = TOPICS.get(topic.topic)
+    return row.messages[0].__name__ if row else NOT_IN_CATALOG[topic.topic]
+
+
 def describe_topic(topic: SensorTopic) -> str:
     """Write type and name of a topic of a sensor."""
-    row = TOPICS.get(topic.topic)
-    kind = row.messages[0].__name__ if row else NOT_IN_CATALOG[topic.topic]
-    return f"{kind} on <namespace>/{topic.name}"
+    return f"{find_message(topic)} on <namespace>/{topic.name}"
 
 
 def make_topics_unique(sensors: Sequence[Sensor], report: ParseReport) -> tuple[Sensor, ...]:

@@ -5,6 +5,7 @@ import json
 from tests.sim_server.description.robots import a_link, a_robot, an_inertial
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.model_printer import format_model_tree, model_to_json
+from zensim.sim_server.description.plugins.sensor_reader import complete_sensors
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 
 BOX_BOT = read_urdf(read_builtin_model("box_bot"))
@@ -25,6 +26,17 @@ def test_json_lists_what_the_model_holds() -> None:
     assert shown["joint_state"]["update_rate_hz"] == 30.0
     assert {frame["name"] for frame in shown["frames"]} >= {"chassis", "rgb_cam_frame"}
     assert {entry["status"] for entry in shown["report"]} == {"applied"}
+
+
+def test_json_lists_the_sensors() -> None:
+    model = complete_sensors(read_urdf(read_builtin_model("box_bot_lidar")), "fixed")
+
+    lidar, imu, bumper = json.loads(json.dumps(model_to_json(model)))["sensors"]
+
+    assert lidar["topics"] == [{"name": "scan", "message": "LaserScan"}]
+    assert (lidar["frame_id"], lidar["update_rate_hz"]) == ("lidar_link", 10.0)
+    assert lidar["cpu_s_per_message"] > imu["cpu_s_per_message"] > 0.0
+    assert (bumper["kind"], bumper["is_simulated"]) == ("contact", True)
 
 
 def test_json_has_no_drive_when_the_model_has_none() -> None:
