@@ -113,6 +113,8 @@ def _list_lines(case: _Case, motions: tuple[PredictedMotion, ...]) -> Iterator[s
     if all(one.ground.motion.is_converged for one in motions):
         for turn in turns:
             yield from _describe_motions(case, straight, turn)
+    elif turns:
+        yield "its motion is not predicted: what drives it and what drags are nearly equal"
 
 
 def _find_drag_share(model: Model, motion: PredictedMotion) -> float:

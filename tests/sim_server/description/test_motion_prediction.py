@@ -18,6 +18,7 @@ from tests.sim_server.description.robots import (
     a_link,
     a_reference,
     an_inertial,
+    mentions,
 )
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.drive_messages import SteeringDrive
@@ -87,3 +88,18 @@ def test_wheelbase_that_is_not_that_of_the_links_is_named_as_the_cause() -> None
     (reason,) = (entry.reason for entry in model.report if entry.status == "predicted")
 
     assert "its axles are 0.6 m apart, the drive's wheelbase is 0.4 m" in reason
+
+
+def test_robot_that_drags_as_much_as_it_drives_is_not_predicted() -> None:
+    _, order = ROBOTS["car"]
+    load = a_link("load", an_inertial("9")) + a_joint(
+        "hold", ("base_link", "load"), inside='<origin xyz="0.6 0 0"/>'
+    )
+    stiff = a_car(load)
+    for side in ("left", "right"):
+        joint = f'<joint name="front_{side}" type='
+        stiff = stiff.replace(f'{joint}"continuous"', f'{joint}"fixed"')
+
+    model = read_driven(stiff, order=parse_drive_order(order))
+
+    assert mentions(model.report, "predicted", "driving", "not predicted")
