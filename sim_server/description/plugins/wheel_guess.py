@@ -149,7 +149,11 @@ def _find_swivel(wheel: Joint, by_child: dict[str, Joint], upright: set[str]) ->
 
 def find_wheels_rolling_aside(lumped: LumpedModel) -> list[MeasuredWheel]:
     """Find the wheels whose axles point ahead, so that they roll to the left."""
-    return [wheel for wheel in find_wheels(lumped) if abs(wheel.axis[0]) >= MIN_AXLE_Y]
+    return [
+        wheel
+        for wheel in find_wheels(lumped)
+        if abs(wheel.axis[0]) >= MIN_AXLE_Y and wheel.has_collision
+    ]
 
 
 def find_pairs(lumped: LumpedModel) -> list[GuessedPair]:

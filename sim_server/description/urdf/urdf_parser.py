@@ -730,8 +730,9 @@ def _read_joint(joint: Element, report: ParseReport) -> Joint:
         axis=(x, y, z),
         lower=lower,
         upper=upper,
-        effort=effort,
-        velocity=velocity,
+        # Negative limits are none, as in Gazebo.
+        effort=max(effort, 0.0),
+        velocity=max(velocity, 0.0),
         damping=_read_scalar(dynamics, "damping"),
         friction=_read_scalar(dynamics, "friction"),
         mimic=_read_mimic(joint),

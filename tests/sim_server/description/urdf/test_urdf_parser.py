@@ -315,6 +315,16 @@ def test_reading_the_same_text_twice_gives_equal_models() -> None:
     assert read_urdf(BOX_BOT) == read_urdf(BOX_BOT)
 
 
+def test_negative_limits_of_a_joint_are_none() -> None:
+    limit = '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="-1.0" velocity="-1.0"/>'
+
+    (joint,) = read_urdf(
+        a_robot(a_link("a"), a_link("b"), a_joint("j", ("a", "b"), "revolute", limit))
+    ).joints
+
+    assert (joint.effort, joint.velocity) == (0.0, 0.0)
+
+
 def test_xacro_macro_is_refused() -> None:
     text = (
         '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
