@@ -55,9 +55,7 @@ class _Contacts:
     dist: _Floats
     frame: _Floats
     friction: _Floats
-    geom: _Ints
     pos: _Floats
-    frame: _Floats
 
 class MjData:
     efc_force: _Floats

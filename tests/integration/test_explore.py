@@ -4,6 +4,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -42,7 +43,7 @@ class Recorded:
 
 
 def read_scan(payload: bytes) -> tuple[float, FloatArray]:
-    scan = TYPES.deserialize_cdr(payload, "sensor_msgs/msg/LaserScan")
+    scan: Any = TYPES.deserialize_cdr(payload, "sensor_msgs/msg/LaserScan")
     ranges = np.asarray(scan.ranges, np.float64)
     angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
     seen = np.isfinite(ranges)
@@ -51,14 +52,14 @@ def read_scan(payload: bytes) -> tuple[float, FloatArray]:
 
 
 def read_odometry(payload: bytes) -> tuple[float, float, float, float]:
-    odometry = TYPES.deserialize_cdr(payload, "nav_msgs/msg/Odometry")
+    odometry: Any = TYPES.deserialize_cdr(payload, "nav_msgs/msg/Odometry")
     place, turned = odometry.pose.pose.position, odometry.pose.pose.orientation
     heading = 2.0 * np.arctan2(turned.z, turned.w)
     return to_seconds(odometry.header.stamp), place.x, place.y, heading
 
 
-def to_seconds(stamp: object) -> float:
-    return float(getattr(stamp, "sec") + getattr(stamp, "nanosec") * 1e-9)  # noqa: B009
+def to_seconds(stamp: Any) -> float:  # noqa: ANN401
+    return float(stamp.sec + stamp.nanosec * 1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +116,7 @@ def test_a_map_from_the_scans_of_one_robot_is_that_of_the_maze(recorded: Recorde
 
     poses = match_scans([points for _, points in recorded.scans[robot][start:]])
 
-    first = make_transform(*true[start], heading[start])
+    first = make_transform(true[start, 0], true[start, 1], heading[start])
     found = np.array([(first @ pose)[:2, 3] for pose in poses])
     off_m = np.hypot(*(found - true[start:])[inside[start:]].T)
     assert np.sqrt(np.mean(off_m**2)) < 0.05
