@@ -992,8 +992,8 @@ class MeshConversions:
         return (self.store(reduced.data) if has_room else ""), reduced.mean
 
 
-MAX_SOURCE_PIXELS_IN_ALL = 1 << 29
-"""Of all images of a robot or a world."""
+MAX_SOURCE_PIXELS_IN_ALL = 1 << 27
+"""That are decoded for a robot or a world: 6 s of CPU."""
 MAX_IMAGE_BYTES_IN_ALL = 48 << 20
 """Of the reduced images of a robot or a world; further ones become their mean colour."""
 MAX_PARTS = 64

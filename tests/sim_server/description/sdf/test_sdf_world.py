@@ -529,3 +529,12 @@ def test_world_may_have_the_reserved_name_world() -> None:
 
     assert world.name == "world"
     assert subjects(world.report, "suspicious") == ["world"]
+
+
+def test_model_of_missing_includes_only_is_left_out() -> None:
+    nested = '<model name="bed"><include><uri>model://bed</uri></include></model>'
+
+    world = read_world(a_world(GROUND, nested), allow_missing=True)
+
+    assert world.models == ()
+    assert mentions(world.report, "suspicious", "model 'bed'", "sdf.no_links")
