@@ -38,8 +38,6 @@ TOPIC_OF_OUTPUT = {
 OUT = "~/out"
 """Name of the main topic of plug-ins of gazebo_ros."""
 TOPIC_TAGS = ("topicName", "topic_name")
-NOT_IN_CATALOG = {"bumper_states": "ContactsState"}
-"""Type of the message on topics that the catalog does not have yet."""
 DRIVE_TOPICS = ("cmd_vel", "odom", "tf", "tf_static", "joint_states", "robot_description")
 MAX_TOPIC_LENGTH = 100
 _NO_LETTER = re.compile(r"[^A-Za-z0-9_]")
@@ -69,8 +67,7 @@ def _name_topic(topic: str, name: str, source: SensorSource, ros: RosBlock) -> S
 
 def find_message(topic: SensorTopic) -> str:
     """Find the type of the messages of a topic."""
-    row = TOPICS.get(topic.topic)
-    return row.messages[0].__name__ if row else NOT_IN_CATALOG[topic.topic]
+    return TOPICS[topic.topic].messages[0].__name__
 
 
 def describe_topic(topic: SensorTopic) -> str:

@@ -43,10 +43,11 @@ def find_costmap_marks(scan: LaserScan) -> FloatArray:
 def find_costmap_clearings(scan: LaserScan) -> FloatArray:
     """Find the ranges that costmaps with `inf_is_valid` clear up to, by ray."""
     ranges = np.array(scan.ranges)
-    far = np.nextafter(np.float32(scan.range_max), np.float32(0.0))
-    return np.where(ranges == np.inf, far, find_costmap_marks(scan))
+    far = float(np.nextafter(np.float32(scan.range_max), np.float32(0.0)))
+    marks: FloatArray = np.where(ranges == np.inf, far, find_costmap_marks(scan))
+    return marks
 
 
 def find_ray_angles(scan: LaserScan) -> FloatArray:
     """Find the directions of the rays [rad], as every consumer does."""
-    return scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
+    return np.asarray(scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges)))
