@@ -75,6 +75,8 @@ class SensedWorld:
         self.poses: dict[str, FloatArray] = {}
         self.assets: dict[str, bytes] = {}
         self.roster = 1
+        self.joints = 0
+        """Of all entities, at 0."""
         self.requests: list[str] = []
         self.processes: dict[str, SensorProcess] = {}
         self._calls = self.bus.serve(keys.services(WORLD))
@@ -121,7 +123,7 @@ class SensedWorld:
             step * STEP_NS,
             self.roster,
             base.tobytes(),
-            b"",
+            np.zeros(self.joints).tobytes(),
             self.list_active(),
             is_awaited,
         )
