@@ -17,19 +17,27 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from zensim.proto.messages.model_messages import ZERO, Contact, Joint, Origin, Shape, Vec3
+from zensim.proto.messages.model_messages import ZERO, Contact, Joint, Origin, Quat, Shape, Vec3
 from zensim.proto.rigid_transforms import (
     compose,
     conjugate,
     cross,
     from_directions,
     invert,
+    multiply,
     normalize,
     rotate,
     transform_point,
 )
 from zensim.proto.se3 import FloatArray
-from zensim.sim_server.physics.blueprint import X_AXIS, Blueprint, RigidPart, order_depth_first
+from zensim.sim_server.physics.blueprint import (
+    X_AXIS,
+    Blueprint,
+    RigidPart,
+    find_nearest_principal_axis,
+    find_principal_axes,
+    order_depth_first,
+)
 from zensim.sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG
 from zensim.sim_server.physics.joint_inertia import MassMatrix, find_part_poses, make_mass_matrix
 
@@ -47,7 +55,10 @@ ROUNDS = 6
 """Of finding the moments of all carriers, each of which changes how the others yield."""
 MAX_MOMENT_RATIO = 50.0
 """Bound of a carrier's moment, over the wheel's about its axle."""
+KEPT_MOMENT_SHARE = 0.5
+"""Of a wheel's moment about the axle, as a disc has across it."""
 UP: Vec3 = (0.0, 0.0, 1.0)
+AXES: tuple[Vec3, ...] = (X_AXIS, (0.0, 1.0, 0.0), UP)
 
 
 @dataclass(frozen=True)
@@ -105,7 +116,44 @@ def add_wheel_carriers(blueprint: Blueprint) -> Blueprint:
             for one, moment in zip(carriers, moments, strict=True)
         ]
         moments = _balance_moments(blueprint, carriers)
+    if min(moments) <= MIN_INERTIA:
+        blueprint = _move_moments_inwards(blueprint, wheels)
+        moments = _balance_moments(blueprint, carriers)
     return _put_on_carriers(blueprint, _with_moments(carriers, moments))
+
+
+def _move_moments_inwards(blueprint: Blueprint, wheels: Iterable[int]) -> Blueprint:
+    """Move moments of wheels across their axles to their parents; it turns with them alike.
+
+    Descriptions have moments that are far too large for the wheel's mass and radius: it would not
+    yield on any carrier.
+    """
+    parts, poses = list(blueprint.parts), find_part_poses(blueprint.parts)
+    for i in wheels:
+        wheel, above = parts[i], parts[parts[i].parent]
+        assert wheel.joint is not None
+        axle = find_nearest_principal_axis(wheel, wheel.joint.axis)[0]
+        kept = min(wheel.inertia[axle], wheel.reflected_inertia) * KEPT_MOMENT_SHARE
+        moved = [
+            0.0 if n == axle else max(0.0, moment - kept) for n, moment in enumerate(wheel.inertia)
+        ]
+        if above.contact.direction != ZERO:
+            continue
+        own = multiply(invert(poses[wheel.parent]).orientation, poses[i].orientation)
+        tensor = _make_tensor(above.principal, above.inertia)
+        tensor += _make_tensor(multiply(own, wheel.principal), moved)
+        (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor.tolist()
+        inertia, principal = find_principal_axes((xx, xy, xz, yy, yz, zz))
+        parts[wheel.parent] = replace(above, inertia=inertia, principal=principal)
+        x, y, z = (moment - less for moment, less in zip(wheel.inertia, moved, strict=True))
+        parts[i] = replace(wheel, inertia=(x, y, z))
+    return replace(blueprint, parts=tuple(parts))
+
+
+def _make_tensor(orientation: Quat, moments: Sequence[float]) -> FloatArray:
+    """Make the inertia tensor of moments about the axes of a frame."""
+    axes = np.array([rotate(orientation, axis) for axis in AXES])
+    return np.asarray(axes.T @ np.diag(moments) @ axes)
 
 
 def list_carriers(blueprint: Blueprint) -> tuple[int, ...]:

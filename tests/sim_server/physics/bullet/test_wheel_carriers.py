@@ -143,6 +143,35 @@ def test_wheel_is_carried_by_the_sphere_of_any_of_its_surfaces() -> None:
     assert len(carriers) == 4
 
 
+def with_wheel_moments(model: Model, share: float) -> Model:
+    """Give wheels a moment across their axles: a share of mass times radius squared."""
+    links = [
+        msgspec.structs.replace(
+            link,
+            inertial=msgspec.structs.replace(
+                link.inertial, inertia=(across, 0.0, 0.0, link.inertial.inertia[3], 0.0, across)
+            ),
+        )
+        for link in model.links[1:]
+        for across in (share * link.inertial.mass_kg * link.collisions[0].size[0] ** 2,)
+    ]
+    return msgspec.structs.replace(model, links=(model.links[0], *links))
+
+
+def test_great_moments_of_wheels_across_the_axle_move_to_the_body() -> None:
+    before = order_depth_first(make_blueprint(with_wheel_moments(a_skid_bot(), 50.0)))
+
+    after = add_wheel_carriers(before)
+
+    assert len(list_carriers(after)) == 4
+    root = make_mass_matrix(before.parts).matrix[:3, :3]
+    held = make_mass_matrix(after.parts).matrix[:3, :3]
+    carried = sum(after.parts[i + 1].inertia[0] for i in list_carriers(after))
+    assert held == pytest.approx(root, abs=1.01 * carried)
+    wheels = [part for part in after.parts if part.reflected_inertia > 0.0]
+    assert all(max(part.inertia) < 0.2 * max(before.parts[1].inertia) for part in wheels)
+
+
 def test_wheels_on_arms_are_carried_and_steered_ones_are_not() -> None:
     found = a_skid_bot()
     assert found.drive is not None
