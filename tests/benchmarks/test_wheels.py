@@ -31,7 +31,7 @@ BOTH = (
     "skid_500_kg",
     "mu_100",
 )
-PYBULLET = tuple(name for name in ROBOTS if name != "skid_fdir1_axle")
+PYBULLET = tuple(ROBOTS)
 MUJOCO = (
     *BOTH,
     "swivels_all_around",
