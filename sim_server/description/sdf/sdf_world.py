@@ -54,11 +54,13 @@ from zensim.sim_server.description.sdf.sdf_model import (
     ModelPart,
     check_sibling_names,
     find_placement,
+    flatten_model,
     read_model_parts,
 )
 from zensim.sim_server.description.sdf.sdf_population import expand_populations
 from zensim.sim_server.description.sdf.sdf_values import (
     ZENSIM_PREFIX,
+    RelativePose,
     read_name,
     read_pose,
     read_scalar,
@@ -371,6 +373,22 @@ def _add_frames(world: Element, draft: _WorldDraft) -> None:
         attachments[name] = implied
         _add_frame(name, frame, implied, draft)
     _check_attachments(attachments, models)
+    _add_nested_frames(world, models, draft)
+
+
+def _add_nested_frames(world: Element, models: Sequence[Element], draft: _WorldDraft) -> None:
+    """Add the frames of models that poses and frames of the world name, such as `arm::hand`."""
+    named = {(pose.get("relative_to") or "").strip() for pose in world.iterfind("*/pose")}
+    named |= {(frame.get("attached_to") or "").strip() for frame in world.findall("frame")}
+    by_name = {model.get("name"): model for model in models}
+    for name in sorted(named):
+        model_name, _, inner = name.partition(SCOPE_SEPARATOR)
+        if not inner or model_name not in by_name:
+            continue
+        model = by_name[model_name]
+        frames = flatten_model(model, ParseReport()).frames
+        origin = compose(find_placement(model, Origin()), frames.pose(inner))
+        draft.frames.add(name, RelativePose(origin), scope="", implied=model_name)
 
 
 def _check_attachments(attachments: dict[str, str], models: Sequence[Element]) -> None:

@@ -538,3 +538,27 @@ def test_model_of_missing_includes_only_is_left_out() -> None:
 
     assert world.models == ()
     assert mentions(world.report, "suspicious", "model 'bed'", "sdf.no_links")
+
+
+def test_frame_of_a_world_may_be_relative_to_a_frame_inside_a_model() -> None:
+    link = a_link("l", a_pose("0 1 0 0 0 0"))
+    inner = '<model name="m"><pose>0 0 1 0 0 0</pose>' + link + "</model>"
+    outer = f'<model name="arm"><pose>5 0 0 0 0 0</pose>{inner}</model>'
+    frames = (
+        '<frame name="a"><pose relative_to="arm::m::l">1 0 0 0 0 0</pose></frame>'
+        '<frame name="b" attached_to="arm::m"/>'
+    )
+
+    world = read_world(a_world(GROUND, outer, frames))
+
+    points = {one.pose.name: one.pose.pose.position for one in world.named_poses}
+    assert points == {"a": Point(6.0, 1.0, 1.0), "b": Point(5.0, 0.0, 1.0)}
+
+
+def test_frame_inside_a_model_that_does_not_exist_is_refused() -> None:
+    frame = '<frame name="a"><pose relative_to="crate::lid"/></frame>'
+
+    with pytest.raises(ModelError) as caught:
+        read_world(a_world(a_crate(), frame))
+
+    assert caught.value.slug == "sdf.unknown_frame"
