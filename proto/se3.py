@@ -15,6 +15,10 @@ from zensim.proto.messages.model_messages import Origin
 
 FloatArray = npt.NDArray[np.float64]
 
+NEXT_AXES, LAST_AXES = np.array([1, 2, 0]), np.array([2, 0, 1])
+"""The axes after and before x, y and z."""
+MAX_FEW_NUMBERS = 600
+"""Numbers of an array up to which the count of array operations decides the time."""
 IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
@@ -37,8 +41,12 @@ def rotate(turn: FloatArray, vector: FloatArray) -> FloatArray:
 
 
 def cross(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Compute vector products (..., 3), three times as fast as numpy for few vectors."""
-    return _join(rigid_transforms.cross(_split(left), _split(right)))
+    """Compute vector products (..., 3), many times as fast as numpy for few vectors."""
+    if left.size > MAX_FEW_NUMBERS:
+        return _join(rigid_transforms.cross(_split(left), _split(right)))
+    # The same numbers by fewer array operations, which decide the time for few vectors.
+    first = left.take(NEXT_AXES, axis=-1) * right.take(LAST_AXES, axis=-1)
+    return np.asarray(first - left.take(LAST_AXES, axis=-1) * right.take(NEXT_AXES, axis=-1))
 
 
 def compose(outer: FloatArray, inner: FloatArray) -> FloatArray:

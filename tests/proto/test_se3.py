@@ -117,6 +117,16 @@ def test_arithmetic_broadcasts_over_leading_axes() -> None:
     assert conjugate(many).shape == many.shape
 
 
+@pytest.mark.parametrize("count", [1, 10, 300])
+def test_vector_product_of_many_equals_that_of_each(count: int) -> None:
+    left, right = (np.random.default_rng(seed).normal(size=(count, 3)) for seed in (1, 2))
+
+    found = cross(left, right)
+
+    assert found.tolist() == [cross(*pair).tolist() for pair in zip(left, right, strict=True)]
+    assert found == pytest.approx(np.cross(left, right), abs=1e-12)
+
+
 poses = st.builds(lambda position, turn: np.concatenate([position, turn]), vectors, turns)
 
 

@@ -592,8 +592,9 @@ class MujocoEngine(Engine):
         """See `Engine.read`; diverged bodies have NaN, or the finite values that were set."""
         chosen, data = self._selection(bodies), self._data
         base = chosen.read_bases(data.qpos, data.qvel)
-        for body in self._diverged.intersection(bodies):
-            base[bodies.index(body)] = self._bodies[body].fixed_state
+        if self._diverged:
+            for body in self._diverged.intersection(bodies):
+                base[bodies.index(body)] = self._bodies[body].fixed_state
         return BodyStates(
             base,
             chosen.gather.gather_joints(data.qpos, chosen.gather.positions),
