@@ -122,6 +122,7 @@ GET_ENTITY_BOUNDS = Service(
     entity_messages.GetEntityBoundsResponse,
 )
 CAST_RAYS = Service("cast_rays", entity_messages.CastRaysRequest, entity_messages.CastRaysResponse)
+GET_MAP = Service("get_map", world_messages.GetMapRequest, world_messages.GetMapResponse)
 GET_SPAWNABLES = Service(
     "get_spawnables", spawn_messages.GetSpawnablesRequest, spawn_messages.GetSpawnablesResponse
 )

@@ -68,6 +68,11 @@ VERBS: dict[str, Verb] = {
         "zensim.spawner.cli.info_commands",
         "Get or set the category, tags and description of an entity.",
     ),
+    "map": Verb(
+        "Simulation",
+        "zensim.spawner.cli.map_commands",
+        "Write a map of the world for Nav2's map_server.",
+    ),
     "pause": Verb("Simulation", "zensim.spawner.cli.simulation_commands", "Pause the simulation."),
     "play": Verb(
         "Simulation", "zensim.spawner.cli.simulation_commands", "Start or resume the simulation."

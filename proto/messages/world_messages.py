@@ -8,6 +8,7 @@ from zensim.proto.messages.entity_messages import TagsFilter
 from zensim.proto.messages.model_messages import Light, Quat, ReportEntry
 from zensim.proto.messages.result_messages import Result
 from zensim.proto.messages.spawn_messages import Resource
+from zensim.proto.messages.standard_messages import OccupancyGrid
 
 
 class Scene(msgspec.Struct, frozen=True):
@@ -56,6 +57,28 @@ class LoadWorldReport(LoadWorldResponse, frozen=True):
     """Adds the report on the world file."""
 
     report: tuple[ReportEntry, ...] = ()
+
+
+class GetMapRequest(msgspec.Struct, frozen=True):
+    """Draw the fixed collisions of the world as an occupancy grid."""
+
+    ros_type: ClassVar[str] = "zensim/srv/GetMap_Request"
+
+    resolution_m: float = 0.05
+    """Side of a cell."""
+    low_m: float = 0.05
+    """What is wholly below this height is left out."""
+    high_m: float = 0.5
+    """What is wholly above this height is left out."""
+
+
+class GetMapResponse(msgspec.Struct, frozen=True):
+    """The map: 0 is free, 100 is occupied."""
+
+    ros_type: ClassVar[str] = "zensim/srv/GetMap_Response"
+
+    result: Result = Result()
+    map: OccupancyGrid = OccupancyGrid()
 
 
 class UnloadWorldRequest(msgspec.Struct, frozen=True):

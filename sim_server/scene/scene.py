@@ -235,6 +235,11 @@ class CollisionScene:
         """All shapes in the world."""
         return self._layout.place(self._base, self._joint_positions)
 
+    @property
+    def is_fixed(self) -> BoolArray:
+        """Which of the shapes (s,) move only when a request moves their entity."""
+        return self._layout.is_fixed
+
     def cast_rays(
         self,
         origins: FloatArray,

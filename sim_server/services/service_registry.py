@@ -19,6 +19,7 @@ from zensim.proto.messages.simulation_messages import (
 from zensim.proto.messages.spawn_messages import DeleteEntityResponse
 from zensim.proto.service_catalog import SERVICES, Request, Response, Service
 from zensim.sim_server.errors import IncorrectState
+from zensim.sim_server.queries.map_queries import get_map
 from zensim.sim_server.queries.ray_queries import cast_rays
 from zensim.sim_server.service_parts import DeferredResponse, ServerParts
 from zensim.sim_server.services import (
@@ -113,6 +114,7 @@ SERVICE_TABLE = (
         Feature.ENTITY_BOUNDS_CONVEX,
     ),
     make_entry(service_catalog.CAST_RAYS, cast_rays),
+    make_entry(service_catalog.GET_MAP, get_map),
     make_entry(service_catalog.GET_SPAWNABLES, get_spawnables, Feature.SPAWNABLES),
     make_entry(
         service_catalog.GET_NAMED_POSES, world_services.get_named_poses, Feature.NAMED_POSES

@@ -17,6 +17,8 @@ from zensim.proto.messages.asset_messages import (
 from zensim.proto.messages.entity_messages import (
     ANY_BOUNDS,
     Bounds,
+    CastRaysRequest,
+    CastRaysResponse,
     EntityFilters,
     EntityInfo,
     EntityState,
@@ -61,7 +63,7 @@ from zensim.proto.messages.spawn_messages import (
     SpawnEntityOrder,
     SpawnEntityReport,
 )
-from zensim.proto.messages.standard_messages import NANOSECONDS, time_from_ns
+from zensim.proto.messages.standard_messages import NANOSECONDS, OccupancyGrid, time_from_ns
 from zensim.proto.messages.telemetry_messages import (
     EntityModel,
     GetModelsRequest,
@@ -72,6 +74,7 @@ from zensim.proto.messages.telemetry_messages import (
 from zensim.proto.messages.world_messages import (
     GetAvailableWorldsRequest,
     GetCurrentWorldRequest,
+    GetMapRequest,
     LoadWorldReport,
     LoadWorldRequest,
     UnloadWorldRequest,
@@ -288,6 +291,14 @@ class SimClient:
         return self._call(
             service_catalog.GET_ENTITY_BOUNDS, GetEntityBoundsOrder(entity, kind)
         ).bounds
+
+    def map(self, request: GetMapRequest) -> OccupancyGrid:
+        """Get a map of what is fixed in the world."""
+        return self._call(service_catalog.GET_MAP, request).map
+
+    def cast_rays(self, request: CastRaysRequest) -> CastRaysResponse:
+        """Find what rays hit first."""
+        return self._call(service_catalog.CAST_RAYS, request)
 
     def spawnables(self) -> tuple[Spawnable, ...]:
         """List the models that can be spawned by URI."""

@@ -169,6 +169,8 @@ ZENSIM = {
     "CastRays_Request": "geometry_msgs/Point[] origins; geometry_msgs/Vector3[] directions;"
     " float64 range_max_m; string ignored_entity",
     "CastRays_Response": "simulation_interfaces/Result result; float64[] ranges; string[] entities",
+    "GetMap_Request": "float64 resolution_m; float64 low_m; float64 high_m",
+    "GetMap_Response": "simulation_interfaces/Result result; nav_msgs/OccupancyGrid map",
     "GetModels_Request": "string[] entities",
     "MissingAssets_Request": "string[] sha256s",
     "MissingAssets_Response": "simulation_interfaces/Result result; string[] missing;"
