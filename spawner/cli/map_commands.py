@@ -12,7 +12,7 @@ from zensim.proto.messages.standard_messages import OccupancyGrid
 from zensim.proto.messages.world_messages import GetMapRequest
 from zensim.spawner.cli.command_session import data_console, open_client, print_json
 
-app = make_app("map")
+app = make_app()
 
 FREE, OCCUPIED = 0, 100
 """Values of cells."""
@@ -46,13 +46,13 @@ def write_map(
         Path, typer.Option(metavar="FILE", help="YAML file; the image is written beside it.")
     ] = Path("map.yaml"),
     resolution: Annotated[
-        float, typer.Option(metavar="METRES", help="Side of a cell [m].")
+        float, typer.Option(metavar="METRES", help=r"Side of a cell \[m].")
     ] = DEFAULTS.resolution_m,
     low: Annotated[
-        float, typer.Option(metavar="METRES", help="Lowest height that counts [m].")
+        float, typer.Option(metavar="METRES", help=r"Lowest height that counts \[m].")
     ] = DEFAULTS.low_m,
     high: Annotated[
-        float, typer.Option(metavar="METRES", help="Greatest height that counts [m].")
+        float, typer.Option(metavar="METRES", help=r"Greatest height that counts \[m].")
     ] = DEFAULTS.high_m,
     as_json: JsonOption = False,
     server: ClientOptions,
