@@ -4,10 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Generic
 
+from zensim.proto.messages.model_messages import Quat
 from zensim.proto.messages.sensor_messages import Environment, SensorsReply
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.world_messages import WorldResource
+from zensim.proto.rigid_transforms import multiply
 from zensim.proto.service_catalog import Response
+from zensim.sim_server.description.model_geometry import FindCorners, find_ground_clearance
 from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import IncorrectState
 from zensim.sim_server.pacing.lockstep import Lockstep
@@ -120,6 +123,11 @@ class Descriptions:
     """Whether descriptions have been parsed since the last turn of the loop."""
 
 
+UPSIDE_DOWN: Quat = (1.0, 0.0, 0.0, 0.0)
+FLAT_M = 0.02
+"""Height of a world's file that is ground only."""
+
+
 @dataclass
 class CurrentWorld:
     """Description of the world that is loaded, and how to request it."""
@@ -127,6 +135,21 @@ class CurrentWorld:
     model: WorldModel
     resource: WorldResource = field(default_factory=WorldResource)
     seed: int = 0
+    _top: tuple[WorldModel, float | None] | None = field(default=None, repr=False, compare=False)
+
+    def find_top(self, corners: FindCorners) -> float | None:
+        """Find the height [m] of the highest collision of the world's file; None on bare ground."""
+        if self._top is None or self._top[0] is not self.model:
+            heights = [
+                placed.origin.position[2]
+                - find_ground_clearance(
+                    placed.model, multiply(UPSIDE_DOWN, placed.origin.orientation), corners
+                )
+                for placed in self.model.models
+                if any(link.collisions for link in placed.model.links)
+            ]
+            self._top = self.model, max((one for one in heights if one > FLAT_M), default=None)
+        return self._top[1]
 
 
 def make_environment(world: World, current: CurrentWorld) -> Environment:

@@ -8,9 +8,9 @@ import numpy as np
 
 from zensim.proto.messages import asset_messages, spawn_messages
 from zensim.proto.messages.entity_messages import BoundsType
-from zensim.proto.messages.model_messages import Model, ReportEntry
+from zensim.proto.messages.model_messages import Model, Origin, ReportEntry
 from zensim.proto.messages.result_messages import Result, ResultCode, SpawnCode, SpawnEntitiesCode
-from zensim.proto.messages.sensor_messages import Environment, NavsatSensor
+from zensim.proto.messages.sensor_messages import Environment, NavsatSensor, RaySensor
 from zensim.proto.messages.spawn_messages import (
     MAX_SPAWNS,
     NOT_SPAWNED_PREFIX,
@@ -23,10 +23,11 @@ from zensim.proto.messages.spawn_messages import (
     SpawnResult,
 )
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.rigid_transforms import compose
 from zensim.proto.se3 import IDENTITY_POSE
 from zensim.proto.sensor_schedule import find_true_rate_hz
 from zensim.sim_server.description.builtin_models import list_builtin_models
-from zensim.sim_server.description.model_geometry import find_ground_clearance
+from zensim.sim_server.description.model_geometry import find_ground_clearance, find_link_poses
 from zensim.sim_server.errors import IncorrectState, ModelError, RequestRefused, SimError
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.physics.engine import FloatArray
@@ -181,6 +182,7 @@ def _resolve_spawn(
 ) -> tuple[ValidatedSpawn, list[ReportEntry]]:
     pose, notes = _resolve_pose(spawning, order, model)
     notes += make_sensor_notes(model, make_environment(spawning.world, spawning.current))
+    notes += _make_lidar_notes(spawning, model, pose)
     validated = ValidatedSpawn(
         name=order.name or model.name,
         namespace=order.entity_namespace,
@@ -251,6 +253,30 @@ def make_sensor_notes(model: Model, environment: Environment) -> list[ReportEntr
         if isinstance(sensor.settings, NavsatSensor) and not environment.spherical_coordinates:
             fault = "the world has no <spherical_coordinates>: its origin is at 0 N 0 E"
             notes.append(ReportEntry("suspicious", subject, fault))
+    return notes
+
+
+def _make_lidar_notes(spawning: Spawning, model: Model, pose: FloatArray) -> list[ReportEntry]:
+    """Report level lidars above everything that the world's file has."""
+    lidars = [
+        sensor
+        for sensor in model.sensors
+        if isinstance(sensor.settings, RaySensor) and sensor.settings.vertical.count == 1
+    ]
+    top_m = spawning.current.find_top(spawning.descriptions.store.vertices) if lidars else None
+    if top_m is None:
+        return []
+    links = find_link_poses(model.links[0].name, model.joints)
+    x, y, z, *turn = pose[:7].tolist()
+    base, notes = Origin((x, y, z), (turn[0], turn[1], turn[2], turn[3])), []
+    for sensor in lidars:
+        height_m = compose(base, compose(links[sensor.link], sensor.origin)).position[2]
+        if height_m > top_m:
+            fault = (
+                f"is {height_m:.2f} m high, above all of the world's file ({top_m:.2f} m): its "
+                "level rays meet other entities only"
+            )
+            notes.append(ReportEntry("suspicious", f"sensor '{sensor.name}'", fault))
     return notes
 
 

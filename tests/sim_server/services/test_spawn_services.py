@@ -22,7 +22,14 @@ from tests.sim_server.fakes import (
 )
 from tests.sim_server.orders import BOX_BOT, LYING, an_order, spawned, suspicions
 from zensim.proto.messages.entity_messages import EntityInfo
-from zensim.proto.messages.model_messages import Inertial, Link, Model, Sensor, Shape
+from zensim.proto.messages.model_messages import (
+    Inertial,
+    Link,
+    Model,
+    Origin,
+    Sensor,
+    Shape,
+)
 from zensim.proto.messages.result_messages import ResultCode, SpawnCode, SpawnEntitiesCode
 from zensim.proto.messages.sensor_messages import (
     Environment,
@@ -43,6 +50,7 @@ from zensim.proto.messages.spawn_messages import (
 )
 from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped, Quaternion
 from zensim.proto.stl import write_corners
+from zensim.sim_server.description.world_model import PlacedModel, WorldModel
 from zensim.sim_server.errors import IncorrectState, ModelError, NameNotUnique, SimError
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.service_parts import DeferredResponse, ServerParts
@@ -684,6 +692,36 @@ def test_spawn_reports_sensors_above_the_control_rate() -> None:
     order = msgspec.structs.replace(an_order(), entity_resource=Resource(resource_string=FAST_IMU))
 
     assert any("control steps a second" in reason for reason in suspicions(spawned(parts, order)))
+
+
+def a_world_file(*heights: float) -> WorldModel:
+    """Static boxes 10 m away, of these heights."""
+    boxes = [
+        Model(f"b{place}", (Link("base", collisions=(Shape("box", (1.0, 1.0, height)),)),))
+        for place, height in enumerate(heights)
+    ]
+    return WorldModel(
+        "boxes",
+        models=tuple(
+            PlacedModel(box.name, box, Origin((10.0, 0.0, height / 2.0)))
+            for box, height in zip(boxes, heights, strict=True)
+        ),
+    )
+
+
+@pytest.mark.parametrize(
+    ("heights", "count"), [((), 0), ((0.01,), 0), ((0.1,), 1), ((0.1, 0.2), 0)]
+)
+def test_lidar_above_all_of_a_world_is_reported(heights: tuple[float, ...], count: int) -> None:
+    parts = make_parts(a_world())
+    parts.current_world.model = a_world_file(*heights)
+    order = msgspec.structs.replace(an_order(), entity_resource=Resource(uri="box_bot_lidar"))
+
+    found = [reason for reason in suspicions(spawned(parts, order)) if "level rays" in reason]
+
+    # The lidar of a standing robot is 0.13 m high.
+    assert len(found) == count
+    assert all("0.13 m" in reason for reason in found)
 
 
 FAST_IMU = """<robot name="r"><link name="base"><inertial><mass value="1"/>
