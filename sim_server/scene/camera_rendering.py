@@ -27,8 +27,6 @@ from zensim.sim_server.scene.camera_images import (
 from zensim.sim_server.scene.ray_casting import NO_ENTITY, PlacedShapes, ShapeGeometry
 from zensim.sim_server.scene.scene import SceneLayout
 
-FloatArray32 = npt.NDArray[np.float32]
-
 GL_VERSION = 330
 CIRCLE_SEGMENTS = 32
 SPHERE_RINGS = 16

@@ -35,9 +35,10 @@ class MapFacts(msgspec.Struct, frozen=True):
 
 
 @app.command(
+    "map",
     epilog="""Examples:
   zensim map --output map.yaml
-  ros2 run nav2_map_server map_server --ros-args -p yaml_filename:=map.yaml"""
+  ros2 run nav2_map_server map_server --ros-args -p yaml_filename:=map.yaml""",
 )
 @expand_options
 def write_map(
