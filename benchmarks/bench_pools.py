@@ -42,13 +42,13 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure pools of several sizes, and single agents."""
     rounds = ROUNDS_WHEN_SHORT if is_short else ROUNDS
     for robots in (10,) if is_short else SIZES:
-        with _buses() as (bus, listener):
+        with make_buses() as (bus, listener):
             yield from _pool_figures(bus, listener, robots, rounds)
-    with _buses() as (bus, _):
+    with make_buses() as (bus, _):
         fleet = IndividualRobots(bus, 0)
         fleet.add_claims(_claims(5 if is_short else SINGLE))
         states = _states(5 if is_short else SINGLE)
-        took = _cpu_ms(rounds, lambda: fleet.advance(next(states)))
+        took = measure_cpu_ms(rounds, lambda: fleet.advance(next(states)))
         yield _figure(f"{SINGLE} robots one by one: a state answered", took)
 
 
@@ -67,11 +67,13 @@ def _pool_figures(bus: Bus, listener: Bus, robots: int, rounds: int) -> Iterator
 
     pool.advance(next(states))
     name = f"{robots} robots: "
-    answered = _cpu_ms(rounds, lambda: pool.advance(next(states)))
+    answered = measure_cpu_ms(rounds, lambda: pool.advance(next(states)))
     yield _figure(f"{name}a state answered", answered)
-    received = _cpu_ms(rounds, lambda: pool.advance(next(states)), before=command_all)
+    received = measure_cpu_ms(rounds, lambda: pool.advance(next(states)), before=command_all)
     yield _figure(f"{name}a state answered, each robot has a new command", received)
-    without_subscribers = _cpu_ms(rounds, pool.publish, before=lambda: pool.advance(next(states)))
+    without_subscribers = measure_cpu_ms(
+        rounds, pool.publish, before=lambda: pool.advance(next(states))
+    )
     yield _figure(f"{name}odometry and tf, no subscriber", without_subscribers)
     heard_by = [listener.subscribe(f"*/{topic}", 8) for topic in TOPICS]
     for _ in range(DECLARED_IN):
@@ -103,15 +105,16 @@ def _interleaved(
     received: list[float] = []
     floor: list[float] = []
     for _ in range(rounds):
-        received += _cpu_ms(1, pool.publish, before=lambda: pool.advance(next(states)))
-        floor += _cpu_ms(1, put_all)
+        received += measure_cpu_ms(1, pool.publish, before=lambda: pool.advance(next(states)))
+        floor += measure_cpu_ms(1, put_all)
         # So that messages of one do not delay the other.
         time.sleep(0.02)
     return tuple(received), tuple(floor)
 
 
 @contextmanager
-def _buses() -> Iterator[tuple[Bus, Bus]]:
+def make_buses() -> Iterator[tuple[Bus, Bus]]:
+    """Run a router; open a session that publishes, and one that listens."""
     endpoint = free_endpoint()
     with (
         running("router", "--listen", endpoint) as process,
@@ -144,7 +147,7 @@ def _states(robots: int) -> Iterator[DriveState]:
         yield DriveState(0, step, step * PERIOD_NS, claims, *numbers)
 
 
-def _cpu_ms(
+def measure_cpu_ms(
     rounds: int, act: Callable[[], object], before: Callable[[], object] | None = None
 ) -> tuple[float, ...]:
     """Call repeatedly; return the CPU time [ms] of this thread per call."""

@@ -28,6 +28,7 @@ NAMES = (
     "fleet_physics",
     "pools",
     "sensors",
+    "state_sensors",
     "containers",
     "ros2",
     "ros2_fleet",

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from zensim.proto.forward_kinematics import compute_link_poses
@@ -20,13 +21,8 @@ GROUND_COLLISION = SCOPE_SEPARATOR.join(("ground_plane", "link", "collision"))
 """Name of the ground in messages: that of Gazebo's model."""
 
 
-@dataclass(frozen=True)
-class WatchedCollision:
-    """A collision of an entity, by the indices of its link and in that link."""
-
-    entity: str
-    link: int
-    collision: int
+CollisionIndex = tuple[int, int, int]
+"""Row of an entity, index of its link, and of the collision in that link."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +30,20 @@ class WatchedEntities:
     """What contact sensors watch, as long as the entities of the world are the same."""
 
     index: EntityIndex
+    entities: tuple[Entity, ...]
     bodies: tuple[int, ...]
-    names: Mapping[int, str]
-    """Of all entities, by body."""
-    sensors: Mapping[tuple[str, str], frozenset[WatchedCollision]]
+    """Of entities with contact sensors."""
+    rows: Mapping[int, int]
+    """Rows of all entities, by body."""
+    models: tuple[Model, ...]
+    """Distinct ones."""
+    model_of: IntArray
+    """Index of the model of each row."""
+    sensors: Mapping[tuple[str, str], frozenset[CollisionIndex]]
     """By entity and sensor."""
-    collisions: frozenset[WatchedCollision]
+    links: frozenset[tuple[int, int]]
+    """Rows and links with watched collisions."""
+    collisions: frozenset[CollisionIndex]
 
 
 def list_contact_sensors(model: Model) -> list[tuple[Sensor, ContactSensor]]:
@@ -54,19 +58,25 @@ def list_contact_sensors(model: Model) -> list[tuple[Sensor, ContactSensor]]:
 def find_watched_entities(entities: Sequence[Entity], index: EntityIndex) -> WatchedEntities:
     """Find what the contact sensors of entities watch."""
     sensors = {
-        (entity.name, sensor.name): frozenset(
-            WatchedCollision(entity.name, *pair) for pair in settings.collisions
-        )
-        for entity in entities
+        (entity.name, sensor.name): frozenset((row, *pair) for pair in settings.collisions)
+        for row, entity in enumerate(entities)
         for sensor, settings in list_contact_sensors(entity.model)
     }
     watching = {name for name, _ in sensors}
+    collisions = frozenset[CollisionIndex]().union(*sensors.values())
+    # By identity: entities of one description share a model, and hashing models is slow.
+    models = {id(entity.model): entity.model for entity in entities}
+    numbers = {key: number for number, key in enumerate(models)}
     return WatchedEntities(
         index,
+        tuple(entities),
         tuple(entity.body for entity in entities if entity.name in watching),
-        {entity.body: entity.name for entity in entities},
+        {entity.body: row for row, entity in enumerate(entities)},
+        tuple(models.values()),
+        np.array([numbers[id(entity.model)] for entity in entities], dtype=np.intp),
         sensors,
-        frozenset().union(*sensors.values()),
+        frozenset((row, link) for row, link, _ in collisions),
+        collisions,
     )
 
 
@@ -89,21 +99,18 @@ class ContactTelemetry:
     def read(self) -> Contacts:
         """Read the contacts of the last step; add an event for each sensor that begins to touch."""
         clock, watched = self._world.clock, self._find_watched()
-        found = self._world.engine.read_contacts(watched.bodies)
-        own = self._find_collisions(found, found.bodies[:, :2])
-        is_watched = np.array([one in watched.collisions for one in own], dtype=np.bool_)
-        rows = np.flatnonzero(is_watched)
-        found, own = found.select(rows), [own[row] for row in rows.tolist()]
+        found, own = self._select_watched(self._world.engine.read_contacts(watched.bodies))
         others = self._name_others(found)
         self._add_events(own, others)
-        entities = list(dict.fromkeys(one.entity for one in own))
-        collisions = list(dict.fromkeys(others))
+        entities = {row: place for place, row in enumerate(dict.fromkeys(row for row, _, _ in own))}
+        collisions = {name: place for place, name in enumerate(dict.fromkeys(others))}
         bodies = [
-            (entities.index(one.entity), one.link, one.collision, collisions.index(other))
-            for one, other in zip(own, others, strict=True)
+            (entities[row], link, collision, collisions[other])
+            for (row, link, collision), other in zip(own, others, strict=True)
         ]
+        names = tuple(watched.index.names[row] for row in entities)
         return Contacts(
-            *(clock.epoch, clock.steps, clock.time_ns, tuple(entities), tuple(collisions)),
+            *(clock.epoch, clock.steps, clock.time_ns, names, tuple(collisions)),
             np.array(bodies, dtype="<u4").tobytes(),
             found.points.astype("<f8").tobytes(),
         )
@@ -114,66 +121,81 @@ class ContactTelemetry:
             self._watched = find_watched_entities(list(self._world.entities), index)
         return self._watched
 
+    def _select_watched(self, found: ContactPoints) -> tuple[ContactPoints, list[CollisionIndex]]:
+        """Select the points on watched collisions."""
+        watched = self._find_watched()
+        sides = [(watched.rows[body], link) for body, link in found.bodies[:, :2].tolist()]
+        rows = [at for at, side in enumerate(sides) if side in watched.links]
+        found = found.select(np.array(rows, dtype=np.intp))
+        own = self._find_collisions([sides[at] for at in rows], found.points[:, :3])
+        rows = [at for at, one in enumerate(own) if one in watched.collisions]
+        return found.select(np.array(rows, dtype=np.intp)), [own[at] for at in rows]
+
     def _name_others(self, found: ContactPoints) -> list[str]:
         """Name what is on the other side of each point."""
+        watched = self._find_watched()
         names = [GROUND_COLLISION] * len(found)
-        rows = np.flatnonzero(np.isin(found.bodies[:, 2], list(self._find_watched().names)))
-        others = self._find_collisions(found.select(rows), found.bodies[rows, 2:])
-        for row, one in zip(rows.tolist(), others, strict=True):
-            names[row] = self._name_collision(one)
+        others = found.bodies[:, 2:].tolist()
+        rows = [at for at, (body, _) in enumerate(others) if body in watched.rows]
+        sides = [(watched.rows[others[at][0]], others[at][1]) for at in rows]
+        for at, one in zip(rows, self._find_collisions(sides, found.points[rows, :3]), strict=True):
+            names[at] = self._name_collision(one)
         return names
 
-    def _name_collision(self, one: WatchedCollision) -> str:
-        link = self._world.entities.find(one.entity).model.links[one.link]
-        shapes = link.collisions[one.collision : one.collision + 1]
+    def _name_collision(self, one: CollisionIndex) -> str:
+        row, link_number, collision = one
+        entity = self._find_watched().entities[row]
+        link = entity.model.links[link_number]
+        shapes = link.collisions[collision : collision + 1]
         name = next((shape.name for shape in shapes if shape.name), "collision")
-        return SCOPE_SEPARATOR.join((one.entity, link.name, name))
+        return SCOPE_SEPARATOR.join((entity.name, link.name, name))
 
-    def _find_collisions(self, found: ContactPoints, sides: IntArray) -> list[WatchedCollision]:
-        """Find the collision of each point on one side of it.
-
-        Args:
-            found: The points.
-            sides: (n, 2) body and link.
-        """
-        names = self._find_watched().names
-        touched = np.zeros(len(found), dtype=np.intp)
+    def _find_collisions(
+        self, sides: Sequence[tuple[int, int]], points: FloatArray
+    ) -> list[CollisionIndex]:
+        """Find the collision of each point (n, 3) in the world, by row of the entity and link."""
+        watched = self._find_watched()
+        touched = [0] * len(sides)
         groups: dict[tuple[int, int], list[int]] = {}
-        for row, (body, link) in enumerate(sides.tolist()):
-            groups.setdefault((body, link), []).append(row)
-        for (body, link), rows in groups.items():
-            touched[rows] = self._find_touched(names[body], link, found.points[rows, :3])
-        return [
-            WatchedCollision(names[body], link, collision)
-            for (body, link), collision in zip(sides.tolist(), touched.tolist(), strict=True)
-        ]
+        models = watched.model_of.tolist()
+        for at, (row, link) in enumerate(sides):
+            groups.setdefault((models[row], link), []).append(at)
+        for (number, link), places in groups.items():
+            model = watched.models[number]
+            if len(model.links[link].collisions) > 1:
+                rows = np.array([sides[at][0] for at in places], dtype=np.intp)
+                local = self._to_link(model, link, rows, points[places])
+                found = find_touched_collisions(model.links[link], local, self._meshes)
+                for at, collision in zip(places, found.tolist(), strict=True):
+                    touched[at] = collision
+        return [(*side, collision) for side, collision in zip(sides, touched, strict=True)]
 
-    def _find_touched(self, name: str, link: int, points: FloatArray) -> IntArray:
-        world = self._world
-        model = world.entities.find(name).model
-        if len(model.links[link].collisions) <= 1:
-            return np.zeros(len(points), dtype=np.intp)
-        index, states = world.entities.index, world.states()
-        base = states.base[index.row[name], :7][None]
-        positions = states.joint_positions[index.joints_of(name)][None]
-        pose = compute_link_poses(model, base, positions)[model.links[link].name][0]
-        local = transform_points(invert(pose), points)
-        return find_touched_collisions(model.links[link], local, self._meshes)
+    def _to_link(self, model: Model, link: int, rows: IntArray, points: FloatArray) -> FloatArray:
+        """Express points (n, 3) of the world in a link of the entities of some rows (n,)."""
+        index, states = self._world.entities.index, self._world.states()
+        poses = states.base[rows, :7]
+        if link:
+            joints = index.joint_start[rows][:, None] + np.arange(len(model.joints), dtype=np.intp)
+            # Merged links cost as much as others.
+            bare = msgspec.structs.replace(model, frames=())
+            found = compute_link_poses(bare, poses, states.joint_positions[joints])
+            poses = found[model.links[link].name]
+        return transform_points(invert(poses), points)
 
-    def _add_events(self, own: Sequence[WatchedCollision], others: Sequence[str]) -> None:
+    def _add_events(self, own: Sequence[CollisionIndex], others: Sequence[str]) -> None:
         """Add an event for each sensor that touches something and did not before."""
         clock = self._world.clock
         touched = dict(zip(reversed(own), reversed(others), strict=True))
         before = self._touching if clock.epoch == self._epoch else frozenset()
-        touching = set()
-        for key, collisions in self._find_watched().sensors.items() if touched else ():
-            other = next((touched[one] for one in touched if one in collisions), None)
-            if other is None:
-                continue
-            touching.add(key)
-            if key not in before:
-                entity, sensor = key
-                clock.add_event(
-                    "touched", entity=entity, message=f"sensor '{sensor}' touches '{other}'"
-                )
+        touching = {
+            key
+            for key, collisions in self._find_watched().sensors.items()
+            if not collisions.isdisjoint(touched)
+        }
+        for entity, sensor in sorted(touching - before):
+            collisions = self._find_watched().sensors[entity, sensor]
+            other = next(touched[one] for one in touched if one in collisions)
+            clock.add_event(
+                "touched", entity=entity, message=f"sensor '{sensor}' touches '{other}'"
+            )
         self._touching, self._epoch = frozenset(touching), clock.epoch

@@ -536,7 +536,7 @@ class MujocoEngine(Engine):
             _COMPILE_CACHE.compile_ahead(compiled.layout.slot_counts, archetype, self._config)
         address = compiled.layout.address(archetype, slot)
         body = self._bodies[number] = MujocoBody(model, archetype, slot, address, actuation, loads)
-        self._owners[address.geometries] = number
+        self._own_geometries(number, address)
         self._activate(body)
         zeros = np.zeros(len(model.joints))
         self.set_state(number, base, zeros, zeros)
@@ -612,29 +612,24 @@ class MujocoEngine(Engine):
             return NO_CONTACTS
         points = read_contact_points(data.contact, data.efc_force)
         is_touching = (points[:, 6] > 0.0) | points[:, 7:].any(axis=1)
+        sides = np.stack([self._owners[geometries], self._links[geometries]], axis=2)
         found = []
         for own, other, towards in ((0, 1, -1.0), (1, 0, 1.0)):
             rows = np.flatnonzero(is_watched[:, own] & is_touching)
-            sides = [
-                *self._identify(geometries[rows, own]),
-                *self._identify(geometries[rows, other]),
-            ]
             numbers = points[rows]
             # Normals and forces are those on the second geometry.
             numbers[:, 3:6] *= towards
             numbers[:, 7:] *= towards
-            found.append(ContactPoints(np.stack(sides, axis=1), numbers))
+            pairs = np.concatenate([sides[rows, own], sides[rows, other]], axis=1)
+            found.append(ContactPoints(pairs, numbers))
         return concatenate_contacts(found)
 
-    def _identify(self, geometries: IndexArray) -> tuple[IndexArray, IndexArray]:
-        """Find the bodies and links of geometries."""
-        owners = self._owners[geometries]
-        links = np.zeros(len(owners), np.intp)
-        for number in set(owners.tolist()) - {NO_INDEX}:
-            address, own = self._bodies[number].address, owners == number
-            bodies = self._model.geom_bodyid[geometries[own]] - address.start.bodies
-            links[own] = np.array(address.layout.order)[bodies]
-        return owners, links
+    def _own_geometries(self, number: int, address: SlotAddress) -> None:
+        """Record to which body and links geometries belong."""
+        geometries = address.geometries
+        self._owners[geometries] = number
+        bodies = self._model.geom_bodyid[geometries] - address.start.bodies
+        self._links[geometries] = np.array(address.layout.order)[bodies]
 
     def set_base_state(self, body: int, base: FloatArray) -> None:
         """See `Engine.set_base_state`."""
@@ -748,6 +743,7 @@ class MujocoEngine(Engine):
         self._data = mujoco.MjData(self._model)
         self._targets = make_zero_targets(self._model.nv)
         self._owners = np.full(len(self._model.geom_contype), NO_INDEX, np.intp)
+        self._links = np.zeros(len(self._owners), np.intp)
         self._is_changed = True
         self._selections: dict[tuple[int, ...], BodySelection] = {}
         deactivate_all_slots(self._model, self._data, compiled.layout)
@@ -759,7 +755,7 @@ class MujocoEngine(Engine):
         self._start_with(compiled)
         for number, body in self._bodies.items():
             body.address = compiled.layout.address(body.archetype, body.slot)
-            self._owners[body.address.geometries] = number
+            self._own_geometries(number, body.address)
             if self._is_active(number):
                 self._activate(body)
         new = [body.address for body in self._bodies.values()]
