@@ -7,6 +7,7 @@ is a second. Turns with and without the listener alternate. Floor: as many ready
 process. First scan: from a subscription until the first scan of any robot.
 """
 
+import signal
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -27,6 +28,7 @@ from tests.integration.processes import (
     connected,
     eventually,
     free_endpoint,
+    kill,
     read_json_line,
     running,
     serving,
@@ -54,6 +56,7 @@ SECONDS, SECONDS_WHEN_SHORT = 10.0, 2.0
 TURNS = 3
 FIRST_SCANS, FIRST_SCANS_WHEN_SHORT = 20, 2
 TALLIES = 64
+MEGABYTE = 1e6
 MANY = 10
 """Robots up to which each has an agent and its own physics."""
 
@@ -77,6 +80,8 @@ class Spent:
     factors: list[float] = field(default_factory=list)
     cores: dict[str, list[float]] = field(default_factory=dict)
     step_ms: list[float] = field(default_factory=list)
+    late: list[float] = field(default_factory=list)
+    """Measurements that were late or missing, since the start of the processes."""
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
@@ -153,6 +158,8 @@ def _fleet_figures(case: FleetCase, seconds: float, first_scans: int) -> Iterato
             samples=tuple(spent.step_ms),
         )
     yield Figure(what=f"{name}scans heard", unit="Hz", samples=_scan_rates(tallies))
+    yield Figure(what=f"{name}scans heard", unit="MB/s", samples=_scan_volumes(tallies))
+    yield Figure(what=f"{name}late or missing scans so far", unit="", samples=tuple(heard.late))
     yield Figure(
         what=f"{name}first scan after a subscription",
         unit="ms",
@@ -181,6 +188,7 @@ def _up_figures(
             pids = _find_programs(process)
             _spend(bus, SimClient(bus), pids, seconds, spent)
             rates = _scan_rates(found.tallies())
+            resumed_s = _kill_sensors(bus, pids["sensors"])
     name = f"zensim up, {robots} robots: "
     is_few = robots <= MANY
     ready_s = ready["ready_s"]
@@ -207,6 +215,26 @@ def _up_figures(
     for group, cores in spent.cores.items():
         yield Figure(what=f"{name}CPU, {group}", unit="cores", samples=tuple(cores))
     yield Figure(what=f"{name}scans heard", unit="Hz", samples=rates)
+    yield Figure(
+        what=f"{name}scans again after kill -9 of the sensor process",
+        unit="s",
+        samples=(resumed_s,),
+        limit=None if is_short else Limit("median", "<=", 3.0),
+    )
+
+
+def _kill_sensors(bus: Bus, pids: Sequence[int]) -> float:
+    """Kill the sensor processes; return the time until there are scans again [s]."""
+    scans = bus.subscribe(SCAN.key("*"), TALLIES)
+    poll_until(scans.newest)
+    for pid in pids:
+        kill(pid, signal.SIGKILL)
+    pattern = keys.active_sensors("default", "*")
+    eventually(lambda: not bus.list_tokens(pattern), START_S, "the end of the sensor processes")
+    scans.take()
+    killed_s = time.monotonic()
+    poll_until(scans.newest, START_S)
+    return time.monotonic() - killed_s
 
 
 def _pace(robots: int) -> tuple[str, ...]:
@@ -259,10 +287,9 @@ def _spend(
     for _ in range(max(1, round(seconds))):
         time.sleep(1.0)
         samples.append(_sample(client, pids))
-    spent.step_ms += [
-        decode(Stats, one.payload, one.encoding).step_time_max_s * MILLISECONDS
-        for one in stats.take()
-    ]
+    told = [decode(Stats, one.payload, one.encoding) for one in stats.take()]
+    spent.step_ms += [one.step_time_max_s * MILLISECONDS for one in told]
+    spent.late += [float(one.late_sensor_messages) for one in told]
     stats.close()
     for (wall_s, time_s, used), (later_s, later_time_s, later_used) in pairwise(samples):
         lasted_s = later_s - wall_s
@@ -315,6 +342,13 @@ def _first_scan_ms(bus: Bus) -> float:
 def _scan_rates(tallies: Sequence[ScanTally]) -> tuple[float, ...]:
     return tuple(
         (after.scans - before.scans) / (after.wall_s - before.wall_s)
+        for before, after in pairwise(tallies)
+    ) or (0.0,)
+
+
+def _scan_volumes(tallies: Sequence[ScanTally]) -> tuple[float, ...]:
+    return tuple(
+        (after.scan_bytes - before.scan_bytes) / (after.wall_s - before.wall_s) / MEGABYTE
         for before, after in pairwise(tallies)
     ) or (0.0,)
 

@@ -22,11 +22,16 @@ flag = partial(typer.Option, metavar="")
 """An option without a value; typer would show the type of its value as <bool>."""
 
 
-def make_app(name: str = "") -> typer.Typer:
-    """Create the app of one module; its commands form a group if it has a name."""
+def make_app(name: str = "", *, has_default: bool = False) -> typer.Typer:
+    """Create the app of one module; its commands form a group if it has a name.
+
+    Args:
+        name: Of the group.
+        has_default: Whether the group does something without a command; else it prints its help.
+    """
     return typer.Typer(
         name=name or None,
-        no_args_is_help=bool(name),
+        no_args_is_help=bool(name) and not has_default,
         add_completion=False,
         pretty_exceptions_enable=False,
     )

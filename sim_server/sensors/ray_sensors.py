@@ -65,7 +65,7 @@ class LaserScanWriter:
             angle_increment=np.nan if is_single and has_zeros else find_increment(axis),
             range_min=settings.range_min_m,
             range_max=settings.range_max_m,
-            intensities=(0.0,) * axis.count if has_zeros else (),
+            intensities=(max(0.0, settings.min_intensity),) * axis.count if has_zeros else (),
         )
         self._count = axis.count
         self._messages = ArrayMessages(_in_frames(template, frames), array="ranges", item=(0.0,))

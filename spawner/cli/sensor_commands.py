@@ -24,8 +24,7 @@ from zensim.proto.sensor_schedule import find_true_rate_hz
 from zensim.proto.topic_catalog import SENSOR_STATS, TOPICS
 from zensim.spawner.cli.command_session import open_client, print_json, print_table
 
-app = make_app("sensors")
-app.info.no_args_is_help = False
+app = make_app("sensors", has_default=True)
 
 STATS_TIMEOUT_S = 1.0
 MILLISECONDS = 1e3

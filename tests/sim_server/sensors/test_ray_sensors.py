@@ -83,8 +83,12 @@ def test_noise_never_leaves_the_limits() -> None:
     assert scan.ranges[1] != WALL_M
 
 
-def test_zeros_are_the_intensities_of_gazebo() -> None:
-    assert read_scan(a_sensor("scan", compat="gazebo11")).intensities == (0.0,) * 3
+def test_intensities_of_gazebo_are_the_least_one() -> None:
+    gazebo = a_sensor("scan", compat="gazebo11")
+    bright = a_sensor("scan", compat="gazebo11", min_intensity=0.5)
+
+    assert read_scan(gazebo).intensities == (0.0,) * 3
+    assert read_scan(bright).intensities == (0.5,) * 3
 
 
 def test_single_ray_has_no_increment() -> None:
