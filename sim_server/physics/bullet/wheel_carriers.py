@@ -96,8 +96,8 @@ def add_wheel_carriers(blueprint: Blueprint) -> Blueprint:
     """Put a carrier between the body and each driven wheel of a robot that slides; depth first.
 
     It does with three or more driven wheels, or if it drags. Others stay as they are, and those
-    with a wheel that is no sphere on a level axle or is steered, or links that collide with each
-    other.
+    with a wheel that is no sphere on a level axle or is steered, links that collide with each
+    other, or sizes and masses that differ too much for the numbers.
     """
     wheels = [i for i, part in enumerate(blueprint.parts) if part.reflected_inertia > 0.0]
     if (
@@ -107,6 +107,16 @@ def add_wheel_carriers(blueprint: Blueprint) -> Blueprint:
         or not all(_can_be_carried(blueprint, i) for i in wheels)
     ):
         return blueprint
+    try:
+        # A description may have any numbers up to 1e12.
+        with np.errstate(all="ignore"):
+            found = _carry(blueprint, wheels)
+    except (ArithmeticError, np.linalg.LinAlgError):
+        return blueprint
+    return found if np.isfinite([part.inertia for part in found.parts]).all() else blueprint
+
+
+def _carry(blueprint: Blueprint, wheels: Sequence[int]) -> Blueprint:
     com = _find_center_of_mass(blueprint)
     carriers = [_place_carrier(blueprint, i, com) for i in wheels]
     moments = _balance_moments(blueprint, carriers)

@@ -158,6 +158,21 @@ def with_wheel_moments(model: Model, share: float) -> Model:
     return msgspec.structs.replace(model, links=(model.links[0], *links))
 
 
+@pytest.mark.filterwarnings("error")
+def test_robot_whose_wheel_is_far_away_has_none() -> None:
+    found = a_skid_bot()
+    joints = [
+        msgspec.structs.replace(
+            joint, origin=msgspec.structs.replace(joint.origin, position=(1e9, 0.1 * number, 0.0))
+        )
+        for number, joint in enumerate(found.joints)
+    ]
+    model = msgspec.structs.replace(with_wheel_moments(found, 0.0), joints=tuple(joints))
+    blueprint = order_depth_first(make_blueprint(model))
+
+    assert add_wheel_carriers(blueprint) is blueprint
+
+
 def test_great_moments_of_wheels_across_the_axle_move_to_the_body() -> None:
     before = order_depth_first(make_blueprint(with_wheel_moments(a_skid_bot(), 50.0)))
 
