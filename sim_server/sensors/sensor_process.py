@@ -87,6 +87,13 @@ class SensorCounts:
                 self.late[sensor.name] += 1
                 self.total_late += 1
 
+    def keep(self, sensors: Iterable[SceneSensor]) -> None:
+        """Forget all other sensors; the totals stay."""
+        names = {sensor.name for sensor in sensors}
+        for counts in (self.messages, self.late, self.cost_s):
+            for gone in counts.keys() - names:
+                del counts[gone]
+
     def add_missing(self, sensors: Iterable[SceneSensor], count: int) -> None:
         """Count measurements that were not made."""
         for sensor in sensors:
@@ -325,12 +332,16 @@ class SensorProcess:
         self._watch_tokens()
         roster = self._roster_client.poll(self._now_s, self._share.roster)
         if roster is not None:
-            self._share.set_roster(roster)
+            self._set_roster(roster)
         self._share.topics.poll()
         if self._config.is_always_on or self._share.topics.is_wanted:
             self._wanted_s = self._now_s
         self._set_active(is_active=self._now_s - self._wanted_s < IDLE_AFTER_S)
         self._stats.poll(self._now_s)
+
+    def _set_roster(self, roster: SceneRoster) -> None:
+        self._share.set_roster(roster)
+        self.counts.keep(roster.sensors)
 
     def _watch_tokens(self) -> None:
         for _, is_alive in self._servers.take():
@@ -421,13 +432,17 @@ class SensorProcess:
 
     def _find_moment(self, state: SceneState) -> SceneMoment | None:
         """Find the poses of all entities; None if they are not of a known roster."""
-        base = np.frombuffer(state.poses, dtype="<f8").reshape(-1, POSE_COLUMNS)
-        joints = np.frombuffer(state.joint_positions, dtype="<f8")
+        try:
+            base = np.frombuffer(state.poses, dtype="<f8").reshape(-1, POSE_COLUMNS)
+            joints = np.frombuffer(state.joint_positions, dtype="<f8")
+        except ValueError as error:
+            LOG.warning("scene_state reason=%r", str(error))
+            return None
         roster = self._share.roster
         if roster is None or roster.number != state.roster:
             roster = self._roster_client.fetch(roster)
             if roster is not None:
-                self._share.set_roster(roster)
+                self._set_roster(roster)
         if roster is None or not roster.fits(base, joints):
             return None
         return SceneMoment(state.step, state.time_ns, base, joints)

@@ -89,6 +89,11 @@ class SensedWorld:
         event = Event("spawned", name)
         self.bus.put_message(EVENTS.key(WORLD), event, Format.MSGPACK)
 
+    def delete(self, name: str) -> None:
+        del self.models[name], self.poses[name]
+        self.roster += 1
+        self.bus.put_message(EVENTS.key(WORLD), Event("deleted", name), Format.MSGPACK)
+
     def start(self, name: str, *, is_always_on: bool = False) -> SensorProcess:
         """Start a sensor process, and let it find its share."""
         given = SensorProcessConfig(endpoint="", world=WORLD, name=name, is_always_on=is_always_on)

@@ -17,12 +17,12 @@ from tests.sim_server.sensors.sensed_worlds import (
     scans_of,
 )
 from zensim.proto import keys
-from zensim.proto.codec.message_codec import decode
+from zensim.proto.codec.message_codec import Format, decode
 from zensim.proto.messages.model_messages import Link, Model, Shape
-from zensim.proto.messages.sensor_messages import SensorsReply, SensorStats
+from zensim.proto.messages.sensor_messages import SceneState, SensorsReply, SensorStats
 from zensim.proto.messages.standard_messages import time_from_ns
 from zensim.proto.stl import write_corners
-from zensim.proto.topic_catalog import SENSOR_STATS, SENSORS_REPLY
+from zensim.proto.topic_catalog import SCENE_STATE, SENSOR_STATS, SENSORS_REPLY
 
 
 @pytest.fixture
@@ -283,6 +283,32 @@ def test_malformed_state_does_no_harm(world: SensedWorld) -> None:
     world.step_to(24)
 
     assert len(heard.take()) == 1
+
+
+def test_state_with_half_a_pose_is_answered_and_not_measured(world: SensedWorld) -> None:
+    world.start("s1")
+    replies = world.bus.subscribe(SENSORS_REPLY.key(WORLD, "s1"), 10)
+    heard = world.listen("r1/scan")
+    broken = SceneState(0, 24, 24 * STEP_NS, world.roster, bytes(60), b"", ("s1",))
+
+    world.bus.put_message(SCENE_STATE.key(WORLD), broken, Format.MSGPACK)
+    world.run(0.03)
+    world.step_to(48)
+
+    assert len(replies.take()) == 2
+    assert len(heard.take()) == 1
+
+
+def test_counts_of_a_deleted_robot_are_forgotten_and_totals_stay(world: SensedWorld) -> None:
+    process = world.start("s1")
+    world.listen("*/scan")
+    world.step_to(24)
+
+    world.delete("r2")
+    world.step_to(48)
+
+    assert [name for name, *_ in process.counts.messages] == ["r1"]
+    assert process.counts.total == 3
 
 
 def test_tokens_of_a_process_go_with_it(world: SensedWorld) -> None:
