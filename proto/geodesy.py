@@ -1,4 +1,4 @@
-"""Geodetic positions (WGS84) of points in a world, and back, on numpy arrays."""
+"""Geodetic positions (WGS84) of points in a world, on numpy arrays."""
 
 import numpy as np
 import numpy.typing as npt
@@ -50,11 +50,6 @@ class WorldGeodesy:
             east_north_up: From the world's origin [m], (n, 3).
         """
         return from_earth_centred(self._origin + east_north_up @ self._earth_from_east.T)
-
-    def from_geodetic(self, geodetic: FloatArray) -> FloatArray:
-        """Find points (n, 3) of the world [m] from `to_geodetic`'s result."""
-        away = to_earth_centred(geodetic) - self._origin
-        return np.asarray(away @ self._earth_from_east @ self._east_from_world)
 
 
 def to_earth_centred(geodetic: FloatArray) -> FloatArray:

@@ -145,14 +145,12 @@ class EngineCapabilities:
     Attributes:
         hides: `hide` and `show`.
         sleeps: `sleep`, `wake` and `find_contacts`.
-        has_contacts: `read_contacts`.
         is_remote: Another process does the work: `skip_validation`, `find_overlaps_async` and
             `is_idle` avoid waiting for it.
     """
 
     hides: bool = False
     sleeps: bool = False
-    has_contacts: bool = False
     is_remote: bool = False
 
 

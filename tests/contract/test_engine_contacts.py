@@ -35,10 +35,6 @@ def engine(request: pytest.FixtureRequest) -> Iterator[Engine]:
         yield made
 
 
-def test_engine_that_tells_contacts_says_so(engine: Engine) -> None:
-    assert engine.capabilities.has_contacts
-
-
 def test_engine_tells_the_weight_of_a_resting_box(engine: Engine) -> None:
     box, other = (engine.add(a_box(), a_state((x, 0.0, SIDE_M / 2.0))) for x in (0.0, 3.0))
     advance(engine, 480)

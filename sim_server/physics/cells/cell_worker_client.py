@@ -272,7 +272,7 @@ class CellWorkerClient:
 class RemoteCell(Engine):
     """The Engine of a cell in a worker; it numbers bodies itself, so that adding needs no reply."""
 
-    capabilities = EngineCapabilities(hides=True, has_contacts=True, is_remote=True)
+    capabilities = EngineCapabilities(hides=True, is_remote=True)
 
     def __init__(self, worker: CellWorkerClient, cell: int, name: str) -> None:
         self.worker = worker

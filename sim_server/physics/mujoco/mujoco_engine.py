@@ -494,7 +494,7 @@ class MujocoEngine(Engine):
     """MuJoCo with Newton's method, one MjData."""
 
     name = "mujoco"
-    capabilities = EngineCapabilities(hides=True, has_contacts=True)
+    capabilities = EngineCapabilities(hides=True)
 
     def __init__(self, config: EngineConfig) -> None:
         self._config = config
