@@ -185,7 +185,7 @@ def _up_figures(
         ready = read_json_line(process)
         with connected(endpoint, process) as bus, _listener(bus) as found:
             _wait_until_heard(found, robots)
-            pids = _find_programs(process)
+            pids = find_programs(process)
             _spend(bus, SimClient(bus), pids, seconds, spent)
             rates = _scan_rates(found.tallies())
             resumed_s = _kill_sensors(bus, pids["sensors"])
@@ -306,7 +306,7 @@ def _sample(
     return time.monotonic(), client.info().sim_time_s, used
 
 
-def _find_programs(process: "Popen[str]") -> dict[str, tuple[int, ...]]:
+def find_programs(process: "Popen[str]") -> dict[str, tuple[int, ...]]:
     """Group the processes of `zensim up` by program."""
     groups: dict[str, list[int]] = {"server": [], "agents": [], "sensors": [], "zensim up": []}
     groups["zensim up"].append(process.pid)

@@ -21,6 +21,7 @@ NAMES = (
     "terminate",
     "lockstep",
     "killed",
+    "sensors",
     "history",
     "damage",
 )
