@@ -18,6 +18,7 @@ from zensim.proto.messages.sensor_messages import (
 )
 from zensim.proto.messages.standard_messages import LaserScan
 from zensim.proto.messages.telemetry_messages import EntityModel, Event, GetModelsResponse
+from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 from zensim.proto.se3 import FloatArray, from_rpy
 from zensim.proto.topic_catalog import EVENTS, SCENE_STATE
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
@@ -94,9 +95,13 @@ class SensedWorld:
         self.roster += 1
         self.bus.put_message(EVENTS.key(WORLD), Event("deleted", name), Format.MSGPACK)
 
-    def start(self, name: str, *, is_always_on: bool = False) -> SensorProcess:
+    def start(
+        self, name: str, *, is_always_on: bool = False, ros: RosSettings = NO_ROS
+    ) -> SensorProcess:
         """Start a sensor process, and let it find its share."""
-        given = SensorProcessConfig(endpoint="", world=WORLD, name=name, is_always_on=is_always_on)
+        given = SensorProcessConfig(
+            endpoint="", world=WORLD, name=name, is_always_on=is_always_on, ros=ros
+        )
         self.processes[name] = SensorProcess(self.bus, given)
         self.run(0.3)
         return self.processes[name]

@@ -20,7 +20,8 @@ from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode
 from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.proto.messages.sensor_messages import SceneState, SensorsReply, SensorStats
-from zensim.proto.messages.standard_messages import time_from_ns
+from zensim.proto.messages.standard_messages import LaserScan, time_from_ns
+from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.stl import write_corners
 from zensim.proto.topic_catalog import SCENE_STATE, SENSOR_STATS, SENSORS_REPLY
 
@@ -309,6 +310,22 @@ def test_counts_of_a_deleted_robot_are_forgotten_and_totals_stay(world: SensedWo
 
     assert [name for name, *_ in process.counts.messages] == ["r1"]
     assert process.counts.total == 3
+
+
+def test_scan_is_on_the_key_of_ros_2_with_the_qos_of_gazebo(world: SensedWorld) -> None:
+    world.start("s1", ros=RosSettings(domain=0))
+    heard = world.listen("0/r1/scan/**")
+
+    world.step_to(24)
+
+    (sample,) = heard.take()
+    assert sample.key.startswith("0/r1/scan/sensor_msgs::msg::dds_::LaserScan_/RIHS01_64c19139")
+    assert sample.attachment
+    assert decode(LaserScan, sample.payload, sample.encoding).ranges[0] == pytest.approx(5.0)
+    (token,) = [one for one in world.bus.list_tokens("@ros2_lv/**") if "%r1%scan" in one]
+    assert "/MP/" in token
+    assert "/%r1/sensors/" in token
+    assert token.endswith("::,5:,:,:,,")
 
 
 def test_tokens_of_a_process_go_with_it(world: SensedWorld) -> None:
