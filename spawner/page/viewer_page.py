@@ -449,7 +449,7 @@ class SceneLighting:
                 path,
                 color=colour,
                 intensity=LAMP_INTENSITY * lamp.intensity,
-                cast_shadow=True,
+                cast_shadow=lamp.casts_shadows,
                 position=find_light_position(lamp),
             )
         intensity, decay = fit_attenuation(lamp)
@@ -470,6 +470,7 @@ class SceneLighting:
             distance=lamp.range_m,
             angle=min(lamp.outer_angle_rad / 2.0 or SPOT_ANGLE_RAD, float(np.pi) / 2.0),
             penumbra=0.3,
+            cast_shadow=lamp.casts_shadows,
             position=position,
             direction=lamp.direction,
         )

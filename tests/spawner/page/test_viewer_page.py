@@ -145,3 +145,11 @@ def test_default_sky_is_darker_above() -> None:
     picture = make_sky()
 
     assert picture[0].sum() < picture[-1].sum()
+
+
+@pytest.mark.parametrize("kind", ["directional", "spot"])
+@pytest.mark.parametrize("casts", [True, False])
+def test_lamp_casts_shadows_if_it_says_so(kind: str, *, casts: bool) -> None:
+    lamp = msgspec.structs.replace(LAMP, kind=kind, casts_shadows=casts)
+
+    assert show_scenes(Scene(lights=(lamp,))).nodes["/light/0"]["cast_shadow"] is casts
