@@ -6,7 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.integration.processes import Server, agent_of, eventually, running, serving
+from tests.integration.processes import (
+    Server,
+    agent_of,
+    eventually,
+    running,
+    serving,
+    wait_for_agents,
+)
 from tests.integration.robots import drive_for, robot
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.gazebo_messages import ContactsState
@@ -79,3 +86,41 @@ def check_bumper(touched: list[ContactsState]) -> None:
     (pushed, *_) = next(found for found in states if found)
     assert pushed.collision1_name.startswith("r1::base_link::")
     assert pushed.total_wrench.force.x < 0.0
+
+
+def run_in_lockstep(kind: str) -> dict[str, list[bytes]]:
+    """Drive two robots towards each other; return the messages of their IMUs and bumpers."""
+    names = ("r1", "r2")
+    with serving("--paused", "--lockstep", "--on-miss", "wait", "--seed", "7") as server:
+        for x, name in enumerate(names):
+            spawned = server.zensim("spawn", "box_bot_lidar", "--name", name, "-x", str(0.3 * x))
+            assert spawned.returncode == 0, spawned.stderr
+        topics = [
+            server.bus.subscribe(f"{name}/{topic}", 100_000)
+            for name in names
+            for topic in ("imu", "bumper_states")
+        ]
+        who = ("--pool", "0", "--name", "p") if kind == "pool" else names
+        with running("agent", *who, "--cmd-vel-timeout", "0", "--connect", server.endpoint):
+            wait_for_agents(server, names)
+            fleet = [robot(server.bus, name) for name in names]
+            eventually(lambda: len(server.bus.get("*/odom")) == len(names), 20.0, "odometry")
+            for one in fleet:
+                one.command(0.3)
+            # Publishers and contacts are found within this wall time.
+            for _ in range(20):
+                server.client.simulate_steps(60)
+            found: dict[str, list[bytes]] = {}
+            for topic in topics:
+                for sample in topic.take():
+                    found.setdefault(sample.key, []).append(sample.payload)
+    return found
+
+
+def test_imu_and_bumper_give_equal_bytes_in_a_pool_and_alone() -> None:
+    runs = [run_in_lockstep(kind) for kind in ("alone", "pool")]
+
+    for key in ("r1/imu", "r2/imu", "r1/bumper_states", "r2/bumper_states"):
+        last = [set(run[key][-100:]) for run in runs]
+        assert len(last[0]) == 100
+        assert last[0] == last[1], key
