@@ -378,6 +378,8 @@ CAMERA_KINDS: dict[str, CameraKind] = {
     "rgbd_camera": "rgbd",
 }
 RGB_FORMATS = ("R8G8B8", "RGB_INT8", "B8G8R8", "BGR_INT8")
+MAX_PINHOLE_RAD = 2.0
+"""Of a camera whose lens shows more than a pinhole can."""
 DEFAULT_MIN_DEPTH_M = 0.4
 """Of the plug-ins of gazebo_ros."""
 DISTORTION = ("k1", "k2", "p1", "p2", "k3")
@@ -395,12 +397,8 @@ def read_camera(source: SensorSource) -> CameraSensor:
     kind = find_camera_kind(source)
     width, height = _read_image_size(source)
     near, far = _read_clip(source)
-    fov = read_value(source.tags, "camera/horizontal_fov", 1.047)
-    if not 0.0 < fov < math.pi:
-        raise UnusableSensor(f"<camera/horizontal_fov> is {fov:g} rad; use 0 to 3.14")
+    fov = _read_fov(source)
     _check_format(source)
-    if source.kind.startswith("wideangle"):
-        source.report.suspicious(source.subject, "its lens is not simulated: a pinhole is used")
     min_depth, max_depth = _read_depth_limits(source, near, far)
     return CameraSensor(
         kind=kind,
@@ -415,6 +413,20 @@ def read_camera(source: SensorSource) -> CameraSensor:
         distortion=_read_distortion(source),
         stereo_baseline_m=source.plugin_value("hack_baseline", "hackBaseline", "baseline"),
     )
+
+
+def _read_fov(source: SensorSource) -> float:
+    """Read the horizontal field of view [rad]; what a pinhole cannot show of it is left out."""
+    fov = read_value(source.tags, "camera/horizontal_fov", 1.047)
+    if source.kind.startswith("wideangle"):
+        shown = min(fov, MAX_PINHOLE_RAD)
+        source.report.suspicious(
+            source.subject, f"its lens is not simulated: a pinhole shows {shown:.3g} rad"
+        )
+        fov = shown
+    if not 0.0 < fov < math.pi:
+        raise UnusableSensor(f"<camera/horizontal_fov> is {fov:g} rad; use 0 to 3.14")
+    return fov
 
 
 def find_camera_kind(source: SensorSource) -> CameraKind:

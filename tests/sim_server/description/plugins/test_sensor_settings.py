@@ -347,6 +347,16 @@ def test_kind_of_camera_depends_on_type_and_plugin(kind: str, plugin: str, shows
     assert settings_of(CameraSensor, text).kind == shows
 
 
+def test_wide_angle_camera_shows_what_a_pinhole_can() -> None:
+    inside = "<camera><horizontal_fov>6.283</horizontal_fov></camera>"
+
+    model = a_model_with(a_sensor("wideanglecamera", inside))
+
+    assert isinstance(found := model.sensors[0].settings, CameraSensor)
+    assert found.horizontal_fov_rad == 2.0
+    assert mentions(model.report, "suspicious", "lens", "2 rad")
+
+
 CUTOFF = "pointCloudCutoff"
 
 
