@@ -28,7 +28,6 @@ from zensim.sim_server.scene.level_sections import (
 from zensim.sim_server.scene.ray_casting import (
     NO_ENTITY,
     PlacedShapes,
-    RayHits,
     find_solid_ranges,
 )
 
@@ -52,6 +51,8 @@ LEVEL_PLANE = 1e-9
 TINY = 1e-300
 """In place of divisors that are 0."""
 HALF_PI = math.pi / 2.0
+SOLID_KINDS = ("box", "capsule", "cylinder", "mesh", "plane", "sphere")
+"""Sorted."""
 UNKNOWN = np.iinfo(np.intp).max
 """Index above that of any entity."""
 
@@ -164,6 +165,7 @@ class _Section:
         self.is_round = np.isin(self.bounds.kind, ROUND_KINDS)
         self.is_plane = (self.bounds.kind == "plane") & _are_inclined(shapes, self.bounds.shape)
         self.is_box = self.bounds.kind == "box"
+        self.kind_number = np.searchsorted(SOLID_KINDS, self.bounds.kind)
 
     def cast(
         self, lidars: _Lidars, scan: LevelScan, pairs: tuple[_Pairs, _Pairs], hits: _NearestHits
@@ -199,11 +201,10 @@ class _MovingSection(_Section):
     def find_pairs(self, lidars: _Lidars, scan: LevelScan) -> tuple[_Pairs, _Pairs]:
         """Pair lidars with the edges and the solids in range."""
         bounds = self.bounds
-        away = bounds.centres[None, :, :2] - lidars.origins[:, None, :2]
-        reach = bounds.radii + scan.range_max_m
-        is_near = (away * away).sum(axis=2) <= reach * reach
-        is_near &= self.entity != lidars.ignored[:, None]
-        near = _Pairs(*np.nonzero(is_near))
+        (x, y), reach = bounds.centres[:, :2].T, bounds.radii + scan.range_max_m
+        ahead, aside = x - lidars.origins[:, :1], y - lidars.origins[:, 1:2]
+        near = _Pairs(*np.nonzero(ahead * ahead + aside * aside <= reach * reach))
+        near = near.take(self.entity[near.other] != lidars.ignored[near.lidar])
         starts = np.searchsorted(self.edges.shape, bounds.shape, side="left")
         counts = np.searchsorted(self.edges.shape, bounds.shape, side="right") - starts
         owner, edge = expand_ranges(starts[near.other], counts[near.other])
@@ -333,23 +334,26 @@ def _cast_solids(
     lidars: _Lidars, scan: LevelScan, section: _Section, pairs: _Pairs, hits: _NearestHits
 ) -> None:
     """Cast rays at round shapes, at planes, and at boxes about the sensor."""
-    kinds = section.bounds.kind[pairs.other]
-    for kind in np.unique(kinds).tolist():
-        chosen = pairs.take(kinds == kind)
-        pair, ray = _find_runs(scan, *_bound_azimuths(lidars, section.bounds, chosen))
+    numbers = section.kind_number[pairs.other]
+    for kind in range(len(SOLID_KINDS)):
+        chosen = pairs.take(np.flatnonzero(numbers == kind))
+        if not len(chosen.lidar):
+            continue
+        pair, ray = _find_runs(scan, *_bound_azimuths(lidars, section, chosen))
         ranges = _find_ranges(lidars, scan, section, chosen, (pair, ray))
         reciprocal = 1.0 / np.maximum(ranges, TINY)
         _add_hits(scan, chosen.take(pair), ray, reciprocal, section.entity, hits)
 
 
 def _bound_azimuths(
-    lidars: _Lidars, bounds: ShapeBounds, pairs: _Pairs
+    lidars: _Lidars, section: _Section, pairs: _Pairs
 ) -> tuple[FloatArray, FloatArray]:
     """Find the azimuths in the sensor at which the discs of shapes begin, and their widths."""
+    bounds = section.bounds
     away = bounds.centres[pairs.other, :2] - lidars.origins[pairs.lidar, :2]
     distances = np.maximum(np.hypot(away[:, 0], away[:, 1]), TINY)
     half = np.arcsin(np.minimum(bounds.radii[pairs.other] / distances, 1.0))
-    is_about = (half >= HALF_PI) | ~np.isin(bounds.kind[pairs.other], ROUND_KINDS)
+    is_about = (half >= HALF_PI) | ~section.is_round[pairs.other]
     half[is_about] = math.pi
     return np.arctan2(away[:, 1], away[:, 0]) - half - lidars.yaws[pairs.lidar], 2.0 * half
 
@@ -414,7 +418,13 @@ class PlanarCaster:
         self._shapes = shapes
         self._moving_bounds = bound_shapes(shapes, self._moving)
 
-    def cast(self, scan: LevelScan, sensors: FloatArray, ignored: IntArray) -> FloatArray:
+    def cast(
+        self,
+        scan: LevelScan,
+        sensors: FloatArray,
+        ignored: IntArray,
+        entities: IntArray | None = None,
+    ) -> FloatArray:
         """Find the ranges (n, rays) [m] of level lidars; infinite where nothing is in range.
 
         Args:
@@ -422,17 +432,8 @@ class PlanarCaster:
             sensors: (n, 7) poses in the world; of their orientation only the heading counts, and
                 whether they are inverted.
             ignored: (n,) index of the entity that a lidar's rays pass through, or `NO_ENTITY`.
+            entities: (n, rays) is filled with what is hit; see `RayHits.entities`.
         """
-        return self._cast(scan, sensors, ignored, None)
-
-    def find_hits(self, scan: LevelScan, sensors: FloatArray, ignored: IntArray) -> RayHits:
-        """Find ranges and entities (n, rays); see `cast` and `RayCaster`."""
-        entities = np.full((len(sensors), scan.count), NO_ENTITY, np.intp)
-        return RayHits(self._cast(scan, sensors, ignored, entities), entities)
-
-    def _cast(
-        self, scan: LevelScan, sensors: FloatArray, ignored: IntArray, entities: IntArray | None
-    ) -> FloatArray:
         ranges = np.empty((len(sensors), scan.count))
         is_inverted = to_matrix(sensors[:, 3:])[:, 2, 2] < 0.0
         for is_chosen, seen, step in ((~is_inverted, scan, 1), (is_inverted, scan.mirrored(), -1)):

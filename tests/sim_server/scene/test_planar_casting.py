@@ -72,7 +72,9 @@ class Trial:
     def cast(
         self, scan: LevelScan, sensors: FloatArray, ignored: IntArray | None = None
     ) -> RayHits:
-        return self.caster.find_hits(scan, sensors, ignore_none(sensors, ignored))
+        entities = np.zeros((len(sensors), scan.count), np.intp)
+        ranges = self.caster.cast(scan, sensors, ignore_none(sensors, ignored), entities)
+        return RayHits(ranges, entities)
 
     def cast_exactly(
         self, scan: LevelScan, sensors: FloatArray, ignored: IntArray | None = None
@@ -216,12 +218,14 @@ def test_ranges_have_the_same_bits_in_any_batch_order_and_block(
     trial = Trial([*a_mixture(rng), *a_warehouse(rng)])
     sensors, order = random_sensors(rng, 150, 8.0), rng.permutation(150)
     together = trial.cast(CIRCLE, sensors).ranges
+    without_entities = trial.caster.cast(CIRCLE, sensors, ignore_none(sensors, None))
 
     shuffled = trial.cast(CIRCLE, sensors[order]).ranges
     alone = [trial.cast(CIRCLE, sensor[None]).ranges[0] for sensor in sensors]
     monkeypatch.setattr(planar_casting, "LIDARS_PER_BLOCK", 7)
     in_small_blocks = trial.cast(CIRCLE, sensors).ranges
 
+    assert together.tobytes() == without_entities.tobytes()
     assert together[order].tobytes() == shuffled.tobytes()
     assert together.tobytes() == np.array(alone).tobytes() == in_small_blocks.tobytes()
 
