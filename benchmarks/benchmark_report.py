@@ -28,6 +28,7 @@ NAMES = (
     "fleet_physics",
     "pools",
     "sensors",
+    "casting",
     "state_sensors",
     "containers",
     "ros2",

@@ -1,6 +1,7 @@
 """The part of PyYAML that is used: events and nodes of a text, without construction."""
 
 from collections.abc import Iterator
+from typing import Any
 
 class YAMLError(Exception): ...
 class BaseLoader: ...
@@ -22,3 +23,5 @@ class MappingNode(Node):
 
 def parse(stream: str, Loader: type[BaseLoader]) -> Iterator[Event]: ...  # noqa: N803
 def compose(stream: str, Loader: type[BaseLoader]) -> Node | None: ...  # noqa: N803
+
+def safe_load(stream: str) -> Any: ...
