@@ -378,7 +378,7 @@ def _add_frames(world: Element, draft: _WorldDraft) -> None:
 
 def _add_nested_frames(world: Element, models: Sequence[Element], draft: _WorldDraft) -> None:
     """Add the frames of models that poses and frames of the world name, such as `arm::hand`."""
-    named = {(pose.get("relative_to") or "").strip() for pose in world.iterfind("*/pose")}
+    named = {(pose.get("relative_to") or "").strip() for pose in world.findall("*/pose")}
     named |= {(frame.get("attached_to") or "").strip() for frame in world.findall("frame")}
     by_name = {model.get("name"): model for model in models}
     for name in sorted(named):
