@@ -155,8 +155,8 @@ ZENSIM = {
     " zensim/SensorFigures[] sensors",
     "SceneState": "uint32 epoch; uint64 step; uint64 time_ns; uint32 roster; uint8[] poses;"
     " uint8[] joint_positions; string[] processes; bool is_awaited",
-    "Contacts": "uint32 epoch; uint64 step; uint64 time_ns; string[] entities; uint8[] bodies;"
-    " uint8[] points",
+    "Contacts": "uint32 epoch; uint64 step; uint64 time_ns; string[] entities;"
+    " string[] collisions; uint8[] bodies; uint8[] points",
     "SimulateSteps_Request": "uint64 steps; string goal_id",
     "CancelSteps_Request": "string goal_id",
     "CancelSteps_Response": "simulation_interfaces/Result result; string[] goal_ids",
