@@ -29,6 +29,9 @@ TESTS_PER_TURN = 1 << 15
 """Rays times shapes and triangles that are tested in one turn of the loop."""
 
 
+MAX_COORDINATE_M = 1e9
+
+
 class RaysRefused(SimError):
     """Rays that cannot be cast."""
 
@@ -69,15 +72,18 @@ def _read_rays(request: CastRaysRequest, ignored: int) -> Rays:
     if not 0.0 < request.range_max_m < np.inf:
         raise RaysRefused(f"range_max_m is {request.range_max_m:g}; use a positive number")
     origins, directions = _read_vectors(request.origins), _read_vectors(request.directions)
-    lengths = np.linalg.norm(directions, axis=1, keepdims=True)
-    is_wrong = ~(
-        np.isfinite(origins).all(axis=1) & np.isfinite(lengths[:, 0]) & (lengths[:, 0] > 0)
-    )
+    largest = np.abs(directions).max(axis=1, initial=0.0, keepdims=True)
+    is_far = ~(np.abs(origins) <= MAX_COORDINATE_M).all(axis=1)
+    is_wrong = is_far | ~np.isfinite(largest[:, 0]) | (largest[:, 0] == 0.0)
     if is_wrong.any():
         raise RaysRefused(
-            f"ray {int(np.argmax(is_wrong))} has no finite origin, or no finite direction but 0"
+            f"ray {int(np.argmax(is_wrong))} begins beyond {MAX_COORDINATE_M:g} m or has no "
+            "direction; use finite numbers, and no direction of length 0"
         )
-    return Rays(origins, directions / lengths, request.range_max_m, np.full(count, ignored))
+    # Squares of huge directions would overflow.
+    directions /= largest
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return Rays(origins, directions, request.range_max_m, np.full(count, ignored))
 
 
 def _read_vectors(vectors: tuple[Point, ...] | tuple[Vector3, ...]) -> FloatArray:

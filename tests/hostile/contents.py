@@ -105,9 +105,12 @@ def _plugins() -> Iterator[Case]:
     for name, number in {"nan": "nan", "negative": "-1", "word": "much"}.items():
         block = f'<gazebo reference="a"><mu1>{number}</mu1></gazebo>'
         yield Case(f"friction_{name}", robot(link("a"), block), "gazebo.mu1")
-    for inside in ("<pose>0 0</pose>", "<update_rate>nan</update_rate>"):
-        block = f'<gazebo reference="a"><sensor type="imu" name="s">{inside}</sensor></gazebo>'
-        yield Case(f"sensor_with_{inside}", robot(link("a"), block), "urdf.sensor")
+    for tag, text in {"pose": "0 0", "update_rate": "nan"}.items():
+        inside = f'<sensor type="imu" name="s"><{tag}>{text}</{tag}></sensor>'
+        block = f'<gazebo reference="a">{inside}</gazebo>'
+        yield Case(f"sensor_with_{tag}_{text}", robot(link("a"), block), f"sensor.{tag}")
+    block = '<gazebo reference="a"><sensor type="ray"/></gazebo>' * 9000
+    yield Case("sensors_9000", robot(link("a"), block), "sensor.count")
 
 
 def _odd_but_read() -> Iterator[Case]:
@@ -122,7 +125,6 @@ def _odd_but_read() -> Iterator[Case]:
         "unknown_tags_5000": "".join(f"<t{i}/>" for i in range(5000)),
         "misspelt_tags_5000": "<lnik/>" * 5000,
         "plugins_9000": '<gazebo><plugin filename="libgazebo_ros_diff_drive.so"/></gazebo>' * 9000,
-        "sensors_9000": '<gazebo reference="a"><sensor type="ray"/></gazebo>' * 9000,
         "hyphens_in_9000_comments": "<!-- -- -->" * 9000,
         "cdata": "<![CDATA[ <link name='b'/> ]]>",
         "instruction": "<?php system('true'); ?>",

@@ -242,11 +242,12 @@ def _needs_pivot(steps: Sequence[Joint], offset: Vec3) -> bool:
     (step,) = steps
     if step.kind == "prismatic":
         return False
-    axis = np.array(step.axis)
-    length = float(np.linalg.norm(axis))
+    # Not of numpy, whose norm overflows for huge axes.
+    length = math.hypot(*step.axis)
     if length == 0.0:
         return False
-    return float(np.linalg.norm(np.cross(axis / length, offset))) > OFFSET_TOLERANCE_M
+    arm = np.cross(np.array(step.axis) / length, offset)
+    return math.hypot(*arm.tolist()) > OFFSET_TOLERANCE_M
 
 
 def _read_mimic(tag: JointElement, axis: Element, where: str) -> Mimic | None:

@@ -855,7 +855,9 @@ class MujocoEngine(Engine):
         mujoco.mj_step2(model, data)
         change = data.qvel - velocities
         # The norm is a bound of the largest change, and faster.
-        if change.dot(change) <= MAX_SPEED_CHANGE**2 or np.abs(change).max() <= MAX_SPEED_CHANGE:
+        with np.errstate(over="ignore"):
+            square = change.dot(change)
+        if square <= MAX_SPEED_CHANGE**2 or np.abs(change).max() <= MAX_SPEED_CHANGE:
             return positions, velocities
         solved = data.qpos.copy(), data.qvel.copy(), data.qacc.copy()
         is_solved = find_solved_dofs(change, data.dof_island, model.dof_treeid)
