@@ -12,7 +12,8 @@ from zensim.proto.messages.model_messages import Light, Origin
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse, Snapshot
 from zensim.proto.messages.world_messages import Scene
 from zensim.proto.rigid_transforms import compose, rotate
-from zensim.proto.se3 import FloatArray, to_yaw
+from zensim.proto.se3 import FloatArray, from_origin, to_yaw
+from zensim.proto.se3 import compose as compose_poses
 from zensim.spawner.page.model_visuals import (
     NO_MESHES,
     Array,
@@ -22,6 +23,7 @@ from zensim.spawner.page.model_visuals import (
     find_link_poses,
     make_template,
 )
+from zensim.spawner.page.sensor_views import SensorChoice, SensorView, list_sensor_views
 
 MAX_MODEL_LIGHTS: Final = 8
 VIEW_AZIMUTH_RAD: Final = np.radians(20.0)
@@ -75,6 +77,8 @@ class RenderedFleet(msgspec.Struct, frozen=True, eq=False):
     """Meshes of the templates."""
     scene: Scene = Scene()
     """Of the world, without the lights of models."""
+    sensors: dict[SensorChoice, SensorView] = {}
+    """What can be shown of the sensors of all entities."""
 
 
 class RenderedFrame(msgspec.Struct, frozen=True, eq=False):
@@ -96,6 +100,8 @@ class SimulationStatus(msgspec.Struct, frozen=True):
     real_time_factor: float = 0.0
     robots: int = 0
     entities: int = 0
+    malformed: int = 0
+    """Messages of shown sensors that could not be read."""
 
 
 class LastCommand(msgspec.Struct, frozen=True):
@@ -128,6 +134,7 @@ def make_fleet(
         raise UnknownEntity(f"entity {error} has no model") from error
     except NotATree as error:
         raise MismatchedSnapshot(str(error)) from error
+    views = [list_sensor_views(model) for model in models.models]
     counts = [len(template.visual_joints) for template in templates.values()]
     starts = np.cumsum([0, *counts])
     rows: dict[VisualTemplate, list[int]] = {}
@@ -143,6 +150,7 @@ def make_fleet(
         joints=int(starts[-1]),
         meshes=meshes,
         scene=models.scene,
+        sensors={SensorChoice(n, v.topic): v for n in names for v in views[members[n].model]},
     )
 
 
@@ -166,6 +174,19 @@ def make_frame(fleet: RenderedFleet, snapshot: Snapshot) -> RenderedFrame:
     return RenderedFrame(
         states, links, tuple(islice(_place_lights(fleet, links), MAX_MODEL_LIGHTS))
     )
+
+
+def find_sensor_pose(
+    fleet: RenderedFleet, frame: RenderedFrame, choice: SensorChoice
+) -> FloatArray:
+    """Find the pose (7,) of a sensor of the fleet in the world frame."""
+    view, row = fleet.sensors[choice], fleet.rows[choice.entity]
+    place, links = next(
+        (int(np.argmax(group.rows == row)), links)
+        for group, links in zip(fleet.groups, frame.links, strict=True)
+        if row in group.rows
+    )
+    return compose_poses(links[view.link][place], from_origin(view.origin))
 
 
 def _place_lights(

@@ -24,12 +24,14 @@ def make_status_html(status: SimulationStatus) -> str:
     colour = STATE_COLOURS.get(status.state, "#e5695e")
     others = status.entities - status.robots
     robots = f"{status.robots}" + (f" + {others} without drive" if others else "")
+    malformed = [("Malformed sensor messages", f"{status.malformed}")] if status.malformed else []
     return _make_table(
         [
             ("State", f'<span style="color:{colour}">&#9679;</span> {escape(status.state)}'),
             ("Simulation time", format_clock(status.sim_time_s)),
             ("Real-time factor", f"{status.real_time_factor:.2f}"),
             ("Robots", robots),
+            *malformed,
         ]
     )
 

@@ -24,7 +24,14 @@ from zensim.proto.messages.simulation_messages import (
     StepSimulationRequest,
 )
 from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse, Snapshot
-from zensim.proto.network_protocols import CallingNetwork, Sample, Subscription, ViewerNetwork
+from zensim.proto.network_protocols import (
+    CallingNetwork,
+    Sample,
+    SubscribingNetwork,
+    Subscription,
+    ViewerNetwork,
+)
+from zensim.proto.se3 import transform_points
 from zensim.proto.service_catalog import (
     GET_ASSET,
     GET_MODELS,
@@ -52,8 +59,16 @@ from zensim.spawner.page.render_state import (
     RenderedFrame,
     SimulationStatus,
     UnknownEntity,
+    find_sensor_pose,
     make_fleet,
     make_frame,
+)
+from zensim.spawner.page.sensor_views import (
+    SensedFrame,
+    SensorChoice,
+    SensorView,
+    read_picture,
+    read_points,
 )
 from zensim.spawner.page.side_panel import Button
 
@@ -236,6 +251,95 @@ class CommandMonitor:
         self._command, self._received_at = (twist.linear.x, twist.angular.z), now
 
 
+SCAN_PERIOD_S: Final = 0.1
+"""Minimum time between two drawings of a lidar."""
+PICTURE_PERIOD_S: Final = 0.2
+"""Minimum time between two pictures of a camera."""
+
+
+class SensorMonitor:
+    """Receives the newest message of a topic of a sensor, at most once per period."""
+
+    def __init__(self, key: str, view: SensorView, samples: Subscription) -> None:
+        self.key, self.view = key, view
+        self._samples = samples
+        self._next_at = 0.0
+
+    def newest(self, now: float) -> Sample | None:
+        """Return the newest message, if there is one and the period has passed."""
+        sample = self._samples.newest() if now >= self._next_at else None
+        if sample is not None:
+            self._next_at = now + (PICTURE_PERIOD_S if self.view.is_picture else SCAN_PERIOD_S)
+        return sample
+
+    def close(self) -> None:
+        """Close the subscription."""
+        self._samples.close()
+
+
+class SensorMonitors:
+    """Subscriptions to exactly the sensors that clients show.
+
+    Attributes:
+        malformed: Messages that could not be read.
+    """
+
+    def __init__(self, network: SubscribingNetwork) -> None:
+        self._network = network
+        self._monitors: dict[SensorChoice, SensorMonitor] = {}
+        self.malformed = 0
+
+    def receive(self, choices: frozenset[SensorChoice], view: ViewState, now: float) -> SensedFrame:
+        """Subscribe to exactly these sensors; return what is new of each.
+
+        Args:
+            choices: Those of unknown entities or topics are not shown.
+            view: Of the poses at which points are drawn.
+            now: Monotonic time [s].
+        """
+        self._subscribe(choices, view.fleet)
+        sensed = SensedFrame()
+        for choice, monitor in self._monitors.items():
+            sample = monitor.newest(now)
+            if sample is None:
+                continue
+            try:
+                self._read(choice, monitor.view, sample, view, sensed)
+            except MalformedPayload:
+                self.malformed += 1
+        return sensed
+
+    def close(self) -> None:
+        """Close all subscriptions."""
+        for monitor in self._monitors.values():
+            monitor.close()
+        self._monitors = {}
+
+    def _subscribe(self, choices: frozenset[SensorChoice], fleet: RenderedFleet) -> None:
+        wanted = {
+            choice: (keys.robot(fleet.members[choice.entity].namespace, choice.topic), view)
+            for choice in choices
+            if (view := fleet.sensors.get(choice)) is not None
+        }
+        for choice, monitor in [*self._monitors.items()]:
+            if wanted.get(choice) != (monitor.key, monitor.view):
+                self._monitors.pop(choice).close()
+        for choice in wanted.keys() - self._monitors.keys():
+            key, view = wanted[choice]
+            self._monitors[choice] = SensorMonitor(key, view, self._network.subscribe(key))
+
+    @staticmethod
+    def _read(
+        choice: SensorChoice, view: SensorView, sample: Sample, at: ViewState, sensed: SensedFrame
+    ) -> None:
+        if view.is_picture:
+            sensed.pictures[choice] = read_picture(sample.payload, sample.encoding)
+            return
+        points = read_points(view, sample.payload, sample.encoding)
+        pose = find_sensor_pose(at.fleet, at.frame, choice)
+        sensed.points[choice] = transform_points(pose, points)
+
+
 class ViewerDataSource:
     """Subscriptions to one world; open while a viewer client is connected."""
 
@@ -252,6 +356,7 @@ class ViewerDataSource:
         self._fleet = RenderedFleet()
         self._fleet_inputs: _FleetInputs | None = None
         self._monitors: dict[str, CommandMonitor] = {}
+        self._sensors = SensorMonitors(network)
         self.error_text = ""
         """Error of the last call for models; empty = success."""
 
@@ -264,6 +369,7 @@ class ViewerDataSource:
         """Close all subscriptions."""
         self._tokens.close()
         self._snapshots.close()
+        self._sensors.close()
         for monitor in self._monitors.values():
             monitor.close()
 
@@ -297,6 +403,10 @@ class ViewerDataSource:
         commands = {entity: monitor.last(now) for entity, monitor in self._monitors.items()}
         return {entity: command for entity, command in commands.items() if command is not None}
 
+    def sense(self, choices: frozenset[SensorChoice], view: ViewState) -> SensedFrame:
+        """Subscribe to exactly these sensors; return what is new of each at the poses of a view."""
+        return self._sensors.receive(choices, view, self._clock())
+
     def _watch_server(self) -> None:
         for _, is_alive in self._tokens.take():
             if is_alive:
@@ -320,6 +430,7 @@ class ViewerDataSource:
             real_time_factor=snapshot.real_time_factor,
             robots=len(self._fleet.robots),
             entities=len(snapshot.names),
+            malformed=self._sensors.malformed,
         )
         return ViewState(self._fleet, make_frame(self._fleet, snapshot), status)
 
@@ -353,6 +464,10 @@ class PageProtocol(Protocol):
     def followed(self) -> frozenset[str]:
         """Entities that a client follows."""
 
+    @property
+    def shown_sensors(self) -> frozenset[SensorChoice]:
+        """Sensors that a client shows."""
+
     def wait_for_input(self, timeout_s: float) -> list[Button]:
         """Wait for events of clients, and return the pressed buttons."""
 
@@ -364,6 +479,9 @@ class PageProtocol(Protocol):
         commands: Mapping[str, LastCommand],
     ) -> None:
         """Draw one snapshot."""
+
+    def show_sensors(self, sensed: SensedFrame) -> None:
+        """Draw what is new of the shown sensors."""
 
     def move_cameras(self) -> None:
         """Move each camera towards the robot that it follows."""
@@ -418,6 +536,7 @@ class Viewer:
             self._state = view.status.state
             commands = source.commands(self._page.followed)
             self._page.show(view.fleet, view.frame, view.status, commands)
+            self._page.show_sensors(source.sense(self._page.shown_sensors, view))
         elif source.is_silent:
             self._page.show_disconnected()
         self._page.move_cameras()

@@ -9,11 +9,12 @@ import os
 import socket
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, suppress
 from functools import lru_cache, partial
 from ipaddress import ip_address
 from queue import Empty, SimpleQueue
+from types import MappingProxyType
 from typing import Final, cast
 from urllib.parse import SplitResult, urlsplit
 
@@ -49,6 +50,7 @@ from zensim.spawner.page.render_state import (
     choose_view,
     fit_camera,
 )
+from zensim.spawner.page.sensor_views import Picture, SensedFrame, SensorChoice, SensorView
 from zensim.spawner.page.side_panel import BUTTONS, Button, make_robot_html, make_status_html
 
 HOVER_SCRIPT: Final = """
@@ -669,8 +671,115 @@ class FleetNodes:
         return positions
 
 
+SCAN_COLOUR: Final = (255, 96, 64)
+SCAN_POINT_M: Final = 0.04
+"""Size of the points of scans."""
+
+
+class SensorDisplay:
+    """Scans in the scene and pictures in the panel of one client.
+
+    Attributes:
+        chosen: What is switched on.
+    """
+
+    def __init__(self, scene: viser.SceneApi, gui: viser.GuiApi) -> None:
+        self._scene, self._gui = scene, gui
+        self._points: dict[SensorChoice, FloatArray] = {}
+        self._clouds: dict[str, viser.PointCloudHandle] = {}
+        self._folder: viser.GuiFolderHandle | None = None
+        self._views: dict[SensorChoice, SensorView] = {}
+        self._pictures: dict[SensorChoice, viser.GuiImageHandle] = {}
+        self.chosen: frozenset[SensorChoice] = frozenset()
+
+    def open_panel(
+        self,
+        folder: viser.GuiFolderHandle,
+        views: Mapping[SensorChoice, SensorView],
+        switch: Callable[[SensorChoice, bool], None],
+    ) -> None:
+        """Add a switch for each sensor to the panel of a robot, in its order."""
+        self._folder, self._views = folder, dict(views)
+        for choice, view in views.items():
+            label = f"Show {'picture' if view.is_picture else 'scan'}"
+            with folder:
+                box = self._gui.add_checkbox(
+                    label if len(views) == 1 else f"{label} {view.topic}",
+                    initial_value=choice in self.chosen,
+                    hint=f"Sensor {view.title}, topic {view.topic}",
+                )
+            box.on_update(partial(_report_switch, switch, choice))
+
+    def close_panel(self) -> None:
+        """Switch off the pictures, which are in the panel; scans stay."""
+        for choice in [one for one, view in self._views.items() if view.is_picture]:
+            self.switch(choice, is_on=False)
+        self._folder, self._views = None, {}
+
+    def switch(self, choice: SensorChoice, *, is_on: bool) -> None:
+        """Switch a sensor on, or off and remove what is shown of it."""
+        self.chosen = self.chosen | {choice} if is_on else self.chosen - {choice}
+        if is_on:
+            return
+        if choice in self._pictures:
+            self._pictures.pop(choice).remove()
+        if self._points.pop(choice, None) is not None:
+            self._draw_cloud(choice.entity)
+
+    def keep(self, sensors: Container[SensorChoice]) -> None:
+        """Switch off what is not among these sensors."""
+        for choice in [one for one in self.chosen if one not in sensors]:
+            self.switch(choice, is_on=False)
+
+    def show(self, sensed: SensedFrame) -> None:
+        """Show what is new of the chosen sensors."""
+        new = {one: points for one, points in sensed.points.items() if one in self.chosen}
+        self._points |= new
+        for entity in {choice.entity for choice in new}:
+            self._draw_cloud(entity)
+        for choice in self.chosen & sensed.pictures.keys():
+            self._show_picture(choice, sensed.pictures[choice])
+
+    def _draw_cloud(self, entity: str) -> None:
+        scans = [points for choice, points in self._points.items() if choice.entity == entity]
+        if not scans:
+            self._clouds.pop(entity).remove()
+            return
+        points = np.concatenate(scans).astype(np.float32)
+        if entity in self._clouds:
+            self._clouds[entity].points = points
+            return
+        self._clouds[entity] = self._scene.add_point_cloud(
+            f"/scans/{entity}",
+            points,
+            SCAN_COLOUR,
+            point_size=SCAN_POINT_M,
+            point_shape="circle",
+            precision="float32",
+            point_shading="flat",
+        )
+
+    def _show_picture(self, choice: SensorChoice, picture: Picture) -> None:
+        if choice in self._pictures:
+            self._pictures[choice].image = picture
+        elif self._folder is not None:
+            with self._folder:
+                self._pictures[choice] = self._gui.add_image(
+                    picture, label=choice.topic, format="jpeg"
+                )
+
+
+def _report_switch(
+    switch: Callable[[SensorChoice, bool], None],
+    choice: SensorChoice,
+    event: viser.GuiEvent[viser.GuiCheckboxHandle],
+) -> None:
+    switch(choice, event.target.value)
+
+
 FOLLOW_GAIN: Final = 0.2
 """Share of the distance to the followed robot that the camera moves per call."""
+NO_SENSORS: Final[Mapping[SensorChoice, SensorView]] = MappingProxyType({})
 FOLLOW_DISTANCE_M: Final = 1.6
 """Distance of the camera from the followed robot."""
 CAMERA_TOLERANCE: Final = 0.01
@@ -680,9 +789,15 @@ CAMERA_TOLERANCE: Final = 0.01
 class ViewerClient:
     """A connected client, with camera and follow panel."""
 
-    def __init__(self, client: viser.ClientHandle, release: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        release: Callable[[], None],
+        switch: Callable[[SensorChoice, bool], None],
+    ) -> None:
         self._client = client
-        self._release = release
+        self._release, self._switch = release, switch
+        self.sensors = SensorDisplay(client.scene, client.gui)
         self._folder: viser.GuiFolderHandle | None = None
         self._text: viser.GuiHtmlHandle | None = None
         self._label: viser.LabelHandle | None = None
@@ -706,8 +821,11 @@ class ViewerClient:
             camera.look_at = look_at
         self._camera_at, self._shown = position, (fleet.names, len(fleet.meshes))
 
-    def follow(self, member: EntityModel | None) -> None:
-        """Follow a robot; None = stop following."""
+    def follow(
+        self, member: EntityModel | None, sensors: Mapping[SensorChoice, SensorView] = NO_SENSORS
+    ) -> None:
+        """Follow a robot with these sensors; None = stop following."""
+        self.sensors.close_panel()
         if self._folder is not None:
             self._folder.remove()
         if self._label is not None:
@@ -715,7 +833,7 @@ class ViewerClient:
         self._folder = self._text = self._label = None
         self.follows = member.entity if member else ""
         if member:
-            self._add_follow_panel(member.entity)
+            self._add_follow_panel(member.entity, sensors)
 
     def move(self, position: Array, *, label_at: Array, has_label: bool) -> None:
         """Move camera and label towards the followed robot; call periodically."""
@@ -748,7 +866,7 @@ class ViewerClient:
             camera.position, self._camera_at, rtol=0.0, atol=CAMERA_TOLERANCE
         )
 
-    def _add_follow_panel(self, name: str) -> None:
+    def _add_follow_panel(self, name: str, sensors: Mapping[SensorChoice, SensorView]) -> None:
         self._focus = np.array(self._client.camera.look_at)
         self._label = self._client.scene.add_label(
             "/followed", name, anchor="bottom-center", font_screen_scale=1.3
@@ -758,6 +876,7 @@ class ViewerClient:
             self._text = self._client.gui.add_html("")
             button = self._client.gui.add_button("Stop following", color=MUTED_BUTTON)
         button.on_click(lambda _: self._release())
+        self.sensors.open_panel(self._folder, sensors, self._switch)
 
 
 TEXT_PERIOD_S: Final = 0.15
@@ -795,7 +914,15 @@ class ShowAllPressed(msgspec.Struct, frozen=True):
     client_id: int
 
 
-ClientEvent = ClientConnected | ClientDisconnected | RobotPicked | ShowAllPressed
+class SensorSwitched(msgspec.Struct, frozen=True):
+    """A client switched a sensor on or off."""
+
+    client_id: int
+    choice: SensorChoice
+    is_on: bool
+
+
+ClientEvent = ClientConnected | ClientDisconnected | RobotPicked | ShowAllPressed | SensorSwitched
 
 
 class ViewerPage:
@@ -849,6 +976,11 @@ class ViewerPage:
         """Entities that a client follows."""
         return frozenset(one.follows for one in self._clients.values() if one.follows)
 
+    @property
+    def shown_sensors(self) -> frozenset[SensorChoice]:
+        """Sensors that a client shows."""
+        return frozenset[SensorChoice]().union(*(o.sensors.chosen for o in self._clients.values()))
+
     def wait_for_input(self, timeout_s: float) -> list[Button]:
         """Wait for events of clients, and return the pressed buttons."""
         pressed = []
@@ -877,10 +1009,16 @@ class ViewerPage:
         self._names = self._fleet_nodes.names_json()
         for client in self._connected_clients():
             client.frame_all_if_changed(fleet, self._find_view)
+            client.sensors.keep(fleet.sensors)
         self.move_cameras()
         if time.monotonic() >= self._next_text_at:
             self._next_text_at = time.monotonic() + TEXT_PERIOD_S
             self._update_texts(status, commands)
+
+    def show_sensors(self, sensed: SensedFrame) -> None:
+        """Draw what is new of the shown sensors."""
+        for client in self._connected_clients():
+            client.sensors.show(sensed)
 
     def _find_view(self) -> View:
         return choose_view(self._fleet, self._frame, self._fleet_nodes.find_bounds)
@@ -916,6 +1054,9 @@ class ViewerPage:
     def _pick(self, client_id: int, entity: str) -> None:
         self._events.put(RobotPicked(client_id, entity))
 
+    def _switch(self, client_id: int, choice: SensorChoice, is_on: bool) -> None:  # noqa: FBT001
+        self._events.put(SensorSwitched(client_id, choice, is_on))
+
     def _show_all(self, event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
         if event.client_id is not None:
             self._events.put(ShowAllPressed(event.client_id))
@@ -926,9 +1067,14 @@ class ViewerPage:
         if isinstance(event, ClientDisconnected) or client is None:
             self._clients.pop(client_id, None)
         elif isinstance(event, ClientConnected):
-            self._clients[client_id] = ViewerClient(client, lambda: self._pick(client_id, ""))
+            self._clients[client_id] = ViewerClient(
+                client, lambda: self._pick(client_id, ""), partial(self._switch, client_id)
+            )
         elif isinstance(event, RobotPicked):
-            self._clients[client_id].follow(self._fleet.members.get(event.entity))
+            views = {o: v for o, v in self._fleet.sensors.items() if o.entity == event.entity}
+            self._clients[client_id].follow(self._fleet.members.get(event.entity), views)
+        elif isinstance(event, SensorSwitched):
+            self._clients[client_id].sensors.switch(event.choice, is_on=event.is_on)
         else:
             self._clients[client_id].follow(None)
             if self._fleet.names:

@@ -8,7 +8,16 @@ import numpy as np
 from tests.fakes import MemoryBus
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode, encode
-from zensim.proto.messages.model_messages import DiffDrive, Joint, Link, Model, Origin, Shape
+from zensim.proto.messages.model_messages import (
+    DiffDrive,
+    Joint,
+    Link,
+    Model,
+    Origin,
+    Sensor,
+    Shape,
+)
+from zensim.proto.messages.sensor_messages import SensorTopic
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse, Snapshot
 from zensim.proto.service_catalog import SERVICES
 from zensim.proto.topic_catalog import SNAPSHOT
@@ -35,6 +44,17 @@ def make_robot(name: str = "bot", *, shape: Shape = CUBE) -> Model:
         ),
         drive=DiffDrive(),
     )
+
+
+def make_sensing_robot() -> Model:
+    """Make a robot with a lidar 0.2 m above its wheel, and a camera on its base."""
+    above = Origin((0.0, 0.0, 0.2))
+    lidar = Sensor(
+        "laser", "ray", "bot_wheel", "bot_wheel", above, topics=(SensorTopic("scan", "scan"),)
+    )
+    topics = SensorTopic("image_raw", "camera/image_raw"), SensorTopic("camera_info", "camera/info")
+    camera = Sensor("camera", "camera", "bot_base", "bot_base", topics=topics)
+    return msgspec.structs.replace(make_robot(), sensors=(lidar, camera))
 
 
 def make_wall(name: str = "wall") -> Model:

@@ -66,3 +66,10 @@ def test_markup_in_names_is_escaped() -> None:
 )
 def test_old_command_is_shown_with_its_age(command: LastCommand | None, text: str) -> None:
     assert format_command(command) == text
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_status_shows_malformed_messages_of_sensors_if_any(count: int) -> None:
+    html = make_status_html(SimulationStatus(malformed=count))
+
+    assert ("Malformed" in html) is bool(count)

@@ -2,10 +2,17 @@
 
 from collections.abc import Mapping
 
+import msgspec
 import pytest
 
 from tests.fakes import ManualClock, MemoryBus
-from tests.spawner.page.builders import FakeServer, make_models, make_robot, make_snapshot
+from tests.spawner.page.builders import (
+    FakeServer,
+    make_models,
+    make_robot,
+    make_sensing_robot,
+    make_snapshot,
+)
 from zensim.proto import topic_catalog
 from zensim.proto.messages.result_messages import Result, ResultCode, SetSimulationStateCode
 from zensim.proto.messages.simulation_messages import (
@@ -16,6 +23,7 @@ from zensim.proto.messages.simulation_messages import (
     State,
     StepSimulationRequest,
 )
+from zensim.proto.messages.standard_messages import Image, LaserScan
 from zensim.proto.messages.telemetry_messages import GetModelsRequest
 from zensim.spawner.page.render_state import (
     LastCommand,
@@ -23,8 +31,9 @@ from zensim.spawner.page.render_state import (
     RenderedFrame,
     SimulationStatus,
 )
+from zensim.spawner.page.sensor_views import SensedFrame, SensorChoice
 from zensim.spawner.page.side_panel import BUTTONS, Button
-from zensim.spawner.page.viewer_loop import Viewer
+from zensim.spawner.page.viewer_loop import POLL_S, Viewer
 
 SNAPSHOT = topic_catalog.SNAPSHOT.key("default")
 
@@ -35,6 +44,8 @@ class FakePage:
     def __init__(self, clock: ManualClock) -> None:
         self.is_watched = False
         self.followed: frozenset[str] = frozenset()
+        self.shown_sensors: frozenset[SensorChoice] = frozenset()
+        self.sensed: list[SensedFrame] = []
         self.pressed: list[Button] = []
         self.shown: list[tuple[SimulationStatus, Mapping[str, LastCommand]]] = []
         self.warnings: list[str] = []
@@ -55,6 +66,9 @@ class FakePage:
     ) -> None:
         assert len(fleet.names) == len(frame.base)
         self.shown.append((status, commands))
+
+    def show_sensors(self, sensed: SensedFrame) -> None:
+        self.sensed.append(sensed)
 
     def move_cameras(self) -> None:
         pass
@@ -219,3 +233,104 @@ def test_viewer_warns_without_a_reply() -> None:
     setup.press(*BUTTONS)
 
     assert len(setup.page.warnings) == len(BUTTONS)
+
+
+SCAN_CHOICE = SensorChoice("r1", "scan")
+PICTURE_CHOICE = SensorChoice("r1", "camera/image_raw")
+SCAN = LaserScan(range_max=9.0, ranges=(2.0,))
+
+
+class SensingSetup(Setup):
+    """A viewer of a robot with a lidar and a camera."""
+
+    def __init__(self, *choices: SensorChoice) -> None:
+        super().__init__()
+        self.server.models = make_models(r1=make_sensing_robot())
+        self.page.shown_sensors = frozenset(choices)
+        self.tick()
+        self.tick("playing")
+
+
+def test_viewer_subscribes_to_shown_sensors_only() -> None:
+    setup = SensingSetup(SCAN_CHOICE)
+
+    assert setup.bus.has_subscriber("r1/scan")
+    assert not setup.bus.has_subscriber("r1/camera/**")
+
+
+@pytest.mark.parametrize("end", ["switched off", "deleted", "not watched"])
+def test_viewer_unsubscribes_from_sensors(end: str) -> None:
+    setup = SensingSetup(SCAN_CHOICE, PICTURE_CHOICE)
+    assert setup.bus.has_subscriber("r1/camera/image_raw")
+
+    if end == "switched off":
+        setup.page.shown_sensors = frozenset()
+        setup.tick("playing")
+    elif end == "deleted":
+        setup.server.models = make_models(2)
+        setup.clock.sleep(1.0)
+        setup.server.publish(make_snapshot(roster=2))
+        setup.tick()
+    else:
+        setup.page.is_watched = False
+        setup.tick()
+
+    assert not setup.bus.has_subscriber("r1/**")
+
+
+def test_viewer_subscribes_anew_when_the_namespace_changes() -> None:
+    setup = SensingSetup(SCAN_CHOICE)
+    models = make_models(2, r1=make_sensing_robot())
+    moved = msgspec.structs.replace(models.entities[0], namespace="ns")
+    setup.server.models = msgspec.structs.replace(models, entities=(moved,))
+
+    setup.clock.sleep(1.0)
+    setup.server.publish(make_snapshot("r1", roster=2, joints=1))
+    setup.tick()
+
+    assert setup.bus.has_subscriber("ns/scan")
+    assert not setup.bus.has_subscriber("r1/scan")
+
+
+def test_newest_scan_is_shown_in_the_world() -> None:
+    setup = SensingSetup(SCAN_CHOICE)
+    setup.bus.put_message("r1/scan", msgspec.structs.replace(SCAN, ranges=(3.0,)))
+    setup.bus.put_message("r1/scan", SCAN)
+
+    setup.tick("playing")
+    setup.tick("playing")
+
+    _, sensed, after = setup.page.sensed
+    assert sensed.points[SCAN_CHOICE].tolist() == [pytest.approx([2.0, 0.05, 0.2])]
+    assert after.points == {}
+
+
+def test_scans_and_pictures_are_limited_in_rate() -> None:
+    setup = SensingSetup(SCAN_CHOICE, PICTURE_CHOICE)
+    image = Image(height=1, width=1, encoding="rgb8", step=3, data=b"abc")
+    started = len(setup.page.sensed)
+
+    for _ in range(40):
+        setup.clock.sleep(0.05)
+        setup.bus.put_message("r1/scan", SCAN)
+        setup.bus.put_message("r1/camera/image_raw", image)
+        setup.server.publish(make_snapshot("r1", joints=1))
+        setup.viewer.tick()
+
+    span_s = 40 * (0.05 + POLL_S)
+    sensed = setup.page.sensed[started:]
+    assert 5.0 < sum(bool(one.points) for one in sensed) / span_s <= 10.0
+    assert 3.0 < sum(bool(one.pictures) for one in sensed) / span_s <= 5.0
+
+
+def test_malformed_messages_of_sensors_are_counted() -> None:
+    setup = SensingSetup(SCAN_CHOICE, PICTURE_CHOICE)
+    setup.bus.put("r1/scan", b"\0\1\0\0\1")
+    setup.bus.put_message("r1/camera/image_raw", SCAN)
+
+    setup.tick("playing")
+    setup.bus.put_message("r1/scan", SCAN)
+    setup.tick("playing")
+
+    assert setup.page.shown[-1][0].malformed == 2
+    assert [*setup.page.sensed[-1].points] == [SCAN_CHOICE]

@@ -1,0 +1,144 @@
+"""What the page shows of sensors: points of lidars and pictures of cameras. NumPy only."""
+
+from typing import Final, Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.messages.model_messages import Model, Origin
+from zensim.proto.messages.standard_messages import Image, LaserScan, PointCloud2
+from zensim.proto.se3 import FloatArray
+from zensim.proto.topic_catalog import IMAGE_RAW, POINTS, SCAN
+
+Picture = NDArray[np.uint8]
+"""(height, width, 3), red, green, blue."""
+MAX_POINTS: Final = 20_000
+"""Of one sensor; of more, every k-th is shown."""
+MAX_SHOWN_RANGE_M: Final = 10_000.0
+MAX_PICTURE_SIDE: Final = 480
+"""The panel is narrower; of larger pictures, every k-th row and column is shown."""
+FLOAT32: Final = 7
+"""`PointField.datatype`."""
+SHOWN_TOPICS: Final = (SCAN.name, POINTS.name, IMAGE_RAW.name)
+
+
+class SensorChoice(msgspec.Struct, frozen=True):
+    """A sensor of an entity that a client shows."""
+
+    entity: str
+    topic: str
+    """See `SensorTopic.name`."""
+
+
+class SensorView(msgspec.Struct, frozen=True):
+    """A topic of a sensor that the page can show."""
+
+    title: str
+    """Name of the sensor."""
+    topic: str
+    """See `SensorTopic.name`."""
+    content: Literal["scan", "points", "image_raw"]
+    """Name in the topic catalog."""
+    link: int
+    """Index in `Model.links`."""
+    origin: Origin
+    """Of the sensor in the link."""
+
+    @property
+    def is_picture(self) -> bool:
+        """Whether it is shown in the panel, not in the scene."""
+        return self.content == IMAGE_RAW.name
+
+
+class SensedFrame(msgspec.Struct, frozen=True, eq=False):
+    """What has been received of the shown sensors since the last frame."""
+
+    points: dict[SensorChoice, FloatArray] = {}
+    """(n, 3) in the world frame [m]."""
+    pictures: dict[SensorChoice, Picture] = {}
+
+
+def list_sensor_views(model: Model) -> tuple[SensorView, ...]:
+    """List what can be shown of the sensors of a model, in their order."""
+    links = {link.name: number for number, link in enumerate(model.links)}
+    return tuple(
+        SensorView(
+            sensor.name,
+            topic.name,
+            topic.topic,  # type: ignore[arg-type]
+            links[sensor.link],
+            sensor.origin,
+        )
+        for sensor in model.sensors
+        for topic in sensor.topics
+        if topic.topic in SHOWN_TOPICS and sensor.link in links
+    )
+
+
+def read_points(view: SensorView, payload: bytes, encoding: str = "") -> FloatArray:
+    """Read the points (n, 3) of a scan or cloud in the sensor's axes [m].
+
+    Raises:
+        MalformedPayload: It has another type, or its numbers contradict each other.
+    """
+    if view.content == SCAN.name:
+        points = _place_ranges(decode(LaserScan, payload, encoding))
+    else:
+        points = _read_cloud(decode(PointCloud2, payload, encoding))
+    near = points[(np.abs(points) <= MAX_SHOWN_RANGE_M).all(axis=1)]
+    return near[:: _find_stride(len(near), MAX_POINTS)]
+
+
+def read_picture(payload: bytes, encoding: str = "") -> Picture:
+    """Read an image of encoding rgb8, thinned out to `MAX_PICTURE_SIDE`.
+
+    Raises:
+        MalformedPayload: It is no such image, or its sizes contradict each other.
+    """
+    image = decode(Image, payload, encoding)
+    size, width = image.step * image.height, 3 * image.width
+    if image.encoding != "rgb8" or not 0 < width <= image.step or not 0 < size == len(image.data):
+        raise MalformedPayload(
+            f"Image of encoding {image.encoding[:20]!r}, {image.width} x {image.height}, "
+            f"{len(image.data)} bytes is not rgb8 of that size"
+        )
+    rows = np.frombuffer(image.data, np.uint8).reshape(image.height, image.step)
+    stride = _find_stride(max(image.width, image.height), MAX_PICTURE_SIDE)
+    return rows[:, :width].reshape(image.height, image.width, 3)[::stride, ::stride]
+
+
+def _place_ranges(scan: LaserScan) -> FloatArray:
+    ranges = np.array(scan.ranges, dtype=np.float64)
+    # Gazebo writes NaN as the increment of a single ray.
+    increment = scan.angle_increment if len(ranges) > 1 else 0.0
+    if not np.isfinite((scan.angle_min, increment)).all():
+        raise MalformedPayload("LaserScan has an angle that is not finite")
+    is_hit = (ranges >= scan.range_min) & (ranges <= scan.range_max) & np.isfinite(ranges)
+    rays = np.flatnonzero(is_hit)
+    angles = scan.angle_min + rays * increment
+    hits = ranges[rays]
+    return np.stack((hits * np.cos(angles), hits * np.sin(angles), np.zeros(len(hits))), axis=1)
+
+
+def _read_cloud(cloud: PointCloud2) -> FloatArray:
+    count, size = cloud.width * cloud.height, cloud.point_step
+    offsets = {f.name: f.offset for f in cloud.fields if f.datatype == FLOAT32}
+    places = [offsets.get(name, size) for name in ("x", "y", "z")]
+    if count * size != len(cloud.data) or max(places) + 4 > size:
+        raise MalformedPayload(
+            f"PointCloud2 of {count} points of {size} bytes has {len(cloud.data)} bytes, "
+            "or no float32 fields x, y and z"
+        )
+    number = ">f4" if cloud.is_bigendian else "<f4"
+    layout = np.dtype(
+        {"names": ["x", "y", "z"], "formats": [number] * 3, "offsets": places, "itemsize": size}
+    )
+    points = np.frombuffer(cloud.data, layout)
+    return np.stack([points[name].astype(np.float64) for name in ("x", "y", "z")], axis=1)
+
+
+def _find_stride(count: int, limit: int) -> int:
+    """Find the least stride by which at most `limit` of `count` items are left."""
+    return max(1, -(-count // limit))
