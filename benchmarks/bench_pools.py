@@ -114,7 +114,7 @@ def _interleaved(
 
 @contextmanager
 def make_buses() -> Iterator[tuple[Bus, Bus]]:
-    """Run a router; open a session that publishes, and one that listens."""
+    """Run a router; open a session that publishes, and one that subscribes."""
     endpoint = free_endpoint()
     with (
         running("router", "--listen", endpoint) as process,

@@ -136,18 +136,18 @@ def _fleet_figures(case: FleetCase, seconds: float, first_scans: int) -> Iterato
         waits_ms = tuple(_first_scan_ms(server.bus) for _ in range(first_scans))
     name = f"{case.label}: "
     yield Figure(
-        what=f"{name}CPU, sensors, all heard",
+        what=f"{name}CPU, sensors, all subscribed",
         unit="cores",
         samples=tuple(heard.cores["sensors"]),
         limit=case.limit,
     )
     yield Figure(
-        what=f"{name}CPU, sensors, nobody listens",
+        what=f"{name}CPU, sensors, no subscribers",
         unit="cores",
         samples=tuple(idle.cores["sensors"]),
         limit=Limit("median", "<=", 0.01 * case.processes),
     )
-    for when, spent in (("nobody listens", idle), ("all heard", heard)):
+    for when, spent in (("no subscribers", idle), ("all subscribed", heard)):
         yield Figure(
             what=f"{name}CPU, server, {when}", unit="cores", samples=tuple(spent.cores["server"])
         )
@@ -157,8 +157,8 @@ def _fleet_figures(case: FleetCase, seconds: float, first_scans: int) -> Iterato
             unit="ms",
             samples=tuple(spent.step_ms),
         )
-    yield Figure(what=f"{name}scans heard", unit="Hz", samples=_scan_rates(tallies))
-    yield Figure(what=f"{name}scans heard", unit="MB/s", samples=_scan_volumes(tallies))
+    yield Figure(what=f"{name}scans received", unit="Hz", samples=_scan_rates(tallies))
+    yield Figure(what=f"{name}scans received", unit="MB/s", samples=_scan_volumes(tallies))
     yield Figure(what=f"{name}late or missing scans so far", unit="", samples=tuple(heard.late))
     yield Figure(
         what=f"{name}first scan after a subscription",
@@ -214,7 +214,7 @@ def _up_figures(
     )
     for group, cores in spent.cores.items():
         yield Figure(what=f"{name}CPU, {group}", unit="cores", samples=tuple(cores))
-    yield Figure(what=f"{name}scans heard", unit="Hz", samples=rates)
+    yield Figure(what=f"{name}scans received", unit="Hz", samples=rates)
     yield Figure(
         what=f"{name}scans again after kill -9 of the sensor process",
         unit="s",
@@ -287,9 +287,9 @@ def _spend(
     for _ in range(max(1, round(seconds))):
         time.sleep(1.0)
         samples.append(_sample(client, pids))
-    told = [decode(Stats, one.payload, one.encoding) for one in stats.take()]
-    spent.step_ms += [one.step_time_max_s * MILLISECONDS for one in told]
-    spent.late += [float(one.late_sensor_messages) for one in told]
+    stats_messages = [decode(Stats, one.payload, one.encoding) for one in stats.take()]
+    spent.step_ms += [one.step_time_max_s * MILLISECONDS for one in stats_messages]
+    spent.late += [float(one.late_sensor_messages) for one in stats_messages]
     stats.close()
     for (wall_s, time_s, used), (later_s, later_time_s, later_used) in pairwise(samples):
         lasted_s = later_s - wall_s

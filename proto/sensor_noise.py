@@ -39,7 +39,7 @@ def make_noise_key(seed: int, entity: str, sensor: Sensor) -> int:
     Args:
         seed: Of the world; see `Environment.seed`.
         entity: Name of the robot.
-        sensor: Told apart by its link and name.
+        sensor: Identified by its link and name.
     """
     parts = (str(seed), entity, sensor.link, sensor.name)
     text = "".join(f"{len(part)}:{part}" for part in parts)

@@ -312,7 +312,7 @@ class Agent:
     def _drive(self) -> bool:
         sample = self._states.newest()
         try:
-            # The server tells the contacts of a step before its state.
+            # The server publishes the contacts of a step before its state.
             self._publish_contacts()
         except MalformedPayload as error:
             self._note_malformed("contacts", error)

@@ -65,7 +65,7 @@ class SensorSessions:
                 self._take_reply(sample)
 
     def publish_state(self) -> None:
-        """Publish the state of a control step if a sensor is due and somebody is subscribed.
+        """Publish the state of a control step if a sensor is due and there is a subscriber.
 
         When simulation time runs faster than wall time, it is left out while a process is busy.
         """

@@ -1,4 +1,4 @@
-"""Which collision of a link a point of contact is on: engines tell links only."""
+"""Which collision of a link a point of contact is on: engines report links only."""
 
 import numpy as np
 

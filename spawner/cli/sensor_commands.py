@@ -44,7 +44,7 @@ class SensorRow(msgspec.Struct, frozen=True, kw_only=True):
     rate_hz: float | None
     """Of simulation time."""
     process: str
-    """The sensor process, else the agent; empty for nobody."""
+    """The sensor process, else the agent; empty if there is none."""
     has_subscribers: bool | None = None
     published: int | None = None
     late: int | None = None

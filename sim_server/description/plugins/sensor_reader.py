@@ -85,7 +85,7 @@ MODEL_PLUGINS = {
     "hector_gazebo_ros_magnetic": "magnetometer",
 }
 """Kind of sensor that a plug-in of a model is, by part of its file name; of ROS 1."""
-_ALWAYS = "every sensor publishes while somebody listens"
+_ALWAYS = "every sensor publishes while it has a subscriber"
 _NAMESPACE = "the namespace is set by the spawn request"
 ALWAYS_ON_TAGS = ("always_on", "alwaysOn")
 UNUSED_TAGS = {
@@ -583,7 +583,7 @@ def _report_sensor(sensor: Sensor, report: ParseReport) -> None:
     assert settings is not None
     topics = ", ".join(describe_topic(topic) for topic in sensor.topics)
     rate = f"{sensor.update_rate_hz:g} Hz" if sensor.update_rate_hz else "every control step"
-    sees = "; sees collisions, not visuals" if sensor.kind in ("gpu_ray", "gpu_lidar") else ""
+    sees = "; of collisions, not visuals" if sensor.kind in ("gpu_ray", "gpu_lidar") else ""
     report.applied(
         describe_sensor(sensor.name, sensor.frame),
         f"{topics}; frame {quote(sensor.frame_id)}, {rate}, "
@@ -608,7 +608,7 @@ def estimate_cost_s(settings: SensorSettings) -> float:
 
 
 def describe_cost(settings: SensorSettings, rate_hz: float) -> str:
-    """Describe the CPU time while somebody listens."""
+    """Describe the CPU time with a subscriber."""
     each_s = estimate_cost_s(settings)
     if not rate_hz:
         return f"about {each_s * 1e3:.2g} ms of CPU each"
