@@ -33,7 +33,7 @@ from zensim.sim_server.physics.engine import Engine
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
 from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
 
 __all__ = ["rows", "table"]
@@ -98,7 +98,7 @@ def _contact_figures(
     model = _with_sensor(box_bot, _make_sensor("contact", "bumper_states", settings))
     engine = make(EngineConfig(STEP_NS))
     try:
-        world = World(engine, name="bench", step_ns=STEP_NS, control_steps=1)
+        world = SimulatedWorld(engine, name="bench", step_ns=STEP_NS, control_steps=1)
         for number in range(robots):
             world.spawn(_make_spawn(f"r{number}", model, number))
         for _ in range(SETTLING_STEPS):

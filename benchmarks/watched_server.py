@@ -20,7 +20,7 @@ from zensim.proto.process_limits import die_with_supervisor
 from zensim.sim_server.physics.engine import Engine
 from zensim.sim_server.runtime import loop_channels
 from zensim.sim_server.runtime.loop import AgentSessions
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 from zensim.sim_server.world.simulation_clock import SimulationClock
 
 ENGINE_PARTS = {"step": "engine", "command": "command", "read": "read-back"}
@@ -50,15 +50,15 @@ class UsageReporter:
         self._stopwatch = Stopwatch()
         self._is_requested = self._is_in = False
         self._enter = SimulationClock.change_state
-        self._make_world = World.__init__
-        self._worlds: list[World] = []
+        self._make_world = SimulatedWorld.__init__
+        self._worlds: list[SimulatedWorld] = []
 
     def install(self) -> None:
         """Report at every change of state."""
         signal.signal(signal.SIGUSR1, lambda *_: setattr(self, "_is_asked", True))
         watch = self
 
-        def make_world(world: World, engine: Engine, **options: Any) -> None:  # noqa: ANN401
+        def make_world(world: SimulatedWorld, engine: Engine, **options: Any) -> None:  # noqa: ANN401
             watch._make_world(world, engine, **options)
             watch._worlds.append(world)
 
@@ -68,7 +68,7 @@ class UsageReporter:
             watch._enter(clock, state)
             watch._report(clock, state)
 
-        World.__init__ = make_world  # type: ignore[method-assign, assignment]
+        SimulatedWorld.__init__ = make_world  # type: ignore[method-assign, assignment]
         SimulationClock.change_state = enter  # type: ignore[method-assign, assignment]
 
     def _report(self, clock: SimulationClock, state: State) -> None:
@@ -83,21 +83,21 @@ class UsageReporter:
         sys.stdout.write(f"{mark(state)}{msgspec.json.encode(used).decode()}\n")
         sys.stdout.flush()
 
-    def _time_parts(self, world: World) -> None:
+    def _time_parts(self, world: SimulatedWorld) -> None:
         self._is_in = True
         watch, engine = self._stopwatch, world.engine
         for name, part in ENGINE_PARTS.items():
             setattr(engine, name, watch.timed(part, getattr(engine, name)))
         for owner, name, part in (
-            (World, "states", "read-back"),
-            (World, "snapshot", "messages"),
+            (SimulatedWorld, "states", "read-back"),
+            (SimulatedWorld, "snapshot", "messages"),
             (loop_channels, "encode", "encode"),
             (BusPublisher, "send", "put"),
             (AgentSessions, "serve", "take"),
         ):
             setattr(owner, name, watch.timed(part, getattr(owner, name)))
-        received = watch.timed_each("messages", World.drive_states)
-        World.drive_states = received  # type: ignore[method-assign]
+        received = watch.timed_each("messages", SimulatedWorld.drive_states)
+        SimulatedWorld.drive_states = received  # type: ignore[method-assign]
 
 
 if __name__ == "__main__":

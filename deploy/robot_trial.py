@@ -73,7 +73,7 @@ if TYPE_CHECKING:
     from zensim.sim_server.parser_process.description_cache import ParseKey
     from zensim.sim_server.parser_process.parser_protocol import ParseRequest, ParseResult
     from zensim.sim_server.physics.engine import FloatArray
-    from zensim.sim_server.world.simulated_world import World
+    from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 NAME = "robot"
 AGENT = "check"
@@ -148,7 +148,7 @@ def _run(request: TrialRequest, cleanup: ExitStack) -> TrialResult:
     )
 
 
-def _list_failures(world: World) -> list[str]:
+def _list_failures(world: SimulatedWorld) -> list[str]:
     """List the warnings on the robot, such as why it was put at rest or frozen."""
     return [event.message for event in world.clock.take_events() if event.kind == "warning"]
 
@@ -186,7 +186,7 @@ def _compare_readings(text: str, model: Model) -> tuple[str, ...]:
     return find_reading_differences(text, model)
 
 
-def make_trial_world(options: EngineOptions, store: AssetStore) -> World:
+def make_trial_world(options: EngineOptions, store: AssetStore) -> SimulatedWorld:
     """Make a world for one robot: ground, no cells and no workers."""
     physics = msgspec.structs.replace(options, clusters="off", workers=0)
     config = validate_config(ServerConfig(bus=BusConfig(), physics=physics))
@@ -225,7 +225,7 @@ class ParsedDescription:
 
 
 def spawn_on_ground(
-    world: World, store: AssetStore, model: Model, text: str
+    world: SimulatedWorld, store: AssetStore, model: Model, text: str
 ) -> tuple[ReportEntry, ...]:
     """Spawn a model, read from a text, on the ground with the server's handler."""
     while not world.prepare(model):
@@ -246,7 +246,7 @@ def spawn_on_ground(
 class LockstepTrial:
     """The only robot of a world and its drive controller, stepped together."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: SimulatedWorld) -> None:
         self._world = world
         self.model = world.entities.find(NAME).model
         self._controller: BaseController | None = None

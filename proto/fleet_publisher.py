@@ -12,7 +12,7 @@ from zensim.proto.codec.message_codec import Format, make_encoding
 from zensim.proto.network_protocols import AgentNetwork, Publisher, Query
 from zensim.proto.ros2.liveliness_tokens import GraphEndpoint
 from zensim.proto.ros2.rmw_attachment import ATTACHMENT_STRUCT, GID_BYTES
-from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic, gid_from_endpoint
+from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic, gid_from_endpoint
 from zensim.proto.topic_endpoints import CACHE_SUFFIX, KeyPublisher
 
 ATTACHMENT_DTYPE: Final = np.dtype(
@@ -135,7 +135,7 @@ class TopicMember:
 class RosFleetPublisher:
     """One topic of many robots on the ROS 2 keys of one pattern."""
 
-    def __init__(self, network: AgentNetwork, graph: RosGraph, topic: Topic) -> None:
+    def __init__(self, network: AgentNetwork, graph: RosGraph, topic: RosTopic) -> None:
         """Declare the topic.
 
         Args:
@@ -235,7 +235,7 @@ class RosFleetPublisher:
         if self._queries is not None:
             self._queries.close()
 
-    def _make_topic(self, member: TopicMember) -> Topic:
+    def _make_topic(self, member: TopicMember) -> RosTopic:
         return msgspec.structs.replace(self._topic, key=member.key)
 
     def _join(self, member: TopicMember) -> GraphEndpoint | None:

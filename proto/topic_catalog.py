@@ -38,7 +38,7 @@ from zensim.proto.messages.standard_messages import (
 )
 from zensim.proto.messages.telemetry_messages import Event, Snapshot, Stats, WorldClock
 from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_5, RELIABLE_10, Qos
-from zensim.proto.ros2.ros_graph import Topic
+from zensim.proto.ros2.ros_graph import RosTopic
 
 
 class TopicScope(Enum):
@@ -104,11 +104,11 @@ class TopicSpec(msgspec.Struct, frozen=True, eq=False, kw_only=True):
         """Write the key of an owner: world; world and agent or sensor process; or namespace."""
         return self.scope.value.format(*owner) + self.suffix
 
-    def at(self, key: str) -> Topic:
+    def at(self, key: str) -> RosTopic:
         """Describe the ROS 2 endpoint at a key, which differs from `key()` if it is remapped."""
-        return Topic(key, self.messages[0], self.qos)
+        return RosTopic(key, self.messages[0], self.qos)
 
-    def root(self) -> Topic:
+    def root(self) -> RosTopic:
         """Describe the ROS 2 endpoint at the root.
 
         Raises:
@@ -116,7 +116,7 @@ class TopicSpec(msgspec.Struct, frozen=True, eq=False, kw_only=True):
         """
         if self.root_message is None:
             raise ValueError(f"topic '{self.name}' is not published at the root")
-        return Topic(self.suffix, self.root_message, self.qos)
+        return RosTopic(self.suffix, self.root_message, self.qos)
 
 
 CLOCK = TopicSpec(

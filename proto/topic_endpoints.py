@@ -19,7 +19,7 @@ from zensim.proto.network_protocols import (
 from zensim.proto.ros2.liveliness_tokens import GraphEndpoint
 from zensim.proto.ros2.rmw_attachment import Attachment, write_attachment
 from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key, parse_data_key
-from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic, gid_from_endpoint
+from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic, gid_from_endpoint
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 
 CACHE_DEPTH: Final = 64
@@ -198,7 +198,7 @@ class TopicFactory:
         self._network = network
         self._node = node
 
-    def publisher(self, topic: Topic) -> TopicPublisher:
+    def publisher(self, topic: RosTopic) -> TopicPublisher:
         """Declare a publisher of CDR messages."""
         encoding = topic.encoding
         publishers = [KeyPublisher(self._network.advertise(topic.key, encoding))]
@@ -223,7 +223,7 @@ class TopicFactory:
             return TopicSubscription(plain, ())
         ros = []
         for kind in kinds:
-            endpoint = node.add_topic_endpoint("MS", Topic(key, kind))
+            endpoint = node.add_topic_endpoint("MS", RosTopic(key, kind))
             # Any hash: publishers of humble have none.
             ros_key = make_data_key(endpoint.node.domain, key, endpoint.ros_type, ANY_HASH)
             ros.append(self._network.subscribe(ros_key, depth))
@@ -245,7 +245,7 @@ class LazyTopicPublisher:
     def __init__(
         self,
         topics: TopicFactory,
-        topic: Topic,
+        topic: RosTopic,
         value: MakePayload,
         *,
         is_shared: bool = False,

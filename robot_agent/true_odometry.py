@@ -19,7 +19,7 @@ from zensim.proto.messages.standard_messages import (
 )
 from zensim.proto.rate_limiter import RateLimiter
 from zensim.proto.rigid_transforms import add, conjugate, multiply, rotate, scale
-from zensim.proto.ros2.ros_graph import Topic
+from zensim.proto.ros2.ros_graph import RosTopic
 from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory
 from zensim.robot_agent.drive_state_decoder import RobotState
 from zensim.robot_agent.link_motion import LinkChain, LinkState, find_link_chain
@@ -39,7 +39,7 @@ class TrueOdometryTelemetry:
         self.publishers = [
             LazyTopicPublisher(
                 factory,
-                Topic(
+                RosTopic(
                     resolve_topic_key(
                         claim.namespace, odometry.settings.topic, odometry.settings.ros
                     ),

@@ -41,7 +41,7 @@ from zensim.sim_server.service_parts import (
     ServerParts,
     make_server_parts,
 )
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 from zensim.sim_server.world_loading.world_catalog import WorldCatalog, find_start_file
 from zensim.sim_server.world_loading.world_loader import (
     LoadedWorld,
@@ -212,7 +212,11 @@ def _run(
 
 
 def _make_parts(
-    config: ServerConfig, loaded: LoadedWorld, world: World, parser: ParserClient, store: AssetStore
+    config: ServerConfig,
+    loaded: LoadedWorld,
+    world: SimulatedWorld,
+    parser: ParserClient,
+    store: AssetStore,
 ) -> ServerParts:
     now_ns = HostClock().now_ns
     catalog = WorldCatalog([*map(Path, config.model_paths)], find_start_file(config.world_file))
@@ -250,12 +254,12 @@ def _wait_for_parser(
 
 def make_initial_world(
     config: ServerConfig, loaded: LoadedWorld, store: AssetStore, journal: Journal | None = None
-) -> World:
+) -> SimulatedWorld:
     """Make the world of a new server, or restore that of its journal."""
     for name, data in loaded.meshes.items():
         store.pin(name, data)
     engine = make_world_engine(config, loaded.model, store.folder)
-    world = World(
+    world = SimulatedWorld(
         engine, name=config.world, step_ns=config.step_ns, control_steps=config.control_steps
     )
     if journal is not None and journal.contents is not None:

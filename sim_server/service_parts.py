@@ -19,7 +19,7 @@ from zensim.sim_server.pacing.step_goals import StepGoals
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.description_cache import DescriptionProvider, list_assets
 from zensim.sim_server.world.entity import Entity
-from zensim.sim_server.world.simulated_world import BuiltWorld, World, WorldFactory
+from zensim.sim_server.world.simulated_world import BuiltWorld, SimulatedWorld, WorldFactory
 from zensim.sim_server.world_loading.world_catalog import WorldCatalog
 
 
@@ -83,7 +83,7 @@ class SensorProcesses:
 class Bonds:
     """Entities that are deleted when the liveliness token of their bond disappears."""
 
-    world: World
+    world: SimulatedWorld
     alive: set[str] = field(default_factory=set)
     entities: dict[str, list[tuple[str, int]]] = field(default_factory=dict)
     """By bond: names of entities, and `Entity.born_ns`."""
@@ -152,7 +152,7 @@ class CurrentWorld:
         return self._top[1]
 
 
-def make_environment(world: World, current: CurrentWorld) -> Environment:
+def make_environment(world: SimulatedWorld, current: CurrentWorld) -> Environment:
     """Collect what sensors must know about the loaded world apart from its entities."""
     return Environment(
         seed=current.seed,
@@ -169,7 +169,7 @@ def make_environment(world: World, current: CurrentWorld) -> Environment:
 class Spawning:
     """What a spawn reads and changes."""
 
-    world: World
+    world: SimulatedWorld
     descriptions: Descriptions
     bonds: Bonds
     pacing: Pacing
@@ -180,7 +180,7 @@ class Spawning:
 class WorldLoading:
     """What loading a world reads and replaces."""
 
-    world: World
+    world: SimulatedWorld
     current: CurrentWorld
     pacing: Pacing
     bonds: Bonds
@@ -207,7 +207,7 @@ class WorldLoading:
 class ServerParts:
     """All parts of one server: a handler gets those that its parameters name by type."""
 
-    world: World
+    world: SimulatedWorld
     current_world: CurrentWorld
     pacing: Pacing
     agents: Agents
@@ -220,7 +220,7 @@ class ServerParts:
 
 
 def make_server_parts(
-    world: World,
+    world: SimulatedWorld,
     current: CurrentWorld,
     pacing: Pacing,
     descriptions: Descriptions,

@@ -73,13 +73,13 @@ class RosGraph:
         self.nodes.append(ros_node)
         return ros_node
 
-    def data_key(self, topic: "Topic") -> str:
+    def data_key(self, topic: "RosTopic") -> str:
         """Write the ROS 2 data key of a topic, or of the pattern of several."""
         return rmw_keys.make_data_key(
             self.domain or 0, topic.key, topic.ros_type, self.find_type_hash(topic)
         )
 
-    def find_type_hash(self, topic: "Topic") -> str:
+    def find_type_hash(self, topic: "RosTopic") -> str:
         """Find the type hash of a topic in the distribution."""
         return hash_type(topic.kind) if self.settings.has_hashes else rmw_keys.NO_HASH
 
@@ -106,7 +106,7 @@ class RosGraph:
         return self._sessions[-1]
 
 
-class Topic(msgspec.Struct, frozen=True):
+class RosTopic(msgspec.Struct, frozen=True):
     """ROS 2 endpoint description of a topic: plain key, type and QoS."""
 
     key: str
@@ -140,11 +140,11 @@ class RosNode:
         session.nodes += 1
         self._tokens = [session.session.token(make_node_token(node))]
 
-    def data_key(self, topic: Topic) -> str:
+    def data_key(self, topic: RosTopic) -> str:
         """Write the ROS 2 data key of a topic."""
         return self.graph.data_key(topic)
 
-    def add_topic_endpoint(self, kind: EndpointKind, topic: Topic) -> GraphEndpoint:
+    def add_topic_endpoint(self, kind: EndpointKind, topic: RosTopic) -> GraphEndpoint:
         """Announce a publisher or subscription of the node."""
         return self.add_endpoint(
             kind,

@@ -21,7 +21,7 @@ from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import TFMessage, Twist, TwistStamped
 from zensim.proto.network_protocols import AgentNetwork, Sample
 from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key
-from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
+from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic
 from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.proto.topic_catalog import CMD_VEL, TopicSpec
 from zensim.proto.topic_endpoints import TopicSubscription, make_topic_factory
@@ -623,7 +623,7 @@ class PooledRobots:
             self._publishers[key] = FleetTopicPublisher(self._network, pattern, endpoint.kind, ros)
         return self._publishers[key]
 
-    def _make_ros_publisher(self, topic: Topic) -> RosFleetPublisher | None:
+    def _make_ros_publisher(self, topic: RosTopic) -> RosFleetPublisher | None:
         if self._graph is None or self._graph.domain is None:
             return None
         return RosFleetPublisher(self._network, self._graph, topic)
@@ -640,7 +640,7 @@ class PooledRobots:
         node = self._graph.add_node(namespace, NODE_NAME) if self._graph else None
         if node is not None:
             for kind in CMD_VEL.messages:
-                node.add_topic_endpoint("MS", Topic(cmd_vel, kind))
+                node.add_topic_endpoint("MS", RosTopic(cmd_vel, kind))
         return node
 
 

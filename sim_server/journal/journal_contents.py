@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from zensim.sim_server.parser_process.asset_store import AssetStore
     from zensim.sim_server.physics.engine import FloatArray
-    from zensim.sim_server.world.simulated_world import World
+    from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 LOG = logging.getLogger(__name__)
 Row = TypeVar("Row", bound=msgspec.Struct)
@@ -159,7 +159,7 @@ class RestoreResult:
 
 
 def restore_world(
-    contents: JournalContents, world: World, mesh_restorer: MeshRestorer, now_ns: int
+    contents: JournalContents, world: SimulatedWorld, mesh_restorer: MeshRestorer, now_ns: int
 ) -> RestoreResult:
     """Spawn all entities with their last states, set the clock, and start a new epoch."""
     result = RestoreResult()
@@ -174,7 +174,7 @@ def restore_world(
     return result
 
 
-def _set_states(contents: JournalContents, world: World, result: RestoreResult) -> None:
+def _set_states(contents: JournalContents, world: SimulatedWorld, result: RestoreResult) -> None:
     rows = {row.name: row for row in contents.entities}
     for one in result.restored:
         name = one.entity.name
@@ -187,7 +187,7 @@ def _set_states(contents: JournalContents, world: World, result: RestoreResult) 
 def _restore_entity(
     contents: JournalContents,
     row: EntityRow,
-    world: World,
+    world: SimulatedWorld,
     mesh_restorer: MeshRestorer,
     now_ns: int,
     result: RestoreResult,

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from zensim.sim_server.parser_process.asset_store import AssetStore
     from zensim.sim_server.physics.engine import Engine, FloatArray
     from zensim.sim_server.service_parts import ServerParts
-    from zensim.sim_server.world.simulated_world import World
+    from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 LOG = logging.getLogger(__name__)
 MOTION_PERIOD_S = 0.4
@@ -491,7 +491,7 @@ class Journal:
             )
         self.contents = read_contents(self.database)
 
-    def restore(self, world: World, store: AssetStore, now_ns: int) -> tuple[str, ...]:
+    def restore(self, world: SimulatedWorld, store: AssetStore, now_ns: int) -> tuple[str, ...]:
         """Restore the entities, states and clock of a world; return the names of refused entities.
 
         Raises:
@@ -503,7 +503,7 @@ class Journal:
             return self._restore(self.contents, world, store, now_ns)
 
     def _restore(
-        self, contents: JournalContents, world: World, store: AssetStore, now_ns: int
+        self, contents: JournalContents, world: SimulatedWorld, store: AssetStore, now_ns: int
     ) -> tuple[str, ...]:
         self._mark.touch()
         sync_folder(self.database.folder)

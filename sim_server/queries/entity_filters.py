@@ -14,7 +14,7 @@ from zensim.sim_server.queries.sliced_work import MAX_WORK_S, SlicedWork
 from zensim.sim_server.scene.scene import CollisionScene, Region
 from zensim.sim_server.service_parts import DeferredResponse, Pacing
 from zensim.sim_server.world.entity import Entity
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 MAX_PATTERN_CHARACTERS = 1024
 MAX_AUTOMATON_BYTES = 1 << 16
@@ -95,7 +95,7 @@ class SearchTooLong(SimError):
 
 
 def filter_entities(
-    world: World,
+    world: SimulatedWorld,
     store: AssetStore,
     pacing: Pacing,
     filters: EntityFilters,

@@ -11,7 +11,7 @@ from zensim.proto.se3 import IDENTITY_POSE, FloatArray, compose, invert, rotate
 from zensim.sim_server.errors import RequestRefused, SimError
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.pose_conversion import WORLD_FRAMES, rotate_twist
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 SCOPE_SEPARATOR = "::"
 MAX_SHOWN_CHARACTERS = 80
@@ -46,7 +46,7 @@ class FrameAmbiguous(SimError):
         )
 
 
-def find_frame_pose(world: World, frame_id: str) -> FloatArray:
+def find_frame_pose(world: SimulatedWorld, frame_id: str) -> FloatArray:
     """Find the pose (7,) of a frame in the world.
 
     Raises:
@@ -70,14 +70,14 @@ def find_frame_pose(world: World, frame_id: str) -> FloatArray:
     return found[0]
 
 
-def pose_to_world(world: World, frame_id: str, pose: FloatArray) -> FloatArray:
+def pose_to_world(world: SimulatedWorld, frame_id: str, pose: FloatArray) -> FloatArray:
     """Express a pose (7,) given in a frame in the world; raises as `find_frame_pose` does."""
     if frame_id in WORLD_FRAMES:
         return pose
     return compose(find_frame_pose(world, frame_id), pose)
 
 
-def twist_to_world(world: World, frame_id: str, twist: FloatArray) -> FloatArray:
+def twist_to_world(world: SimulatedWorld, frame_id: str, twist: FloatArray) -> FloatArray:
     """Rotate a twist (6,) from the axes of a frame to the world's; ignores motion of the frame."""
     if frame_id in WORLD_FRAMES:
         return twist
@@ -91,7 +91,7 @@ def states_to_frame(frame: FloatArray, rows: FloatArray) -> FloatArray:
     return np.concatenate([compose(to_frame, rows[:, :7]), linear, angular], axis=1)
 
 
-def _list_candidates(world: World, frame_id: str) -> list[tuple[Entity, str]]:
+def _list_candidates(world: SimulatedWorld, frame_id: str) -> list[tuple[Entity, str]]:
     """List entities whose name or namespace the frame starts with, and the rest of the frame."""
     found: list[tuple[Entity, str]] = []
     for entity in world.entities:
@@ -104,7 +104,7 @@ def _list_candidates(world: World, frame_id: str) -> list[tuple[Entity, str]]:
     return found
 
 
-def _find_link_pose(world: World, entity: Entity, link: str) -> FloatArray | None:
+def _find_link_pose(world: SimulatedWorld, entity: Entity, link: str) -> FloatArray | None:
     states, index = world.states(), world.entities.index
     base = states.base[index.row[entity.name], :7]
     positions = states.joint_positions[index.joints_of(entity.name)]
@@ -149,7 +149,7 @@ class ScopedJoint:
         return self.entity.model.joints[self.number]
 
 
-def find_link(world: World, name: str) -> ScopedLink:
+def find_link(world: SimulatedWorld, name: str) -> ScopedLink:
     """Find a link.
 
     Raises:
@@ -173,7 +173,7 @@ def find_link(world: World, name: str) -> ScopedLink:
     )
 
 
-def find_joint(world: World, name: str) -> ScopedJoint:
+def find_joint(world: SimulatedWorld, name: str) -> ScopedJoint:
     """Find a joint by its scoped name, or by its plain name if only one entity has it.
 
     Raises:
@@ -211,7 +211,7 @@ def find_joint(world: World, name: str) -> ScopedJoint:
     )
 
 
-def find_state(world: World, name: str) -> FloatArray:
+def find_state(world: SimulatedWorld, name: str) -> FloatArray:
     """Find the state row (13,) of an entity, `entity`, or of any of its links, `entity::link`.
 
     Raises:

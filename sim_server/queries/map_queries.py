@@ -18,7 +18,7 @@ from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.queries.sliced_work import MAX_WORK_S, SlicedWork
 from zensim.sim_server.scene.occupancy_grid import GridTooLarge, OccupancyDrawing, plan_grid
 from zensim.sim_server.service_parts import DeferredResponse, Pacing
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 MAP_FRAME = "map"
 MIN_RESOLUTION_M, MAX_RESOLUTION_M = 0.005, 10.0
@@ -31,7 +31,7 @@ class MapRefused(SimError):
 
 
 def get_map(
-    world: World, store: AssetStore, pacing: Pacing, request: GetMapRequest
+    world: SimulatedWorld, store: AssetStore, pacing: Pacing, request: GetMapRequest
 ) -> GetMapResponse | DeferredResponse[GetMapResponse]:
     """Draw what is fixed in the world.
 

@@ -22,7 +22,7 @@ from zensim.sim_server.scene.ray_casting import (
     cast_rays_exactly,
 )
 from zensim.sim_server.service_parts import CurrentWorld, DeferredResponse, Pacing
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 MAX_RAYS = 10_000
 TESTS_PER_TURN = 1 << 15
@@ -39,7 +39,7 @@ class RaysRefused(SimError):
 
 
 def cast_rays(
-    world: World,
+    world: SimulatedWorld,
     store: AssetStore,
     current: CurrentWorld,
     pacing: Pacing,

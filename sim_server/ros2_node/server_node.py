@@ -34,7 +34,7 @@ from zensim.proto.ros2 import action_messages as action
 from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_10
 from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
 from zensim.proto.ros2.rmw_keys import ANY_HASH, NO_HASH, make_data_key
-from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
+from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic
 from zensim.proto.ros2.ros_service_catalog import (
     CDR_ENCODING_NAME,
     ROS_SERVICES,
@@ -480,7 +480,7 @@ def _make_steps_action(
         queues[name] = MergedQueries(tuple(bus.serve(key) for key in keys))
     publishers: dict[str, TopicPublisher] = {
         name: topics.publisher(
-            Topic(name.strip("/"), kind, LATCHED if name == action.STATUS_TOPIC else RELIABLE_10)
+            RosTopic(name.strip("/"), kind, LATCHED if name == action.STATUS_TOPIC else RELIABLE_10)
         )
         for name, kind in action.ACTION_TOPICS.items()
     }

@@ -15,7 +15,7 @@ from zensim.sim_server.queries.frame_queries import SCOPE_SEPARATOR
 from zensim.sim_server.scene.convex_shapes import MeshVertices
 from zensim.sim_server.scene.touched_collisions import find_touched_collisions
 from zensim.sim_server.world.entity import Entity, EntityIndex
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 GROUND_COLLISION = SCOPE_SEPARATOR.join(("ground_plane", "link", "collision"))
 """Name of the ground in messages: that of Gazebo's model."""
@@ -83,7 +83,7 @@ def find_watched_entities(entities: Sequence[Entity], index: EntityIndex) -> Wat
 class ContactTelemetry:
     """Reads what contact sensors feel; nothing without such sensors."""
 
-    def __init__(self, world: World, meshes: MeshVertices) -> None:
+    def __init__(self, world: SimulatedWorld, meshes: MeshVertices) -> None:
         self._world = world
         self._meshes = meshes
         self._watched: WatchedEntities | None = None

@@ -31,15 +31,15 @@ from zensim.proto.topic_catalog import (
 from zensim.sim_server.queries.frame_queries import SCOPE_SEPARATOR
 from zensim.sim_server.service_parts import Pacing, SensorProcesses
 from zensim.sim_server.world.entity import Entity
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 
-def make_model_states(world: World) -> ModelStates:
+def make_model_states(world: SimulatedWorld) -> ModelStates:
     """Make the states of all entities, in the order of spawning."""
     return ModelStates(world.entities.index.names, *_to_poses_and_twists(world.states().base))
 
 
-def make_link_states(world: World) -> LinkStates:
+def make_link_states(world: SimulatedWorld) -> LinkStates:
     """Make the states of all links, by entity, in the order of `Model.links`."""
     names: list[str] = []
     rows = np.zeros((sum(len(one.model.links) for one in world.entities), 13))
@@ -63,7 +63,9 @@ def _group_by_model(entities: Iterable[Entity]) -> list[list[Entity]]:
     return list(groups.values())
 
 
-def _compute_link_states(world: World, entities: Sequence[Entity]) -> dict[str, FloatArray]:
+def _compute_link_states(
+    world: SimulatedWorld, entities: Sequence[Entity]
+) -> dict[str, FloatArray]:
     states, roster = world.states(), world.entities.index
     rows = [roster.row[entity.name] for entity in entities]
     first = roster.joint_start[rows]
@@ -92,7 +94,7 @@ GETTABLE_TOPICS = {topic.suffix: topic for topic in WORLD_TOPICS if topic.is_get
 class WorldTelemetry:
     """Makes the messages of a world's topics at their rates."""
 
-    def __init__(self, world: World, pacing: Pacing, sensors: SensorProcesses) -> None:
+    def __init__(self, world: SimulatedWorld, pacing: Pacing, sensors: SensorProcesses) -> None:
         self._world = world
         self._pacing = pacing
         self._sensors = sensors

@@ -8,7 +8,7 @@ from zensim.proto.names import InvalidName, check_name
 from zensim.sim_server.errors import IncorrectState, RequestRefused
 from zensim.sim_server.service_parts import Agents, CurrentWorld, make_environment
 from zensim.sim_server.world.entity import Entity
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 
 def split_evenly(total: int, limits: Sequence[int]) -> tuple[int, ...]:
@@ -59,7 +59,7 @@ MAX_SHARE_TEXT = 2 << 20
 
 
 def claim_entity(
-    world: World,
+    world: SimulatedWorld,
     agents: Agents,
     current: CurrentWorld,
     request: agent_messages.ClaimEntityRequest,
@@ -79,7 +79,7 @@ def claim_entity(
 
 
 def claim_share(
-    world: World,
+    world: SimulatedWorld,
     agents: Agents,
     current: CurrentWorld,
     request: agent_messages.ClaimShareRequest,
@@ -113,7 +113,7 @@ def _check_agent(agents: Agents, name: str) -> str:
     return agent
 
 
-def _find_share(world: World, limits: Mapping[str, int], agent: str) -> tuple[Entity, ...]:
+def _find_share(world: SimulatedWorld, limits: Mapping[str, int], agent: str) -> tuple[Entity, ...]:
     robots = {
         entity.name: entity
         for entity in world.entities

@@ -35,11 +35,11 @@ from zensim.sim_server.world.pose_conversion import (
     twist_from_row,
     twist_to_row,
 )
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 
 def get_entity_bounds(
-    world: World, store: AssetStore, request: entity_messages.GetEntityBoundsOrder
+    world: SimulatedWorld, store: AssetStore, request: entity_messages.GetEntityBoundsOrder
 ) -> entity_messages.GetEntityBoundsResponse:
     """Compute the bounds of an entity's collision shapes, in the frame of its base link."""
     entity = world.entities.find(request.entity)
@@ -57,7 +57,7 @@ def get_entity_bounds(
 
 
 def get_entity_info(
-    world: World, request: entity_messages.GetEntityInfoRequest
+    world: SimulatedWorld, request: entity_messages.GetEntityInfoRequest
 ) -> entity_messages.GetEntityInfoReport:
     """Return category, tags, description and dynamics of an entity."""
     entity, engine = world.entities.find(request.entity), world.engine
@@ -66,7 +66,7 @@ def get_entity_info(
 
 
 def set_entity_info(
-    world: World, request: entity_messages.SetEntityInfoRequest
+    world: SimulatedWorld, request: entity_messages.SetEntityInfoRequest
 ) -> entity_messages.SetEntityInfoResponse:
     """Set category, tags and description of an entity."""
     world.entities.find(request.entity)
@@ -74,14 +74,17 @@ def set_entity_info(
     return entity_messages.SetEntityInfoResponse()
 
 
-def delete_entity(world: World, request: DeleteEntityRequest) -> DeleteEntityResponse:
+def delete_entity(world: SimulatedWorld, request: DeleteEntityRequest) -> DeleteEntityResponse:
     """Delete an entity."""
     world.delete(request.entity)
     return DeleteEntityResponse()
 
 
 def get_entities(
-    world: World, store: AssetStore, pacing: Pacing, request: entity_messages.GetEntitiesRequest
+    world: SimulatedWorld,
+    store: AssetStore,
+    pacing: Pacing,
+    request: entity_messages.GetEntitiesRequest,
 ) -> entity_messages.GetEntitiesResponse | DeferredResponse[entity_messages.GetEntitiesResponse]:
     """List the entities that pass the filters."""
     return filter_entities(
@@ -94,7 +97,7 @@ def get_entities(
 
 
 def get_models(
-    world: World, current: CurrentWorld, request: telemetry_messages.GetModelsRequest
+    world: SimulatedWorld, current: CurrentWorld, request: telemetry_messages.GetModelsRequest
 ) -> telemetry_messages.GetModelsResponse:
     """Return the models of entities, each model once."""
     wanted = request.entities or world.entities.index.names
@@ -123,7 +126,7 @@ def get_models(
 
 
 def get_entity_state(
-    world: World, request: entity_messages.GetEntityStateOrder
+    world: SimulatedWorld, request: entity_messages.GetEntityStateOrder
 ) -> entity_messages.GetEntityStateResponse:
     """Return pose and twist of an entity; accelerations are 0, as they are not computed.
 
@@ -139,7 +142,10 @@ def get_entity_state(
 
 
 def get_entities_states(
-    world: World, store: AssetStore, pacing: Pacing, request: entity_messages.GetEntitiesStatesOrder
+    world: SimulatedWorld,
+    store: AssetStore,
+    pacing: Pacing,
+    request: entity_messages.GetEntitiesStatesOrder,
 ) -> (
     entity_messages.GetEntitiesStatesResponse
     | DeferredResponse[entity_messages.GetEntitiesStatesResponse]
@@ -158,7 +164,7 @@ def get_entities_states(
 class _FrameView:
     """Entity states in a frame at one step; the motion of the frame itself is left out."""
 
-    def __init__(self, world: World, frame_id: str) -> None:
+    def __init__(self, world: SimulatedWorld, frame_id: str) -> None:
         self._frame = None if frame_id in WORLD_FRAMES else find_frame_pose(world, frame_id)
         name = "world" if self._frame is None else frame_id
         self._header = Header(time_from_ns(world.clock.time_ns), name)
@@ -175,7 +181,7 @@ def _make_entity_state(header: Header, row: FloatArray) -> entity_messages.Entit
 
 
 def set_entity_state(
-    world: World, request: entity_messages.SetEntityStateRequest
+    world: SimulatedWorld, request: entity_messages.SetEntityStateRequest
 ) -> entity_messages.SetEntityStateResponse:
     """Set pose and twist of an entity."""
     row = world.state_of(request.entity).copy()

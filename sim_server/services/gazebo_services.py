@@ -49,14 +49,14 @@ from zensim.sim_server.world.pose_conversion import (
     pose_to_row,
     twist_from_row,
 )
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 MAX_FORCE = 1e6
 """Largest force [N], torque or effort [N m]."""
 
 
 def apply_link_wrench(
-    world: World, request: gazebo_messages.ApplyLinkWrenchRequest
+    world: SimulatedWorld, request: gazebo_messages.ApplyLinkWrenchRequest
 ) -> gazebo_messages.ApplyLinkWrenchReport:
     """Apply a wrench to a link, with constant direction in the world."""
     target = find_link(world, request.link_name)
@@ -75,7 +75,7 @@ def apply_link_wrench(
 
 
 def clear_link_wrenches(
-    world: World, request: gazebo_messages.ClearLinkWrenchesRequest
+    world: SimulatedWorld, request: gazebo_messages.ClearLinkWrenchesRequest
 ) -> gazebo_messages.ClearLinkWrenchesReport:
     """Remove all wrenches of a link, if there are any."""
     target = find_link(world, request.link_name)
@@ -84,7 +84,7 @@ def clear_link_wrenches(
 
 
 def apply_joint_effort(
-    world: World, request: gazebo_messages.ApplyJointEffortRequest
+    world: SimulatedWorld, request: gazebo_messages.ApplyJointEffortRequest
 ) -> gazebo_messages.ApplyJointEffortReport:
     """Apply an effort along the axis of a joint."""
     target = find_joint(world, request.joint_name)
@@ -104,7 +104,7 @@ def apply_joint_effort(
 
 
 def clear_joint_efforts(
-    world: World, request: gazebo_messages.ClearJointEffortsRequest
+    world: SimulatedWorld, request: gazebo_messages.ClearJointEffortsRequest
 ) -> gazebo_messages.ClearJointEffortsReport:
     """Remove all efforts of a joint, if there are any."""
     target = find_joint(world, request.joint_name)
@@ -113,7 +113,7 @@ def clear_joint_efforts(
 
 
 def _wrench_at_com(
-    world: World,
+    world: SimulatedWorld,
     target: ScopedLink,
     request: gazebo_messages.ApplyLinkWrenchRequest,
     force: FloatArray,
@@ -131,7 +131,7 @@ def _wrench_at_com(
     return np.concatenate([force, torque + np.cross(arm, force)])
 
 
-def _make_span(world: World, start: Time, duration: Duration) -> TimeSpan | None:
+def _make_span(world: SimulatedWorld, start: Time, duration: Duration) -> TimeSpan | None:
     return make_time_span(
         now_ns=world.clock.time_ns,
         start_ns=ns_from_time(start),
@@ -174,7 +174,7 @@ MAX_PROPERTY = 1e6
 
 
 def get_joint_properties(
-    world: World, request: gazebo_messages.GetJointPropertiesRequest
+    world: SimulatedWorld, request: gazebo_messages.GetJointPropertiesRequest
 ) -> gazebo_messages.GetJointPropertiesReport:
     """Return parameters, position and velocity of a joint."""
     target = find_joint(world, request.joint_name)
@@ -197,7 +197,7 @@ def get_joint_properties(
 
 
 def set_joint_properties(
-    world: World, request: gazebo_messages.SetJointPropertiesRequest
+    world: SimulatedWorld, request: gazebo_messages.SetJointPropertiesRequest
 ) -> gazebo_messages.SetJointPropertiesReport:
     """Set damping, friction and limits of a joint."""
     target = find_joint(world, request.joint_name)
@@ -206,7 +206,7 @@ def set_joint_properties(
 
 
 def get_link_properties(
-    world: World, request: gazebo_messages.GetLinkPropertiesRequest
+    world: SimulatedWorld, request: gazebo_messages.GetLinkPropertiesRequest
 ) -> gazebo_messages.GetLinkPropertiesReport:
     """Return mass and inertia of a link; the moments are about the axes of the link."""
     link = find_link(world, request.link_name).link
@@ -220,7 +220,7 @@ def get_link_properties(
 
 
 def set_link_properties(
-    world: World, request: gazebo_messages.SetLinkPropertiesRequest
+    world: SimulatedWorld, request: gazebo_messages.SetLinkPropertiesRequest
 ) -> gazebo_messages.SetLinkPropertiesReport:
     """Set mass and inertia of a link, and whether gravity acts on it."""
     target = find_link(world, request.link_name)
@@ -239,7 +239,7 @@ def set_link_properties(
     return gazebo_messages.SetLinkPropertiesReport(success=True)
 
 
-def _change_joint(world: World, target: ScopedJoint, joint: Joint) -> None:
+def _change_joint(world: SimulatedWorld, target: ScopedJoint, joint: Joint) -> None:
     joints = list(target.entity.model.joints)
     joints[target.number] = joint
     model = msgspec.structs.replace(target.entity.model, joints=tuple(joints))
@@ -247,7 +247,7 @@ def _change_joint(world: World, target: ScopedJoint, joint: Joint) -> None:
         world.replace_model(target.entity.name, model)
 
 
-def _change_link(world: World, target: ScopedLink, link: Link) -> None:
+def _change_link(world: SimulatedWorld, target: ScopedLink, link: Link) -> None:
     links = list(target.entity.model.links)
     links[target.number] = link
     model = msgspec.structs.replace(target.entity.model, links=tuple(links))
@@ -343,27 +343,29 @@ def _to_inertial(request: gazebo_messages.SetLinkPropertiesRequest) -> Inertial:
 
 
 def pause_physics(
-    world: World, pacing: Pacing, _: gazebo_messages.PausePhysicsRequest
+    world: SimulatedWorld, pacing: Pacing, _: gazebo_messages.PausePhysicsRequest
 ) -> gazebo_messages.EmptyReport:
     """Pause; no error if paused already, as in Gazebo."""
     return _change_state(world, pacing, State.PAUSED)
 
 
 def unpause_physics(
-    world: World, pacing: Pacing, _: gazebo_messages.UnpausePhysicsRequest
+    world: SimulatedWorld, pacing: Pacing, _: gazebo_messages.UnpausePhysicsRequest
 ) -> gazebo_messages.EmptyReport:
     """Play; no error if playing already, as in Gazebo."""
     return _change_state(world, pacing, State.PLAYING)
 
 
-def reset_world(world: World, _: gazebo_messages.ResetWorldRequest) -> gazebo_messages.EmptyReport:
+def reset_world(
+    world: SimulatedWorld, _: gazebo_messages.ResetWorldRequest
+) -> gazebo_messages.EmptyReport:
     """Reset the states of all entities; time and spawned entities stay."""
     world.reset(ResetScope.STATE)
     return gazebo_messages.EmptyReport()
 
 
 def get_gazebo_state(
-    world: World, request: gazebo_messages.GazeboGetEntityStateRequest
+    world: SimulatedWorld, request: gazebo_messages.GazeboGetEntityStateRequest
 ) -> gazebo_messages.GazeboGetEntityStateReport:
     """Return pose of an entity or a link in a frame, and twist relative to it."""
     row = find_state(world, request.name)
@@ -384,7 +386,7 @@ def get_gazebo_state(
 
 
 def set_gazebo_state(
-    world: World, request: gazebo_messages.GazeboSetEntityStateRequest
+    world: SimulatedWorld, request: gazebo_messages.GazeboSetEntityStateRequest
 ) -> gazebo_messages.GazeboSetEntityStateReport:
     """Set pose and twist of an entity, by its name or that of its base link."""
     state = request.state
@@ -404,7 +406,9 @@ def set_gazebo_state(
     return gazebo_messages.GazeboSetEntityStateReport(success=True)
 
 
-def _change_state(world: World, pacing: Pacing, state: State) -> gazebo_messages.EmptyReport:
+def _change_state(
+    world: SimulatedWorld, pacing: Pacing, state: State
+) -> gazebo_messages.EmptyReport:
     if world.clock.state != state:
         set_simulation_state(world, pacing, SetSimulationStateRequest(SimulationState(state)))
     return gazebo_messages.EmptyReport(Result())

@@ -21,7 +21,7 @@ from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time, t
 from zensim.sim_server.errors import IncorrectState, RequestRefused, SimError, UnsupportedFeature
 from zensim.sim_server.pacing.step_goals import StepGoal
 from zensim.sim_server.service_parts import CurrentWorld, DeferredResponse, Pacing
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 from zensim.sim_server.world.simulation_clock import (
     ALLOWED_TRANSITIONS,
     STATE_NAMES,
@@ -32,7 +32,7 @@ VERSION = version("zensim")
 
 
 def get_server_info(
-    world: World, current: CurrentWorld, pacing: Pacing, _: telemetry_messages.InfoRequest
+    world: SimulatedWorld, current: CurrentWorld, pacing: Pacing, _: telemetry_messages.InfoRequest
 ) -> telemetry_messages.Info:
     """Return the server's version, configuration and state."""
     is_playing = world.clock.state == State.PLAYING
@@ -63,7 +63,7 @@ MIN_SPEED, MAX_SPEED = 0.01, 1000.0
 
 
 def step_simulation(
-    world: World, pacing: Pacing, request: StepSimulationRequest
+    world: SimulatedWorld, pacing: Pacing, request: StepSimulationRequest
 ) -> DeferredResponse[StepSimulationResponse]:
     """Step a paused world; reply when the agents have replied to the last step."""
     goal = _add_goal(world, pacing, request.steps)
@@ -73,7 +73,7 @@ def step_simulation(
 
 
 def simulate_steps(
-    world: World, pacing: Pacing, request: simulation_messages.SimulateStepsRequest
+    world: SimulatedWorld, pacing: Pacing, request: simulation_messages.SimulateStepsRequest
 ) -> DeferredResponse[simulation_messages.SimulateStepsResponse]:
     """Step a paused world, publish progress, and reply at the end."""
     goal_id = _check_goal_id(request.goal_id)
@@ -106,7 +106,7 @@ def cancel_steps(
 
 
 def run_to(
-    world: World, pacing: Pacing, request: simulation_messages.RunToRequest
+    world: SimulatedWorld, pacing: Pacing, request: simulation_messages.RunToRequest
 ) -> DeferredResponse[simulation_messages.RunToResponse]:
     """Step a paused world until a simulation time; a reset aborts the run."""
     if pacing.step_goals:
@@ -151,7 +151,7 @@ def set_speed(
 
 
 def _add_goal(
-    world: World, pacing: Pacing, steps: int, goal_id: str = "", *, least: int = 1
+    world: SimulatedWorld, pacing: Pacing, steps: int, goal_id: str = "", *, least: int = 1
 ) -> StepGoal:
     world.clock.require_paused()
     if not least <= steps <= MAX_STEPS:
@@ -193,7 +193,9 @@ def _make_goal_result(goal: StepGoal) -> Result:
     return Result()
 
 
-def reset_simulation(world: World, request: ResetSimulationRequest) -> ResetSimulationResponse:
+def reset_simulation(
+    world: SimulatedWorld, request: ResetSimulationRequest
+) -> ResetSimulationResponse:
     """Reset time, states and spawned entities, as the scope says."""
     known = ResetScope.TIME | ResetScope.STATE | ResetScope.SPAWNED
     if request.scope not in (ResetScope.ALL, request.scope & known):
@@ -204,13 +206,15 @@ def reset_simulation(world: World, request: ResetSimulationRequest) -> ResetSimu
     return ResetSimulationResponse()
 
 
-def get_simulation_state(world: World, _: GetSimulationStateRequest) -> GetSimulationStateResponse:
+def get_simulation_state(
+    world: SimulatedWorld, _: GetSimulationStateRequest
+) -> GetSimulationStateResponse:
     """Return the state of the simulation."""
     return GetSimulationStateResponse(SimulationState(world.clock.state))
 
 
 def set_simulation_state(
-    world: World, pacing: Pacing, request: SetSimulationStateRequest
+    world: SimulatedWorld, pacing: Pacing, request: SetSimulationStateRequest
 ) -> SetSimulationStateResponse:
     """Change the state: play, pause, stop or quit."""
     wanted, present = request.state.state, world.clock.state
@@ -231,7 +235,7 @@ def set_simulation_state(
     return SetSimulationStateResponse()
 
 
-def _reset_to_start(world: World) -> None:
+def _reset_to_start(world: SimulatedWorld) -> None:
     try:
         world.reset(ResetScope.ALL)
     except SimError as error:

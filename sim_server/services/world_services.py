@@ -20,7 +20,7 @@ from zensim.sim_server.errors import IncorrectState, ModelError, RequestRefused,
 from zensim.sim_server.parser_process.parser_protocol import ParseResult
 from zensim.sim_server.queries.entity_filters import make_tags_test
 from zensim.sim_server.service_parts import CurrentWorld, DeferredResponse, WorldLoading
-from zensim.sim_server.world.simulated_world import BuiltWorld, World
+from zensim.sim_server.world.simulated_world import BuiltWorld, SimulatedWorld
 from zensim.sim_server.world_loading.world_catalog import ONLINE_SCHEMES, WorldSearch
 from zensim.sim_server.world_loading.world_resources import WorldParseJob
 
@@ -119,7 +119,7 @@ def unload_world(
 
 
 def get_current_world(
-    world: World, current: CurrentWorld, _: world_messages.GetCurrentWorldRequest
+    world: SimulatedWorld, current: CurrentWorld, _: world_messages.GetCurrentWorldRequest
 ) -> world_messages.GetCurrentWorldResponse:
     """Return the resource of the loaded world."""
     if world.clock.state == State.NO_WORLD:

@@ -1,4 +1,4 @@
-"""The World: entities with bodies and claims, stepped by an engine."""
+"""The simulated world: entities with bodies and claims, stepped by an engine."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
@@ -216,7 +216,7 @@ MAX_STATE_AGE_NS = 25_000_000
 """Simulation time for which the states of the last control step are reported again."""
 
 
-class World:
+class SimulatedWorld:
     """One engine, one clock, the entities, and the claims of agents on them.
 
     Every entity, staged ones included, has exactly one body in the engine.
@@ -615,7 +615,7 @@ class World:
             clock.state_name,
         )
 
-    def replace_with(self, other: "World", state: State) -> None:
+    def replace_with(self, other: "SimulatedWorld", state: State) -> None:
         """Take over another world's engine, entities and step, at time 0 of a new epoch.
 
         The former entities are deleted; the other world must not be used any more.
@@ -731,7 +731,7 @@ class World:
 class BuiltWorld:
     """A world that is ready to replace the current one, and its real-time factor."""
 
-    world: World
+    world: SimulatedWorld
     real_time_factor: float
 
 

@@ -24,7 +24,7 @@ from zensim.proto.process_limits import die_with_parent
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.physics.engine_config import EngineName, EngineOptions
 from zensim.sim_server.server_config import ConfigError, ServerConfig, fill_pace
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 from zensim.sim_server.world_loading.world_loader import (
     LoadedWorld,
     WorldLoaderRequest,
@@ -192,7 +192,7 @@ def watch_models(
         for name, data in loaded.meshes.items():
             store.pin(name, data)
         engine = make_world_engine(config, loaded.model, store.folder)
-        world = World(
+        world = SimulatedWorld(
             engine, name="default", step_ns=config.step_ns, control_steps=config.control_steps
         )
         spawn_models(world, loaded.model)
@@ -211,7 +211,7 @@ def watch_models(
     )
 
 
-def _read_bases(world: World) -> dict[str, FloatArray]:
+def _read_bases(world: SimulatedWorld) -> dict[str, FloatArray]:
     return dict(zip(world.entities.index.names, np.array(world.states().base), strict=True))
 
 

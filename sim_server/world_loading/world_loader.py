@@ -18,7 +18,7 @@ from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_factory import create_world_engine
 from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
 from zensim.sim_server.server_config import ConfigError, fill_pace
-from zensim.sim_server.world.simulated_world import BuiltWorld, World, WorldFactory
+from zensim.sim_server.world.simulated_world import BuiltWorld, SimulatedWorld, WorldFactory
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
 
 if TYPE_CHECKING:
@@ -80,14 +80,14 @@ def list_warnings(report: Iterable[ReportEntry]) -> list[str]:
     return [f"{entry.subject}: {entry.reason}" for entry in report if entry.status == "suspicious"]
 
 
-def spawn_models(world: World, model: WorldModel) -> None:
+def spawn_models(world: SimulatedWorld, model: WorldModel) -> None:
     """Spawn the models of a world file; raises as `spawn_models_stepwise` does."""
     for is_waiting in spawn_models_stepwise(world, model):
         if is_waiting:
             time.sleep(PREPARE_POLL_S)
 
 
-def spawn_models_stepwise(world: World, model: WorldModel) -> Iterator[bool]:
+def spawn_models_stepwise(world: SimulatedWorld, model: WorldModel) -> Iterator[bool]:
     """Spawn the models of a world file, a part of one in each step.
 
     Yields:
@@ -132,7 +132,7 @@ def make_world_factory(
         world_config = fill_pace(
             requested, step_s=physics.step_s, real_time_factor=physics.real_time_factor
         )
-        world = World(
+        world = SimulatedWorld(
             make_engine(world_config, model),
             name=world_config.world,
             step_ns=world_config.step_ns,

@@ -15,7 +15,7 @@ from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.sim_server.description.pipeline import read_robot
 from zensim.sim_server.physics.engine import EngineRefused, FloatArray
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 CONTROL_STEPS = 5
 SPEED_RAD_S = 4.0
@@ -34,9 +34,11 @@ CALLED_IN_EVERY_LAYER = (
 
 
 @pytest.fixture(params=FAULTY_ENGINES.values(), ids=list(FAULTY_ENGINES))
-def world(request: pytest.FixtureRequest) -> Iterator[World]:
+def world(request: pytest.FixtureRequest) -> Iterator[SimulatedWorld]:
     """A driven cart and a box."""
-    made = World(request.param(), name="default", step_ns=STEP_NS, control_steps=CONTROL_STEPS)
+    made = SimulatedWorld(
+        request.param(), name="default", step_ns=STEP_NS, control_steps=CONTROL_STEPS
+    )
     made.spawn(a_spawn("good", model=a_cart()))
     made.spawn(a_spawn("box", model=a_box(), base=a_state((0.0, 3.0, 0.1))))
     made.claim("agent_good", ("good",), "stop")
@@ -45,7 +47,7 @@ def world(request: pytest.FixtureRequest) -> Iterator[World]:
     made.close()
 
 
-def drive(world: World, steps: int) -> None:
+def drive(world: SimulatedWorld, steps: int) -> None:
     for _ in range(steps):
         world.step()
         if world.is_control_step:
@@ -56,7 +58,7 @@ def drive(world: World, steps: int) -> None:
     assert np.isfinite(np.frombuffer(world.snapshot(1.0).base)).all()
 
 
-def assert_drives(world: World) -> None:
+def assert_drives(world: SimulatedWorld) -> None:
     before = position_of(world, "good")
     drive(world, 120)
     went = position_of(world, "good")[0] - before[0]
@@ -64,16 +66,16 @@ def assert_drives(world: World) -> None:
     assert position_of(world, "box") == pytest.approx([0.0, 3.0, 0.1], abs=2e-3)
 
 
-def position_of(world: World, name: str) -> FloatArray:
+def position_of(world: SimulatedWorld, name: str) -> FloatArray:
     return np.array(world.state_of(name)[:3])
 
 
-def spawn_culprit(world: World, method: str, model: Model | None = None) -> int:
+def spawn_culprit(world: SimulatedWorld, method: str, model: Model | None = None) -> int:
     culprit = make_culprit(model or a_cart(), method)
     return world.spawn(a_spawn("culprit", model=culprit, base=CULPRIT_AT)).body
 
 
-def use(world: World, method: str, body: int) -> None:
+def use(world: SimulatedWorld, method: str, body: int) -> None:
     """Call what is not called in each step."""
     engine, zeros = world.engine, np.zeros(2)
     calls = {
@@ -88,7 +90,7 @@ def use(world: World, method: str, body: int) -> None:
 
 
 @pytest.mark.parametrize("method", CALLED_IN_EVERY_LAYER)
-def test_body_that_the_engine_fails_for_is_frozen(world: World, method: str) -> None:
+def test_body_that_the_engine_fails_for_is_frozen(world: SimulatedWorld, method: str) -> None:
     body = spawn_culprit(world, method)
     is_kinematic = world.engine.tier_of(body) == "kinematic"
     world.claim("agent_culprit", ("culprit",), "stop")
@@ -109,7 +111,9 @@ def test_body_that_the_engine_fails_for_is_frozen(world: World, method: str) -> 
 
 
 @pytest.mark.parametrize("method", ["read", "step"])
-def test_frozen_body_that_fails_again_loses_its_collisions(world: World, method: str) -> None:
+def test_frozen_body_that_fails_again_loses_its_collisions(
+    world: SimulatedWorld, method: str
+) -> None:
     body = spawn_culprit(world, f"{method}.{ALWAYS}")
     is_kinematic = world.engine.tier_of(body) == "kinematic"
 
@@ -119,7 +123,7 @@ def test_frozen_body_that_fails_again_loses_its_collisions(world: World, method:
     assert_drives(world)
 
 
-def test_model_that_the_engine_fails_to_add_is_refused(world: World) -> None:
+def test_model_that_the_engine_fails_to_add_is_refused(world: SimulatedWorld) -> None:
     spawn = a_spawn("culprit", model=make_culprit(a_cart(), "add"), base=CULPRIT_AT)
 
     for attempt in (world.spawn, world.check_overlaps, world.stage_spawn):
@@ -131,7 +135,7 @@ def test_model_that_the_engine_fails_to_add_is_refused(world: World) -> None:
     assert_drives(world)
 
 
-def test_model_that_the_engine_fails_to_prepare_needs_no_preparation(world: World) -> None:
+def test_model_that_the_engine_fails_to_prepare_needs_no_preparation(world: SimulatedWorld) -> None:
     model = make_culprit(a_cart(), "prepare")
 
     while not world.prepare(model):
@@ -141,7 +145,7 @@ def test_model_that_the_engine_fails_to_prepare_needs_no_preparation(world: Worl
     assert_drives(world)
 
 
-def test_spawn_whose_overlaps_cannot_be_found_is_refused(world: World) -> None:
+def test_spawn_whose_overlaps_cannot_be_found_is_refused(world: SimulatedWorld) -> None:
     model = make_culprit(a_box(), "find_overlaps")
     spawn = a_spawn("culprit", model=model, base=CULPRIT_AT)
 
@@ -156,13 +160,15 @@ def test_spawn_whose_overlaps_cannot_be_found_is_refused(world: World) -> None:
     assert_drives(world)
 
 
-def stage_and_wait(world: World, spawn: object) -> None:
+def stage_and_wait(world: SimulatedWorld, spawn: object) -> None:
     _, find_overlaps = world.stage_spawn(spawn)  # type: ignore[arg-type]
     find_overlaps()
 
 
 @pytest.mark.parametrize("method", ["hide", "show"])
-def test_batch_spawn_survives_a_body_that_cannot_be_hidden(world: World, method: str) -> None:
+def test_batch_spawn_survives_a_body_that_cannot_be_hidden(
+    world: SimulatedWorld, method: str
+) -> None:
     spawn = a_spawn("culprit", model=make_culprit(a_cart(), method), base=CULPRIT_AT)
 
     entity, _ = world.stage_spawn(spawn)
@@ -174,7 +180,7 @@ def test_batch_spawn_survives_a_body_that_cannot_be_hidden(world: World, method:
     assert_drives(world)
 
 
-def test_body_that_the_engine_fails_to_remove_is_deleted(world: World) -> None:
+def test_body_that_the_engine_fails_to_remove_is_deleted(world: SimulatedWorld) -> None:
     spawn_culprit(world, "remove")
     drive(world, CONTROL_STEPS)
 
@@ -186,7 +192,7 @@ def test_body_that_the_engine_fails_to_remove_is_deleted(world: World) -> None:
 
 @pytest.mark.parametrize("method", ["sleep", "wake", "find_contacts"])
 def test_body_that_the_engine_fails_to_put_to_sleep_ends_no_other(
-    world: World, method: str
+    world: SimulatedWorld, method: str
 ) -> None:
     spawn_culprit(world, method, a_box())
 
@@ -198,7 +204,7 @@ def test_body_that_the_engine_fails_to_put_to_sleep_ends_no_other(
     assert_drives(world)
 
 
-def test_frozen_entity_is_restored_by_a_reset_or_stays_frozen(world: World) -> None:
+def test_frozen_entity_is_restored_by_a_reset_or_stays_frozen(world: SimulatedWorld) -> None:
     spawn_culprit(world, "read")
     drive(world, 2 * CONTROL_STEPS)
 

@@ -25,7 +25,7 @@ from zensim.proto.bus import Bus, BusConfig, BusPublisher, open_bus
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.spawn_messages import DeleteEntityResponse
 from zensim.proto.messages.standard_messages import Odometry
-from zensim.proto.ros2.ros_graph import Topic
+from zensim.proto.ros2.ros_graph import RosTopic
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.sample_messages import make_sample_message
 from zensim.sim_server.ros2_node.server_node import start_server_node
@@ -158,7 +158,7 @@ def publishing(fault: Fault) -> Iterator[Bus]:
     with open_bus(BusConfig(mode="router", listen=(free_endpoint(),))) as router:
         bus = cast("Bus", BrokenBus(router, fault))
         side, is_over = start_server_node(bus, RosSettings()), threading.Event()
-        odom = side.topics.publisher(Topic("r1/odom", Odometry))
+        odom = side.topics.publisher(RosTopic("r1/odom", Odometry))
         response, message = (
             encode(DeleteEntityResponse(), Format.CDR),
             make_sample_message(Odometry),

@@ -18,7 +18,7 @@ from zensim.proto.fleet_publisher import (
 from zensim.proto.messages.standard_messages import Range, String
 from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_5, RELIABLE_10
 from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
-from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
+from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic
 from zensim.proto.ros2.ros_settings import RosSettings
 
 GID = bytes(range(16))
@@ -196,7 +196,7 @@ def make_ros_publisher(
 ) -> tuple[RosFleetPublisher, list[TopicMember]]:
     graph = RosGraph(bus, RosSettings())
     publisher = RosFleetPublisher(
-        bus, graph, Topic("*/text", String, LATCHED if is_latched else RELIABLE_10)
+        bus, graph, RosTopic("*/text", String, LATCHED if is_latched else RELIABLE_10)
     )
     members = [
         TopicMember(f"{name}/text", values or ConstantValues(), node=a_node(graph, name))
@@ -255,7 +255,7 @@ def test_messages_are_published_once_there_are_subscribers() -> None:
 def test_range_ends_where_the_distribution_ends_it(*, has_hashes: bool) -> None:
     bus = MemoryBus()
     graph = RosGraph(bus, RosSettings(has_hashes=has_hashes))
-    topic = Topic("*/range", Range, RELIABLE_5)
+    topic = RosTopic("*/range", Range, RELIABLE_5)
     publisher = RosFleetPublisher(bus, graph, topic)
     member = TopicMember("r1/range", NoValues(), node=a_node(graph, "r1"))
     received = bus.subscribe("0/r1/range/**")

@@ -9,7 +9,7 @@ from zensim.proto.messages.standard_messages import String, Twist, TwistStamped
 from zensim.proto.network_protocols import Stamp
 from zensim.proto.ros2.liveliness_tokens import LATCHED, gid_from_token
 from zensim.proto.ros2.rmw_attachment import read_attachment
-from zensim.proto.ros2.ros_graph import RosGraph, Topic
+from zensim.proto.ros2.ros_graph import RosGraph, RosTopic
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.topic_endpoints import (
     KeyPublisher,
@@ -18,8 +18,8 @@ from zensim.proto.topic_endpoints import (
     TopicPublisher,
 )
 
-TOPIC = Topic("r1/description", String, LATCHED)
-PLAIN_TOPIC = Topic("r1/description", String)
+TOPIC = RosTopic("r1/description", String, LATCHED)
+PLAIN_TOPIC = RosTopic("r1/description", String)
 ROS_KEY = (
     "0/r1/description/std_msgs::msg::dds_::String_/"
     "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"

@@ -40,7 +40,7 @@ from zensim.sim_server.service_parts import (
     make_server_parts,
 )
 from zensim.sim_server.services.service_registry import ServiceHandlers
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
 from zensim.sim_server.world_loading.world_catalog import WorldCatalog
 from zensim.sim_server.world_loading.world_loader import make_world_factory
@@ -194,7 +194,7 @@ class ServerFixture:
 
     wall: WallTime
     engine: TimedEngine
-    world: World
+    world: SimulatedWorld
     parts: ServerParts
     inbox: ScriptedInbox
     publisher: RecordingPublisher
@@ -247,7 +247,9 @@ def a_server(
     return ServerFixture(wall, engine, world, parts, inbox, publisher, loop)
 
 
-def make_parts(world: World, wall: WallTime | None = None, *, factor: float = 1.0) -> ServerParts:
+def make_parts(
+    world: SimulatedWorld, wall: WallTime | None = None, *, factor: float = 1.0
+) -> ServerParts:
     """Make the parts of a server for a world."""
     clock = wall or WallTime()
     store = AssetStore()
@@ -271,9 +273,9 @@ def handle_request(
     return ServiceHandlers(parts).handle(request)
 
 
-def a_world(*names: str, engine: ObedientEngine | None = None) -> World:
+def a_world(*names: str, engine: ObedientEngine | None = None) -> SimulatedWorld:
     """Make a world of carts, 1 m apart, whose events have been taken."""
-    world = World(
+    world = SimulatedWorld(
         engine or ObedientEngine(EngineConfig(STEP_NS)),
         name="default",
         step_ns=STEP_NS,
@@ -297,7 +299,7 @@ def a_spawn(
     return ValidatedSpawn(name, namespace, model or a_cart(), place, "<robot/>", allow_renaming)
 
 
-def a_command(world: World, agent: str, *targets: float) -> DriveCommand:
+def a_command(world: SimulatedWorld, agent: str, *targets: float) -> DriveCommand:
     """Make a command that replies to the newest state."""
     fleet = world.claimed_by_agent().get(agent)
     claims = fleet.claims if fleet else b""
@@ -314,14 +316,14 @@ def answer_of(call: MemoryCall, kind: type[msgspec.Struct]) -> msgspec.Struct:
     return decode(kind, answer.payload, answer.encoding)
 
 
-def names_in(world: World) -> list[str]:
+def names_in(world: SimulatedWorld) -> list[str]:
     return [entity.name for entity in world.entities]
 
 
-def kinds_of_events(world: World) -> list[str]:
+def kinds_of_events(world: SimulatedWorld) -> list[str]:
     return [event.kind for event in world.clock.take_events()]
 
 
-def wheel_speeds(world: World) -> list[float]:
+def wheel_speeds(world: SimulatedWorld) -> list[float]:
     speeds: list[float] = world.states().joint_velocities.tolist()
     return speeds

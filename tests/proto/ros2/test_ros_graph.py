@@ -7,10 +7,10 @@ from tests.proto.ros2.token_parser import parse_token
 from zensim.proto.messages.standard_messages import Odometry, String
 from zensim.proto.ros2.liveliness_tokens import LATCHED, GraphEndpoint, GraphNode
 from zensim.proto.ros2.rmw_keys import NO_HASH
-from zensim.proto.ros2.ros_graph import MAX_NODES_PER_SESSION, RosGraph, RosNode, Topic
+from zensim.proto.ros2.ros_graph import MAX_NODES_PER_SESSION, RosGraph, RosNode, RosTopic
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 
-ODOM = Topic("r1/odom", Odometry)
+ODOM = RosTopic("r1/odom", Odometry)
 
 
 def a_node(bus: MemoryBus, settings: RosSettings = RosSettings()) -> RosNode:  # noqa: B008
@@ -28,7 +28,7 @@ def test_node_has_a_token_and_one_for_each_endpoint() -> None:
     node = a_node(bus, RosSettings(domain=7))
 
     node.add_topic_endpoint("MP", ODOM)
-    node.add_topic_endpoint("MS", Topic("r1/cmd_vel", String))
+    node.add_topic_endpoint("MS", RosTopic("r1/cmd_vel", String))
 
     first, odom, cmd_vel = parsed(bus)
     assert first == GraphNode(domain=7, zid=bus.zid, number=0, namespace="/r1", name="agent")
@@ -42,7 +42,7 @@ def test_node_has_a_token_and_one_for_each_endpoint() -> None:
 def test_latched_topic_is_transient_local() -> None:
     node = a_node(MemoryBus())
 
-    endpoint = node.add_topic_endpoint("MP", Topic("tf_static", String, LATCHED))
+    endpoint = node.add_topic_endpoint("MP", RosTopic("tf_static", String, LATCHED))
 
     assert (endpoint.qos.durability, endpoint.qos.depth) == ("transient_local", 1)
 
@@ -81,7 +81,7 @@ def test_action_has_one_bridge_token() -> None:
     node = a_node(bus, RosSettings(is_bridged=True))
 
     node.announce_action("simulate_steps", "simulation_interfaces/action/SimulateSteps")
-    node.add_topic_endpoint("MP", Topic("simulate_steps/_action/status", String, LATCHED))
+    node.add_topic_endpoint("MP", RosTopic("simulate_steps/_action/status", String, LATCHED))
 
     assert bus.list_tokens("@/*/@ros2_lv/*/**") == [
         f"@/{bus.zid}/@ros2_lv/AS/simulate_steps/simulation_interfaces§action§SimulateSteps"

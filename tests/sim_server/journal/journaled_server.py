@@ -18,7 +18,7 @@ from zensim.sim_server.journal.journal_records import JournalRecord
 from zensim.sim_server.journal.server_journal import ChangeTracker, Journal
 from zensim.sim_server.journal.sqlite_store import SqliteStore, open_store
 from zensim.sim_server.runtime.loop import ServerLoop
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 DISK_FULL = "database or disk is full"
 
@@ -72,7 +72,7 @@ class Disk:
 class JournaledServer:
     """A server loop that journals its world in a folder."""
 
-    def __init__(self, folder: Path, *names: str, world: World | None = None) -> None:
+    def __init__(self, folder: Path, *names: str, world: SimulatedWorld | None = None) -> None:
         wall = WallTime()
         self.folder = folder
         self.database: SqliteStore = open_store(folder)
@@ -96,7 +96,7 @@ class JournaledServer:
         self.server = ServerFixture(wall, None, world, self.parts, inbox, publisher, loop)  # type: ignore[arg-type]
 
     @property
-    def world(self) -> World:
+    def world(self) -> SimulatedWorld:
         return self.parts.world
 
     def crash(self) -> None:

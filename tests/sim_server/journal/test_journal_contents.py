@@ -33,12 +33,12 @@ from zensim.sim_server.journal.sqlite_store import JournalError, open_store
 from zensim.sim_server.parser_process.description_cache import ParseKey
 from zensim.sim_server.physics.engine import EngineRefused, FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 NAMES = st.sampled_from(["r0", "r1", "r2"])
 
 
-def describe(world: World) -> list[tuple[object, ...]]:
+def describe(world: SimulatedWorld) -> list[tuple[object, ...]]:
     """List what a restart must not change."""
     states, index = world.states(), world.entities.index
     return [
@@ -183,7 +183,7 @@ def test_entity_that_fails_in_the_first_step_stays_frozen(tmp_path: Path) -> Non
             self.set_base_state(self.failing, np.full(13, np.nan))
             return False
 
-    world = World(
+    world = SimulatedWorld(
         FailingEngine(EngineConfig(STEP_NS)),
         name="default",
         step_ns=STEP_NS,
@@ -206,7 +206,7 @@ def test_entity_that_is_refused_is_excluded_and_named(tmp_path: Path) -> None:
                 raise EngineRefused("not this one")
             return super().add(model, base)
 
-    world = World(
+    world = SimulatedWorld(
         SelectiveEngine(EngineConfig(STEP_NS)),
         name="default",
         step_ns=STEP_NS,
@@ -289,7 +289,7 @@ class AnyHistory(RuleBasedStateMachine):
         self.server = JournaledServer(Path(self.folder.name))
         self.server.tracker.record()
 
-    def apply_to_both(self, act: Callable[[World], object]) -> None:
+    def apply_to_both(self, act: Callable[[SimulatedWorld], object]) -> None:
         for world in (self.server.world, self.twin):
             with suppress(SimError):
                 act(world)

@@ -12,7 +12,7 @@ from tests.models import a_box_bot, box_bot_at
 from tests.sim_server.fakes import a_command, a_spawn
 from zensim.proto.se3 import to_yaw
 from zensim.sim_server.physics.engine import Engine, FloatArray
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 CONTROL_STEPS = 3
 STEPS_OF_10_S = 2400
@@ -35,9 +35,9 @@ def engine(request: pytest.FixtureRequest) -> Iterator[Engine]:
         yield made
 
 
-def a_world_of(engine: Engine, *places: FloatArray) -> World:
+def a_world_of(engine: Engine, *places: FloatArray) -> SimulatedWorld:
     """Make a world of box_bots, each with an agent."""
-    world = World(engine, name="default", step_ns=STEP_NS, control_steps=CONTROL_STEPS)
+    world = SimulatedWorld(engine, name="default", step_ns=STEP_NS, control_steps=CONTROL_STEPS)
     model = a_box_bot()
     for i, place in enumerate(places):
         world.spawn(a_spawn(f"r{i}", model=model, base=place))
@@ -45,7 +45,7 @@ def a_world_of(engine: Engine, *places: FloatArray) -> World:
     return world
 
 
-def a_row_of(engine: Engine, count: int) -> World:
+def a_row_of(engine: Engine, count: int) -> SimulatedWorld:
     return a_world_of(engine, *(box_bot_at(float(i)) for i in range(count)))
 
 
@@ -54,7 +54,9 @@ def wheel_targets(linear: float, angular: float) -> tuple[float, float]:
     return (linear - half_turn) / WHEEL_RADIUS_M, (linear + half_turn) / WHEEL_RADIUS_M
 
 
-def drive(world: World, linear: float, angular: float, steps: int = STEPS_OF_10_S) -> Course:
+def drive(
+    world: SimulatedWorld, linear: float, angular: float, steps: int = STEPS_OF_10_S
+) -> Course:
     """Drive all robots of a world with one twist."""
     targets = wheel_targets(linear, angular)
     start = world.states().base.copy()

@@ -14,7 +14,7 @@ from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import IncorrectState
 from zensim.sim_server.physics.engine import Engine, FloatArray
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 SPEED_RAD_S = 4.0
 CONTROL_STEPS = 5
@@ -28,9 +28,9 @@ def engine(request: pytest.FixtureRequest) -> Iterator[Engine]:
 
 
 @pytest.fixture
-def world(engine: Engine) -> World:
+def world(engine: Engine) -> SimulatedWorld:
     """Three driving box_bots 1 m apart, each with an agent."""
-    made = World(engine, name="default", step_ns=STEP_NS, control_steps=CONTROL_STEPS)
+    made = SimulatedWorld(engine, name="default", step_ns=STEP_NS, control_steps=CONTROL_STEPS)
     for i, name in enumerate(NAMES):
         made.spawn(a_spawn(name, model=a_box_bot(), base=box_bot_at(0.0, float(i))))
         made.claim(f"agent_{name}", (name,), "stop")
@@ -39,7 +39,7 @@ def world(engine: Engine) -> World:
     return made
 
 
-def drive(world: World, steps: int) -> None:
+def drive(world: SimulatedWorld, steps: int) -> None:
     """Step, read and command as the loop does; assert that all output is finite."""
     for _ in range(steps):
         world.step()
@@ -57,13 +57,13 @@ def assert_finite(*packed: bytes) -> None:
         assert np.isfinite(np.frombuffer(numbers)).all()
 
 
-def set_component(world: World, name: str, column: int, value: float) -> None:
+def set_component(world: SimulatedWorld, name: str, column: int, value: float) -> None:
     row = world.state_of(name).copy()
     row[column] = value
     world.place(name, row)
 
 
-def position_of(world: World, name: str) -> FloatArray:
+def position_of(world: SimulatedWorld, name: str) -> FloatArray:
     return np.array(world.state_of(name)[:3])
 
 
@@ -85,7 +85,7 @@ def a_mismatched_arm() -> Model:
     [(0, np.nan), (2, np.inf), (5, np.nan), (7, 1e300), (7, np.nan), (12, -np.inf), (1, -2e6)],
 )
 def test_diverged_robot_is_frozen_and_the_others_continue(
-    world: World, column: int, value: float
+    world: SimulatedWorld, column: int, value: float
 ) -> None:
     before = {name: position_of(world, name) for name in NAMES}
 
@@ -99,7 +99,7 @@ def test_diverged_robot_is_frozen_and_the_others_continue(
         assert went == pytest.approx(SPEED_RAD_S * 0.035 * 240 * STEP_NS * 1e-9, rel=0.5)
 
 
-def test_diverged_robot_causes_one_warning_and_releases_its_claim(world: World) -> None:
+def test_diverged_robot_causes_one_warning_and_releases_its_claim(world: SimulatedWorld) -> None:
     set_component(world, "b", 7, np.nan)
     drive(world, 60)
 
@@ -111,7 +111,7 @@ def test_diverged_robot_causes_one_warning_and_releases_its_claim(world: World) 
         world.claim("agent_b", ("b",), "stop")
 
 
-def test_diverged_robot_keeps_its_wheel_positions(world: World) -> None:
+def test_diverged_robot_keeps_its_wheel_positions(world: SimulatedWorld) -> None:
     joints = slice(2, 4)
     turned = world.states().joint_positions[joints].copy()
 
@@ -123,7 +123,7 @@ def test_diverged_robot_keeps_its_wheel_positions(world: World) -> None:
     assert not world.states().joint_velocities[joints].any()
 
 
-def test_frozen_robot_drives_again_once_its_state_is_set(world: World) -> None:
+def test_frozen_robot_drives_again_once_its_state_is_set(world: SimulatedWorld) -> None:
     set_component(world, "b", 7, np.nan)
     drive(world, 30)
 
@@ -135,7 +135,7 @@ def test_frozen_robot_drives_again_once_its_state_is_set(world: World) -> None:
     assert position_of(world, "b")[1:] == pytest.approx([1.0, 0.06], abs=2e-3)
 
 
-def test_frozen_robot_drives_again_after_a_reset(world: World) -> None:
+def test_frozen_robot_drives_again_after_a_reset(world: SimulatedWorld) -> None:
     set_component(world, "b", 7, np.nan)
     drive(world, 30)
 
@@ -147,7 +147,7 @@ def test_frozen_robot_drives_again_after_a_reset(world: World) -> None:
     assert position_of(world, "b")[0] == pytest.approx(position_of(world, "a")[0], rel=0.02)
 
 
-def test_reset_restores_a_robot_that_just_diverged(world: World) -> None:
+def test_reset_restores_a_robot_that_just_diverged(world: SimulatedWorld) -> None:
     set_component(world, "b", 7, np.nan)
     world.step()
 
@@ -158,7 +158,7 @@ def test_reset_restores_a_robot_that_just_diverged(world: World) -> None:
     assert position_of(world, "b")[0] == pytest.approx(position_of(world, "a")[0], rel=0.02)
 
 
-def test_frozen_robot_can_be_deleted_and_its_name_reused(world: World) -> None:
+def test_frozen_robot_can_be_deleted_and_its_name_reused(world: SimulatedWorld) -> None:
     set_component(world, "b", 7, np.nan)
     drive(world, 30)
 
@@ -170,7 +170,7 @@ def test_frozen_robot_can_be_deleted_and_its_name_reused(world: World) -> None:
     assert position_of(world, "b")[0] > 3.05
 
 
-def test_frozen_robot_is_an_obstacle(world: World) -> None:
+def test_frozen_robot_is_an_obstacle(world: SimulatedWorld) -> None:
     before = position_of(world, "b")
     set_component(world, "b", 7, np.nan)
     drive(world, 30)
@@ -182,7 +182,7 @@ def test_frozen_robot_is_an_obstacle(world: World) -> None:
     assert position_of(world, "b") == pytest.approx(before, abs=1e-9)
 
 
-def test_robot_in_contact_with_a_diverged_one_continues(world: World) -> None:
+def test_robot_in_contact_with_a_diverged_one_continues(world: SimulatedWorld) -> None:
     world.place("a", box_bot_at(5.0, 0.0))
     world.place("b", box_bot_at(5.101, 0.0))
     drive(world, 30)
@@ -196,7 +196,7 @@ def test_robot_in_contact_with_a_diverged_one_continues(world: World) -> None:
     assert events.count(("released", "b")) == 1
 
 
-def test_robots_continue_beside_an_unsolvable_model(world: World) -> None:
+def test_robots_continue_beside_an_unsolvable_model(world: SimulatedWorld) -> None:
     before = position_of(world, "a")
 
     world.spawn(a_spawn("arm", model=a_mismatched_arm(), base=a_state((0.0, 0.5, 1.0))))
@@ -207,7 +207,7 @@ def test_robots_continue_beside_an_unsolvable_model(world: World) -> None:
     assert position_of(world, "a")[0] > before[0] + 0.1
 
 
-def test_wall_stays_in_place_when_a_robot_diverges_against_it(world: World) -> None:
+def test_wall_stays_in_place_when_a_robot_diverges_against_it(world: SimulatedWorld) -> None:
     wall, place = a_box("wall", 1.0, is_static=True), a_state((6.0, 0.0, 0.5))
     world.spawn(a_spawn("wall", model=wall, base=place))
     world.place("b", box_bot_at(5.449, 0.0))

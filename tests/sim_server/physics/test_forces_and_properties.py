@@ -12,7 +12,7 @@ from tests.sim_server.fakes import a_spawn
 from zensim.proto.messages.model_messages import Inertial, Model
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.world.applied_forces import JointEffort, LinkWrench, TimeSpan
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 DT_S = STEP_NS * 1e-9
 SECOND = 240
@@ -20,23 +20,23 @@ FOREVER = TimeSpan(0, None)
 
 
 @pytest.fixture(params=PHYSICAL, ids=lambda make: make.name)
-def space(request: pytest.FixtureRequest) -> Iterator[World]:
+def space(request: pytest.FixtureRequest) -> Iterator[SimulatedWorld]:
     engine = request.param(EngineConfig(STEP_NS, gravity=(0.0, 0.0, 0.0), has_ground=False))
-    world = World(engine, name="default", step_ns=STEP_NS, control_steps=3)
+    world = SimulatedWorld(engine, name="default", step_ns=STEP_NS, control_steps=3)
     yield world
     world.close()
 
 
 @pytest.fixture(params=PHYSICAL, ids=lambda make: make.name)
-def earth(request: pytest.FixtureRequest) -> Iterator[World]:
-    world = World(
+def earth(request: pytest.FixtureRequest) -> Iterator[SimulatedWorld]:
+    world = SimulatedWorld(
         request.param(EngineConfig(STEP_NS)), name="default", step_ns=STEP_NS, control_steps=3
     )
     yield world
     world.close()
 
 
-def steps(world: World, count: int) -> None:
+def steps(world: SimulatedWorld, count: int) -> None:
     for _ in range(count):
         world.step()
 
@@ -45,7 +45,7 @@ def wrench(*numbers: float) -> "np.ndarray[tuple[int], np.dtype[np.float64]]":
     return np.array(numbers)
 
 
-def test_force_at_the_centre_of_mass_does_not_turn_a_lopsided_body(space: World) -> None:
+def test_force_at_the_centre_of_mass_does_not_turn_a_lopsided_body(space: SimulatedWorld) -> None:
     model = a_lopsided_box()
     space.spawn(a_spawn("b", model=model, base=a_state((1.0, 2.0, 3.0), turn=(0.3, 0.2, 0.1))))
     space.applied_forces.add(LinkWrench("b", 0, wrench(3.0, -1.0, 0.5, 0.0, 0.0, 0.0), FOREVER))
@@ -58,7 +58,7 @@ def test_force_at_the_centre_of_mass_does_not_turn_a_lopsided_body(space: World)
     assert row[10:] == pytest.approx([0.0, 0.0, 0.0], abs=1e-5)
 
 
-def test_force_on_a_child_link_moves_the_whole_body(space: World) -> None:
+def test_force_on_a_child_link_moves_the_whole_body(space: SimulatedWorld) -> None:
     # Momentum of two free bodies is force times time, whichever gets the force.
     model = a_box_bot()
     space.spawn(a_spawn("r", model=model, base=box_bot_at()))
@@ -71,7 +71,7 @@ def test_force_on_a_child_link_moves_the_whole_body(space: World) -> None:
     assert 0.0 < space.state_of("r")[7] < 2.0 * DT_S / model.mass_kg
 
 
-def test_effort_holds_an_arm_against_gravity(earth: World) -> None:
+def test_effort_holds_an_arm_against_gravity(earth: SimulatedWorld) -> None:
     model = an_arm("continuous")
     earth.spawn(a_spawn("a", model=model, base=a_state((0.0, 0.0, 0.0))))
     link = model.links[1].inertial
@@ -89,7 +89,7 @@ def damped(model: Model, damping: float) -> Model:
     return msgspec.structs.replace(model, joints=(joint,))
 
 
-def test_body_stays_in_the_air_once_its_gravity_is_off(earth: World) -> None:
+def test_body_stays_in_the_air_once_its_gravity_is_off(earth: SimulatedWorld) -> None:
     model = a_box()
     earth.spawn(a_spawn("b", model=model, base=a_state((0.0, 0.0, 2.0))))
     link = msgspec.structs.replace(model.links[0], weightless=model.links[0].inertial)
@@ -100,7 +100,7 @@ def test_body_stays_in_the_air_once_its_gravity_is_off(earth: World) -> None:
     assert earth.state_of("b")[2] == pytest.approx(2.0, abs=1e-6)
 
 
-def test_body_keeps_its_speed_when_its_mass_changes(space: World) -> None:
+def test_body_keeps_its_speed_when_its_mass_changes(space: SimulatedWorld) -> None:
     model = a_box()
     space.spawn(a_spawn("b", model=model, base=a_state((0.0, 0.0, 2.0), linear=(1.0, 0.0, 0.0))))
     heavy = Inertial(10.0, inertia=(0.1, 0.0, 0.0, 0.1, 0.0, 0.1))
@@ -114,7 +114,7 @@ def test_body_keeps_its_speed_when_its_mass_changes(space: World) -> None:
     assert space.state_of("b")[7] == pytest.approx(1.0 + 0.5 * SECOND * DT_S, rel=1e-4)
 
 
-def test_joint_keeps_a_limit_that_is_set(earth: World) -> None:
+def test_joint_keeps_a_limit_that_is_set(earth: SimulatedWorld) -> None:
     model = an_arm("revolute", damping=0.05)
     earth.spawn(a_spawn("a", model=model, base=a_state((0.0, 0.0, 0.0))))
     joint = msgspec.structs.replace(model.joints[0], lower=-0.1, upper=0.1)

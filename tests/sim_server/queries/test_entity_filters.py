@@ -29,14 +29,14 @@ from zensim.sim_server.queries.entity_filters import (
 )
 from zensim.sim_server.queries.sliced_work import MAX_WORK_S, SLICE_NS
 from zensim.sim_server.service_parts import DeferredResponse, ServerParts
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 
 def an_info(category: Category, *tags: str) -> EntityInfo:
     return EntityInfo(EntityCategory(category), "", tags)
 
 
-def a_tagged_world() -> World:
+def a_tagged_world() -> SimulatedWorld:
     world = a_world("r0", "r1", "r2")
     world.set_info("r0", an_info(Category.ROBOT, "fast", "red"))
     world.set_info("r1", an_info(Category.HUMAN, "red"))

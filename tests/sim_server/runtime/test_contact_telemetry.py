@@ -17,7 +17,7 @@ from zensim.sim_server.physics.engine import Engine
 from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
 from zensim.sim_server.runtime.contact_telemetry import GROUND_COLLISION, ContactTelemetry
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 CONTROL_STEPS = 3
 WEIGHT_N = 9.81
@@ -50,11 +50,11 @@ def a_touchy_box(*collisions: tuple[int, int]) -> Model:
     return Model("touchy", (link,), sensors=(a_bumper(*collisions),))
 
 
-def a_world_with(engine: Engine) -> World:
-    return World(engine, name="default", step_ns=STEP_NS, control_steps=CONTROL_STEPS)
+def a_world_with(engine: Engine) -> SimulatedWorld:
+    return SimulatedWorld(engine, name="default", step_ns=STEP_NS, control_steps=CONTROL_STEPS)
 
 
-def advance(world: World, steps: int) -> None:
+def advance(world: SimulatedWorld, steps: int) -> None:
     for _ in range(steps):
         world.step()
 
@@ -68,7 +68,7 @@ def points_of(contacts: Contacts) -> FloatArray:
     return np.frombuffer(contacts.points, "<f8").reshape(-1, 10)
 
 
-def events_in(world: World) -> list[Event]:
+def events_in(world: SimulatedWorld) -> list[Event]:
     return [event for event in world.clock.take_events() if event.kind == "touched"]
 
 

@@ -16,11 +16,11 @@ from zensim.proto.topic_catalog import CLOCK, SNAPSHOT, STATS, TopicSpec
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, WorldTelemetry
 from zensim.sim_server.service_parts import Pacing, SensorProcesses
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 SECOND = 1_000_000_000
 MILLISECOND = 1_000_000
-CHANGES: dict[str, Callable[[World], object]] = {
+CHANGES: dict[str, Callable[[SimulatedWorld], object]] = {
     "spawn": lambda world: world.spawn(a_spawn("r1")),
     "delete": lambda world: world.delete("r0"),
     "reset": lambda world: world.reset(ResetScope.STATE),
@@ -61,7 +61,7 @@ def test_topics_are_published_at_2_hz_while_paused() -> None:
 
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_snapshot_follows_a_change_at_once_while_paused(
-    change: Callable[[World], object],
+    change: Callable[[SimulatedWorld], object],
 ) -> None:
     server = a_server("r0")
     server.world.clock.pause()

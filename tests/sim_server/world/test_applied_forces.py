@@ -17,14 +17,14 @@ from zensim.sim_server.world.applied_forces import (
     TimeSpan,
     make_time_span,
 )
-from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 FOREVER = TimeSpan(0, None)
 PULL = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 DT_S = STEP_NS * 1e-9
 
 
-def a_world_of_boxes(*names: str) -> World:
+def a_world_of_boxes(*names: str) -> SimulatedWorld:
     world = a_world()
     for i, name in enumerate(names):
         world.spawn(a_spawn(name, model=a_box(), base=a_state((5.0 * i, 0.0, 1.0))))
@@ -32,11 +32,11 @@ def a_world_of_boxes(*names: str) -> World:
     return world
 
 
-def speed(world: World, name: str = "b") -> float:
+def speed(world: SimulatedWorld, name: str = "b") -> float:
     return float(world.state_of(name)[7])
 
 
-def run_steps(world: World, count: int) -> None:
+def run_steps(world: SimulatedWorld, count: int) -> None:
     for _ in range(count):
         world.step()
 

@@ -41,7 +41,7 @@ from zensim.sim_server.world.simulated_world import (
     MAX_STATE_AGE_NS,
     PROBATION_NS,
     DivergenceGuard,
-    World,
+    SimulatedWorld,
     can_move,
     make_frozen_model,
 )
@@ -494,7 +494,7 @@ def test_world_keeps_time_when_spawned_entities_are_reset() -> None:
     assert (names_in(world), world.clock.steps, len(world.claims)) == ([], 100, 0)
 
 
-def a_moved_world() -> World:
+def a_moved_world() -> SimulatedWorld:
     world = a_world("r0")
     world.claim("a", ("r0",), "stop")
     world.command("a", a_command(world, "a", 3.0, 5.0))
@@ -633,7 +633,7 @@ def test_world_reads_states_once_per_step() -> None:
     assert len(engine.reads) == 1
 
 
-def a_driving_world() -> World:
+def a_driving_world() -> SimulatedWorld:
     """Make a world with a driving cart, with the states of a control step published."""
     world = a_world("r0")
     world.claim("a", ("r0",), "stop")
@@ -698,7 +698,7 @@ def test_reported_state_is_current_while_paused() -> None:
     assert time_ns == (CONTROL_STEPS + 1) * STEP_NS
 
 
-def list_informed_agents(world: World) -> list[str]:
+def list_informed_agents(world: SimulatedWorld) -> list[str]:
     return [agent for agent, _ in world.drive_states()]
 
 
@@ -978,7 +978,9 @@ def test_world_records_the_time_to_the_first_command_once() -> None:
 entity_names = st.lists(st.sampled_from(["a", "b", "c", "d"]), unique=True)
 
 
-def replace_world(old: list[str], new: list[str]) -> tuple[World, ObedientEngine, ObedientEngine]:
+def replace_world(
+    old: list[str], new: list[str]
+) -> tuple[SimulatedWorld, ObedientEngine, ObedientEngine]:
     """Make a world and replace it by another; return it with both engines."""
     engines = (ObedientEngine(EngineConfig(STEP_NS)), ObedientEngine(EngineConfig(STEP_NS)))
     world, other = a_world(*old, engine=engines[0]), a_world(*new, engine=engines[1])

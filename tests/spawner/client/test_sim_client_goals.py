@@ -18,7 +18,7 @@ from zensim.spawner.client.sim_client import OnProgress, SimClient, run_step_goa
 
 if TYPE_CHECKING:
     from zensim.proto.bus import Bus
-    from zensim.sim_server.world.simulated_world import World
+    from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 
 class ServedGoals:
@@ -27,7 +27,7 @@ class ServedGoals:
     def __init__(self) -> None:
         self.bus = MemoryBus()
         bus = cast("Bus", self.bus)
-        self.world: World = a_world("r0")
+        self.world: SimulatedWorld = a_world("r0")
         self.world.clock.pause()
         wall = WallTime()
         parts = make_parts(self.world, wall)
