@@ -20,7 +20,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 STAMP := .venv/.setup-done
 
-.PHONY: help setup demo test short lint fmt types imports schemas docs bench house chaos fuzz pins ci clean \
+.PHONY: help setup demo test short lint fmt types imports schemas docs site bench house chaos fuzz pins ci clean \
 	packages
 
 help: ## list the targets
@@ -89,6 +89,9 @@ schemas: setup ## committed schemas against the messages
 
 docs: setup ## links, commands and change log of the documents
 	$(BIN)/python -m pytest -q tests/contract/test_docs.py
+
+site: setup ## build/site: the documents as a site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q -f .mkdocs.yml
 
 bench: setup ## measure and rewrite docs/benchmarks.md
 	$(BIN)/python -m benchmarks
