@@ -1,17 +1,22 @@
 """Documents against the repository: links, commands, change log."""
 
+import json
 import os
 import re
 import subprocess
 import sys
+import textwrap
 from importlib.metadata import version
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
+import yaml
 
 from tests.contract.repository import ROOT, files, shown, text_of
 
 LINK = re.compile(r"\]\((?!https?:|mailto:|#)([^)#\s]+)")
+BLOCK_FLAGS = re.MULTILINE | re.DOTALL
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(
     r"(?:^|`|\s)(?:\.venv/bin/)?zensim ((?:(?:state|info|world) )?[a-z][a-z-]*)([^`\n|&;#]*)"
@@ -72,6 +77,41 @@ def test_documented_command_exists(verb: str, options: set[str]) -> None:
     assert answer.returncode == 0, answer.stderr
     known = set(OPTION.findall(answer.stdout.replace(",", " , ")))
     assert options <= known
+
+
+def blocks_of(language: str) -> list[tuple[str, str]]:
+    """List the code blocks in a language, with the document and line of each."""
+    found = []
+    for path in documents():
+        text = text_of(path)
+        for block in re.finditer(rf"^( *)```{language}\n(.*?)^ *```$", text, BLOCK_FLAGS):
+            line = text.count("\n", 0, block.start()) + 1
+            found.append((f"{shown(path)}:{line}", textwrap.dedent(block.group(2))))
+    return found
+
+
+@pytest.mark.parametrize(("place", "code"), blocks_of("python"))
+def test_python_of_a_document_compiles(place: str, code: str) -> None:
+    compile(code, place, "exec")
+
+
+@pytest.mark.parametrize(("place", "code"), blocks_of("(?:xml|sdf|urdf)"))
+def test_xml_of_a_document_is_well_formed(place: str, code: str) -> None:
+    fragment = re.sub(r"<\?xml.*?\?>", "", code)
+
+    assert ElementTree.fromstring(f"<root xmlns:zensim='z' xmlns:xacro='x'>{fragment}</root>"), (
+        place
+    )
+
+
+@pytest.mark.parametrize(("place", "code"), blocks_of("yaml"))
+def test_yaml_of_a_document_is_read(place: str, code: str) -> None:
+    assert yaml.safe_load(code), place
+
+
+@pytest.mark.parametrize(("place", "code"), blocks_of("json"))
+def test_json_of_a_document_is_read(place: str, code: str) -> None:
+    assert json.loads(code), place
 
 
 def test_readme_begins_with_two_commands() -> None:
