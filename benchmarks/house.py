@@ -83,6 +83,8 @@ def list_modules(root: Path) -> dict[str, Path]:
 
 def _to_module(path: Path) -> str:
     parts = path.with_suffix("").parts
+    # The folder of the package holds modules of its own beside the links to the programs.
+    parts = parts[1:] if parts[0] == "zensim" and len(parts) > 2 else parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 

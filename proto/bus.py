@@ -233,10 +233,10 @@ __all__ = [
     "BusQueryQueue",
     "BusSubscription",
     "EndpointTaken",
+    "EndpointUnreachable",
     "LivelinessToken",
     "LivelinessWatch",
     "NoServer",
-    "Unreachable",
     "open_bus",
     "to_zenoh_json",
 ]
@@ -259,7 +259,7 @@ class BusError(Exception):
     """A network operation failed."""
 
 
-class Unreachable(BusError):
+class EndpointUnreachable(BusError):
     """No router or server listens at the endpoints."""
 
 
@@ -436,7 +436,7 @@ def open_bus(config: BusConfig) -> Bus:
     """Open a session.
 
     Raises:
-        Unreachable: No router or server listens at the endpoints to connect to.
+        EndpointUnreachable: No router or server listens at the endpoints to connect to.
         EndpointTaken: Another process listens at an endpoint to listen at.
         ValueError: An endpoint is not valid.
     """
@@ -497,7 +497,7 @@ def _make_open_error(config: BusConfig, text: str) -> BusError:
         reason = text.partition(" at /")[0]
         return BusError(f"cannot listen at {', '.join(config.listen)}: {reason}")
     where = ", ".join(config.connect)
-    return Unreachable(
+    return EndpointUnreachable(
         f"no server listens at {where}; start one with 'zensim serve' or use --connect"
     )
 
@@ -517,7 +517,7 @@ def open_bus_with_retry(config: BusConfig, wait_s: float) -> Bus:
     """Open a session as soon as a router or server listens at the endpoints.
 
     Raises:
-        Unreachable: None did within `wait_s`.
+        EndpointUnreachable: None did within `wait_s`.
         BusError: See `open_bus`.
     """
     deadline_s = time.monotonic() + wait_s
@@ -526,6 +526,6 @@ def open_bus_with_retry(config: BusConfig, wait_s: float) -> Bus:
         attempt = msgspec.structs.replace(config, open_timeout_s=next(timeouts))
         try:
             return open_bus(attempt)
-        except Unreachable:
+        except EndpointUnreachable:
             if time.monotonic() >= deadline_s:
                 raise

@@ -41,11 +41,11 @@ def choose_exit_code(error: Exception) -> ExitCode:
 
 
 def _list_exit_codes() -> tuple[tuple[tuple[type[Exception], ...], ExitCode], ...]:
-    from zensim.proto.bus import NoServer, Unreachable
+    from zensim.proto.bus import EndpointUnreachable, NoServer
     from zensim.proto.codec.message_codec import MalformedPayload
 
     return (
-        ((NoServer, Unreachable), ExitCode.UNREACHABLE),
+        ((NoServer, EndpointUnreachable), ExitCode.UNREACHABLE),
         ((TimeoutError,), ExitCode.TIMEOUT),
         ((FileNotFoundError,), ExitCode.NOT_FOUND),
         ((MalformedPayload,), ExitCode.FAILED),  # received, not typed

@@ -438,7 +438,7 @@ def run_agent_process(start: AgentProcessConfig) -> None:
     """Run an agent until it is stopped; without a name it generates one.
 
     Raises:
-        Unreachable: Nothing accepts connections at the endpoint.
+        EndpointUnreachable: Nothing accepts connections at the endpoint.
         ServiceError: See `run_agent`, as for the others.
     """
     logging.basicConfig(

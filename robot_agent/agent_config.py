@@ -54,7 +54,7 @@ class AgentConfig(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class AgentProcessConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """Configuration of an agent process; `zensim.deploy.prepared_start` gets it as JSON."""
+    """Configuration of an agent process; `zensim.api.prepared_start` gets it as JSON."""
 
     endpoint: str
     """Of a router or server."""

@@ -125,7 +125,7 @@ class CmdVelSubscriber:
             return None
 
 
-class Robot:
+class DrivenRobot:
     """One robot: states to targets and telemetry; without a drive only telemetry."""
 
     def __init__(self, factory: TopicFactory, claim: Claim, cmd_vel_timeout_ns: int) -> None:
@@ -219,7 +219,7 @@ class Robot:
         ]
 
 
-def log_malformed_commands(robots: Iterable[Robot]) -> None:
+def log_malformed_commands(robots: Iterable[DrivenRobot]) -> None:
     """Log the malformed commands of robots."""
     for robot in robots:
         if robot.cmd_vel and (report := robot.cmd_vel.take_malformed_report()):
@@ -242,17 +242,17 @@ class IndividualRobots:
         self._network = network
         self._graph = graph
         self._timeout_ns = timeout_ns
-        self._robots: dict[int, Robot] = {}
+        self._robots: dict[int, DrivenRobot] = {}
         self._claims: bytes | None = None
         self.newest_claim = 0
         """0 without claims."""
-        self._robots_in_order: tuple[Robot, ...] = ()
+        self._robots_in_order: tuple[DrivenRobot, ...] = ()
         self._state: DriveState | None = None
         """The last one that was answered."""
         self._state_layout = DriveStateLayout(())
 
     @property
-    def robots(self) -> tuple[Robot, ...]:
+    def robots(self) -> tuple[DrivenRobot, ...]:
         """All robots."""
         return tuple(self._robots.values())
 
@@ -260,11 +260,11 @@ class IndividualRobots:
         """Add the robots of new claims."""
         for claim in claims:
             factory = make_topic_factory(self._network, self._graph, claim.namespace, NODE_NAME)
-            robot = Robot(factory, claim, self._timeout_ns)
+            robot = DrivenRobot(factory, claim, self._timeout_ns)
             robot.announce()
             self.hold(claim.claim, robot)
 
-    def hold(self, claim: int, robot: Robot) -> None:
+    def hold(self, claim: int, robot: DrivenRobot) -> None:
         """Add a robot under its claim."""
         self._robots[claim] = robot
         self.newest_claim = max(self._robots)

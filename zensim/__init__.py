@@ -1,1 +1,59 @@
 """Many robots in one simulated world, on a Zenoh network, without ROS or Gazebo."""
+
+from typing import TYPE_CHECKING
+
+from zensim.public_names import find_public_name, list_public_names
+
+if TYPE_CHECKING:
+    from zensim.api.api_errors import (
+        Closed,
+        ConnectionLost,
+        Denied,
+        Error,
+        Invalid,
+        NotFound,
+        SpawnRefused,
+        SteppedElsewhere,
+        Timeout,
+        Unreachable,
+        Unsupported,
+    )
+    from zensim.api.entity_values import RobotPose, RobotTwist, SpawnReport, deg
+    from zensim.api.fleet import Fleet
+    from zensim.api.robot import EntityHandle, Robot
+    from zensim.api.simulation import Simulation
+    from zensim.api.topic import Topic, TopicCallback
+
+__all__ = [
+    "Closed",
+    "ConnectionLost",
+    "Denied",
+    "EntityHandle",
+    "Error",
+    "Fleet",
+    "Invalid",
+    "NotFound",
+    "Robot",
+    "RobotPose",
+    "RobotTwist",
+    "Simulation",
+    "SpawnRefused",
+    "SpawnReport",
+    "SteppedElsewhere",
+    "Timeout",
+    "Topic",
+    "TopicCallback",
+    "Unreachable",
+    "Unsupported",
+    "deg",
+]
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used."""
+    found = globals()[name] = find_public_name(name)
+    return found
+
+
+def __dir__() -> list[str]:
+    return list_public_names()

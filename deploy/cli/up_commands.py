@@ -15,7 +15,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from zensim.deploy.launcher import (
+from zensim.api.local_deployment import (
     LaunchAgentsConfig,
     LaunchConfig,
     LaunchFailed,
@@ -26,7 +26,6 @@ from zensim.deploy.launcher import (
     summarize_run,
     supervise,
 )
-from zensim.deploy.supervisor import ProgramDied, SupervisedProgram, Supervisor
 from zensim.proto.cli_options import (
     AllowMissingOption,
     ClustersOption,
@@ -52,6 +51,7 @@ from zensim.proto.endpoints import DEFAULT_ENDPOINT, with_free_port
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
 from zensim.proto.stop_signal import StopFlag
+from zensim.proto.supervisor import ProgramDied, SupervisedProgram, Supervisor
 from zensim.spawner.cli.spawn_arguments import (
     ControllersOption,
     DriveOption,

@@ -183,6 +183,22 @@ class DriveState(msgspec.Struct, frozen=True):
     """Newest claim of the server when this was published: newer claims are missing in `claims`."""
     is_awaited: bool = False
     """Whether the server waits for the command; publish what is due before it."""
+    twists: bytes = b""
+    """`<f8`, (n, 3), in the order of `claims`: forward, left [m/s], turn [rad/s]. A row counts as a
+    `cmd_vel` that arrived before this state; NaN = none. Empty = none at all."""
+
+
+class TwistCommands(msgspec.Struct, frozen=True):
+    """Twists that robots are to keep until the next order, or until their client disappears."""
+
+    ros_type: ClassVar[str] = "zensim/msg/TwistCommands"
+
+    client: str = ""
+    """With a token `sim/<world>/alive/clients/<client>`, the robots stop when it disappears."""
+    entities: tuple[str, ...] = ()
+    twists: bytes = b""
+    """`<f8`, (n, 3), in the order of `entities`: forward, left [m/s], turn [rad/s]. NaN releases a
+    robot: only its own `cmd_vel` counts again."""
 
 
 class DriveCommand(msgspec.Struct, frozen=True):

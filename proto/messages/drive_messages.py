@@ -429,6 +429,12 @@ class OmniDrive(DriveSettings, frozen=True, tag="omni_drive", tag_field="kind"):
 
 Drive = DiffDrive | PlanarMove | AckermannDrive | TricycleDrive | SteeringDrive | OmniDrive
 
+
+def name_drive(drive: Drive | None) -> str:
+    """Name the kind of a drive, such as `diff_drive`; empty without one."""
+    return "" if drive is None else str(drive.__struct_config__.tag)
+
+
 DriveKind = Literal[
     "", "none", "diff", "mecanum", "omni", "ackermann", "bicycle", "tricycle", "planar"
 ]

@@ -5,9 +5,11 @@ from typing import ClassVar, Literal
 
 import msgspec
 
+from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.result_messages import Result
 from zensim.proto.messages.scalar_types import UInt8, UInt16, UInt64
 from zensim.proto.messages.standard_messages import Time
+from zensim.proto.messages.telemetry_messages import Snapshot
 
 MAX_GOAL_ID_LENGTH = 64
 """Maximum length of a goal id."""
@@ -27,6 +29,13 @@ class SimulateStepsRequest(msgspec.Struct, frozen=True):
     steps: UInt64 = 1
     goal_id: str = ""
     """At most `MAX_GOAL_ID_LENGTH` printable characters; progress is published only with an id."""
+    client: str = ""
+    """Name of a token `sim/<world>/alive/clients/<client>`: while it exists, no other client steps;
+    empty = no lease."""
+    twists: TwistCommands | None = None
+    """Orders that count from the first of these steps on."""
+    wants_snapshot: bool = False
+    """Whether the response has the state after the last step."""
 
 
 class SimulateStepsResponse(msgspec.Struct, frozen=True):
@@ -39,6 +48,7 @@ class SimulateStepsResponse(msgspec.Struct, frozen=True):
     status: StepsGoalStatus = "succeeded"
     completed_steps: UInt64 = 0
     remaining_steps: UInt64 = 0
+    snapshot: Snapshot | None = None
 
 
 class StepsProgress(msgspec.Struct, frozen=True):

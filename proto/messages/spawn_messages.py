@@ -77,6 +77,8 @@ class SpawnEntityReport(SpawnEntityResponse, frozen=True):
 
     entity_namespace: str = ""
     report: tuple[ReportEntry, ...] = ()
+    drive: str = ""
+    """Kind of the drive, such as `diff_drive`; empty = it has none."""
 
 
 class DeleteEntityRequest(msgspec.Struct, frozen=True):

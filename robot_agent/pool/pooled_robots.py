@@ -40,7 +40,7 @@ from zensim.robot_agent.robot_rows import (
     remap_floats,
     remap_ints,
 )
-from zensim.robot_agent.robots import NODE_NAME, SENSOR_TYPES, Robot, log_malformed_commands
+from zensim.robot_agent.robots import NODE_NAME, SENSOR_TYPES, DrivenRobot, log_malformed_commands
 from zensim.robot_agent.topic_remapping import RobotTopicKeys, find_topic_keys
 
 FLEET_CMD_VEL_DEPTH = 8192
@@ -396,7 +396,7 @@ GROUP_NODE_PREFIX = "zensim_pool"
 class _SingleRobot:
     """A robot that no group can hold, and its indices in the arrays of its pool."""
 
-    robot: Robot
+    robot: DrivenRobot
     place: int
     joints: slice
     targets: slice
@@ -428,7 +428,7 @@ class PooledRobots:
         self._numbers = count(1)
         self._timeout_ns = timeout_ns
         self._members: dict[int, GroupMember] = {}
-        self._robots: dict[int, Robot] = {}
+        self._robots: dict[int, DrivenRobot] = {}
         self._publishers: dict[tuple[str, TopicSpec], FleetTopicPublisher] = {}
         self._static_topics = StaticTopics(self._find_publisher, self._ros)
         self._bumpers = PooledBumpers(self._find_publisher)
@@ -454,7 +454,7 @@ class PooledRobots:
                 self._members[claim.claim] = member
             else:
                 factory = make_topic_factory(self._network, self._graph, claim.namespace, NODE_NAME)
-                robot = Robot(factory, claim, self._timeout_ns)
+                robot = DrivenRobot(factory, claim, self._timeout_ns)
                 robot.announce()
                 self._robots[claim.claim] = robot
         self._claims = None

@@ -6,7 +6,7 @@ from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 
 
 class SensorProcessConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """Configuration of a sensor process; `zensim.deploy.prepared_start` gets it as JSON."""
+    """Configuration of a sensor process; `zensim.api.prepared_start` gets it as JSON."""
 
     endpoint: str
     """Of a router or server."""

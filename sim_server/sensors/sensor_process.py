@@ -467,7 +467,7 @@ def start_sensor_process(config: SensorProcessConfig) -> None:
     """Run a sensor process until it is stopped; without a name it generates one.
 
     Raises:
-        Unreachable: Nothing accepts connections at the endpoint.
+        EndpointUnreachable: Nothing accepts connections at the endpoint.
     """
     logging.basicConfig(
         level=logging.WARNING if config.is_quiet else logging.INFO,

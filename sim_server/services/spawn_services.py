@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 
 from zensim.proto.messages import asset_messages, spawn_messages
+from zensim.proto.messages.drive_messages import name_drive
 from zensim.proto.messages.entity_messages import BoundsType
 from zensim.proto.messages.model_messages import Model, Origin, ReportEntry
 from zensim.proto.messages.result_messages import Result, ResultCode, SpawnCode, SpawnEntitiesCode
@@ -100,7 +101,9 @@ def spawn_model(
         _refuse_suspicious((*notes, *validated.model.report))
     if order.dry_run:
         name, namespace = spawning.world.resolve_names_for(validated)
-        return SpawnEntityReport(Result(), name, namespace, (*notes, *validated.model.report))
+        report = (*notes, *validated.model.report)
+        kind = name_drive(validated.model.drive)
+        return SpawnEntityReport(Result(), name, namespace, report, kind)
     if order.strict:
         entity = spawning.world.spawn(validated)
     else:
@@ -108,7 +111,8 @@ def spawn_model(
         notes.extend(_make_overlap_notes(overlapped))
     _record_spawn(spawning, entity, order.bond, notes)
     report = (*notes, *validated.model.report)
-    return SpawnEntityReport(Result(), entity.name, entity.namespace, report)
+    kind = name_drive(entity.model.drive)
+    return SpawnEntityReport(Result(), entity.name, entity.namespace, report, kind)
 
 
 @dataclass(frozen=True)

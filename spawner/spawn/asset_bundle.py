@@ -32,7 +32,7 @@ from zensim.spawner.spawn.description_xml import (
 from zensim.spawner.spawn.search_paths import FileLocation, SearchPaths
 
 if TYPE_CHECKING:
-    from zensim.spawner.client.sim_client import SimClient
+    from zensim.spawner.client.service_client import ServiceClient
 
 MESH_SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".off", ".glb", ".gltf")
 """Only these, and images and materials of OBJ files, are uploaded, so that an untrusted description
@@ -280,7 +280,7 @@ class PendingFile(msgspec.Struct, frozen=True):
     received: int
 
 
-def find_pending_files(client: "SimClient", files: Sequence[AssetFile]) -> list[PendingFile]:
+def find_pending_files(client: "ServiceClient", files: Sequence[AssetFile]) -> list[PendingFile]:
     """Find which of these files the server lacks."""
     if not files:
         return []
@@ -290,7 +290,9 @@ def find_pending_files(client: "SimClient", files: Sequence[AssetFile]) -> list[
     return [PendingFile(file, pending[file.sha256]) for file in files if file.sha256 in pending]
 
 
-def send_file(client: "SimClient", pending: PendingFile, on_bytes: Callable[[int], None]) -> None:
+def send_file(
+    client: "ServiceClient", pending: PendingFile, on_bytes: Callable[[int], None]
+) -> None:
     """Upload one file, beginning with the first missing byte.
 
     Raises:
@@ -321,6 +323,6 @@ def send_file(client: "SimClient", pending: PendingFile, on_bytes: Callable[[int
                 return
 
 
-def _count_received(client: "SimClient", file: AssetFile) -> int:
+def _count_received(client: "ServiceClient", file: AssetFile) -> int:
     pending = find_pending_files(client, [file])
     return pending[0].received if pending else file.size

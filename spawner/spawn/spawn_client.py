@@ -38,7 +38,7 @@ from zensim.spawner.spawn.search_paths import SearchPaths, collect_search_paths
 from zensim.spawner.spawn.spawn_poses import RobotPlacement, make_pose
 
 if TYPE_CHECKING:
-    from zensim.spawner.client.sim_client import SimClient
+    from zensim.spawner.client.service_client import ServiceClient
 
 DESCRIBED_DRIVE = DriveOrder()
 TOKEN_TIMEOUT_S = 2.0
@@ -52,7 +52,7 @@ def make_bond_name() -> str:
     return f"bond_{uuid.uuid4().hex[:16]}"
 
 
-def spawn_bonded(client: "SimClient", order: SpawnEntityOrder) -> SpawnEntityReport:
+def spawn_bonded(client: "ServiceClient", order: SpawnEntityOrder) -> SpawnEntityReport:
     """Spawn an entity; retry while the server has not seen the token of the bond.
 
     Raises:
@@ -69,7 +69,7 @@ def spawn_bonded(client: "SimClient", order: SpawnEntityOrder) -> SpawnEntityRep
         time.sleep(BOND_POLL_S)
 
 
-def hold_bond(client: "SimClient", entity: str, is_over: Callable[[], bool]) -> bool:
+def hold_bond(client: "ServiceClient", entity: str, is_over: Callable[[], bool]) -> bool:
     """Wait until `is_over`, then delete the entity; return False if it was deleted before."""
     check_at = time.monotonic() + CHECK_PERIOD_S
     while not is_over():
@@ -88,7 +88,7 @@ def hold_bond(client: "SimClient", entity: str, is_over: Callable[[], bool]) -> 
     return True
 
 
-def wait_for_entity(client: "SimClient", entity: str, timeout_s: float) -> None:
+def wait_for_entity(client: "ServiceClient", entity: str, timeout_s: float) -> None:
     """Wait until an entity exists.
 
     Raises:
@@ -101,7 +101,7 @@ def wait_for_entity(client: "SimClient", entity: str, timeout_s: float) -> None:
         time.sleep(BOND_POLL_S)
 
 
-def _entity_exists(client: "SimClient", entity: str) -> bool:
+def _entity_exists(client: "ServiceClient", entity: str) -> bool:
     # Imported here, as service_catalog below: reading a description needs no network.
     from zensim.proto.bus import NoServer
 
@@ -188,7 +188,7 @@ def read_payload(model: str, controllers: Sequence[Path] = ()) -> SpawnPayload:
 
 
 def send_files(
-    client: "SimClient", bundle: AssetBundle, on_bytes: OnBytes = ignore_progress
+    client: "ServiceClient", bundle: AssetBundle, on_bytes: OnBytes = ignore_progress
 ) -> int:
     """Upload the files that the server lacks, and return their number.
 
@@ -240,7 +240,7 @@ def make_shared_resource(payload: SpawnPayload) -> Resource:
 
 
 def spawn_fleet(
-    client: "SimClient",
+    client: "ServiceClient",
     model: str,
     placements: Sequence[RobotPlacement],
     on_done: Callable[[SpawnOutcome], None],
@@ -263,7 +263,7 @@ def spawn_fleet(
 
 
 def spawn_many(
-    client: "SimClient",
+    client: "ServiceClient",
     payload: SpawnPayload,
     placements: Sequence[RobotPlacement],
     order: SpawnEntityOrder,

@@ -14,8 +14,8 @@ from zensim.proto.bus import (
     Bus,
     BusConfig,
     EndpointTaken,
+    EndpointUnreachable,
     NoServer,
-    Unreachable,
     open_bus,
 )
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
@@ -269,7 +269,7 @@ def test_all_replies_are_collected_when_many_reply(router: Bus, client: Bus) -> 
 def test_open_fails_when_no_router_listens() -> None:
     config = BusConfig(connect=(free_endpoint(),), open_timeout_s=0.2)
 
-    with pytest.raises(Unreachable, match="tcp/127"):
+    with pytest.raises(EndpointUnreachable, match="tcp/127"):
         open_bus(config)
 
 

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from zensim.proto.bus import BusError, EndpointTaken, NoServer, Unreachable
+from zensim.proto.bus import BusError, EndpointTaken, EndpointUnreachable, NoServer
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.exit_codes import ExitCode, choose_exit_code, exit_on_failure, format_failure
 from zensim.proto.messages.result_messages import ResultCode, ServiceError, SpawnCode
@@ -24,7 +24,7 @@ def a_refusal(code: int, name: str = "SOME_CODE") -> ServiceError:
         (a_refusal(ResultCode.OPERATION_FAILED), ExitCode.FAILED),
         (a_refusal(SpawnCode.NAME_NOT_UNIQUE), ExitCode.FAILED),
         (NoServer("none"), ExitCode.UNREACHABLE),
-        (Unreachable("none"), ExitCode.UNREACHABLE),
+        (EndpointUnreachable("none"), ExitCode.UNREACHABLE),
         (EndpointTaken("taken"), ExitCode.FAILED),
         (BusError("odd"), ExitCode.FAILED),
         (TimeoutError("late"), ExitCode.TIMEOUT),

@@ -31,7 +31,7 @@ from zensim.robot_agent.agent import (
     run_agent,
 )
 from zensim.robot_agent.agent_config import AgentConfig
-from zensim.robot_agent.robots import IndividualRobots, Robot
+from zensim.robot_agent.robots import DrivenRobot, IndividualRobots
 
 MS = 1_000_000
 
@@ -170,8 +170,8 @@ def test_answer_is_revised_once() -> None:
 
 def make_robots(bus: MemoryBus) -> IndividualRobots:
     robots = IndividualRobots(bus, 0)
-    robots.hold(1, Robot(TopicFactory(bus), a_claim(1, "r1"), 0))
-    robots.hold(2, Robot(TopicFactory(bus), a_claim(2, "r2", two_wheeler(None)), 0))
+    robots.hold(1, DrivenRobot(TopicFactory(bus), a_claim(1, "r1"), 0))
+    robots.hold(2, DrivenRobot(TopicFactory(bus), a_claim(2, "r2", two_wheeler(None)), 0))
     return robots
 
 

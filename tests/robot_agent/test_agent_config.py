@@ -9,7 +9,7 @@ from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.agent_config import RateOverrides, override_rates
 from zensim.robot_agent.base_controller import find_motion_rates
 from zensim.robot_agent.drive_state_decoder import RobotState
-from zensim.robot_agent.robots import Robot
+from zensim.robot_agent.robots import DrivenRobot
 
 PERIOD_NS = 10_000_000
 
@@ -35,7 +35,7 @@ def test_robot_publishes_odometry_and_tf_at_the_overridden_rates(
 ) -> None:
     bus = MemoryBus()
     received = {topic: bus.subscribe(f"r1/{topic}", 1000) for topic in ("odom", "tf")}
-    robot = Robot(TopicFactory(bus), paced(a_claim(), rates), 0)
+    robot = DrivenRobot(TopicFactory(bus), paced(a_claim(), rates), 0)
 
     for step in range(100):
         robot.advance(RobotState(step * PERIOD_NS, AT_REST, (0.0, 0.0), (0.0, 0.0)))

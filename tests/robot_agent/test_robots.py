@@ -13,7 +13,7 @@ from zensim.proto.messages.model_messages import Model, RosBlock
 from zensim.proto.messages.standard_messages import Twist, TwistStamped, Vector3
 from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.drive_state_decoder import RobotState
-from zensim.robot_agent.robots import CMD_VEL_DEPTH, CmdVelSubscriber, IndividualRobots, Robot
+from zensim.robot_agent.robots import CMD_VEL_DEPTH, CmdVelSubscriber, DrivenRobot, IndividualRobots
 
 TIMEOUT_NS = 500
 FORWARD = Twist(Vector3(1.0))
@@ -141,7 +141,7 @@ def test_subscription_is_closed_with_its_owner() -> None:
 def make_robots(bus: MemoryBus, *claims: int) -> IndividualRobots:
     robots = IndividualRobots(bus, 0)
     for claim in claims:
-        robots.hold(claim, Robot(TopicFactory(bus), a_claim(claim, f"r{claim}"), 0))
+        robots.hold(claim, DrivenRobot(TopicFactory(bus), a_claim(claim, f"r{claim}"), 0))
     return robots
 
 
@@ -189,7 +189,7 @@ def test_robots_answer_for_one_that_joined() -> None:
     robots = make_robots(bus, 1)
     robots.advance(a_state(1, (1,)))
 
-    robots.hold(2, Robot(TopicFactory(bus), a_claim(2, "r2"), 0))
+    robots.hold(2, DrivenRobot(TopicFactory(bus), a_claim(2, "r2"), 0))
 
     assert robots.release_all_except(a_state(2, (1, 2)).claims) == ()
     assert len(targets_of(robots.advance(a_state(2, (1, 2))))) == 4
@@ -198,7 +198,7 @@ def test_robots_answer_for_one_that_joined() -> None:
 def test_robots_answer_nothing_for_one_without_a_drive() -> None:
     bus = MemoryBus()
     robots = IndividualRobots(bus, 0)
-    robots.hold(1, Robot(TopicFactory(bus), a_claim(model=two_wheeler(None)), 0))
+    robots.hold(1, DrivenRobot(TopicFactory(bus), a_claim(model=two_wheeler(None)), 0))
 
     assert robots.advance(a_state(1)).targets == b""
 
@@ -274,7 +274,7 @@ def test_robots_revise_nothing_when_claims_changed_since_the_answer() -> None:
     robots = make_robots(bus, 1)
     assert robots.revise() is None
     robots.advance(a_state(1, (1,)))
-    robots.hold(2, Robot(TopicFactory(bus), a_claim(2, "r2"), 0))
+    robots.hold(2, DrivenRobot(TopicFactory(bus), a_claim(2, "r2"), 0))
     bus.put_message("r1/cmd_vel", Twist(Vector3(0.1)))
 
     assert robots.revise() is None
@@ -289,8 +289,8 @@ def state(time_ms: int) -> RobotState:
     return RobotState(time_ms * MS, AT_REST, (0.0, 0.0), (0.0, 0.0))
 
 
-def a_robot(bus: MemoryBus, model: Model | None = None) -> Robot:
-    return Robot(TopicFactory(bus), a_claim(model=model), ROBOT_TIMEOUT_NS)
+def a_robot(bus: MemoryBus, model: Model | None = None) -> DrivenRobot:
+    return DrivenRobot(TopicFactory(bus), a_claim(model=model), ROBOT_TIMEOUT_NS)
 
 
 def test_robot_follows_its_commands() -> None:

@@ -19,7 +19,7 @@ from zensim.proto.messages.standard_messages import Odometry
 from zensim.proto.se3 import from_rpy
 from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.drive_state_decoder import RobotState
-from zensim.robot_agent.robots import Robot
+from zensim.robot_agent.robots import DrivenRobot
 from zensim.robot_agent.true_odometry import TrueOdometryTelemetry
 
 MS = 1_000_000
@@ -139,7 +139,7 @@ def test_true_velocity_has_the_described_noise_in_every_run() -> None:
 def test_robot_publishes_and_replies_with_true_odometry_until_closed() -> None:
     bus = MemoryBus()
     model = msgspec.structs.replace(two_wheeler(DRIVE), ground_truths=(PLUGIN,))
-    robot = Robot(TopicFactory(bus), a_claim(model=model), 500 * MS)
+    robot = DrivenRobot(TopicFactory(bus), a_claim(model=model), 500 * MS)
     listener = bus.subscribe("r1/truth")
     robot.advance(state())
 

@@ -18,7 +18,7 @@ TERMINATE_TIMEOUT_S = 1.2
 """Grace period before SIGKILL; all processes must end within 2 s."""
 RESTART_DELAY_S = 0.5
 MAX_RESTARTS = 20
-CLI_MODULE, PREPARED_START_MODULE = "zensim", "zensim.deploy.prepared_start"
+CLI_MODULE, PREPARED_START_MODULE = "zensim", "zensim.api.prepared_start"
 """Modules to run: with command-line arguments, or with JSON settings."""
 
 

@@ -1,4 +1,4 @@
-"""`python -m zensim.deploy.prepared_start VERB SETTINGS`: run a program with JSON settings.
+"""`python -m zensim.api.prepared_start VERB SETTINGS`: run a program with JSON settings.
 
 A program would spend most of its start on the command line parser.
 """

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import msgspec
 
-from zensim.deploy.supervisor import PREPARED_START_MODULE, SupervisedProgram, Supervisor
 from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.telemetry_messages import Info
 from zensim.proto.ros2.ros_settings import RosSettings, to_cli_arguments
+from zensim.proto.supervisor import PREPARED_START_MODULE, SupervisedProgram, Supervisor
 from zensim.proto.topic_catalog import ODOM
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, RateOverrides
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig

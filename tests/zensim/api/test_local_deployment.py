@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from zensim.deploy.launcher import (
+from zensim.api.local_deployment import (
     LaunchAgentsConfig,
     LaunchConfig,
     choose_pool_count,

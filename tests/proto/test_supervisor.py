@@ -9,8 +9,8 @@ import psutil
 import pytest
 
 from tests.integration.processes import eventually, free_endpoint
-from zensim.deploy.supervisor import MAX_RESTARTS, ProgramDied, SupervisedProgram, Supervisor
 from zensim.proto.process_limits import PARENT_PID_VARIABLE
+from zensim.proto.supervisor import MAX_RESTARTS, ProgramDied, SupervisedProgram, Supervisor
 
 NOWHERE = "tcp/127.0.0.1:1"
 WAITING = ("spawn", "box_bot", "--wait", "600", "--connect", NOWHERE)

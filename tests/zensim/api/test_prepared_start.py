@@ -16,7 +16,7 @@ UNREACHABLE = AgentProcessConfig(
 
 def run(*words: str) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(
-        [sys.executable, "-m", "zensim.deploy.prepared_start", *words],
+        [sys.executable, "-m", "zensim.api.prepared_start", *words],
         capture_output=True,
         text=True,
         check=False,
@@ -47,7 +47,7 @@ def test_agent_imports_neither_typer_nor_numpy() -> None:
     heavy = "{'typer', 'rich', 'pydantic', 'numpy', 'pybullet'} & set(sys.modules)"
 
     done = subprocess.run(
-        [sys.executable, "-c", f"import sys, zensim.deploy.prepared_start; print({heavy})"],
+        [sys.executable, "-c", f"import sys, zensim.api.prepared_start; print({heavy})"],
         capture_output=True,
         text=True,
         check=True,

@@ -1,0 +1,209 @@
+"""Handles of one robot or entity of a simulation, by name."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from zensim.api.api_errors import Error, Invalid
+from zensim.api.entity_values import RobotPose, RobotTwist, SpawnReport
+from zensim.api.path_following import make_path_controller
+from zensim.api.topic import Topic, TopicCallback
+from zensim.api.world_access import api_errors
+from zensim.api.world_session import RELEASED, WorldSession, check_finite
+from zensim.api.world_state import POSE
+from zensim.proto.messages.drive_messages import name_drive
+from zensim.proto.messages.entity_messages import EntityState
+from zensim.proto.messages.standard_messages import JointState, Odometry
+from zensim.spawner.spawn.spawn_poses import make_pose
+
+MAX_SPEED = 1e6
+
+
+class EntityHandle:
+    """An entity of a simulation; properties are those of the newest state."""
+
+    def __init__(self, session: WorldSession, name: str, report: SpawnReport | None = None) -> None:
+        self._session = session
+        self._name = name
+        self._report = report
+
+    @property
+    def name(self) -> str:
+        """Name, unique in the world."""
+        return self._name
+
+    @property
+    def namespace(self) -> str:
+        """Prefix of its topics and frames."""
+        return self._session.find_entry(self._name).namespace
+
+    @property
+    def exists(self) -> bool:
+        """Whether it has not been deleted."""
+        return self._name in self._session.state().row
+
+    @property
+    def pose(self) -> RobotPose:
+        """Pose of the root link in the world: [m], quaternion x y z w.
+
+        Raises:
+            NotFound: It was deleted.
+        """
+        state, row = self._session.find_row(self._name)
+        return RobotPose(*state.base[row, POSE].tolist())
+
+    @property
+    def twist(self) -> RobotTwist:
+        """Twist of the root link in its own frame: [m/s] and [rad/s].
+
+        Raises:
+            NotFound: It was deleted.
+        """
+        state, row = self._session.find_row(self._name)
+        return RobotTwist(*state.twists[row].tolist())
+
+    @property
+    def report(self) -> SpawnReport:
+        """What became of its description."""
+        if self._report is None:
+            entry = self._session.find_entry(self._name)
+            self._report = SpawnReport(
+                self._name,
+                entry.namespace,
+                entry.model.report,
+                drive=name_drive(entry.model.drive),
+            )
+        return self._report
+
+    def set_pose(self, x: float, y: float, z: float | None = None, *, yaw: float = 0.0) -> None:
+        """Place it at rest in the world; `z` [m] stays as it is if it is not given."""
+        self._session.check_open()
+        height = self.pose.z if z is None else z
+        check_finite("pose", np.array([[x, y, height, yaw]]), "(x, y, z, yaw)")
+        state = EntityState(pose=make_pose((x, y, height), (0.0, 0.0, yaw)))
+        with api_errors():
+            self._session.client.set_entity_state(self._name, state)
+        self._session.access.refresh()
+
+    def delete(self) -> None:
+        """Delete it."""
+        self._session.check_open()
+        with api_errors():
+            self._session.client.delete(self._name)
+        self._session.access.refresh()
+
+    def __repr__(self) -> str:
+        """Write class and name."""
+        return f"{type(self).__name__}({self._name!r})"
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Refuse: a handle belongs to its process.
+
+        Raises:
+            Error: Always.
+        """
+        raise Error(
+            f"{type(self).__name__} cannot be pickled",
+            slug="not_picklable",
+            hint="pass sim.endpoint and the name",
+        )
+
+
+class Robot(EntityHandle):
+    """An entity with a drive."""
+
+    @property
+    def agent(self) -> str:
+        """Name of the agent that drives it; empty if none does."""
+        return self._session.find_entry(self._name).agent
+
+    @property
+    def odom(self) -> Odometry:
+        """Newest odometry, as on its topic."""
+        return self._topic_of("odom").latest
+
+    @property
+    def joints(self) -> JointState:
+        """Newest joint states, as on their topic; fields of numbers are arrays."""
+        return self._topic_of("joint_states").latest
+
+    @property
+    def sensors(self) -> dict[str, "Topic[Any]"]:
+        """Topics of its sensors, by name of the sensor; `settings` are those of the sensor."""
+        entry = self._session.find_entry(self._name)
+        found = {}
+        for sensor in entry.model.sensors:
+            if sensor.topics:
+                topic = self._topic_of(sensor.topics[0].name)
+                topic.settings = sensor
+                found[sensor.name] = topic
+        return found
+
+    def drive(
+        self, v: float = 0.0, w: float = 0.0, *, left: float = 0.0, seconds: float | None = None
+    ) -> None:
+        """Order a twist, which holds until the next order or `stop`.
+
+        Args:
+            v: Forward velocity [m/s].
+            w: Angular velocity [rad/s], positive to the left.
+            left: Velocity to the left [m/s], for robots that can move sideways.
+            seconds: Drive for this simulation time, then stop; returns when it is over.
+        """
+        self._session.check_open()
+        twist = check_finite("twist", np.array([[v, left, w]], dtype=np.float64), "(v, left, w)")
+        self._session.find_row(self._name)
+        self._session.order((self._name,), twist)
+        if seconds is not None:
+            self._session.run(seconds)
+            self.stop()
+
+    def stop(self) -> None:
+        """Order a twist of zero."""
+        self.drive(0.0, 0.0)
+
+    def release(self) -> None:
+        """End the order, so that only `cmd_vel` counts."""
+        self._session.check_open()
+        self._session.order((self._name,), RELEASED[None])
+
+    def follow(self, points: Sequence[tuple[float, float]], speed: float = 0.3) -> None:
+        """Drive along points of the world in straight lines, and stop at the last.
+
+        It goes on while time advances, until the next call of `drive`, `stop` or `follow`.
+
+        Args:
+            points: x and y [m].
+            speed: [m/s], > 0.
+        """
+        path = np.asarray(points, dtype=np.float64)
+        if path.ndim != 2 or path.shape[1:] != (2,) or not len(path):  # noqa: PLR2004  x and y
+            raise Invalid(
+                f"points have shape {path.shape}", slug="wrong_shape", hint="give (n, 2): x and y"
+            )
+        check_finite("points", path, "(n, 2)")
+        if not 0.0 < speed < MAX_SPEED:
+            raise Invalid(f"speed={speed:g} is out of range", hint="use a speed > 0 [m/s]")
+        self._session.add_controller(self._name, make_path_controller(path, speed))
+
+    def topic(self, name: str) -> "Topic[Any]":
+        """Find a topic by its name below the namespace, as `scan`, `odom` or `front/scan`.
+
+        Raises:
+            NotFound: The robot has no such topic.
+        """
+        return self._topic_of(name)
+
+    def on(
+        self, topic: str, queue: int = 1
+    ) -> Callable[[Callable[[Any], object]], TopicCallback[Any]]:
+        """Decorate a function that is called with the messages of a topic; see `Topic.on`."""
+
+        def subscribe(call: Callable[[Any], object]) -> TopicCallback[Any]:
+            return self._topic_of(topic).on(call, queue)
+
+        return subscribe
+
+    def _topic_of(self, name: str) -> "Topic[Any]":
+        return self._session.find_robot_topic(self._name, name)

@@ -1,0 +1,549 @@
+"""Simulation: the methods of the API, the same for a world in process and on a server."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from zensim.api.api_errors import Error, Invalid, SpawnRefused, Timeout
+from zensim.api.entity_values import SpawnReport, make_html_table
+from zensim.api.fleet import Fleet
+from zensim.api.robot import EntityHandle, Robot
+from zensim.api.spawning import (
+    AgentKeywords,
+    DescriptionKeywords,
+    DescriptionOrder,
+    FleetKeywords,
+    SpawnKeywords,
+    check_keywords,
+    make_description_order,
+    make_fleet_placements,
+    make_order,
+    make_report,
+    make_spawn_pose,
+    read_description,
+)
+from zensim.api.world_access import WorldAccess, api_errors
+from zensim.api.world_session import STEP_TIMEOUT_S, WorldSession, check_finite, make_not_found
+from zensim.proto.messages.entity_messages import CastRaysRequest
+from zensim.proto.messages.result_messages import ResultCode, ServiceError, SetSimulationStateCode
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.standard_messages import NANOSECONDS, Point, Vector3
+from zensim.proto.messages.telemetry_messages import Info
+from zensim.spawner.spawn.spawn_client import send_files, spawn_bonded, spawn_many
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from zensim.api.topic import Topic
+
+Handle = TypeVar("Handle", bound=EntityHandle)
+SelfType = TypeVar("SelfType", bound="Simulation")
+RATE_TOLERANCE = 1e-6
+DRIVEN_TIMEOUT_S = 10.0
+"""Wall time within which an agent must drive a new robot."""
+
+
+class HandleMapping(Mapping[str, Handle]):
+    """Handles by name, of the entities that exist now."""
+
+    def __init__(
+        self, what: str, names: Callable[[], Sequence[str]], make: Callable[[str], Handle]
+    ) -> None:
+        self._what = what
+        self._list_names = names
+        self._make = make
+
+    def __getitem__(self, name: str) -> Handle:
+        """Return a handle.
+
+        Raises:
+            NotFound: There is none of this name.
+        """
+        names = self._list_names()
+        if name not in names:
+            raise make_not_found(self._what, name, names)
+        return self._make(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._list_names())
+
+    def __len__(self) -> int:
+        return len(self._list_names())
+
+    def __repr__(self) -> str:
+        """List the names."""
+        return f"<{len(self)} {self._what}s: {', '.join(self)}>"
+
+
+class Simulation:
+    """A simulated world: `World` in this process, `Sim` on a server.
+
+    Properties are those of the newest state and do not wait. Methods may take a round trip. Units
+    are SI and radians; times are simulated seconds, except those with `_s` in their name.
+    """
+
+    def __init__(self, access: WorldAccess) -> None:
+        self._session = WorldSession(access)
+        self._info = self._read_info()
+
+    # State
+
+    @property
+    def time(self) -> float:
+        """Simulation time [s]."""
+        return self._session.state().time
+
+    @property
+    def epoch(self) -> int:
+        """Count of resets and restarts."""
+        return self._session.state().snapshot.epoch
+
+    @property
+    def step_period(self) -> float:
+        """Duration of a step [s]."""
+        return self._session.step_ns / NANOSECONDS
+
+    @property
+    def control_period(self) -> float:
+        """Time between two control steps [s]."""
+        return self.step_period * self._session.control_steps
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether time advances by requests only."""
+        return not self._session.runs_by_itself
+
+    @property
+    def seed(self) -> int:
+        """Seed of the world's random numbers."""
+        return self._info.seed
+
+    @property
+    def info(self) -> Info:
+        """Version, engine and configuration, as of the start of the session."""
+        return self._info
+
+    @property
+    def robots(self) -> Mapping[str, Robot]:
+        """Robots by name."""
+        return HandleMapping("robot", lambda: self._session.roster().robots, self._make_robot)
+
+    @property
+    def entities(self) -> Mapping[str, EntityHandle]:
+        """All entities by name, robots included."""
+        return HandleMapping(
+            "entity", lambda: self._session.state().snapshot.names, self._make_entity
+        )
+
+    # Spawning
+
+    def spawn(self, model: str | Path, name: str = "", **options: "Unpack[SpawnKeywords]") -> Robot:
+        """Spawn a robot or an object, and return when it can be driven.
+
+        Args:
+            model: Name of a shipped model, or a file: URDF, xacro or SDF.
+            name: Unique in the world; derived from the model if it is not given.
+            options: x, y, z [m], roll, pitch, yaw [rad] and others; see `SpawnKeywords`.
+
+        Raises:
+            NotFound: There is no such model or file.
+            SpawnRefused: The description or the name was refused.
+            Timeout: No agent drives it.
+        """
+        check_keywords(options, SpawnKeywords)
+        description = make_description_order(model, options)
+        report = self._spawn(description, name, options)
+        self._wait_until_driven([report.name] if report.drive else [], options)
+        return Robot(self._session, report.name, report)
+
+    def spawn_fleet(
+        self, model: str | Path, count: int | None = None, **options: "Unpack[FleetKeywords]"
+    ) -> Fleet:
+        """Spawn several robots of one model in one step, on the ground.
+
+        Args:
+            model: See `spawn`.
+            count: Number of robots; 10 if neither it nor `poses` is given.
+            options: layout, spacing [m], poses, prefix and others; see `FleetKeywords`.
+
+        Raises:
+            SpawnRefused: A robot was refused, so that none was spawned.
+        """
+        self._session.check_open()
+        check_keywords(options, FleetKeywords)
+        is_partial = options.get("partial", False)
+        with api_errors():
+            description = make_description_order(model, options)
+            placements = make_fleet_placements(str(model), count, options)
+            payload = read_description(description)
+            order = make_order(description, bond=self._find_bond(options))
+            client = self._session.client
+            send_files(client, payload.bundle)
+            outcomes = spawn_many(client, payload, placements, order, is_atomic=not is_partial)
+        refused = {one.name: one.message for one in outcomes if one.code != ResultCode.OK}
+        if refused and not is_partial:
+            name, reason = next(iter(refused.items()))
+            raise SpawnRefused(f"'{name}': {reason}", slug="fleet_refused")
+        names = [one.name for one in outcomes if one.code == ResultCode.OK]
+        return self._make_fleet(names, refused, options)
+
+    def check(self, model: str | Path, **options: "Unpack[DescriptionKeywords]") -> SpawnReport:
+        """Read a description as `spawn` does, without spawning.
+
+        Args:
+            model: See `spawn`.
+            options: See `DescriptionKeywords`.
+
+        Raises:
+            SpawnRefused: `spawn` would refuse it.
+        """
+        check_keywords(options, DescriptionKeywords)
+        return self._spawn(make_description_order(model, options, is_dry_run=True), "", {})
+
+    def delete(self, name: str) -> None:
+        """Delete an entity.
+
+        Raises:
+            NotFound: There is none of this name.
+        """
+        self.entities[name].delete()
+
+    # Time
+
+    def run_for(
+        self, seconds: float, *, progress: bool = False, timeout_s: float | None = None
+    ) -> None:
+        """Advance by simulated seconds; in a world that runs by itself, wait for them.
+
+        Args:
+            seconds: Rounded to whole steps.
+            progress: Print a line with the time each simulated second.
+            timeout_s: Wall time of each request of steps, or of the whole wait.
+
+        Raises:
+            Timeout: It took longer.
+            SteppedElsewhere: Another client steps.
+        """
+        if not progress:
+            self._session.run(seconds, timeout_s)
+            return
+        left = seconds
+        while left > 0.0:
+            part = min(left, 1.0)
+            self._session.run(part, timeout_s)
+            left -= part
+            print(f"\r{self.time:.1f} s", end="" if left > 0.0 else "\n", flush=True)  # noqa: T201
+
+    def run_to(self, time: float, *, timeout_s: float | None = None) -> None:
+        """Advance to the first step at or after a simulation time [s].
+
+        Raises:
+            Invalid: The time is past.
+        """
+        self._session.check_open()
+        left = time - self.time
+        if not left >= -self.step_period / 2:
+            raise Invalid(
+                f"time {time:g} s is before the present {self.time:g} s",
+                hint="use a later time, or reset()",
+            )
+        self._session.run(max(0.0, left), timeout_s)
+
+    def step(self, count: int = 1, *, timeout_s: float = STEP_TIMEOUT_S) -> None:
+        """Advance a paused world by steps of the engine, each `step_period` long.
+
+        Raises:
+            SteppedElsewhere: Another client steps.
+        """
+        self._session.check_open()
+        if count < 1:
+            raise Invalid(f"count={count} is out of range", hint="use 1 or more")
+        self._session.advance(count, timeout_s)
+
+    def steps(self, seconds: float | None = None, rate: float | None = None) -> Iterator[float]:
+        """Iterate over control steps of a paused world: the loop of a controller.
+
+        The body sees the state at the yielded time, and its commands act from that step on.
+
+        Args:
+            seconds: Simulation time; None = without end.
+            rate: [Hz]; must divide the control rate, which is the default.
+
+        Yields:
+            Simulation time [s].
+        """
+        self._session.check_open()
+        count = self._count_steps(rate)
+        period = count * self._session.step_ns / NANOSECONDS
+        rounds = None if seconds is None else max(1, round(seconds / period))
+        number = 0
+        while rounds is None or number < rounds:
+            yield self.time
+            if self._session.runs_by_itself:
+                self._session.run(period)
+            else:
+                self._session.advance(count)
+            number += 1
+
+    def wait_until(
+        self, condition: Callable[[], object], within: float = 10.0, *, timeout_s: float = math.inf
+    ) -> float:
+        """Advance until a condition is true, checked at each control step; return the time [s].
+
+        Args:
+            condition: Called without arguments.
+            within: Most simulated seconds.
+            timeout_s: Most wall time in a world that runs by itself.
+
+        Raises:
+            Timeout: It was not true in time.
+        """
+        self._session.check_open()
+        end = self.time + within
+        while not condition():
+            if self.time >= end - self.step_period / 2:
+                raise Timeout(
+                    f"the condition was not true within {within:g} simulated s, "
+                    f"at time {self.time:g} s",
+                    hint="use a larger 'within'",
+                )
+            if self._session.runs_by_itself:
+                state = self._session.state()
+                self._session.wait(lambda now, before=state: now is not before, timeout_s)
+            else:
+                self._session.advance(self._session.control_steps)
+        return self.time
+
+    def pause(self) -> None:
+        """Pause: time advances by requests only."""
+        self._set_state(State.PAUSED)
+
+    def play(self) -> None:
+        """Let time advance by itself."""
+        self._set_state(State.PLAYING)
+
+    def reset(self) -> None:
+        """Set time to 0, delete all that was spawned, and reset the world's own entities."""
+        self._session.check_open()
+        with api_errors():
+            self._session.client.reset()
+        self._session.forget()
+        self._session.access.refresh()
+
+    def load(self, world: str | Path) -> None:
+        """Replace the world by a named one or an SDF file; time is 0, and paused or not as before.
+
+        Raises:
+            NotFound: There is no such world.
+        """
+        self._session.check_open()
+        was_paused = self.is_paused
+        file = Path(world)
+        with api_errors():
+            if file.is_file():
+                self._session.client.load_world(text=file.read_text(encoding="utf-8"))
+            else:
+                self._session.client.load_world(str(world))
+        self._session.forget()
+        self._session.access.refresh()
+        self._set_state(State.PAUSED if was_paused else State.PLAYING)
+        self._info = self._read_info()
+
+    # Queries
+
+    def models(self) -> tuple[str, ...]:
+        """List the names of the shipped models."""
+        self._session.check_open()
+        with api_errors():
+            found = self._session.client.spawnables()
+        return tuple(one.entity_resource.uri.rpartition("/")[2] for one in found)
+
+    def worlds(self) -> tuple[str, ...]:
+        """List the names of the worlds that `load` takes."""
+        self._session.check_open()
+        with api_errors():
+            return tuple(one.name for one in self._session.client.available_worlds())
+
+    def state_hash(self) -> str:
+        """Hash of time, names, poses, velocities and joint positions, as hexadecimal digits.
+
+        Equal orders to equal worlds in lockstep give equal hashes.
+        """
+        self._session.check_open()
+        return self._session.access.refresh().digest()
+
+    def cast_rays(
+        self,
+        origins: npt.ArrayLike,
+        directions: npt.ArrayLike,
+        *,
+        range_max: float = 100.0,
+        ignore: str = "",
+    ) -> tuple[npt.NDArray[np.float64], tuple[str, ...]]:
+        """Find what rays hit first.
+
+        Args:
+            origins: In the world [m], (n, 3).
+            directions: Of any length but 0, (n, 3).
+            range_max: [m], > 0.
+            ignore: Name of an entity that rays pass through.
+
+        Returns:
+            Distances [m] (n,), infinite where nothing is hit; and the names of what is hit.
+        """
+        self._session.check_open()
+        starts, along = (np.atleast_2d(np.asarray(one, float)) for one in (origins, directions))
+        if starts.shape != along.shape or starts.shape[1:] != (3,):
+            raise Invalid(
+                f"origins and directions have shapes {starts.shape} and {along.shape}",
+                slug="wrong_shape",
+                hint="give (n, 3) for both",
+            )
+        check_finite("rays", np.concatenate([starts, along], axis=1), "(n, 3)")
+        request = CastRaysRequest(
+            tuple(Point(*row) for row in starts.tolist()),
+            tuple(Vector3(*row) for row in along.tolist()),
+            range_max,
+            ignore,
+        )
+        with api_errors():
+            found = self._session.client.cast_rays(request)
+        ranges = np.array(found.ranges)
+        return np.where(ranges < 0.0, np.inf, ranges), found.entities
+
+    def topic(self, key: str, kind: type[msgspec.Struct] | None = None) -> "Topic[Any]":
+        """Find a topic by its key, as `r1/scan`.
+
+        Args:
+            key: Without a leading slash.
+            kind: Class of its messages; that of the topic catalog if it is not given.
+        """
+        self._session.check_open()
+        return self._session.find_topic(key.removeprefix("/"), kind)
+
+    # Lifetime
+
+    def close(self) -> None:
+        """Stop what this client commands, and end; may be repeated."""
+        self._session.close()
+
+    def __enter__(self: SelfType) -> SelfType:
+        """Return the simulation."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close it."""
+        self.close()
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Refuse: a simulation belongs to its process.
+
+        Raises:
+            Error: Always.
+        """
+        raise Error(
+            f"{type(self).__name__} cannot be pickled",
+            slug="not_picklable",
+            hint="pass sim.endpoint, or the bytes of World.snapshot()",
+        )
+
+    def _repr_html_(self) -> str:
+        state = self._session.state()
+        rows: list[tuple[object, ...]] = [
+            ("world", self._info.world_model),
+            ("engine", self._info.engine),
+            ("time [s]", f"{state.time:.3f}"),
+            ("state", state.snapshot.state),
+            ("entities", len(state.snapshot.names)),
+        ]
+        return make_html_table((type(self).__name__, ""), rows)
+
+    def _spawn(
+        self, description: DescriptionOrder, name: str, options: SpawnKeywords
+    ) -> SpawnReport:
+        self._session.check_open()
+        with api_errors():
+            payload = read_description(description)
+            order = make_order(
+                description,
+                name=name,
+                namespace=options.get("namespace", ""),
+                pose=make_spawn_pose(options),
+                payload=payload,
+                bond=self._find_bond(options),
+            )
+            send_files(self._session.client, payload.bundle)
+            report = spawn_bonded(self._session.client, order)
+        if not description.is_dry_run:
+            self._session.access.refresh()
+        return make_report(report)
+
+    def _make_fleet(
+        self, names: list[str], refused: dict[str, str], options: AgentKeywords
+    ) -> Fleet:
+        self._session.access.refresh()
+        entries = self._session.read_roster().entries
+        driven = [name for name in names if entries[name].model.drive is not None]
+        self._wait_until_driven(driven, options)
+        report = entries[names[0]].model.report if names else ()
+        return Fleet(self._session, names, SpawnReport("fleet", "", report, refused=refused))
+
+    def _wait_until_driven(self, names: list[str], options: AgentKeywords) -> None:
+        if names and options.get("agent") != "external":
+            timeout_s = options.get("timeout_s", DRIVEN_TIMEOUT_S)
+            self._session.access.wait_until_driven(names, timeout_s)
+
+    def _find_bond(self, options: AgentKeywords) -> str:
+        return self._session.access.hold_bond() if options.get("bond") else ""
+
+    def _count_steps(self, rate: float | None) -> int:
+        """Count the engine's steps in a period of a rate."""
+        control = self._session.control_steps
+        if rate is None:
+            return control
+        control_rate = NANOSECONDS / (self._session.step_ns * control)
+        periods = control_rate / rate if rate > 0.0 else 0.0
+        if round(periods) < 1 or abs(periods - round(periods)) > RATE_TOLERANCE * periods:
+            raise Invalid(
+                f"rate={rate!r} does not divide the control rate {control_rate:g} Hz",
+                slug="wrong_rate",
+                hint=f"use {control_rate:g}, {control_rate / 2:g}, {control_rate / 5:g}, …",
+            )
+        return round(periods) * control
+
+    def _set_state(self, state: State) -> None:
+        self._session.check_open()
+        try:
+            with api_errors():
+                self._session.client.set_simulation_state(state)
+        except Error as error:
+            cause = error.__cause__
+            is_same = (
+                isinstance(cause, ServiceError)
+                and cause.code == SetSimulationStateCode.ALREADY_IN_TARGET_STATE
+            )
+            if not is_same:
+                raise
+        self._session.access.refresh()
+
+    def _read_info(self) -> Info:
+        with api_errors():
+            return self._session.client.info()
+
+    def _make_robot(self, name: str) -> Robot:
+        return Robot(self._session, name)
+
+    def _make_entity(self, name: str) -> EntityHandle:
+        is_robot = name in self._session.roster().robots
+        return (Robot if is_robot else EntityHandle)(self._session, name)

@@ -1,0 +1,138 @@
+"""WorldAccess: the few operations on which the API is built; a world in process or on a server."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Generic, TypeVar
+
+import msgspec
+
+from zensim.api.api_errors import Error as ApiError
+from zensim.api.api_errors import Invalid, NotFound, Timeout, to_api_error
+from zensim.api.world_state import WorldState
+from zensim.proto.messages.agent_messages import TwistCommands
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.service_catalog import Request, Response, Service
+
+Message = TypeVar("Message", bound=msgspec.Struct)
+
+
+class TopicFeed(ABC, Generic[Message]):
+    """Messages of one topic since the last call."""
+
+    @abstractmethod
+    def take(self, *, newest_only: bool = False) -> list[Message]:
+        """Take the messages received, oldest first; or the newest one only."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """End the subscription."""
+
+
+class WorldAccess(ABC):
+    """Operations on one world; only `call`, `advance` and `refresh` may take a round trip."""
+
+    world_name = "default"
+    """Name of the world, in keys."""
+
+    @abstractmethod
+    def call(
+        self,
+        service: Service[Request, Response],
+        request: Request,
+        *,
+        world: str = "",
+        timeout_s: float = 10.0,
+        request_id: str = "",
+    ) -> Response:
+        """Call a service of the catalog; `world` and `request_id` are as in `Bus.call`.
+
+        Raises:
+            ServiceError: The request was refused.
+            Timeout: There was no reply in time.
+            ConnectionLost: The server is gone.
+        """
+
+    @abstractmethod
+    def advance(self, steps: int, twists: TwistCommands | None, timeout_s: float) -> WorldState:
+        """Make steps of a paused world, and return the state after the last.
+
+        Args:
+            steps: > 0.
+            twists: Orders that count from the first of these steps on: agents revise their answer
+                to the present state before it.
+            timeout_s: Wall time.
+
+        Raises:
+            ServiceError: The steps were refused, canceled or aborted.
+            SteppedElsewhere: Another client steps.
+            Timeout: The steps were not made in time.
+            ConnectionLost: The server is gone.
+        """
+
+    @abstractmethod
+    def newest(self) -> WorldState:
+        """Return the newest state without waiting; after `advance` and `refresh` it is exact.
+
+        Raises:
+            ConnectionLost: The server is gone.
+        """
+
+    @abstractmethod
+    def refresh(self) -> WorldState:
+        """Read the present state."""
+
+    @abstractmethod
+    def command(self, twists: TwistCommands) -> None:
+        """Send orders to a world that runs by itself."""
+
+    @abstractmethod
+    def subscribe(self, key: str, kind: type[Message], depth: int) -> TopicFeed[Message]:
+        """Subscribe to a topic, keeping the newest `depth` messages.
+
+        Raises:
+            Unsupported: This world does not publish it.
+        """
+
+    @abstractmethod
+    def publish(self, key: str, message: msgspec.Struct) -> None:
+        """Publish one message on a topic."""
+
+    @abstractmethod
+    def wait_until_driven(self, names: Sequence[str], timeout_s: float) -> None:
+        """Wait until agents drive these robots.
+
+        Raises:
+            Timeout: No agent drives one of them.
+        """
+
+    @abstractmethod
+    def hold_bond(self) -> str:
+        """Return the name of a bond: its entities are deleted when this process ends."""
+
+    @property
+    @abstractmethod
+    def client(self) -> str:
+        """Name of this client, for orders and the lease of stepping."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Stop what this client commands, and free all."""
+
+
+@contextmanager
+def api_errors() -> Iterator[None]:
+    """Convert errors of the lower layers to those of the API."""
+    try:
+        yield
+    except ApiError:
+        raise
+    except ServiceError as error:
+        raise to_api_error(error) from error
+    except TimeoutError as error:
+        raise Timeout(str(error)) from error
+    except FileNotFoundError as error:
+        raise NotFound(f"{error.strerror or error}: {error.filename}") from error
+    except ValueError as error:
+        message, _, hint = str(error).partition("; ")
+        raise Invalid(message, hint=hint) from error

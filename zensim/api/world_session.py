@@ -1,0 +1,373 @@
+"""WorldSession: what all handles of one simulation share: state, roster, orders, topics, time."""
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from zensim.api.api_errors import Closed, ConnectionLost, Invalid, NotFound, Timeout
+from zensim.api.entity_values import RobotPose
+from zensim.api.path_following import PathController
+from zensim.api.topic import Topic, TopicDispatcher
+from zensim.api.world_access import WorldAccess, api_errors
+from zensim.api.world_state import POSE, FloatArray, WorldState
+from zensim.proto.messages.agent_messages import Claim, TwistCommands
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.sensor_messages import Environment
+from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.topic_catalog import CMD_VEL, JOINT_STATES, ODOM, ROBOT_TOPICS, TOPICS
+from zensim.robot_agent.topic_remapping import find_topic_keys
+from zensim.spawner.client.service_client import ServiceClient
+
+TWIST_COLUMNS = 3
+"""Forward, left [m/s], turn [rad/s]."""
+RELEASED = np.full(TWIST_COLUMNS, np.nan)
+POLL_S = 0.002
+MAX_CHUNK_S = 0.5
+"""Simulation time of one request, so that an interrupt and progress come through."""
+STEP_TIMEOUT_S = 30.0
+"""Wall time of one request of steps."""
+MAX_RUN_S = 1e7
+MIN_WAIT_S, MAX_SLOWNESS = 10.0, 20.0
+"""Wall time that a wait in a running world may take: a base, and a factor of simulation time."""
+FREE_RUN_PERIOD_S = 1.0 / 30.0
+"""Simulation time between two states of a world that runs by itself."""
+MAX_NEAR_NAMES = 3
+MAX_ORDERS = 64
+"""Orders that wait for the next step before they are merged."""
+
+
+@dataclass(frozen=True)
+class RosterEntry:
+    """An entity as `get_models` describes it."""
+
+    name: str
+    namespace: str
+    agent: str
+    model: Model
+
+
+@dataclass(frozen=True)
+class Roster:
+    """Entities and the environment, as of one roster number."""
+
+    number: int
+    entries: dict[str, RosterEntry]
+    environment: Environment
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        """Names of the entities with a drive."""
+        return tuple(name for name, one in self.entries.items() if one.model.drive is not None)
+
+
+class WorldSession:
+    """One world, as the handles of a simulation use it."""
+
+    def __init__(self, access: WorldAccess) -> None:
+        self.access = access
+        self.client = ServiceClient(access, access.world_name)
+        self.dispatcher = TopicDispatcher()
+        self.steps_lock = threading.RLock()
+        self.controllers: list[Callable[[float], None]] = []
+        """Called before each control step, with the control period [s]."""
+        self._roster: Roster | None = None
+        self._paths: dict[str, PathController] = {}
+        self._path_thread: threading.Thread | None = None
+        self._orders: list[tuple[tuple[str, ...], FloatArray]] = []
+        self._topics: dict[tuple[str, type[msgspec.Struct]], Topic[Any]] = {}
+        self._is_closed = False
+
+    def check_open(self) -> None:
+        """Raise what a callback has raised, or that the simulation is closed."""
+        if self._is_closed:
+            raise Closed("this simulation is closed")
+        self.dispatcher.raise_failure()
+
+    def state(self) -> WorldState:
+        """Return the newest state."""
+        if self._is_closed:
+            raise Closed("this simulation is closed")
+        return self.access.newest()
+
+    def forget(self) -> None:
+        """Forget orders, paths and models: the world was reset or replaced."""
+        self._orders, self._roster = [], None
+        self._paths.clear()
+
+    def close(self) -> None:
+        """Stop what this client commands, and free all; may be repeated."""
+        if not self._is_closed:
+            self._is_closed = True
+            for topic in self._topics.values():
+                topic.close()
+            self.access.close()
+
+    def find_row(self, name: str) -> tuple[WorldState, int]:
+        """Find the newest state and the row of an entity.
+
+        Raises:
+            NotFound: It does not exist any more.
+        """
+        state = self.state()
+        if (row := state.row.get(name)) is None:
+            raise NotFound(
+                f"entity '{name}' does not exist any more",
+                slug="entity_gone",
+                hint="spawn it again, or check 'exists' before",
+            )
+        return state, row
+
+    def roster(self) -> Roster:
+        """Return models and namespaces of the present entities; a round trip after a change."""
+        number = self.state().snapshot.roster
+        if self._roster is None or self._roster.number != number:
+            self._roster = self.read_roster()
+        return self._roster
+
+    def read_roster(self) -> Roster:
+        """Read models, namespaces and agents of the present entities."""
+        with api_errors():
+            found = self.client.models()
+        entries = {
+            one.entity: RosterEntry(one.entity, one.namespace, one.agent, found.models[one.model])
+            for one in found.entities
+        }
+        self._roster = Roster(found.roster, entries, found.environment)
+        return self._roster
+
+    def find_entry(self, name: str) -> RosterEntry:
+        """Find an entity by name.
+
+        Raises:
+            NotFound: There is none of this name.
+        """
+        entries = self.roster().entries
+        if (entry := entries.get(name)) is None:
+            raise make_not_found("entity", name, entries)
+        return entry
+
+    def order(self, names: Sequence[str], twists: FloatArray) -> None:
+        """Order twists (n, 3): now, or with the next step of a world that this client steps."""
+        for name in names if self._paths else ():
+            self._paths.pop(name, None)
+        self._send(tuple(names), twists)
+
+    def _send(self, names: tuple[str, ...], twists: FloatArray) -> None:
+        if self.runs_by_itself:
+            self.access.command(self._make_commands(names, twists))
+            return
+        self._orders.append((names, twists))
+        if len(self._orders) > MAX_ORDERS:
+            self._orders = [_merge_orders(self._orders)]
+
+    @property
+    def runs_by_itself(self) -> bool:
+        """Whether simulation time advances without requests."""
+        return self.state().snapshot.state == "playing"
+
+    @property
+    def control_steps(self) -> int:
+        """Steps between two control steps."""
+        return max(1, self._environment.control_steps)
+
+    @property
+    def step_ns(self) -> int:
+        """Duration of a step [ns]."""
+        return self._environment.step_ns
+
+    @property
+    def _environment(self) -> Environment:
+        return (self._roster or self.roster()).environment
+
+    def advance(self, steps: int, timeout_s: float = STEP_TIMEOUT_S) -> WorldState:
+        """Make steps of a paused world, with controllers and callbacks at each control step."""
+        self.check_open()
+        state = self.state()
+        with self.steps_lock:
+            while steps > 0:
+                count = min(steps, self._chunk_steps(state))
+                for control in self.controllers[:]:
+                    control(count * self.step_ns / NANOSECONDS)
+                if self._paths:
+                    self._control_paths(count * self.step_ns / NANOSECONDS)
+                with api_errors():
+                    state = self.access.advance(count, self._take_orders(), timeout_s)
+                steps -= count
+                if self.dispatcher.has_callbacks:
+                    self.dispatcher.dispatch()
+                    self.dispatcher.raise_failure()
+        return state
+
+    def run(self, seconds: float, timeout_s: float | None = None) -> WorldState:
+        """Advance simulation time: by steps, or by waiting in a world that runs by itself."""
+        self.check_open()
+        if not 0.0 <= seconds < MAX_RUN_S:
+            raise Invalid(f"seconds={seconds!r} is out of range", hint=f"use 0 to {MAX_RUN_S:g}")
+        if not self.runs_by_itself:
+            steps = round(seconds * NANOSECONDS / self.step_ns)
+            return self.advance(steps, STEP_TIMEOUT_S if timeout_s is None else timeout_s)
+        end = self.state().time + seconds
+        wall_s = MIN_WAIT_S + MAX_SLOWNESS * seconds if timeout_s is None else timeout_s
+        return self.wait(lambda state: state.time >= end, wall_s)
+
+    def add_controller(self, name: str, control: PathController) -> None:
+        """Drive a robot by a controller until it is over or another order comes."""
+        self.check_open()
+        self.find_row(name)
+        self._paths[name] = control
+        if self.runs_by_itself and self._path_thread is None:
+            self._path_thread = threading.Thread(target=self._follow_paths, daemon=True)
+            self._path_thread.start()
+
+    def _follow_paths(self) -> None:
+        """Control the robots with paths while the world runs by itself."""
+        step = -1
+        while self._paths and not self._is_closed:
+            with suppress(Closed, ConnectionLost):
+                state = self.state()
+                if state.snapshot.step != step and self.runs_by_itself:
+                    step = state.snapshot.step
+                    self._control_paths(FREE_RUN_PERIOD_S)
+            time.sleep(POLL_S)
+        self._path_thread = None
+
+    def _control_paths(self, period_s: float) -> None:
+        state, names, twists = self.state(), list[str](), list[tuple[float, float, float]]()
+        for name, control in list(self._paths.items()):
+            row = state.row.get(name)
+            found = row is not None and control(
+                RobotPose(*state.base[row, POSE].tolist()), period_s
+            )
+            v, w = found or (0.0, 0.0)
+            if not found:
+                self._paths.pop(name, None)
+            if row is not None:
+                names.append(name)
+                twists.append((v, 0.0, w))
+        if names:
+            self._send(tuple(names), np.array(twists))
+
+    def wait(self, is_over: Callable[[WorldState], bool], timeout_s: float) -> WorldState:
+        """Wait in a world that runs by itself.
+
+        Raises:
+            Timeout: It did not happen within this wall time.
+            ConnectionLost: The server is gone.
+            Invalid: The world was reset meanwhile, or does not run any more.
+        """
+        state, deadline = self.state(), time.monotonic() + timeout_s
+        epoch = state.snapshot.epoch
+        while not is_over(state):
+            if time.monotonic() > deadline:
+                raise Timeout(f"simulation time {state.time:g} s after {timeout_s:g} s")
+            time.sleep(POLL_S)
+            self.check_open()
+            state = self.state()
+            if state.snapshot.epoch != epoch:
+                raise Timeout("the simulation was reset meanwhile", slug="reset")
+        return state
+
+    def find_topic(self, key: str, kind: type[msgspec.Struct] | None = None) -> "Topic[Any]":
+        """Find a topic by its key; its class is that of the catalog if it is not given.
+
+        Raises:
+            NotFound: The catalog has no such topic.
+        """
+        if kind is None:
+            kind = _find_kind(key)
+        if (key, kind) not in self._topics:
+            self._topics[key, kind] = Topic(self.access, self.dispatcher, key, kind)
+        return self._topics[key, kind]
+
+    def find_robot_topic(self, name: str, topic: str) -> "Topic[Any]":
+        """Find a topic of a robot by its name below the namespace, as `scan` or `front/scan`."""
+        entry = self.find_entry(name)
+        known = list_robot_topics(entry)
+        if topic not in known:
+            raise make_not_found(f"topic of '{name}'", topic, known)
+        key, kind = known[topic]
+        return self.find_topic(key, kind)
+
+    def _chunk_steps(self, state: WorldState) -> int:
+        if self.controllers or self._paths or self.dispatcher.has_callbacks:
+            return self.control_steps - state.snapshot.step % self.control_steps
+        most = max(1, round(MAX_CHUNK_S * NANOSECONDS / self.step_ns / self.control_steps))
+        return most * self.control_steps - state.snapshot.step % self.control_steps
+
+    def _take_orders(self) -> TwistCommands | None:
+        orders, self._orders = self._orders, []
+        if not orders:
+            return None
+        return self._make_commands(*_merge_orders(orders))
+
+    def _make_commands(self, names: tuple[str, ...], twists: FloatArray) -> TwistCommands:
+        return TwistCommands(self.access.client, names, twists.astype("<f8").tobytes())
+
+
+def _merge_orders(
+    orders: list[tuple[tuple[str, ...], FloatArray]],
+) -> tuple[tuple[str, ...], FloatArray]:
+    """Merge orders; a later one replaces an earlier one of the same robot."""
+    if len(orders) == 1:
+        return orders[0]
+    merged = {name: row for names, rows in orders for name, row in zip(names, rows, strict=True)}
+    return tuple(merged), np.array(list(merged.values()))
+
+
+def make_not_found(what: str, name: str, known: Iterable[str]) -> NotFound:
+    """Make an error that names similar names."""
+    names = list(known)
+    near = get_close_matches(name, names, MAX_NEAR_NAMES, 0.5) or names[:MAX_NEAR_NAMES]
+    hint = f"there are {', '.join(near)}" if near else "there are none"
+    return NotFound(f"{what} '{name[:80]}' does not exist", hint=hint)
+
+
+def _find_kind(key: str) -> type[msgspec.Struct]:
+    for topic in (*ROBOT_TOPICS.values(), *TOPICS.values()):
+        if key == topic.suffix or key.endswith("/" + topic.suffix):
+            return topic.messages[0]
+    raise make_not_found("topic", key.rpartition("/")[2], ROBOT_TOPICS)
+
+
+def list_robot_topics(entry: RosterEntry) -> dict[str, tuple[str, type[msgspec.Struct]]]:
+    """List the topics of a robot by name: key and class of messages."""
+    found: dict[str, tuple[str, type[msgspec.Struct]]] = {}
+    if entry.model.drive is not None:
+        keys = find_topic_keys(Claim(0, entry.name, entry.namespace, entry.model))
+        found |= {
+            topic.name: (key, topic.messages[0])
+            for topic, key in (
+                (CMD_VEL, keys.cmd_vel),
+                (ODOM, keys.odom),
+                (JOINT_STATES, keys.joint_states),
+            )
+            if key
+        }
+    for sensor in entry.model.sensors:
+        for topic in sensor.topics:
+            key = f"{entry.namespace}/{topic.name}"
+            found.setdefault(topic.name, (key, TOPICS[topic.topic].messages[0]))
+    return found
+
+
+def check_finite(what: str, numbers: FloatArray, shape: str) -> FloatArray:
+    """Return numbers that are all finite.
+
+    Raises:
+        Invalid: Some are not; the message names their rows.
+    """
+    if not np.isfinite(numbers).all():
+        rows = np.flatnonzero(~np.isfinite(numbers).reshape(len(numbers), -1).all(axis=1))
+        raise Invalid(
+            f"{what} is not finite in rows {rows[:5].tolist()}",
+            slug="not_finite",
+            hint=f"give numbers of shape {shape}",
+        )
+    return numbers

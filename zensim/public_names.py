@@ -1,0 +1,44 @@
+"""The public names of `zensim`, each with the module that is imported when it is first used."""
+
+from importlib import import_module
+
+MODULES: dict[str, tuple[str, ...]] = {
+    "zensim.api.api_errors": (
+        "Closed",
+        "ConnectionLost",
+        "Denied",
+        "Error",
+        "Invalid",
+        "NotFound",
+        "SpawnRefused",
+        "SteppedElsewhere",
+        "Timeout",
+        "Unreachable",
+        "Unsupported",
+    ),
+    "zensim.api.entity_values": ("RobotPose", "RobotTwist", "SpawnReport", "deg"),
+    "zensim.api.fleet": ("Fleet",),
+    "zensim.api.robot": ("EntityHandle", "Robot"),
+    "zensim.api.simulation": ("Simulation",),
+    "zensim.api.topic": ("Topic", "TopicCallback"),
+}
+"""By module."""
+_MODULE_OF = {name: module for module, names in MODULES.items() for name in names}
+
+
+def find_public_name(name: str) -> object:
+    """Import what a public name stands for.
+
+    Raises:
+        AttributeError: It is no public name.
+    """
+    if name == "__version__":
+        return import_module("importlib.metadata").version("zensim")
+    if (module := _MODULE_OF.get(name)) is None:
+        raise AttributeError(f"module 'zensim' has no attribute {name!r}")
+    return getattr(import_module(module), name)
+
+
+def list_public_names() -> list[str]:
+    """List all public names, sorted."""
+    return sorted((*_MODULE_OF, "__version__"))
