@@ -5,12 +5,23 @@ from typing import Any
 
 class YAMLError(Exception): ...
 class BaseLoader: ...
-class Event: ...
+class SafeLoader(BaseLoader): ...
+
+class Mark:
+    line: int
+    column: int
+
+class Event:
+    start_mark: Mark
+
 class CollectionStartEvent(Event): ...
 class CollectionEndEvent(Event): ...
 
 class Node:
     value: object
+    tag: str
+    style: str | None
+    start_mark: Mark
 
 class ScalarNode(Node):
     value: str

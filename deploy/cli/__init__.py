@@ -130,6 +130,11 @@ VERBS: dict[str, Verb] = {
         "zensim.deploy.cli.check_commands",
         "Spawn and drive the robots of a folder, and print what they do.",
     ),
+    "scenario": Verb(
+        "Scenarios",
+        "zensim.deploy.cli.scenario_commands",
+        "Check scenario files, print their schema, list the shipped ones.",
+    ),
     "journal": Verb(
         "Diagnostics",
         "zensim.deploy.cli.journal_commands",

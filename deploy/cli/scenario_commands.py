@@ -1,0 +1,98 @@
+"""`zensim scenario`: check scenario files, print their JSON Schema, list the shipped ones."""
+
+import json
+from dataclasses import dataclass
+from typing import Annotated
+
+import typer
+
+from zensim.proto.cli_options import JsonOption, expand_options, make_app
+from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.scenario.scenario_nodes import Issue, ScenarioInvalid
+from zensim.scenario.scenario_reader import (
+    SHIPPED,
+    SUFFIXES,
+    find_scenario_file,
+    list_shipped_scenarios,
+    read_scenario,
+)
+from zensim.scenario.scenario_schema import format_schema
+
+app = make_app("scenario")
+
+FilesArgument = Annotated[
+    list[str],
+    typer.Argument(metavar="FILE...", help="Scenario files, or names of shipped scenarios."),
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Value that wins over the file; repeatable."),
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenarioCheckOptions:
+    """All options of `zensim scenario check`."""
+
+    files: FilesArgument
+    settings: SetOption = None
+    as_json: JsonOption = False
+
+
+@app.command(
+    epilog="""Examples:
+  zensim scenario check run.scenario.yaml
+  zensim scenario check run.scenario.yaml --set robots.cart.count=8"""
+)
+@expand_options
+def check(given: ScenarioCheckOptions) -> None:
+    """Read scenario files and print every mistake with file, line and column.
+
+    Exit status: 0 without mistakes, 2 with some, 3 if a file does not exist.
+    """
+    with exit_on_failure("scenario check"):
+        issues = [
+            issue
+            for file in given.files
+            for issue in _find_issues(find_scenario_file(file), given.settings or ())
+        ]
+    if given.as_json:
+        typer.echo(json.dumps([_to_json(issue) for issue in issues]))
+    for issue in () if given.as_json else issues:
+        typer.echo(str(issue))
+    if issues:
+        raise typer.Exit(ExitCode.USAGE)
+    if not given.as_json:
+        typer.echo(f"{len(given.files)} checked, no mistakes", err=True)
+
+
+def _find_issues(file: str, settings: list[str] | tuple[str, ...]) -> tuple[Issue, ...]:
+    try:
+        read_scenario(file, settings)
+    except ScenarioInvalid as error:
+        return error.issues
+    return ()
+
+
+def _to_json(issue: Issue) -> dict[str, object]:
+    place = issue.place
+    return {
+        "file": place.file,
+        "line": place.line,
+        "column": place.column,
+        "path": issue.path,
+        "message": issue.message,
+    }
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema of scenario files, for editors."""
+    typer.echo(format_schema(), nl=False)
+
+
+@app.command(name="list")
+def list_shipped() -> None:
+    """List the shipped scenarios with their files."""
+    for name in list_shipped_scenarios():
+        typer.echo(f"{name}  {SHIPPED / name}{SUFFIXES[0]}")

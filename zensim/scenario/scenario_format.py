@@ -1,0 +1,615 @@
+"""The format of scenario files as types: keys, units, ranges, defaults and what each means.
+
+Help, JSON Schema, reference and errors are made from these types. A number with a unit may be a
+draw in the file; here, draws are resolved.
+"""
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from zensim.scenario.quantities import described, quantity
+
+FORMAT_VERSION = 1
+
+Name = Annotated[
+    str,
+    msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,62}$", description="Letters, digits and _."),
+]
+Length = Annotated[float, quantity("m", "Length.")]
+Selector = str | tuple[str, ...]
+"""Names of robots: a name, a pattern with `*`, `?` or `[1-4]`, or a list of them."""
+Selected = Annotated[Selector, described("Robots: name, `cart*`, `cart[1-4]`, or a list of them.")]
+FloorPoint = tuple[Annotated[float, quantity("m", "x.")], Annotated[float, quantity("m", "y.")]]
+"""x, y in the world."""
+FloorPath = Annotated[
+    tuple[FloorPoint, ...], msgspec.Meta(min_length=1, description="Points x, y in the world.")
+]
+
+
+class WorldSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The world."""
+
+    load: Annotated[str, described("Shipped world, or path of an SDF world.")] = "empty"
+    name: Annotated[Name, described("Name of the world on the network.")] = "default"
+    model_paths: Annotated[
+        tuple[str, ...], described("Folders with the models that the world file includes.")
+    ] = ()
+    strict: Annotated[bool, described("Refuse a world file with warnings.")] = False
+    allow_missing: Annotated[
+        bool, described("Leave out models and collisions whose file is missing.")
+    ] = False
+
+
+class EngineSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The physics engine."""
+
+    use: Annotated[
+        Literal["", "pybullet", "mujoco"], described("Engine; empty = the installed one.")
+    ] = ""
+    step_rate: (
+        Annotated[
+            float,
+            quantity("Hz", "Physics rate; null = of the world file, or 240 Hz.", above=0.0),
+        ]
+        | None
+    ) = None
+    control_rate: (
+        Annotated[float, quantity("Hz", "Rate of control steps; null = 100 Hz at most.", above=0.0)]
+        | None
+    ) = None
+    dynamics: Annotated[Literal["full", "auto", "kinematic"], described("Dynamics of robots.")] = (
+        "full"
+    )
+    clusters: Annotated[
+        Literal["auto", "on", "off"], described("Split the world into cells of near robots.")
+    ] = "auto"
+    workers: Annotated[int, described("Processes of the engine; null = chosen.")] | None = None
+
+
+class TimeSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Time and random numbers."""
+
+    mode: Annotated[
+        Literal["free", "lockstep"], described("lockstep = every control step waits for agents.")
+    ] = "lockstep"
+    speed: (
+        Annotated[
+            float,
+            quantity(
+                "1", "Real-time factor; 0 = as fast as possible.", at_least=0.0, at_most=1000.0
+            ),
+        ]
+        | None
+    ) = None
+    seed: Annotated[
+        int, msgspec.Meta(ge=0, le=(1 << 63) - 1, description="Seed of all random numbers.")
+    ] = 0
+    on_miss: Annotated[
+        Literal["wait", "hold", "fail"], described("What to do when an agent does not reply.")
+    ] = "hold"
+    miss_timeout: (
+        Annotated[float, quantity("s", "Wall time that an agent has for its reply.", above=0.0)]
+        | None
+    ) = None
+    paused: Annotated[bool, described("Start paused.")] = False
+
+
+class NetworkSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The Zenoh network and the server's process."""
+
+    listen: Annotated[str, described("Endpoint of the server; port 0 = any free port.")] = ""
+    connect: Annotated[str, described("Zenoh router to connect to instead of listening.")] = ""
+    wait: Annotated[float, quantity("s", "Wall time to reach the router.", at_least=0.0)] | None = (
+        None
+    )
+    journal: Annotated[str, described("Folder of the journal; empty = no journal.")] = ""
+    verbose: Annotated[bool, described("Log at level INFO.")] = False
+
+
+class RosSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Topics and services on the keys of ROS 2."""
+
+    domain: Annotated[str, described("ROS domain, or `none`.")] = "0"
+    distro: Annotated[str, described("Distribution whose keys are used.")] = "jazzy"
+    bridge: Annotated[bool, described("Keys of zenoh-bridge-ros2dds, too.")] = False
+    tf: Annotated[str, described("Where transforms are published.")] = "both"
+    tf_root: Annotated[str, described("Root frame of the transforms at the root.")] = "world"
+
+
+class ViewerSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The page of `zensim up`."""
+
+    show: Annotated[bool, described("Serve the page.")] = True
+    port: Annotated[
+        int, msgspec.Meta(ge=0, le=65535, description="TCP port; 0 = any free port.")
+    ] = 8080
+    open: Annotated[bool, described("Open a browser; null = on a desktop.")] | None = None
+
+
+class SensorsSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Processes that publish lidars and cameras."""
+
+    processes: Annotated[int, msgspec.Meta(ge=0, le=64, description="Number of processes.")] = 1
+
+
+class LayoutSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Places of the robots of a group."""
+
+    kind: Annotated[
+        Literal["row", "grid", "circle", "random"],
+        described("row = along x; circle = facing outward; random = in a square."),
+    ] = "row"
+    spacing: Annotated[
+        float, quantity("m", "Distance between neighbours; random: the least.", above=0.0)
+    ] = 1.0
+    radius: (
+        Annotated[
+            float,
+            quantity("m", "Radius of the circle, or half of the square's side.", above=0.0),
+        ]
+        | None
+    ) = None
+    x: Annotated[float, quantity("m", "Position of the layout's origin.")] = 0.0
+    y: Annotated[float, quantity("m", "Position of the layout's origin.")] = 0.0
+
+
+class PlaceSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One pose; without z on the ground."""
+
+    x: Annotated[float, quantity("m", "Position.")] = 0.0
+    y: Annotated[float, quantity("m", "Position.")] = 0.0
+    z: Annotated[float, quantity("m", "Height; null = on the ground.")] | None = None
+    roll: Annotated[float, quantity("rad", "Angle about x.")] = 0.0
+    pitch: Annotated[float, quantity("rad", "Angle about y.")] = 0.0
+    yaw: Annotated[float, quantity("rad", "Angle about z.")] = 0.0
+    name: Annotated[str, described("Name of the robot; empty = group and number.")] = ""
+
+
+class RobotsSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A group of robots of one model."""
+
+    name: Annotated[Name, described("Name of a single robot; prefix of several.")]
+    model: Annotated[str, described("Shipped model, or path of a URDF, xacro or SDF file.")]
+    count: (
+        Annotated[int, msgspec.Meta(ge=1, le=10000, description="Number; null = number of poses.")]
+        | None
+    ) = None
+    layout: Annotated[LayoutSection, described("Places of the robots.")] | None = None
+    poses: Annotated[
+        tuple[PlaceSection, ...] | str | None,
+        described("Poses, or a file of them: CSV with a head line name,x,y,z,yaw, or JSON."),
+    ] = None
+    yaw: Annotated[float, quantity("rad", "Heading, added to that of layout or pose.")] = 0.0
+    agent: Annotated[
+        Literal["pool", "none"], described("pool = driven by a pool; none = by nothing.")
+    ] = "pool"
+    xacro: Annotated[dict[str, str], described("Arguments of xacro.")] = {}
+    controllers: Annotated[tuple[str, ...], described("Files of ros2_control.")] = ()
+    drive: Annotated[str, described("Drive in place of that of the description.")] = ""
+    tags: Annotated[tuple[str, ...], described("Tags of the entities.")] = ()
+
+
+class AgentsSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Processes that drive robots."""
+
+    name: Annotated[Name, described("Name of the agent.")]
+    drives: Annotated[Selector, described("Robots that it drives.")] = "*"
+    processes: (
+        Annotated[int, msgspec.Meta(ge=1, le=64, description="Number of processes; null = chosen.")]
+        | None
+    ) = None
+    odom_rate: Annotated[float, quantity("Hz", "Rate of odometry.", above=0.0)] | None = None
+    tf_rate: Annotated[float, quantity("Hz", "Rate of transforms.", above=0.0)] | None = None
+
+
+class BehaviourSection(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="do"
+):
+    """Keys of every behaviour."""
+
+    name: Annotated[Name, described("Name, for checks and faults.")]
+    robots: Selected
+    at: Annotated[float, quantity("s", "Start.", at_least=0.0)] = 0.0
+    duration: Annotated[float, quantity("s", "Length; null = to the end.", above=0.0)] | None = (
+        msgspec.field(default=None, name="for")
+    )
+
+
+class Stand(BehaviourSection, frozen=True, tag="stand"):
+    """Stand still."""
+
+
+class DriveAhead(BehaviourSection, frozen=True, tag="drive"):
+    """Drive with a constant twist."""
+
+    v: Annotated[float, quantity("m/s", "Speed ahead.")] = 0.0
+    w: Annotated[float, quantity("rad/s", "Turn to the left.")] = 0.0
+
+
+class CircleAround(BehaviourSection, frozen=True, tag="circle"):
+    """Drive a circle to the left; to the right with a negative radius."""
+
+    speed: Annotated[float, quantity("m/s", "Speed on the circle.", above=0.0)] = 0.3
+    radius: Annotated[float, quantity("m", "Radius, not 0.")] = 0.4
+
+
+class FollowWaypoints(BehaviourSection, frozen=True, tag="waypoints"):
+    """Drive from point to point, and stop at the last."""
+
+    points: FloorPath
+    speed: Annotated[float, quantity("m/s", "Speed.", above=0.0)] = 0.3
+    tolerance: Annotated[
+        float, quantity("m", "A point is reached at this distance.", above=0.0)
+    ] = 0.1
+    loop: Annotated[bool, described("Begin again after the last point.")] = False
+
+
+class Patrol(BehaviourSection, frozen=True, tag="patrol"):
+    """Drive from point to point there and back, with a pause at both ends."""
+
+    points: FloorPath
+    speed: Annotated[float, quantity("m/s", "Speed.", above=0.0)] = 0.3
+    tolerance: Annotated[
+        float, quantity("m", "A point is reached at this distance.", above=0.0)
+    ] = 0.1
+    pause: Annotated[float, quantity("s", "Stop at both ends.", at_least=0.0)] = 0.0
+
+
+class RandomWalk(BehaviourSection, frozen=True, tag="random_walk"):
+    """Drive ahead, and choose another turn now and then."""
+
+    speed: Annotated[float, quantity("m/s", "Speed.", above=0.0)] = 0.3
+    turn: Annotated[float, quantity("rad/s", "Largest turn to either side.", above=0.0)] = 1.0
+    turn_every: Annotated[float, quantity("s", "Time between choices.", above=0.0)] = 2.0
+
+
+class FollowRobot(BehaviourSection, frozen=True, tag="follow"):
+    """Follow another robot at a distance."""
+
+    target: Annotated[Name, described("The robot to follow.")]
+    distance: Annotated[float, quantity("m", "Distance to keep.", above=0.0)] = 1.0
+    speed: Annotated[float, quantity("m/s", "Largest speed.", above=0.0)] = 0.5
+
+
+class PythonBehaviour(BehaviourSection, frozen=True, tag="python"):
+    """A class of the author: `__init__(sim, robots, **args)`, `step(now, state) -> (n, 2)`."""
+
+    call: Annotated[
+        str,
+        msgspec.Meta(
+            pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", description="module:Class, or file's module."
+        ),
+    ]
+    args: Annotated[dict[str, Any], described("Keyword arguments of the class.")] = {}
+    rate: (
+        Annotated[float, quantity("Hz", "Calls; null = every control step.", above=0.0)] | None
+    ) = None
+
+
+Behaviour = (
+    Stand
+    | DriveAhead
+    | CircleAround
+    | FollowWaypoints
+    | Patrol
+    | RandomWalk
+    | FollowRobot
+    | PythonBehaviour
+)
+
+
+class NearCondition(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """True while two robots are near each other."""
+
+    near: Annotated[tuple[Name, Name], described("Two robots.")]
+    below: Annotated[float, quantity("m", "Distance of their origins.", above=0.0)]
+
+
+class FaultSection(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="do"
+):
+    """Keys of every fault; `at` or `when` says when it starts."""
+
+    name: Annotated[Name, described("Name, for checks and events.")]
+    at: Annotated[float, quantity("s", "Start.", at_least=0.0)] | None = None
+    when: Annotated[NearCondition, described("Start as soon as this is true.")] | None = None
+    duration: Annotated[float, quantity("s", "Length; null = to the end.", above=0.0)] | None = (
+        msgspec.field(default=None, name="for")
+    )
+    every: (
+        Annotated[float, quantity("s", "Time between starts; null = once.", above=0.0)] | None
+    ) = None
+    probability: Annotated[float, quantity("1", "Of each start.", at_least=0.0, at_most=1.0)] = 1.0
+
+
+class RobotFault(FaultSection, frozen=True, kw_only=True):
+    """A fault of robots."""
+
+    robots: Selected
+
+
+class CommandLoss(RobotFault, frozen=True, kw_only=True, tag="command_loss"):
+    """Commands of behaviours do not reach the robot; the drive keeps the last one."""
+
+    share: Annotated[float, quantity("1", "Share of lost commands.", at_least=0.0, at_most=1.0)] = (
+        1.0
+    )
+
+
+class CommandDelay(RobotFault, frozen=True, kw_only=True, tag="command_delay"):
+    """Commands of behaviours reach the robot late."""
+
+    delay: Annotated[float, quantity("s", "Delay.", above=0.0)]
+
+
+class CommandStuck(RobotFault, frozen=True, kw_only=True, tag="command_stuck"):
+    """The robot gets the last command from before the fault again and again."""
+
+
+class CommandScale(RobotFault, frozen=True, kw_only=True, tag="command_scale"):
+    """Commands of behaviours are multiplied."""
+
+    factor: Annotated[float, quantity("1", "Factor of speed and turn.")]
+
+
+class AgentKill(FaultSection, frozen=True, kw_only=True, tag="agent_kill"):
+    """The agent is gone: its robots are released, and their drives stop them."""
+
+    agent: Annotated[Name, described("Name of an entry of `agents`.")]
+
+
+class AgentHang(FaultSection, frozen=True, kw_only=True, tag="agent_hang"):
+    """The agent does nothing: its robots keep their last commands."""
+
+    agent: Annotated[Name, described("Name of an entry of `agents`.")]
+
+
+class Push(RobotFault, frozen=True, kw_only=True, tag="push"):
+    """A force acts on the robot's base, in the world's axes."""
+
+    x: Annotated[float, quantity("N", "Force along x.")] = 0.0
+    y: Annotated[float, quantity("N", "Force along y.")] = 0.0
+    z: Annotated[float, quantity("N", "Force along z.")] = 0.0
+    link: Annotated[str, described("Link; empty = the base.")] = ""
+
+
+class Kidnap(RobotFault, frozen=True, kw_only=True, tag="kidnap"):
+    """The robot is moved at once to another pose."""
+
+    x: Annotated[float, quantity("m", "Position.")]
+    y: Annotated[float, quantity("m", "Position.")]
+    yaw: Annotated[float, quantity("rad", "Angle about z.")] = 0.0
+
+
+class WheelJam(RobotFault, frozen=True, kw_only=True, tag="wheel_jam"):
+    """Friction holds a joint."""
+
+    joint: Annotated[str, described("Joint of the wheel.")]
+    friction: Annotated[float, quantity("N m", "Friction torque.", above=0.0)] = 100.0
+
+
+Fault = (
+    CommandLoss
+    | CommandDelay
+    | CommandStuck
+    | CommandScale
+    | AgentKill
+    | AgentHang
+    | Push
+    | Kidnap
+    | WheelJam
+)
+
+
+class CheckSection(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="that"
+):
+    """Keys of every check: at which times it has to be true.
+
+    Always, unless `by` (once until then) or `after` (once `within` a time after each start of a
+    fault or behaviour).
+    """
+
+    name: Annotated[Name, described("Name, for reports.")]
+    severity: Annotated[Literal["fail", "warn"], described("warn = reported, but no failure.")] = (
+        "fail"
+    )
+    start: Annotated[float, quantity("s", "Not looked at before.", at_least=0.0)] = msgspec.field(
+        default=0.0, name="from"
+    )
+    to: Annotated[float, quantity("s", "Not looked at after.", above=0.0)] | None = None
+    by: Annotated[float, quantity("s", "True once until then.", above=0.0)] | None = None
+    after: Annotated[str, described("A fault or behaviour after each start of which to look.")] = ""
+    within: (
+        Annotated[float, quantity("s", "True once within this time of `after`.", above=0.0)] | None
+    ) = None
+    hold: Annotated[float, quantity("s", "And then true for this time.", at_least=0.0)] = 0.0
+    until: Annotated[str, described("Not looked at after the start of this.")] = ""
+    excluded: Annotated[str, described("Not looked at during this fault or behaviour.")] = (
+        msgspec.field(default="", name="except")
+    )
+
+
+class RobotCheck(CheckSection, frozen=True, kw_only=True):
+    """A check of robots; each of them has to pass."""
+
+    robots: Selected = "*"
+
+
+class LimitCheck(RobotCheck, frozen=True, kw_only=True):
+    """A check that a quantity stays above or below limits."""
+
+
+class NoCollisionCheck(RobotCheck, frozen=True, kw_only=True, tag="no_collision"):
+    """The outlines of robots and of other entities do not touch; margin: free distance [m]."""
+
+    radius: (
+        Annotated[float, quantity("m", "Outline of each; null = of its collisions.", above=0.0)]
+        | None
+    ) = None
+
+
+class DistanceCheck(RobotCheck, frozen=True, kw_only=True, tag="distance"):
+    """Distance of the origins of all pairs of robots."""
+
+    above: Annotated[float, quantity("m", "Least distance.")] | None = None
+    below: Annotated[float, quantity("m", "Largest distance.")] | None = None
+
+
+class SpeedCheck(RobotCheck, frozen=True, kw_only=True, tag="speed"):
+    """Speed over the ground."""
+
+    above: Annotated[float, quantity("m/s", "Least speed.")] | None = None
+    below: Annotated[float, quantity("m/s", "Largest speed.")] | None = None
+
+
+class AccelerationCheck(RobotCheck, frozen=True, kw_only=True, tag="acceleration"):
+    """Change of the speed over the ground in a control step."""
+
+    below: Annotated[float, quantity("m/s^2", "Largest acceleration.", above=0.0)]
+
+
+class ReachedCheck(RobotCheck, frozen=True, kw_only=True, tag="reached"):
+    """The robot is at a point; needs `by`, or `after` and `within`."""
+
+    point: Annotated[FloorPoint, described("x, y in the world.")]
+    tolerance: Annotated[float, quantity("m", "Distance to it.", above=0.0)] = 0.1
+
+
+class InsideCheck(RobotCheck, frozen=True, kw_only=True, tag="inside"):
+    """The robot is inside of a polygon; margin: distance to its border."""
+
+    polygon: Annotated[
+        tuple[FloorPoint, ...], msgspec.Meta(min_length=3, description="Corners x, y.")
+    ]
+
+
+class OutsideCheck(RobotCheck, frozen=True, kw_only=True, tag="outside"):
+    """The robot is outside of a polygon; margin: distance to its border."""
+
+    polygon: Annotated[
+        tuple[FloorPoint, ...], msgspec.Meta(min_length=3, description="Corners x, y.")
+    ]
+
+
+class UprightCheck(RobotCheck, frozen=True, kw_only=True, tag="upright"):
+    """The robot's z axis is near the vertical."""
+
+    below: Annotated[float, quantity("rad", "Largest tilt.", above=0.0)] = 0.5
+
+
+class TrackingCheck(RobotCheck, frozen=True, kw_only=True, tag="tracking"):
+    """The robot is near a path."""
+
+    path: FloorPath
+    below: Annotated[float, quantity("m", "Largest distance.", above=0.0)]
+
+
+class NoEventCheck(CheckSection, frozen=True, kw_only=True, tag="no_event"):
+    """A fault or behaviour does not start."""
+
+    event: Annotated[str, described("Name of a fault or behaviour.")]
+
+
+class RealTimeFactorCheck(CheckSection, frozen=True, kw_only=True, tag="real_time_factor"):
+    """The run is fast enough: simulated time by wall time since its start."""
+
+    above: Annotated[float, quantity("1", "Least factor.", above=0.0)]
+
+
+class PythonCheck(RobotCheck, frozen=True, kw_only=True, tag="python"):
+    """A class of the author: `__init__(robots, **args)`, `update(now, state) -> margin`."""
+
+    call: Annotated[
+        str,
+        msgspec.Meta(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", description="module:Class."),
+    ]
+    args: Annotated[dict[str, Any], described("Keyword arguments of the class.")] = {}
+
+
+class AllOfCheck(CheckSection, frozen=True, kw_only=True, tag="all_of"):
+    """All of the named checks are true at the same time."""
+
+    checks: Annotated[tuple[str, ...], msgspec.Meta(min_length=1, description="Names of checks.")]
+
+
+class AnyOfCheck(CheckSection, frozen=True, kw_only=True, tag="any_of"):
+    """One of the named checks is true."""
+
+    checks: Annotated[tuple[str, ...], msgspec.Meta(min_length=1, description="Names of checks.")]
+
+
+Check = (
+    NoCollisionCheck
+    | DistanceCheck
+    | SpeedCheck
+    | AccelerationCheck
+    | ReachedCheck
+    | InsideCheck
+    | OutsideCheck
+    | UprightCheck
+    | TrackingCheck
+    | NoEventCheck
+    | RealTimeFactorCheck
+    | PythonCheck
+    | AllOfCheck
+    | AnyOfCheck
+)
+
+
+class RecordSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A recording of the run; read and checked, without effect until recordings exist."""
+
+    to: Annotated[str, described("File, with {name} and {seed} of the run.")]
+    topics: Annotated[tuple[str, ...], described("Topics; empty = all.")] = ()
+    keep: Annotated[Literal["always", "on_failure"], described("When to keep it.")] = "always"
+
+
+class EndCondition(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Checks whose success ends the run."""
+
+    all: Annotated[tuple[str, ...], described("Checks that all have passed.")] = ()
+    any: Annotated[tuple[str, ...], described("Checks of which one has passed.")] = ()
+
+
+class EndSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The end of the run, whichever comes first."""
+
+    at: (
+        Annotated[float, quantity("s", "Simulated time; null = 10 s in `zensim test`.", above=0.0)]
+        | None
+    ) = None
+    when: Annotated[EndCondition, described("End as soon as checks have passed.")] | None = None
+    on_failure: Annotated[Literal["stop", "continue"], described("What a failed check does.")] = (
+        "continue"
+    )
+    timeout: Annotated[float, quantity("s", "Wall time of the whole run.", above=0.0)] = 600.0
+
+
+class ScenarioFormat(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A scenario file."""
+
+    zensim: Annotated[Literal[1], described("Version of the format; the only required key.")]
+    name: Annotated[str, described("Name of the run; empty = name of the file.")] = ""
+    description: Annotated[str, described("What the run shows.")] = ""
+    include: Annotated[
+        tuple[str, ...], described("Files that this one completes; maps and named entries merge.")
+    ] = ()
+    world: Annotated[WorldSection, described("The world.")] = WorldSection()
+    engine: Annotated[EngineSection, described("The physics engine.")] = EngineSection()
+    time: Annotated[TimeSection, described("Time and random numbers.")] = TimeSection()
+    network: Annotated[NetworkSection, described("Zenoh and the server.")] = NetworkSection()
+    ros: Annotated[RosSection, described("Keys of ROS 2.")] = RosSection()
+    viewer: Annotated[ViewerSection, described("The page of `zensim up`.")] = ViewerSection()
+    sensors: Annotated[SensorsSection, described("Sensor processes.")] = SensorsSection()
+    robots: Annotated[tuple[RobotsSection, ...], described("Groups of robots.")] = ()
+    agents: Annotated[tuple[AgentsSection, ...], described("Who drives; default: a pool.")] = ()
+    behaviours: Annotated[tuple[Behaviour, ...], described("What robots do.")] = ()
+    faults: Annotated[tuple[Fault, ...], described("What goes wrong.")] = ()
+    checks: Annotated[tuple[Check, ...], described("What has to be true.")] = ()
+    record: Annotated[RecordSection, described("A recording.")] | None = None
+    end: Annotated[EndSection, described("The end of the run.")] = EndSection()
+    vary: Annotated[
+        dict[str, Any], described("Values by key path, for sweeps; `seeds` is their number.")
+    ] = {}
