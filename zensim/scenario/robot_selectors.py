@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from functools import cache
 
 _PART = re.compile(r"\[(\d{1,6})-(\d{1,6})\]|\*|\?|[A-Za-z0-9_/]+")
-MAX_RANGE = 100_000
 
 
 class SelectorInvalid(ValueError):

@@ -16,7 +16,6 @@ Name = Annotated[
     str,
     msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,62}$", description="Letters, digits and _."),
 ]
-Length = Annotated[float, quantity("m", "Length.")]
 Selector = str | tuple[str, ...]
 """Names of robots: a name, a pattern with `*`, `?` or `[1-4]`, or a list of them."""
 Selected = Annotated[Selector, described("Robots: name, `cart*`, `cart[1-4]`, or a list of them.")]
@@ -323,13 +322,13 @@ class FaultSection(
     probability: Annotated[float, quantity("1", "Of each start.", at_least=0.0, at_most=1.0)] = 1.0
 
 
-class RobotFault(FaultSection, frozen=True, kw_only=True):
+class FaultOfRobots(FaultSection, frozen=True, kw_only=True):
     """A fault of robots."""
 
     robots: Selected
 
 
-class CommandLoss(RobotFault, frozen=True, kw_only=True, tag="command_loss"):
+class CommandLoss(FaultOfRobots, frozen=True, kw_only=True, tag="command_loss"):
     """Commands of behaviours do not reach the robot; the drive keeps the last one."""
 
     share: Annotated[float, quantity("1", "Share of lost commands.", at_least=0.0, at_most=1.0)] = (
@@ -337,17 +336,17 @@ class CommandLoss(RobotFault, frozen=True, kw_only=True, tag="command_loss"):
     )
 
 
-class CommandDelay(RobotFault, frozen=True, kw_only=True, tag="command_delay"):
+class CommandDelay(FaultOfRobots, frozen=True, kw_only=True, tag="command_delay"):
     """Commands of behaviours reach the robot late."""
 
     delay: Annotated[float, quantity("s", "Delay.", above=0.0)]
 
 
-class CommandStuck(RobotFault, frozen=True, kw_only=True, tag="command_stuck"):
+class CommandStuck(FaultOfRobots, frozen=True, kw_only=True, tag="command_stuck"):
     """The robot gets the last command from before the fault again and again."""
 
 
-class CommandScale(RobotFault, frozen=True, kw_only=True, tag="command_scale"):
+class CommandScale(FaultOfRobots, frozen=True, kw_only=True, tag="command_scale"):
     """Commands of behaviours are multiplied."""
 
     factor: Annotated[float, quantity("1", "Factor of speed and turn.")]
@@ -365,7 +364,7 @@ class AgentHang(FaultSection, frozen=True, kw_only=True, tag="agent_hang"):
     agent: Annotated[Name, described("Name of an entry of `agents`.")]
 
 
-class Push(RobotFault, frozen=True, kw_only=True, tag="push"):
+class Push(FaultOfRobots, frozen=True, kw_only=True, tag="push"):
     """A force acts on the robot's base, in the world's axes."""
 
     x: Annotated[float, quantity("N", "Force along x.")] = 0.0
@@ -374,7 +373,7 @@ class Push(RobotFault, frozen=True, kw_only=True, tag="push"):
     link: Annotated[str, described("Link; empty = the base.")] = ""
 
 
-class Kidnap(RobotFault, frozen=True, kw_only=True, tag="kidnap"):
+class Kidnap(FaultOfRobots, frozen=True, kw_only=True, tag="kidnap"):
     """The robot is moved at once to another pose."""
 
     x: Annotated[float, quantity("m", "Position.")]
@@ -382,7 +381,7 @@ class Kidnap(RobotFault, frozen=True, kw_only=True, tag="kidnap"):
     yaw: Annotated[float, quantity("rad", "Angle about z.")] = 0.0
 
 
-class WheelJam(RobotFault, frozen=True, kw_only=True, tag="wheel_jam"):
+class WheelJam(FaultOfRobots, frozen=True, kw_only=True, tag="wheel_jam"):
     """Friction holds a joint."""
 
     joint: Annotated[str, described("Joint of the wheel.")]
@@ -431,17 +430,13 @@ class CheckSection(
     )
 
 
-class RobotCheck(CheckSection, frozen=True, kw_only=True):
+class CheckOfRobots(CheckSection, frozen=True, kw_only=True):
     """A check of robots; each of them has to pass."""
 
     robots: Selected = "*"
 
 
-class LimitCheck(RobotCheck, frozen=True, kw_only=True):
-    """A check that a quantity stays above or below limits."""
-
-
-class NoCollisionCheck(RobotCheck, frozen=True, kw_only=True, tag="no_collision"):
+class NoCollisionCheck(CheckOfRobots, frozen=True, kw_only=True, tag="no_collision"):
     """The outlines of robots and of other entities do not touch; margin: free distance [m]."""
 
     radius: (
@@ -450,34 +445,34 @@ class NoCollisionCheck(RobotCheck, frozen=True, kw_only=True, tag="no_collision"
     ) = None
 
 
-class DistanceCheck(RobotCheck, frozen=True, kw_only=True, tag="distance"):
+class DistanceCheck(CheckOfRobots, frozen=True, kw_only=True, tag="distance"):
     """Distance of the origins of all pairs of robots."""
 
     above: Annotated[float, quantity("m", "Least distance.")] | None = None
     below: Annotated[float, quantity("m", "Largest distance.")] | None = None
 
 
-class SpeedCheck(RobotCheck, frozen=True, kw_only=True, tag="speed"):
+class SpeedCheck(CheckOfRobots, frozen=True, kw_only=True, tag="speed"):
     """Speed over the ground."""
 
     above: Annotated[float, quantity("m/s", "Least speed.")] | None = None
     below: Annotated[float, quantity("m/s", "Largest speed.")] | None = None
 
 
-class AccelerationCheck(RobotCheck, frozen=True, kw_only=True, tag="acceleration"):
+class AccelerationCheck(CheckOfRobots, frozen=True, kw_only=True, tag="acceleration"):
     """Change of the speed over the ground in a control step."""
 
     below: Annotated[float, quantity("m/s^2", "Largest acceleration.", above=0.0)]
 
 
-class ReachedCheck(RobotCheck, frozen=True, kw_only=True, tag="reached"):
+class ReachedCheck(CheckOfRobots, frozen=True, kw_only=True, tag="reached"):
     """The robot is at a point; needs `by`, or `after` and `within`."""
 
     point: Annotated[FloorPoint, described("x, y in the world.")]
     tolerance: Annotated[float, quantity("m", "Distance to it.", above=0.0)] = 0.1
 
 
-class InsideCheck(RobotCheck, frozen=True, kw_only=True, tag="inside"):
+class InsideCheck(CheckOfRobots, frozen=True, kw_only=True, tag="inside"):
     """The robot is inside of a polygon; margin: distance to its border."""
 
     polygon: Annotated[
@@ -485,7 +480,7 @@ class InsideCheck(RobotCheck, frozen=True, kw_only=True, tag="inside"):
     ]
 
 
-class OutsideCheck(RobotCheck, frozen=True, kw_only=True, tag="outside"):
+class OutsideCheck(CheckOfRobots, frozen=True, kw_only=True, tag="outside"):
     """The robot is outside of a polygon; margin: distance to its border."""
 
     polygon: Annotated[
@@ -493,13 +488,13 @@ class OutsideCheck(RobotCheck, frozen=True, kw_only=True, tag="outside"):
     ]
 
 
-class UprightCheck(RobotCheck, frozen=True, kw_only=True, tag="upright"):
+class UprightCheck(CheckOfRobots, frozen=True, kw_only=True, tag="upright"):
     """The robot's z axis is near the vertical."""
 
     below: Annotated[float, quantity("rad", "Largest tilt.", above=0.0)] = 0.5
 
 
-class TrackingCheck(RobotCheck, frozen=True, kw_only=True, tag="tracking"):
+class TrackingCheck(CheckOfRobots, frozen=True, kw_only=True, tag="tracking"):
     """The robot is near a path."""
 
     path: FloorPath
@@ -518,7 +513,7 @@ class RealTimeFactorCheck(CheckSection, frozen=True, kw_only=True, tag="real_tim
     above: Annotated[float, quantity("1", "Least factor.", above=0.0)]
 
 
-class PythonCheck(RobotCheck, frozen=True, kw_only=True, tag="python"):
+class PythonCheck(CheckOfRobots, frozen=True, kw_only=True, tag="python"):
     """A class of the author: `__init__(robots, **args)`, `update(now, state) -> margin`."""
 
     call: Annotated[

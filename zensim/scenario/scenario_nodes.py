@@ -6,7 +6,7 @@ here, by the core schema of YAML 1.2.
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import msgspec
 import yaml
@@ -267,18 +267,6 @@ def resolve_scalar(text: str) -> Scalar:
     if _FLOAT.fullmatch(text):
         return float(text)
     return text
-
-
-def walk_entries(node: ScenarioNode) -> Iterator[tuple[str, ScenarioNode]]:
-    """List the parts of a list or map with the word of a key path that addresses each.
-
-    A named entry of a list is addressed by its name, any other by its index.
-    """
-    for key, value in node.items.items():
-        yield f".{key}", value
-    for index, element in enumerate(node.elements):
-        name = name_of(element)
-        yield (f".{name}" if name else f"[{index}]"), element
 
 
 def name_of(node: ScenarioNode) -> str:
