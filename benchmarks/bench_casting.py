@@ -19,12 +19,13 @@ from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor, ScanA
 from zensim.proto.messages.world_messages import Scene
 from zensim.proto.se3 import FloatArray, from_rpy
 from zensim.sim_server.scene.camera_casting import RayRenderer
-from zensim.sim_server.scene.camera_images import list_visible_shapes, make_lighting
+from zensim.sim_server.scene.camera_images import list_visible_shapes
 from zensim.sim_server.scene.camera_selection import make_camera_renderer
 from zensim.sim_server.scene.fleet_casting import FleetCaster
 from zensim.sim_server.scene.ray_casting import cast_rays_exactly
 from zensim.sim_server.scene.scan_casting import cast_ray_by_ray
 from zensim.sim_server.scene.scene import SceneLayout
+from zensim.sim_server.scene.scene_lights import SceneLights
 
 __all__ = ["rows", "table"]
 
@@ -157,11 +158,11 @@ def _camera_figures(layout: SceneLayout, base: FloatArray, turns: int) -> Iterat
     pose = base[-1].copy()
     pose[2] = 0.3
     for name, renderer in (
-        ("", make_camera_renderer(seen, Scene())),
-        (" by rays", RayRenderer(seen, make_lighting(Scene()))),
+        ("", make_camera_renderer(seen, lambda _: b"")),
+        (" by rays", RayRenderer(seen)),
     ):
-        shapes = seen.place(base, NO_JOINTS)
-        renderer.place(shapes)
+        lighting = SceneLights(seen, Scene()).place(base, NO_JOINTS)
+        renderer.place(seen.place(base, NO_JOINTS), lighting)
         for label, settings, limit_ms in (
             ("320 x 240", DEPTH, 1000.0 / 30.0),
             ("640 x 480", COLOUR, 1000.0 / 15.0),

@@ -40,6 +40,17 @@ def rotate(turn: FloatArray, vector: FloatArray) -> FloatArray:
     return np.asarray(vector + w * twice + cross(axis, twice))
 
 
+def rotate_all(turn: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Rotate many vectors (n, 3) by each of few rotations (..., 4): (..., n, 3)."""
+    matrix, (x, y, z) = to_matrix(turn)[..., None], vectors.T
+    turned = np.empty((*turn.shape[:-1], *vectors.shape))
+    for row in range(3):
+        turned[..., row] = (
+            matrix[..., row, 0, :] * x + matrix[..., row, 1, :] * y + matrix[..., row, 2, :] * z
+        )
+    return turned
+
+
 def cross(left: FloatArray, right: FloatArray) -> FloatArray:
     """Compute vector products (..., 3), many times as fast as numpy for few vectors."""
     if left.size > MAX_FEW_NUMBERS:

@@ -1,4 +1,4 @@
-"""Images of cameras: what a renderer makes, the pinhole model, and the light in a world.
+"""Images of cameras: what a renderer makes, and the pinhole model.
 
 Images are in optical axes (REP-103): x right, y down, z forward; the sensor looks along its x axis,
 with y to the left and z up. The centre of the pixel in column u and row v has the direction
@@ -13,21 +13,17 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from zensim.proto.messages.model_messages import Light, Link, Quat, Shape
+from zensim.proto.messages.model_messages import Link, Quat, Shape
 from zensim.proto.messages.sensor_messages import CameraSensor
-from zensim.proto.messages.world_messages import Scene
 from zensim.proto.se3 import FloatArray
 from zensim.sim_server.scene.ray_casting import PlacedShapes
+from zensim.sim_server.scene.scene_lights import Lighting
 
 VISUAL_RGBA: Quat = (0.72, 0.74, 0.77, 1.0)
 """Colour of what has none."""
 GROUND_RGBA: Quat = (0.55, 0.56, 0.58, 1.0)
-SKY_RGB = (0.70, 0.76, 0.84)
-AMBIENT_RGB = (0.40, 0.40, 0.40)
-"""Where a world specifies no ambient light."""
-SUN = Light("sun", "directional", direction=(-0.5, 0.1, -0.9), rgba=(0.8, 0.8, 0.8, 1.0))
-"""That of `model://sun`; also where a world has no light."""
-MAX_LIGHTS = 8
+FindFile = Callable[[str], bytes]
+"""Finds the content of a file by its sha256; empty if it is not there."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +44,7 @@ class CameraImages:
 class CameraRenderer(Protocol):
     """Makes the images of cameras in one scene."""
 
-    def place(self, shapes: PlacedShapes) -> None:
+    def place(self, shapes: PlacedShapes, lighting: Lighting) -> None:
         """Take the poses of one step; `shapes` are those of `list_visible_shapes`."""
 
     def render(self, settings: CameraSensor, pose: FloatArray) -> CameraImages:
@@ -107,49 +103,3 @@ def find_rgba(shape: Shape) -> Quat:
     if shape.rgba is not None:
         return shape.rgba
     return GROUND_RGBA if shape.kind == "plane" else VISUAL_RGBA
-
-
-@dataclass(frozen=True)
-class Lighting:
-    """Lights of a world: diffuse light without shadows.
-
-    Attributes:
-        ambient: (3,) red, green, blue.
-        background: (3,).
-        places: (k, 4) position [m] and 1, or unit vector towards a directional light and 0.
-        colours: (k, 3).
-    """
-
-    ambient: FloatArray
-    background: FloatArray
-    places: FloatArray
-    colours: FloatArray
-
-    def shade(self, colours: FloatArray, points: FloatArray, normals: FloatArray) -> FloatArray:
-        """Find the colours (n, 3) of surfaces of these colours at points with unit normals."""
-        light = np.repeat(self.ambient[None], len(points), axis=0)
-        for place, colour in zip(self.places, self.colours, strict=True):
-            towards = place[:3] - place[3] * points
-            lengths = np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
-            share = np.maximum(np.einsum("ij,ij->i", towards, normals) / lengths, 0.0)
-            light += share[:, None] * colour
-        return np.minimum(colours * light, 1.0)
-
-
-def make_lighting(scene: Scene) -> Lighting:
-    """Make the lights of a world; the first ones, if there are too many."""
-    lights = [*scene.lights, *([SUN] if scene.has_sun or not scene.lights else [])][:MAX_LIGHTS]
-    return Lighting(
-        np.array(scene.ambient[:3] if scene.ambient else AMBIENT_RGB),
-        np.array(scene.background[:3] if scene.background else SKY_RGB),
-        np.array([_place_light(light) for light in lights]).reshape(-1, 4),
-        np.array([light.rgba[:3] for light in lights]).reshape(-1, 3),
-    )
-
-
-def _place_light(light: Light) -> tuple[float, float, float, float]:
-    if light.kind != "directional":
-        return (*light.origin.position, 1.0)
-    x, y, z = light.direction
-    length = math.hypot(x, y, z) or 1.0
-    return (-x / length, -y / length, -z / length, 0.0)

@@ -3,10 +3,13 @@
 The only importer of moderngl. Without a display and without a GPU it runs on Mesa's llvmpipe.
 """
 
+import io
+import logging
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, TypeAlias
 
 import moderngl
 import numpy as np
@@ -15,21 +18,37 @@ import numpy.typing as npt
 from zensim.proto.messages.model_messages import Shape
 from zensim.proto.messages.sensor_messages import CameraSensor
 from zensim.proto.se3 import FloatArray, cross, rotate, to_matrix
+from zensim.sim_server.scene.broad_phase import IntArray
 from zensim.sim_server.scene.camera_images import (
-    MAX_LIGHTS,
     CameraImages,
     CamerasUnavailable,
-    Lighting,
+    FindFile,
     find_focal_length,
     find_principal_point,
     find_rgba,
 )
 from zensim.sim_server.scene.ray_casting import NO_ENTITY, PlacedShapes, ShapeGeometry
 from zensim.sim_server.scene.scene import SceneLayout
+from zensim.sim_server.scene.scene_lights import (
+    DARKNESS,
+    MAX_LIGHTS,
+    MIN_ATTENUATION,
+    MIN_DISTANCE_M,
+    Lighting,
+)
 
+LOG = logging.getLogger("zensim.sensors")
+Numbers: TypeAlias = npt.NDArray[np.float64 | np.int32]
+PLACE_BYTES = 8
+"""Of the place of a corner in an image."""
 GL_VERSION = 330
 CIRCLE_SEGMENTS = 32
 SPHERE_RINGS = 16
+"""As many steps in half a turn as `CIRCLE_SEGMENTS` in a full one."""
+FLATTENING = math.cos(math.pi / CIRCLE_SEGMENTS)
+CYLINDER_SCALE, SPHERE_SCALE = 2.0 / (1.0 + FLATTENING), 2.0 / (1.0 + FLATTENING**2)
+"""With these, edges and corners are as far outside of a round surface as faces are inside: 0.24 %
+of the radius of a cylinder, 0.48 % of that of a sphere."""
 GROUND_HALF_M = 2000.0
 """Half side of what is drawn of a plane."""
 CULLING_MARGIN = 1.02
@@ -44,6 +63,7 @@ uniform vec4 pinhole;  // scale of x and y, shift of x and y
 uniform vec2 clipping;
 in vec3 vertex;
 in vec3 normal;
+in vec2 place;
 in vec3 position;  // from the eye
 in vec4 turn;
 in vec3 size;
@@ -52,6 +72,7 @@ in int label;
 out vec3 at;
 out vec3 facing;
 out float depth;
+out vec2 texel;
 flat out vec3 surface;
 flat out int entity;
 
@@ -64,6 +85,7 @@ void main() {
     facing = rotate(turn, normal / size);
     vec3 optical = to_optical * at;
     depth = optical.z;
+    texel = place;
     surface = colour;
     entity = label;
     gl_Position = vec4(
@@ -74,29 +96,51 @@ void main() {
 }
 """
 FRAGMENT_SHADER = f"""
-#version 330
 uniform vec3 ambient;
 uniform int lights;
 uniform vec4 light_at[{MAX_LIGHTS}];
 uniform vec3 light_colour[{MAX_LIGHTS}];
+uniform vec4 light_fade[{MAX_LIGHTS}];
+uniform vec4 light_cone[{MAX_LIGHTS}];
 in vec3 at;
 in vec3 facing;
 in float depth;
+in vec2 texel;
 flat in vec3 surface;
 flat in int entity;
 layout(location = 0) out vec4 seen_colour;
 layout(location = 1) out float seen_depth;
 layout(location = 2) out int seen_label;
+#ifdef TEXTURED
+uniform sampler2D picture;
+#endif
+
+float shine(int i, vec3 normal) {{
+    if (light_at[i].w == 0.0) {{
+        return dot(light_at[i].xyz, normal);
+    }}
+    vec3 path = light_at[i].xyz - at;
+    float away = max(length(path), {MIN_DISTANCE_M});
+    vec3 towards = path / away;
+    vec4 fade = light_fade[i];
+    vec4 cone = light_cone[i];
+    float attenuation = max(fade.x + away * (fade.y + away * fade.z), {MIN_ATTENUATION});
+    float inside = clamp((-dot(towards, cone.xyz) - cone.w) / (1.0 - cone.w), 0.0, 1.0);
+    return dot(towards, normal) * step(away, fade.w) * inside / attenuation;
+}}
 
 void main() {{
     vec3 normal = normalize(facing);
     normal = dot(normal, at) > 0.0 ? -normal : normal;
     vec3 light = ambient;
     for (int i = 0; i < lights; ++i) {{
-        vec3 towards = normalize(light_at[i].xyz - light_at[i].w * at);
-        light += light_colour[i] * max(dot(towards, normal), 0.0);
+        light += light_colour[i] * max(shine(i, normal), 0.0);
     }}
-    seen_colour = vec4(min(surface * light, vec3(1.0)), 1.0);
+    vec3 colour = surface;
+#ifdef TEXTURED
+    colour *= texture(picture, texel).rgb;
+#endif
+    seen_colour = vec4(min(colour * light, vec3(1.0)), 1.0);
     seen_depth = depth;
     seen_label = entity;
 }}
@@ -140,10 +184,29 @@ class _Solid:
     Attributes:
         corners: (3 f, 3).
         normals: (3 f, 3).
+        places: (3 f, 2) of the corners in an image; 0 where there is none.
+        image: Name of that image, or empty.
     """
 
     corners: FloatArray
     normals: FloatArray
+    places: npt.NDArray[np.float32] | None = None
+    image: str = ""
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """A solid in OpenGL, and its instances.
+
+    Attributes:
+        rows: Of `INSTANCE`.
+        picture: On it.
+    """
+
+    array: moderngl.VertexArray
+    instances: moderngl.Buffer
+    rows: slice
+    picture: moderngl.Texture | None
 
 
 @dataclass(frozen=True)
@@ -173,10 +236,10 @@ def _list_parts(shape: Shape) -> list[_Part]:
 
 
 def _name_mesh(shape: Shape) -> str:
-    return f"{shape.mesh} {shape.size}"
+    return f"{shape.mesh} {shape.size} {shape.texture}"
 
 
-def _make_solid(name: str, geometry: ShapeGeometry) -> _Solid:
+def _make_solid(name: str, geometry: ShapeGeometry, find_file: FindFile) -> _Solid:
     if name == "sphere":
         return _make_sphere()
     if name == "cylinder":
@@ -186,7 +249,11 @@ def _make_solid(name: str, geometry: ShapeGeometry) -> _Solid:
         return _make_flat(square[[0, 1, 2, 0, 2, 3]])
     if name == "box":
         return _make_box()
-    return _make_flat(geometry.triangles.reshape(-1, 3))
+    mesh, texture = _make_flat(geometry.triangles.reshape(-1, 3)), geometry.shape.texture
+    data = find_file(texture.coordinates) if texture is not None else b""
+    if texture is None or len(data) != PLACE_BYTES * len(mesh.corners):
+        return mesh
+    return replace(mesh, places=np.frombuffer(data, "<f4").reshape(-1, 2), image=texture.image)
 
 
 def _make_flat(corners: FloatArray) -> _Solid:
@@ -221,12 +288,13 @@ def _make_sphere() -> _Solid:
         axis=-1,
     )
     corners = _make_grid(points)
-    return _Solid(corners, corners)
+    return _Solid(SPHERE_SCALE * corners, corners)
 
 
 def _make_cylinder() -> _Solid:
     turns = np.arange(CIRCLE_SEGMENTS) * (2.0 * np.pi / CIRCLE_SEGMENTS)
     ring = np.stack([np.cos(turns), np.sin(turns), np.zeros(CIRCLE_SEGMENTS)], axis=1)
+    ring *= CYLINDER_SCALE
     half = np.array([0.0, 0.0, 0.5])
     side = _make_grid(np.stack([ring - half, ring + half]))
     caps = [
@@ -282,16 +350,18 @@ class OpenGlRenderer:
         CamerasUnavailable: There is no OpenGL here.
     """
 
-    def __init__(self, layout: SceneLayout, lighting: Lighting) -> None:
+    def __init__(self, layout: SceneLayout, find_file: FindFile) -> None:
         """Upload the solids.
 
         Args:
             layout: Of what cameras see.
-            lighting: Of the world.
+            find_file: Finds the files of textures.
         """
         self._context = find_context()
-        self._lighting = lighting
-        self._program = self._context.program(VERTEX_SHADER, FRAGMENT_SHADER)
+        self._lighting = DARKNESS
+        self._find_file = find_file
+        self._pictures: dict[str, moderngl.Texture | None] = {}
+        self._programs: dict[str, moderngl.Program] = {}
         self._background = self._context.program(
             BACKGROUND_VERTEX_SHADER, BACKGROUND_FRAGMENT_SHADER
         )
@@ -300,9 +370,8 @@ class OpenGlRenderer:
             self._background, [(self._context.buffer(corners.tobytes()), "2f", "corner")]
         )
         self._frames: dict[tuple[int, int], _Frame] = {}
-        self._solids: list[tuple[moderngl.VertexArray, moderngl.Buffer, slice]] = []
+        self._batches: list[_Batch] = []
         self._add_instances(layout.unplaced)
-        self._set_uniforms()
 
     def _add_instances(self, shapes: PlacedShapes) -> None:
         """Sort what is drawn by solids, and upload these."""
@@ -328,32 +397,44 @@ class OpenGlRenderer:
         self._positions = np.zeros((len(listed), 3))
         for name, first, last in _find_runs([part.solid for part, _, _ in listed]):
             geometry = shapes.geometries[listed[first][2]]
-            self._upload(_make_solid(name, geometry), slice(first, last))
+            self._upload(_make_solid(name, geometry, self._find_file), slice(first, last))
 
     def _upload(self, solid: _Solid, rows: slice) -> None:
-        vertices = np.concatenate([solid.corners, solid.normals], axis=1).astype("<f4")
+        picture = self._find_picture(solid.image)
+        parts: list[tuple[npt.NDArray[np.floating], str, str]] = [
+            (solid.corners, "3f", "vertex"),
+            (solid.normals, "3f", "normal"),
+        ]
+        if picture is not None and solid.places is not None:
+            parts.append((solid.places, "2f", "place"))
+        vertices = np.concatenate([part for part, _, _ in parts], axis=1).astype("<f4")
+        formats, names = " ".join(kind for _, kind, _ in parts), [name for _, _, name in parts]
         instances = self._context.buffer(reserve=INSTANCE.itemsize * (rows.stop - rows.start))
         array = self._context.vertex_array(
-            self._program,
+            self._find_program("" if picture is None else "#define TEXTURED"),
             [
-                (self._context.buffer(vertices.tobytes()), "3f 3f", "vertex", "normal"),
+                (self._context.buffer(vertices.tobytes()), formats, *names),
                 (instances, "3f 4f 3f 3f 1i/i", *(INSTANCE.names or ())),
             ],
         )
-        self._solids.append((array, instances, rows))
+        self._batches.append(_Batch(array, instances, rows, picture))
 
-    def _set_uniforms(self) -> None:
-        lighting = self._lighting
-        colours = np.zeros((MAX_LIGHTS, 3))
-        colours[: len(lighting.colours)] = lighting.colours
-        _set_uniform(self._program, "light_colour", colours)
-        _set_uniform(self._program, "lights", np.array(len(lighting.colours), "<i4"))
-        _set_uniform(self._program, "ambient", lighting.ambient)
-        _set_uniform(self._background, "background", lighting.background)
-        _set_uniform(self._background, "nothing", np.array(np.inf))
+    def _find_program(self, definition: str) -> moderngl.Program:
+        """Find the program of solids with or without an image, which costs more."""
+        if definition not in self._programs:
+            fragment_shader = f"#version 330\n{definition}\n{FRAGMENT_SHADER}"
+            self._programs[definition] = self._context.program(VERTEX_SHADER, fragment_shader)
+        return self._programs[definition]
 
-    def place(self, shapes: PlacedShapes) -> None:
+    def _find_picture(self, name: str) -> moderngl.Texture | None:
+        """Find an image in OpenGL; None if there is none that can be read."""
+        if name not in self._pictures:
+            self._pictures[name] = _upload_picture(self._context, self._find_file(name))
+        return self._pictures[name]
+
+    def place(self, shapes: PlacedShapes, lighting: Lighting) -> None:
         """See `CameraRenderer`."""
+        self._lighting = lighting
         poses = shapes.poses[self._shape]
         self._positions = poses[:, :3] + rotate(poses[:, 3:], self._rises)
         self._instances["turn"] = poses[:, 3:]
@@ -366,17 +447,30 @@ class OpenGlRenderer:
         self._context.enable_only(moderngl.DEPTH_TEST)
         frame.buffer.clear()
         self._context.depth_func = "<="
+        _set_uniform(self._background, "background", self._lighting.background)
+        _set_uniform(self._background, "nothing", np.array(np.inf))
         self._screen.render()
-        self._point_camera(settings, pose)
+        uniforms = {
+            **_list_camera_uniforms(settings, pose),
+            **_list_light_uniforms(self._lighting.choose_brightest(pose[:3]), pose[:3]),
+        }
+        for program in self._programs.values():
+            for name, values in uniforms.items():
+                _set_uniform(program, name, values)
         is_visible = self._find_visible(settings, pose)
-        for array, buffer, rows in self._solids:
-            chosen = rows.start + np.flatnonzero(is_visible[rows])
+        for batch in self._batches:
+            chosen = batch.rows.start + np.flatnonzero(is_visible[batch.rows])
             if len(chosen):
-                instances = self._instances[chosen]
-                instances["position"] = self._positions[chosen] - pose[:3]
-                buffer.write(instances.tobytes())
-                array.render(instances=len(chosen))
+                self._draw(batch, chosen, pose)
         return frame.read()
+
+    def _draw(self, batch: _Batch, chosen: IntArray, pose: FloatArray) -> None:
+        instances = self._instances[chosen]
+        instances["position"] = self._positions[chosen] - pose[:3]
+        batch.instances.write(instances.tobytes())
+        if batch.picture is not None:
+            batch.picture.use()
+        batch.array.render(instances=len(chosen))
 
     def _find_frame(self, width: int, height: int) -> _Frame:
         if (width, height) not in self._frames:
@@ -384,24 +478,6 @@ class OpenGlRenderer:
                 self._frames.pop(next(iter(self._frames))).release()
             self._frames[width, height] = _Frame(self._context, width, height)
         return self._frames[width, height]
-
-    def _point_camera(self, settings: CameraSensor, pose: FloatArray) -> None:
-        focal, (cx, cy) = find_focal_length(settings), find_principal_point(settings)
-        width, height, near, far = settings.width, settings.height, settings.near_m, settings.far_m
-        program = self._program
-        # Rows of OpenGL's buffers go up, those of images down: y down is up for OpenGL.
-        scales = 2.0 * focal / width, 2.0 * focal / height
-        shifts = (2.0 * cx + 1.0) / width - 1.0, (2.0 * cy + 1.0) / height - 1.0
-        _set_uniform(program, "pinhole", np.array([*scales, *shifts]))
-        depths = (far + near) / (far - near), -2.0 * far * near / (far - near)
-        _set_uniform(program, "clipping", np.array(depths))
-        # Matrices of OpenGL are column by column.
-        _set_uniform(program, "to_optical", _find_optical_axes(pose).T)
-        places = np.zeros((MAX_LIGHTS, 4))
-        found = self._lighting.places
-        places[: len(found)] = found
-        places[: len(found), :3] -= found[:, 3:] * pose[:3]
-        _set_uniform(program, "light_at", places)
 
     def _find_visible(self, settings: CameraSensor, pose: FloatArray) -> npt.NDArray[np.bool_]:
         """Find which shapes (i,) may be in the field of view, by their bounding spheres."""
@@ -413,6 +489,58 @@ class OpenGlRenderer:
             outside = (np.abs(across) - slope * z) / np.hypot(1.0, slope)
             is_visible &= ~(outside > self._radii)
         return np.asarray(is_visible)
+
+
+def _list_camera_uniforms(settings: CameraSensor, pose: FloatArray) -> dict[str, Numbers]:
+    focal, (cx, cy) = find_focal_length(settings), find_principal_point(settings)
+    width, height, near, far = settings.width, settings.height, settings.near_m, settings.far_m
+    # Rows of OpenGL's buffers go up, those of images down: y down is up for OpenGL.
+    scales = 2.0 * focal / width, 2.0 * focal / height
+    shifts = (2.0 * cx + 1.0) / width - 1.0, (2.0 * cy + 1.0) / height - 1.0
+    depths = (far + near) / (far - near), -2.0 * far * near / (far - near)
+    return {
+        "pinhole": np.array([*scales, *shifts]),
+        "clipping": np.array(depths),
+        # Matrices of OpenGL are column by column.
+        "to_optical": _find_optical_axes(pose).T,
+    }
+
+
+def _list_light_uniforms(lighting: Lighting, eye: FloatArray) -> dict[str, Numbers]:
+    places = lighting.places.copy()
+    places[:, :3] -= places[:, 3:] * eye
+    lights = {
+        "light_at": places,
+        "light_colour": lighting.colours,
+        "light_fade": lighting.fades,
+        "light_cone": lighting.cones,
+    }
+    count = len(places)
+    padded = {
+        name: np.concatenate([values, np.zeros((MAX_LIGHTS - count, values.shape[1]))])
+        for name, values in lights.items()
+    }
+    return {**padded, "lights": np.array(count, "<i4"), "ambient": lighting.ambient}
+
+
+def _upload_picture(context: moderngl.Context, data: bytes) -> moderngl.Texture | None:
+    """Upload a PNG or JPEG, which repeats; None if it cannot be read."""
+    if not data:
+        return None
+    # Its import takes a while, and few worlds have textures.
+    from PIL import Image  # noqa: PLC0415
+
+    try:
+        picture = Image.open(io.BytesIO(data)).convert("RGB")
+    except (OSError, ValueError, Image.DecompressionBombError) as error:
+        LOG.warning("texture reason=%r", str(error))
+        return None
+    # Rows of textures go up, as v does.
+    upward = picture.transpose(Image.Transpose.FLIP_TOP_BOTTOM)
+    texture = context.texture(upward.size, 3, upward.tobytes(), alignment=1)
+    texture.build_mipmaps()
+    texture.filter = moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR
+    return texture
 
 
 def _find_optical_axes(pose: FloatArray) -> FloatArray:
@@ -430,9 +558,7 @@ def _find_runs(names: list[str]) -> Iterator[tuple[str, int, int]]:
             first = number
 
 
-def _set_uniform(
-    program: moderngl.Program, name: str, values: npt.NDArray[np.float64 | np.int32]
-) -> None:
+def _set_uniform(program: moderngl.Program, name: str, values: Numbers) -> None:
     uniform = program[name]
     assert isinstance(uniform, moderngl.Uniform), name
     kind = "<i4" if values.dtype == np.int32 else "<f4"

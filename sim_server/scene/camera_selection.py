@@ -3,12 +3,7 @@
 from functools import cache
 from importlib.util import find_spec
 
-from zensim.proto.messages.world_messages import Scene
-from zensim.sim_server.scene.camera_images import (
-    CameraRenderer,
-    CamerasUnavailable,
-    make_lighting,
-)
+from zensim.sim_server.scene.camera_images import CameraRenderer, CamerasUnavailable, FindFile
 from zensim.sim_server.scene.scene import SceneLayout
 
 INSTALL_HINT = (
@@ -17,27 +12,26 @@ INSTALL_HINT = (
 )
 
 
-def make_camera_renderer(layout: SceneLayout, scene: Scene) -> CameraRenderer:
+def make_camera_renderer(layout: SceneLayout, find_file: FindFile) -> CameraRenderer:
     """Make the renderer of a scene: by OpenGL, else by rays.
 
     Args:
         layout: Of what cameras see.
-        scene: Lights and colours of the world.
+        find_file: Finds the files of textures, which only OpenGL draws.
 
     Raises:
         CamerasUnavailable: Neither is possible here.
     """
-    lighting = make_lighting(scene)
     reason = find_opengl_fault()
     if not reason:
         from zensim.sim_server.scene.camera_rendering import OpenGlRenderer  # noqa: PLC0415
 
-        return OpenGlRenderer(layout, lighting)
+        return OpenGlRenderer(layout, find_file)
     if find_spec("embreex") is None:
         raise CamerasUnavailable(f"{reason}; {INSTALL_HINT}")
     from zensim.sim_server.scene.camera_casting import RayRenderer  # noqa: PLC0415
 
-    return RayRenderer(layout, lighting)
+    return RayRenderer(layout)
 
 
 def find_camera_fault() -> str:

@@ -189,6 +189,18 @@ def find_solid_ranges(
     return np.where((enter <= leave) & (ranges >= 0.0), ranges, np.inf)
 
 
+def find_plane_ranges(heights: FloatArray, rises: FloatArray) -> FloatArray:
+    """Find ranges (p,) [m] of rays at a plane.
+
+    Args:
+        heights: (p,) of the origins above the plane [m].
+        rises: (p,) of unit directions along the normal of the plane.
+    """
+    is_parallel = rises == 0.0
+    ranges = -heights / np.where(is_parallel, 1.0, rises)
+    return np.asarray(np.where(is_parallel | (ranges < 0.0), np.inf, ranges))
+
+
 # Functions below take sizes (3, p), one column for each ray.
 Interval = tuple[FloatArray, FloatArray]
 """Where lines (p,) enter and leave a convex solid; enter > leave where they miss it."""
@@ -256,9 +268,8 @@ def _cross_capsule(size: FloatArray, origins: FloatArray, directions: FloatArray
 
 
 def _cross_plane(_: FloatArray, origins: FloatArray, directions: FloatArray) -> Interval:
-    height, rise = origins[:, 2], directions[:, 2]
-    at = -height / np.where(rise == 0.0, 1.0, rise)
-    return np.where(rise == 0.0, MISS[0], at), np.where(rise == 0.0, MISS[1], at)
+    ranges = find_plane_ranges(origins[:, 2], directions[:, 2])
+    return ranges, ranges
 
 
 _CROSSINGS: dict[str, Callable[[FloatArray, FloatArray, FloatArray], Interval]] = {

@@ -1,11 +1,12 @@
 """Casting of whole scans: the interface of a caster of lidars, and casting ray by ray."""
 
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
 
 from zensim.proto.messages.sensor_messages import RaySensor, ScanAxis
-from zensim.proto.se3 import FloatArray, rotate
+from zensim.proto.se3 import FloatArray, rotate_all
 from zensim.sim_server.scene.broad_phase import IntArray
 from zensim.sim_server.scene.ray_casting import NO_ENTITY, PlacedShapes, RayCaster, Rays
 
@@ -36,6 +37,7 @@ class ScanCaster(Protocol):
         """
 
 
+@lru_cache(maxsize=64)
 def make_ray_directions(settings: RaySensor) -> FloatArray:
     """Make the unit vectors (rays, 3) of a scan in the sensor's axes."""
     azimuth, elevation = np.meshgrid(
@@ -43,7 +45,9 @@ def make_ray_directions(settings: RaySensor) -> FloatArray:
     )
     level = np.cos(elevation)
     parts = (level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation))
-    return np.stack(parts, axis=-1).reshape(-1, 3)
+    directions = np.stack(parts, axis=-1).reshape(-1, 3)
+    directions.setflags(write=False)
+    return directions
 
 
 def list_angles(axis: ScanAxis) -> FloatArray:
@@ -65,7 +69,7 @@ def cast_ray_by_ray(
 ) -> FloatArray:
     """Find the ranges of lidars by a caster of rays of any direction; see `ScanCaster.cast`."""
     local = make_ray_directions(settings)
-    directions = rotate(poses[:, None, 3:], local).reshape(-1, 3)
+    directions = rotate_all(poses[:, 3:], local).reshape(-1, 3)
     ignored, start_m = choose_ignored(settings, carriers)
     rays = Rays(
         np.repeat(poses[:, :3], len(local), axis=0) + start_m * directions,

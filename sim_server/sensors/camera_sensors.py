@@ -33,11 +33,13 @@ from zensim.sim_server.scene.broad_phase import IntArray
 from zensim.sim_server.scene.camera_images import (
     CameraImages,
     CameraRenderer,
+    FindFile,
     find_focal_length,
     find_principal_point,
 )
 from zensim.sim_server.scene.camera_selection import make_camera_renderer
 from zensim.sim_server.scene.scene import SceneLayout
+from zensim.sim_server.scene.scene_lights import SceneLights
 from zensim.sim_server.sensors.array_messages import ArrayMessages
 from zensim.sim_server.sensors.scene_roster import SceneRoster, SceneSensor, SensorPlaces
 from zensim.sim_server.sensors.sensor_groups import GroupTopics, SceneMoment
@@ -61,20 +63,22 @@ WriteImage = Callable[[CameraImages], bytes]
 class ViewedScene:
     """What cameras see of all entities; takes poses when the first image of a moment is made."""
 
-    def __init__(self, layout: SceneLayout, scene: Scene) -> None:
+    def __init__(self, layout: SceneLayout, scene: Scene, find_file: FindFile) -> None:
         """Prepare a scene without poses.
 
         Args:
             layout: Of what cameras see.
             scene: Lights and colours of the world.
+            find_file: Finds the files of textures.
         """
         self._layout = layout
-        self._scene = scene
+        self._lights = SceneLights(layout, scene)
+        self._find_file = find_file
         self._moment: SceneMoment | None = None
 
     @cached_property
     def _renderer(self) -> CameraRenderer:
-        return make_camera_renderer(self._layout, self._scene)
+        return make_camera_renderer(self._layout, self._find_file)
 
     def find_renderer(self, moment: SceneMoment) -> CameraRenderer:
         """Find the renderer, with the poses of a moment.
@@ -83,7 +87,8 @@ class ViewedScene:
             CamerasUnavailable: Images cannot be made here.
         """
         if self._moment is not moment:
-            self._renderer.place(self._layout.place(moment.base, moment.joint_positions))
+            state = moment.base, moment.joint_positions
+            self._renderer.place(self._layout.place(*state), self._lights.place(*state))
             self._moment = moment
         return self._renderer
 

@@ -158,6 +158,20 @@ class SceneRoster:
             )
         )
 
+    @cached_property
+    def texture_files(self) -> tuple[str, ...]:
+        """Names of the images on visuals, and of their coordinates."""
+        return tuple(
+            dict.fromkeys(
+                name
+                for model in self.distinct_models
+                for link in model.links
+                for shape in link.visuals
+                if shape.texture is not None
+                for name in (shape.texture.image, shape.texture.coordinates)
+            )
+        )
+
     def fits(self, poses: FloatArray, joint_positions: FloatArray) -> bool:
         """Whether arrays have a row for each entity and joint."""
         return len(poses) == len(self.models) and len(joint_positions) == self.joint_count
@@ -183,12 +197,13 @@ class SceneRoster:
 
 
 class SceneMeshes:
-    """Triangles of meshes, fetched from the server once."""
+    """Triangles of meshes and files of textures, fetched from the server once."""
 
     def __init__(self, network: CallingNetwork, world: str) -> None:
         self._network = network
         self._world = world
         self._corners: dict[str, npt.NDArray[np.floating]] = {}
+        self._files: dict[str, bytes] = {}
 
     def find_corners(self, name: str) -> npt.NDArray[np.floating]:
         """Find the corners (3 f, 3) of a mesh; nothing that can be hit while it is missing."""
@@ -204,7 +219,27 @@ class SceneMeshes:
         found = [self._fetch_one(name) for name in missing]
         return all(found)
 
+    def find_file(self, name: str) -> bytes:
+        """Find the content of a file of a texture; empty while it is missing."""
+        return self._files.get(name, b"")
+
+    def fetch_files(self, names: Iterable[str]) -> bool:
+        """Fetch missing files of textures; return whether all are there."""
+        wanted = tuple(names)
+        for name in wanted:
+            if name not in self._files and (data := self._fetch_bytes(name)):
+                self._files[name] = data
+        return all(name in self._files for name in wanted)
+
     def _fetch_one(self, name: str) -> bool:
+        try:
+            self._corners[name] = read_corners(self._fetch_bytes(name))
+        except ValueError:
+            return False
+        return True
+
+    def _fetch_bytes(self, name: str) -> bytes:
+        """Fetch a file; empty if that fails."""
         data, total = bytearray(), 1
         try:
             while len(data) < total:
@@ -213,13 +248,9 @@ class SceneMeshes:
                     GET_ASSET, request, world=self._world, timeout_s=ASSET_TIMEOUT_S
                 )
                 data, total = data + part.data, part.total if part.data else 0
-            corners = read_corners(bytes(data))
-        except (BusError, ServiceError, TimeoutError, MalformedPayload, ValueError):
-            return False
-        if sha256(data).hexdigest() != name:
-            return False
-        self._corners[name] = corners
-        return True
+        except (BusError, ServiceError, TimeoutError, MalformedPayload):
+            return b""
+        return bytes(data) if sha256(data).hexdigest() == name else b""
 
 
 class SensorPlaces:

@@ -162,8 +162,10 @@ class SensorShare:
 
     def _find_view(self, roster: SceneRoster) -> ViewedScene:
         if self._view is None or not self._has_visual_meshes:
-            self._has_visual_meshes = self._meshes.fetch(roster.visual_meshes)
-            self._view = ViewedScene(roster.make_visual_layout(self._meshes), roster.scene)
+            has_meshes = self._meshes.fetch(roster.visual_meshes)
+            self._has_visual_meshes = self._meshes.fetch_files(roster.texture_files) and has_meshes
+            layout = roster.make_visual_layout(self._meshes)
+            self._view = ViewedScene(layout, roster.scene, self._meshes.find_file)
         return self._view
 
 

@@ -1,11 +1,15 @@
 """Rendered images show what rays hit, in the colours and under the lights of the world."""
 
+import io
+import math
 from collections.abc import Callable, Sequence
 
+import msgspec
 import numpy as np
 import pytest
+from PIL import Image
 
-from zensim.proto.messages.model_messages import Light, Link, Model, Origin, Shape
+from zensim.proto.messages.model_messages import Light, Link, Model, Origin, Shape, Texture
 from zensim.proto.messages.sensor_messages import CameraSensor
 from zensim.proto.messages.world_messages import Scene
 from zensim.proto.se3 import FloatArray, from_rpy, rotate
@@ -13,18 +17,24 @@ from zensim.sim_server.scene.camera_casting import RayRenderer
 from zensim.sim_server.scene.camera_images import (
     CameraImages,
     CameraRenderer,
-    Lighting,
     list_visible_shapes,
-    make_lighting,
     make_pixel_directions,
 )
 from zensim.sim_server.scene.camera_rendering import OpenGlRenderer
 from zensim.sim_server.scene.ray_casting import GROUND, NO_ENTITY, Rays, cast_rays_exactly
 from zensim.sim_server.scene.scene import SceneLayout
+from zensim.sim_server.scene.scene_lights import MAX_LIGHTS, SceneLights
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 TRIANGLES = CORNERS[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]].reshape(-1, 3)
 JOINTS = np.zeros(0)
+QUADRANTS = ((255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255))
+"""Of the image, row by row from its top left corner."""
+SQUARE = np.array([[0.0, y, z] for y, z in ((1, -1), (-1, -1), (-1, 1), (1, 1))])[
+    [0, 1, 2, 0, 2, 3]
+]
+"""Corners of a wall that a camera along x sees, from its lower left corner on."""
+SQUARE_PLACES = np.array([(0, 0), (1, 0), (1, 1), (0, 0), (1, 1), (0, 1)], "<f4")
 RED = (1.0, 0.0, 0.0, 1.0)
 BOX = Shape("box", (0.4, 0.8, 1.2), rgba=RED)
 PLAIN = Scene()
@@ -44,8 +54,21 @@ def a_model(*visuals: Shape) -> Model:
     return Model("m", (Link("base", visuals=visuals),))
 
 
-MakeRenderer = Callable[[SceneLayout, Lighting], CameraRenderer]
-RENDERERS: dict[str, MakeRenderer] = {"opengl": OpenGlRenderer, "rays": RayRenderer}
+def find_texture(name: str) -> bytes:
+    """Find the four quadrants, and their coordinates on the wall; nothing else is there."""
+    if name == "quadrants":
+        file = io.BytesIO()
+        pixels = np.array(QUADRANTS, np.uint8).reshape(2, 2, 3).repeat(32, 0).repeat(32, 1)
+        Image.fromarray(pixels).save(file, "PNG")
+        return file.getvalue()
+    return {"places": SQUARE_PLACES.tobytes(), "no image": b"GIF"}.get(name, b"")
+
+
+MakeRenderer = Callable[[SceneLayout], CameraRenderer]
+RENDERERS: dict[str, MakeRenderer] = {
+    "opengl": lambda layout: OpenGlRenderer(layout, find_texture),
+    "rays": RayRenderer,
+}
 
 
 @pytest.fixture(params=RENDERERS, autouse=True)
@@ -56,7 +79,7 @@ def renderer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 class Studio:
     """Models that are rendered."""
 
-    make_renderer: MakeRenderer = staticmethod(OpenGlRenderer)
+    make_renderer: MakeRenderer = staticmethod(RENDERERS["opengl"])
 
     def __init__(
         self, placed: Sequence[tuple[Model, list[float]]], scene: Scene = PLAIN, *, ground: bool
@@ -64,17 +87,19 @@ class Studio:
         models = [model for model, _ in placed]
         self.layout = SceneLayout(
             models,
-            lambda _: TRIANGLES,
+            lambda name: SQUARE if name == "square" else TRIANGLES,
             has_ground=ground,
             list_shapes=lambda link: list_visible_shapes(link, lambda _: True),
         )
         self.base = np.array([pose for _, pose in placed]).reshape(-1, 7)
-        self.renderer = self.make_renderer(self.layout, make_lighting(scene))
+        self.lights = SceneLights(self.layout, scene)
+        self.renderer = self.make_renderer(self.layout)
 
     def render(
         self, camera: CameraSensor = CAMERA, pose: FloatArray = AT_EYE_HEIGHT
     ) -> CameraImages:
-        self.renderer.place(self.layout.place(self.base, JOINTS))
+        lighting = self.lights.place(self.base, JOINTS)
+        self.renderer.place(self.layout.place(self.base, JOINTS), lighting)
         return self.renderer.render(camera, pose)
 
     def cast(self, camera: CameraSensor, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -191,6 +216,92 @@ def test_point_light_lights_what_faces_it() -> None:
 
     assert rgb[30, 40, 0] > 250
     assert rgb[30, 0, 0] < rgb[30, 20, 0] < rgb[30, 40, 0]
+
+
+WALL = a_model(Shape("box", (0.2, 9.0, 9.0), rgba=(1.0, 1.0, 1.0, 1.0)))
+DARK = Scene(ambient=(0.0, 0.0, 0.0, 1.0), lights=(Light("off", "directional", intensity=0.0),))
+
+
+def a_lamp_carrier(*lights: Light) -> Model:
+    return Model("m", (Link("base", lights=lights),))
+
+
+def light_wall(scene: Scene, *placed: tuple[Model, list[float]]) -> FloatArray:
+    """Render a wall 3.9 m in front of a camera; return how bright its pixels (h, w) are, 0 to 1."""
+    studio = Studio([(WALL, at(4.0, 0.0, 1.0)), *placed], scene, ground=False)
+    return np.asarray(studio.render(pose=np.array(at(0.0, 0.0, 1.0))).rgb[:, :, 0] / 255.0)
+
+
+def test_lamp_of_a_robot_shines_from_where_the_robot_is() -> None:
+    lamp = a_lamp_carrier(Light("lamp", "point", Origin((0.5, 0.0, 0.0)), attenuation=(0, 0, 1)))
+
+    near, far, turned = (
+        light_wall(DARK, (lamp, pose))
+        for pose in (at(1.4, 0.0, 1.0), at(-0.6, 0.0, 1.0), at(1.4, 0.0, 1.0, 0.0, 0.0, np.pi))
+    )
+
+    # 1 / d^2 at 2, 4 and 3 m.
+    seen = [one[30, 40] for one in (near, far, turned)]
+    assert seen == pytest.approx([0.25, 1 / 16, 1 / 9], abs=0.005)
+
+
+def test_light_beyond_its_range_has_no_effect() -> None:
+    lamp = a_lamp_carrier(Light("lamp", "point", range_m=2.5))
+
+    bright = light_wall(DARK, (lamp, at(2.0, 0.0, 1.0)))
+
+    assert bright[30, 40] > 0.9
+    assert bright[30, 0] == 0.0
+
+
+def test_spot_light_shines_in_its_cone_alone_and_turns_with_its_robot() -> None:
+    spot = Light("spot", "spot", direction=(1.0, 0.0, 0.0), outer_angle_rad=math.radians(40.0))
+    lamp = a_lamp_carrier(spot)
+
+    ahead = light_wall(DARK, (lamp, at(0.0, 0.0, 1.0)))
+    left = light_wall(DARK, (lamp, at(0.0, 0.0, 1.0, 0.0, 0.0, 0.4)))
+
+    assert ahead[30, 40] > 0.95
+    assert ahead[30, 0] == ahead[30, 79] == 0.0
+    assert left[30, :40].max() > 0.8
+    assert left[30, 45:].max() == 0.0
+
+
+def test_of_too_many_lights_the_nearest_shine() -> None:
+    lamp = a_lamp_carrier(Light("lamp", "point", attenuation=(0.0, 0.0, 1.0)))
+    dim = [(lamp, at(-5.0 - i, 0.0, 1.0)) for i in range(MAX_LIGHTS)]
+
+    bright = light_wall(DARK, *dim, (lamp, at(1.9, 0.0, 1.0)))
+
+    assert bright[30, 40] > 0.25
+
+
+def show_wall(image: str, places: str) -> list[list[int]]:
+    """Render a wall with an image in plain light; return the colours of its quadrants."""
+    wall = Shape("mesh", (1.0, 1.0, 1.0), mesh="square", texture=Texture(image, places))
+    scene = Scene(ambient=(1.0, 1.0, 1.0, 1.0), lights=DARK.lights)
+    coloured = msgspec.structs.replace(wall, rgba=(1.0, 1.0, 0.5, 1.0))
+    studio = Studio([(a_model(coloured), at(3.0, 0.0, 1.0))], scene, ground=False)
+    rgb = studio.render(pose=np.array(at(0.0, 0.0, 1.0))).rgb
+    return [rgb[row, column].tolist() for row in (25, 35) for column in (35, 45)]
+
+
+def test_image_on_a_mesh_is_the_right_way_up_and_round_times_the_colour(
+    request: pytest.FixtureRequest,
+) -> None:
+    if "rays" in request.node.name:
+        pytest.skip("rays draw no images")
+
+    assert show_wall("quadrants", "places") == [
+        pytest.approx([red, green, blue / 2.0], abs=1.0) for red, green, blue in QUADRANTS
+    ]
+
+
+@pytest.mark.parametrize(
+    ("image", "places"), [("absent", "places"), ("quadrants", "absent"), ("no image", "places")]
+)
+def test_mesh_has_its_plain_colour_where_its_image_cannot_be_drawn(image: str, places: str) -> None:
+    assert show_wall(image, places) == [pytest.approx([255, 255, 128], abs=1.0)] * 4
 
 
 def test_two_sizes_of_images_keep_their_buffers_apart() -> None:

@@ -57,6 +57,42 @@ def test_rays_of_any_direction_hit_what_the_exact_caster_says(world: object) -> 
     assert np.array_equal(found.entities[~is_ground], expected.entities[~is_ground])
 
 
+def test_moving_shapes_of_all_kinds_are_hit_exactly_from_outside_and_inside() -> None:
+    rng = np.random.default_rng(7)
+    places, turns = rng.uniform(-3.0, 3.0, (40, 3)), rng.uniform(-3.0, 3.0, (40, 3))
+    placed = [
+        (a_model(SOLIDS[i % len(SOLIDS)], is_static=False), a_pose(*places[i], *turns[i]))
+        for i in range(40)
+    ]
+    trial = Trial(placed)
+    rays = random_rays(rng, 4000, len(placed))
+    rays.origins[::2] = places[rng.integers(0, 40, 2000)] + rng.uniform(-0.6, 0.6, (2000, 3))
+
+    found = cast(trial, rays)
+
+    expected = cast_rays_exactly(trial.layout.place(trial.base, JOINTS), rays)
+    assert count_differences(found, expected, 1e-6) == 0
+    assert np.array_equal(found.entities, expected.entities)
+
+
+def test_faces_in_one_plane_hide_no_shape() -> None:
+    rim, tyre = Shape("cylinder", (0.3, 0.4, 0.0)), Shape("cylinder", (0.5, 0.4, 0.0))
+    wall = a_model(Shape("box", (9.0, 9.0, 0.1)))
+    beside_rim = (0.29, 0.29, 2.0)
+
+    found = [
+        cast(
+            Trial(
+                [(a_model(*shapes, is_static=False), a_pose(0.0, 0.0)), (wall, a_pose(0.0, 0.0))]
+            ),
+            look(beside_rim, (0.0, 0.0, -1.0)),
+        )
+        for shapes in ((rim, tyre), (tyre, rim))
+    ]
+
+    assert [hits.ranges[0] for hits in found] == pytest.approx([1.8, 1.8], abs=1e-12)
+
+
 def test_level_scans_differ_from_those_of_the_planar_caster_by_less_than_a_tenth_of_a_mm() -> None:
     rng = np.random.default_rng(6)
     trial = Trial([*a_mixture(rng), *a_warehouse(rng)])
