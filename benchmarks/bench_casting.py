@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
+import numpy.typing as npt
 
 from benchmarks.figures import Figure, Limit, table
 from zensim.proto.messages.model_messages import Link, Model, Origin, Shape
@@ -147,6 +148,17 @@ def _lidar_figures(layout: SceneLayout, base: FloatArray, turns: int) -> Iterato
     )
 
 
+class NoTextures:
+    """Of a hall without textures."""
+
+    def find_picture(self, _: str) -> None:
+        """Find nothing."""
+
+    def find_places(self, _: str) -> npt.NDArray[np.float32]:
+        """Find nothing."""
+        return np.zeros((0, 2), np.float32)
+
+
 def _camera_figures(layout: SceneLayout, base: FloatArray, turns: int) -> Iterator[Figure]:
     models = [group.model for group in layout.groups for _ in group.rows]
     seen = SceneLayout(
@@ -158,7 +170,7 @@ def _camera_figures(layout: SceneLayout, base: FloatArray, turns: int) -> Iterat
     pose = base[-1].copy()
     pose[2] = 0.3
     for name, renderer in (
-        ("", make_camera_renderer(seen, lambda _: b"")),
+        ("", make_camera_renderer(seen, NoTextures())),
         (" by rays", RayRenderer(seen)),
     ):
         lighting = SceneLights(seen, Scene()).place(base, NO_JOINTS)

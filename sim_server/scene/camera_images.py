@@ -22,8 +22,6 @@ from zensim.sim_server.scene.scene_lights import Lighting
 VISUAL_RGBA: Quat = (0.72, 0.74, 0.77, 1.0)
 """Colour of what has none."""
 GROUND_RGBA: Quat = (0.55, 0.56, 0.58, 1.0)
-FindFile = Callable[[str], bytes]
-"""Finds the content of a file by its sha256; empty if it is not there."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +50,16 @@ class CameraRenderer(Protocol):
 
         Surfaces nearer than `near_m` or farther than `far_m` are not seen.
         """
+
+
+class TextureFiles(Protocol):
+    """The files of `Texture`, by their sha256."""
+
+    def find_picture(self, image: str) -> npt.NDArray[np.uint8] | None:
+        """Find an image (h, w, 3), the upper row first; None if it cannot be read."""
+
+    def find_places(self, coordinates: str) -> npt.NDArray[np.float32]:
+        """Find the places (n, 2) of corners in an image; n = 0 if they cannot be read."""
 
 
 class CamerasUnavailable(Exception):

@@ -3,8 +3,6 @@
 The only importer of moderngl. Without a display and without a GPU it runs on Mesa's llvmpipe.
 """
 
-import io
-import logging
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -22,7 +20,7 @@ from zensim.sim_server.scene.broad_phase import IntArray
 from zensim.sim_server.scene.camera_images import (
     CameraImages,
     CamerasUnavailable,
-    FindFile,
+    TextureFiles,
     find_focal_length,
     find_principal_point,
     find_rgba,
@@ -37,10 +35,7 @@ from zensim.sim_server.scene.scene_lights import (
     Lighting,
 )
 
-LOG = logging.getLogger("zensim.sensors")
 Numbers: TypeAlias = npt.NDArray[np.float64 | np.int32]
-PLACE_BYTES = 8
-"""Of the place of a corner in an image."""
 GL_VERSION = 330
 CIRCLE_SEGMENTS = 32
 SPHERE_RINGS = 16
@@ -239,7 +234,7 @@ def _name_mesh(shape: Shape) -> str:
     return f"{shape.mesh} {shape.size} {shape.texture}"
 
 
-def _make_solid(name: str, geometry: ShapeGeometry, find_file: FindFile) -> _Solid:
+def _make_solid(name: str, geometry: ShapeGeometry, files: TextureFiles) -> _Solid:
     if name == "sphere":
         return _make_sphere()
     if name == "cylinder":
@@ -250,10 +245,11 @@ def _make_solid(name: str, geometry: ShapeGeometry, find_file: FindFile) -> _Sol
     if name == "box":
         return _make_box()
     mesh, texture = _make_flat(geometry.triangles.reshape(-1, 3)), geometry.shape.texture
-    data = find_file(texture.coordinates) if texture is not None else b""
-    if texture is None or len(data) != PLACE_BYTES * len(mesh.corners):
+    if texture is None:
         return mesh
-    return replace(mesh, places=np.frombuffer(data, "<f4").reshape(-1, 2), image=texture.image)
+    places = files.find_places(texture.coordinates)
+    fits = len(places) == len(mesh.corners)
+    return replace(mesh, places=places, image=texture.image) if fits else mesh
 
 
 def _make_flat(corners: FloatArray) -> _Solid:
@@ -350,16 +346,16 @@ class OpenGlRenderer:
         CamerasUnavailable: There is no OpenGL here.
     """
 
-    def __init__(self, layout: SceneLayout, find_file: FindFile) -> None:
+    def __init__(self, layout: SceneLayout, files: TextureFiles) -> None:
         """Upload the solids.
 
         Args:
             layout: Of what cameras see.
-            find_file: Finds the files of textures.
+            files: Of textures.
         """
         self._context = find_context()
         self._lighting = DARKNESS
-        self._find_file = find_file
+        self._files = files
         self._pictures: dict[str, moderngl.Texture | None] = {}
         self._programs: dict[str, moderngl.Program] = {}
         self._background = self._context.program(
@@ -397,7 +393,7 @@ class OpenGlRenderer:
         self._positions = np.zeros((len(listed), 3))
         for name, first, last in _find_runs([part.solid for part, _, _ in listed]):
             geometry = shapes.geometries[listed[first][2]]
-            self._upload(_make_solid(name, geometry, self._find_file), slice(first, last))
+            self._upload(_make_solid(name, geometry, self._files), slice(first, last))
 
     def _upload(self, solid: _Solid, rows: slice) -> None:
         picture = self._find_picture(solid.image)
@@ -429,7 +425,8 @@ class OpenGlRenderer:
     def _find_picture(self, name: str) -> moderngl.Texture | None:
         """Find an image in OpenGL; None if there is none that can be read."""
         if name not in self._pictures:
-            self._pictures[name] = _upload_picture(self._context, self._find_file(name))
+            pixels = self._files.find_picture(name) if name else None
+            self._pictures[name] = None if pixels is None else _upload(self._context, pixels)
         return self._pictures[name]
 
     def place(self, shapes: PlacedShapes, lighting: Lighting) -> None:
@@ -523,21 +520,11 @@ def _list_light_uniforms(lighting: Lighting, eye: FloatArray) -> dict[str, Numbe
     return {**padded, "lights": np.array(count, "<i4"), "ambient": lighting.ambient}
 
 
-def _upload_picture(context: moderngl.Context, data: bytes) -> moderngl.Texture | None:
-    """Upload a PNG or JPEG, which repeats; None if it cannot be read."""
-    if not data:
-        return None
-    # Its import takes a while, and few worlds have textures.
-    from PIL import Image  # noqa: PLC0415
-
-    try:
-        picture = Image.open(io.BytesIO(data)).convert("RGB")
-    except (OSError, ValueError, Image.DecompressionBombError) as error:
-        LOG.warning("texture reason=%r", str(error))
-        return None
+def _upload(context: moderngl.Context, pixels: npt.NDArray[np.uint8]) -> moderngl.Texture:
+    """Upload an image (h, w, 3), which repeats."""
+    height, width, _ = pixels.shape
     # Rows of textures go up, as v does.
-    upward = picture.transpose(Image.Transpose.FLIP_TOP_BOTTOM)
-    texture = context.texture(upward.size, 3, upward.tobytes(), alignment=1)
+    texture = context.texture((width, height), 3, pixels[::-1].tobytes(), alignment=1)
     texture.build_mipmaps()
     texture.filter = moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR
     return texture

@@ -3,7 +3,7 @@
 from functools import cache
 from importlib.util import find_spec
 
-from zensim.sim_server.scene.camera_images import CameraRenderer, CamerasUnavailable, FindFile
+from zensim.sim_server.scene.camera_images import CameraRenderer, CamerasUnavailable, TextureFiles
 from zensim.sim_server.scene.scene import SceneLayout
 
 INSTALL_HINT = (
@@ -12,12 +12,12 @@ INSTALL_HINT = (
 )
 
 
-def make_camera_renderer(layout: SceneLayout, find_file: FindFile) -> CameraRenderer:
+def make_camera_renderer(layout: SceneLayout, files: TextureFiles) -> CameraRenderer:
     """Make the renderer of a scene: by OpenGL, else by rays.
 
     Args:
         layout: Of what cameras see.
-        find_file: Finds the files of textures, which only OpenGL draws.
+        files: Of textures, which only OpenGL draws.
 
     Raises:
         CamerasUnavailable: Neither is possible here.
@@ -26,7 +26,7 @@ def make_camera_renderer(layout: SceneLayout, find_file: FindFile) -> CameraRend
     if not reason:
         from zensim.sim_server.scene.camera_rendering import OpenGlRenderer  # noqa: PLC0415
 
-        return OpenGlRenderer(layout, find_file)
+        return OpenGlRenderer(layout, files)
     if find_spec("embreex") is None:
         raise CamerasUnavailable(f"{reason}; {INSTALL_HINT}")
     from zensim.sim_server.scene.camera_casting import RayRenderer  # noqa: PLC0415

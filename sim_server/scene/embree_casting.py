@@ -38,7 +38,6 @@ from zensim.sim_server.scene.ray_casting import (
 )
 
 BoolArray = npt.NDArray[np.bool_]
-FloatArray32 = npt.NDArray[np.float32]
 
 SKIP_M = 2e-5
 """By which a ray goes on behind what it passes through; more than float32 rounds."""

@@ -204,7 +204,6 @@ def find_plane_ranges(heights: FloatArray, rises: FloatArray) -> FloatArray:
 # Functions below take sizes (3, p), one column for each ray.
 Interval = tuple[FloatArray, FloatArray]
 """Where lines (p,) enter and leave a convex solid; enter > leave where they miss it."""
-MISS = (np.inf, -np.inf)
 
 
 def _cross_slab(half: FloatArray, origin: FloatArray, direction: FloatArray) -> Interval:

@@ -33,7 +33,7 @@ from zensim.sim_server.scene.broad_phase import IntArray
 from zensim.sim_server.scene.camera_images import (
     CameraImages,
     CameraRenderer,
-    FindFile,
+    TextureFiles,
     find_focal_length,
     find_principal_point,
 )
@@ -63,22 +63,22 @@ WriteImage = Callable[[CameraImages], bytes]
 class ViewedScene:
     """What cameras see of all entities; takes poses when the first image of a moment is made."""
 
-    def __init__(self, layout: SceneLayout, scene: Scene, find_file: FindFile) -> None:
+    def __init__(self, layout: SceneLayout, scene: Scene, files: TextureFiles) -> None:
         """Prepare a scene without poses.
 
         Args:
             layout: Of what cameras see.
             scene: Lights and colours of the world.
-            find_file: Finds the files of textures.
+            files: Of textures.
         """
         self._layout = layout
         self._lights = SceneLights(layout, scene)
-        self._find_file = find_file
+        self._files = files
         self._moment: SceneMoment | None = None
 
     @cached_property
     def _renderer(self) -> CameraRenderer:
-        return make_camera_renderer(self._layout, self._find_file)
+        return make_camera_renderer(self._layout, self._files)
 
     def find_renderer(self, moment: SceneMoment) -> CameraRenderer:
         """Find the renderer, with the poses of a moment.

@@ -1,5 +1,7 @@
 """Entities of a world as sensor processes know them: models, sensors, shapes and meshes."""
 
+import io
+import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,7 +31,10 @@ from zensim.sim_server.scene.scene import SceneLayout
 if TYPE_CHECKING:
     from zensim.sim_server.scene.broad_phase import IntArray
 
+LOG = logging.getLogger("zensim.sensors")
 ASSET_TIMEOUT_S = 5.0
+PLACE_BYTES = 8
+"""Of the place of a corner in an image."""
 NO_CORNERS = np.zeros((3, 3), dtype=np.float32)
 """A triangle that no ray hits."""
 POSE_COLUMNS = 7
@@ -219,9 +224,23 @@ class SceneMeshes:
         found = [self._fetch_one(name) for name in missing]
         return all(found)
 
-    def find_file(self, name: str) -> bytes:
-        """Find the content of a file of a texture; empty while it is missing."""
-        return self._files.get(name, b"")
+    def find_picture(self, image: str) -> npt.NDArray[np.uint8] | None:
+        """See `TextureFiles`."""
+        if not (data := self._files.get(image, b"")):
+            return None
+        # Its import takes a while, and few worlds have textures.
+        from PIL import Image  # noqa: PLC0415
+
+        try:
+            return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
+        except (OSError, ValueError, Image.DecompressionBombError) as error:
+            LOG.warning("texture image=%s reason=%r", image, str(error))
+            return None
+
+    def find_places(self, coordinates: str) -> npt.NDArray[np.float32]:
+        """See `TextureFiles`."""
+        data = self._files.get(coordinates, b"")
+        return np.frombuffer(data, "<f4", len(data) // PLACE_BYTES * 2).reshape(-1, 2)
 
     def fetch_files(self, names: Iterable[str]) -> bool:
         """Fetch missing files of textures; return whether all are there."""

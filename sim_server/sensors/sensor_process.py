@@ -165,7 +165,7 @@ class SensorShare:
             has_meshes = self._meshes.fetch(roster.visual_meshes)
             self._has_visual_meshes = self._meshes.fetch_files(roster.texture_files) and has_meshes
             layout = roster.make_visual_layout(self._meshes)
-            self._view = ViewedScene(layout, roster.scene, self._meshes.find_file)
+            self._view = ViewedScene(layout, roster.scene, self._meshes)
         return self._view
 
 

@@ -1,6 +1,7 @@
 """Cameras publish pictures, depth, points, labels and calibration of what they see."""
 
 import io
+from hashlib import sha256
 from typing import TypeVar
 
 import msgspec
@@ -10,7 +11,7 @@ from PIL import Image as Picture
 
 from tests.sim_server.sensors.sensed_worlds import STEP_NS, SensedWorld, a_robot, at
 from zensim.proto.codec.message_codec import decode
-from zensim.proto.messages.model_messages import Link, Model, Origin, Sensor, Shape
+from zensim.proto.messages.model_messages import Link, Model, Origin, Sensor, Shape, Texture
 from zensim.proto.messages.sensor_messages import CameraSensor, Noise, SensorTopic
 from zensim.proto.messages.standard_messages import (
     CameraInfo,
@@ -19,6 +20,7 @@ from zensim.proto.messages.standard_messages import (
     PointCloud2,
     time_from_ns,
 )
+from zensim.proto.stl import write_corners
 from zensim.sim_server.scene import camera_selection
 from zensim.sim_server.sensors import sensor_process
 from zensim.sim_server.sensors.camera_sensors import make_camera_info
@@ -83,6 +85,42 @@ def test_picture_shows_the_colour_of_what_is_ahead() -> None:
     assert pixels[30, 40, 0] > 40
     assert pixels[30, 40, 1:].tolist() == [0, 0]
     assert (pixels[0, 0] > 100).all()
+
+
+def add_asset(world: SensedWorld, data: bytes) -> str:
+    name = sha256(data).hexdigest()
+    world.assets[name] = data
+    return name
+
+
+def a_textured_world(picture: bytes) -> SensedWorld:
+    """A robot before a white triangle with a picture, 3 m away."""
+    world = SensedWorld()
+    corners = np.array([[[0.0, 9.0, -9.0], [0.0, -9.0, -9.0], [0.0, 0.0, 9.0]]])
+    places = np.zeros((3, 2), "<f4").tobytes()
+    texture = Texture(add_asset(world, picture), add_asset(world, places))
+    mesh = add_asset(world, write_corners(corners))
+    shape = Shape("mesh", (1.0, 1.0, 1.0), mesh=mesh, rgba=(1.0, 1.0, 1.0, 1.0), texture=texture)
+    world.spawn("target", Model("target", (Link("base", visuals=(shape,)),)), at(3.0))
+    world.spawn("r1", a_robot(a_camera()), at(0.0))
+    return world
+
+
+def write_green_png() -> bytes:
+    file = io.BytesIO()
+    Picture.new("RGB", (4, 4), (0, 255, 0)).save(file, "PNG")
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("picture", "is_green"), [(write_green_png(), True), (b"no picture", False)]
+)
+def test_texture_is_fetched_and_seen_if_it_can_be_read(picture: bytes, is_green: object) -> None:
+    image = see(a_textured_world(picture), "image_raw", Image)
+
+    red, green, _ = np.frombuffer(image.data, np.uint8).reshape(60, 80, 3)[30, 40].tolist()
+    assert green > 40
+    assert (red == 0) == is_green
 
 
 def test_compressed_picture_is_nearly_the_same() -> None:
