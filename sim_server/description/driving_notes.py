@@ -15,7 +15,7 @@ import numpy as np
 from zensim.proto.messages.drive_messages import DiffDrive, SteeringDrive
 from zensim.proto.messages.model_messages import ReportEntry
 from zensim.sim_server.description.ground_friction import GroundFriction, GroundMotion
-from zensim.sim_server.description.model_geometry import NO_MESHES
+from zensim.sim_server.description.model_geometry import NO_MESHES, falls_without_end
 from zensim.sim_server.description.motion_prediction import (
     STRAIGHT,
     PredictedMotion,
@@ -42,6 +42,10 @@ TOLERANCE = 0.02
 DRIFT_RAD_S = 0.01
 """Turn of a robot that is commanded straight, likewise."""
 MIN_TILT_RAD = math.radians(1.0)
+MAX_BLOCKED_RAD = 0.01
+"""Range of a joint below which it does not turn."""
+MIN_CLEARANCE_M = 1e-4
+"""Height of a wheel over the ground that is worth a word."""
 NO_LOAD_SHARE = 0.005
 """Of the weight, below which a driven wheel counts as without load."""
 STANDS_SHARE = 0.02
@@ -61,6 +65,7 @@ COST = ReportEntry(
     "its wheels slide or drag what slides: in PyBullet it takes 1.2 to 2 times as long to step",
 )
 SUBJECT = "driving"
+FALLS = "it falls: it has no collisions"
 
 
 class DrivingNotes(NamedTuple):
@@ -79,11 +84,12 @@ def describe_driving(model: Model, corners: FindCorners = NO_MESHES) -> DrivingN
     """Describe where a robot will not drive as commanded, on level ground of friction 1.
 
     Args:
-        model: The robot; without a drive there is nothing to describe.
+        model: The robot; without a drive, all there is to say is that it falls.
         corners: Needed for meshes.
     """
     if model.drive is None or model.is_static:
-        return DrivingNotes((), drags=False)
+        falls = (ReportEntry("predicted", SUBJECT, FALLS),) if falls_without_end(model) else ()
+        return DrivingNotes(falls, drags=False)
     drags = False
     try:
         # A description may have any numbers up to 1e12.
@@ -114,7 +120,11 @@ def _list_lines(case: _Case, motions: tuple[PredictedMotion, ...]) -> Iterator[s
         for turn in turns:
             yield from _describe_motions(case, straight, turn)
     elif turns:
-        yield "its motion is not predicted: what drives it and what drags are nearly equal"
+        where = _describe_dragged(case.model, straight.ground)
+        yield (
+            "its motion is not predicted: what drives it and what drags are nearly equal"
+            + (f"; {where}" if where else "")
+        )
 
 
 def _find_drag_share(model: Model, motion: PredictedMotion) -> float:
@@ -132,8 +142,8 @@ def _find_drag_share(model: Model, motion: PredictedMotion) -> float:
 
 def _describe_rest(model: Model, ground: GroundMotion) -> Iterator[str]:
     rest = ground.rest
-    if not any(link.collisions for link in model.links):
-        yield "it falls: it has no collisions"
+    if falls_without_end(model):
+        yield FALLS
         return
     if rest.tilt_rad > MAX_TILT_RAD:
         yield "it falls over: its centre of mass is not above its supports"
@@ -142,18 +152,29 @@ def _describe_rest(model: Model, ground: GroundMotion) -> Iterator[str]:
     if rest.tilt_rad > MIN_TILT_RAD:
         yield f"it rests tilted by {math.degrees(rest.tilt_rad):.1f} degrees"
     if idle := _list_idle_wheels(model, ground):
-        yield f"driven wheels carry no load: {', '.join(map(repr, idle))}"
+        yield f"driven wheels carry no load: {', '.join(idle)}"
 
 
 def _list_idle_wheels(model: Model, ground: GroundMotion) -> list[str]:
-    """List the driven wheels, by joint, that do not carry."""
+    """List the driven wheels, by joint, that do not carry, with their heights over the ground."""
     least = NO_LOAD_SHARE * float(ground.rest.loads.sum())
     loads = dict.fromkeys(_driven_joints(model).intersection(_wheel_joints(model)), 0.0)
     for one in ground.contacts:
         joint = model.joints[one.link - 1].name if one.link else ""
         if joint in loads:
             loads[joint] += one.load_n
-    return sorted(joint for joint, load in loads.items() if load < least)
+    clearances = {
+        model.joints[link - 1].name: height
+        for link, height in ground.rest.clearances.items()
+        if link and height > MIN_CLEARANCE_M
+    }
+    return [
+        f"{joint!r} (it ends {1e3 * clearances[joint]:.1f} mm above the ground)"
+        if joint in clearances
+        else repr(joint)
+        for joint, load in sorted(loads.items())
+        if load < least
+    ]
 
 
 def _wheel_joints(model: Model) -> tuple[str, ...]:
@@ -241,12 +262,28 @@ def _describe_dragged(model: Model, ground: GroundMotion) -> str:
     links = _list_dragged(ground)
     weight = sum(one.load_n for one in ground.contacts)
     dragged = [one for one in ground.contacts if one.link in links]
+    if not dragged:
+        return ""
     worst = max(dragged, key=lambda one: one.load_n * max(one.friction))
     name = model.links[worst.link].name
     x, y = worst.place
+    cure = _describe_blocked_wheel(model, worst.link) or "lower it (mu1, mu2)"
     return (
         f"friction {max(worst.friction):.3g} of {name!r} at x {x:.2f}, y {y:.2f} m under "
-        f"{100.0 * worst.load_n / weight:.0f} % of the weight; lower it (mu1, mu2)"
+        f"{100.0 * worst.load_n / weight:.0f} % of the weight; {cure}"
+    )
+
+
+def _describe_blocked_wheel(model: Model, link: int) -> str:
+    """Describe the joint of a wheel that its limits keep from turning."""
+    joint = model.joints[link - 1] if link else None
+    if joint is None or joint.kind != "revolute" or joint.lower > joint.upper:
+        return ""
+    if joint.upper - joint.lower > MAX_BLOCKED_RAD:
+        return ""
+    return (
+        f"its joint {joint.name!r} cannot turn, between the limits {joint.lower:.3g} and "
+        f"{joint.upper:.3g} rad"
     )
 
 

@@ -19,7 +19,7 @@ from zensim.sim_server.description.coulomb_motion import (
     SlipTerms,
     solve_coulomb_motion,
 )
-from zensim.sim_server.description.model_geometry import NO_MESHES
+from zensim.sim_server.description.model_geometry import NO_MESHES, turns_freely
 from zensim.sim_server.description.rest_pose import (
     LEVEL_AXIS_Z,
     RestPose,
@@ -204,7 +204,7 @@ class GroundFriction:
                 if is_level:
                     yield joint
                 return
-            if one.kind != "continuous" or joint in self.rest.free or not self._is_passive[joint]:
+            if not turns_freely(one) or joint in self.rest.free or not self._is_passive[joint]:
                 return
             if is_level:
                 yield joint
@@ -218,7 +218,7 @@ class GroundFriction:
         """Find the upright passive joint of a contact that trails behind it; -1 = none."""
         for joint in self.rest.tree.ancestors(int(rest.support.link[at])):
             one = self.model.joints[joint]
-            if one.kind != "continuous" or not self._is_passive[joint]:
+            if not turns_freely(one) or not self._is_passive[joint]:
                 continue
             if is_upright(axis_of(rest.frames, one, joint)):
                 trail = rest.points[at] - rest.frames.place[joint + 1]

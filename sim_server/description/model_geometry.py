@@ -91,6 +91,23 @@ def find_ground_clearance(
     )
 
 
+def falls_without_end(model: Model) -> bool:
+    """Whether a model has weight and nothing to stand on."""
+    weight = sum(link.inertial.mass_kg - link.weightless.mass_kg for link in model.links)
+    stands = any(link.collisions for link in model.links)
+    return not (model.is_static or stands) and weight > 0.0
+
+
+UNLIMITED_RAD = 20.0 * math.pi
+"""Range from which a joint with limits can be that of a wheel; knees turn once or twice."""
+
+
+def turns_freely(joint: Joint) -> bool:
+    """Whether a joint turns without limits, as that of a wheel; some wheels have wide limits."""
+    is_wide = joint.kind == "revolute" and joint.upper - joint.lower >= UNLIMITED_RAD
+    return joint.mimic is None and (joint.kind == "continuous" or is_wide)
+
+
 class _TiltedFrame(NamedTuple):
     """Height [m] of a frame over the root link, and the world's z axis in the frame."""
 
@@ -160,7 +177,7 @@ def align_friction_to_axle(link: Link, joint: Joint | None) -> Link:
     Only along and across the axle is a direction the same at any angle. Along it is the friction of
     the direction that is nearer to it at joint position zero.
     """
-    if joint is None or joint.kind != "continuous":
+    if joint is None or not turns_freely(joint):
         return link
     if all(shape.contact.direction == ZERO for shape in link.collisions):
         return link
@@ -296,9 +313,7 @@ def _find_axles(
     driven = {joint.child: joint for joint in joints if joint.name in drive.wheel_joints}
     held = {actuator.joint for actuator in drive.actuators}
     passive = {
-        joint.child: joint
-        for joint in joints
-        if joint.kind == "continuous" and joint.mimic is None and joint.name not in held
+        joint.child: joint for joint in joints if turns_freely(joint) and joint.name not in held
     }
     if not passive or not driven:
         return driven

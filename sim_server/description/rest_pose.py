@@ -17,6 +17,7 @@ from zensim.sim_server.description.model_geometry import (
     NO_MESHES,
     align_friction_to_axle,
     links_in_contact,
+    turns_freely,
 )
 
 if TYPE_CHECKING:
@@ -168,6 +169,7 @@ class RestPose:
         support: The points in contact.
         points: (n, 3) where they touch the ground.
         loads: (n,) [N].
+        clearances: Height [m] of the lowest point of links near the ground, by index.
         tilt_rad: Of the root link.
         is_stable: Whether it came to rest without tipping over.
     """
@@ -177,6 +179,7 @@ class RestPose:
     support: SupportPoints
     points: FloatArray
     loads: FloatArray
+    clearances: dict[int, float]
     tilt_rad: float
     is_stable: bool
 
@@ -285,12 +288,15 @@ class RestSolver:
         heights, points = self._touch(frames)
         loads = self._stiffness * np.maximum(-heights, 0.0)
         bears = loads > MIN_LOAD_SHARE * max(self.weight_n, 1e-12)
+        links = self._support.link
+        lowest = {link: float(heights[links == link].min()) for link in set(links.tolist())}
         return RestPose(
             frames,
             positions,
             self._support.select(bears),
             points[bears],
             loads[bears],
+            lowest,
             tilt_rad=float(np.arccos(np.clip(frames.turn[0, 2, 2], -1.0, 1.0))),
             is_stable=is_stable,
         )
@@ -442,7 +448,7 @@ def _list_free_joints(
             continue
         if joint.kind != "prismatic" and is_upright(axis_of(frames, joint, i)):
             continue
-        is_wheel = joint.kind == "continuous" and i in leaves
+        is_wheel = turns_freely(joint) and i in leaves
         if joint.spring_stiffness or not (is_wheel or _is_rolling(tree, support, frames, i)):
             found.append(i)
     return found

@@ -266,6 +266,13 @@ class Engine(ABC):
         """Find the dynamics that a body has now."""
         return "full"
 
+    def expect(self, models: Sequence[Model]) -> None:  # noqa: B027
+        """Announce the models of all bodies that come next, in place of those announced before.
+
+        An engine may then make room for all of them at once. Nothing is due: bodies may come in
+        another order, or not at all.
+        """
+
     def hide(self, body: int) -> None:  # noqa: B027
         """Keep a body that was just added from moving and touching anything."""
 

@@ -74,6 +74,9 @@ class EngineLayer(Engine):
     def tier_of(self, body: int) -> TierName:
         return self._inner.tier_of(body)
 
+    def expect(self, models: Sequence[Model]) -> None:
+        self._inner.expect(models)
+
     def hide(self, body: int) -> None:
         self._inner.hide(body)
 

@@ -50,6 +50,13 @@ class IsolatingEngine(EngineLayer):
         except Exception:
             return True  # `add` reports it
 
+    def expect(self, models: Sequence[Model]) -> None:
+        """See `Engine.expect`."""
+        try:
+            self._inner.expect(models)
+        except Exception:
+            LOG.debug("fault call=expect models=%d", len(models))  # `add` reports it
+
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
         with refuse_faults(f"model '{model.name}'"):

@@ -96,6 +96,7 @@ def spawn_models_stepwise(world: SimulatedWorld, model: WorldModel) -> Iterator[
     Raises:
         ConfigError: The engine refuses one.
     """
+    world.engine.expect([placed.model for placed in model.models])
     for placed in model.models:
         while not world.prepare(placed.model):
             yield True
@@ -106,6 +107,7 @@ def spawn_models_stepwise(world: SimulatedWorld, model: WorldModel) -> Iterator[
         except SimError as error:
             raise ConfigError(f"model '{placed.name}' of the world: {error}") from error
         yield False
+    world.engine.expect(())
 
 
 def make_world_engine(config: ServerConfig, model: WorldModel, mesh_folder: str) -> Engine:

@@ -10,12 +10,14 @@ from hypothesis import strategies as st
 from tests.engines import ENGINES, STEP_NS, MakeEngine, advance, running
 from tests.models import (
     a_box,
+    a_box_bot,
     a_cart,
     a_lopsided_box,
     a_state,
     an_arm,
     angle_between,
     assert_same_state,
+    box_bot_at,
     on_ground,
 )
 from zensim.proto.messages.model_messages import JointKind, Model
@@ -54,6 +56,18 @@ def test_engine_body_keeps_pose_when_not_commanded(engine: Engine) -> None:
 
     assert state_of(engine, body)[:3] == pytest.approx(start[:3], abs=1e-3)
     assert angle_between(state_of(engine, body)[3:7], start[3:7]) < 1e-3
+
+
+def test_engine_takes_announced_models_in_any_order(engine: Engine) -> None:
+    engine.expect([a_box(), a_cart(), a_box_bot()])
+
+    bodies = [engine.add(a_box_bot(), box_bot_at(2.0)), engine.add(a_box(), on_ground(0.0, 3.0))]
+    engine.expect(())
+    bodies.append(engine.add(a_cart(), on_ground()))
+
+    assert state_of(engine, bodies[0])[0] == 2.0
+    assert engine.step()
+    assert np.isfinite(engine.read(bodies).base).all()
 
 
 def test_engine_robot_keeps_pose_when_not_commanded(engine: Engine) -> None:

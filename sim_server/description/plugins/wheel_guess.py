@@ -15,6 +15,7 @@ from zensim.sim_server.description.model_geometry import (
     NO_MESHES,
     find_ground_clearance,
     find_link_poses,
+    turns_freely,
 )
 from zensim.sim_server.description.plugins.drive_plugin import MeasuredWheel, measure_wheels
 
@@ -38,8 +39,6 @@ OFF_AXLE = 0.2
 GROUND_SHARE = 0.5
 """A wheel's lowest point is not farther from the ground than this share of its radius."""
 FULL_TURN_RAD = 2.0 * math.pi
-UNLIMITED_RAD = 10.0 * FULL_TURN_RAD
-"""Range from which a joint with limits can be that of a wheel; knees turn once or twice."""
 MECANUM_WORDS = ("mecanum", "omni")
 MECANUM_PAIRS = 2
 STEERED_AXLES = 2
@@ -66,7 +65,7 @@ def find_wheels(lumped: LumpedModel) -> list[MeasuredWheel]:
     free = {
         joint.name
         for joint in lumped.joints
-        if _turns_fully(joint)
+        if turns_freely(joint)
         and joint.child not in carriers
         and not _is_caster(joint, lumped.joints, upright)
         and not _is_carried_freely(joint, lumped.joints, upright)
@@ -103,16 +102,10 @@ def _is_carried_freely(wheel: Joint, joints: Iterable[Joint], upright: set[str])
     by_child = {joint.child: joint for joint in joints}
     above = by_child.get(wheel.parent)
     while above is not None:
-        if _turns_fully(above) and above.name not in upright:
+        if turns_freely(above) and above.name not in upright:
             return True
         above = by_child.get(above.parent)
     return False
-
-
-def _turns_fully(joint: Joint) -> bool:
-    """Whether a joint turns without limits, as that of a wheel."""
-    is_wide = joint.kind == "revolute" and joint.upper - joint.lower >= UNLIMITED_RAD
-    return joint.mimic is None and (joint.kind == "continuous" or is_wide)
 
 
 def _list_upright_joints(lumped: LumpedModel) -> set[str]:

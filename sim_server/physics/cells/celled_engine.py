@@ -524,6 +524,16 @@ class CellMap:
             for engine in self.engines.values()
         )
 
+    def expect(self, models: Sequence[Model]) -> None:
+        """See `Engine.expect`; which of many cells gets a body that moves shows when it comes."""
+        moving = sum(can_move(model) for model in models)
+        fit = len(self.engines) == 1 and (
+            self.members.moving_count + moving <= self._single_cell_bodies
+        )
+        expected = models if fit else [model for model in models if not can_move(model)]
+        for engine in self.engines.values():
+            engine.expect(expected)
+
     def add(self, model: Model, reach: BodyReach, base: FloatArray) -> int:
         """Add a body: one that cannot move to all cells, any other to one; raises EngineRefused."""
         if not can_move(model):
@@ -620,6 +630,7 @@ class CellMap:
             return known
         engine = self._cells.make()
         statics = [one for one in self.members.by_number.values() if one.base is not None]
+        engine.expect([one.model for one in statics])
         try:
             copies = [engine.add(one.model, one.base) for one in statics if one.base is not None]
         except EngineRefused:
@@ -667,11 +678,14 @@ class CellMap:
         """
         members = self.members
         rows = np.flatnonzero(cells != members.cell[order.numbers]).tolist()
+        arriving = self._list_arriving(order.numbers[rows], cells[rows])
         for row in rows:
             number, cell = int(order.numbers[row]), int(cells[row])
             joints = slice(order.joint_start[row], order.joint_start[row + 1])
             try:
                 engine = self._find_accepting_engine(cell, members.by_number[number].model)
+                if cell in arriving:
+                    engine.expect(arriving.pop(cell))
                 inner = engine.add(members.by_number[number].model, states.base[row])
             except EngineRefused as refused:
                 self._report_stuck(number, refused)
@@ -720,6 +734,13 @@ class CellMap:
                 self.engines[cell].remove(inner)
             raise
         return copies
+
+    def _list_arriving(self, numbers: IntArray, cells: IntArray) -> dict[int, list[Model]]:
+        """List the models of bodies that come to each cell."""
+        arriving: dict[int, list[Model]] = {}
+        for number, cell in zip(numbers.tolist(), cells.tolist(), strict=True):
+            arriving.setdefault(cell, []).append(self.members.by_number[number].model)
+        return arriving
 
     def _report_stuck(self, number: int, refused: EngineRefused) -> None:
         """Log once that a body stays in its cell, where it does not touch those of the other."""
@@ -829,6 +850,10 @@ class CelledEngine(Engine):
     def prepare(self, model: Model) -> bool:
         """See `Engine.prepare`; each call prepares one cell or measures one mesh."""
         return self._cell_map.prepare(model) and self._measure.prepare(model)
+
+    def expect(self, models: Sequence[Model]) -> None:
+        """See `Engine.expect`."""
+        self._cell_map.expect(models)
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""

@@ -753,6 +753,10 @@ class TieredEngine(EngineLayer):
         """See `Engine.kinematic_count`."""
         return int((self._bodies.rows.tier == Tier.KINEMATIC).sum())
 
+    def expect(self, models: Sequence[Model]) -> None:
+        """See `Engine.expect`; what may be kinematic needs no room in the engine."""
+        self._inner.expect([one for one in models if self._plans.dynamics(one) == "full"])
+
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`; refuses a model that needs the kinematic tier and cannot use it."""
         bodies, plan = self._bodies, self._plans.plan(model)

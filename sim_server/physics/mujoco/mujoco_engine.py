@@ -1,9 +1,10 @@
 """The Engine over MuJoCo. The only module that imports mujoco."""
 
 import math
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
 from functools import partial
@@ -461,6 +462,8 @@ FALLBACK_SOLVER = int(mujoco.mjtSolver.mjSOL_CG), 1000
 MAX_SOLVES = 4
 """Of a step in which contacts slide."""
 MAX_CACHED_SELECTIONS = 4096
+MAX_ANNOUNCED_AT_ONCE = 8
+"""Expected bodies whose archetypes are found between two steps."""
 
 
 def find_solved_dofs(
@@ -511,19 +514,30 @@ class MujocoEngine(Engine):
         self._hidden: dict[int, FloatArray] = {}
         self._numbers = count(1)
         self._archetypes, self._slots = ArchetypeCache(), SlotAllocator()
+        self._announced: deque[Model] = deque()
+        """Models of expected bodies, whose archetypes are not found yet."""
         self._has_loads = False
         self._start_with(_COMPILE_CACHE.compile((), config))
 
     def prepare(self, model: Model) -> bool:
         """See `Engine.prepare`; compiles on a thread."""
+        self._find_expected_archetypes(MAX_ANNOUNCED_AT_ONCE)
+        if self._announced:
+            return False
         try:
             counts = self._slots.with_one_more(self._find_archetype(model))
         except EngineRefused:
             return True
         return counts == self._slots.counts or _COMPILE_CACHE.is_ready(counts, self._config)
 
+    def expect(self, models: Sequence[Model]) -> None:
+        """See `Engine.expect`; a world is compiled once, not once for each of its models."""
+        self._slots.forget_expected()
+        self._announced = deque(models)
+
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
+        self._find_expected_archetypes(len(self._announced))
         archetype = self._find_archetype(model)
         compiled = self._compile_with_one_more(archetype, model.name)
         # Whatever may fail comes first: a slot must not be taken for a refused body.
@@ -533,7 +547,8 @@ class MujocoEngine(Engine):
         slot = self._slots.take(archetype, number)
         if compiled is not self._compiled:
             self._switch_model(compiled)
-            _COMPILE_CACHE.compile_ahead(compiled.layout.slot_counts, archetype, self._config)
+            if not self._slots.expects_more:
+                _COMPILE_CACHE.compile_ahead(compiled.layout.slot_counts, archetype, self._config)
         address = compiled.layout.address(archetype, slot)
         body = self._bodies[number] = MujocoBody(model, archetype, slot, address, actuation, loads)
         self._own_geometries(number, address)
@@ -722,9 +737,26 @@ class MujocoEngine(Engine):
         if counts == self._slots.counts:
             return self._compiled
         try:
-            return _COMPILE_CACHE.compile(counts, self._config)
+            return self._compile_without_expected(archetype, counts)
         except ValueError as error:
             raise EngineRefused(f"model '{name}': MuJoCo cannot compile it: {error}") from error
+
+    def _compile_without_expected(self, archetype: Archetype, counts: SlotCounts) -> CompiledModel:
+        """Compile; without slots for expected bodies if one of these is what cannot be compiled."""
+        try:
+            return _COMPILE_CACHE.compile(counts, self._config)
+        except ValueError:
+            self._slots.forget_expected()
+            fewer = self._slots.with_one_more(archetype)
+            if fewer == counts:
+                raise
+        return _COMPILE_CACHE.compile(fewer, self._config)
+
+    def _find_expected_archetypes(self, count: int) -> None:
+        """Find the archetypes of some expected bodies; `add` refuses those that have none."""
+        for _ in range(min(count, len(self._announced))):
+            with suppress(EngineRefused):
+                self._slots.expect_one_more(self._find_archetype(self._announced.popleft()))
 
     def _is_active(self, body: int) -> bool:
         return body not in self._diverged and body not in self._hidden

@@ -1,5 +1,6 @@
 """Archetypes (blueprints without a name), and indexes of their slots in a compiled model."""
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -265,30 +266,56 @@ class SlotAllocator:
 
     def __init__(self) -> None:
         self._owners: dict[Archetype, list[int | None]] = {}
+        self._expected: Counter[Archetype] = Counter()
 
     @property
     def counts(self) -> SlotCounts:
         """Slots of each archetype."""
         return tuple((archetype, len(owners)) for archetype, owners in self._owners.items())
 
+    @property
+    def expects_more(self) -> bool:
+        """Whether bodies are expected."""
+        return any(self._expected.values())
+
+    def forget_expected(self) -> None:
+        """Expect no body."""
+        self._expected.clear()
+
+    def expect_one_more(self, archetype: Archetype) -> None:
+        """Expect a body of an archetype: when slots are added, there will be one for it."""
+        self._expected[archetype] += 1
+
     def with_one_more(self, archetype: Archetype) -> SlotCounts:
         """Find the slot counts after one more body of an archetype."""
-        owners = self._owners.get(archetype, [])
-        if FREE_SLOT in owners:
+        if FREE_SLOT in self._owners.get(archetype, []):
             return self.counts
-        kept = {one: len(slots) for one, slots in self._find_kept().items()}
-        return tuple({**kept, archetype: round_up_slots(len(owners) + 1)}.items())
+        return tuple(self._find_new_sizes(archetype).items())
 
     def take(self, archetype: Archetype, body: int) -> int:
         """Assign a slot to a body; add slots if none is free."""
         if FREE_SLOT not in self._owners.get(archetype, []):
-            self._owners = self._find_kept()
-        owners = self._owners.setdefault(archetype, [])
-        if FREE_SLOT not in owners:
-            owners.extend([FREE_SLOT] * (round_up_slots(len(owners) + 1) - len(owners)))
+            self._owners = {
+                one: owners + [FREE_SLOT] * (size - len(owners))
+                for one, size in self._find_new_sizes(archetype).items()
+                for owners in [self._owners.get(one, [])]
+            }
+        owners = self._owners[archetype]
         slot = owners.index(FREE_SLOT)
         owners[slot] = body
+        self._expected[archetype] = max(0, self._expected[archetype] - 1)
         return slot
+
+    def _find_new_sizes(self, archetype: Archetype) -> dict[Archetype, int]:
+        """Find how many slots each archetype gets, when one has no free slot for a body."""
+        sizes = {one: len(slots) for one, slots in self._find_kept().items()}
+        bodies = Counter(self._expected)
+        bodies[archetype] = max(1, bodies[archetype])
+        for one, count in bodies.items():
+            if count:
+                taken = sum(map(_is_taken, self._owners.get(one, [])))
+                sizes[one] = max(sizes.get(one, 0), round_up_slots(taken + count))
+        return sizes
 
     def _find_kept(self) -> dict[Archetype, list[int | None]]:
         """Find the archetypes to keep: all, or those with bodies if too many have none."""

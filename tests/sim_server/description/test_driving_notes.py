@@ -2,11 +2,11 @@ import msgspec
 import pytest
 
 from benchmarks.wheel_models import WheelRobot, list_robots
-from tests.models import a_box, a_cart
+from tests.models import a_body, a_box, a_cart
 from zensim.proto.messages.drive_messages import DiffDrive
-from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.model_messages import Inertial, Link, Model
 from zensim.sim_server.description.builtin_models import read_builtin_model
-from zensim.sim_server.description.driving_notes import describe_driving
+from zensim.sim_server.description.driving_notes import FALLS, describe_driving
 from zensim.sim_server.description.motion_prediction import predict_nominal_motions
 from zensim.sim_server.description.pipeline import parse_description
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
@@ -94,6 +94,7 @@ def test_robot_whose_wheels_hang_in_the_air_is_told_so() -> None:
     )
 
     assert "no load" in reasons(lifted)[0]
+    assert "'left_joint' (it ends 20.0 mm above the ground)" in reasons(lifted)[0]
 
 
 def test_robot_that_tips_over_is_told_so_and_nothing_else() -> None:
@@ -130,6 +131,69 @@ def test_robot_that_rests_tilted_is_told_the_angle() -> None:
 
 def test_model_without_a_drive_gets_no_entry() -> None:
     assert describe_driving(a_box()) == ((), False)
+
+
+def a_ghost(*, is_static: bool = False, weightless: Inertial | None = None) -> Model:
+    """Make a model without collisions."""
+    link = Link("base", a_body(), weightless=weightless or Inertial())
+    return Model("ghost", (link,), is_static=is_static)
+
+
+def test_model_without_collisions_falls_whether_it_has_a_drive_or_not() -> None:
+    cart = a_cart()
+    links = tuple(msgspec.structs.replace(link, collisions=()) for link in cart.links)
+
+    assert reasons(a_ghost()) == [FALLS]
+    assert reasons(msgspec.structs.replace(cart, links=links)) == [FALLS]
+
+
+def test_model_without_collisions_that_nothing_pulls_down_gets_no_entry() -> None:
+    assert reasons(a_ghost(is_static=True)) == []
+    assert reasons(a_ghost(weightless=a_body())) == []
+
+
+GHOST = """<robot name="ghost"><link name="base">
+  <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+  {collision}</link></robot>"""
+LOST_MESH = "<collision><geometry><mesh filename='package://gone/a.stl'/></geometry></collision>"
+
+
+@pytest.mark.parametrize("collision", ["", LOST_MESH])
+def test_report_of_a_description_without_usable_collisions_says_that_it_falls(
+    collision: str,
+) -> None:
+    parsed = parse_description(
+        GHOST.format(collision=collision), assets={}, allow_missing=True, compat="fixed"
+    )
+
+    assert FALLS in [entry.reason for entry in parsed.model.report]
+
+
+def with_front_limits(limit: float) -> Model:
+    """Give the passive front wheels of a robot revolute joints with limits."""
+    model = ROBOTS["passive_front_wheels"].model()
+    driven = {actuator.joint for actuator in model.actuators}
+    joints = tuple(
+        joint
+        if joint.name in driven
+        else msgspec.structs.replace(joint, kind="revolute", lower=-limit, upper=limit)
+        for joint in model.joints
+    )
+    return msgspec.structs.replace(model, joints=joints)
+
+
+def test_wheel_with_wide_limits_rolls_as_one_without() -> None:
+    wide = predict_nominal_motions(with_front_limits(180.0))
+
+    free = predict_nominal_motions(ROBOTS["passive_front_wheels"].model())
+    assert [one.twist for one in wide] == [one.twist for one in free]
+
+
+def test_wheel_between_equal_limits_is_named_as_what_drags() -> None:
+    (drags, *_) = reasons(with_front_limits(0.0))
+
+    assert "cannot turn" in drags
+    assert "left1" in drags or "right1" in drags
 
 
 def test_parsed_description_has_the_prediction_in_its_report() -> None:

@@ -1,6 +1,6 @@
 """MujocoEngine beyond the contract: slots and recompiled models."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from threading import Event, get_ident
 
@@ -10,7 +10,7 @@ import pytest
 
 from tests.engines import STEP_NS, advance
 from tests.integration.processes import eventually
-from tests.models import a_box, a_box_bot, a_cart, a_state, an_arm, box_bot_at, on_ground
+from tests.models import a_body, a_box, a_box_bot, a_cart, a_state, an_arm, box_bot_at, on_ground
 from tests.sim_server.physics.mujoco.test_convex_pieces import a_room
 from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.proto.stl import write_corners
@@ -215,6 +215,56 @@ def test_forget_removed_drops_empty_slots(engine: Engine) -> None:
 
     assert engine.read(bodies[8:]).base.tobytes() == before.base.tobytes()
     assert engine.add(a_cart(), on_ground(5.0)) not in bodies
+
+
+def blocks(count: int) -> list[Model]:
+    """Make models that all differ."""
+    return [a_box(f"block{i}", side_m=0.2 + 0.01 * i) for i in range(count)]
+
+
+def drop(engine: Engine, models: Sequence[Model]) -> bytes:
+    """Drop models beside each other, and read all states after a while."""
+    bodies = [engine.add(model, a_state((i, 0.0, 0.3))) for i, model in enumerate(models)]
+    advance(engine, 60)
+    return engine.read(bodies).base.tobytes()
+
+
+def test_expected_models_are_compiled_together(engine: Engine) -> None:
+    models = blocks(5)
+    engine.expect(models)
+    engine.add(models[0], a_state())
+
+    # Otherwise, the first call starts a compilation and does not wait for it.
+    assert all(engine.prepare(model) for model in models[1:])
+
+
+def test_expected_models_move_as_those_that_were_not_announced(engine: Engine) -> None:
+    engine.expect(blocks(5))
+
+    assert drop(engine, blocks(5)) == drop(MujocoEngine(CONFIG), blocks(5))
+
+
+def an_uncompilable() -> Model:
+    """Make a model with a box that has no size."""
+    return Model("flat", (Link("flat", a_body(), (Shape("box", (0.0, 0.0, 0.0)),)),))
+
+
+def test_model_that_cannot_be_compiled_does_not_keep_out_those_announced_with_it(
+    engine: Engine,
+) -> None:
+    good, bad = a_box(), an_uncompilable()
+    engine.expect([good, bad])
+
+    engine.add(good, a_state())
+
+    with pytest.raises(EngineRefused, match=bad.name):
+        engine.add(bad, a_state((2.0, 0.0, 0.0)))
+
+
+def test_announced_models_need_not_come(engine: Engine) -> None:
+    engine.expect([a_cart(), a_box_bot()])
+
+    assert drop(engine, blocks(2)) == drop(MujocoEngine(CONFIG), blocks(2))
 
 
 def a_mesh(folder: Path, corners: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Shape:

@@ -67,3 +67,39 @@ def test_slots_of_models_that_came_and_went_are_dropped() -> None:
 
     assert slots.counts[0] == (kept, 1)
     assert len(slots.counts) <= MAX_UNUSED_ARCHETYPES + 2
+
+
+def test_expected_slots_are_those_that_bodies_get_one_by_one() -> None:
+    order = [CART, BOX, BOX, CART, BOX]
+    one_by_one, at_once = SlotAllocator(), SlotAllocator()
+    for archetype in order:
+        at_once.expect_one_more(archetype)
+
+    final = at_once.with_one_more(CART)
+    slots = [
+        (one_by_one.take(archetype, body), at_once.take(archetype, body))
+        for body, archetype in enumerate(order)
+    ]
+
+    assert final == at_once.counts == one_by_one.counts
+    assert all(alone == together for alone, together in slots)
+    assert not at_once.expects_more
+
+
+def test_expected_bodies_fill_free_slots_first() -> None:
+    slots = SlotAllocator()
+    for body in range(3):
+        slots.take(BOX, body)
+
+    slots.expect_one_more(BOX)
+
+    assert slots.with_one_more(CART) == ((BOX, 4), (CART, 1))
+
+
+def test_forgotten_bodies_get_no_slots() -> None:
+    slots = SlotAllocator()
+    slots.expect_one_more(CART)
+
+    slots.forget_expected()
+
+    assert slots.with_one_more(BOX) == ((BOX, 1),)
