@@ -29,6 +29,16 @@ def alive_agents(world: str) -> str:
     return f"sim/{world}/alive/agent/*"
 
 
+def alive_client(world: str, client: str) -> str:
+    """Liveliness token of a client that steps or orders twists."""
+    return f"sim/{world}/alive/clients/{client}"
+
+
+def alive_clients(world: str) -> str:
+    """Liveliness tokens of all such clients of a world."""
+    return f"sim/{world}/alive/clients/*"
+
+
 def alive_sensors(world: str, process: str) -> str:
     """Liveliness token of a sensor process."""
     return f"sim/{world}/alive/sensors/{process}"

@@ -5,7 +5,7 @@ from enum import Enum
 import msgspec
 
 from zensim.proto.codec.message_codec import Format, make_encoding
-from zensim.proto.messages.agent_messages import DriveCommand, DriveState
+from zensim.proto.messages.agent_messages import DriveCommand, DriveState, TwistCommands
 from zensim.proto.messages.gazebo_messages import ContactsState, LinkStates, ModelStates
 from zensim.proto.messages.sensor_messages import (
     Contacts,
@@ -219,6 +219,16 @@ DRIVE_COMMAND = TopicSpec(
     rate_hz=100.0,
     is_gettable=False,
     description="actuator targets of all robots of one agent",
+)
+TWISTS = TopicSpec(
+    name="twists",
+    scope=TopicScope.WORLD,
+    messages=(TwistCommands,),
+    publisher=Participant.USER,
+    subscriber=Participant.SERVER,
+    format=Format.MSGPACK,
+    is_gettable=False,
+    description="twists that robots keep until the next order; `cmd_vel` for a whole fleet",
 )
 SCENE_STATE = TopicSpec(
     name="scene_state",
@@ -453,6 +463,11 @@ TOPICS: dict[str, TopicSpec] = {
     topic.name: topic for topic in tuple(vars().values()) if isinstance(topic, TopicSpec)
 }
 """Every topic, by name."""
-WORLD_TOPICS = tuple(topic for topic in TOPICS.values() if topic.scope is TopicScope.WORLD)
+WORLD_TOPICS = tuple(
+    topic
+    for topic in TOPICS.values()
+    if topic.scope is TopicScope.WORLD and topic.publisher is Participant.SERVER
+)
+"""What a server publishes about its world."""
 ROBOT_TOPICS = {topic.suffix: topic for topic in TOPICS.values() if topic.scope is TopicScope.ROBOT}
 """The topics of each robot, by suffix."""

@@ -188,6 +188,12 @@ class RobotSet(HousekeepingTarget, Protocol):
     def advance(self, state: DriveState) -> DriveCommand:
         """Drive each robot by one control period."""
 
+    def repeats(self, state: DriveState) -> bool:
+        """Whether a state has the step and claims of the last one that was answered."""
+
+    def repeat(self, state: DriveState) -> DriveCommand:
+        """Answer the last state again, with the ordered twists of this one."""
+
     def revise(self) -> DriveCommand | None:
         """Answer the last state again if a command that came since changes the answer."""
 
@@ -344,6 +350,10 @@ class Agent:
             self._robots.reset()
         self._handle_lost(self._robots.release_all_except(state.claims), "the entity is gone")
         if not state.claims:
+            return
+        if self._robots.repeats(state):
+            # The telemetry of this step is published.
+            self._commands.send(encode(self._robots.repeat(state), Format.MSGPACK))
             return
         payload = encode(self._robots.advance(state), Format.MSGPACK)
         self._late_command_window.note_state(state, self._now_s)

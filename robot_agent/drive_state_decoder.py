@@ -1,5 +1,6 @@
 """Decodes drive states into the state of each robot and orders them by epoch and step."""
 
+import math
 import struct
 from collections.abc import Sequence
 from itertools import accumulate
@@ -9,6 +10,7 @@ import msgspec
 
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, DriveState
+from zensim.proto.messages.standard_messages import Twist, Vector3
 
 CLAIM_BYTES = 4
 
@@ -22,6 +24,36 @@ def unpack_claims(claims: bytes) -> tuple[int, ...]:
     if len(claims) % CLAIM_BYTES:
         raise MalformedPayload(f"{len(claims)} bytes of claims; each has {CLAIM_BYTES}")
     return struct.unpack(f"<{len(claims) // CLAIM_BYTES}I", claims)
+
+
+TWIST_COLUMNS = 3
+"""Of ordered twists: forward, left, turn."""
+
+
+def unpack_twists(twists: bytes, count: int) -> tuple[Twist | None, ...]:
+    """Unpack the ordered twists of a drive state; None for a robot without one.
+
+    Raises:
+        MalformedPayload: Their number is not that of the claims.
+    """
+    if not twists:
+        return (None,) * count
+    if len(twists) != 8 * TWIST_COLUMNS * count:
+        raise MalformedPayload(f"{len(twists)} bytes of twists for {count} claims")
+    rows = struct.iter_unpack(f"<{TWIST_COLUMNS}d", twists)
+    return tuple(
+        None if math.isnan(forward) else Twist(Vector3(forward, left), Vector3(z=turn))
+        for forward, left, turn in rows
+    )
+
+
+def is_repeated(state: DriveState, answered: DriveState) -> bool:
+    """Whether a state only orders other twists than the one that was answered."""
+    return state.order > 0 and (state.epoch, state.step, state.claims) == (
+        answered.epoch,
+        answered.step,
+        answered.claims,
+    )
 
 
 class RobotState(msgspec.Struct, frozen=True, gc=False):

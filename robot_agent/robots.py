@@ -17,7 +17,13 @@ from zensim.proto.topic_catalog import CMD_VEL
 from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory, make_topic_factory
 from zensim.robot_agent.base_controller import BaseController
 from zensim.robot_agent.bumpers import BumperTelemetry, ContactReport
-from zensim.robot_agent.drive_state_decoder import DriveStateLayout, RobotState, unpack_claims
+from zensim.robot_agent.drive_state_decoder import (
+    DriveStateLayout,
+    RobotState,
+    is_repeated,
+    unpack_claims,
+    unpack_twists,
+)
 from zensim.robot_agent.mounted_sensors import list_state_sensors
 from zensim.robot_agent.robot_telemetry import (
     JointTelemetry,
@@ -94,13 +100,15 @@ class CmdVelSubscriber:
         """Forget the command; one that waits in the subscription still counts."""
         self.twist = ZERO_TWIST
 
-    def at(self, time_ns: int) -> Twist:
-        """Find the command at a simulation time."""
+    def at(self, time_ns: int, ordered: Twist | None = None) -> Twist:
+        """Find the command at a simulation time; an ordered one replaces those received."""
         for sample in reversed(self._subscription.take()):
             twist = self._decode(sample)
             if twist is not None:
                 self.twist, self._received_ns = twist, time_ns
                 break
+        if ordered is not None:
+            self.twist, self._received_ns = ordered, time_ns
         if self._timeout_ns and time_ns - self._received_ns > self._timeout_ns:
             self.twist = ZERO_TWIST
         return self.twist
@@ -144,6 +152,7 @@ class DrivenRobot:
         self.bumpers = BumperTelemetry(factory, claim)
         self._static = make_static_publishers(factory, claim)
         self._state: RobotState | None = None
+        self._ordered: Twist | None = None
         self._is_motion_new = False
         if claim.model.drive is not None:
             key = find_topic_keys(claim, factory.settings).cmd_vel
@@ -161,10 +170,15 @@ class DrivenRobot:
         if self.cmd_vel is not None:
             self.cmd_vel.reset()
 
-    def advance(self, state: RobotState) -> tuple[float, ...]:
-        """Take a state and find the targets of `Model.actuators`."""
-        twist = self.cmd_vel.at(state.time_ns) if self.cmd_vel else ZERO_TWIST
-        self._state = state
+    def advance(self, state: RobotState, ordered: Twist | None = None) -> tuple[float, ...]:
+        """Take a state and find the targets of `Model.actuators`.
+
+        Args:
+            state: State.
+            ordered: Twist that the state orders, instead of `cmd_vel`.
+        """
+        twist = self.cmd_vel.at(state.time_ns, ordered) if self.cmd_vel else ZERO_TWIST
+        self._state, self._ordered = state, ordered
         self._is_motion_new = self._base.update(state, twist)
         return self._base.targets
 
@@ -175,11 +189,17 @@ class DrivenRobot:
 
     def revise(self) -> bool:
         """Apply a command that came after the last state; return whether there was one."""
-        if self.cmd_vel is None or self._state is None:
+        if self.cmd_vel is None or self._state is None or self._ordered is not None:
             return False
         before = self.cmd_vel.twist
         twist = self.cmd_vel.at(self._state.time_ns)
         return twist != before and self._base.revise(twist)
+
+    def repeat(self, ordered: Twist | None) -> None:
+        """Find the targets of the last state again, with another ordered twist."""
+        self._ordered = ordered
+        if ordered is not None and self.cmd_vel is not None and self._state is not None:
+            self._base.revise(self.cmd_vel.at(self._state.time_ns, ordered))
 
     def publish(self) -> None:
         """Publish what is due at the last state."""
@@ -314,8 +334,25 @@ class IndividualRobots:
             )
             self._claims = state.claims
         states = self._state_layout.split(state)
-        for robot, robot_state in zip(self._robots_in_order, states, strict=True):
-            robot.advance(robot_state)
+        twists = unpack_twists(state.twists, len(states))
+        for robot, robot_state, twist in zip(self._robots_in_order, states, twists, strict=True):
+            robot.advance(robot_state, twist)
+        self._state = state
+        return self._make_command(state)
+
+    def repeats(self, state: DriveState) -> bool:
+        """Whether a state has the step and claims of the last one that was answered."""
+        return self._state is not None and is_repeated(state, self._state)
+
+    def repeat(self, state: DriveState) -> DriveCommand:
+        """Answer the last state again, with the ordered twists of this one.
+
+        Raises:
+            MalformedPayload: The twists do not fit the robots.
+        """
+        twists = unpack_twists(state.twists, len(self._robots_in_order))
+        for robot, twist in zip(self._robots_in_order, twists, strict=True):
+            robot.repeat(twist)
         self._state = state
         return self._make_command(state)
 
@@ -345,7 +382,7 @@ class IndividualRobots:
     def _make_command(self, state: DriveState) -> DriveCommand:
         targets = [target for robot in self._robots_in_order for target in robot.targets]
         packed = struct.pack(f"<{len(targets)}d", *targets)
-        return DriveCommand(state.epoch, state.step, state.claims, packed)
+        return DriveCommand(state.epoch, state.step, state.claims, packed, state.order)
 
     def reply_to_queries(self) -> None:
         """Reply to queries with the last values."""

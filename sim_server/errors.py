@@ -80,6 +80,16 @@ class IncorrectState(SimError):
     code = ResultCode.INCORRECT_STATE
 
 
+class SteppedByOther(SimError):
+    """Another client steps the simulation."""
+
+    code = ResultCode.INCORRECT_STATE
+    slug = "stepped_elsewhere"
+
+    def __init__(self, holder: str) -> None:
+        super().__init__(f"client '{holder[:80]}' steps the simulation; wait until it has ended")
+
+
 class UnsupportedFeature(SimError):
     """The server does not have this feature of simulation_interfaces."""
 

@@ -16,6 +16,7 @@ from zensim.sim_server.errors import IncorrectState
 from zensim.sim_server.pacing.lockstep import Lockstep
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.pacing.step_goals import StepGoals
+from zensim.sim_server.pacing.stepping_lease import SteppingLease
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.description_cache import DescriptionProvider, list_assets
 from zensim.sim_server.world.entity import Entity
@@ -36,6 +37,14 @@ class DeferredResponse(Generic[Response]):
     outcome: Callable[[], Response]
 
 
+@dataclass(frozen=True)
+class StepMode:
+    """How simulation time advances."""
+
+    state: State
+    real_time_factor: float
+
+
 @dataclass
 class Pacing:
     """When steps are made: requested steps, lockstep, speed and timing of the loop."""
@@ -47,6 +56,7 @@ class Pacing:
     """0 = as fast as possible."""
     step_goals: StepGoals = field(default_factory=StepGoals)
     lockstep: Lockstep = field(default_factory=Lockstep)
+    lease: SteppingLease[StepMode] = field(default_factory=SteppingLease)
     due_ns: int = 0
     """Wall time at which the next step is due."""
 

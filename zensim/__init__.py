@@ -18,9 +18,11 @@ if TYPE_CHECKING:
         Unreachable,
         Unsupported,
     )
+    from zensim.api.connections import connect, launch, servers
     from zensim.api.entity_values import RobotPose, RobotTwist, SpawnReport, deg
     from zensim.api.fleet import Fleet
     from zensim.api.robot import EntityHandle, Robot
+    from zensim.api.sim import Sim
     from zensim.api.simulation import Simulation
     from zensim.api.topic import Topic, TopicCallback
 
@@ -36,6 +38,7 @@ __all__ = [
     "Robot",
     "RobotPose",
     "RobotTwist",
+    "Sim",
     "Simulation",
     "SpawnRefused",
     "SpawnReport",
@@ -45,7 +48,10 @@ __all__ = [
     "TopicCallback",
     "Unreachable",
     "Unsupported",
+    "connect",
     "deg",
+    "launch",
+    "servers",
 ]
 
 

@@ -16,9 +16,11 @@ MODULES: dict[str, tuple[str, ...]] = {
         "Unreachable",
         "Unsupported",
     ),
+    "zensim.api.connections": ("connect", "launch", "servers"),
     "zensim.api.entity_values": ("RobotPose", "RobotTwist", "SpawnReport", "deg"),
     "zensim.api.fleet": ("Fleet",),
     "zensim.api.robot": ("EntityHandle", "Robot"),
+    "zensim.api.sim": ("Sim",),
     "zensim.api.simulation": ("Simulation",),
     "zensim.api.topic": ("Topic", "TopicCallback"),
 }

@@ -186,6 +186,9 @@ class DriveState(msgspec.Struct, frozen=True):
     twists: bytes = b""
     """`<f8`, (n, 3), in the order of `claims`: forward, left [m/s], turn [rad/s]. A row counts as a
     `cmd_vel` that arrived before this state; NaN = none. Empty = none at all."""
+    order: UInt32 = 0
+    """Number of the last order in `twists`; the command repeats it. A state of the same step with
+    another number replaces the one before: find the targets again, and publish nothing twice."""
 
 
 class TwistCommands(msgspec.Struct, frozen=True):
@@ -216,3 +219,5 @@ class DriveCommand(msgspec.Struct, frozen=True):
     """`<u4`, (n,)."""
     targets: bytes
     """`<f8`, claim by claim, `width` numbers for each of `Model.actuators`."""
+    order: UInt32 = 0
+    """As in the drive state."""

@@ -99,14 +99,22 @@ class GroupDrive:
     def __init__(self, drive: Drive) -> None:
         self._kinematics = make_drive_kinematics(drive, ARRAY_MATH)
         self._state = np.zeros((0, self._kinematics.state_size))
+        self._last: tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray] | None = None
+        """Rows, state, positions, velocities and time of the last update."""
 
     def remap(self, before: IntArray) -> None:
         """Remap rows; see `remap_floats`."""
+        self._last = None
         self._state = remap_floats(self._state, before)
 
     def reset(self) -> None:
         """Set the state to 0."""
+        self._last = None
         self._state[:] = 0.0
+
+    def forget_last(self) -> None:
+        """Forget the last update: no row is due at the present state."""
+        self._last = None
 
     def update(
         self,
@@ -126,10 +134,32 @@ class GroupDrive:
             velocities: [rad/s].
             elapsed_s: Simulation time since each row's last update; (m,).
         """
+        self._last = (rows, self._state[rows], positions, velocities, elapsed_s)
+        return self._find_targets(twists, *self._last)
+
+    def revise(self, twists: FloatArray) -> tuple[IntArray, FloatArray] | None:
+        """Repeat the last update with other twists (n, 6) of all rows.
+
+        Returns:
+            Its rows (m,) and their targets; None if no row was updated.
+        """
+        if (last := self._last) is None:
+            return None
+        return last[0], self._find_targets(twists[last[0]], *last)
+
+    def _find_targets(
+        self,
+        twists: FloatArray,
+        rows: IntArray,
+        before: FloatArray,
+        positions: FloatArray,
+        velocities: FloatArray,
+        elapsed_s: FloatArray,
+    ) -> FloatArray:
         targets, state = self._kinematics.find_targets(
             (twists[:, VX], twists[:, VY], twists[:, WZ]),
             measured=MeasuredJoints(positions.T, velocities.T),
-            state=tuple(self._state[rows].T),
+            state=tuple(before.T),
             dt_s=elapsed_s,
         )
         if state:
@@ -188,6 +218,7 @@ class GroupBaseController:
         if self._encoders is not None and self._group_key.encoder is not None:
             self._encoders.update(positions[:, list(self._group_key.encoder)], time_ns)
         rows, elapsed_s = self._limiters.open(time_ns)
+        self._drive.forget_last()
         if len(rows):
             self.targets[rows] = self._drive.update(
                 rows,
@@ -201,6 +232,12 @@ class GroupBaseController:
         if len(rows):
             self.motions[rows] = self._new_motions(rows, state.base)
         return rows
+
+    def revise(self, twists: FloatArray) -> None:
+        """Find the targets of the last update again, with other twists (n, 6)."""
+        if (revised := self._drive.revise(twists)) is not None:
+            rows, targets = revised
+            self.targets[rows] = targets
 
     def _new_motions(self, rows: IntArray, base: FloatArray) -> FloatArray:
         if self._encoders is not None:

@@ -18,7 +18,7 @@ from zensim.proto.fleet_publisher import (
 )
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveCommand, DriveState
 from zensim.proto.messages.model_messages import Model
-from zensim.proto.messages.standard_messages import TFMessage, Twist, TwistStamped
+from zensim.proto.messages.standard_messages import TFMessage, Twist, TwistStamped, Vector3
 from zensim.proto.network_protocols import AgentNetwork, Sample
 from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic
@@ -26,7 +26,7 @@ from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.proto.topic_catalog import CMD_VEL, TopicSpec
 from zensim.proto.topic_endpoints import TopicSubscription, make_topic_factory
 from zensim.robot_agent.bumpers import ContactReport
-from zensim.robot_agent.drive_state_decoder import RobotState, unpack_claims
+from zensim.robot_agent.drive_state_decoder import RobotState, is_repeated, unpack_claims
 from zensim.robot_agent.pool.group_bases import GroupBaseController
 from zensim.robot_agent.pool.group_key import GroupKey, make_group_key
 from zensim.robot_agent.pool.group_sensors import GroupSensors
@@ -45,6 +45,8 @@ from zensim.robot_agent.topic_remapping import RobotTopicKeys, find_topic_keys
 
 FLEET_CMD_VEL_DEPTH = 8192
 TWIST_COLUMNS = 6
+ORDERED_COLUMNS = (0, 1, 5)
+"""Columns of a twist that a drive state can order: forward, left, turn."""
 TWIST_BYTES = 52
 TWIST_DTYPE = np.dtype([("header", "S4"), ("numbers", "<f8", TWIST_COLUMNS)])
 LITTLE_ENDIAN = b"\x00\x01"
@@ -113,11 +115,21 @@ class FleetCmdVel:
         """Forget all commands; those that wait in a subscription still count."""
         self._twists[:] = 0.0
 
-    def at(self, time_ns: int) -> FloatArray:
-        """Find the commands (n, 6) at a simulation time."""
+    def at(self, time_ns: int, ordered: FloatArray | None = None) -> FloatArray:
+        """Find the commands (n, 6) at a simulation time.
+
+        Args:
+            time_ns: Simulation time.
+            ordered: Twists (n, 3) that replace those received, except rows that are NaN.
+        """
         received = self._take_samples()
         if received:
             self._store_newest(received, time_ns)
+        if ordered is not None:
+            rows = np.flatnonzero(~np.isnan(ordered[:, 0]))
+            self._twists[rows] = 0.0
+            self._twists[rows[:, None], ORDERED_COLUMNS] = ordered[rows]
+            self._received_ns[rows] = time_ns
         if self._timeout_ns:
             self._twists[time_ns - self._received_ns > self._timeout_ns] = 0.0
         return self._twists
@@ -286,6 +298,12 @@ class RobotGroup:
         targets[slots.targets] = self._bases.targets
         self._due = _DueTelemetry(rows, own)
 
+    def repeat(self, twists: FloatArray, targets: FloatArray) -> None:
+        """Write the targets of the last state again, with other twists (n, 6) of the pool."""
+        if (slots := self._slots) is not None:
+            self._bases.revise(twists[slots.places])
+            targets[slots.targets] = self._bases.targets
+
     def publish(self) -> None:
         """Publish what is due at the last state."""
         if (due := self._due) is not None:
@@ -364,6 +382,17 @@ class PoolStateLayout:
         joints, targets = self._joints[place : place + 2], self._targets[place : place + 2]
         return slice(*joints.tolist()), slice(*targets.tolist())
 
+    def read_twists(self, state: DriveState) -> FloatArray | None:
+        """Unpack the ordered twists (n, 3); None if there are none.
+
+        Raises:
+            MalformedPayload: Their number is not that of the claims.
+        """
+        if not state.twists:
+            return None
+        rows, columns = len(self._joints) - 1, len(ORDERED_COLUMNS)
+        return _unpack_floats(state.twists, rows * columns).reshape(rows, columns)
+
     def read(self, state: DriveState, twists: FloatArray) -> PoolDriveState:
         """Unpack a state into arrays.
 
@@ -439,6 +468,8 @@ class PooledRobots:
         self._claims: bytes | None = None
         self._layout = PoolStateLayout((), ())
         self._singles: tuple[_SingleRobot, ...] = ()
+        self._state: DriveState | None = None
+        """The last one that was answered."""
 
     def add_claims(self, claims: Sequence[Claim]) -> None:
         """Subscribe to commands of new robots, which publish from their first state on."""
@@ -505,13 +536,37 @@ class PooledRobots:
         """
         if state.claims != self._claims:
             self._remap(state.claims)
-        read = self._layout.read(state, self._commands.at(state.time_ns))
+        ordered = self._layout.read_twists(state)
+        read = self._layout.read(state, self._commands.at(state.time_ns, ordered))
+        self._state = state
         targets = np.zeros(self._layout.target_total)
         for group in self._groups.values():
             group.advance(read, targets)
         for single in self._singles:
-            targets[single.targets] = single.robot.advance(_extract_state(single, read))
-        return DriveCommand(state.epoch, state.step, state.claims, _pack_floats(targets))
+            twist = _find_ordered(ordered, single.place)
+            targets[single.targets] = single.robot.advance(_extract_state(single, read), twist)
+        return _make_command(state, targets)
+
+    def repeats(self, state: DriveState) -> bool:
+        """Whether a state has the step and claims of the last one that was answered."""
+        return self._state is not None and is_repeated(state, self._state)
+
+    def repeat(self, state: DriveState) -> DriveCommand:
+        """Answer the last state again, with the ordered twists of this one.
+
+        Raises:
+            MalformedPayload: The twists do not fit the robots.
+        """
+        ordered = self._layout.read_twists(state)
+        twists = self._commands.at(state.time_ns, ordered)
+        targets = np.zeros(self._layout.target_total)
+        for group in self._groups.values():
+            group.repeat(twists, targets)
+        for single in self._singles:
+            single.robot.repeat(_find_ordered(ordered, single.place))
+            targets[single.targets] = single.robot.targets
+        self._state = state
+        return _make_command(state, targets)
 
     def revise(self) -> None:
         """Return nothing: one robot's command would need new arrays of all."""
@@ -659,5 +714,13 @@ def _extract_state(single: _SingleRobot, read: PoolDriveState) -> RobotState:
     )
 
 
-def _pack_floats(numbers: FloatArray) -> bytes:
-    return numbers.astype("<f8").tobytes()
+def _find_ordered(ordered: FloatArray | None, place: int) -> Twist | None:
+    if ordered is None or np.isnan(ordered[place, 0]):
+        return None
+    forward, left, turn = ordered[place].tolist()
+    return Twist(Vector3(forward, left), Vector3(z=turn))
+
+
+def _make_command(state: DriveState, targets: FloatArray) -> DriveCommand:
+    packed = targets.astype("<f8").tobytes()
+    return DriveCommand(state.epoch, state.step, state.claims, packed, state.order)

@@ -31,6 +31,10 @@ class AwaitedState(Protocol):
         """Claims of an agent; empty for other clients."""
 
     @property
+    def order(self) -> int:
+        """Number of the last order of twists in an agent's state; 0 for other clients."""
+
+    @property
     def is_awaited(self) -> bool:
         """Whether the loop waits for the reply."""
 
@@ -48,6 +52,10 @@ class StateReply(Protocol):
 
     @property
     def claims(self) -> bytes:
+        """As in the state."""
+
+    @property
+    def order(self) -> int:
         """As in the state."""
 
 
@@ -74,11 +82,13 @@ class _SentState:
     epoch: int
     step: int
     claims: bytes
+    order: int
     is_awaited: bool
     waited_ns: int = 0
 
     def matches(self, reply: StateReply) -> bool:
-        return (reply.epoch, reply.step, reply.claims) == (self.epoch, self.step, self.claims)
+        own = self.epoch, self.step, self.claims, self.order
+        return (reply.epoch, reply.step, reply.claims, reply.order) == own
 
 
 class Lockstep:
@@ -121,7 +131,9 @@ class Lockstep:
         if not self._awaited:
             self._last_check_ns = now_ns
         self._awaited.discard(client)
-        self._sent[client] = _SentState(state.epoch, state.step, state.claims, state.is_awaited)
+        self._sent[client] = _SentState(
+            state.epoch, state.step, state.claims, state.order, state.is_awaited
+        )
         if not state.is_awaited:
             return True
         if self.settings.on_miss == "hold" and client in self._unresponsive:

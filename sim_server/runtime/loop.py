@@ -15,7 +15,7 @@ import msgspec
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.keys import parse_agent
-from zensim.proto.messages.agent_messages import DriveCommand, DriveState
+from zensim.proto.messages.agent_messages import DriveCommand, DriveState, TwistCommands
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.network_protocols import Sample
@@ -91,6 +91,8 @@ class AgentSessions:
         self._publisher = publisher
         self._sensor_sessions = sensor_sessions
         self._published_version = self._version
+        self._published_twists = 0
+        """Count of orders of twists in the last states."""
         self._published_ns = -MIN_STATE_INTERVAL_NS
         self._has_unsent_states = False
         """Whether an agent did not get the state of the last control step."""
@@ -103,6 +105,10 @@ class AgentSessions:
             self._on_agent_liveliness(agent, is_alive=is_alive)
         for bond, is_alive in self._inbox.take_bonds():
             self._on_bond_liveliness(bond, is_alive=is_alive)
+        for client, is_alive in self._inbox.take_clients():
+            self._on_client_liveliness(client, is_alive=is_alive)
+        for sample in self._inbox.take_twists():
+            self._order_twists(sample)
         for sample in self._inbox.take_commands():
             self._command(sample)
 
@@ -121,7 +127,10 @@ class AgentSessions:
         self._has_unsent_states = bool(busy)
         for agent, state in self._world.drive_states(busy):
             self._publish_state(agent, state)
+        if not busy:
+            self._world.commanded_twists.note_published()
         self._published_version = self._version
+        self._published_twists = self._world.commanded_twists.changes
 
     def publish_changed_claims(self) -> None:
         """Publish states to agents whose claims or epoch have changed since the last state."""
@@ -133,6 +142,17 @@ class AgentSessions:
             if not self._lockstep.has_sent(agent, state):
                 self._publish_state(agent, state)
         self._published_version = self._version
+
+    def publish_ordered_twists(self) -> None:
+        """Before requested steps, publish states with new orders: they count from this step on."""
+        changes = self._world.commanded_twists.changes
+        if self._published_twists == changes or not self._pacing.step_goals.has_steps_left:
+            return
+        for agent, state in self._world.drive_states():
+            if state.twists:
+                self._publish_state(agent, state)
+        self._world.commanded_twists.note_published()
+        self._published_twists = changes
 
     def must_wait(self) -> bool:
         """Whether the next step must wait; apply `LockstepSettings.on_miss` to late clients."""
@@ -211,6 +231,28 @@ class AgentSessions:
             self._bonds.alive.add(bond)
         else:
             self._bonds.end(bond)
+
+    def _on_client_liveliness(self, client: str, *, is_alive: bool) -> None:
+        lease, clock = self._pacing.lease, self._world.clock
+        if is_alive:
+            lease.alive.add(client)
+            return
+        self._world.commanded_twists.end_client(client)
+        if (former := lease.end(client)) is None:
+            return
+        self._pacing.step_goals.abort(f"client {client!r} is gone")
+        self._pacing.target_real_time_factor = former.real_time_factor
+        is_changed = former.state != clock.state
+        if is_changed and {former.state, clock.state} <= {State.PLAYING, State.PAUSED}:
+            clock.change_state(former.state)
+
+    def _order_twists(self, sample: Sample) -> None:
+        try:
+            commands = decode(TwistCommands, sample.payload, sample.encoding)
+            self._world.commanded_twists.order(self._world.entities.index, commands)
+        except MalformedPayload as error:
+            self._world.claims.dropped += 1
+            LOG.debug("twists dropped reason=%s", error)
 
     def _command(self, sample: Sample) -> None:
         agent = parse_agent(sample.key)
@@ -314,6 +356,7 @@ class ServerLoop:
         self._descriptions.has_new = self._descriptions.provider.poll()
         self._dispatcher.reply_to_ready()
         self._agent_sessions.publish_changed_claims()
+        self._agent_sessions.publish_ordered_twists()
 
     def tick(self, now_ns: int) -> None:
         """Advance by one step; publish drive states and scene states if it is a control step."""

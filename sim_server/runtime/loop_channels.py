@@ -21,6 +21,7 @@ from zensim.proto.topic_catalog import (
     DRIVE_COMMAND,
     DRIVE_STATE,
     SENSORS_REPLY,
+    TWISTS,
     WORLD_TOPICS,
     TopicSpec,
 )
@@ -28,6 +29,7 @@ from zensim.proto.topic_endpoints import TopicFactory
 
 COMMAND_DEPTH = 8192
 REPLY_DEPTH = 256
+TWISTS_DEPTH = 1024
 
 
 class Inbox(Protocol):
@@ -51,6 +53,12 @@ class Inbox(Protocol):
     def take_bonds(self) -> list[tuple[str, bool]]:
         """Take the bonds that appeared (True) or disappeared (False)."""
 
+    def take_clients(self) -> list[tuple[str, bool]]:
+        """Take the clients that appeared (True) or disappeared (False)."""
+
+    def take_twists(self) -> list[Sample]:
+        """Take the orders of twists received."""
+
 
 class BusInbox:
     """Inbox on the keys of one world, and other sources of service calls."""
@@ -63,6 +71,8 @@ class BusInbox:
         self._commands = network.subscribe(DRIVE_COMMAND.key(world, "*"), COMMAND_DEPTH)
         self._sensors = network.watch_tokens(keys.active_sensors(world, "*"))
         self._sensor_replies = network.subscribe(SENSORS_REPLY.key(world, "*"), REPLY_DEPTH)
+        self._clients = network.watch_tokens(keys.alive_clients(world))
+        self._twists = network.subscribe(TWISTS.key(world), TWISTS_DEPTH)
         self._calls = network.serve(keys.services(world))
         self._others = others
 
@@ -93,6 +103,14 @@ class BusInbox:
     def take_bonds(self) -> list[tuple[str, bool]]:
         """See `Inbox`."""
         return [(keys.last_chunk(key), alive) for key, alive in self._bonds.take()]
+
+    def take_clients(self) -> list[tuple[str, bool]]:
+        """See `Inbox`."""
+        return [(keys.last_chunk(key), alive) for key, alive in self._clients.take()]
+
+    def take_twists(self) -> list[Sample]:
+        """See `Inbox`."""
+        return self._twists.take()
 
 
 class WorldPublisher(Protocol):

@@ -35,6 +35,7 @@ class SceneStateReference(msgspec.Struct, frozen=True):
     step: int
     is_awaited: bool = False
     claims: bytes = b""
+    order: int = 0
 
 
 class SensorSessions:

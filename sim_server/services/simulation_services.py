@@ -2,7 +2,11 @@
 
 from importlib.metadata import version
 
+import msgspec
+
+from zensim.proto.codec.cdr import MalformedPayload
 from zensim.proto.messages import simulation_messages, telemetry_messages
+from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.result_messages import Result, ResultCode, SetSimulationStateCode
 from zensim.proto.messages.simulation_messages import (
     GetSimulationStateRequest,
@@ -18,9 +22,15 @@ from zensim.proto.messages.simulation_messages import (
     StepSimulationResponse,
 )
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time, time_from_ns
-from zensim.sim_server.errors import IncorrectState, RequestRefused, SimError, UnsupportedFeature
+from zensim.sim_server.errors import (
+    IncorrectState,
+    RequestRefused,
+    SimError,
+    SteppedByOther,
+    UnsupportedFeature,
+)
 from zensim.sim_server.pacing.step_goals import StepGoal
-from zensim.sim_server.service_parts import CurrentWorld, DeferredResponse, Pacing
+from zensim.sim_server.service_parts import CurrentWorld, DeferredResponse, Pacing, StepMode
 from zensim.sim_server.world.simulated_world import SimulatedWorld
 from zensim.sim_server.world.simulation_clock import (
     ALLOWED_TRANSITIONS,
@@ -66,6 +76,7 @@ def step_simulation(
     world: SimulatedWorld, pacing: Pacing, request: StepSimulationRequest
 ) -> DeferredResponse[StepSimulationResponse]:
     """Step a paused world; reply when the agents have replied to the last step."""
+    _require_lease(pacing)
     goal = _add_goal(world, pacing, request.steps)
     return DeferredResponse(
         lambda: goal.is_over, lambda: StepSimulationResponse(_make_goal_result(goal))
@@ -75,9 +86,15 @@ def step_simulation(
 def simulate_steps(
     world: SimulatedWorld, pacing: Pacing, request: simulation_messages.SimulateStepsRequest
 ) -> DeferredResponse[simulation_messages.SimulateStepsResponse]:
-    """Step a paused world, publish progress, and reply at the end."""
+    """Step a paused world, publish progress, and reply at the end.
+
+    A client with a liveliness token becomes the only one that steps; a world that plays is paused.
+    """
     goal_id = _check_goal_id(request.goal_id)
+    _take_lease(world, pacing, request.client)
     goal = pacing.step_goals.find(goal_id)
+    if goal is None and request.twists is not None:
+        _order_twists(world, request.twists)
     if goal is None:
         goal = _add_goal(world, pacing, request.steps, goal_id)
     elif goal.steps != request.steps:
@@ -85,7 +102,41 @@ def simulate_steps(
             ResultCode.OPERATION_FAILED,
             f"goal {goal_id!r} has {goal.steps} steps; use another id, or the same number of steps",
         )
-    return DeferredResponse(lambda: goal.is_over, lambda: _make_steps_response(goal))
+    factor = pacing.loop_stats.real_time_factor
+
+    def respond() -> simulation_messages.SimulateStepsResponse:
+        response = _make_steps_response(goal)
+        if not request.wants_snapshot or goal.status != "succeeded":
+            return response
+        return msgspec.structs.replace(response, snapshot=world.snapshot(factor))
+
+    return DeferredResponse(lambda: goal.is_over, respond)
+
+
+def _require_lease(pacing: Pacing, client: str = "") -> None:
+    if other := pacing.lease.find_other(client):
+        raise SteppedByOther(other)
+
+
+def _take_lease(world: SimulatedWorld, pacing: Pacing, client: str) -> None:
+    _require_lease(pacing, client)
+    if not client:
+        return
+    if client not in pacing.lease.alive:
+        raise IncorrectState(
+            f"client '{client[:80]}' has no liveliness token; declare it before stepping"
+        )
+    mode = StepMode(world.clock.state, pacing.target_real_time_factor)
+    pacing.lease.take(client, mode)
+    if world.clock.state == State.PLAYING:
+        world.clock.pause()
+
+
+def _order_twists(world: SimulatedWorld, commands: TwistCommands) -> None:
+    try:
+        world.commanded_twists.order(world.entities.index, commands)
+    except MalformedPayload as error:
+        raise RequestRefused(ResultCode.OPERATION_FAILED, f"twists: {error}") from error
 
 
 def cancel_steps(
@@ -109,6 +160,7 @@ def run_to(
     world: SimulatedWorld, pacing: Pacing, request: simulation_messages.RunToRequest
 ) -> DeferredResponse[simulation_messages.RunToResponse]:
     """Step a paused world until a simulation time; a reset aborts the run."""
+    _require_lease(pacing)
     if pacing.step_goals:
         raise IncorrectState("other step requests are active; try again when they have ended")
     wanted_ns, epoch = ns_from_time(request.time), world.clock.epoch

@@ -30,6 +30,7 @@ from zensim.sim_server.scene.convex_shapes import MeshVertices
 from zensim.sim_server.scene.scene import CollisionScene, FindTriangles, SceneLayout
 from zensim.sim_server.world.applied_forces import AppliedForces
 from zensim.sim_server.world.claim_registry import ClaimedEntities, ClaimRegistry
+from zensim.sim_server.world.commanded_twists import CommandedTwists
 from zensim.sim_server.world.entity import Entity, EntityIndex, default_info
 from zensim.sim_server.world.entity_store import EntityStore
 from zensim.sim_server.world.simulation_clock import SimulationClock
@@ -232,6 +233,7 @@ class SimulatedWorld:
         self.claims = ClaimRegistry()
         self.applied_forces = AppliedForces()
         self.divergence_guard = DivergenceGuard()
+        self.commanded_twists = CommandedTwists()
         self.placement_count = 0
         """Counts poses that were set."""
         self.ready_s: dict[str, float] = {}
@@ -377,6 +379,7 @@ class SimulatedWorld:
         self.claims.drop(name)
         self.divergence_guard.forget(name)
         self.applied_forces.forget(name)
+        self.commanded_twists.forget(name)
         self.engine.remove(entity.body)
         self.entities.remove(name)
         self.ready_s.pop(name, None)
@@ -528,6 +531,7 @@ class SimulatedWorld:
         self.clock.epoch += 1
         self.claims.forget_targets()
         self.applied_forces.forget_all()
+        self.commanded_twists.clear()
         self._states = None
         self.clock.add_event("reset", message=f"scope={scope}")
 
@@ -596,7 +600,12 @@ class SimulatedWorld:
             states = self.states()
             for agent, claimed in self.claimed_by_agent().items():
                 if agent not in except_agents:
-                    yield agent, claimed.to_drive_state(*now, states)
+                    twists = self.commanded_twists.select(self.entities.index, claimed.rows)
+                    state = claimed.to_drive_state(*now, states)
+                    if twists:
+                        order = self.commanded_twists.changes
+                        state = msgspec.structs.replace(state, twists=twists, order=order)
+                    yield agent, state
         for agent in self.claims.take_agents_without_claims():
             yield agent, DriveState(*now, b"", b"", b"", b"")
 
@@ -626,6 +635,7 @@ class SimulatedWorld:
         self.engine.close()
         self.claims.forget_targets()
         self.applied_forces.forget_all()
+        self.commanded_twists.clear()
         self.ready_s.clear()
         self.engine, self.control_steps = other.engine, other.control_steps
         self.entities.replace_all(other.entities)

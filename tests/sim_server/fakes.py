@@ -137,6 +137,8 @@ class ScriptedInbox:
     bonds: list[tuple[str, bool]] = field(default_factory=list)
     sensor_processes: list[tuple[str, bool]] = field(default_factory=list)
     sensor_replies: list[Sample] = field(default_factory=list)
+    clients: list[tuple[str, bool]] = field(default_factory=list)
+    twists: list[Sample] = field(default_factory=list)
 
     def take_calls(self) -> list[ServiceCall]:
         taken, self.calls = self.calls, []
@@ -156,6 +158,14 @@ class ScriptedInbox:
 
     def take_sensor_replies(self) -> list[Sample]:
         taken, self.sensor_replies = self.sensor_replies, []
+        return taken
+
+    def take_clients(self) -> list[tuple[str, bool]]:
+        taken, self.clients = self.clients, []
+        return taken
+
+    def take_twists(self) -> list[Sample]:
+        taken, self.twists = self.twists, []
         return taken
 
     def take_bonds(self) -> list[tuple[str, bool]]:

@@ -132,7 +132,9 @@ class SpawnReport:
         )
 
     def _repr_html_(self) -> str:
-        rows = [(entry.status, entry.subject, entry.reason) for entry in self.entries]
+        rows: list[tuple[object, ...]] = [
+            (entry.status, entry.subject, entry.reason) for entry in self.entries
+        ]
         rows += [("refused", name, reason) for name, reason in self.refused.items()]
         return make_html_table(("status", "subject", "reason"), rows[:MAX_HTML_ENTRIES])
 

@@ -64,6 +64,9 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     is_strict: bool = False
     allow_missing: bool = False
     is_lockstep: bool = False
+    is_paused: bool = False
+    """Whether simulation time waits for requests from the start."""
+    seed: int = 0
     engine: str = ""
     clusters: str = "auto"
     engine_workers: int | None = None
@@ -110,7 +113,7 @@ def launch(
         LaunchFailed: A program is not ready in time.
         ProgramDied: A process exited.
     """
-    _start_programs(config, supervisor)
+    start_programs(config, supervisor)
     with ExitStack() as stack:
         bus = stack.enter_context(_open_bus(config, supervisor))
         deployment = LocalDeployment(config, supervisor, bus, SimClient(bus, config.world_name))
@@ -133,6 +136,8 @@ def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
         *(("--strict",) if config.is_strict else ()),
         *(("--allow-missing",) if config.allow_missing else ()),
         *(("--lockstep",) if config.is_lockstep else ()),
+        *(("--paused",) if config.is_paused else ()),
+        *(("--seed", str(config.seed)) if config.seed else ()),
         *(("--engine", config.engine) if config.engine else ()),
         *(("--clusters", config.clusters) if config.clusters != "auto" else ()),
         *_engine_worker_arguments(config.engine_workers),
@@ -181,7 +186,8 @@ def _engine_worker_arguments(count: int | None) -> tuple[str, ...]:
     return () if count is None else ("--engine-workers", str(count))
 
 
-def _start_programs(config: LaunchConfig, supervisor: Supervisor) -> None:
+def start_programs(config: LaunchConfig, supervisor: Supervisor) -> None:
+    """Start the server and the agents."""
     supervisor.start("server", make_serve_arguments(config))
     for name, start in make_agent_starts(config).items():
         words = ("agent", msgspec.json.encode(start).decode())

@@ -121,12 +121,14 @@ class Robot(EntityHandle):
     @property
     def odom(self) -> Odometry:
         """Newest odometry, as on its topic."""
-        return self._topic_of("odom").latest
+        topic: Topic[Odometry] = self._topic_of("odom")
+        return topic.latest
 
     @property
     def joints(self) -> JointState:
         """Newest joint states, as on their topic; fields of numbers are arrays."""
-        return self._topic_of("joint_states").latest
+        topic: Topic[JointState] = self._topic_of("joint_states")
+        return topic.latest
 
     @property
     def sensors(self) -> dict[str, "Topic[Any]"]:
@@ -185,7 +187,7 @@ class Robot(EntityHandle):
         check_finite("points", path, "(n, 2)")
         if not 0.0 < speed < MAX_SPEED:
             raise Invalid(f"speed={speed:g} is out of range", hint="use a speed > 0 [m/s]")
-        self._session.add_controller(self._name, make_path_controller(path, speed))
+        self._session.follow_path(self._name, make_path_controller(path, speed))
 
     def topic(self, name: str) -> "Topic[Any]":
         """Find a topic by its name below the namespace, as `scan`, `odom` or `front/scan`.

@@ -314,8 +314,7 @@ class Simulation:
                     hint="use a larger 'within'",
                 )
             if self._session.runs_by_itself:
-                state = self._session.state()
-                self._session.wait(lambda now, before=state: now is not before, timeout_s)
+                self._session.wait_for_next(timeout_s)
             else:
                 self._session.advance(self._session.control_steps)
         return self.time
@@ -426,6 +425,40 @@ class Simulation:
         """
         self._session.check_open()
         return self._session.find_topic(key.removeprefix("/"), kind)
+
+    def attach(
+        self, robots: Fleet, controller: Callable[[Fleet, float], npt.ArrayLike]
+    ) -> Callable[[], None]:
+        """Drive robots by a function, called before each control step for all of them at once.
+
+        In a world that runs by itself it is called with each state, by a thread.
+
+        Args:
+            robots: Robots to drive.
+            controller: Takes the robots and the time since its last call [s]; returns v [m/s] and
+                w [rad/s] of each, (n, 2).
+
+        Returns:
+            A function that ends it and stops the robots.
+        """
+
+        def control(period_s: float) -> None:
+            twists = np.asarray(controller(robots, period_s), dtype=np.float64)
+            if twists.shape != (len(robots), 2):
+                raise Invalid(
+                    f"the controller returned shape {twists.shape}",
+                    slug="wrong_shape",
+                    hint=f"return ({len(robots)}, 2): v and w",
+                )
+            robots.drive(twists[:, 0], twists[:, 1])
+
+        detach = self._session.attach(control)
+
+        def end() -> None:
+            detach()
+            robots.stop()
+
+        return end
 
     # Lifetime
 

@@ -78,11 +78,12 @@ class Topic(Generic[Message]):
         dispatcher: "TopicDispatcher",
         key: str,
         kind: type[Message],
-        settings: msgspec.Struct | None = None,
+        on_callback: Callable[[], None] = lambda: None,
     ) -> None:
         self.key = key
         self.kind = kind
-        self.settings = settings
+        self.settings: msgspec.Struct | None = None
+        self._on_callback = on_callback
         self._access = access
         self._dispatcher = dispatcher
         self._feed: TopicFeed[Message] | None = None
@@ -169,6 +170,7 @@ class Topic(Generic[Message]):
         callback = TopicCallback(self, call, queue)
         self._callbacks.append(callback)
         self._dispatcher.add(self)
+        self._on_callback()
         return callback
 
     def put(self, message: Message) -> None:

@@ -36,8 +36,6 @@ STEP_TIMEOUT_S = 30.0
 MAX_RUN_S = 1e7
 MIN_WAIT_S, MAX_SLOWNESS = 10.0, 20.0
 """Wall time that a wait in a running world may take: a base, and a factor of simulation time."""
-FREE_RUN_PERIOD_S = 1.0 / 30.0
-"""Simulation time between two states of a world that runs by itself."""
 MAX_NEAR_NAMES = 3
 MAX_ORDERS = 64
 """Orders that wait for the next step before they are merged."""
@@ -79,8 +77,9 @@ class WorldSession:
         """Called before each control step, with the control period [s]."""
         self._roster: Roster | None = None
         self._paths: dict[str, PathController] = {}
-        self._path_thread: threading.Thread | None = None
+        self._control_thread: threading.Thread | None = None
         self._orders: list[tuple[tuple[str, ...], FloatArray]] = []
+        self._dispatch_thread: threading.Thread | None = None
         self._topics: dict[tuple[str, type[msgspec.Struct]], Topic[Any]] = {}
         self._is_closed = False
 
@@ -193,10 +192,7 @@ class WorldSession:
         with self.steps_lock:
             while steps > 0:
                 count = min(steps, self._chunk_steps(state))
-                for control in self.controllers[:]:
-                    control(count * self.step_ns / NANOSECONDS)
-                if self._paths:
-                    self._control_paths(count * self.step_ns / NANOSECONDS)
+                self._control(count * self.step_ns / NANOSECONDS)
                 with api_errors():
                     state = self.access.advance(count, self._take_orders(), timeout_s)
                 steps -= count
@@ -217,26 +213,48 @@ class WorldSession:
         wall_s = MIN_WAIT_S + MAX_SLOWNESS * seconds if timeout_s is None else timeout_s
         return self.wait(lambda state: state.time >= end, wall_s)
 
-    def add_controller(self, name: str, control: PathController) -> None:
+    def follow_path(self, name: str, control: PathController) -> None:
         """Drive a robot by a controller until it is over or another order comes."""
         self.check_open()
         self.find_row(name)
         self._paths[name] = control
-        if self.runs_by_itself and self._path_thread is None:
-            self._path_thread = threading.Thread(target=self._follow_paths, daemon=True)
-            self._path_thread.start()
+        self._start_control_thread()
 
-    def _follow_paths(self) -> None:
-        """Control the robots with paths while the world runs by itself."""
-        step = -1
-        while self._paths and not self._is_closed:
+    def attach(self, control: Callable[[float], None]) -> Callable[[], None]:
+        """Call a function before each control step, with the period [s]; return what ends it."""
+        self.check_open()
+        self.controllers.append(control)
+        self._start_control_thread()
+
+        def detach() -> None:
+            if control in self.controllers:
+                self.controllers.remove(control)
+
+        return detach
+
+    def _start_control_thread(self) -> None:
+        if self.runs_by_itself and self._control_thread is None:
+            self._control_thread = threading.Thread(target=self._control_running, daemon=True)
+            self._control_thread.start()
+
+    def _control_running(self) -> None:
+        """Call the controllers at each new state while the world runs by itself."""
+        before = self.state()
+        while (self._paths or self.controllers) and not self._is_closed:
             with suppress(Closed, ConnectionLost):
                 state = self.state()
-                if state.snapshot.step != step and self.runs_by_itself:
-                    step = state.snapshot.step
-                    self._control_paths(FREE_RUN_PERIOD_S)
+                if state.order > before.order and self.runs_by_itself:
+                    period_s = (state.snapshot.time_ns - before.snapshot.time_ns) / NANOSECONDS
+                    before = state
+                    self._control(max(0.0, period_s))
             time.sleep(POLL_S)
-        self._path_thread = None
+        self._control_thread = None
+
+    def _control(self, period_s: float) -> None:
+        for control in self.controllers[:]:
+            control(period_s)
+        if self._paths:
+            self._control_paths(period_s)
 
     def _control_paths(self, period_s: float) -> None:
         state, names, twists = self.state(), list[str](), list[tuple[float, float, float]]()
@@ -274,6 +292,11 @@ class WorldSession:
                 raise Timeout("the simulation was reset meanwhile", slug="reset")
         return state
 
+    def wait_for_next(self, timeout_s: float) -> WorldState:
+        """Wait for a newer state of a world that runs by itself."""
+        order = self.state().order
+        return self.wait(lambda state: state.order > order, timeout_s)
+
     def find_topic(self, key: str, kind: type[msgspec.Struct] | None = None) -> "Topic[Any]":
         """Find a topic by its key; its class is that of the catalog if it is not given.
 
@@ -283,7 +306,9 @@ class WorldSession:
         if kind is None:
             kind = _find_kind(key)
         if (key, kind) not in self._topics:
-            self._topics[key, kind] = Topic(self.access, self.dispatcher, key, kind)
+            self._topics[key, kind] = Topic(
+                self.access, self.dispatcher, key, kind, on_callback=self._start_dispatch_thread
+            )
         return self._topics[key, kind]
 
     def find_robot_topic(self, name: str, topic: str) -> "Topic[Any]":
@@ -294,6 +319,20 @@ class WorldSession:
             raise make_not_found(f"topic of '{name}'", topic, known)
         key, kind = known[topic]
         return self.find_topic(key, kind)
+
+    def _start_dispatch_thread(self) -> None:
+        if self._dispatch_thread is None:
+            self._dispatch_thread = threading.Thread(target=self._dispatch_running, daemon=True)
+            self._dispatch_thread.start()
+
+    def _dispatch_running(self) -> None:
+        """Call callbacks while the caller does not step the world."""
+        while self.dispatcher.has_callbacks and not self._is_closed:
+            with suppress(Closed, ConnectionLost):
+                if self.runs_by_itself:
+                    self.dispatcher.dispatch()
+            time.sleep(POLL_S)
+        self._dispatch_thread = None
 
     def _chunk_steps(self, state: WorldState) -> int:
         if self.controllers or self._paths or self.dispatcher.has_callbacks:

@@ -1,0 +1,252 @@
+"""The API on a server: real processes on an ephemeral port."""
+
+import math
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import zensim
+from tests.integration.processes import eventually
+from zensim.proto import keys
+from zensim.proto.bus import BusConfig, open_bus
+
+STEPPER = """
+import sys, zensim
+sim = zensim.connect(sys.argv[1])
+sim.spawn("box_bot", name="own", bond=True, x=3.0)
+robot = sim.robots["r1"]
+robot.drive(0.3, 0.0)
+for number, now in enumerate(sim.steps(seconds=1e6)):
+    if number == 20:
+        print("steps", flush=True)
+"""
+
+
+def test_ordered_robot_moves_as_it_was_told(sim: zensim.Sim) -> None:
+    robot = sim.spawn("box_bot", name="r1", yaw=0.5)
+
+    robot.drive(0.2, 0.5)
+    sim.run_for(2.0)
+
+    assert robot.twist.v == pytest.approx(0.2, abs=0.01)
+    assert robot.pose.yaw == pytest.approx(1.46, abs=0.05)
+    assert robot.odom.twist.twist.linear.x == pytest.approx(0.2, abs=0.01)
+    assert sim.time == pytest.approx(2.0, abs=1e-6)
+
+
+def test_order_holds_longer_than_cmd_vel_and_ends_with_stop(sim: zensim.Sim) -> None:
+    robot = sim.spawn("box_bot", name="r1")
+
+    robot.drive(0.2)
+    sim.run_for(3.0)
+    assert robot.pose.x == pytest.approx(0.6, abs=0.05)
+    robot.stop()
+    sim.run_for(1.0)
+
+    assert robot.twist.speed < 1e-3
+
+
+def test_order_acts_in_the_next_control_step(sim: zensim.Sim) -> None:
+    robot = sim.spawn("box_bot", name="r1")
+    for _ in sim.steps(seconds=0.2):
+        robot.drive(0.0)
+    before = robot.pose.x
+
+    for number, _ in enumerate(sim.steps(seconds=5 * sim.control_period)):
+        if number == 0:
+            robot.drive(0.5)
+        elif number == 1:
+            # The wheels have begun to turn; the body tips before it rolls.
+            assert max(map(abs, robot.twist)) > 0.01
+
+    assert robot.pose.x > before
+
+
+def test_formation_gives_equal_hashes(sim: zensim.Sim) -> None:
+    assert run_formation(sim) == run_formation(sim)
+
+
+def run_formation(sim: zensim.Sim) -> str:
+    sim.reset()
+    offsets = np.array([[0.0, 0.0], [-1.0, 1.0], [-1.0, -1.0]])
+    fleet = sim.spawn_fleet("box_bot", poses=offsets)
+    for now in sim.steps(seconds=2, rate=20):
+        x, y, yaw = fleet.poses2d().T
+        dx, dy = x[0] + offsets[:, 0] - x, y[0] + offsets[:, 1] - y
+        fleet.drive(v=np.hypot(dx, dy).clip(0, 0.5), w=2 * np.sin(np.arctan2(dy, dx) - yaw))
+        fleet[0].drive(0.2, 0.1 * np.sin(now))
+    return sim.state_hash()
+
+
+def test_fleet_has_a_row_for_each_robot(sim: zensim.Sim) -> None:
+    fleet = sim.spawn_fleet("box_bot", count=4, layout="row", spacing=2.0)
+
+    fleet.drive(v=np.array([0.0, 0.1, 0.2, 0.3]))
+    sim.run_for(1.0)
+    fleet[1].delete()
+
+    assert fleet.alive.tolist() == [True, False, True, True]
+    assert np.isnan(fleet.poses()[1]).all()
+    assert (fleet.poses()[:, 0] - [0.0, 2.0, 4.0, 6.0])[[0, 2, 3]] == pytest.approx(
+        [0.0, 0.2, 0.3], abs=0.05
+    )
+    assert not fleet.poses().flags.writeable
+    assert fleet[fleet.alive].names == ("box_bot0", "box_bot2", "box_bot3")
+
+
+def test_handle_of_a_deleted_robot_says_so(sim: zensim.Sim) -> None:
+    robot = sim.spawn("box_bot", name="r1")
+    robot.delete()
+
+    assert not robot.exists
+    for use in (lambda: robot.pose, lambda: robot.twist, lambda: robot.drive(0.1)):
+        with pytest.raises(zensim.NotFound) as caught:
+            use()
+        assert caught.value.slug == "entity_gone"
+
+
+def test_unknown_robot_is_not_found_with_near_names(sim: zensim.Sim) -> None:
+    sim.spawn("box_bot", name="cart1")
+
+    with pytest.raises(zensim.NotFound) as caught:
+        sim.robots["cart2"]
+
+    assert "cart1" in caught.value.hint
+
+
+@pytest.mark.parametrize("v", [math.nan, math.inf, [0.1, 0.2]])
+def test_wrong_twist_is_invalid_and_nothing_is_sent(sim: zensim.Sim, v: object) -> None:
+    fleet = sim.spawn_fleet("box_bot", count=3)
+
+    with pytest.raises(zensim.Invalid):
+        fleet.drive(v=v)  # type: ignore[arg-type]
+    sim.run_for(0.5)
+
+    assert np.abs(fleet.twists()[:, 0]).max() < 1e-3
+
+
+def test_follow_drives_to_the_last_point(sim: zensim.Sim) -> None:
+    robot = sim.spawn("box_bot", name="r1")
+
+    robot.follow([(0.5, 0.0), (1.0, 0.5)], speed=0.4)
+    sim.wait_until(lambda: robot.pose.distance_to(1.0, 0.5) < 0.1, within=15.0)
+
+    assert sim.time < 10.0
+
+
+def test_wait_until_ends_with_a_timeout(sim: zensim.Sim) -> None:
+    with pytest.raises(zensim.Timeout):
+        sim.wait_until(lambda: False, within=0.1)
+
+    assert sim.time == pytest.approx(0.1, abs=0.02)
+
+
+def test_callback_runs_in_the_thread_that_steps(sim: zensim.Sim) -> None:
+    robot = sim.spawn("box_bot", name="r1")
+    stamps = []
+
+    @robot.on("odom", queue=100)
+    def note(odom: object) -> None:
+        stamps.append(odom)
+
+    sim.run_for(1.0)
+    count = len(stamps)
+    note.cancel()
+    sim.run_for(0.5)
+
+    assert count >= 9
+    assert len(stamps) == count
+
+
+def test_exception_of_a_callback_reaches_the_caller_once(sim: zensim.Sim) -> None:
+    robot = sim.spawn("box_bot", name="r1")
+
+    @robot.on("odom")
+    def fail(_: object) -> None:
+        raise LookupError("of the callback")
+
+    with pytest.raises(LookupError):
+        sim.run_for(1.0)
+    sim.run_for(0.5)
+
+
+def test_second_client_cannot_step(sim: zensim.Sim) -> None:
+    sim.step()
+
+    with zensim.connect(sim.endpoint) as other, pytest.raises(zensim.SteppedElsewhere) as caught:
+        other.step()
+
+    assert caught.value.slug == "stepped_elsewhere"
+
+
+def test_check_reports_without_spawning(sim: zensim.Sim) -> None:
+    report = sim.check("box_bot")
+
+    assert report.drive == "diff_drive"
+    assert not report.warnings
+    assert not sim.robots
+
+
+def test_missing_model_is_not_found(sim: zensim.Sim) -> None:
+    with pytest.raises(zensim.NotFound):
+        sim.check("no/such/file.urdf")
+
+
+def test_simulation_and_handles_cannot_be_pickled(sim: zensim.Sim) -> None:
+    robot = sim.spawn("box_bot", name="r1")
+
+    for one in (sim, robot, sim.spawn_fleet("box_bot", count=1, prefix="f", spacing=3.0)):
+        with pytest.raises(zensim.Error) as caught:
+            pickle.dumps(one)
+        assert caught.value.slug == "not_picklable"
+
+
+def test_kill_of_a_stepping_script_returns_the_world_to_its_mode() -> None:
+    with zensim.launch(rtf=1) as own:
+        robot = own.spawn("box_bot", name="r1")
+        script = subprocess.Popen(
+            [sys.executable, "-c", STEPPER, own.endpoint], stdout=subprocess.PIPE
+        )
+        try:
+            assert script.stdout is not None
+            assert script.stdout.readline() == b"steps\n"
+            eventually(lambda: own.is_paused, 2.0)
+            assert "own" in own.entities
+            killed_s = time.monotonic()
+            os.kill(script.pid, signal.SIGKILL)
+            eventually(lambda: not own.is_paused, 2.5)
+            eventually(lambda: "own" not in own.entities, 2.5)
+            eventually(lambda: robot.twist.speed < 0.01, 2.5)
+            assert time.monotonic() - killed_s < 10.0
+        finally:
+            script.kill()
+            script.wait()
+            assert script.stdout is not None
+            script.stdout.close()
+        with open_bus(BusConfig(connect=(own.endpoint,))) as bus:
+            assert bus.list_tokens(keys.alive_clients("default")) == []
+
+
+def test_no_server_is_unreachable_with_its_endpoint() -> None:
+    began_s = time.monotonic()
+
+    with pytest.raises(zensim.Unreachable) as caught:
+        zensim.connect("tcp/127.0.0.1:9", timeout_s=0.5)
+
+    assert "127.0.0.1:9" in caught.value.message
+    assert time.monotonic() - began_s < 5.0
+
+
+def test_closed_simulation_refuses(sim: zensim.Sim) -> None:
+    with zensim.connect(sim.endpoint) as other:
+        other.close()
+        for use in (lambda: other.time, other.pause, lambda: other.run_for(1.0)):
+            with pytest.raises(zensim.Error) as caught:
+                use()
+            assert caught.value.slug == "closed"

@@ -1,0 +1,235 @@
+"""`connect`, `launch` and `servers`: simulations on a server that runs, or on one of our own."""
+
+import atexit
+import os
+import time
+import weakref
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+import msgspec
+
+from zensim.api.api_errors import Error, NotFound, Timeout, Unreachable
+from zensim.api.local_deployment import (
+    LaunchAgentsConfig,
+    LaunchConfig,
+    LaunchFailed,
+    start_programs,
+)
+from zensim.api.server_access import ServerAccess
+from zensim.api.sim import Sim
+from zensim.api.world_access import api_errors
+from zensim.proto import keys
+from zensim.proto.bus import Bus, BusConfig, BusError, open_bus, open_bus_with_retry
+from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_endpoint, with_free_port
+from zensim.proto.messages.telemetry_messages import Info
+from zensim.proto.ros2.ros_settings import NO_ROS
+from zensim.proto.supervisor import ProgramDied, Supervisor
+from zensim.spawner.client.service_client import ServiceClient
+
+CONNECT_VARIABLE = "ZENSIM_CONNECT"
+DEFAULT_WORLD = "default"
+START_TIMEOUT_S = 30.0
+POLL_S = 0.01
+WATCH_PERIOD_S = 0.25
+_OPEN: "weakref.WeakSet[Sim]" = weakref.WeakSet()
+"""Simulations that are closed at the exit of this process."""
+
+
+class ServerEntry(msgspec.Struct, frozen=True):
+    """A server that replies."""
+
+    world: str
+    endpoint: str
+    info: Info
+
+
+def connect(
+    endpoint: str | None = None,
+    world: str | None = None,
+    *,
+    token: str | None = None,
+    timeout_s: float = 5.0,
+) -> Sim:
+    """Connect to a running server.
+
+    Args:
+        endpoint: As `tcp/127.0.0.1:7447`; else `ZENSIM_CONNECT`, else the default on this host.
+        world: Name of the world; the only one there is if it is not given.
+        token: For servers with roles; those of this version have none and do not read it.
+        timeout_s: Wall time.
+
+    Raises:
+        Unreachable: No server replies there.
+        NotFound: There is no such world.
+    """
+    del token
+    where, source = _choose_endpoint(endpoint)
+    deadline = time.monotonic() + timeout_s
+    with ExitStack() as stack:
+        bus = stack.enter_context(_open(where, source, timeout_s))
+        name = world or _find_world(bus, deadline)
+        if keys.alive_server(name) not in bus.list_tokens(keys.alive_server("*")):
+            there = _list_worlds(bus)
+            raise NotFound(f"no world '{name}' at {where}", hint=f"there are {', '.join(there)}")
+        sim = Sim(ServerAccess(bus, name))
+        # The simulation closes it.
+        stack.pop_all()
+    return _register(sim)
+
+
+def launch(  # noqa: PLR0913  options of a start, each with a default
+    world: str | Path = "empty",
+    *,
+    engine: str = "",
+    seed: int = 0,
+    rtf: float | None = None,
+    agents: int = 1,
+    sensors: int = 0,
+    timeout_s: float = START_TIMEOUT_S,
+) -> Sim:
+    """Start a server of our own, which ends with the simulation or with this process.
+
+    It is paused, so that time advances by `run_for`, `step` and `steps` only.
+
+    Args:
+        world: Name of a world, or an SDF file.
+        engine: bullet or mujoco; the default of the server if empty.
+        seed: Of the world's random numbers.
+        rtf: Let time advance by itself at this real-time factor; 0 = as fast as possible.
+        agents: Pools that drive the robots; 0 = none.
+        sensors: Processes that measure lidars and cameras.
+        timeout_s: Wall time of the start.
+
+    Raises:
+        Error: A program ended at its start.
+        Timeout: The server did not start in time.
+    """
+    config = LaunchConfig(
+        placements=(),
+        model="",
+        world=str(world),
+        world_name=DEFAULT_WORLD,
+        endpoint=with_free_port("tcp/127.0.0.1:0"),
+        real_time_factor=rtf,
+        engine=engine,
+        seed=seed,
+        is_paused=rtf is None,
+        agents=LaunchAgentsConfig(pools=agents),
+        sensor_processes=sensors,
+        ros=NO_ROS,
+        has_viewer=False,
+        viewer_port=0,
+    )
+    supervisor = Supervisor(lambda _program, _status: None)
+    with ExitStack() as stack:
+        stack.callback(supervisor.close)
+        try:
+            start_programs(config, supervisor)
+            bus = _wait_for_server(config.endpoint, supervisor, timeout_s)
+        except (ProgramDied, LaunchFailed) as error:
+            raise Error(str(error), slug="launch_failed", hint="see the lines above") from error
+        access = ServerAccess(
+            bus, DEFAULT_WORLD, watch=_make_watch(supervisor), on_close=supervisor.close
+        )
+        sim = Sim(access)
+        stack.pop_all()
+    return _register(sim)
+
+
+def servers(endpoint: str | None = None, *, timeout_s: float = 2.0) -> tuple[ServerEntry, ...]:
+    """List the servers that are reachable at an endpoint.
+
+    Args:
+        endpoint: See `connect`.
+        timeout_s: Wall time.
+    """
+    where, source = _choose_endpoint(endpoint)
+    try:
+        bus = _open(where, source, timeout_s)
+    except Unreachable:
+        return ()
+    with bus, api_errors():
+        return tuple(
+            ServerEntry(name, where, ServiceClient(bus, name).info()) for name in _list_worlds(bus)
+        )
+
+
+def _choose_endpoint(endpoint: str | None) -> tuple[str, str]:
+    """Choose an endpoint; say where it comes from."""
+    with api_errors():
+        if endpoint is not None:
+            return check_endpoint(endpoint), "given"
+        if variable := os.environ.get(CONNECT_VARIABLE):
+            return check_endpoint(variable), CONNECT_VARIABLE
+    return DEFAULT_ENDPOINT, "default"
+
+
+def _open(where: str, source: str, timeout_s: float) -> Bus:
+    try:
+        return open_bus_with_retry(
+            BusConfig(connect=(where,), open_timeout_s=min(timeout_s, 2.0)), min(timeout_s, 0.2)
+        )
+    except BusError as error:
+        raise Unreachable(f"no server at {where} ({source})") from error
+
+
+def _list_worlds(bus: Bus) -> list[str]:
+    return sorted(key.split("/")[1] for key in bus.list_tokens(keys.alive_server("*")))
+
+
+def _find_world(bus: Bus, deadline: float) -> str:
+    while True:
+        names = _list_worlds(bus)
+        if len(names) == 1 or DEFAULT_WORLD in names:
+            return DEFAULT_WORLD if DEFAULT_WORLD in names else names[0]
+        if names:
+            raise NotFound(f"there are {len(names)} worlds", hint=f"give one of {', '.join(names)}")
+        if time.monotonic() > deadline:
+            raise Unreachable(f"no server has a world at {bus.endpoint}")
+        time.sleep(POLL_S)
+
+
+def _wait_for_server(endpoint: str, supervisor: Supervisor, timeout_s: float) -> Bus:
+    deadline = time.monotonic() + timeout_s
+    config = BusConfig(connect=(endpoint,), open_timeout_s=0.1)
+    bus: Bus | None = None
+    while time.monotonic() < deadline:
+        supervisor.watch()
+        try:
+            bus = bus or open_bus(config)
+            if bus.list_tokens(keys.alive_server(DEFAULT_WORLD)):
+                return bus
+        except BusError:
+            continue
+        time.sleep(POLL_S)
+    raise Timeout(f"the server has not started after {timeout_s:g} s")
+
+
+def _make_watch(supervisor: Supervisor) -> Callable[[], None]:
+    checked_s = time.monotonic()
+
+    def watch() -> None:
+        nonlocal checked_s
+        if time.monotonic() - checked_s < WATCH_PERIOD_S:
+            return
+        checked_s = time.monotonic()
+        try:
+            supervisor.watch()
+        except ProgramDied as error:
+            raise Error(str(error), slug="program_ended") from error
+
+    return watch
+
+
+def _register(sim: Sim) -> Sim:
+    if not _OPEN:
+        atexit.register(_close_all)
+    _OPEN.add(sim)
+    return sim
+
+
+def _close_all() -> None:
+    for sim in list(_OPEN):
+        sim.close()

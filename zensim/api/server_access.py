@@ -1,0 +1,275 @@
+"""ServerAccess: a world on a server, by a session of its own."""
+
+import os
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+import msgspec
+
+from zensim.api.api_errors import Closed, ConnectionLost, Timeout
+from zensim.api.world_access import Message, TopicFeed, WorldAccess
+from zensim.api.world_state import WorldState, make_world_state
+from zensim.proto import keys
+from zensim.proto.bus import Bus, BusPublisher, BusSubscription, LivelinessToken, NoServer
+from zensim.proto.codec.message_codec import (
+    Format,
+    MalformedPayload,
+    decode,
+    encode,
+    make_encoding,
+)
+from zensim.proto.messages.agent_messages import TwistCommands
+from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.messages.simulation_messages import SimulateStepsRequest
+from zensim.proto.messages.telemetry_messages import GetModelsRequest, Snapshot
+from zensim.proto.service_catalog import GET_MODELS, SIMULATE_STEPS, Request, Response, Service
+from zensim.proto.topic_catalog import SNAPSHOT, TWISTS
+
+POLL_S = 0.01
+SILENCE_S = 2.0
+"""Wall time without a state after which the server is asked whether it is there."""
+GET_TIMEOUT_S = 1.0
+TOKEN_TIMEOUT_S = 2.0
+"""Limit on the delay until the server has received the token of this client."""
+CALL_TIMEOUT_S = 10.0
+
+
+class BusFeed(TopicFeed[Message]):
+    """Messages of a subscription; malformed ones are left out."""
+
+    def __init__(
+        self, subscription: BusSubscription, kind: type[Message], first: Sequence[Message]
+    ) -> None:
+        self._subscription = subscription
+        self._kind = kind
+        self._first = list(first)
+
+    def take(self, *, newest_only: bool = False) -> list[Message]:
+        """See `TopicFeed`."""
+        samples = self._subscription.take()
+        first, self._first = self._first, []
+        messages = first if not samples or not newest_only else []
+        for sample in samples[-1:] if newest_only else samples:
+            with suppress(MalformedPayload):
+                messages.append(decode(self._kind, sample.payload, sample.encoding))
+        return messages
+
+    def close(self) -> None:
+        """See `TopicFeed`."""
+        self._subscription.close()
+
+
+class ServerAccess(WorldAccess):
+    """A world on a server."""
+
+    def __init__(
+        self,
+        bus: Bus,
+        world: str,
+        *,
+        watch: Callable[[], None] = lambda: None,
+        on_close: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Subscribe to states of the world.
+
+        Args:
+            bus: Session; closed with this.
+            world: Name of the world.
+            watch: Called now and then while a call waits; raises if a program of ours has ended.
+            on_close: Called at the end of `close`.
+        """
+        self.world_name = world
+        self.bus = bus
+        self._watch = watch
+        self._on_close = on_close
+        self._process = os.getpid()
+        self._is_closed = False
+        self._client = f"client_{uuid.uuid4().hex[:12]}"
+        self._token: LivelinessToken | None = None
+        self._bond: tuple[str, LivelinessToken] | None = None
+        self._publishers: dict[str, BusPublisher] = {}
+        self._states = bus.subscribe(SNAPSHOT.key(world))
+        self._received_s = time.monotonic()
+        self._state = make_world_state(Snapshot(0, 0, 0, 0, (), b"", b""))
+        self.refresh()
+
+    @property
+    def client(self) -> str:
+        """See `WorldAccess`."""
+        return self._client
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the server has published or replied within the last seconds."""
+        try:
+            self.newest()
+        except (Closed, ConnectionLost):
+            return False
+        return True
+
+    def call(
+        self,
+        service: Service[Request, Response],
+        request: Request,
+        *,
+        world: str = "",
+        timeout_s: float = CALL_TIMEOUT_S,
+        request_id: str = "",
+    ) -> Response:
+        """See `WorldAccess`."""
+        self._require_open()
+        try:
+            response = self.bus.call(
+                service,
+                request,
+                world=world or self.world_name,
+                timeout_s=timeout_s,
+                request_id=request_id,
+            )
+        except NoServer as error:
+            self._watch()
+            raise ConnectionLost(f"the server at {self.bus.endpoint} is gone") from error
+        except TimeoutError as error:
+            self._watch()
+            raise Timeout(f"{service.name} got no reply within {timeout_s:g} s") from error
+        self._received_s = time.monotonic()
+        return response
+
+    def advance(self, steps: int, twists: TwistCommands | None, timeout_s: float) -> WorldState:
+        """See `WorldAccess`."""
+        self._declare()
+        request = SimulateStepsRequest(
+            steps, client=self._client, twists=twists, wants_snapshot=True
+        )
+        response = self._retry_early(
+            lambda: self.call(SIMULATE_STEPS, request, timeout_s=timeout_s)
+        )
+        if response.snapshot is None:
+            return self.refresh()
+        return self._replace(response.snapshot)
+
+    def newest(self) -> WorldState:
+        """See `WorldAccess`."""
+        if self._process != os.getpid() or self._is_closed:
+            self._require_open()
+        if (sample := self._states.newest()) is not None:
+            self._received_s = time.monotonic()
+            with suppress(MalformedPayload):
+                snapshot = decode(Snapshot, sample.payload, sample.encoding)
+                self._state = make_world_state(snapshot, self._state)
+        elif time.monotonic() - self._received_s > SILENCE_S:
+            self.refresh()
+        return self._state
+
+    def refresh(self) -> WorldState:
+        """See `WorldAccess`."""
+        self._require_open()
+        for sample in self.bus.get(SNAPSHOT.key(self.world_name), GET_TIMEOUT_S):
+            self._received_s = time.monotonic()
+            return self._replace(decode(Snapshot, sample.payload, sample.encoding))
+        self._watch()
+        raise ConnectionLost(
+            f"the server of world '{self.world_name}' at {self.bus.endpoint} does not reply"
+        )
+
+    def command(self, twists: TwistCommands) -> None:
+        """See `WorldAccess`."""
+        self._declare()
+        self.publish(TWISTS.key(self.world_name), twists)
+
+    def subscribe(self, key: str, kind: type[Message], depth: int) -> TopicFeed[Message]:
+        """See `WorldAccess`."""
+        self._require_open()
+        subscription = self.bus.subscribe(key, depth)
+        first = []
+        for sample in self.bus.get(key, GET_TIMEOUT_S)[-1:]:
+            with suppress(MalformedPayload):
+                first.append(decode(kind, sample.payload, sample.encoding))
+        return BusFeed(subscription, kind, first)
+
+    def publish(self, key: str, message: msgspec.Struct) -> None:
+        """See `WorldAccess`."""
+        self._require_open()
+        form = Format.MSGPACK if key.startswith("sim/") else Format.CDR
+        if key not in self._publishers:
+            self._publishers[key] = self.bus.advertise(key, make_encoding(type(message), form))
+        self._publishers[key].send(encode(message, form))
+
+    def wait_until_driven(self, names: Sequence[str], timeout_s: float) -> None:
+        """See `WorldAccess`."""
+        left, deadline = tuple(names), time.monotonic() + timeout_s
+        while left:
+            found = self.call(GET_MODELS, GetModelsRequest(left)).entities
+            left = tuple(one.entity for one in found if not one.agent)
+            if left and time.monotonic() > deadline:
+                raise Timeout(
+                    f"no agent drives '{left[0]}' after {timeout_s:g} s",
+                    slug="no_agent",
+                    hint="start one with 'zensim agent --pool', or give agent='external'",
+                )
+            if left:
+                self._watch()
+                time.sleep(POLL_S)
+
+    def hold_bond(self) -> str:
+        """See `WorldAccess`."""
+        self._require_open()
+        if self._bond is None:
+            name = f"bond_{uuid.uuid4().hex[:16]}"
+            self._bond = name, self.bus.token(keys.bond(self.world_name, name))
+        return self._bond[0]
+
+    def end_lease(self) -> None:
+        """Return the world to its former mode, and stop what this client commands."""
+        if self._token is not None:
+            self._token.close()
+            self._token = None
+            # A name whose token has disappeared is not used again.
+            self._client = f"client_{uuid.uuid4().hex[:12]}"
+
+    def close(self) -> None:
+        """See `WorldAccess`."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        if self._process == os.getpid():
+            if self._token is not None:
+                self._token.close()
+            if self._bond is not None:
+                self._bond[1].close()
+            self.bus.close()
+        self._on_close()
+
+    def _replace(self, snapshot: Snapshot) -> WorldState:
+        """Take the snapshot of a reply; states that were published before it are dropped."""
+        self._states.take()
+        self._state = make_world_state(snapshot, self._state)
+        return self._state
+
+    def _declare(self) -> None:
+        self._require_open()
+        if self._token is None:
+            self._token = self.bus.token(keys.alive_client(self.world_name, self._client))
+
+    def _retry_early(self, call: Callable[[], Response]) -> Response:
+        """Repeat a call while the server has not received the token of this client."""
+        deadline = time.monotonic() + TOKEN_TIMEOUT_S
+        while True:
+            try:
+                return call()
+            except ServiceError as error:
+                is_early = (
+                    error.code == ResultCode.INCORRECT_STATE
+                    and "no liveliness token" in error.message
+                )
+                if not is_early or time.monotonic() > deadline:
+                    raise
+            time.sleep(POLL_S)
+
+    def _require_open(self) -> None:
+        if self._process != os.getpid():
+            raise Closed("this simulation belongs to the parent process", slug="forked")
+        if self._is_closed:
+            raise Closed("this simulation is closed")

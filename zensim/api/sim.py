@@ -1,0 +1,120 @@
+"""Sim: a simulation on a server."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from zensim.api.api_errors import Unsupported
+from zensim.api.server_access import ServerAccess
+from zensim.api.simulation import Simulation
+from zensim.api.topic import TopicCallback
+from zensim.api.world_access import api_errors
+from zensim.api.world_session import STEP_TIMEOUT_S, list_robot_topics
+from zensim.proto.messages.telemetry_messages import Event
+from zensim.proto.topic_catalog import EVENTS, WORLD_TOPICS
+
+FULL_ROLE = "full"
+
+
+class Sim(Simulation):
+    """A simulated world on a server; `connect` and `launch` make it."""
+
+    def __init__(self, access: ServerAccess) -> None:
+        self._access = access
+        super().__init__(access)
+
+    @property
+    def endpoint(self) -> str:
+        """Endpoint of the server, as `connect` takes it."""
+        return self._access.bus.endpoint
+
+    @property
+    def role(self) -> str:
+        """What this client may do; servers of this version permit everything: `full`."""
+        return FULL_ROLE
+
+    @property
+    def rtf(self) -> float:
+        """Real-time factor of the last second; 0 while paused."""
+        return self._session.state().snapshot.real_time_factor
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """Agents that drive robots, as of the last change of the roster."""
+        entries = self._session.roster().entries.values()
+        return tuple(dict.fromkeys(entry.agent for entry in entries if entry.agent))
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the server publishes or replies."""
+        return self._access.is_connected
+
+    def steps(self, seconds: float | None = None, rate: float | None = None) -> Iterator[float]:
+        """See `Simulation.steps`; a world that plays is paused until the loop ends."""
+        was_paused = self.is_paused
+        if not was_paused:
+            self._pause_at_control_step()
+        try:
+            yield from super().steps(seconds, rate)
+        finally:
+            if not was_paused:
+                self._access.end_lease()
+
+    def _pause_at_control_step(self) -> None:
+        """Become the client that steps, which pauses a world that plays."""
+        with api_errors():
+            state = self._access.advance(1, None, STEP_TIMEOUT_S)
+        if left := -state.snapshot.step % self._session.control_steps:
+            self._session.advance(left)
+
+    def set_speed(self, factor: float) -> None:
+        """Set the target real-time factor; 0 = as fast as possible, else 0.01 to 1000."""
+        self._session.check_open()
+        with api_errors():
+            self._session.client.set_speed(factor)
+
+    def topics(self) -> tuple[str, ...]:
+        """List the keys of the topics of the world and of its robots."""
+        world = [topic.key(self._access.world_name) for topic in WORLD_TOPICS]
+        robots = [
+            key
+            for entry in self._session.roster().entries.values()
+            for key, _ in list_robot_topics(entry).values()
+        ]
+        return (*world, *robots)
+
+    def on(
+        self, kind: str, queue: int = 100
+    ) -> Callable[[Callable[[Event], object]], TopicCallback[Event]]:
+        """Decorate a function that is called with the events of a kind, as `spawned`.
+
+        Args:
+            kind: Kind of event; empty = all.
+            queue: See `Topic.on`.
+        """
+
+        def subscribe(call: Callable[[Event], object]) -> TopicCallback[Event]:
+            topic = self._session.find_topic(EVENTS.key(self._access.world_name), Event)
+            return topic.on(lambda event: call(event) if kind in ("", event.kind) else None, queue)
+
+        return subscribe
+
+    @contextmanager
+    def temporary(self) -> Iterator["Sim"]:
+        """Delete at the end of the block what was spawned in it."""
+        before = set(self._session.access.refresh().row)
+        try:
+            yield self
+        finally:
+            for name in self._session.access.refresh().snapshot.names:
+                if name not in before:
+                    with api_errors():
+                        self._session.client.delete(name)
+            self._session.access.refresh()
+
+    def export(self) -> None:
+        """Write the world as a scenario file.
+
+        Raises:
+            Unsupported: `zensim export` does it.
+        """
+        raise Unsupported("a Sim does not write scenario files", hint="use 'zensim export'")
