@@ -14,7 +14,6 @@ from zensim.api.api_errors import Error, NotFound, Timeout, Unreachable
 from zensim.api.local_deployment import (
     LaunchAgentsConfig,
     LaunchConfig,
-    LaunchFailed,
     start_programs,
 )
 from zensim.api.server_access import ServerAccess
@@ -107,10 +106,7 @@ def launch(  # noqa: PLR0913  options of a start, each with a default
         Timeout: The server did not start in time.
     """
     config = LaunchConfig(
-        placements=(),
-        model="",
         world=str(world),
-        world_name=DEFAULT_WORLD,
         endpoint=with_free_port("tcp/127.0.0.1:0"),
         real_time_factor=rtf,
         engine=engine,
@@ -119,23 +115,26 @@ def launch(  # noqa: PLR0913  options of a start, each with a default
         agents=LaunchAgentsConfig(pools=agents),
         sensor_processes=sensors,
         ros=NO_ROS,
-        has_viewer=False,
-        viewer_port=0,
     )
+    return _register(_start(config, timeout_s))
+
+
+def _start(config: LaunchConfig, timeout_s: float) -> Sim:
     supervisor = Supervisor(lambda _program, _status: None)
     with ExitStack() as stack:
         stack.callback(supervisor.close)
         try:
             start_programs(config, supervisor)
-            bus = _wait_for_server(config.endpoint, supervisor, timeout_s)
-        except (ProgramDied, LaunchFailed) as error:
+            bus = _wait_for_server(config, supervisor, timeout_s)
+        except ProgramDied as error:
             raise Error(str(error), slug="launch_failed", hint="see the lines above") from error
         access = ServerAccess(
-            bus, DEFAULT_WORLD, watch=_make_watch(supervisor), on_close=supervisor.close
+            bus, config.world_name, watch=_make_watch(supervisor), on_close=supervisor.close
         )
         sim = Sim(access)
+        # The simulation closes it.
         stack.pop_all()
-    return _register(sim)
+    return sim
 
 
 def servers(endpoint: str | None = None, *, timeout_s: float = 2.0) -> tuple[ServerEntry, ...]:
@@ -191,15 +190,15 @@ def _find_world(bus: Bus, deadline: float) -> str:
         time.sleep(POLL_S)
 
 
-def _wait_for_server(endpoint: str, supervisor: Supervisor, timeout_s: float) -> Bus:
+def _wait_for_server(config: LaunchConfig, supervisor: Supervisor, timeout_s: float) -> Bus:
     deadline = time.monotonic() + timeout_s
-    config = BusConfig(connect=(endpoint,), open_timeout_s=0.1)
+    bus_config = BusConfig(connect=(config.endpoint,), open_timeout_s=0.1)
     bus: Bus | None = None
     while time.monotonic() < deadline:
         supervisor.watch()
         try:
-            bus = bus or open_bus(config)
-            if bus.list_tokens(keys.alive_server(DEFAULT_WORLD)):
+            bus = bus or open_bus(bus_config)
+            if bus.list_tokens(keys.alive_server(config.world_name)):
                 return bus
         except BusError:
             continue

@@ -51,12 +51,12 @@ class LaunchAgentsConfig(msgspec.Struct, frozen=True):
 class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Settings of a deployment."""
 
-    placements: tuple[RobotPlacement, ...]
-    model: str
+    placements: tuple[RobotPlacement, ...] = ()
+    model: str = ""
     controllers: tuple[Path, ...] = ()
     drive: DriveOrder = DriveOrder()
     world: str
-    world_name: str
+    world_name: str = "default"
     endpoint: str
     real_time_factor: float | None = None
     """None = from the world file."""
@@ -76,8 +76,8 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     sensor_processes: int = 0
     """Number of processes that share lidars and cameras."""
     ros: RosSettings = RosSettings()
-    has_viewer: bool
-    viewer_port: int
+    has_viewer: bool = False
+    viewer_port: int = 0
 
 
 @dataclass(frozen=True)
