@@ -131,11 +131,12 @@ def format_markdown(rows: Sequence[CheckRow]) -> str:
     for row in rows:
         name, *cells = format_cells(row)
         table.append((name, row.robot.source or row.robot.path, *cells))
-    lines = [*_format_lines(format_totals(rows)), "", *_format_lines(table)]
+    lines = [*format_markdown_table(format_totals(rows)), "", *format_markdown_table(table)]
     return "\n".join([*lines, "", summarize(rows), ""])
 
 
-def _format_lines(table: Sequence[tuple[str, ...]]) -> list[str]:
+def format_markdown_table(table: Sequence[tuple[str, ...]]) -> list[str]:
+    """Format rows, the first of which is the head, as lines of a Markdown table."""
     head, *rows = table
     return [
         f"| {' | '.join(map(_escape, cells))} |" for cells in (head, ("---",) * len(head), *rows)
@@ -190,15 +191,18 @@ def _add_case(suite: ElementTree.Element, row: CheckRow) -> None:
     case = ElementTree.SubElement(
         suite,
         "testcase",
-        {"name": _to_xml(row.name), "classname": _to_xml(row.robot.path)},
+        {"name": to_xml_text(row.name), "classname": to_xml_text(row.robot.path)},
     )
     if tag := _choose_tag(row):
         ElementTree.SubElement(
-            case, tag, {"type": row.verdict, "message": _to_xml(row.reason or row.verdict)}
+            case, tag, {"type": row.verdict, "message": to_xml_text(row.reason or row.verdict)}
         )
     output = ElementTree.SubElement(case, "system-out")
-    output.text = _to_xml("\n".join(map(": ".join, zip(HEADERS, format_cells(row), strict=True))))
+    output.text = to_xml_text(
+        "\n".join(map(": ".join, zip(HEADERS, format_cells(row), strict=True)))
+    )
 
 
-def _to_xml(text: str) -> str:
+def to_xml_text(text: str) -> str:
+    """Leave out the characters that XML does not allow."""
     return text.translate(XML_CONTROLS)

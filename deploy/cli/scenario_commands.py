@@ -1,6 +1,8 @@
 """`zensim scenario`: check scenario files, print their JSON Schema, list the shipped ones."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -51,11 +53,10 @@ def check(given: ScenarioCheckOptions) -> None:
     Exit status: 0 without mistakes, 2 with some, 3 if a file does not exist.
     """
     with exit_on_failure("scenario check"):
-        issues = [
-            issue
-            for file in given.files
-            for issue in _find_issues(find_scenario_file(file), given.settings or ())
-        ]
+        issues: list[Issue] = []
+        for file in map(find_scenario_file, given.files):
+            with collect_issues(issues):
+                read_scenario(file, given.settings or ())
     if given.as_json:
         typer.echo(json.dumps([_to_json(issue) for issue in issues]))
     for issue in () if given.as_json else issues:
@@ -66,12 +67,13 @@ def check(given: ScenarioCheckOptions) -> None:
         typer.echo(f"{len(given.files)} checked, no mistakes", err=True)
 
 
-def _find_issues(file: str, settings: list[str] | tuple[str, ...]) -> tuple[Issue, ...]:
+@contextmanager
+def collect_issues(issues: list[Issue]) -> Iterator[None]:
+    """Add the mistakes of the file that the body reads."""
     try:
-        read_scenario(file, settings)
+        yield
     except ScenarioInvalid as error:
-        return error.issues
-    return ()
+        issues += error.issues
 
 
 def _to_json(issue: Issue) -> dict[str, object]:

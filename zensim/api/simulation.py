@@ -35,6 +35,7 @@ from zensim.proto.messages.result_messages import ResultCode, ServiceError, SetS
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import NANOSECONDS, Point, Vector3
 from zensim.proto.messages.telemetry_messages import Info
+from zensim.proto.service_catalog import Request, Response, Service
 from zensim.spawner.spawn.spawn_client import send_files, spawn_bonded, spawn_many
 
 if TYPE_CHECKING:
@@ -459,6 +460,32 @@ class Simulation:
             robots.stop()
 
         return end
+
+    def fleet(self, names: Sequence[str]) -> Fleet:
+        """Find several robots, as arrays with a row for each.
+
+        Raises:
+            NotFound: There is none of one of these names.
+        """
+        self._session.check_open()
+        known = self._session.state().row
+        for name in names:
+            if name not in known:
+                raise make_not_found("robot", name, list(known))
+        return Fleet(self._session, names)
+
+    def call(self, service: Service[Request, Response], request: Request) -> Response:
+        """Call a service of the catalog (`zensim.proto.service_catalog`) of this world.
+
+        Raises:
+            Error: The request was refused.
+            Timeout: There was no reply in time.
+        """
+        self._session.check_open()
+        with api_errors():
+            return self._session.access.call(
+                service, request, world=self._session.access.world_name
+            )
 
     # Lifetime
 

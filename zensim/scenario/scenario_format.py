@@ -437,10 +437,10 @@ class CheckOfRobots(CheckSection, frozen=True, kw_only=True):
 
 
 class NoCollisionCheck(CheckOfRobots, frozen=True, kw_only=True, tag="no_collision"):
-    """The outlines of robots and of other entities do not touch; margin: free distance [m]."""
+    """The outlines of robots do not touch: rectangles around their collisions."""
 
     radius: (
-        Annotated[float, quantity("m", "Outline of each; null = of its collisions.", above=0.0)]
+        Annotated[float, quantity("m", "Radius of round outlines; null = rectangles.", above=0.0)]
         | None
     ) = None
 
@@ -572,8 +572,7 @@ class EndSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The end of the run, whichever comes first."""
 
     at: (
-        Annotated[float, quantity("s", "Simulated time; null = 10 s in `zensim test`.", above=0.0)]
-        | None
+        Annotated[float, quantity("s", "Simulated time; null = 10 s in tests.", above=0.0)] | None
     ) = None
     when: Annotated[EndCondition, described("End as soon as checks have passed.")] | None = None
     on_failure: Annotated[Literal["stop", "continue"], described("What a failed check does.")] = (

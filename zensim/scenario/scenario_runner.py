@@ -1,0 +1,412 @@
+"""Runs a scenario on a simulation: behaviours, faults and checks at each control step."""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol, cast
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from zensim.api.fleet import Fleet
+from zensim.api.simulation import Simulation
+from zensim.proto.messages.entity_messages import GetEntityBoundsOrder
+from zensim.proto.messages.gazebo_messages import (
+    ApplyLinkWrenchRequest,
+    GetJointPropertiesRequest,
+    ODEJointProperties,
+    SetJointPropertiesRequest,
+)
+from zensim.proto.messages.standard_messages import NANOSECONDS, Duration, Vector3, Wrench
+from zensim.proto.messages.telemetry_messages import GetModelsRequest
+from zensim.proto.service_catalog import (
+    APPLY_LINK_WRENCH,
+    GET_ENTITY_BOUNDS,
+    GET_JOINT_PROPERTIES,
+    GET_MODELS,
+    SET_JOINT_PROPERTIES,
+)
+from zensim.scenario.check_monitors import (
+    CheckedState,
+    CheckMonitor,
+    CheckResult,
+    Margin,
+    Outline,
+    ScenarioEvent,
+    make_monitor,
+    make_outline,
+)
+from zensim.scenario.robot_behaviours import (
+    FleetState,
+    PythonController,
+    ScheduledMotion,
+    load_class,
+    make_motions,
+)
+from zensim.scenario.scenario_faults import CommandFaults, FaultRun, FaultSchedule
+from zensim.scenario.scenario_format import (
+    AllOfCheck,
+    AnyOfCheck,
+    CheckOfRobots,
+    Kidnap,
+    NoCollisionCheck,
+    Push,
+    PythonBehaviour,
+    PythonCheck,
+    RobotsSection,
+    WheelJam,
+)
+from zensim.scenario.scenario_reader import Scenario
+
+if TYPE_CHECKING:
+    from zensim.api.spawning import SpawnKeywords
+
+FloatArray = npt.NDArray[np.float64]
+DEFAULT_END_S = 10.0
+"""Simulated length of a run that says nothing of its end."""
+
+
+class PythonMargin(Protocol):
+    """A class of the file's author that checks."""
+
+    def update(self, now: float, state: CheckedState) -> float:
+        """Find the margin at a control step; negative = failed."""
+
+
+class ScenarioFailed(RuntimeError):
+    """A scenario that cannot run: its code raised, or the world refused a part of it."""
+
+
+class RunReport(msgspec.Struct, frozen=True):
+    """What became of one run."""
+
+    name: str
+    file: str
+    seed: int
+    sha256: str
+    """Of all values of the scenario."""
+    checks: tuple[CheckResult, ...] = ()
+    events: tuple[ScenarioEvent, ...] = ()
+    state_hash: str = ""
+    """Of the last state; equal runs have equal hashes."""
+    sim_time: float = 0.0
+    wall_time_s: float = 0.0
+    robots: int = 0
+    version: str = ""
+    error: str = ""
+    """Why it did not run to its end; empty if it did."""
+    repeat: str = ""
+    """Command that repeats the run."""
+
+    @property
+    def is_passed(self) -> bool:
+        """Whether it ran to its end and no check failed."""
+        return not self.error and not any(check.is_failure for check in self.checks)
+
+
+@dataclass
+class ScenarioRun:
+    """A scenario on a simulation.
+
+    Attributes:
+        commands: Last commanded speed and turn of each robot, (n, 2).
+        driven: Robots that a behaviour has driven, (n,).
+    """
+
+    scenario: Scenario
+    sim: Simulation
+    allows_python: bool = True
+    events: list[ScenarioEvent] = field(default_factory=list)
+    fleet: Fleet = field(init=False)
+    motions: list[ScheduledMotion] = field(init=False)
+    faults: FaultSchedule = field(init=False)
+    monitors: list[CheckMonitor] = field(init=False)
+    commands: FloatArray = field(init=False)
+    driven: npt.NDArray[np.bool_] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Prepare everything but the robots."""
+        scenario = self.scenario
+        self.faults = FaultSchedule(scenario)
+        self._command_faults = CommandFaults(scenario)
+        self._friction: dict[str, float] = {}
+        self._acting: set[str] = set()
+        self._before: CheckedState | None = None
+        self.commands = np.zeros((len(scenario.robots), 2))
+        self.driven = np.zeros(len(scenario.robots), dtype=bool)
+
+    def spawn(self) -> None:
+        """Spawn the robots, and make behaviours and checks."""
+        for index, group in enumerate(self.scenario.format.robots):
+            _spawn_group(self.sim, self.scenario, index, group)
+        self.fleet = self.sim.fleet(self.scenario.robot_names)
+        self.motions = make_motions(self.scenario, self._make_controller)
+        self.monitors = self._make_monitors()
+        self._start_time = self.sim.time
+        self._start_wall_s = time.monotonic()
+
+    def run(self, end: float) -> None:
+        """Run to the end of the scenario, at most for simulated seconds."""
+        steps = self.sim.steps(seconds=end if math.isfinite(end) else None)
+        for _ in steps:
+            state = self.step()
+            if self.is_over(state):
+                return
+        self.check_now()
+
+    def step(self) -> CheckedState:
+        """Do all that is due at the present control step, before time advances."""
+        fleet_state = self._observe()
+        events = [event for run, event in self._apply_faults(fleet_state)]
+        events += self._update_behaviours(fleet_state)
+        self.events += events
+        state = self._check(fleet_state, tuple(events))
+        self._drive(fleet_state)
+        return state
+
+    def check_now(self) -> CheckedState:
+        """Look at the present state with all checks, as after the last step."""
+        return self._check(self._observe(), ())
+
+    def is_over(self, state: FleetState) -> bool:
+        """Whether `end` says that the run is over before its time."""
+        end = self.scenario.format.end
+        if end.on_failure == "stop" and any(
+            one.has_failed(state.now) for one in self.monitors if one.check.severity == "fail"
+        ):
+            return True
+        if end.when is None:
+            return False
+        passed = {one.check.name for one in self.monitors if one.has_passed(state.now)}
+        is_one = bool(passed.intersection(end.when.any))
+        return is_one or bool(end.when.all and passed.issuperset(end.when.all))
+
+    def report(self, *, repeat: str = "", error: str = "") -> RunReport:
+        """Sum up the run."""
+        scenario = self.scenario
+        return RunReport(
+            scenario.name,
+            scenario.file,
+            scenario.seed,
+            scenario.sha256,
+            tuple(monitor.report() for monitor in self.monitors),
+            tuple(self.events),
+            self.sim.state_hash(),
+            self.sim.time - self._start_time,
+            time.monotonic() - self._start_wall_s,
+            len(scenario.robots),
+            version("zensim"),
+            error,
+            repeat,
+        )
+
+    def _observe(self) -> FleetState:
+        poses = self.fleet.poses()
+        self._orientations = poses[:, 3:7]
+        return FleetState(
+            self.sim.time - self._start_time,
+            self.sim.control_period,
+            self.fleet.poses2d(),
+            self.fleet.twists(),
+        )
+
+    def _check(self, state: FleetState, events: tuple[ScenarioEvent, ...]) -> CheckedState:
+        wall_s = max(time.monotonic() - self._start_wall_s, 1e-9)
+        before = self._before
+        checked = CheckedState(
+            state.now,
+            state.period,
+            state.poses,
+            state.twists,
+            self._orientations,
+            state.now / wall_s if state.now >= 1.0 else math.inf,
+            events,
+            self.faults.active | self._acting,
+            None if before is None else _forget_before(before),
+        )
+        for monitor in self.monitors:
+            monitor.update(checked)
+        self._before = checked
+        return checked
+
+    def _apply_faults(self, state: FleetState) -> list[tuple[FaultRun, ScenarioEvent]]:
+        changes = self.faults.update(state)
+        for run, event in changes:
+            for row, fault in zip(run.rows, run.own, strict=True):
+                robot = self.scenario.robots[row].name
+                if isinstance(fault, WheelJam):
+                    self._jam(robot, fault, is_start=event.kind == "start")
+                elif event.kind == "start" and isinstance(fault, Push):
+                    self._push(robot, fault)
+                elif event.kind == "start" and isinstance(fault, Kidnap):
+                    self.sim.robots[robot].set_pose(fault.x, fault.y, yaw=fault.yaw)
+        return changes
+
+    def _push(self, robot: str, fault: Push) -> None:
+        link = fault.link or self._find_root_link(robot)
+        length = -1.0 if fault.duration is None else fault.duration
+        seconds, rest = divmod(round(length * NANOSECONDS), NANOSECONDS)
+        request = ApplyLinkWrenchRequest(
+            link_name=f"{robot}::{link}",
+            wrench=Wrench(force=Vector3(fault.x, fault.y, fault.z)),
+            duration=Duration(seconds, rest),
+        )
+        self.sim.call(APPLY_LINK_WRENCH, request)
+
+    def _jam(self, robot: str, fault: WheelJam, *, is_start: bool) -> None:
+        joint = f"{robot}::{fault.joint}"
+        if is_start:
+            found = self.sim.call(GET_JOINT_PROPERTIES, GetJointPropertiesRequest(joint))
+            self._friction[joint] = found.friction[0] if found.friction else 0.0
+        friction = fault.friction if is_start else self._friction[joint]
+        properties = ODEJointProperties(fmax=(friction,))
+        self.sim.call(SET_JOINT_PROPERTIES, SetJointPropertiesRequest(joint, properties))
+
+    def _update_behaviours(self, state: FleetState) -> list[ScenarioEvent]:
+        events = []
+        for one in self.motions:
+            is_active = one.is_active(state.now)
+            if is_active != (one.name in self._acting):
+                (self._acting.add if is_active else self._acting.discard)(one.name)
+                kind = "start" if is_active else "end"
+                events.append(ScenarioEvent(state.now, one.name, kind))  # type: ignore[arg-type]
+        return events
+
+    def _drive(self, state: FleetState) -> None:
+        self.commands = np.zeros_like(self.commands)
+        for one in self.motions:
+            if one.is_active(state.now):
+                self.driven[one.rows] = True
+                self.commands[one.rows] = one.motion.command(state)
+        sent = self._command_faults.apply(state.now, self.commands, self.faults.runs)
+        if self.driven.all():
+            self.fleet.drive(v=sent[:, 0], w=sent[:, 1])
+        elif self.driven.any():
+            self.fleet[self.driven].drive(v=sent[self.driven, 0], w=sent[self.driven, 1])
+
+    def _make_controller(
+        self, behaviour: PythonBehaviour, names: Sequence[str]
+    ) -> PythonController:
+        made = self._load(behaviour.call)(self.sim, list(names), **behaviour.args)
+        return cast("PythonController", made)
+
+    def _load(self, call: str) -> Callable[..., object]:
+        if not self.allows_python:
+            raise ScenarioFailed(f"`{call}` is code of the file; it was started with --no-python")
+        return load_class(call, Path(self.scenario.file).parent)
+
+    def _make_monitors(self) -> list[CheckMonitor]:
+        scenario, made = self.scenario, dict[str, CheckMonitor]()
+        row = {name: number for number, name in enumerate(scenario.robot_names)}
+        # What combines others comes after them, but is reported in the order of the file.
+        numbered = sorted(
+            enumerate(scenario.format.checks),
+            key=lambda one: isinstance(one[1], AllOfCheck | AnyOfCheck),
+        )
+        has_outlines = any(isinstance(one, NoCollisionCheck) for one in scenario.format.checks)
+        outlines = self._find_outlines() if has_outlines else {}
+        for index, check in numbered:
+            selector = check.robots if isinstance(check, CheckOfRobots) else "*"
+            robots = scenario.select(selector) if scenario.robots else []
+            place = scenario.find_place(f"checks[{index}]")
+            shown = f"{place.file}:{place.line}"
+            if isinstance(check, PythonCheck):
+                made[check.name] = CheckMonitor(
+                    check, self._make_python_margin(check, robots), [""], shown
+                )
+                continue
+            made[check.name] = make_monitor(
+                check,
+                robots,
+                rows=np.array([row[name] for name in robots], dtype=np.intp),
+                place=shown,
+                outlines=outlines,
+                others=made,
+            )
+        return [made[check.name] for check in scenario.format.checks]
+
+    def _make_python_margin(self, check: PythonCheck, robots: Sequence[str]) -> Margin:
+        made = cast("PythonMargin", self._load(check.call)(list(robots), **check.args))
+        return lambda state: np.array([float(made.update(state.now, state))])
+
+    def _find_outlines(self) -> dict[str, Outline]:
+        """Find the outline of each robot; those of a group are alike."""
+        groups: dict[int, Outline] = {}
+        for robot in self.scenario.robots:
+            if robot.group not in groups:
+                found = self.sim.call(GET_ENTITY_BOUNDS, GetEntityBoundsOrder(robot.name))
+                points = [(one.x, one.y) for one in found.bounds.points]
+                groups[robot.group] = make_outline(points)
+        return {robot.name: groups[robot.group] for robot in self.scenario.robots}
+
+    def _find_root_link(self, robot: str) -> str:
+        found = self.sim.call(GET_MODELS, GetModelsRequest((robot,)))
+        return found.models[found.entities[0].model].links[0].name
+
+
+def _forget_before(state: CheckedState) -> CheckedState:
+    """Cut the chain of earlier states."""
+    return CheckedState(state.now, state.period, state.poses, state.twists, state.orientations)
+
+
+def _spawn_group(sim: Simulation, scenario: Scenario, index: int, group: RobotsSection) -> None:
+    robots = [robot for robot in scenario.robots if robot.group == index]
+    file = scenario.find_file(f"robots[{index}].model", group.model)
+    model = str(file) if file.is_file() else group.model
+    agent = "external" if group.agent == "none" else ""
+    names = [f"{group.name}{number}" for number in range(len(robots))]
+    is_plain = all(one.z is None and one.roll == one.pitch == 0.0 for one in robots)
+    controllers = [
+        scenario.find_file(f"robots[{index}].controllers", one) for one in group.controllers
+    ]
+    if is_plain and len(robots) > 1 and [one.name for one in robots] == names:
+        sim.spawn_fleet(
+            model,
+            poses=[(one.x, one.y, one.yaw) for one in robots],
+            prefix=group.name,
+            xacro_args=group.xacro,
+            controllers=controllers,
+            drive=group.drive,
+            agent=agent,
+        )
+        return
+    for one in robots:
+        options: SpawnKeywords = {
+            "x": one.x,
+            "y": one.y,
+            "roll": one.roll,
+            "pitch": one.pitch,
+            "yaw": one.yaw,
+            "xacro_args": group.xacro,
+            "controllers": controllers,
+            "drive": group.drive,
+            "agent": agent,
+        }
+        if one.z is not None:
+            options["z"] = one.z
+        sim.spawn(model, one.name, **options)
+
+
+def find_end(scenario: Scenario, default: float = DEFAULT_END_S) -> float:
+    """Find the simulated length of a run [s]."""
+    at = scenario.format.end.at
+    return default if at is None else at
+
+
+def run_scenario(
+    scenario: Scenario, sim: Simulation, *, allows_python: bool = True, repeat: str = ""
+) -> RunReport:
+    """Run a scenario to its end.
+
+    Raises:
+        ScenarioFailed: Its code raised.
+        Error: The world refused a part of it.
+    """
+    run = ScenarioRun(scenario, sim, allows_python=allows_python)
+    run.spawn()
+    run.run(find_end(scenario))
+    return run.report(repeat=repeat)
