@@ -25,7 +25,7 @@ def state(now: float, gap: float = 5.0) -> FleetState:
 
 
 def events_of(schedule: FaultSchedule, seconds: float) -> list[tuple[float, str]]:
-    found = []
+    found: list[tuple[float, str]] = []
     for step in range(round(seconds / PERIOD)):
         for _, event in schedule.update(state(step * PERIOD)):
             found.append((round(event.time, 6), event.kind))

@@ -20,8 +20,6 @@ from zensim.scenario.scenario_format import (
     CommandStuck,
     Fault,
     Kidnap,
-    Push,
-    WheelJam,
 )
 from zensim.scenario.scenario_reader import Scenario
 
@@ -29,8 +27,6 @@ FloatArray = npt.NDArray[np.float64]
 TIME_TOLERANCE_S = 1e-6
 HISTORY_S = 60.0
 """Commands that a delay can go back."""
-WORLD_FAULTS = (Push, Kidnap, WheelJam)
-"""Kinds that act on bodies, through the services of the world."""
 
 
 @dataclass
@@ -160,7 +156,7 @@ class CommandFaults:
                 found[run.rows] = change(self, run, now, found[run.rows])
         self._step += 1
         self._sent = found
-        return found
+        return np.asarray(found)
 
     def scale(self, run: FaultRun, _now: float, commands: FloatArray) -> FloatArray:
         """Multiply."""
@@ -169,7 +165,7 @@ class CommandFaults:
 
     def hold(self, run: FaultRun, _now: float, _commands: FloatArray) -> FloatArray:
         """Repeat what was sent last."""
-        return np.asarray(self._sent[run.rows])
+        return np.asarray(self._sent[run.rows], dtype=np.float64)
 
     def stop(self, _run: FaultRun, _now: float, commands: FloatArray) -> FloatArray:
         """Send no speed: the drive stops the robot."""
@@ -177,15 +173,13 @@ class CommandFaults:
 
     def lose(self, run: FaultRun, _now: float, commands: FloatArray) -> FloatArray:
         """Repeat what was sent last for the robots whose command is lost."""
+        key, step = ("faults", run.fault.name), str(self._step)
         lost = [
-            make_uniforms(self._seed, "faults", run.fault.name, self._names[row], str(self._step))[
-                0
-            ]
-            < one.share
+            make_uniforms(self._seed, *key, self._names[row], step)[0] < one.share
             for row, one in zip(run.rows, run.own, strict=True)
             if isinstance(one, CommandLoss)
         ]
-        return np.where(np.array(lost)[:, None], self._sent[run.rows], commands)
+        return np.asarray(np.where(np.array(lost)[:, None], self._sent[run.rows], commands))
 
     def delay(self, run: FaultRun, now: float, commands: FloatArray) -> FloatArray:
         """Send the commands of an earlier step."""
@@ -193,7 +187,7 @@ class CommandFaults:
         for number, (row, one) in enumerate(zip(run.rows, run.own, strict=True)):
             if isinstance(one, CommandDelay):
                 found[number] = self._find_earlier(now - one.delay, int(row))
-        return found
+        return np.asarray(found)
 
     def _find_earlier(self, time: float, row: int) -> FloatArray:
         found: FloatArray = np.zeros(2)

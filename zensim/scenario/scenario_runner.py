@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, cast
 
 import msgspec
 import numpy as np
@@ -68,13 +68,6 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.float64]
 DEFAULT_END_S = 10.0
 """Simulated length of a run that says nothing of its end."""
-
-
-class PythonMargin(Protocol):
-    """A class of the file's author that checks."""
-
-    def update(self, now: float, state: CheckedState) -> float:
-        """Find the margin at a control step; negative = failed."""
 
 
 class ScenarioFailed(RuntimeError):
@@ -330,8 +323,9 @@ class ScenarioRun:
         return [made[check.name] for check in scenario.format.checks]
 
     def _make_python_margin(self, check: PythonCheck, robots: Sequence[str]) -> Margin:
-        made = cast("PythonMargin", self._load(check.call)(list(robots), **check.args))
-        return lambda state: np.array([float(made.update(state.now, state))])
+        made = self._load(check.call)(list(robots), **check.args)
+        update: Callable[[float, CheckedState], float] = getattr(made, "update")  # noqa: B009  of the author's class
+        return lambda state: np.array([float(update(state.now, state))])
 
     def _find_outlines(self) -> dict[str, Outline]:
         """Find the outline of each robot; those of a group are alike."""
