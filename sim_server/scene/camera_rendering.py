@@ -52,13 +52,15 @@ MAX_FRAMES = 8
 """Sizes of images whose buffers are kept."""
 
 VERTEX_SHADER = """
-#version 330
 uniform mat3 to_optical;
 uniform vec4 pinhole;  // scale of x and y, shift of x and y
 uniform vec2 clipping;
 in vec3 vertex;
 in vec3 normal;
+#ifdef TEXTURED
 in vec2 place;
+out vec2 texel;
+#endif
 in vec3 position;  // from the eye
 in vec4 turn;
 in vec3 size;
@@ -67,7 +69,6 @@ in int label;
 out vec3 at;
 out vec3 facing;
 out float depth;
-out vec2 texel;
 flat out vec3 surface;
 flat out int entity;
 
@@ -80,7 +81,9 @@ void main() {
     facing = rotate(turn, normal / size);
     vec3 optical = to_optical * at;
     depth = optical.z;
+#ifdef TEXTURED
     texel = place;
+#endif
     surface = colour;
     entity = label;
     gl_Position = vec4(
@@ -92,6 +95,7 @@ void main() {
 """
 FRAGMENT_SHADER = f"""
 uniform vec3 ambient;
+uniform int suns;
 uniform int lights;
 uniform vec4 light_at[{MAX_LIGHTS}];
 uniform vec3 light_colour[{MAX_LIGHTS}];
@@ -100,20 +104,17 @@ uniform vec4 light_cone[{MAX_LIGHTS}];
 in vec3 at;
 in vec3 facing;
 in float depth;
-in vec2 texel;
 flat in vec3 surface;
 flat in int entity;
 layout(location = 0) out vec4 seen_colour;
 layout(location = 1) out float seen_depth;
 layout(location = 2) out int seen_label;
 #ifdef TEXTURED
+in vec2 texel;
 uniform sampler2D picture;
 #endif
 
-float shine(int i, vec3 normal) {{
-    if (light_at[i].w == 0.0) {{
-        return dot(light_at[i].xyz, normal);
-    }}
+float find_share(int i, vec3 normal) {{
     vec3 path = light_at[i].xyz - at;
     float away = max(length(path), {MIN_DISTANCE_M});
     vec3 towards = path / away;
@@ -128,8 +129,11 @@ void main() {{
     vec3 normal = normalize(facing);
     normal = dot(normal, at) > 0.0 ? -normal : normal;
     vec3 light = ambient;
-    for (int i = 0; i < lights; ++i) {{
-        light += light_colour[i] * max(shine(i, normal), 0.0);
+    for (int i = 0; i < suns; ++i) {{
+        light += light_colour[i] * max(dot(light_at[i].xyz, normal), 0.0);
+    }}
+    for (int i = suns; i < lights; ++i) {{
+        light += light_colour[i] * max(find_share(i, normal), 0.0);
     }}
     vec3 colour = surface;
 #ifdef TEXTURED
@@ -418,8 +422,11 @@ class OpenGlRenderer:
     def _find_program(self, definition: str) -> moderngl.Program:
         """Find the program of solids with or without an image, which costs more."""
         if definition not in self._programs:
-            fragment_shader = f"#version 330\n{definition}\n{FRAGMENT_SHADER}"
-            self._programs[definition] = self._context.program(VERTEX_SHADER, fragment_shader)
+            shaders = [
+                f"#version 330\n{definition}\n{shader}"
+                for shader in (VERTEX_SHADER, FRAGMENT_SHADER)
+            ]
+            self._programs[definition] = self._context.program(*shaders)
         return self._programs[definition]
 
     def _find_picture(self, name: str) -> moderngl.Texture | None:
@@ -517,7 +524,9 @@ def _list_light_uniforms(lighting: Lighting, eye: FloatArray) -> dict[str, Numbe
         name: np.concatenate([values, np.zeros((MAX_LIGHTS - count, values.shape[1]))])
         for name, values in lights.items()
     }
-    return {**padded, "lights": np.array(count, "<i4"), "ambient": lighting.ambient}
+    suns = np.count_nonzero(places[:, 3] == 0.0)
+    counts = {"suns": np.array(suns, "<i4"), "lights": np.array(count, "<i4")}
+    return {**padded, **counts, "ambient": lighting.ambient}
 
 
 def _upload(context: moderngl.Context, pixels: npt.NDArray[np.uint8]) -> moderngl.Texture:

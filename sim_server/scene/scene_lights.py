@@ -55,8 +55,6 @@ class Lighting:
 
     def choose_brightest(self, point: FloatArray) -> "Lighting":
         """Choose at most `MAX_LIGHTS` lights: directional ones, then those nearest to a point."""
-        if len(self.places) <= MAX_LIGHTS:
-            return self
         away = np.linalg.norm(self.places[:, :3] - point, axis=1) * self.places[:, 3]
         chosen = np.argsort(away, kind="stable")[:MAX_LIGHTS]
         parts = (self.places, self.colours, self.fades, self.cones)
