@@ -18,9 +18,9 @@ from zenoh.handlers import FifoChannel, RingChannel
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_endpoint, with_free_port
-from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError
+from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.network_protocols import Sample, Stamp
-from zensim.proto.service_catalog import Request, Response, Service
+from zensim.proto.service_catalog import Request, Response, Service, require_ok
 
 if TYPE_CHECKING:
     from zenoh.handlers import Handler
@@ -408,8 +408,7 @@ class Bus:
         encoding = make_encoding(request, Format.MSGPACK)
         reply = self._query(key, payload, encoding, timeout_s, request_id or uuid.uuid4().hex)
         response = decode(service.response, reply.payload, reply.encoding)
-        _raise_unless_ok(service, response)
-        return response
+        return require_ok(service, response)
 
     def _query(
         self, key: str, payload: bytes, encoding: str, timeout_s: float, request_id: str
@@ -500,13 +499,6 @@ def _make_open_error(config: BusConfig, text: str) -> BusError:
     return EndpointUnreachable(
         f"no server listens at {where}; start one with 'zensim serve' or use --connect"
     )
-
-
-def _raise_unless_ok(service: Service[Request, Response], response: Response) -> None:
-    result: Result = getattr(response, "result", Result())
-    if result.result != ResultCode.OK:
-        name = service.code_name(result.result)
-        raise ServiceError(service.name, result.result, name, result.error_message, response)
 
 
 OPEN_TIMEOUTS_S = (0.25, 0.25, 0.25, 0.25, 2.0)

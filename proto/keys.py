@@ -89,3 +89,17 @@ def parse_agent(key: str) -> str:
 def last_chunk(key: str) -> str:
     """Return the last chunk: the name of a service or topic."""
     return key.rsplit("/", 1)[-1]
+
+
+def intersect(one: str, other: str) -> bool:
+    """Whether some key fits both expressions; `*` is one chunk, `**` any number of them."""
+    return one == other or _chunks_intersect(one.split("/"), other.split("/"))
+
+
+def _chunks_intersect(one: list[str], other: list[str]) -> bool:
+    if not one or not other:
+        return all(chunk == "**" for chunk in (*one, *other))
+    if "**" in (one[0], other[0]):
+        return _chunks_intersect(one[1:], other) or _chunks_intersect(one, other[1:])
+    is_same = one[0] == other[0] or "*" in (one[0], other[0])
+    return is_same and _chunks_intersect(one[1:], other[1:])

@@ -1,7 +1,7 @@
 """The catalog of services: name, request, response and result codes of each."""
 
 from enum import IntEnum
-from typing import Generic, TypeVar
+from typing import Generic, TypeVar, cast
 
 import msgspec
 
@@ -20,7 +20,9 @@ from zensim.proto.messages.result_messages import (
     GetAvailableWorldsCode,
     GetCurrentWorldCode,
     LoadWorldCode,
+    Result,
     ResultCode,
+    ServiceError,
     SetEntityStateCode,
     SetSimulationStateCode,
     SpawnCode,
@@ -70,6 +72,19 @@ class Service(msgspec.Struct, Generic[Request, Response], frozen=True):
             if code in set(family):
                 return family(code).name
         return "UNKNOWN_CODE"
+
+
+def require_ok(service: Service[Request, Response], response: msgspec.Struct) -> Response:
+    """Return the response of a service unless it is a refusal.
+
+    Raises:
+        ServiceError: The request was refused.
+    """
+    result: Result = getattr(response, "result", Result())
+    if result.result != ResultCode.OK:
+        name = service.code_name(result.result)
+        raise ServiceError(service.name, result.result, name, result.error_message, response)
+    return cast("Response", response)
 
 
 SPAWN_ENTITY = Service(

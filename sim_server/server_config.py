@@ -1,8 +1,9 @@
 """Configuration of a server, and its validation."""
 
+from typing import TYPE_CHECKING
+
 import msgspec
 
-from zensim.proto.bus import BusConfig
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.names import check_name
@@ -15,6 +16,10 @@ from zensim.sim_server.physics.engine_config import (
     choose_engine,
     find_installed_engines,
 )
+
+if TYPE_CHECKING:
+    # A world without network does not load zenoh.
+    from zensim.proto.bus import BusConfig
 
 CONTROL_HZ = DRIVE_STATE.rate_hz
 """Default maximum rate of drive states, as the default update rate of Gazebo's drives."""
@@ -36,7 +41,8 @@ class WorldAlreadyServed(Exception):
 class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Configuration of a server: world, rates, network, engine."""
 
-    bus: BusConfig
+    bus: "BusConfig | None" = None
+    """None = no network."""
     world: str = "default"
     world_file: str = "empty"
     step_hz: float | None = None
@@ -125,8 +131,10 @@ def fill_pace(
     return msgspec.structs.replace(config, step_hz=step_hz, real_time_factor=factor)
 
 
-def make_server_bus_config(listen: str, connect: str) -> BusConfig:
+def make_server_bus_config(listen: str, connect: str) -> "BusConfig":
     """Configure the server's session: its own router, or a client of the one to connect to."""
+    from zensim.proto.bus import BusConfig  # noqa: PLC0415
+
     if connect:
         return BusConfig(mode="client", connect=(connect,))
     return BusConfig(mode="router", listen=(listen or DEFAULT_ENDPOINT,))

@@ -9,9 +9,9 @@ import msgspec
 from zensim.proto import keys
 from zensim.proto.bus import LATEST, NoServer
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
-from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError
+from zensim.proto.keys import intersect
 from zensim.proto.network_protocols import Sample, Stamp
-from zensim.proto.service_catalog import Request, Response, Service
+from zensim.proto.service_catalog import Request, Response, Service, require_ok
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -116,11 +116,7 @@ class MemoryBus:
         if not answers:
             raise TimeoutError(f"no reply from {key} within {timeout_s:g} s")
         response = decode(service.response, answers[0].payload, answers[0].encoding)
-        result: Result = getattr(response, "result", Result())
-        if result.result != ResultCode.OK:
-            name = service.code_name(result.result)
-            raise ServiceError(service.name, result.result, name, result.error_message, response)
-        return response
+        return require_ok(service, response)
 
     def has_subscriber(self, key: str) -> bool:
         """Whether a key has a subscriber."""
@@ -276,17 +272,3 @@ class MemoryTokenWatch:
 
     def close(self) -> None:
         self._owner.remove(self)
-
-
-def intersect(one: str, other: str) -> bool:
-    """Whether some key fits both expressions; `*` is one chunk, `**` any number of them."""
-    return _chunks_intersect(one.split("/"), other.split("/"))
-
-
-def _chunks_intersect(one: list[str], other: list[str]) -> bool:
-    if not one or not other:
-        return all(chunk == "**" for chunk in (*one, *other))
-    if "**" in (one[0], other[0]):
-        return _chunks_intersect(one[1:], other) or _chunks_intersect(one, other[1:])
-    is_same = one[0] == other[0] or "*" in (one[0], other[0])
-    return is_same and _chunks_intersect(one[1:], other[1:])

@@ -15,12 +15,11 @@ from zensim.sim_server.errors import ModelError
 from zensim.sim_server.parser_process.parser_protocol import ParsedMesh, ParseRequest, ParseResult
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from zensim.proto.messages.model_messages import Dynamics, Model
     from zensim.proto.messages.spawn_messages import Compat, SpawnEntityOrder
     from zensim.sim_server.parser_process.asset_store import AssetStore
-    from zensim.sim_server.parser_process.parser_client import ParserClient
 
 MAX_CACHED_MODELS = 512
 MAX_CACHED_CHARACTERS = 64 << 20
@@ -87,12 +86,22 @@ class DescriptionProvider(Protocol):
         """
 
 
+class Parser(Protocol):
+    """Parses texts, in another process or in this one."""
+
+    def submit(self, request: ParseRequest) -> None:
+        """Start to parse a text."""
+
+    def poll(self) -> Sequence[ParsedMesh | ParseResult]:
+        """Take the messages of finished requests."""
+
+
 class DescriptionCache:
     """Descriptions parsed by the parser process."""
 
     def __init__(
         self,
-        parser: ParserClient,
+        parser: Parser,
         store: AssetStore,
         prepare: Callable[[Model], bool],
         now_ns: Callable[[], int],

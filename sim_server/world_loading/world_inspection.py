@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from zensim.proto.bus import BusConfig
 from zensim.proto.child_process import make_module_command, reserve_stdout, run_process
 from zensim.proto.messages.model_messages import ReportEntry, Vec3
 from zensim.proto.process_limits import die_with_parent
@@ -183,7 +182,7 @@ def watch_models(
     started = time.perf_counter()
     physics = loaded.model.physics
     config = fill_pace(
-        ServerConfig(bus=BusConfig(), physics=EngineOptions(engine=request.engine)),
+        ServerConfig(physics=EngineOptions(engine=request.engine)),
         step_s=physics.step_s,
         real_time_factor=physics.real_time_factor,
     )

@@ -1,0 +1,160 @@
+"""InProcessNetwork: topics between the parts of one process, without a session or threads."""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import cast
+
+from zensim.proto import keys
+from zensim.proto.network_protocols import Query, Sample, Stamp
+from zensim.proto.service_catalog import Request, Response, Service
+
+
+class InProcessPublisher:
+    """Publisher on one key, or on a key expression that only asks for subscribers."""
+
+    def __init__(self, network: "InProcessNetwork", key: str, encoding: str) -> None:
+        self._network = network
+        self._key = key
+        self._encoding = encoding
+        self._version = -1
+        self._matching: tuple[InProcessSubscription, ...] = ()
+
+    @property
+    def is_matched(self) -> bool:
+        """Whether there is a subscriber."""
+        if self._version != self._network.version:
+            self._version = self._network.version
+            self._matching = self._network.find_subscriptions(self._key)
+        return bool(self._matching)
+
+    def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
+        """Give a message to all subscribers."""
+        del stamp
+        if self.is_matched:
+            sample = Sample(self._key, payload, self._encoding, attachment)
+            for subscription in self._matching:
+                subscription.samples.append(sample)
+
+    def close(self) -> None:
+        """Do nothing: a publisher has nothing to undeclare."""
+
+
+class InProcessSubscription:
+    """The newest messages on a key expression."""
+
+    def __init__(self, network: "InProcessNetwork", key: str, depth: int) -> None:
+        self.key = key
+        self.samples: deque[Sample] = deque(maxlen=depth)
+        self._network = network
+
+    def take(self) -> list[Sample]:
+        """Take all messages received, oldest first."""
+        if not self.samples:
+            return []
+        taken = list(self.samples)
+        self.samples.clear()
+        return taken
+
+    def newest(self) -> Sample | None:
+        """Take all messages and return the last."""
+        taken = self.take()
+        return taken[-1] if taken else None
+
+    def close(self) -> None:
+        """End the subscription."""
+        self._network.remove(self)
+
+
+class Undeclared:
+    """Stands for what needs no declaration in one process: a token, a watch, a queue."""
+
+    def take(self) -> Sequence[tuple[str, bool]]:
+        """Return no changes."""
+        return ()
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class NoQueries(Undeclared):
+    """A queue without queries: subscribers of this process get last values at once."""
+
+    def take(self) -> Sequence[Query]:  # type: ignore[override]
+        """Return no queries."""
+        return ()
+
+
+class InProcessNetwork:
+    """The network of agents and topics of one process."""
+
+    def __init__(self, on_call: Callable[[Service[Request, Response], Request], Response]) -> None:
+        """Take the function that handles service calls."""
+        self.version = 0
+        """Counts changes of the subscriptions."""
+        self.subscriptions: list[InProcessSubscription] = []
+        self._on_call = on_call
+
+    @property
+    def zid(self) -> str:
+        """The session's id."""
+        return "0"
+
+    def close(self) -> None:
+        """Do nothing: sessions of one process are one."""
+
+    def open_session(self) -> "InProcessNetwork":
+        """Return this network."""
+        return self
+
+    def stamp(self) -> Stamp:
+        """Make a time stamp."""
+        return cast("Stamp", object())
+
+    def advertise(self, key: str, encoding: str) -> InProcessPublisher:
+        """Declare a publisher."""
+        return InProcessPublisher(self, key, encoding)
+
+    def subscribe(self, key: str, depth: int = 1) -> InProcessSubscription:
+        """Subscribe to a key expression, keeping the newest `depth` messages."""
+        subscription = InProcessSubscription(self, key, depth)
+        self.subscriptions.append(subscription)
+        self.version += 1
+        return subscription
+
+    def remove(self, subscription: InProcessSubscription) -> None:
+        """End a subscription; twice is once."""
+        if subscription in self.subscriptions:
+            self.subscriptions.remove(subscription)
+            self.version += 1
+
+    def find_subscriptions(self, key: str) -> tuple[InProcessSubscription, ...]:
+        """Find the subscriptions that a key or key expression fits."""
+        return tuple(one for one in self.subscriptions if keys.intersect(one.key, key))
+
+    def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> NoQueries:
+        """Receive no queries."""
+        del key, depth, is_complete
+        return NoQueries()
+
+    def token(self, key: str) -> Undeclared:
+        """Declare nothing: all parts live as long as the process."""
+        del key
+        return Undeclared()
+
+    def watch_tokens(self, key: str, depth: int = 16384) -> Undeclared:
+        """Watch nothing."""
+        del key, depth
+        return Undeclared()
+
+    def call(
+        self,
+        service: Service[Request, Response],
+        request: Request,
+        *,
+        world: str,
+        timeout_s: float = 5.0,
+        request_id: str = "",
+    ) -> Response:
+        """Call a service of this process; the world is the only one."""
+        del world, timeout_s, request_id
+        return self._on_call(service, request)

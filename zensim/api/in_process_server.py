@@ -1,0 +1,260 @@
+"""InProcessServer: the world, services and drives of a server in this process, without network."""
+
+import os
+import shutil
+import time
+import weakref
+from contextlib import ExitStack
+from functools import cache
+from typing import Any
+
+import msgspec
+
+from zensim.api.in_process_network import InProcessNetwork
+from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode, make_encoding
+from zensim.proto.messages.agent_messages import ClaimShareRequest, DriveState, expand_grants
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.telemetry_messages import Event, Snapshot
+from zensim.proto.service_catalog import CLAIM_SHARE, Request, Response, Service, require_ok
+from zensim.proto.topic_catalog import CONTACTS, EVENTS, TopicSpec
+from zensim.robot_agent.bumpers import read_contact_report
+from zensim.robot_agent.pool.pooled_robots import PooledRobots
+from zensim.sim_server.description.builtin_models import list_builtin_worlds
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.initial_world import load_initial_world, make_initial_world, make_parts
+from zensim.sim_server.parser_process.asset_store import AssetStore
+from zensim.sim_server.parser_process.in_process_parser import InProcessParser
+from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
+from zensim.sim_server.runtime.world_telemetry import WorldTelemetry
+from zensim.sim_server.server_config import ServerConfig, validate_config
+from zensim.sim_server.service_parts import DeferredResponse, ServerParts
+from zensim.sim_server.services.service_registry import ServiceHandlers, make_refusal
+from zensim.sim_server.world_loading.world_loader import (
+    LoadedWorld,
+    WorldLoaderRequest,
+    load_world_in_process,
+)
+from zensim.sim_server.world_loading.world_loader_process import load_world_file
+
+POOL = "pool"
+"""Name of the agent that drives all robots."""
+CMD_VEL_TIMEOUT_NS = 500_000_000
+"""As of a pool by default: see `AgentConfig.cmd_vel_timeout_s`."""
+WAIT_S = 2e-4
+"""Pause while a thread of the engine compiles a model."""
+
+
+def load_trusted_world(request: WorldLoaderRequest) -> LoadedWorld:
+    """Load a world in this process, without a sandbox; raises as `load_world_in_process`."""
+    if request.name in list_builtin_worlds():
+        return _load_builtin_world(request.name)
+    return load_world_file(
+        request.name,
+        request.model_paths,
+        is_strict=request.is_strict,
+        allow_missing=request.allow_missing,
+    )
+
+
+@cache
+def _load_builtin_world(name: str) -> LoadedWorld:
+    return load_world_in_process(WorldLoaderRequest(name))  # needs no process
+
+
+@cache
+def open_shared_store(process_id: int) -> AssetStore:
+    """Open the store of all worlds of a process: files and compiled models are shared."""
+    store = AssetStore()
+    weakref.finalize(store, _close_store, store.folder, process_id)
+    return store
+
+
+def _close_store(folder: str, process_id: int) -> None:
+    if os.getpid() == process_id:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def read_no_time() -> int:
+    """Return wall time 0: what a server divides among turns of its loop is done at once."""
+    return 0
+
+
+class InProcessServer:
+    """One world, its services, and a pool that drives all robots.
+
+    It does what a paused server in lockstep with one pool does, with the same bits.
+    """
+
+    def __init__(self, config: ServerConfig) -> None:
+        """Load the world.
+
+        Raises:
+            ConfigError: The configuration is not valid, or there is no such world.
+        """
+        config = msgspec.structs.replace(validate_config(config), requested=config)
+        self._cleanup = ExitStack()
+        self.close = weakref.finalize(self, self._cleanup.close)
+        store = open_shared_store(os.getpid())
+        loaded, self.config = load_initial_world(config, None, load_trusted_world)
+        self.world = make_initial_world(self.config, loaded, store)
+        self._cleanup.callback(self.world.close)
+        parser = InProcessParser(store)
+        self.parts: ServerParts = make_parts(
+            self.config, loaded, self.world, parser, store=store, now_ns=read_no_time
+        )
+        self.parts.agents.alive.add(POOL)
+        self._handlers = ServiceHandlers(self.parts)
+        self.network = InProcessNetwork(self.call)
+        self.robots = PooledRobots(self.network, CMD_VEL_TIMEOUT_NS)
+        self._telemetry = InProcessTelemetry(self.parts, self.network, self.robots)
+        self._shared_roster = self.world.entities.roster_number
+        self._followed = self._version
+
+    def call(self, service: Service[Request, Response], request: Request) -> Response:
+        """Call a service; what it changes is done when this returns.
+
+        Raises:
+            ServiceError: The request was refused.
+        """
+        try:
+            response = self._handle(service, request)
+        except SimError as error:
+            response = make_refusal(service.name, error.code, str(error))
+        except MalformedPayload as error:
+            text = f"malformed request: {error}"
+            response = make_refusal(service.name, ResultCode.OPERATION_FAILED, text)
+        self._settle()
+        return require_ok(service, response)
+
+    def step(self, steps: int) -> None:
+        """Make steps; the pool answers each control step before the next step."""
+        world = self.world
+        for _ in range(steps):
+            world.step()
+            if world.is_control_step:
+                self._finish_control_step()
+        self._telemetry.publish_events()
+
+    def follow(self) -> None:
+        """Let the pool answer the present state, as after each control step."""
+        for agent, state in self.world.drive_states():
+            if agent == POOL:
+                self._follow_state(state)
+        self._followed = self._version
+
+    def snapshot(self) -> Snapshot:
+        """Read the states of all entities."""
+        return self.world.snapshot(0.0)
+
+    def announce(self) -> None:
+        """Give last values to new subscribers."""
+        for _ in range(1 + len(self.world.entities) // 16):
+            self.robots.reply_to_queries()
+            self.robots.announce()
+        self.robots.reply_to_queries()
+
+    def _handle(self, service: Service[Request, Response], request: Request) -> msgspec.Struct:
+        # Through the codec, which refuses what a server would refuse.
+        encoding = make_encoding(request, Format.MSGPACK)
+        read = decode(service.request, encode(request, Format.MSGPACK), encoding)
+        response = self._handlers.handle(read)
+        return self._finish(response) if isinstance(response, DeferredResponse) else response
+
+    def _finish(self, deferred: DeferredResponse[Any]) -> msgspec.Struct:
+        """Do what a response waits for: parsing, building, or requested steps."""
+        descriptions, goals = self.parts.descriptions, self.parts.pacing.step_goals
+        while True:
+            descriptions.has_new = descriptions.provider.poll()
+            if deferred.is_ready():
+                response: msgspec.Struct = deferred.outcome()
+                return response
+            if goals:
+                self._make_requested_steps()
+            elif not descriptions.has_new:
+                time.sleep(WAIT_S)
+
+    def _make_requested_steps(self) -> None:
+        goals = self.parts.pacing.step_goals
+        while goals.has_steps_left and self.world.clock.state == State.PAUSED:
+            self.step(1)
+            goals.note_step()
+        goals.finish_completed()
+
+    def _settle(self) -> None:
+        """Let the pool claim new robots, and follow changed claims and resets."""
+        roster = self.world.entities.roster_number
+        if roster != self._shared_roster:
+            self._shared_roster = roster
+            self._claim()
+        if self._followed != self._version:
+            self.follow()
+        self._telemetry.publish_events()
+
+    def _claim(self) -> None:
+        is_more = True
+        while is_more:
+            response = self._handlers.handle(ClaimShareRequest(POOL))
+            assert isinstance(response, CLAIM_SHARE.response)
+            self.robots.add_claims(expand_grants(response))
+            is_more = response.is_more
+
+    @property
+    def _version(self) -> tuple[int, int]:
+        return self.world.clock.epoch, self.world.claims.changes
+
+    def _follow_state(self, state: DriveState) -> None:
+        if state.epoch != self._followed[0]:
+            self.robots.reset()
+        self.robots.release_all_except(state.claims)
+        if state.claims:
+            self.world.command(POOL, self.robots.advance(state))
+            self.robots.publish()
+
+    def _finish_control_step(self) -> None:
+        if self.network.subscriptions:
+            self._telemetry.publish()
+        self.follow()
+
+
+class InProcessTelemetry:
+    """Publishes the topics of a world in simulation time, and contacts to its pool."""
+
+    def __init__(self, parts: ServerParts, network: InProcessNetwork, robots: PooledRobots) -> None:
+        self._world = parts.world
+        self._network = network
+        self._robots = robots
+        self._messages = WorldTelemetry(parts.world, parts.pacing, parts.sensors)
+        self._contacts = ContactTelemetry(parts.world, parts.store.vertices)
+
+    def publish(self) -> None:
+        """Publish what is due at a control step; contacts first, as a server does."""
+        self._robots.reply_to_queries()
+        self._publish_contacts()
+        for topic in self._messages.due(self._world.clock.time_ns):
+            if self._is_wanted(topic):
+                self._put(topic, self._messages.message(topic))
+
+    def publish_events(self) -> None:
+        """Publish the events since the last call."""
+        events: list[Event] = self._world.clock.take_events()
+        for event in events if self._network.subscriptions else ():
+            self._put(EVENTS, event)
+
+    def _publish_contacts(self) -> None:
+        wants = self._robots.wants_contacts
+        is_wanted = wants or self._is_wanted(CONTACTS) or self._is_wanted(EVENTS)
+        if is_wanted and self._contacts.has_sensors:
+            contacts = self._contacts.read()
+            self._put(CONTACTS, contacts)
+            if wants:
+                self._robots.publish_contacts(read_contact_report(contacts))
+
+    def _is_wanted(self, topic: TopicSpec) -> bool:
+        return bool(self._network.find_subscriptions(topic.key(self._world.name)))
+
+    def _put(self, topic: TopicSpec, message: msgspec.Struct) -> None:
+        key = topic.key(self._world.name)
+        if self._network.find_subscriptions(key):
+            publisher = self._network.advertise(key, topic.encoding)
+            publisher.send(encode(message, topic.format))
