@@ -19,7 +19,6 @@ import msgspec
 import numpy as np
 
 from zensim.deploy.robot_checks import DrivenPart, RobotCheck, TrialRequest, TrialResult
-from zensim.proto.bus import BusConfig
 from zensim.proto.child_process import STDERR, reserve_stdout
 from zensim.proto.cli_options import parse_choice
 from zensim.proto.drive_orders import parse_drive_order
@@ -46,10 +45,10 @@ from zensim.sim_server.description.pipeline import is_sdf, parse_description
 from zensim.sim_server.description.urdf.independent_reading import find_reading_differences
 from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import SimError
+from zensim.sim_server.initial_world import load_initial_world, make_initial_world
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.physics.engine_config import EngineOptions, parse_engine_name
-from zensim.sim_server.server import load_initial_world, make_initial_world
 from zensim.sim_server.server_config import ServerConfig, validate_config
 from zensim.sim_server.service_parts import (
     Bonds,
@@ -189,7 +188,7 @@ def _compare_readings(text: str, model: Model) -> tuple[str, ...]:
 def make_trial_world(options: EngineOptions, store: AssetStore) -> SimulatedWorld:
     """Make a world for one robot: ground, no cells and no workers."""
     physics = msgspec.structs.replace(options, clusters="off", workers=0)
-    config = validate_config(ServerConfig(bus=BusConfig(), physics=physics))
+    config = validate_config(ServerConfig(physics=physics))
     loaded, config = load_initial_world(config, None)
     return make_initial_world(config, loaded, store)
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from zensim.api.connections import connect, launch, servers
     from zensim.api.entity_values import RobotPose, RobotTwist, SpawnReport, deg
     from zensim.api.fleet import Fleet
+    from zensim.api.in_process_world import World
     from zensim.api.robot import EntityHandle, Robot
     from zensim.api.sim import Sim
     from zensim.api.simulation import Simulation
@@ -48,6 +49,7 @@ __all__ = [
     "TopicCallback",
     "Unreachable",
     "Unsupported",
+    "World",
     "connect",
     "deg",
     "launch",

@@ -19,6 +19,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "zensim.api.connections": ("connect", "launch", "servers"),
     "zensim.api.entity_values": ("RobotPose", "RobotTwist", "SpawnReport", "deg"),
     "zensim.api.fleet": ("Fleet",),
+    "zensim.api.in_process_world": ("World",),
     "zensim.api.robot": ("EntityHandle", "Robot"),
     "zensim.api.sim": ("Sim",),
     "zensim.api.simulation": ("Simulation",),

@@ -34,6 +34,8 @@ class EngineOptions(msgspec.Struct, frozen=True, kw_only=True):
     engine that holds the interpreter's lock while it steps."""
     dynamics: Dynamics = "full"
     """Dynamics of entities that request none."""
+    compiles_ahead: bool = True
+    """Whether threads compile models that spawns may need next, which saves later steps a delay."""
 
 
 def parse_engine_name(name: str) -> EngineName | None:
@@ -82,3 +84,5 @@ class EngineConfig:
     ground_friction: float = 1.0
     mesh_folder: str = ""
     """Folder with `<Shape.mesh>.stl` files."""
+    compiles_ahead: bool = True
+    """See `EngineOptions`."""

@@ -118,6 +118,7 @@ def make_world_engine(config: ServerConfig, model: WorldModel, mesh_folder: str)
         model.ground_plane,
         model.ground_friction,
         mesh_folder=mesh_folder,
+        compiles_ahead=config.physics.compiles_ahead,
     )
     full = create_world_engine(engine_config, config.physics, period_steps=config.control_steps)
     return TieredEngine(full, engine_config, config.physics.dynamics)

@@ -1,12 +1,17 @@
 """InProcessNetwork: topics between the parts of one process, without a session or threads."""
 
 from collections import deque
-from collections.abc import Callable, Sequence
-from typing import cast
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeVar, cast
+
+import msgspec
 
 from zensim.proto import keys
+from zensim.proto.codec.message_codec import decode
 from zensim.proto.network_protocols import Query, Sample, Stamp
 from zensim.proto.service_catalog import Request, Response, Service
+
+Message = TypeVar("Message", bound=msgspec.Struct)
 
 
 class InProcessPublisher:
@@ -66,32 +71,88 @@ class InProcessSubscription:
 
 
 class Undeclared:
-    """Stands for what needs no declaration in one process: a token, a watch, a queue."""
+    """Stands for what needs no declaration in one process: a token, or a watch of tokens."""
 
-    def take(self) -> Sequence[tuple[str, bool]]:
+    def take(self) -> list[tuple[str, bool]]:
         """Return no changes."""
-        return ()
+        return []
 
     def close(self) -> None:
         """Do nothing."""
 
 
-class NoQueries(Undeclared):
-    """A queue without queries: subscribers of this process get last values at once."""
+class LastValueQuery:
+    """A query for the last value of one key; it collects the replies."""
 
-    def take(self) -> Sequence[Query]:  # type: ignore[override]
-        """Return no queries."""
-        return ()
+    def __init__(self, key: str) -> None:
+        self.key = key
+        self.payload = b""
+        self.encoding = ""
+        self.request_id = b""
+        self.size = 0
+        self.samples: list[Sample] = []
+
+    @property
+    def name(self) -> str:
+        """Last chunk of the key."""
+        return keys.last_chunk(self.key)
+
+    def read(self, kind: type[Message]) -> Message:
+        """Decode the request, which is empty."""
+        return decode(kind, self.payload, self.encoding)
+
+    def covers(self, key: str) -> bool:
+        """Whether the key expression includes a key."""
+        return keys.intersect(self.key, key)
+
+    def reply(self, payload: bytes, encoding: str, key: str = "", attachment: bytes = b"") -> None:
+        """Collect a reply."""
+        self.samples.append(Sample(key or self.key, payload, encoding, attachment))
+
+    def reply_each(self, replies: Iterable[tuple[str, bytes]], encoding: str) -> None:
+        """Collect several replies."""
+        self.samples += [Sample(key, payload, encoding) for key, payload in replies]
+
+    def add_reply(
+        self, key: str, payload: bytes, encoding: str, attachment: bytes, stamp: Stamp
+    ) -> None:
+        """Collect one reply of several."""
+        del stamp
+        self.samples.append(Sample(key, payload, encoding, attachment))
+
+    def drop(self) -> None:
+        """Do nothing: a query ends when it is answered."""
+
+
+class InProcessQueries:
+    """Queries on a key expression, until they are taken."""
+
+    def __init__(self, network: "InProcessNetwork", key: str) -> None:
+        self.key = key
+        self.queries: list[Query] = []
+        self._network = network
+
+    def take(self) -> Sequence[Query]:
+        """Take all queries, oldest first."""
+        if not self.queries:
+            return ()
+        taken, self.queries = self.queries, []
+        return taken
+
+    def close(self) -> None:
+        """Receive no further queries."""
+        self._network.queues.remove(self)
 
 
 class InProcessNetwork:
     """The network of agents and topics of one process."""
 
-    def __init__(self, on_call: Callable[[Service[Request, Response], Request], Response]) -> None:
+    def __init__(self, on_call: Callable[[Service[Any, Any], Any], Any]) -> None:
         """Take the function that handles service calls."""
         self.version = 0
         """Counts changes of the subscriptions."""
         self.subscriptions: list[InProcessSubscription] = []
+        self.queues: list[InProcessQueries] = []
         self._on_call = on_call
 
     @property
@@ -131,10 +192,20 @@ class InProcessNetwork:
         """Find the subscriptions that a key or key expression fits."""
         return tuple(one for one in self.subscriptions if keys.intersect(one.key, key))
 
-    def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> NoQueries:
-        """Receive no queries."""
-        del key, depth, is_complete
-        return NoQueries()
+    def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> InProcessQueries:
+        """Receive queries for last values."""
+        del depth, is_complete
+        queue = InProcessQueries(self, key)
+        self.queues.append(queue)
+        return queue
+
+    def query(self, key: str) -> LastValueQuery:
+        """Ask all that serve a key for its last value; replies come when they take the query."""
+        query = LastValueQuery(key)
+        for queue in self.queues:
+            if keys.intersect(queue.key, key):
+                queue.queries.append(query)
+        return query
 
     def token(self, key: str) -> Undeclared:
         """Declare nothing: all parts live as long as the process."""
@@ -157,4 +228,4 @@ class InProcessNetwork:
     ) -> Response:
         """Call a service of this process; the world is the only one."""
         del world, timeout_s, request_id
-        return self._on_call(service, request)
+        return cast("Response", self._on_call(service, request))

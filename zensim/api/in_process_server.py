@@ -10,12 +10,13 @@ from typing import Any
 
 import msgspec
 
-from zensim.api.in_process_network import InProcessNetwork
+from zensim.api.in_process_network import InProcessNetwork, InProcessSubscription
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import ClaimShareRequest, DriveState, expand_grants
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import Event, Snapshot
+from zensim.proto.network_protocols import Sample
 from zensim.proto.service_catalog import CLAIM_SHARE, Request, Response, Service, require_ok
 from zensim.proto.topic_catalog import CONTACTS, EVENTS, TopicSpec
 from zensim.robot_agent.bumpers import read_contact_report
@@ -26,7 +27,7 @@ from zensim.sim_server.initial_world import load_initial_world, make_initial_wor
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.in_process_parser import InProcessParser
 from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
-from zensim.sim_server.runtime.world_telemetry import WorldTelemetry
+from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, WorldTelemetry
 from zensim.sim_server.server_config import ServerConfig, validate_config
 from zensim.sim_server.service_parts import DeferredResponse, ServerParts
 from zensim.sim_server.services.service_registry import ServiceHandlers, make_refusal
@@ -41,6 +42,8 @@ POOL = "pool"
 """Name of the agent that drives all robots."""
 CMD_VEL_TIMEOUT_NS = 500_000_000
 """As of a pool by default: see `AgentConfig.cmd_vel_timeout_s`."""
+DECLARED_AT_ONCE = 32
+"""Publishers that `PooledRobots.reply_to_queries` declares in one call."""
 WAIT_S = 2e-4
 """Pause while a thread of the engine compiles a model."""
 
@@ -147,12 +150,15 @@ class InProcessServer:
         """Read the states of all entities."""
         return self.world.snapshot(0.0)
 
-    def announce(self) -> None:
-        """Give last values to new subscribers."""
-        for _ in range(1 + len(self.world.entities) // 16):
+    def subscribe(self, key: str, depth: int) -> InProcessSubscription:
+        """Subscribe to a topic, the last value of its keys first."""
+        subscription = self.network.subscribe(key, depth)
+        query = self.network.query(key)
+        for _ in range(2 + len(self.world.entities) // DECLARED_AT_ONCE):
             self.robots.reply_to_queries()
-            self.robots.announce()
-        self.robots.reply_to_queries()
+        last = query.samples or self._telemetry.find_last(key)
+        subscription.samples.extend(last)
+        return subscription
 
     def _handle(self, service: Service[Request, Response], request: Request) -> msgspec.Struct:
         # Through the codec, which refuses what a server would refuse.
@@ -234,6 +240,14 @@ class InProcessTelemetry:
         for topic in self._messages.due(self._world.clock.time_ns):
             if self._is_wanted(topic):
                 self._put(topic, self._messages.message(topic))
+
+    def find_last(self, key: str) -> list[Sample]:
+        """Make the message of a topic of the world, if it is one that always has a value."""
+        for topic in GETTABLE_TOPICS.values():
+            if topic.key(self._world.name) == key:
+                message = self._messages.message(topic)
+                return [Sample(key, encode(message, topic.format), topic.encoding)]
+        return []
 
     def publish_events(self) -> None:
         """Publish the events since the last call."""

@@ -547,8 +547,9 @@ class MujocoEngine(Engine):
         slot = self._slots.take(archetype, number)
         if compiled is not self._compiled:
             self._switch_model(compiled)
-            if not self._slots.expects_more:
-                _COMPILE_CACHE.compile_ahead(compiled.layout.slot_counts, archetype, self._config)
+            if self._config.compiles_ahead and not self._slots.expects_more:
+                counts = compiled.layout.slot_counts
+                _COMPILE_CACHE.compile_ahead(counts, archetype, self._config)
         address = compiled.layout.address(archetype, slot)
         body = self._bodies[number] = MujocoBody(model, archetype, slot, address, actuation, loads)
         self._own_geometries(number, address)

@@ -33,7 +33,7 @@ from zensim.proto.messages.standard_messages import (
     Vector3,
 )
 from zensim.proto.messages.telemetry_messages import Event
-from zensim.proto.messages.world_messages import LoadWorldRequest, WorldResource
+from zensim.proto.messages.world_messages import LoadWorldRequest
 from zensim.proto.service_catalog import (
     DELETE_ENTITY,
     LOAD_WORLD,
@@ -57,9 +57,7 @@ def server() -> Iterator[InProcessServer]:
 
 def spawn(server: InProcessServer, *names: str) -> None:
     poses = [PoseStamped(pose=Pose(Point(2.0 * row, 0.0, 0.0))) for row in range(len(names))]
-    orders = [
-        SpawnEntity(name, initial_pose=pose) for name, pose in zip(names, poses, strict=True)
-    ]
+    orders = [SpawnEntity(name, initial_pose=pose) for name, pose in zip(names, poses, strict=True)]
     common = SpawnEntityOrder(entity_resource=Resource("box_bot"), snap_to_ground=True)
     server.call(SPAWN_ENTITIES, SpawnEntitiesOrder(tuple(orders), common=common))
 
@@ -150,9 +148,8 @@ def test_equal_orders_after_a_reset_give_equal_bytes(server: InProcessServer) ->
 
 def test_odometry_is_published_to_a_subscriber_in_this_process(server: InProcessServer) -> None:
     spawn(server, "r1")
-    odom = server.network.subscribe("r1/odom", 8)
-    description = server.network.subscribe("r1/robot_description")
-    server.announce()
+    odom = server.subscribe("r1/odom", 8)
+    description = server.subscribe("r1/robot_description", 1)
 
     send_twist(server, "r1", 0.3, 0.0)
     server.step(60)
@@ -179,7 +176,7 @@ def test_events_are_published_to_subscribers_only(server: InProcessServer) -> No
 def test_another_world_is_loaded_at_once(server: InProcessServer) -> None:
     spawn(server, "r1")
 
-    server.call(LOAD_WORLD, LoadWorldRequest(world_resource=WorldResource(uri="walls")))
+    server.call(LOAD_WORLD, LoadWorldRequest(Resource("walls")))
 
     assert len(server.snapshot().names) > 1
     assert "r1" not in server.snapshot().names

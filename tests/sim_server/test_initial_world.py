@@ -8,9 +8,9 @@ import pytest
 from tests.engines import STEP_NS
 from tests.sim_server.journal.journaled_server import JournaledServer
 from zensim.proto.bus import BusConfig
+from zensim.sim_server.initial_world import load_initial_world
 from zensim.sim_server.journal.server_journal import Journal, open_journal
 from zensim.sim_server.journal.sqlite_store import JournalError
-from zensim.sim_server.server import load_initial_world
 from zensim.sim_server.server_config import ServerConfig
 
 CONFIG = ServerConfig(bus=BusConfig(), world_file="walls", journal="lab")
