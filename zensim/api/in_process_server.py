@@ -40,6 +40,8 @@ from zensim.sim_server.world_loading.world_loader_process import load_world_file
 
 POOL = "pool"
 """Name of the agent that drives all robots."""
+CLIENT = "world"
+"""Name of the only client."""
 CMD_VEL_TIMEOUT_NS = 500_000_000
 """As of a pool by default: see `AgentConfig.cmd_vel_timeout_s`."""
 DECLARED_AT_ONCE = 32
@@ -107,12 +109,14 @@ class InProcessServer:
             self.config, loaded, self.world, parser, store=store, now_ns=read_no_time
         )
         self.parts.agents.alive.add(POOL)
+        self.parts.pacing.lease.alive.add(CLIENT)
         self._handlers = ServiceHandlers(self.parts)
         self.network = InProcessNetwork(self.call)
         self.robots = PooledRobots(self.network, CMD_VEL_TIMEOUT_NS)
         self._telemetry = InProcessTelemetry(self.parts, self.network, self.robots)
         self._shared_roster = self.world.entities.roster_number
         self._followed = self._version
+        self._followed_orders = 0
 
     def call(self, service: Service[Request, Response], request: Request) -> Response:
         """Call a service; what it changes is done when this returns.
@@ -145,6 +149,8 @@ class InProcessServer:
             if agent == POOL:
                 self._follow_state(state)
         self._followed = self._version
+        self.world.commanded_twists.note_published()
+        self._followed_orders = self.world.commanded_twists.changes
 
     def snapshot(self) -> Snapshot:
         """Read the states of all entities."""
@@ -182,10 +188,22 @@ class InProcessServer:
 
     def _make_requested_steps(self) -> None:
         goals = self.parts.pacing.step_goals
+        self._follow_orders()
         while goals.has_steps_left and self.world.clock.state == State.PAUSED:
             self.step(1)
             goals.note_step()
         goals.finish_completed()
+
+    def _follow_orders(self) -> None:
+        """Let the pool answer the present state again if twists were ordered since."""
+        twists = self.world.commanded_twists
+        if self._followed_orders == twists.changes:
+            return
+        for agent, state in self.world.drive_states():
+            if agent == POOL and state.twists and self.robots.repeats(state):
+                self.world.command(POOL, self.robots.repeat(state))
+        twists.note_published()
+        self._followed_orders = twists.changes
 
     def _settle(self) -> None:
         """Let the pool claim new robots, and follow changed claims and resets."""

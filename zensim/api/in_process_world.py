@@ -9,7 +9,7 @@ import msgspec
 
 from zensim.api.api_errors import Closed, Timeout, Unsupported
 from zensim.api.in_process_network import InProcessSubscription
-from zensim.api.in_process_server import POOL, InProcessServer
+from zensim.api.in_process_server import CLIENT, POOL, InProcessServer
 from zensim.api.simulation import Simulation
 from zensim.api.world_access import Message, TopicFeed, WorldAccess, api_errors
 from zensim.api.world_state import WorldState, make_world_state
@@ -21,8 +21,6 @@ from zensim.proto.topic_catalog import ROBOT_TOPICS, TOPICS, Participant
 from zensim.sim_server.physics.engine_config import EngineOptions, parse_engine_name
 from zensim.sim_server.server_config import CONTROL_HZ, ServerConfig
 
-CLIENT = "world"
-"""Name of the only client of a world in process."""
 NO_CLOCK_HINT = "use run_for(), step() or steps(), or zensim.launch(rtf=1) for a world that runs"
 
 
