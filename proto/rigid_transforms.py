@@ -17,6 +17,8 @@ Rotation: TypeAlias = tuple[Column, Column, Column, Column]
 MIN_HALF_COSINE = 1e-9
 """1 + cosine of the angle between directions that count as opposite."""
 GIMBAL_LOCK_SINE = 1.0 - 1e-12
+OPTICAL_AXES = Origin(orientation=(-0.5, 0.5, -0.5, 0.5))
+"""Axes of images (x right, y down, z forward) in those of a camera. Source: REP-103."""
 
 
 def rotate(

@@ -9,19 +9,32 @@ from numpy.typing import NDArray
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.model_messages import Model, Origin
 from zensim.proto.messages.standard_messages import Image, LaserScan, PointCloud2
+from zensim.proto.rigid_transforms import OPTICAL_AXES, compose
 from zensim.proto.se3 import FloatArray
-from zensim.proto.topic_catalog import IMAGE_RAW, POINTS, SCAN
+from zensim.proto.topic_catalog import DEPTH_IMAGE, DEPTH_POINTS, IMAGE_RAW, POINTS, SCAN
 
 Picture = NDArray[np.uint8]
 """(height, width, 3), red, green, blue."""
 MAX_POINTS: Final = 20_000
 """Of one sensor; of more, every k-th is shown."""
 MAX_SHOWN_RANGE_M: Final = 10_000.0
+MAX_ANGLE_RAD: Final = 1e6
+"""Of a ray; float32 has no fraction of such an angle."""
 MAX_PICTURE_SIDE: Final = 480
 """The panel is narrower; of larger pictures, every k-th row and column is shown."""
+MAX_SCAN_BYTES: Final = 4 << 20
+"""Of a LaserScan: a million rays; its ranges become a tuple of floats."""
+MAX_ARRAY_BYTES: Final = 64 << 20
+"""Of an Image or a PointCloud2, whose data are read as they are."""
 FLOAT32: Final = 7
 """`PointField.datatype`."""
-SHOWN_TOPICS: Final = (SCAN.name, POINTS.name, IMAGE_RAW.name)
+DEPTHS: Final = "32FC1"
+PIXEL_BYTES: Final = {"rgb8": 3, DEPTHS: 4}
+"""By `Image.encoding`."""
+LEAST_DEPTH_M: Final = 1e-3
+"""White is at least this much nearer than black."""
+PICTURES: Final = (IMAGE_RAW.name, DEPTH_IMAGE.name)
+SHOWN_TOPICS: Final = (SCAN.name, POINTS.name, DEPTH_POINTS.name, *PICTURES)
 
 
 class SensorChoice(msgspec.Struct, frozen=True):
@@ -39,17 +52,17 @@ class SensorView(msgspec.Struct, frozen=True):
     """Name of the sensor."""
     topic: str
     """See `SensorTopic.name`."""
-    content: Literal["scan", "points", "image_raw"]
+    content: Literal["scan", "points", "depth_points", "image_raw", "depth_image"]
     """Name in the topic catalog."""
     link: int
     """Index in `Model.links`."""
     origin: Origin
-    """Of the sensor in the link."""
+    """Of the axes of its points in the link."""
 
     @property
     def is_picture(self) -> bool:
         """Whether it is shown in the panel, not in the scene."""
-        return self.content == IMAGE_RAW.name
+        return self.content in PICTURES
 
 
 class SensedFrame(msgspec.Struct, frozen=True, eq=False):
@@ -69,7 +82,7 @@ def list_sensor_views(model: Model) -> tuple[SensorView, ...]:
             topic.name,
             topic.topic,  # type: ignore[arg-type]
             links[sensor.link],
-            sensor.origin,
+            _find_axes(sensor.origin, topic.topic),
         )
         for sensor in model.sensors
         for topic in sensor.topics
@@ -77,12 +90,17 @@ def list_sensor_views(model: Model) -> tuple[SensorView, ...]:
     )
 
 
+def _find_axes(origin: Origin, content: str) -> Origin:
+    return compose(origin, OPTICAL_AXES) if content == DEPTH_POINTS.name else origin
+
+
 def read_points(view: SensorView, payload: bytes, encoding: str = "") -> FloatArray:
-    """Read the points (n, 3) of a scan or cloud in the sensor's axes [m].
+    """Read the points (n, 3) of a scan or cloud in its axes [m].
 
     Raises:
         MalformedPayload: It has another type, or its numbers contradict each other.
     """
+    _check_size(payload, MAX_SCAN_BYTES if view.content == SCAN.name else MAX_ARRAY_BYTES)
     if view.content == SCAN.name:
         points = _place_ranges(decode(LaserScan, payload, encoding))
     else:
@@ -92,29 +110,50 @@ def read_points(view: SensorView, payload: bytes, encoding: str = "") -> FloatAr
 
 
 def read_picture(payload: bytes, encoding: str = "") -> Picture:
-    """Read an image of encoding rgb8, thinned out to `MAX_PICTURE_SIDE`.
+    """Read an image of encoding rgb8 or 32FC1, thinned out to `MAX_PICTURE_SIDE`.
+
+    Depths become greys: white is near, black is the farthest point of the image, or nothing.
 
     Raises:
         MalformedPayload: It is no such image, or its sizes contradict each other.
     """
+    _check_size(payload, MAX_ARRAY_BYTES)
     image = decode(Image, payload, encoding)
-    size, width = image.step * image.height, 3 * image.width
-    if image.encoding != "rgb8" or not 0 < width <= image.step or not 0 < size == len(image.data):
+    pixel = PIXEL_BYTES.get(image.encoding, 0)
+    size, width = image.step * image.height, pixel * image.width
+    if not 0 < width <= image.step or not 0 < size == len(image.data):
         raise MalformedPayload(
             f"Image of encoding {image.encoding[:20]!r}, {image.width} x {image.height}, "
-            f"{len(image.data)} bytes is not rgb8 of that size"
+            f"{len(image.data)} bytes is not {' or '.join(PIXEL_BYTES)} of that size"
         )
-    rows = np.frombuffer(image.data, np.uint8).reshape(image.height, image.step)
     stride = _find_stride(max(image.width, image.height), MAX_PICTURE_SIDE)
-    return rows[:, :width].reshape(image.height, image.width, 3)[::stride, ::stride]
+    rows = np.frombuffer(image.data, np.uint8).reshape(image.height, image.step)[::stride, :width]
+    pixels = rows.reshape(len(rows), image.width, pixel)[:, ::stride]
+    if image.encoding == DEPTHS:
+        number = ">f4" if image.is_bigendian else "<f4"
+        return _shade_depths(np.ascontiguousarray(pixels).view(number)[:, :, 0])
+    return pixels
+
+
+def _check_size(payload: bytes, limit: int) -> None:
+    if len(payload) > limit:
+        raise MalformedPayload(f"{len(payload)} bytes; the page reads at most {limit}")
+
+
+def _shade_depths(depths: NDArray[np.float32]) -> Picture:
+    farthest = depths[np.isfinite(depths)].max(initial=LEAST_DEPTH_M)
+    limited = np.clip(np.nan_to_num(depths, nan=farthest), 0.0, farthest)
+    grey = (255.0 * (1.0 - limited / farthest)).astype(np.uint8)
+    return np.repeat(grey[:, :, None], 3, axis=2)
 
 
 def _place_ranges(scan: LaserScan) -> FloatArray:
     ranges = np.array(scan.ranges, dtype=np.float64)
     # Gazebo writes NaN as the increment of a single ray.
     increment = scan.angle_increment if len(ranges) > 1 else 0.0
-    if not np.isfinite((scan.angle_min, increment)).all():
-        raise MalformedPayload("LaserScan has an angle that is not finite")
+    # Formats other than CDR carry numbers that float32 cannot hold.
+    if not abs(scan.angle_min) + len(ranges) * abs(increment) < MAX_ANGLE_RAD:
+        raise MalformedPayload("LaserScan has an angle that is too large, or not finite")
     is_hit = (ranges >= scan.range_min) & (ranges <= scan.range_max) & np.isfinite(ranges)
     rays = np.flatnonzero(is_hit)
     angles = scan.angle_min + rays * increment
@@ -131,6 +170,9 @@ def _read_cloud(cloud: PointCloud2) -> FloatArray:
             f"PointCloud2 of {count} points of {size} bytes has {len(cloud.data)} bytes, "
             "or no float32 fields x, y and z"
         )
+    if not count:
+        # Then nothing limits the size of a point.
+        return np.zeros((0, 3))
     number = ">f4" if cloud.is_bigendian else "<f4"
     layout = np.dtype(
         {"names": ["x", "y", "z"], "formats": [number] * 3, "offsets": places, "itemsize": size}

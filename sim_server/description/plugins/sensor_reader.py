@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from zensim.proto.messages.model_messages import (
-    ZERO,
     Frame,
     Model,
     Origin,
@@ -24,7 +23,7 @@ from zensim.proto.messages.sensor_messages import (
     SensorSettings,
 )
 from zensim.proto.names import InvalidName, check_frame
-from zensim.proto.rigid_transforms import compose, conjugate, multiply, rotate
+from zensim.proto.rigid_transforms import OPTICAL_AXES, compose, conjugate, multiply, rotate
 from zensim.sim_server.description.collision_names import (
     find_collisions,
     find_collisions_of_link,
@@ -515,8 +514,6 @@ def _make_missing_frame(
     return Frame(sensor.frame_id, sensor.link, find_data_origin(sensor)) if added else None
 
 
-OPTICAL = make_origin(ZERO, (-math.pi / 2.0, 0.0, -math.pi / 2.0))
-"""Axes of images in those of a camera. Source: REP-103."""
 PLACE_TOLERANCE_M = 1e-3
 TURN_TOLERANCE = 1e-5
 """1 - cos of half the angle: 0.5 degrees."""
@@ -525,7 +522,7 @@ TURN_TOLERANCE = 1e-5
 def find_data_origin(sensor: Sensor) -> Origin:
     """Find where the axes of a sensor's messages are, in its link."""
     if isinstance(sensor.settings, CameraSensor):
-        return compose(sensor.origin, OPTICAL)
+        return compose(sensor.origin, OPTICAL_AXES)
     return sensor.origin
 
 
