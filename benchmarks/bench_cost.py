@@ -17,7 +17,7 @@ import psutil
 
 from benchmarks.figures import Figure, Limit, table
 from benchmarks.ten_robots import CIRCLE, ROBOTS, ROBOTS_WHEN_SHORT
-from tests.integration.processes import connected, eventually, read_json_line, running
+from tests.integration.processes import connected, read_json_line, running
 from tests.integration.robots import Robot, robot
 from zensim.proto.bus import BusSubscription
 from zensim.proto.topic_catalog import TF
@@ -29,13 +29,7 @@ SECONDS = 30
 SECONDS_WHEN_SHORT = 2
 COMMANDS_HZ = 10
 MEGABYTES = 1e-6
-VERBS = {
-    "serve": "server",
-    "agent": "agents",
-    "sensors": "sensor process",
-    "view": "page",
-    "up": "up",
-}
+VERBS = {"serve": "server", "agent": "agents", "view": "page", "up": "up"}
 FACTOR = Limit("mean", ">=", 0.99)
 CPU = Limit("mean", "<=", 1.0)
 RSS = Limit("max", "<=", 70.0)
@@ -65,9 +59,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     arguments = ("--robots", str(robots), "--listen", "tcp/127.0.0.1:0", "--viewer-port", "0")
     with running("up", "--json", "--no-open", *arguments) as up:
         endpoint = str(read_json_line(up)["endpoint"])
-        process = psutil.Process(up.pid)
-        eventually(lambda: _has_sensor_process(process), 30.0, "the start of the sensor process")
-        groups = _groups(process)
+        groups = _groups(psutil.Process(up.pid))
         with connected(endpoint) as bus:
             client = SimClient(bus)
             standing = _watched(groups, client, seconds, lambda: None)
@@ -78,11 +70,6 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         yield from _second_figures("driving", driving)
         yield from _memory_figures(groups)
         yield Figure(what="floor: RSS of a bare session", unit="MB", samples=(_bare_mb(endpoint),))
-
-
-def _has_sensor_process(up: psutil.Process) -> bool:
-    """Whether it has started, which it does when all robots stand."""
-    return any("sensors" in child.cmdline() for child in up.children())
 
 
 def _groups(up: psutil.Process) -> Groups:

@@ -131,14 +131,15 @@ class UpOptions(RosTfOptions):
     odom_hz: OdomHzOption = None
     tf_hz: TfHzOption = None
     sensors: Annotated[
-        int,
+        int | None,
         typer.Option(
             "--sensors",
             min=0,
             metavar="N",
             help="Number of processes that publish lidars and cameras; idle without subscribers.",
+            show_default="1, from the first robot that has one",
         ),
-    ] = 1
+    ] = None
     lockstep: LockstepOption = False
     viewer: Annotated[
         bool, _viewer("--viewer/--no-viewer", metavar="", help="Serve the 3D web page.")

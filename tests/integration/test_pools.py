@@ -212,7 +212,7 @@ def test_up_pooled_starts_all_robots_and_restarts_a_dead_pool() -> None:
         ready = read_json_line(up)
         assert ready["robots"] == ROBOTS
         family = psutil.Process(up.pid).children()
-        assert len(family) == 3  # a pool, the server and a sensor process
+        assert len(family) == 2  # a pool and the server
         pool = next(process for process in family if "agent" in process.cmdline())
         pool.kill()
 

@@ -6,7 +6,18 @@ from typing import Any
 
 import pytest
 
-from tests.integration.processes import START_S, Server, eventually, kill, serving
+from benchmarks.bench_sensors import find_programs
+from tests.integration.processes import (
+    START_S,
+    Server,
+    connected,
+    eventually,
+    free_endpoint,
+    kill,
+    read_json_line,
+    running,
+    serving,
+)
 from tests.integration.sensor_runs import (
     DEPTH,
     LOCKSTEP,
@@ -20,6 +31,7 @@ from tests.integration.sensor_runs import (
 from zensim.proto import keys
 from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.proto.topic_catalog import SCAN
+from zensim.spawner.client.sim_client import SimClient
 
 STEP_HZ = 240
 PERIOD_STEPS = 24
@@ -117,6 +129,20 @@ def test_reset_begins_a_new_epoch_of_scans() -> None:
     stamps = scans.stamps_ns["r0"]
     assert len(stamps) == 4
     assert stamps[:2] == stamps[2:]
+
+
+def test_up_starts_a_sensor_process_with_the_first_robot_that_needs_one() -> None:
+    endpoint = free_endpoint()
+    with running("up", "--robots", "1", "--no-viewer", "--json", "--listen", endpoint) as up:
+        read_json_line(up)
+        assert find_programs(up)["sensors"] == ()
+        with connected(endpoint, up) as bus:
+            server = Server(up, endpoint, bus, SimClient(bus, timeout_s=START_S))
+
+            spawn_lidar_bots(server, 1)
+
+            scans = bus.subscribe(SCAN.key("r0"), DEPTH)
+            eventually(lambda: bool(scans.take()), START_S, "a scan")
 
 
 def _heard(scans: ScanHasher, names: list[str], *, since_ns: int) -> bool:

@@ -9,13 +9,16 @@ from pathlib import Path
 import msgspec
 
 from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
+from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.model_messages import Dynamics
-from zensim.proto.messages.result_messages import ResultCode
-from zensim.proto.messages.telemetry_messages import Info
+from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor
+from zensim.proto.messages.telemetry_messages import Event, Info
+from zensim.proto.network_protocols import Sample
 from zensim.proto.ros2.ros_settings import RosSettings, to_cli_arguments
 from zensim.proto.supervisor import PREPARED_START_MODULE, SupervisedProgram, Supervisor
-from zensim.proto.topic_catalog import ODOM
+from zensim.proto.topic_catalog import EVENTS, ODOM
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, RateOverrides
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
 from zensim.spawner.client.sim_client import SimClient
@@ -27,6 +30,10 @@ AGENT_WAIT_S = 3.0 * START_TIMEOUT_S
 """Longer than all timeouts here, so that the launcher reports the failure, not an agent."""
 ODOM_DEPTH = 65536
 POLL_S = 0.01
+EVENTS_DEPTH = 256
+ARRIVALS = ("spawned", "loaded")
+"""Kinds of events after which the world may have more sensors."""
+SENSOR_CALL_TIMEOUT_S, SENSOR_CALL_PERIOD_S = 1.0, 0.3
 
 
 ROBOTS_PER_POOL = 500
@@ -73,8 +80,8 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     dynamics: Dynamics = "full"
     """Empty = default of the server."""
     agents: LaunchAgentsConfig = LaunchAgentsConfig()
-    sensor_processes: int = 0
-    """Number of processes that share lidars and cameras."""
+    sensor_processes: int | None = None
+    """Number of processes that share lidars and cameras; None = one when the first appears."""
     ros: RosSettings = RosSettings()
     has_viewer: bool = False
     viewer_port: int = 0
@@ -88,6 +95,56 @@ class LaunchProgress:
     on_odom: Callable[[], None]
 
 
+class SensorLaunch:
+    """Starts the sensor processes: at once, or when the world has something for them to measure.
+
+    An idle one takes about as much memory as two agents, and most robots have no such sensor.
+    """
+
+    def __init__(self, config: LaunchConfig, supervisor: Supervisor, bus: Bus) -> None:
+        self._config = config
+        self._supervisor = supervisor
+        # Short calls, since programs that died wait meanwhile.
+        self._client = SimClient(bus, config.world_name, SENSOR_CALL_TIMEOUT_S)
+        self._events = bus.subscribe(EVENTS.key(config.world_name), EVENTS_DEPTH)
+        self._has_news, self._is_done = True, False
+        self._next_at_s = float("-inf")
+
+    def poll(self, now_s: float) -> None:
+        """Start the processes if they are due; at most one call of the server in a period.
+
+        Args:
+            now_s: Wall time from any origin.
+        """
+        self._has_news |= any(map(_is_arrival, self._events.take()))
+        if self._is_done or not self._has_news or now_s < self._next_at_s:
+            return
+        self._next_at_s = now_s + SENSOR_CALL_PERIOD_S
+        if self._config.sensor_processes is None and not self._has_appeared():
+            return
+        self._is_done = True
+        for name, start in make_sensor_starts(self._config).items():
+            words = ("sensors", msgspec.json.encode(start).decode())
+            self._supervisor.start(name, words, is_restarted=True, module=PREPARED_START_MODULE)
+
+    def _has_appeared(self) -> bool:
+        """Whether an entity has a sensor for them; asked again after the next arrival."""
+        try:
+            models = self._client.models().models
+        except (BusError, ServiceError, TimeoutError, MalformedPayload):
+            return False
+        self._has_news = False
+        sensors = (sensor for model in models for sensor in model.sensors)
+        return any(isinstance(one.settings, RaySensor | CameraSensor) for one in sensors)
+
+
+def _is_arrival(sample: Sample) -> bool:
+    try:
+        return decode(Event, sample.payload, sample.encoding).kind in ARRIVALS
+    except MalformedPayload:
+        return False
+
+
 @dataclass
 class LocalDeployment:
     """Running programs on this host."""
@@ -96,6 +153,7 @@ class LocalDeployment:
     supervisor: Supervisor
     bus: Bus
     client: SimClient
+    sensors: SensorLaunch
     ready_s: float = 0.0
     viewer_url: str = ""
     restarts: int = 0
@@ -116,10 +174,12 @@ def launch(
     start_programs(config, supervisor)
     with ExitStack() as stack:
         bus = stack.enter_context(_open_bus(config, supervisor))
-        deployment = LocalDeployment(config, supervisor, bus, SimClient(bus, config.world_name))
+        client = SimClient(bus, config.world_name)
+        sensors = SensorLaunch(config, supervisor, bus)
+        deployment = LocalDeployment(config, supervisor, bus, client, sensors)
         _wait_until_ready(deployment, progress, began_s)
         # Last, since no robot waits for them.
-        _start_sensors(config, supervisor)
+        sensors.poll(time.monotonic())
         # The caller closes the bus.
         stack.pop_all()
     return deployment
@@ -173,7 +233,7 @@ def make_sensor_starts(config: LaunchConfig) -> dict[str, SensorProcessConfig]:
         f"sensor process {number}": SensorProcessConfig(
             endpoint=config.endpoint, world=config.world_name, ros=config.ros, is_quiet=True
         )
-        for number in range(config.sensor_processes)
+        for number in range(1 if config.sensor_processes is None else config.sensor_processes)
     }
 
 
@@ -191,12 +251,6 @@ def start_programs(config: LaunchConfig, supervisor: Supervisor) -> None:
     supervisor.start("server", make_serve_arguments(config))
     for name, start in make_agent_starts(config).items():
         words = ("agent", msgspec.json.encode(start).decode())
-        supervisor.start(name, words, is_restarted=True, module=PREPARED_START_MODULE)
-
-
-def _start_sensors(config: LaunchConfig, supervisor: Supervisor) -> None:
-    for name, start in make_sensor_starts(config).items():
-        words = ("sensors", msgspec.json.encode(start).decode())
         supervisor.start(name, words, is_restarted=True, module=PREPARED_START_MODULE)
 
 
@@ -285,6 +339,7 @@ def supervise(
     end = time.monotonic() + duration_s if duration_s > 0 else float("inf")
     while not should_stop() and time.monotonic() < end:
         deployment.supervisor.watch()
+        deployment.sensors.poll(time.monotonic())
         time.sleep(POLL_S * 5)
 
 

@@ -1,17 +1,33 @@
 """Arguments and settings that `zensim up` passes to its programs."""
 
+from dataclasses import dataclass, field
+
 import msgspec
 import pytest
 
+from tests.fakes import MemoryBus
+from tests.spawner.page.builders import FakeServer, make_models, make_robot
 from zensim.api.local_deployment import (
     LaunchAgentsConfig,
     LaunchConfig,
+    SensorLaunch,
     choose_pool_count,
     make_agent_starts,
     make_sensor_starts,
     make_serve_arguments,
 )
+from zensim.proto.codec.message_codec import Format
+from zensim.proto.messages.model_messages import Model, Sensor
+from zensim.proto.messages.sensor_messages import (
+    CameraSensor,
+    ImuSensor,
+    RaySensor,
+    ScanAxis,
+    SensorSettings,
+)
+from zensim.proto.messages.telemetry_messages import Event, EventKind
 from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.topic_catalog import EVENTS
 from zensim.robot_agent.agent_config import AgentProcessConfig, RateOverrides
 from zensim.spawner.spawn.spawn_poses import RobotPlacement
 
@@ -112,4 +128,88 @@ def test_sensor_processes_get_the_endpoint_and_the_world() -> None:
     starts = make_sensor_starts(config).values()
 
     assert [(one.endpoint, one.world) for one in starts] == [("tcp/127.0.0.1:1", "w2")] * 2
-    assert make_sensor_starts(DEFAULTS) == {}
+    assert len(make_sensor_starts(DEFAULTS)) == 1
+    assert make_sensor_starts(msgspec.structs.replace(DEFAULTS, sensor_processes=0)) == {}
+
+
+@dataclass
+class FakeSupervisor:
+    """Records the programs that are started."""
+
+    started: list[str] = field(default_factory=list)
+
+    def start(self, name: str, *_: object, **__: object) -> None:
+        self.started.append(name)
+
+
+class LaunchedWorld:
+    """A world in memory, and the start of its sensor processes."""
+
+    def __init__(self, sensor_processes: int | None = None) -> None:
+        self.bus, self.supervisor, self.now_s = MemoryBus(), FakeSupervisor(), 0.0
+        self.server = FakeServer(self.bus, make_models(r1=make_robot()))
+        config = msgspec.structs.replace(DEFAULTS, sensor_processes=sensor_processes)
+        self.launch = SensorLaunch(
+            config,
+            self.supervisor,  # type: ignore[arg-type]
+            self.bus,  # type: ignore[arg-type]
+        )
+        self.poll()
+
+    def poll(self) -> int:
+        """Poll after a while; return how many processes have been started."""
+        self.now_s += 1.0
+        self.launch.poll(self.now_s)
+        return len(self.supervisor.started)
+
+    def add(self, settings: SensorSettings, kind: EventKind = "spawned") -> int:
+        """Add a robot with a sensor; return how many processes have been started then."""
+        self.server.models = make_models(r1=make_robot(), r2=with_sensor(settings))
+        self.bus.put_message(EVENTS.key("default"), Event(kind, "r2"), Format.MSGPACK)
+        return self.poll()
+
+
+def with_sensor(settings: SensorSettings) -> Model:
+    sensor = Sensor("sensor", "any", "bot_base", "bot_base", settings=settings)
+    return msgspec.structs.replace(make_robot(), sensors=(sensor,))
+
+
+LIDAR = RaySensor(ScanAxis(4, 0.0, 1.0), range_max_m=9.0)
+
+
+@pytest.mark.parametrize("settings", [LIDAR, CameraSensor()])
+@pytest.mark.parametrize("kind", ["spawned", "loaded"])
+def test_first_robot_that_needs_one_starts_a_sensor_process(
+    settings: SensorSettings, kind: EventKind
+) -> None:
+    world = LaunchedWorld()
+
+    assert world.supervisor.started == []
+    assert world.add(settings, kind) == 1
+    assert world.add(settings) == 1
+
+
+def test_robots_whose_agents_measure_start_no_sensor_process() -> None:
+    world = LaunchedWorld()
+
+    assert world.add(ImuSensor()) == 0
+    assert world.add(LIDAR) == 1
+
+
+def test_server_is_asked_only_after_arrivals_and_again_when_it_is_silent() -> None:
+    world = LaunchedWorld()
+    world.poll()
+    assert len(world.server.requests) == 1
+    world.server.is_silent = True
+
+    assert world.add(LIDAR) == 0
+    world.server.is_silent = False
+    assert world.poll() == 1
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_sensor_processes_of_a_given_number_start_at_once(count: int) -> None:
+    world = LaunchedWorld(count)
+
+    assert len(world.supervisor.started) == count
+    assert world.server.requests == []
