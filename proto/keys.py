@@ -49,6 +49,11 @@ def active_sensors(world: str, process: str) -> str:
     return f"sim/{world}/sensors/{process}/active"
 
 
+def sensor_libraries(world: str, process: str, missing: str) -> str:
+    """Liveliness token of what the host of a sensor process lacks: names joined by `+`."""
+    return f"sim/{world}/sensors/{process}/lacks/{missing}"
+
+
 def bond(world: str, name: str) -> str:
     """Liveliness token to which the existence of entities is bound."""
     return f"sim/{world}/bond/{name}"
@@ -65,6 +70,14 @@ def parse_sensor_process(key: str) -> str:
         case ["sim", _, "sensors", process, _] | ["sim", _, "alive", "sensors", process]:
             return process
     return ""
+
+
+def parse_sensor_libraries(key: str) -> tuple[str, str]:
+    """Return process and missing libraries of a `sensor_libraries` key; empty for other keys."""
+    match key.split("/"):
+        case ["sim", _, "sensors", process, "lacks", missing]:
+            return process, missing
+    return "", ""
 
 
 def robot(namespace: str, topic: str) -> str:

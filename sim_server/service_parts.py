@@ -9,6 +9,7 @@ from zensim.proto.messages.sensor_messages import Environment, SensorsReply
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.world_messages import WorldResource
 from zensim.proto.rigid_transforms import multiply
+from zensim.proto.sensor_libraries import Library
 from zensim.proto.service_catalog import Response
 from zensim.sim_server.description.model_geometry import FindCorners, find_ground_clearance
 from zensim.sim_server.description.world_model import WorldModel
@@ -82,11 +83,20 @@ class Agents:
 
 @dataclass
 class SensorProcesses:
-    """Sensor processes that are subscribed to scene states."""
+    """Sensor processes: those subscribed to scene states, and what the hosts of all lack."""
 
     active: set[str] = field(default_factory=set)
+    missing: dict[str, frozenset[Library]] = field(default_factory=dict)
+    """By process, also one that is not active."""
     replies: dict[str, SensorsReply] = field(default_factory=dict)
     """The last of each, with what it has published."""
+
+    def note_missing(self, process: str, missing: frozenset[Library], *, is_alive: bool) -> None:
+        """Note a token of what the host of a process lacks; the former one goes later."""
+        if is_alive:
+            self.missing[process] = missing
+        elif self.missing.get(process) == missing:
+            del self.missing[process]
 
 
 @dataclass
@@ -184,6 +194,7 @@ class Spawning:
     bonds: Bonds
     pacing: Pacing
     current: CurrentWorld
+    sensors: SensorProcesses = field(default_factory=SensorProcesses)
 
 
 @dataclass
@@ -239,16 +250,16 @@ def make_server_parts(
     factory: WorldFactory,
 ) -> ServerParts:
     """Make the parts that depend on others."""
-    bonds = Bonds(world)
+    bonds, sensors = Bonds(world), SensorProcesses()
     return ServerParts(
         world,
         current,
         pacing,
         Agents(),
-        SensorProcesses(),
+        sensors,
         bonds,
         descriptions,
         descriptions.store,
-        Spawning(world, descriptions, bonds, pacing, current),
+        Spawning(world, descriptions, bonds, pacing, current, sensors),
         WorldLoading(world, current, pacing, bonds, descriptions, catalog, factory),
     )

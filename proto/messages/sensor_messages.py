@@ -233,6 +233,10 @@ class SensorFigures(msgspec.Struct, frozen=True):
     """See `SensorsReply.late`."""
     cost_s: float = 0.0
     """CPU time of a measurement; sensors with equal settings are measured together."""
+    is_measured: bool = True
+    """False if no process can measure it."""
+    fault: str = ""
+    """Why it is not measured, or slowly; begins with a slug."""
 
 
 class SensorStats(msgspec.Struct, frozen=True):
@@ -248,7 +252,9 @@ class SensorStats(msgspec.Struct, frozen=True):
     late: UInt64 = 0
     """See `SensorsReply.late`."""
     sensors: tuple[SensorFigures, ...] = ()
-    """The share of this process."""
+    """The share of this process, and what no process can measure."""
+    missing: dict[str, str] = {}
+    """Optional libraries that its host lacks, and why."""
 
 
 class Contacts(msgspec.Struct, frozen=True):

@@ -47,6 +47,9 @@ class Inbox(Protocol):
     def take_sensor_processes(self) -> list[tuple[str, bool]]:
         """Take the sensor processes that became active (True) or inactive (False)."""
 
+    def take_sensor_libraries(self) -> list[tuple[str, str, bool]]:
+        """Take what hosts of sensor processes lack (True), or no longer (False), by process."""
+
     def take_sensor_replies(self) -> list[Sample]:
         """Take the replies of sensor processes."""
 
@@ -70,6 +73,7 @@ class BusInbox:
         self._bonds = network.watch_tokens(keys.bonds(world))
         self._commands = network.subscribe(DRIVE_COMMAND.key(world, "*"), COMMAND_DEPTH)
         self._sensors = network.watch_tokens(keys.active_sensors(world, "*"))
+        self._libraries = network.watch_tokens(keys.sensor_libraries(world, "*", "*"))
         self._sensor_replies = network.subscribe(SENSORS_REPLY.key(world, "*"), REPLY_DEPTH)
         self._clients = network.watch_tokens(keys.alive_clients(world))
         self._twists = network.subscribe(TWISTS.key(world), TWISTS_DEPTH)
@@ -95,6 +99,11 @@ class BusInbox:
         """See `Inbox`."""
         changes = self._sensors.take()
         return [(keys.parse_sensor_process(key), alive) for key, alive in changes]
+
+    def take_sensor_libraries(self) -> list[tuple[str, str, bool]]:
+        """See `Inbox`."""
+        changes = self._libraries.take()
+        return [(*keys.parse_sensor_libraries(key), alive) for key, alive in changes]
 
     def take_sensor_replies(self) -> list[Sample]:
         """See `Inbox`."""

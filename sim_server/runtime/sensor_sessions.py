@@ -16,6 +16,7 @@ from zensim.proto.messages.sensor_messages import (
 )
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.network_protocols import Sample
+from zensim.proto.sensor_libraries import parse_missing
 from zensim.proto.sensor_schedule import is_due
 from zensim.proto.topic_catalog import SCENE_STATE
 from zensim.sim_server.runtime.loop_channels import Inbox, WorldPublisher
@@ -61,6 +62,8 @@ class SensorSessions:
                 self._processes.active.add(process)
             else:
                 self._forget(process)
+        for process, text, is_alive in self._inbox.take_sensor_libraries():
+            self._processes.note_missing(process, parse_missing(text), is_alive=is_alive)
         if self._processes.active:
             for sample in self._inbox.take_sensor_replies():
                 self._take_reply(sample)

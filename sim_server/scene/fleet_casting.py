@@ -1,18 +1,19 @@
 """The caster of all lidars of a world: the planar one for level scans, Embree for the others."""
 
 import math
-from importlib.util import find_spec
 
 import numpy as np
 import numpy.typing as npt
 
 from zensim.proto.messages.sensor_messages import RaySensor
 from zensim.proto.se3 import FloatArray
+from zensim.proto.sensor_libraries import find_library_fault
 from zensim.sim_server.scene.broad_phase import IntArray
 from zensim.sim_server.scene.planar_casting import PlanarCaster, find_tilts, make_level_scan
 from zensim.sim_server.scene.ray_casting import RayCaster, cast_rays_exactly
 from zensim.sim_server.scene.scan_casting import ScanCaster, cast_ray_by_ray, choose_ignored
 from zensim.sim_server.scene.scene import SceneLayout
+from zensim.sim_server.scene.sensor_faults import has_one_level_row
 
 MAX_LEVEL_TILT_RAD = math.radians(2.0)
 """Up to this tilt, a scan of one row is cast as if it were level: a robot rocks by about 1 degree,
@@ -59,13 +60,12 @@ class FleetCaster:
 
 def are_level(settings: RaySensor, poses: FloatArray) -> npt.NDArray[np.bool_]:
     """Whether lidars at poses (n, 7) are cast as level ones: one row, hardly tilted."""
-    is_planar = settings.vertical.count == 1 and settings.vertical.low_rad == 0.0
-    return np.asarray(is_planar & (find_tilts(poses) <= MAX_LEVEL_TILT_RAD))
+    return np.asarray(has_one_level_row(settings) & (find_tilts(poses) <= MAX_LEVEL_TILT_RAD))
 
 
 def _find_ray_caster(layout: SceneLayout) -> RayCaster:
     """Make a caster of rays of any direction: Embree, or the exact one, which is slow."""
-    if find_spec("embreex") is None:
+    if find_library_fault("embree"):
         return cast_rays_exactly
     # Not installed everywhere: there are no wheels for linux on arm64.
     from zensim.sim_server.scene.embree_casting import EmbreeCaster  # noqa: PLC0415

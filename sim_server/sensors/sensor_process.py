@@ -29,11 +29,22 @@ from zensim.proto.messages.telemetry_messages import Event, GetModelsRequest
 from zensim.proto.network_protocols import AgentNetwork, Sample
 from zensim.proto.poll_schedule import PollSchedule
 from zensim.proto.ros2.ros_graph import RosGraph
-from zensim.proto.sensor_schedule import count_due, is_due
+from zensim.proto.sensor_libraries import (
+    Library,
+    find_missing_libraries,
+    format_missing,
+    parse_missing,
+)
+from zensim.proto.sensor_schedule import count_due, find_true_rate_hz, is_due
 from zensim.proto.service_catalog import GET_MODELS
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
 from zensim.proto.topic_catalog import EVENTS, SCENE_STATE, SENSOR_STATS, SENSORS_REPLY
-from zensim.sim_server.scene.camera_selection import find_camera_fault
+from zensim.sim_server.scene.camera_selection import find_opengl_fault
+from zensim.sim_server.scene.sensor_faults import (
+    SensorFault,
+    find_sensor_fault,
+    has_one_level_row,
+)
 from zensim.sim_server.sensors.camera_sensors import CameraSensorGroup, ViewedScene
 from zensim.sim_server.sensors.ray_sensors import RaySensorGroup
 from zensim.sim_server.sensors.scene_roster import (
@@ -101,36 +112,138 @@ class SensorCounts:
             self.total_late += count
 
 
-class SensorShare:
-    """The sensors that this process publishes, in groups of equal settings."""
+class HostLibraries:
+    """What the hosts of all sensor processes lack, by their tokens.
 
-    def __init__(self, network: AgentNetwork, world: str, graph: RosGraph) -> None:
+    Attributes:
+        missing: What this host lacks, and why.
+    """
+
+    def __init__(self, network: AgentNetwork, world: str, name: str) -> None:
+        self._network, self._world, self._name = network, world, name
+        self.missing = find_missing_libraries()
+        self._others: dict[str, frozenset[Library]] = {}
+        self._tokens = network.watch_tokens(keys.sensor_libraries(world, "*", "*"))
+        self._has_tried_opengl = False
+        self._declare()
+
+    def try_opengl(self) -> None:
+        """Find whether OpenGL really works, which takes a while, once."""
+        if self._has_tried_opengl or "opengl" in self.missing:
+            return
+        self._has_tried_opengl = True
+        if fault := find_opengl_fault():
+            former = self._token
+            self.missing["opengl"] = fault
+            self._declare()
+            former.close()
+
+    def poll(self) -> bool:
+        """Take changes of other processes; return whether there are any."""
+        changes = self._tokens.take()
+        for key, is_alive in changes:
+            process, text = keys.parse_sensor_libraries(key)
+            missing = parse_missing(text)
+            if is_alive:
+                self._others[process] = missing
+            elif self._others.get(process) == missing:
+                del self._others[process]
+        return bool(changes)
+
+    def find_missing(self, process: str) -> frozenset[Library]:
+        """Find what the host of a process lacks; nothing if that is not known."""
+        if process == self._name:
+            return frozenset(self.missing)
+        return self._others.get(process, frozenset())
+
+    def close(self) -> None:
+        """Undeclare the token."""
+        self._token.close()
+
+    def _declare(self) -> None:
+        missing = format_missing(self.missing)
+        key = keys.sensor_libraries(self._world, self._name, missing)
+        self._token = self._network.token(key)
+
+
+def share_sensors(
+    sensors: Sequence[SceneSensor],
+    processes: Sequence[str],
+    find_fault: Callable[[SceneSensor, str], SensorFault | None],
+) -> dict[str, list[SceneSensor]]:
+    """Share sensors evenly: the k-th of n processes gets every n-th of those that it can measure.
+
+    What no process can measure is in the share "".
+
+    Args:
+        sensors: Of the world.
+        processes: Names, in order.
+        find_fault: Finds what a sensor lacks on the host of a process.
+    """
+    shares: dict[str, list[SceneSensor]] = {process: [] for process in (*processes, "")}
+    for number, sensor in enumerate(sensors):
+        able = [one for one in processes if not is_refused(find_fault(sensor, one))]
+        shares[able[number % len(able)] if able else ""].append(sensor)
+    return shares
+
+
+def is_refused(fault: SensorFault | None) -> bool:
+    """Whether a sensor is not measured."""
+    return fault is not None and fault.is_refused
+
+
+class SensorShare:
+    """The sensors that this process publishes, in groups of equal settings.
+
+    Attributes:
+        sensors: The sensors of the share.
+        unmeasured: Those that no process can measure.
+    """
+
+    def __init__(self, network: AgentNetwork, config: SensorProcessConfig, graph: RosGraph) -> None:
+        world, self._name = config.world, config.name
+        self.libraries = HostLibraries(network, world, config.name)
         self.topics = SensorTopics(network, graph)
         self.roster: SceneRoster | None = None
+        self.sensors: Sequence[SceneSensor] = ()
+        self.unmeasured: Sequence[SceneSensor] = ()
         self._meshes = SceneMeshes(network, world)
         self._has_meshes = True
-        self._place = (0, 1)
+        self._processes: tuple[str, ...] = (config.name,)
         self._scene: SensedScene | None = None
         self._view: ViewedScene | None = None
         self._has_visual_meshes = True
         self._groups: tuple[SensorGroup, ...] | None = None
 
-    @property
-    def sensors(self) -> Sequence[SceneSensor]:
-        """The sensors of the share."""
-        number, count = self._place
-        return () if self.roster is None else self.roster.sensors[number::count]
-
     def set_roster(self, roster: SceneRoster) -> None:
         """Set the entities of the world."""
         self.roster, self._scene, self._view = roster, None, None
+        if any(isinstance(one.sensor.settings, CameraSensor) for one in roster.sensors):
+            self.libraries.try_opengl()
         self._set_addresses()
 
-    def set_place(self, place: tuple[int, int]) -> None:
-        """Set the number of this process, and how many there are."""
-        if place != self._place:
-            self._place = place
+    def set_processes(self, processes: tuple[str, ...]) -> None:
+        """Set the names of the processes that share, in order; this one is among them."""
+        if processes != self._processes:
+            self._processes = processes
             self._set_addresses()
+
+    def poll_libraries(self) -> None:
+        """Share anew when another process has other libraries than was known."""
+        if self.libraries.poll():
+            self._set_addresses()
+
+    def find_fault(self, sensor: SceneSensor, process: str) -> SensorFault | None:
+        """Find what a sensor lacks on the host of a process."""
+        settings, roster = sensor.sensor.settings, self.roster
+        if roster is None:
+            return None
+        return find_sensor_fault(
+            sensor.sensor,
+            find_true_rate_hz(sensor.sensor.update_rate_hz, roster.environment),
+            self.libraries.find_missing(process),
+            is_level=isinstance(settings, RaySensor) and has_one_level_row(settings),
+        )
 
     def find_groups(self) -> tuple[SensorGroup, ...]:
         """Find the groups, which takes a while after each change."""
@@ -139,9 +252,15 @@ class SensorShare:
         return self._groups
 
     def _set_addresses(self) -> None:
-        every = _keep_possible(self.roster.sensors if self.roster is not None else ())
-        share = _keep_possible(self.sensors)
-        self.topics.set_addresses(_list_all_addresses(every), _list_all_addresses(share))
+        sensors = self.roster.sensors if self.roster is not None else ()
+        shares = share_sensors(sensors, self._processes, self.find_fault)
+        former, self.unmeasured = self.unmeasured, shares.pop("")
+        self.sensors = shares[self._name]
+        every = [sensor for share in shares.values() for sensor in share]
+        if self.unmeasured and self.unmeasured != former:
+            fault = self.find_fault(self.unmeasured[0], self._name)
+            LOG.warning("unmeasured sensors=%d reason=%r", len(self.unmeasured), str(fault))
+        self.topics.set_addresses(_list_all_addresses(every), _list_all_addresses(self.sensors))
         # Sensors with subscribers that are new here must not miss the next state.
         self.topics.poll()
         self._groups = None
@@ -152,7 +271,7 @@ class SensorShare:
         if self._scene is None or not self._has_meshes:
             self._has_meshes = self._meshes.fetch(roster.meshes)
             self._scene = SensedScene(roster.make_layout(self._meshes))
-        for sensors in group_sensors(_keep_possible(self.sensors)):
+        for sensors in group_sensors(self.sensors):
             settings = sensors[0].sensor.settings
             if isinstance(settings, RaySensor):
                 yield RaySensorGroup(sensors, settings, roster, self.topics, self._scene)
@@ -268,7 +387,7 @@ class SensorProcess:
             SENSORS_REPLY.key(world, self.name), SENSORS_REPLY.encoding
         )
         self._graph = RosGraph(network, config.ros)
-        self._share = SensorShare(network, world, self._graph)
+        self._share = SensorShare(network, config, self._graph)
         self._roster_client = RosterClient(network, world)
         self._stats = StatsPublisher(network, SENSOR_STATS.key(world, self.name), self.make_stats)
         self._stream: SceneStream | None = None
@@ -304,30 +423,39 @@ class SensorProcess:
         """Undeclare what is not part of the session."""
         self._set_active(is_active=False)
         self._share.topics.close()
+        self._share.libraries.close()
         self._graph.close()
         self._token.close()
 
     def make_stats(self) -> SensorStats:
         """Make the statistics of this process."""
-        counts, topics = self.counts, self._share.topics
+        counts = self.counts
         return SensorStats(
             process=self.name,
             is_active=self.is_active,
             cpu_s=time.process_time(),
             messages=counts.total,
             late=counts.total_late,
-            sensors=tuple(
-                SensorFigures(
-                    entity=one.entity,
-                    sensor=one.sensor.name,
-                    topic=addresses[0].key if addresses else "",
-                    has_subscribers=any(map(topics.has_subscribers, addresses)),
-                    messages=counts.messages[one.name],
-                    late=counts.late[one.name],
-                    cost_s=counts.cost_s.get(one.name, 0.0),
-                )
-                for one, addresses in ((one, list_addresses(one)) for one in self._share.sensors)
+            sensors=(
+                *(self._make_figures(one, is_measured=True) for one in self._share.sensors),
+                *(self._make_figures(one, is_measured=False) for one in self._share.unmeasured),
             ),
+            missing={str(one): why for one, why in self._share.libraries.missing.items()},
+        )
+
+    def _make_figures(self, sensor: SceneSensor, *, is_measured: bool) -> SensorFigures:
+        counts, topics, addresses = self.counts, self._share.topics, list_addresses(sensor)
+        fault = self._share.find_fault(sensor, self.name)
+        return SensorFigures(
+            entity=sensor.entity,
+            sensor=sensor.sensor.name,
+            topic=addresses[0].key if addresses else "",
+            has_subscribers=any(map(topics.has_subscribers, addresses)),
+            messages=counts.messages[sensor.name],
+            late=counts.late[sensor.name],
+            cost_s=counts.cost_s.get(sensor.name, 0.0),
+            is_measured=is_measured,
+            fault="" if fault is None else str(fault),
         )
 
     def _do_housekeeping(self) -> None:
@@ -354,13 +482,14 @@ class SensorProcess:
             process = keys.parse_sensor_process(key)
             (self._alive.add if is_alive else self._alive.discard)(process)
         if not self.is_active:
-            self._take_place(sorted(self._alive))
+            self._take_place(tuple(sorted(self._alive)))
+        self._share.poll_libraries()
 
-    def _take_place(self, processes: Sequence[str]) -> bool:
+    def _take_place(self, processes: tuple[str, ...]) -> bool:
         """Take the share of this process; return whether it is one of them."""
         if self.name not in processes:
             return False
-        self._share.set_place((processes.index(self.name), len(processes)))
+        self._share.set_processes(processes)
         return True
 
     def _set_active(self, *, is_active: bool) -> None:
@@ -484,16 +613,6 @@ def start_sensor_process(config: SensorProcessConfig) -> None:
         with suppress(KeyboardInterrupt):
             stop = StopFlag(is_armed=False)
             run_sensor_process(bus, msgspec.structs.replace(config, name=name), stop)
-
-
-def _keep_possible(sensors: Iterable[SceneSensor]) -> list[SceneSensor]:
-    """Keep the sensors that this host can measure: cameras need a renderer."""
-    listed = list(sensors)
-    cameras = [one for one in listed if isinstance(one.sensor.settings, CameraSensor)]
-    if not cameras or not (fault := find_camera_fault()):
-        return listed
-    LOG.warning("cameras count=%d reason=%r", len(cameras), fault)
-    return [one for one in listed if not isinstance(one.sensor.settings, CameraSensor)]
 
 
 def _list_all_addresses(sensors: Iterable[SceneSensor]) -> list[SensorAddress]:

@@ -9,9 +9,8 @@ import numpy as np
 from zensim.proto.messages import asset_messages, spawn_messages
 from zensim.proto.messages.drive_messages import name_drive
 from zensim.proto.messages.entity_messages import BoundsType
-from zensim.proto.messages.model_messages import Model, Origin, ReportEntry
+from zensim.proto.messages.model_messages import Model, ReportEntry
 from zensim.proto.messages.result_messages import Result, ResultCode, SpawnCode, SpawnEntitiesCode
-from zensim.proto.messages.sensor_messages import Environment, NavsatSensor, RaySensor
 from zensim.proto.messages.spawn_messages import (
     MAX_SPAWNS,
     NOT_SPAWNED_PREFIX,
@@ -24,11 +23,9 @@ from zensim.proto.messages.spawn_messages import (
     SpawnResult,
 )
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.proto.rigid_transforms import compose
 from zensim.proto.se3 import IDENTITY_POSE
-from zensim.proto.sensor_schedule import find_true_rate_hz
 from zensim.sim_server.description.builtin_models import list_builtin_models
-from zensim.sim_server.description.model_geometry import find_ground_clearance, find_link_poses
+from zensim.sim_server.description.model_geometry import find_ground_clearance
 from zensim.sim_server.errors import IncorrectState, ModelError, RequestRefused, SimError
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.physics.engine import FloatArray
@@ -41,6 +38,7 @@ from zensim.sim_server.service_parts import (
     Spawning,
     make_environment,
 )
+from zensim.sim_server.services.sensor_notes import complete_report, make_sensor_notes
 from zensim.sim_server.world.entity import Entity, check_entity_info
 from zensim.sim_server.world.pose_conversion import is_zero_quaternion, pose_to_row
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
@@ -76,8 +74,6 @@ def get_asset(
 
 UNDERGROUND_M = 0.001
 MAX_NAMED = 3
-RATE_TOLERANCE = 1e-3
-"""Share by which a rate may be above the control rate without a note."""
 
 
 def spawn_entity(spawning: Spawning, order: SpawnEntityOrder) -> SpawnEntityReport:
@@ -101,7 +97,7 @@ def spawn_model(
         _refuse_suspicious((*notes, *validated.model.report))
     if order.dry_run:
         name, namespace = spawning.world.resolve_names_for(validated)
-        report = (*notes, *validated.model.report)
+        report = (*notes, *_complete_report(spawning, model, namespace))
         kind = name_drive(validated.model.drive)
         return SpawnEntityReport(Result(), name, namespace, report, kind)
     if order.strict:
@@ -110,9 +106,13 @@ def spawn_model(
         entity, overlapped = spawning.world.spawn_and_find_overlaps(validated)
         notes.extend(_make_overlap_notes(overlapped))
     _record_spawn(spawning, entity, order.bond, notes)
-    report = (*notes, *validated.model.report)
+    report = (*notes, *_complete_report(spawning, model, entity.namespace))
     kind = name_drive(entity.model.drive)
     return SpawnEntityReport(Result(), entity.name, entity.namespace, report, kind)
+
+
+def _complete_report(spawning: Spawning, model: Model, namespace: str) -> tuple[ReportEntry, ...]:
+    return complete_report(model, namespace, make_environment(spawning.world, spawning.current))
 
 
 @dataclass(frozen=True)
@@ -185,8 +185,7 @@ def _resolve_spawn(
     spawning: Spawning, order: SpawnEntityOrder, model: Model, description: str
 ) -> tuple[ValidatedSpawn, list[ReportEntry]]:
     pose, notes = _resolve_pose(spawning, order, model)
-    notes += make_sensor_notes(model, make_environment(spawning.world, spawning.current))
-    notes += _make_lidar_notes(spawning, model, pose)
+    notes += make_sensor_notes(spawning, model, pose)
     validated = ValidatedSpawn(
         name=order.name or model.name,
         namespace=order.entity_namespace,
@@ -240,48 +239,6 @@ def _resolve_pose(
             )
         )
     return pose, notes
-
-
-def make_sensor_notes(model: Model, environment: Environment) -> list[ReportEntry]:
-    """Report what sensors of a model will not do in this world as their description says."""
-    notes = []
-    for sensor in model.sensors:
-        subject = f"sensor '{sensor.name}'"
-        true_hz = find_true_rate_hz(sensor.update_rate_hz, environment)
-        if sensor.settings is not None and sensor.update_rate_hz > true_hz * (1.0 + RATE_TOLERANCE):
-            fault = (
-                f"asks for {sensor.update_rate_hz:g} Hz, but the server reports {true_hz:g} "
-                f"control steps a second: {true_hz:g} Hz; zensim serve --control-hz sets more"
-            )
-            notes.append(ReportEntry("suspicious", subject, fault))
-        if isinstance(sensor.settings, NavsatSensor) and not environment.spherical_coordinates:
-            fault = "the world has no <spherical_coordinates>: its origin is at 0 N 0 E"
-            notes.append(ReportEntry("suspicious", subject, fault))
-    return notes
-
-
-def _make_lidar_notes(spawning: Spawning, model: Model, pose: FloatArray) -> list[ReportEntry]:
-    """Report level lidars above everything that the world's file has."""
-    lidars = [
-        sensor
-        for sensor in model.sensors
-        if isinstance(sensor.settings, RaySensor) and sensor.settings.vertical.count == 1
-    ]
-    top_m = spawning.current.find_top(spawning.descriptions.store.vertices) if lidars else None
-    if top_m is None:
-        return []
-    links = find_link_poses(model.links[0].name, model.joints)
-    x, y, z, *turn = pose[:7].tolist()
-    base, notes = Origin((x, y, z), (turn[0], turn[1], turn[2], turn[3])), []
-    for sensor in lidars:
-        height_m = compose(base, compose(links[sensor.link], sensor.origin)).position[2]
-        if height_m > top_m:
-            fault = (
-                f"is {height_m:.2f} m high, above all of the world's file ({top_m:.2f} m): its "
-                "level rays meet other entities only"
-            )
-            notes.append(ReportEntry("suspicious", f"sensor '{sensor.name}'", fault))
-    return notes
 
 
 def _make_overlap_notes(others: list[str]) -> list[ReportEntry]:

@@ -1,4 +1,4 @@
-"""`zensim doctor`: check endpoint, session, server, version, time and robots, in this order."""
+"""`zensim doctor`: check endpoint, session, server, version, time, robots and sensors, in order."""
 
 import re
 import socket
@@ -19,11 +19,17 @@ from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.messages.telemetry_messages import (
     EntityModel,
     GetModelsRequest,
+    GetModelsResponse,
     Info,
     InfoRequest,
 )
 from zensim.proto.names import check_name
+from zensim.proto.sensor_libraries import find_advice, find_missing_libraries
 from zensim.spawner.cli.command_session import data_console, print_json
+from zensim.spawner.cli.sensor_commands import (
+    count_sensors_of_processes,
+    fetch_sensor_stats,
+)
 
 FindingMark = Literal["ok", "note", "wrong"]
 CONNECT_TIMEOUT_S = 2.0
@@ -129,7 +135,9 @@ def _check_server(bus: Bus, world: str, version: str) -> Iterator[Finding]:
     )
     yield _check_versions(info, version)
     yield _check_time(info)
-    yield _check_robots(bus, world)
+    models = bus.call(service_catalog.GET_MODELS, GetModelsRequest(), world=world)
+    yield _check_robots(models)
+    yield from _check_sensors(bus, world, models)
 
 
 def _parse_world(key: str) -> str:
@@ -192,8 +200,7 @@ def _check_time(info: Info) -> Finding:
     return Finding("ok", "time", running)
 
 
-def _check_robots(bus: Bus, world: str) -> Finding:
-    models = bus.call(service_catalog.GET_MODELS, GetModelsRequest(), world=world)
+def _check_robots(models: GetModelsResponse) -> Finding:
 
     def is_idle(one: EntityModel) -> bool:
         return models.models[one.model].drive is not None and not one.agent
@@ -204,6 +211,31 @@ def _check_robots(bus: Bus, world: str) -> Finding:
         return Finding("ok", "robots", found)
     named = " ".join(idle[:MAX_NAMES_SHOWN])
     return Finding("note", "robots", found, f"start one: 'zensim agent {named}'")
+
+
+def _check_sensors(bus: Bus, world: str, models: GetModelsResponse) -> Iterator[Finding]:
+    """Check what measures lidars and cameras, and which optional libraries it lacks."""
+    count = count_sensors_of_processes(models)
+    processes = fetch_sensor_stats(bus, world)
+    if count and not processes:
+        found = f"{count} lidars and cameras, and no sensor process publishes them"
+        yield Finding("note", "sensors", found, "start one: 'zensim sensors run'")
+    elif count:
+        named = ", ".join(one.process for one in processes[:MAX_NAMES_SHOWN])
+        yield Finding("ok", "sensors", f"{count} lidars and cameras, published by {named}")
+    for one in processes:
+        for library, fault in one.missing.items():
+            what = f"the host of {one.process} has no {library}: {fault}"
+            yield Finding("note", "libraries", what, find_advice(library))
+    if not processes:
+        yield from _check_own_libraries()
+
+
+def _check_own_libraries() -> Iterator[Finding]:
+    """Check what a sensor process on this host would lack."""
+    for library, fault in find_missing_libraries().items():
+        what = f"a sensor process on this host would have no {library}: {fault}"
+        yield Finding("note", "libraries", what, find_advice(library))
 
 
 MARK_STYLES: dict[FindingMark, str] = {"ok": "green", "note": "yellow", "wrong": "bold red"}
@@ -219,7 +251,7 @@ def doctor(
     quiet: Annotated[bool, flag("--quiet", "-q", help="Print only what is wrong.")] = False,
     server: ConnectionOptions,
 ) -> None:
-    """Diagnose connection problems: check endpoint, session, server, version, time and robots."""
+    """Diagnose problems: check endpoint, session, server, version, time, robots and sensors."""
     with exit_on_failure("doctor"):
         check_name(server.world_name, "world name")
         endpoint = server.connect or DEFAULT_ENDPOINT

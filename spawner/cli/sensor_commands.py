@@ -8,6 +8,7 @@ import typer
 from rich.table import Table
 
 from zensim.proto import keys
+from zensim.proto.bus import Bus
 from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, make_app
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.model_messages import Sensor
@@ -20,6 +21,7 @@ from zensim.proto.messages.sensor_messages import (
 )
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse
 from zensim.proto.network_protocols import Sample
+from zensim.proto.sensor_libraries import find_advice
 from zensim.proto.sensor_schedule import find_true_rate_hz
 from zensim.proto.topic_catalog import SENSOR_STATS, TOPICS
 from zensim.spawner.cli.command_session import open_client, print_json, print_table
@@ -49,6 +51,9 @@ class SensorRow(msgspec.Struct, frozen=True, kw_only=True):
     published: int | None = None
     late: int | None = None
     cost_s: float | None = None
+    frame_id: str = ""
+    fault: str = ""
+    """Why no process measures it, or slowly; begins with a slug."""
 
 
 @app.callback(invoke_without_command=True)
@@ -69,8 +74,7 @@ def list_sensors(*, as_json: JsonOption = False, server: ClientOptions) -> None:
 def _show(command: str, server: ClientOptions, *, as_json: bool) -> None:
     with open_client(command, server) as client:
         models = client.models()
-        key = SENSOR_STATS.key(server.world_name, "*")
-        stats = list(_decode_stats(client.bus.get(key, STATS_TIMEOUT_S)))
+        stats = fetch_sensor_stats(client.bus, server.world_name)
     rows = list_sensor_rows(models, stats)
     if as_json:
         print_json({"processes": [_summarize(one) for one in stats], "sensors": rows})
@@ -82,14 +86,37 @@ def _show(command: str, server: ClientOptions, *, as_json: bool) -> None:
             f"{one.process}: {state}, {one.messages} messages, {one.late} late, "
             f"{one.cpu_s:.1f} s CPU"
         )
-    if not stats:
+        for library, fault in one.missing.items():
+            typer.echo(f"{one.process}: no {library}: {fault}; {find_advice(library)}")
+    for row in rows:
+        if row.fault:
+            typer.echo(f"{row.entity} {row.sensor}: {row.fault}")
+    if not stats and count_sensors_of_processes(models):
         typer.echo("no sensor process; start one: 'zensim sensors run'")
+
+
+def fetch_sensor_stats(bus: Bus, world: str) -> list[SensorStats]:
+    """Fetch the statistics of all sensor processes, by name."""
+    samples = bus.get(SENSOR_STATS.key(world, "*"), STATS_TIMEOUT_S)
+    return sorted(_decode_stats(samples), key=lambda stats: stats.process)
+
+
+def count_sensors_of_processes(models: GetModelsResponse) -> int:
+    """Count the lidars and cameras of all entities, which sensor processes measure."""
+    return sum(
+        isinstance(sensor.settings, RaySensor | CameraSensor)
+        for entity in models.entities
+        for sensor in models.models[entity.model].sensors
+    )
 
 
 def list_sensor_rows(models: GetModelsResponse, stats: Sequence[SensorStats]) -> list[SensorRow]:
     """List the sensors of all entities, with the figures of sensor processes."""
     figures = {
-        (of_sensor.entity, of_sensor.sensor, of_sensor.topic): (one.process, of_sensor)
+        (of_sensor.entity, of_sensor.sensor, of_sensor.topic): (
+            one.process if of_sensor.is_measured else "",
+            of_sensor,
+        )
         for one in stats
         for of_sensor in one.sensors
     }
@@ -125,6 +152,8 @@ def _make_row(
         published=measured.messages if measured else None,
         late=measured.late if measured else None,
         cost_s=measured.cost_s if measured and measured.messages else None,
+        frame_id=sensor.frame_id,
+        fault=measured.fault if measured else "",
     )
 
 
@@ -141,6 +170,7 @@ def _summarize(stats: SensorStats) -> dict[str, object]:
         "messages": stats.messages,
         "late": stats.late,
         "cpu_s": stats.cpu_s,
+        "missing": stats.missing,
     }
 
 

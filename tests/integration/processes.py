@@ -78,9 +78,9 @@ def run_in_process(*arguments: str) -> "subprocess.CompletedProcess[str]":
     )
 
 
-def without_library(library: str, folder: Path) -> tuple[str, ...]:
-    """Make a command prefix under which a library cannot be imported."""
-    block = f"import sys\nsys.modules[{library!r}] = None\n"
+def without_libraries(folder: Path, *libraries: str) -> tuple[str, ...]:
+    """Make a command prefix under which libraries cannot be imported."""
+    block = f"import sys\nsys.modules.update(dict.fromkeys({libraries!r}))\n"
     (folder / "sitecustomize.py").write_text(block)
     path = os.pathsep.join((str(folder), str(ROOT)))
     return ("env", f"PYTHONPATH={path}")

@@ -1,10 +1,11 @@
 """Robots with lidars, sensor processes, and hashes of what they publish."""
 
+import json
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from hashlib import sha256
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tests.integration.processes import START_S, Server, eventually, running, serving
 from zensim.proto import keys
@@ -93,6 +94,15 @@ def read_stats(server: Server) -> Stats:
     """Get the statistics of a server."""
     (sample,) = server.bus.get("sim/default/stats")
     return decode(Stats, sample.payload, sample.encoding)
+
+
+def read_sensor_rows(server: Server) -> list[dict[str, Any]]:
+    """Read what `zensim sensors` shows."""
+    done = server.zensim("sensors", "list", "--json")
+    assert done.returncode == 0, done.stderr
+    rows = json.loads(done.stdout)["sensors"]
+    assert isinstance(rows, list)
+    return rows
 
 
 class ScanHasher:

@@ -3,6 +3,7 @@
 import json
 import signal
 import socket
+from pathlib import Path
 
 import zenoh
 
@@ -14,8 +15,10 @@ from tests.integration.processes import (
     kill,
     running,
     serving,
+    without_libraries,
     zensim,
 )
+from tests.integration.sensor_runs import read_sensor_rows
 from zensim.proto.exit_codes import ExitCode
 
 DENY_QUERIES = {
@@ -110,3 +113,24 @@ def test_doctor_reports_causes_of_immobile_robots_and_a_suspended_server() -> No
         finally:
             kill(server.process.pid, signal.SIGCONT)
         assert (status, what) == (ExitCode.UNREACHABLE, "session")
+
+
+def test_doctor_names_the_libraries_that_sensors_lack(tmp_path: Path) -> None:
+    bare = without_libraries(tmp_path, "moderngl", "embreex")
+    with serving("--paused") as server:
+        server.zensim("spawn", "box_bot_camera", "--name", "r1")
+        assert "'zensim sensors run'" in advice_of(server, "sensors")
+
+        run = ("sensors", "run", "--quiet", "--name", "s1", "--connect", server.endpoint)
+        with running(*run, prefix=bare):
+            eventually(lambda: advice_of(server, "sensors") == "", 20.0, "a sensor process")
+            found = [one for one in run_doctor(server.endpoint)[1] if one["what"] == "libraries"]
+            report = server.zensim("spawn", "box_bot_camera", "--name", "r2", "--json")
+            (row,) = [one for one in read_sensor_rows(server) if one["entity"] == "r1"]
+
+    assert ["moderngl" in one["found"] for one in found] == [False, True]
+    assert ["s1" in one["found"] for one in found] == [True, True]
+    assert "libegl1" in found[1]["advice"]
+    assert "sensor.no_renderer: " in report.stdout
+    assert row["fault"].startswith("sensor.no_renderer: ")
+    assert row["process"] == ""

@@ -10,7 +10,7 @@ from tests.integration.processes import (
     free_endpoint,
     running_agents,
     serving,
-    without_library,
+    without_libraries,
     zensim,
 )
 from tests.integration.robots import drive_for, robot
@@ -22,7 +22,7 @@ TWO = ("box_bot0", "box_bot1")
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A server with default options where PyBullet is not installed."""
-    with serving(prefix=without_library("pybullet", tmp_path_factory.mktemp("bare"))) as found:
+    with serving(prefix=without_libraries(tmp_path_factory.mktemp("bare"), "pybullet")) as found:
         yield found
 
 
@@ -53,7 +53,7 @@ def test_server_names_installed_engines_when_its_engine_is_missing(
 ) -> None:
     request = ("serve", "--engine", engine, "--listen", free_endpoint())
 
-    done = zensim(*request, prefix=without_library(engine, tmp_path))
+    done = zensim(*request, prefix=without_libraries(tmp_path, engine))
 
     assert done.returncode == ExitCode.USAGE
     (line,) = done.stderr.splitlines()

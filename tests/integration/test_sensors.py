@@ -1,6 +1,5 @@
 """Sensor processes with real servers: rates, stamps, on demand, shares, and repeatable bytes."""
 
-import json
 import signal
 from typing import Any
 
@@ -22,6 +21,7 @@ from tests.integration.sensor_runs import (
     DEPTH,
     LOCKSTEP,
     ScanHasher,
+    read_sensor_rows,
     read_stats,
     record_lockstep_scans,
     running_sensors,
@@ -105,9 +105,9 @@ def test_sensors_are_listed_with_rate_subscribers_and_cost() -> None:
         scans = ScanHasher(server.bus.subscribe(SCAN.key("r1"), DEPTH))
         eventually(lambda: _heard(scans, ["r1"], since_ns=0), START_S, "a scan")
         eventually(lambda: read_stats(server).sensor_messages > 0, START_S, "counts")
-        eventually(lambda: _list(server)["r1"]["has_subscribers"], START_S, "subscribers")
+        eventually(lambda: list_by_robot(server)["r1"]["has_subscribers"], START_S, "subscribers")
 
-        rows = _list(server)
+        rows = list_by_robot(server)
 
     assert rows["r1"]["topics"] == ["r1/scan"]
     assert rows["r1"]["rate_hz"] == 10.0
@@ -155,7 +155,5 @@ def _has_heard(scans: ScanHasher, count: int) -> bool:
     return scans.count >= count
 
 
-def _list(server: Server) -> dict[str, dict[str, Any]]:
-    done = server.zensim("sensors", "list", "--json")
-    assert done.returncode == 0, done.stderr
-    return {row["entity"]: row for row in json.loads(done.stdout)["sensors"]}
+def list_by_robot(server: Server) -> dict[str, dict[str, Any]]:
+    return {row["entity"]: row for row in read_sensor_rows(server)}

@@ -17,7 +17,7 @@ from tests.integration.processes import (
     read_json_line,
     running,
     serving,
-    without_library,
+    without_libraries,
     zensim,
 )
 from tests.spawner.cli.commands import run_at
@@ -347,7 +347,9 @@ def test_xacro_that_cannot_be_expanded_is_refused_in_one_line(
 def test_xacro_names_the_extra_when_it_is_not_installed(tmp_path: Path) -> None:
     (tmp_path / "r.xacro").write_text(XACRO)
 
-    done = zensim("spawn", str(tmp_path / "r.xacro"), prefix=without_library("xacrodoc", tmp_path))
+    done = zensim(
+        "spawn", str(tmp_path / "r.xacro"), prefix=without_libraries(tmp_path, "xacrodoc")
+    )
 
     assert done.returncode != 0
     assert "pip install 'zensim[xacro]'" in done.stderr

@@ -136,6 +136,7 @@ class ScriptedInbox:
     agents: list[tuple[str, bool]] = field(default_factory=list)
     bonds: list[tuple[str, bool]] = field(default_factory=list)
     sensor_processes: list[tuple[str, bool]] = field(default_factory=list)
+    sensor_libraries: list[tuple[str, str, bool]] = field(default_factory=list)
     sensor_replies: list[Sample] = field(default_factory=list)
     clients: list[tuple[str, bool]] = field(default_factory=list)
     twists: list[Sample] = field(default_factory=list)
@@ -154,6 +155,10 @@ class ScriptedInbox:
 
     def take_sensor_processes(self) -> list[tuple[str, bool]]:
         taken, self.sensor_processes = self.sensor_processes, []
+        return taken
+
+    def take_sensor_libraries(self) -> list[tuple[str, str, bool]]:
+        taken, self.sensor_libraries = self.sensor_libraries, []
         return taken
 
     def take_sensor_replies(self) -> list[Sample]:

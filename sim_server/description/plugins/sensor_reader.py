@@ -12,6 +12,7 @@ from zensim.proto.messages.model_messages import (
     Model,
     Origin,
     Parameter,
+    ReportEntry,
     RosBlock,
     Sensor,
     Vec3,
@@ -422,7 +423,8 @@ def complete_sensors(model: Model, compat: Compat) -> Model:
         completed = _complete_sensor(sensor, model, compat, report)
         if frame := _make_missing_frame(completed, model, frames, report):
             frames.append(frame)
-        _report_sensor(completed, report)
+        entry = make_sensor_entry(completed)
+        report.applied(entry.subject, entry.reason)
         sensors.append(completed)
     return msgspec.structs.replace(
         model,
@@ -575,16 +577,27 @@ def _find_offset(frame: Origin, position: Vec3) -> Vec3:
     return rotate(conjugate(frame.orientation), (x, y, z))
 
 
-def _report_sensor(sensor: Sensor, report: ParseReport) -> None:
+def make_sensor_entry(
+    sensor: Sensor, namespace: str = "<namespace>", true_hz: float | None = None
+) -> ReportEntry:
+    """Report topics, frame, rate and estimated cost of a sensor.
+
+    Args:
+        sensor: With settings.
+        namespace: Of the robot.
+        true_hz: Rate in a world; None = as the description says.
+    """
     settings = sensor.settings
     assert settings is not None
-    topics = ", ".join(describe_topic(topic) for topic in sensor.topics)
-    rate = f"{sensor.update_rate_hz:g} Hz" if sensor.update_rate_hz else "every control step"
+    topics = ", ".join(describe_topic(topic, namespace) for topic in sensor.topics)
+    rate_hz = sensor.update_rate_hz if true_hz is None else true_hz
+    rate = f"{rate_hz:g} Hz" if rate_hz else "every control step"
     sees = "; of collisions, not visuals" if sensor.kind in ("gpu_ray", "gpu_lidar") else ""
-    report.applied(
+    return ReportEntry(
+        "applied",
         describe_sensor(sensor.name, sensor.frame),
         f"{topics}; frame {quote(sensor.frame_id)}, {rate}, "
-        f"{describe_cost(settings, sensor.update_rate_hz)}{sees}",
+        f"{describe_cost(settings, rate_hz)}{sees}",
     )
 
 

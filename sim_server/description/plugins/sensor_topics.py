@@ -70,9 +70,9 @@ def find_message(topic: SensorTopic) -> str:
     return TOPICS[topic.topic].messages[0].__name__
 
 
-def describe_topic(topic: SensorTopic) -> str:
+def describe_topic(topic: SensorTopic, namespace: str) -> str:
     """Write type and name of a topic of a sensor."""
-    return f"{find_message(topic)} on <namespace>/{topic.name}"
+    return f"{find_message(topic)} on {namespace}/{topic.name}"
 
 
 def make_topics_unique(sensors: Sequence[Sensor], report: ParseReport) -> tuple[Sensor, ...]:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image as Picture
 
-from tests.sim_server.sensors.sensed_worlds import STEP_NS, SensedWorld, a_robot, at
+from tests.sim_server.sensors.sensed_worlds import STEP_NS, WORLD, SensedWorld, a_robot, at
+from zensim.proto import keys
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.model_messages import Link, Model, Origin, Sensor, Shape, Texture
 from zensim.proto.messages.sensor_messages import CameraSensor, Noise, SensorTopic
@@ -20,8 +21,8 @@ from zensim.proto.messages.standard_messages import (
     PointCloud2,
     time_from_ns,
 )
+from zensim.proto.sensor_libraries import Library, parse_missing
 from zensim.proto.stl import write_corners
-from zensim.sim_server.scene import camera_selection
 from zensim.sim_server.sensors import sensor_process
 from zensim.sim_server.sensors.camera_sensors import make_camera_info
 
@@ -213,18 +214,76 @@ def test_only_topics_with_listeners_are_published() -> None:
     assert {sample.key for sample in everything.take()} >= {f"r1/{TOPICS['labels']}"}
 
 
+NO_OPENGL: dict[Library, str] = {"opengl": "moderngl is not installed"}
+NOTHING: dict[Library, str] = {**NO_OPENGL, "embree": "embreex is not installed"}
+
+
+def lack(monkeypatch: pytest.MonkeyPatch, missing: dict[Library, str]) -> None:
+    """Let the processes that start from now on be on a host that lacks libraries."""
+    monkeypatch.setattr(sensor_process, "find_missing_libraries", lambda: dict(missing))
+
+
 def test_cameras_have_no_topics_where_no_image_can_be_made(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(camera_selection, "find_spec", lambda _: None)
-    camera_selection.find_opengl_fault.cache_clear()
-    monkeypatch.setattr(sensor_process, "find_camera_fault", camera_selection.find_camera_fault)
+    lack(monkeypatch, NOTHING)
     world = a_world(a_camera())
 
-    world.start("s1", is_always_on=True)
+    stats = world.start("s1", is_always_on=True).make_stats()
     heard = world.listen("r1/**")
     world.step_to(24)
 
-    camera_selection.find_opengl_fault.cache_clear()
     assert heard.take() == []
-    assert "moderngl" in caplog.text
+    assert "sensor.no_renderer" in caplog.text
+    assert stats.missing == NOTHING
+    (eye,) = stats.sensors
+    assert (eye.sensor, eye.is_measured) == ("eye", False)
+    assert eye.fault.startswith("sensor.no_renderer: ")
+
+
+def test_camera_without_opengl_is_reported_as_slow(monkeypatch: pytest.MonkeyPatch) -> None:
+    lack(monkeypatch, NO_OPENGL)
+
+    (eye,) = a_world(a_camera()).start("s1").make_stats().sensors
+
+    assert eye.is_measured
+    assert eye.fault.startswith("sensor.slow_renderer: ")
+
+
+@pytest.mark.parametrize("names", [("able", "bare"), ("x_able", "bare")])
+def test_camera_is_measured_by_the_process_that_can(
+    monkeypatch: pytest.MonkeyPatch, names: tuple[str, str]
+) -> None:
+    world = a_world(a_camera())
+    able, bare = names
+    lack(monkeypatch, NOTHING)
+    processes = [world.start(bare)]
+    monkeypatch.undo()
+    processes.append(world.start(able))
+
+    heard = world.listen(f"r1/{TOPICS['labels']}")
+    world.step_to(24)
+
+    assert len(heard.take()) == 1
+    assert [[one.sensor for one in each.make_stats().sensors] for each in processes] == [
+        [],
+        ["eye"],
+    ]
+    world.kill(able)
+    world.step_to(48)
+    assert [one.is_measured for one in processes[0].make_stats().sensors] == [False]
+
+
+def test_opengl_that_fails_when_it_is_used_counts_as_missing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sensor_process, "find_opengl_fault", lambda: "no driver")
+    world = a_world(a_camera())
+
+    missing = world.start("s1").make_stats().missing
+
+    assert missing["opengl"] == "no driver"
+    lacking = world.bus.list_tokens(keys.sensor_libraries(WORLD, "s1", "*"))
+    assert [parse_missing(keys.parse_sensor_libraries(one)[1]) for one in lacking] == [
+        frozenset(missing)
+    ]

@@ -26,18 +26,9 @@ from zensim.proto.messages.model_messages import (
     Inertial,
     Link,
     Model,
-    Origin,
-    Sensor,
     Shape,
 )
 from zensim.proto.messages.result_messages import ResultCode, SpawnCode, SpawnEntitiesCode
-from zensim.proto.messages.sensor_messages import (
-    Environment,
-    ImuSensor,
-    NavsatSensor,
-    SensorSettings,
-    SphericalCoordinates,
-)
 from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.proto.messages.spawn_messages import (
     NOT_SPAWNED_PREFIX,
@@ -50,7 +41,6 @@ from zensim.proto.messages.spawn_messages import (
 )
 from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped, Quaternion
 from zensim.proto.stl import write_corners
-from zensim.sim_server.description.world_model import PlacedModel, WorldModel
 from zensim.sim_server.errors import IncorrectState, ModelError, NameNotUnique, SimError
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.service_parts import DeferredResponse, ServerParts
@@ -646,85 +636,3 @@ def test_more_orders_than_are_parsed_ahead_are_spawned_together(*, is_shared: bo
 
     assert isinstance(response, SpawnEntitiesResponse)
     assert len(names_in(parts.world)) == spawn_services.MAX_PARSES_AHEAD + 6
-
-
-IMU_SETTINGS = ImuSensor()
-
-
-def a_sensing_model(*sensors: Sensor) -> Model:
-    return Model("r", (Link("base"),), sensors=sensors)
-
-
-def a_rated_sensor(rate_hz: float, settings: SensorSettings | None = IMU_SETTINGS) -> Sensor:
-    return Sensor("s", "imu", "base", "base", update_rate_hz=rate_hz, settings=settings)
-
-
-PLACE = SphericalCoordinates(latitude_deg=52.0)
-CONTROL_AT_80_HZ = Environment(step_ns=4_166_667, control_steps=3, spherical_coordinates=PLACE)
-
-
-@pytest.mark.parametrize(("rate_hz", "count"), [(0.0, 0), (10.0, 0), (80.0, 0), (200.0, 1)])
-def test_sensor_above_the_control_rate_is_reported(rate_hz: float, count: int) -> None:
-    model = a_sensing_model(a_rated_sensor(rate_hz))
-
-    notes = spawn_services.make_sensor_notes(model, CONTROL_AT_80_HZ)
-
-    assert [note.status for note in notes] == ["suspicious"] * count
-    assert all("80 Hz" in note.reason for note in notes)
-
-
-def test_rate_of_a_sensor_that_is_not_simulated_is_not_reported() -> None:
-    model = a_sensing_model(a_rated_sensor(200.0, settings=None))
-
-    assert spawn_services.make_sensor_notes(model, CONTROL_AT_80_HZ) == []
-
-
-def test_navsat_without_a_place_of_the_world_is_reported() -> None:
-    model = a_sensing_model(a_rated_sensor(1.0, NavsatSensor()))
-    nowhere = msgspec.structs.replace(CONTROL_AT_80_HZ, spherical_coordinates=None)
-
-    assert spawn_services.make_sensor_notes(model, CONTROL_AT_80_HZ) == []
-    assert len(spawn_services.make_sensor_notes(model, nowhere)) == 1
-
-
-def test_spawn_reports_sensors_above_the_control_rate() -> None:
-    parts = make_parts(a_world())
-    order = msgspec.structs.replace(an_order(), entity_resource=Resource(resource_string=FAST_IMU))
-
-    assert any("control steps a second" in reason for reason in suspicions(spawned(parts, order)))
-
-
-def a_world_file(*heights: float) -> WorldModel:
-    """Static boxes 10 m away, of these heights."""
-    boxes = [
-        Model(f"b{place}", (Link("base", collisions=(Shape("box", (1.0, 1.0, height)),)),))
-        for place, height in enumerate(heights)
-    ]
-    return WorldModel(
-        "boxes",
-        models=tuple(
-            PlacedModel(box.name, box, Origin((10.0, 0.0, height / 2.0)))
-            for box, height in zip(boxes, heights, strict=True)
-        ),
-    )
-
-
-@pytest.mark.parametrize(
-    ("heights", "count"), [((), 0), ((0.01,), 0), ((0.1,), 1), ((0.1, 0.2), 0)]
-)
-def test_lidar_above_all_of_a_world_is_reported(heights: tuple[float, ...], count: int) -> None:
-    parts = make_parts(a_world())
-    parts.current_world.model = a_world_file(*heights)
-    order = msgspec.structs.replace(an_order(), entity_resource=Resource(uri="box_bot_lidar"))
-
-    found = [reason for reason in suspicions(spawned(parts, order)) if "level rays" in reason]
-
-    # The lidar of a standing robot is 0.13 m high.
-    assert len(found) == count
-    assert all("0.13 m" in reason for reason in found)
-
-
-FAST_IMU = """<robot name="r"><link name="base"><inertial><mass value="1"/>
-<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
-<gazebo reference="base"><sensor type="imu" name="imu"><update_rate>1000</update_rate></sensor>
-</gazebo></robot>"""
