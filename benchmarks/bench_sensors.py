@@ -57,6 +57,8 @@ TURNS = 3
 FIRST_SCANS, FIRST_SCANS_WHEN_SHORT = 20, 2
 TALLIES = 64
 MEGABYTE = 1e6
+MAX_UNEVENNESS = 1.1
+"""Of the CPU of processes that share the sensors."""
 MANY = 10
 """Robots up to which each has an agent and its own physics."""
 
@@ -112,42 +114,102 @@ def fleet_cases(*, is_short: bool) -> Sequence[FleetCase]:
             limit=Limit("median", "<=", 0.25),
         ),
         FleetCase("1000 robots at 5 Hz, empty", 1000, 5.0, coarse, limit=most),
+        FleetCase(
+            "1000 robots at 5 Hz, warehouse",
+            1000,
+            5.0,
+            ("--world", "warehouse", *coarse),
+            limit=most,
+        ),
         FleetCase("1000 robots at 5 Hz, empty, 2 processes", 1000, 5.0, coarse, 2, most),
     )
 
 
+@dataclass
+class FleetTrial:
+    """What a fleet cost, without and with a process that subscribes to everything."""
+
+    idle: Spent = field(default_factory=Spent)
+    subscribed: Spent = field(default_factory=Spent)
+    tallies: Sequence[ScanTally] = ()
+    waits_ms: tuple[float, ...] = ()
+    """From a subscription until a scan."""
+
+
 def _fleet_figures(case: FleetCase, seconds: float, first_scans: int) -> Iterator[Figure]:
-    idle, heard = Spent(), Spent()
-    tallies: list[ScanTally] = []
     with serving(*case.serve) as server, ExitStack() as stack:
         _spawn(server.client, case)
         sensors = [
             stack.enter_context(running("sensors", "run", "--quiet", "--connect", server.endpoint))
             for _ in range(case.processes)
         ]
-        pids = {"server": (server.process.pid,), "sensors": tuple(one.pid for one in sensors)}
+        pids = {"server": (server.process.pid,)}
+        pids |= {f"sensors {number}": (one.pid,) for number, one in enumerate(sensors)}
         _wait_for_processes(server.bus, case.processes)
-        for _ in range(TURNS):
-            _spend(server.bus, server.client, pids, seconds / TURNS, idle)
-            with _listener(server.bus) as found:
-                _spend(server.bus, server.client, pids, seconds / TURNS, heard)
-                tallies = found.tallies()
-            _wait_until_idle(server.bus)
-        waits_ms = tuple(_first_scan_ms(server.bus) for _ in range(first_scans))
+        trial = _try_fleet(server.bus, server.client, pids, seconds)
+        trial.waits_ms = tuple(_first_scan_ms(server.bus) for _ in range(first_scans))
+    yield from _sensor_figures(case, trial)
+    yield from _server_figures(case, trial)
+    yield Figure(
+        what=f"{case.label}: floor, as many ready scans put",
+        unit="cores",
+        samples=_put_floor(case.robots, case.rate_hz, min(seconds, 3.0)),
+    )
+
+
+def _try_fleet(
+    bus: Bus, client: SimClient, pids: dict[str, tuple[int, ...]], seconds: float
+) -> FleetTrial:
+    """Measure turns without and with subscribers."""
+    trial = FleetTrial()
+    for _ in range(TURNS):
+        _spend(bus, client, pids, seconds / TURNS, trial.idle)
+        with _listener(bus) as found:
+            _spend(bus, client, pids, seconds / TURNS, trial.subscribed)
+            trial.tallies = found.tallies()
+        _wait_until_idle(bus)
+    return trial
+
+
+def _sum_sensors(spent: Spent) -> tuple[float, ...]:
+    """Sum the CPU of all sensor processes in each second [cores]."""
+    used = [cores for group, cores in spent.cores.items() if group.startswith("sensors")]
+    return tuple(map(sum, zip(*used, strict=True)))
+
+
+def _sensor_figures(case: FleetCase, trial: FleetTrial) -> Iterator[Figure]:
     name = f"{case.label}: "
     yield Figure(
         what=f"{name}CPU, sensors, all subscribed",
         unit="cores",
-        samples=tuple(heard.cores["sensors"]),
+        samples=_sum_sensors(trial.subscribed),
         limit=case.limit,
     )
     yield Figure(
         what=f"{name}CPU, sensors, no subscribers",
         unit="cores",
-        samples=tuple(idle.cores["sensors"]),
+        samples=_sum_sensors(trial.idle),
         limit=Limit("median", "<=", 0.01 * case.processes),
     )
-    for when, spent in (("no subscribers", idle), ("all subscribed", heard)):
+    if case.processes > 1:
+        each = [sum(cores) for group, cores in trial.subscribed.cores.items() if group != "server"]
+        yield Figure(
+            what=f"{name}CPU of the busiest process by that of the least busy one",
+            unit="",
+            samples=(max(each) / max(min(each), 1e-9),),
+            limit=Limit("max", "<=", MAX_UNEVENNESS),
+        )
+    yield Figure(
+        what=f"{name}first scan after a subscription",
+        unit="ms",
+        samples=trial.waits_ms,
+        limit=Limit("median", "<=", 300.0),
+    )
+
+
+def _server_figures(case: FleetCase, trial: FleetTrial) -> Iterator[Figure]:
+    name = f"{case.label}: "
+    for when, spent in (("no subscribers", trial.idle), ("all subscribed", trial.subscribed)):
         yield Figure(
             what=f"{name}CPU, server, {when}", unit="cores", samples=tuple(spent.cores["server"])
         )
@@ -157,46 +219,34 @@ def _fleet_figures(case: FleetCase, seconds: float, first_scans: int) -> Iterato
             unit="ms",
             samples=tuple(spent.step_ms),
         )
-    yield Figure(what=f"{name}scans received", unit="Hz", samples=_scan_rates(tallies))
-    yield Figure(what=f"{name}scans received", unit="MB/s", samples=_scan_volumes(tallies))
-    yield Figure(what=f"{name}late or missing scans so far", unit="", samples=tuple(heard.late))
+    yield Figure(what=f"{name}scans received", unit="Hz", samples=_scan_rates(trial.tallies))
+    yield Figure(what=f"{name}scans received", unit="MB/s", samples=_scan_volumes(trial.tallies))
     yield Figure(
-        what=f"{name}first scan after a subscription",
-        unit="ms",
-        samples=waits_ms,
-        limit=Limit("median", "<=", 300.0),
+        what=f"{name}late or missing scans so far", unit="", samples=tuple(trial.subscribed.late)
     )
-    yield Figure(
-        what=f"{name}floor, as many ready scans put",
-        unit="cores",
-        samples=_put_floor(case.robots, case.rate_hz, min(seconds, 3.0)),
-    )
+
+
+@dataclass
+class UpTrial:
+    """What `zensim up` cost with everything subscribed."""
+
+    ready_s: float
+    spent: Spent
+    rates_hz: tuple[float, ...]
+    resumed_s: float
+    """From the end of the sensor process until there were scans again."""
 
 
 def _up_figures(
     robots: int, options: tuple[str, ...], seconds: float, *, is_short: bool
 ) -> Iterator[Figure]:
     """Measure `zensim up` with everything subscribed."""
-    endpoint, spent = free_endpoint(), Spent()
-    arguments = ("--robots", str(robots), "--model", MODEL, "--world", "warehouse", "--no-viewer")
-    with running(
-        "up", *arguments, "--listen", endpoint, "--json", *_pace(robots), *options
-    ) as process:
-        ready = read_json_line(process)
-        with connected(endpoint, process) as bus, _listener(bus) as found:
-            _wait_until_heard(found, robots)
-            pids = find_programs(process)
-            _spend(bus, SimClient(bus), pids, seconds, spent)
-            rates = _scan_rates(found.tallies())
-            resumed_s = _kill_sensors(bus, pids["sensors"])
-    name = f"zensim up, {robots} robots: "
-    is_few = robots <= MANY
-    ready_s = ready["ready_s"]
-    assert isinstance(ready_s, float)
+    trial = _try_up(robots, options, seconds)
+    name, spent, is_few = f"zensim up, {robots} robots: ", trial.spent, robots <= MANY
     yield Figure(
         what=f"{name}ready",
         unit="s",
-        samples=(ready_s,),
+        samples=(trial.ready_s,),
         limit=Limit("median", "<=", 6.0) if is_few and not is_short else None,
     )
     yield Figure(
@@ -205,22 +255,37 @@ def _up_figures(
         samples=tuple(spent.factors),
         limit=Limit("median", ">=", 0.99 if is_few else 0.98),
     )
-    total = tuple(map(sum, zip(*spent.cores.values(), strict=True)))
     yield Figure(
         what=f"{name}CPU, all programs",
         unit="cores",
-        samples=total,
+        samples=tuple(map(sum, zip(*spent.cores.values(), strict=True))),
         limit=Limit("median", "<=", 1.6) if is_few else None,
     )
     for group, cores in spent.cores.items():
         yield Figure(what=f"{name}CPU, {group}", unit="cores", samples=tuple(cores))
-    yield Figure(what=f"{name}scans received", unit="Hz", samples=rates)
+    yield Figure(what=f"{name}scans received", unit="Hz", samples=trial.rates_hz)
     yield Figure(
         what=f"{name}scans again after kill -9 of the sensor process",
         unit="s",
-        samples=(resumed_s,),
+        samples=(trial.resumed_s,),
         limit=None if is_short else Limit("median", "<=", 3.0),
     )
+
+
+def _try_up(robots: int, options: tuple[str, ...], seconds: float) -> UpTrial:
+    endpoint, spent = free_endpoint(), Spent()
+    arguments = ("--robots", str(robots), "--model", MODEL, "--world", "warehouse", "--no-viewer")
+    with running(
+        "up", *arguments, "--listen", endpoint, "--json", *_pace(robots), *options
+    ) as process:
+        ready_s = read_json_line(process)["ready_s"]
+        assert isinstance(ready_s, float)
+        with connected(endpoint, process) as bus, _listener(bus) as found:
+            _wait_until_heard(found, robots)
+            pids = find_programs(process)
+            _spend(bus, SimClient(bus), pids, seconds, spent)
+            rates_hz = _scan_rates(found.tallies())
+            return UpTrial(ready_s, spent, rates_hz, _kill_sensors(bus, pids["sensors"]))
 
 
 def _kill_sensors(bus: Bus, pids: Sequence[int]) -> float:

@@ -422,11 +422,10 @@ class OpenGlRenderer:
     def _find_program(self, definition: str) -> moderngl.Program:
         """Find the program of solids with or without an image, which costs more."""
         if definition not in self._programs:
-            shaders = [
-                f"#version 330\n{definition}\n{shader}"
-                for shader in (VERTEX_SHADER, FRAGMENT_SHADER)
-            ]
-            self._programs[definition] = self._context.program(*shaders)
+            head = f"#version 330\n{definition}\n"
+            self._programs[definition] = self._context.program(
+                head + VERTEX_SHADER, head + FRAGMENT_SHADER
+            )
         return self._programs[definition]
 
     def _find_picture(self, name: str) -> moderngl.Texture | None:
