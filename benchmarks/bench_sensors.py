@@ -143,7 +143,7 @@ def _fleet_figures(case: FleetCase, seconds: float, first_scans: int) -> Iterato
             stack.enter_context(running("sensors", "run", "--quiet", "--connect", server.endpoint))
             for _ in range(case.processes)
         ]
-        pids = {"server": (server.process.pid,)}
+        pids: dict[str, tuple[int, ...]] = {"server": (server.process.pid,)}
         pids |= {f"sensors {number}": (one.pid,) for number, one in enumerate(sensors)}
         _wait_for_processes(server.bus, case.processes)
         trial = _try_fleet(server.bus, server.client, pids, seconds)
