@@ -36,6 +36,9 @@ class SimulateStepsRequest(msgspec.Struct, frozen=True):
     """Orders that count from the first of these steps on."""
     wants_snapshot: bool = False
     """Whether the response has the state after the last step."""
+    is_eager: bool = False
+    """Whether the response is sent before the agents have answered the last state; they must have
+    before the next step. Their telemetry of that state may come after the response."""
 
 
 class SimulateStepsResponse(msgspec.Struct, frozen=True):

@@ -28,6 +28,8 @@ class StepGoal:
     status: StepsGoalStatus = "executing"
     late: set[str] = field(default_factory=set)
     reason: str = ""
+    is_eager: bool = False
+    """Whether it ends with its last step, before the agents have answered it."""
     progress_sent_ns: int | None = None
     """Wall time of the last progress message."""
 
@@ -75,6 +77,11 @@ class StepGoals:
     def find(self, goal_id: str) -> StepGoal | None:
         """Find an active or ended goal by its id."""
         return self._known.get(goal_id)
+
+    @property
+    def ends_eagerly(self) -> bool:
+        """Whether the steps of the first goal are made, and it does not wait for the agents."""
+        return bool(self._goals) and self._goals[0].is_eager and self._goals[0].remaining <= 0
 
     def note_step(self) -> None:
         """Count a step for the first goal."""

@@ -271,6 +271,8 @@ class AgentSessions:
 
 POLL_S = 0.0003
 IDLE_POLL_S = 0.001
+EAGER_NS, EAGER_POLL_S = 20_000_000, 0.0001
+"""After a requested step, requests are polled fast for so long."""
 MAX_EVENTS_PER_TURN = 128
 """Events published per turn; spawning many robots makes more than fit between two steps."""
 MAX_LAG_NS = 50_000_000
@@ -308,6 +310,8 @@ class ServerLoop:
         self._publisher = publisher
         self._clock = clock
         self._deadline_ns = clock.now_ns()
+        self._stepped_ns = -EAGER_NS
+        """Wall time of the last requested step."""
         self._paced_ns = 0
         self._factor = parts.pacing.target_real_time_factor
         self._telemetry = WorldTelemetry(parts.world, parts.pacing, parts.sensors)
@@ -404,8 +408,10 @@ class ServerLoop:
         if self._pacing.step_goals.has_steps_left:
             self._make_requested_step(now_ns)
         elif self._world.clock.state != State.PLAYING:
+            # A client that steps sends its next request soon.
+            is_stepped = now_ns - self._stepped_ns < EAGER_NS
             self._deadline_ns = now_ns
-            self._clock.sleep(IDLE_POLL_S)
+            self._clock.sleep(EAGER_POLL_S if is_stepped else IDLE_POLL_S)
         elif now_ns >= self._deadline_ns:
             self.tick(now_ns)
             self._set_deadline()
@@ -430,10 +436,10 @@ class ServerLoop:
             self._deadline_ns, self._paced_ns = now_ns, 0
 
     def _make_requested_step(self, now_ns: int) -> None:
-        self._deadline_ns = now_ns
+        self._deadline_ns = self._stepped_ns = now_ns
         self.tick(now_ns)
         self._pacing.step_goals.note_step()
-        if not self._pacing.lockstep.is_waiting:
+        if not self._pacing.lockstep.is_waiting or self._pacing.step_goals.ends_eagerly:
             self._finish_goals()
 
     def _finish_goals(self) -> None:

@@ -110,6 +110,7 @@ def simulate_steps(
             return response
         return msgspec.structs.replace(response, snapshot=world.snapshot(factor))
 
+    goal.is_eager = request.is_eager
     return DeferredResponse(lambda: goal.is_over, respond)
 
 

@@ -90,6 +90,8 @@ class ServerAccess(WorldAccess):
         self._token: LivelinessToken | None = None
         self._bond: tuple[str, LivelinessToken] | None = None
         self._publishers: dict[str, BusPublisher] = {}
+        self._has_feeds = False
+        """Whether topics were used, whose messages must precede the end of a step."""
         self._states = bus.subscribe(SNAPSHOT.key(world))
         self._received_s = time.monotonic()
         self._state = make_world_state(Snapshot(0, 0, 0, 0, (), b"", b""))
@@ -141,7 +143,11 @@ class ServerAccess(WorldAccess):
         """See `WorldAccess`."""
         self._declare()
         request = SimulateStepsRequest(
-            steps, client=self._client, twists=twists, wants_snapshot=True
+            steps,
+            client=self._client,
+            twists=twists,
+            wants_snapshot=True,
+            is_eager=self.is_eager and not self._has_feeds,
         )
         response = self._retry_early(
             lambda: self.call(SIMULATE_STEPS, request, timeout_s=timeout_s)
@@ -182,6 +188,7 @@ class ServerAccess(WorldAccess):
     def subscribe(self, key: str, kind: type[Message], depth: int) -> TopicFeed[Message]:
         """See `WorldAccess`."""
         self._require_open()
+        self._has_feeds = True
         subscription = self.bus.subscribe(key, depth)
         first = []
         for sample in self.bus.get(key, GET_TIMEOUT_S)[-1:]:

@@ -286,11 +286,11 @@ class Simulation:
         number = 0
         while rounds is None or number < rounds:
             yield self.time
+            number += 1
             if self._session.runs_by_itself:
                 self._session.run(period)
             else:
-                self._session.advance(count)
-            number += 1
+                self._session.advance(count, is_eager=number != rounds)
 
     def wait_until(
         self, condition: Callable[[], object], within: float = 10.0, *, timeout_s: float = math.inf

@@ -34,6 +34,9 @@ class WorldAccess(ABC):
 
     world_name = "default"
     """Name of the world, in keys."""
+    is_eager = False
+    """Whether `advance` may return before the agents have published the telemetry of the last step,
+    as in a loop of a controller that uses no topics."""
 
     @abstractmethod
     def call(

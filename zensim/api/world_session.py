@@ -185,14 +185,23 @@ class WorldSession:
     def _environment(self) -> Environment:
         return (self._roster or self.roster()).environment
 
-    def advance(self, steps: int, timeout_s: float = STEP_TIMEOUT_S) -> WorldState:
-        """Make steps of a paused world, with controllers and callbacks at each control step."""
+    def advance(
+        self, steps: int, timeout_s: float = STEP_TIMEOUT_S, *, is_eager: bool = False
+    ) -> WorldState:
+        """Make steps of a paused world, with controllers and callbacks at each control step.
+
+        Args:
+            steps: Their number.
+            timeout_s: Wall time of each request.
+            is_eager: See `WorldAccess.is_eager`.
+        """
         self.check_open()
         state = self.state()
         with self.steps_lock:
             while steps > 0:
                 count = min(steps, self._chunk_steps(state))
                 self._control(count * self.step_ns / NANOSECONDS)
+                self.access.is_eager = is_eager
                 with api_errors():
                     state = self.access.advance(count, self._take_orders(), timeout_s)
                 steps -= count
