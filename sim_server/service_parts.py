@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Generic
 
+from zensim.proto.codec.message_codec import Format
 from zensim.proto.messages.model_messages import Quat
 from zensim.proto.messages.sensor_messages import Environment, SensorsReply
 from zensim.proto.messages.simulation_messages import State
@@ -79,6 +80,8 @@ class Agents:
     alive: set[str] = field(default_factory=set)
     pool_limits: dict[str, int] = field(default_factory=dict)
     """Most robots of each pool, in the order of their first request."""
+    state_formats: dict[str, Format] = field(default_factory=dict)
+    """Of the drive states of each agent that has asked for one."""
 
 
 @dataclass

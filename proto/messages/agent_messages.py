@@ -6,6 +6,7 @@ from typing import ClassVar, Literal
 import msgspec
 
 from zensim.proto.codec.cdr import MalformedPayload
+from zensim.proto.messages.drive_messages import Actuator
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import Result
 from zensim.proto.messages.scalar_types import UInt32, UInt64
@@ -15,6 +16,7 @@ STATE_COLUMNS = 13
 """Position x y z, quaternion x y z w, linear x y z, angular x y z: all in the world frame."""
 
 OnRelease = Literal["stop", "keep", "delete"]
+StateFormat = Literal["msgpack", "json"]
 
 
 class ClaimEntityRequest(msgspec.Struct, frozen=True):
@@ -26,6 +28,8 @@ class ClaimEntityRequest(msgspec.Struct, frozen=True):
     """Unique; its liveliness token must be up."""
     entities: tuple[str, ...] = ()
     on_release: OnRelease = "stop"
+    state_format: StateFormat = "msgpack"
+    """Of the drive states that this agent gets from now on; in JSON, bytes are base64."""
 
 
 class Claim(msgspec.Struct, frozen=True):
@@ -69,6 +73,8 @@ class ClaimEntityResponse(msgspec.Struct, frozen=True):
     control_steps: UInt32 = 0
     """Steps between two drive states."""
     environment: Environment = Environment()
+    actuators: tuple[tuple[Actuator, ...], ...] = ()
+    """Of each of `models`: what the targets of a drive command are, in order."""
 
 
 class ClaimShareRequest(msgspec.Struct, frozen=True):

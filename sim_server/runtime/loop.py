@@ -13,7 +13,7 @@ from typing import Protocol
 import msgspec
 
 from zensim.proto import keys
-from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.codec.message_codec import Format, MalformedPayload, decode
 from zensim.proto.keys import parse_agent
 from zensim.proto.messages.agent_messages import DriveCommand, DriveState, TwistCommands
 from zensim.proto.messages.simulation_messages import State
@@ -184,7 +184,8 @@ class AgentSessions:
             newest_claim=self._world.claims.newest,
             is_awaited=self._pacing.is_awaited,
         )
-        self._publisher.publish_drive_state(agent, sent)
+        form = self._agents.state_formats.get(agent, Format.MSGPACK)
+        self._publisher.publish_drive_state(agent, sent, form)
         self._awaited_since_ns[agent] = self._pacing.now_ns()
         if not sent.claims:
             self._lockstep.forget(agent)
@@ -221,6 +222,7 @@ class AgentSessions:
             return
         self._agents.alive.discard(agent)
         self._agents.pool_limits.pop(agent, None)
+        self._agents.state_formats.pop(agent, None)
         self._world.release(agent)
         self._lockstep.forget(agent)
         self._awaited_since_ns.pop(agent, None)

@@ -6,7 +6,7 @@ from typing import Protocol
 import msgspec
 
 from zensim.proto import keys
-from zensim.proto.codec.message_codec import Format, encode
+from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.agent_messages import DriveState
 from zensim.proto.messages.simulation_messages import StepsProgress
 from zensim.proto.network_protocols import (
@@ -131,8 +131,10 @@ class WorldPublisher(Protocol):
     def publish(self, topic: TopicSpec, message: msgspec.Struct) -> None:
         """Publish on a topic of the world."""
 
-    def publish_drive_state(self, agent: str, state: DriveState) -> None:
-        """Publish a drive state for one agent."""
+    def publish_drive_state(
+        self, agent: str, state: DriveState, form: Format = Format.MSGPACK
+    ) -> None:
+        """Publish a drive state for one agent, in MessagePack or JSON."""
 
     def forget_agent(self, agent: str) -> None:
         """Close the publisher of an agent."""
@@ -184,13 +186,15 @@ class BusWorldPublisher:
         if root is None or self._topics[topic].is_matched:
             self._topics[topic].send(encode(message, Format.MSGPACK))
 
-    def publish_drive_state(self, agent: str, state: DriveState) -> None:
+    def publish_drive_state(
+        self, agent: str, state: DriveState, form: Format = Format.MSGPACK
+    ) -> None:
         """See `WorldPublisher`."""
         if (publisher := self._agents.get(agent)) is None:
             key = DRIVE_STATE.key(self._world, agent)
-            publisher = self._network.advertise(key, DRIVE_STATE.encoding)
+            publisher = self._network.advertise(key, make_encoding(DriveState, form))
             self._agents[agent] = publisher
-        publisher.send(encode(state, Format.MSGPACK))
+        publisher.send(encode(state, form))
 
     def forget_agent(self, agent: str) -> None:
         """See `WorldPublisher`."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+from zensim.proto.codec.message_codec import Format
 from zensim.proto.messages import agent_messages
 from zensim.proto.messages.result_messages import ClaimCode, Result
 from zensim.proto.names import InvalidName, check_name
@@ -69,12 +70,17 @@ def claim_entity(
     if not request.entities:
         raise RequestRefused(ClaimCode.NOT_DRIVABLE, "no entity was named; name at least one")
     granted = world.claim(agent, request.entities, request.on_release)
+    agents.state_formats[agent] = Format[request.state_format.upper()]
+    grants, models, descriptions = agent_messages.make_grants(granted)
     return agent_messages.ClaimEntityResponse(
         Result(),
-        *agent_messages.make_grants(granted),
+        grants,
+        models,
+        descriptions,
         world.clock.step_ns,
         world.control_steps,
         make_environment(world, current),
+        tuple(model.actuators for model in models),
     )
 
 
@@ -99,7 +105,7 @@ def claim_share(
         world.clock.step_ns,
         world.control_steps,
         make_environment(world, current),
-        len(names) < len(moved),
+        is_more=len(names) < len(moved),
     )
 
 

@@ -193,7 +193,10 @@ class RecordingPublisher:
     def publish(self, topic: TopicSpec, message: msgspec.Struct) -> None:
         self.sent.append((topic.suffix, message))
 
-    def publish_drive_state(self, agent: str, state: DriveState) -> None:
+    def publish_drive_state(
+        self, agent: str, state: DriveState, form: Format = Format.MSGPACK
+    ) -> None:
+        del form
         self.drive_states.append((agent, state))
 
     def forget_agent(self, agent: str) -> None:

@@ -1,0 +1,80 @@
+"""The programs of docs/python.md run as they stand."""
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+import zensim
+from tests.contract.repository import ROOT, text_of
+
+DOCUMENT = ROOT / "docs" / "python.md"
+SECTION = re.compile(r"^## ([^\n]+)\n+```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+SCRIPTS = dict(SECTION.findall(text_of(DOCUMENT)))
+MAX_LINES = 12
+"""Imports included, blank lines not."""
+
+
+def run_script(title: str, endpoint: str = "") -> str:
+    environment = dict(os.environ)
+    environment.pop("ZENSIM_CONNECT", None)
+    if endpoint:
+        environment["ZENSIM_CONNECT"] = endpoint
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPTS[title]],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture
+def running() -> Iterator[zensim.Sim]:
+    """A server that runs by itself."""
+    with zensim.launch("walls", rtf=0) as sim:
+        yield sim
+
+
+def test_hello_robot() -> None:
+    assert "RobotPose(x=0.2" in run_script("Hello robot")
+
+
+def test_fleet(running: zensim.Sim) -> None:
+    assert run_script("A fleet", running.endpoint).endswith("{}\n")
+
+
+def test_controller_gives_the_same_hash_in_each_run() -> None:
+    first = run_script("A controller in lockstep")
+
+    assert len(first.strip()) == 64
+    assert run_script("A controller in lockstep") == first
+
+
+def test_callback_of_a_sensor() -> None:
+    with zensim.launch(rtf=4, sensors=1) as sim:
+        robot = sim.spawn("box_bot_lidar", name="r1")
+        robot.topic("scan").read(timeout_s=60.0)
+        run_script("Sensors and callbacks", sim.endpoint)
+        assert sim.robots["r1"].pose.x > 4.5
+
+
+def test_remote_server(running: zensim.Sim) -> None:
+    running.spawn("box_bot", name="r1")
+
+    assert "full ['r1']" in run_script("A remote server", running.endpoint)
+
+
+def test_without_a_server_it_prints_slug_and_hint() -> None:
+    assert run_script("A remote server", "tcp/127.0.0.1:9").startswith("unreachable ")
+
+
+@pytest.mark.parametrize("title", SCRIPTS)
+def test_script_is_short(title: str) -> None:
+    assert len([line for line in SCRIPTS[title].splitlines() if line.strip()]) <= MAX_LINES
