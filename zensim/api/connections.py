@@ -2,9 +2,9 @@
 
 import atexit
 import os
+import threading
 import time
 import weakref
-from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from zensim.api.api_errors import Error, NotFound, Timeout, Unreachable
 from zensim.api.local_deployment import (
     LaunchAgentsConfig,
     LaunchConfig,
+    SensorLaunch,
     start_programs,
 )
 from zensim.api.server_access import ServerAccess
@@ -31,7 +32,7 @@ CONNECT_VARIABLE = "ZENSIM_CONNECT"
 DEFAULT_WORLD = "default"
 START_TIMEOUT_S = 30.0
 POLL_S = 0.01
-WATCH_PERIOD_S = 0.25
+WATCH_PERIOD_S = 0.1
 _OPEN: "weakref.WeakSet[Sim]" = weakref.WeakSet()
 """Simulations that are closed at the exit of this process."""
 
@@ -85,7 +86,7 @@ def launch(  # noqa: PLR0913  options of a start, each with a default
     seed: int = 0,
     rtf: float | None = None,
     agents: int = 1,
-    sensors: int = 0,
+    sensors: int | None = None,
     timeout_s: float = START_TIMEOUT_S,
 ) -> Sim:
     """Start a server of our own, which ends with the simulation or with this process.
@@ -98,7 +99,7 @@ def launch(  # noqa: PLR0913  options of a start, each with a default
         seed: Of the world's random numbers.
         rtf: Let time advance by itself at this real-time factor; 0 = as fast as possible.
         agents: Pools that drive the robots; 0 = none.
-        sensors: Processes that measure lidars and cameras.
+        sensors: Processes that measure lidars and cameras; None = one when a robot needs it.
         timeout_s: Wall time of the start.
 
     Raises:
@@ -128,11 +129,13 @@ def _start(config: LaunchConfig, timeout_s: float) -> Sim:
             bus = _wait_for_server(config, supervisor, timeout_s)
         except ProgramDied as error:
             raise Error(str(error), slug="launch_failed", hint="see the lines above") from error
-        access = ServerAccess(
-            bus, config.world_name, watch=_make_watch(supervisor), on_close=supervisor.close
-        )
-        sim = Sim(access)
-        # The simulation closes it.
+        stack.callback(bus.close)
+        sensors = SensorLaunch(config, supervisor, bus)
+        sensors.poll(time.monotonic())
+        keeper = ProgramKeeper(supervisor, sensors)
+        stack.callback(keeper.close)
+        sim = Sim(ServerAccess(bus, config.world_name, watch=keeper.check, on_close=keeper.close))
+        # The simulation closes all.
         stack.pop_all()
     return sim
 
@@ -206,20 +209,39 @@ def _wait_for_server(config: LaunchConfig, supervisor: Supervisor, timeout_s: fl
     raise Timeout(f"the server has not started after {timeout_s:g} s")
 
 
-def _make_watch(supervisor: Supervisor) -> Callable[[], None]:
-    checked_s = time.monotonic()
+class ProgramKeeper:
+    """Restarts programs that ended, and starts sensor processes on demand, in a thread."""
 
-    def watch() -> None:
-        nonlocal checked_s
-        if time.monotonic() - checked_s < WATCH_PERIOD_S:
-            return
-        checked_s = time.monotonic()
+    def __init__(self, supervisor: Supervisor, sensors: SensorLaunch) -> None:
+        self._supervisor = supervisor
+        self._sensors = sensors
+        self._failure: ProgramDied | None = None
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="zensim programs", daemon=True)
+        self._thread.start()
+
+    def check(self) -> None:
+        """Check that the programs run.
+
+        Raises:
+            Error: One that is not restarted has ended.
+        """
+        if self._failure is not None:
+            raise Error(str(self._failure), slug="program_ended")
+
+    def close(self) -> None:
+        """End all programs."""
+        self._is_over.set()
+        self._thread.join()
+        self._supervisor.close()
+
+    def _run(self) -> None:
         try:
-            supervisor.watch()
+            while not self._is_over.wait(WATCH_PERIOD_S):
+                self._supervisor.watch()
+                self._sensors.poll(time.monotonic())
         except ProgramDied as error:
-            raise Error(str(error), slug="program_ended") from error
-
-    return watch
+            self._failure = error
 
 
 def _register(sim: Sim) -> Sim:

@@ -78,7 +78,7 @@ class ServerAccess(WorldAccess):
             bus: Session; closed with this.
             world: Name of the world.
             watch: Called now and then while a call waits; raises if a program of ours has ended.
-            on_close: Called at the end of `close`.
+            on_close: Called before the session is closed.
         """
         self.world_name = world
         self.bus = bus
@@ -246,8 +246,8 @@ class ServerAccess(WorldAccess):
                 self._token.close()
             if self._bond is not None:
                 self._bond[1].close()
+            self._on_close()
             self.bus.close()
-        self._on_close()
 
     def _replace(self, snapshot: Snapshot) -> WorldState:
         """Take the snapshot of a reply; states that were published before it are dropped."""

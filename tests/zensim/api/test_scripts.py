@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -14,11 +15,12 @@ from tests.contract.repository import ROOT, text_of
 DOCUMENT = ROOT / "docs" / "python.md"
 SECTION = re.compile(r"^## ([^\n]+)\n+```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SCRIPTS = dict(SECTION.findall(text_of(DOCUMENT)))
+XACRO = "http://www.ros.org/wiki/xacro"
 MAX_LINES = 12
 """Imports included, blank lines not."""
 
 
-def run_script(title: str, endpoint: str = "") -> str:
+def run_script(title: str, endpoint: str = "", folder: Path = ROOT) -> str:
     environment = dict(os.environ)
     environment.pop("ZENSIM_CONNECT", None)
     if endpoint:
@@ -26,6 +28,7 @@ def run_script(title: str, endpoint: str = "") -> str:
     done = subprocess.run(
         [sys.executable, "-c", SCRIPTS[title]],
         env=environment,
+        cwd=folder,
         capture_output=True,
         text=True,
         timeout=200,
@@ -58,7 +61,7 @@ def test_controller_gives_the_same_hash_in_each_run() -> None:
 
 
 def test_callback_of_a_sensor() -> None:
-    with zensim.launch(rtf=4, sensors=1) as sim:
+    with zensim.launch(rtf=4) as sim:
         robot = sim.spawn("box_bot_lidar", name="r1")
         robot.topic("scan").read(timeout_s=60.0)
         run_script("Sensors and callbacks", sim.endpoint)
@@ -69,6 +72,17 @@ def test_remote_server(running: zensim.Sim) -> None:
     running.spawn("box_bot", name="r1")
 
     assert "full ['r1']" in run_script("A remote server", running.endpoint)
+
+
+def test_own_robot(tmp_path: Path) -> None:
+    model = text_of(ROOT / "sim_server" / "models" / "box_bot.urdf")
+    head = f'<robot xmlns:xacro="{XACRO}"><xacro:arg name="arm" default="false"/>'
+    text = re.sub(
+        r"<robot\b[^>]*>", head.replace("<robot", '<robot name="my_robot"'), model, count=1
+    )
+    (tmp_path / "my_robot.urdf.xacro").write_text(text, encoding="utf-8")
+
+    assert "diff_drive" in run_script("Your own robot, in this process", folder=tmp_path)
 
 
 def test_without_a_server_it_prints_slug_and_hint() -> None:

@@ -1,0 +1,67 @@
+"""The public names: listed, documented, and imported when they are used."""
+
+import inspect
+import json
+import pickle
+import subprocess
+import sys
+
+import pytest
+
+import zensim
+from benchmarks.api_surface import DOCUMENT, describe_surface
+from zensim.public_names import list_public_names
+
+HEAVY = ("zenoh", "numpy", "typer", "rich", "pybullet", "mujoco", "yourdfpy", "msgspec")
+NAMES = [name for name in list_public_names() if name[0] != "_"]
+ERRORS = [
+    name
+    for name in NAMES
+    if inspect.isclass(found := getattr(zensim, name)) and issubclass(found, zensim.Error)
+]
+
+
+def test_surface_is_the_listed_one() -> None:
+    listed = json.loads(DOCUMENT.read_text(encoding="utf-8"))
+
+    assert listed == describe_surface(), "run 'python -m benchmarks.api_surface'"
+
+
+def test_names_for_type_checkers_are_those_at_run_time() -> None:
+    assert sorted(zensim.__all__) == NAMES
+
+
+def test_import_loads_nothing_heavy() -> None:
+    code = f"import sys, zensim; print([one for one in {HEAVY} if one in sys.modules])"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_public_name_is_documented_with_its_members(name: str) -> None:
+    found = getattr(zensim, name)
+    members = inspect.getmembers(found) if inspect.isclass(found) else []
+    ours = [one for key, one in members if key[0] != "_" and callable(one)]
+
+    undocumented = [one for one in (found, *ours) if not inspect.getdoc(one)]
+
+    assert undocumented == []
+
+
+@pytest.mark.parametrize("name", ERRORS)
+def test_error_is_pickled_with_all_it_says(name: str) -> None:
+    error = getattr(zensim, name)("given", slug="a_slug", hint="what works", code=3)
+
+    again = pickle.loads(pickle.dumps(error))
+
+    assert type(again) is type(error)
+    said = (again.message, again.slug, again.hint, again.code, str(again))
+    assert said == ("given", "a_slug", "what works", 3, "given; what works")
+
+
+def test_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError):
+        _ = zensim.nothing_of_this_name
