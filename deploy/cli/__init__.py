@@ -130,6 +130,11 @@ VERBS: dict[str, Verb] = {
         "zensim.deploy.cli.check_commands",
         "Spawn and drive the robots of a folder, and print what they do.",
     ),
+    "test": Verb(
+        "Scenarios",
+        "zensim.deploy.cli.scenario_test_commands",
+        "Run scenario files and report their checks.",
+    ),
     "scenario": Verb(
         "Scenarios",
         "zensim.deploy.cli.scenario_commands",

@@ -5,7 +5,7 @@ import sys
 import time
 import webbrowser
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated
@@ -25,6 +25,12 @@ from zensim.api.local_deployment import (
     launch,
     summarize_run,
     supervise,
+)
+from zensim.deploy.fleet_demo import (
+    DEMO_BEHAVIOURS,
+    DemoBehaviour,
+    describe_demo,
+    make_demo,
 )
 from zensim.proto.cli_options import (
     AllowMissingOption,
@@ -141,6 +147,14 @@ class UpOptions(RosTfOptions):
         ),
     ] = None
     lockstep: LockstepOption = False
+    behaviour: Annotated[
+        str,
+        typer.Option(
+            "--behaviour",
+            metavar="circle|waypoints|random_walk|none",
+            help="What each robot does until something commands it.",
+        ),
+    ] = "circle"
     viewer: Annotated[
         bool, _viewer("--viewer/--no-viewer", metavar="", help="Serve the 3D web page.")
     ] = True
@@ -170,7 +184,12 @@ def up(given: UpOptions) -> None:
     began_s = time.monotonic()
     with exit_on_failure("up", LaunchFailed, ProgramDied):
         _launch_and_run(
-            _make_config(given), began_s, given.duration, given.open_page, as_json=given.as_json
+            _make_config(given),
+            began_s,
+            given.duration,
+            given.open_page,
+            behaviour=parse_choice("--behaviour", given.behaviour, DEMO_BEHAVIOURS),
+            as_json=given.as_json,
         )
 
 
@@ -201,16 +220,27 @@ def _make_config(given: UpOptions) -> LaunchConfig:
 
 
 def _launch_and_run(
-    config: LaunchConfig, began_s: float, duration: float, open_page: bool | None, *, as_json: bool
+    config: LaunchConfig,
+    began_s: float,
+    duration: float,
+    open_page: bool | None,
+    *,
+    behaviour: DemoBehaviour,
+    as_json: bool,
 ) -> None:
     stop = StopFlag(is_armed=False)
-    with closing(Supervisor(_print_restart)) as supervisor:
+    with closing(Supervisor(_print_restart)) as supervisor, ExitStack() as stack:
         with _show_progress(len(config.placements)) as progress:
             deployment = launch(config, supervisor, progress, began_s)
         stop.arm()
-        _run_until_stopped(
-            deployment, partial(supervise, deployment, duration, stop), open_page, as_json=as_json
-        )
+        should_stop: Callable[[], bool] = stop
+        if behaviour != "none" and config.placements:
+            demo = stack.enter_context(make_demo(deployment, behaviour))
+            should_stop = demo.watch(stop)
+            if not as_json:
+                typer.echo(describe_demo(behaviour))
+        run_on = partial(supervise, deployment, duration, should_stop)
+        _run_until_stopped(deployment, run_on, open_page, as_json=as_json)
 
 
 def _run_until_stopped(

@@ -117,6 +117,16 @@ def launch(  # noqa: PLR0913  options of a start, each with a default
         sensor_processes=sensors,
         ros=NO_ROS,
     )
+    return launch_configured(config, timeout_s)
+
+
+def launch_configured(config: LaunchConfig, timeout_s: float = START_TIMEOUT_S) -> Sim:
+    """Start the programs of a configuration; see `launch`.
+
+    Raises:
+        Error: A program ended at its start.
+        Timeout: The server did not start in time.
+    """
     return _register(_start(config, timeout_s))
 
 

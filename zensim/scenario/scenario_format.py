@@ -572,7 +572,7 @@ class EndSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The end of the run, whichever comes first."""
 
     at: (
-        Annotated[float, quantity("s", "Simulated time; null = 10 s in tests.", above=0.0)] | None
+        Annotated[float, quantity("s", "Simulated time; null = 10 s in `zensim test`.", above=0.0)] | None
     ) = None
     when: Annotated[EndCondition, described("End as soon as checks have passed.")] | None = None
     on_failure: Annotated[Literal["stop", "continue"], described("What a failed check does.")] = (

@@ -64,6 +64,7 @@ from zensim.scenario.scenario_reader import Scenario
 
 if TYPE_CHECKING:
     from zensim.api.spawning import SpawnKeywords
+    from zensim.proto.messages.model_messages import Dynamics
 
 FloatArray = npt.NDArray[np.float64]
 DEFAULT_END_S = 10.0
@@ -352,6 +353,10 @@ def _spawn_group(sim: Simulation, scenario: Scenario, index: int, group: RobotsS
     file = scenario.find_file(f"robots[{index}].model", group.model)
     model = str(file) if file.is_file() else group.model
     agent = "external" if group.agent == "none" else ""
+    # "full" is the default of every world; naming it would forbid what a model asks for.
+    dynamics: Dynamics = (
+        "" if scenario.format.engine.dynamics == "full" else (scenario.format.engine.dynamics)
+    )
     names = [f"{group.name}{number}" for number in range(len(robots))]
     is_plain = all(one.z is None and one.roll == one.pitch == 0.0 for one in robots)
     controllers = [
@@ -365,6 +370,7 @@ def _spawn_group(sim: Simulation, scenario: Scenario, index: int, group: RobotsS
             xacro_args=group.xacro,
             controllers=controllers,
             drive=group.drive,
+            dynamics=dynamics,
             agent=agent,
         )
         return
@@ -378,6 +384,7 @@ def _spawn_group(sim: Simulation, scenario: Scenario, index: int, group: RobotsS
             "xacro_args": group.xacro,
             "controllers": controllers,
             "drive": group.drive,
+            "dynamics": dynamics,
             "agent": agent,
         }
         if one.z is not None:

@@ -1,0 +1,177 @@
+"""Drives the robots of `zensim up` in a pattern, each until something else commands it."""
+
+import math
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import Literal
+
+import numpy as np
+
+from zensim.api.local_deployment import LocalDeployment
+from zensim.api.server_access import ServerAccess
+from zensim.api.sim import Sim
+from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.messages.agent_messages import TwistCommands
+from zensim.proto.topic_catalog import TWISTS
+from zensim.scenario.robot_behaviours import (
+    ConstantMotion,
+    FleetState,
+    FloatArray,
+    Motion,
+    PathMotion,
+    RandomWalkMotion,
+)
+from zensim.scenario.scenario_format import FollowWaypoints, RandomWalk
+from zensim.spawner.spawn.spawn_poses import RobotPlacement
+
+DemoBehaviour = Literal["circle", "waypoints", "random_walk", "none"]
+DEMO_BEHAVIOURS: tuple[DemoBehaviour, ...] = ("circle", "waypoints", "random_walk", "none")
+DESCRIPTIONS: dict[DemoBehaviour, str] = {
+    "circle": "drive in circles",
+    "waypoints": "drive in squares",
+    "random_walk": "wander",
+}
+SPEED = 0.3
+"""[m/s]."""
+RADIUS = 0.4
+"""Of circles [m]; half of the side of squares."""
+COMMAND_KEY = "**/cmd_vel/**"
+"""Velocity commands on plain keys and on those of ROS 2."""
+QUEUE_DEPTH = 1000
+
+
+class FleetDemo:
+    """Commands the robots in a world that runs by itself; `update` has to be called often.
+
+    A robot that gets a `cmd_vel`, or an order of another client, is left to that for good.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        endpoint: str,
+        world: str,
+        placements: Sequence[RobotPlacement],
+        behaviour: DemoBehaviour,
+    ) -> None:
+        self._names = [one.name for one in placements]
+        self._motion = make_demo_motion(placements, behaviour)
+        self._commands = bus.subscribe(COMMAND_KEY, QUEUE_DEPTH)
+        self._orders = bus.subscribe(TWISTS.key(world), QUEUE_DEPTH)
+        # A session of its own, which ends with the demo; so do its orders.
+        self._access = ServerAccess(open_bus(BusConfig(connect=(endpoint,))), world)
+        self._sim = Sim(self._access)
+        self._fleet = self._sim.fleet(self._names)
+        self._is_ours = np.ones(len(self._names), dtype=bool)
+        self._sent: FloatArray | None = None
+        self._epoch = self._sim.epoch
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no robot is left to command."""
+        return not self._is_ours.any()
+
+    def update(self) -> None:
+        """Leave robots that others command, and command the rest."""
+        self._leave_commanded()
+        if self._sim.epoch != self._epoch:
+            # A reset deletes what was spawned.
+            self._is_ours[:] = False
+        if self.is_over or self._sim.is_paused:
+            return
+        now = self._sim.time
+        state = FleetState(now, 0.0, self._fleet.poses2d(), self._fleet.twists())
+        twists = self._motion.command(state)
+        self._is_ours &= self._fleet.alive
+        if self._sent is None or not np.array_equal(twists, self._sent):
+            self._sent = twists.copy()
+            fleet = self._fleet[self._is_ours]
+            fleet.drive(v=twists[self._is_ours, 0], w=twists[self._is_ours, 1])
+
+    def watch(self, should_stop: Callable[[], bool]) -> Callable[[], bool]:
+        """Update whenever a loop asks whether to stop."""
+
+        def update_and_ask() -> bool:
+            self.update()
+            return should_stop()
+
+        return update_and_ask
+
+    def close(self) -> None:
+        """End; the robots stop."""
+        self._commands.close()
+        self._orders.close()
+        self._sim.close()
+
+    def __enter__(self) -> "FleetDemo":
+        """Return the demo."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close it."""
+        self.close()
+
+    def _leave_commanded(self) -> None:
+        names = {find_commanded_robot(one.key) for one in self._commands.take()}
+        for sample in self._orders.take():
+            try:
+                orders = decode(TwistCommands, sample.payload, sample.encoding)
+            except MalformedPayload:
+                continue
+            if orders.client != self._access.client:
+                names.update(orders.entities)
+        taken = np.array([name in names for name in self._names]) & self._is_ours
+        if taken.any():
+            self._is_ours &= ~taken
+            self._fleet[taken].release()
+
+
+def make_demo(deployment: LocalDeployment, behaviour: DemoBehaviour) -> FleetDemo:
+    """Make the demo of the robots of a deployment."""
+    config = deployment.config
+    return FleetDemo(
+        deployment.bus, config.endpoint, config.world_name, config.placements, behaviour
+    )
+
+
+def describe_demo(behaviour: DemoBehaviour) -> str:
+    """Say what the robots do, for how long, and how they would not."""
+    return (
+        f"The robots {DESCRIPTIONS[behaviour]}, each until something commands it "
+        "(--behaviour none: they stand still)."
+    )
+
+
+def find_commanded_robot(key: str) -> str:
+    """Find the robot of a key of velocity commands: the chunk before `cmd_vel`."""
+    chunks = key.split("/")
+    return chunks[chunks.index("cmd_vel") - 1] if "cmd_vel" in chunks[1:] else ""
+
+
+def make_demo_motion(placements: Sequence[RobotPlacement], behaviour: DemoBehaviour) -> Motion:
+    """Make the motion of a pattern: all robots alike, each from where it stands."""
+    count = len(placements)
+    if behaviour == "waypoints":
+        paths = np.array([_make_square(one) for one in placements])
+        square = FollowWaypoints(
+            name="demo", robots="*", points=((0.0, 0.0),), speed=SPEED, tolerance=0.1, loop=True
+        )
+        return PathMotion(np.arange(count), paths, [square] * count)
+    if behaviour == "random_walk":
+        walk = RandomWalk(name="demo", robots="*", speed=SPEED)
+        return RandomWalkMotion([walk] * count, 0, [one.name for one in placements])
+    twist = (SPEED, SPEED / RADIUS) if behaviour == "circle" else (0.0, 0.0)
+    return ConstantMotion(np.tile(np.array(twist), (count, 1)))
+
+
+def _make_square(start: RobotPlacement) -> list[tuple[float, float]]:
+    """Make the corners of a square to the left of a robot, beginning ahead of it."""
+    side, cos, sin = 2.0 * RADIUS, math.cos(start.yaw), math.sin(start.yaw)
+    corners = ((side, 0.0), (side, side), (0.0, side), (0.0, 0.0))
+    return [(start.x + x * cos - y * sin, start.y + x * sin + y * cos) for x, y in corners]

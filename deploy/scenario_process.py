@@ -1,0 +1,184 @@
+"""The process that runs one scenario: a request on stdin, its report on stdout."""
+
+import os
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import msgspec
+
+import zensim
+from zensim.api.connections import launch_configured
+from zensim.api.local_deployment import LaunchAgentsConfig, LaunchConfig
+from zensim.api.simulation import Simulation
+from zensim.proto.child_process import (
+    SINGLE_THREADED,
+    make_module_command,
+    reserve_stdout,
+    run_process,
+)
+from zensim.proto.endpoints import with_free_port
+from zensim.proto.process_limits import die_with_parent
+from zensim.proto.ros2.ros_settings import NO_ROS
+from zensim.scenario.scenario_nodes import ScenarioInvalid
+from zensim.scenario.scenario_reader import Scenario, read_scenario
+from zensim.scenario.scenario_runner import RunReport, ScenarioFailed, run_scenario
+
+RUN_COMMAND = make_module_command("zensim.deploy.scenario_process")
+ENGINE_IN_PROCESS = "mujoco"
+
+
+class RunRequest(msgspec.Struct, frozen=True):
+    """A scenario to run."""
+
+    file: str
+    settings: tuple[str, ...] = ()
+    allows_python: bool = True
+    is_served: bool = False
+    """By a server process of its own, instead of in process."""
+    timeout_s: float = 600.0
+    """Wall time."""
+
+    @property
+    def repeat(self) -> str:
+        """Command line that repeats the run."""
+        words = [f"--set {setting}" for setting in self.settings]
+        return " ".join(["zensim test", self.file, *words, *(["--server"] * self.is_served)])
+
+
+def run_request(request: RunRequest) -> RunReport:
+    """Run a scenario in this process; an error of any kind is part of the report."""
+    try:
+        scenario = read_scenario(request.file, request.settings)
+    except ScenarioInvalid as error:
+        return RunReport(request.file, request.file, 0, "", error=str(error))
+    try:
+        return _run(scenario, request)
+    except Exception as error:  # noqa: BLE001  the world's and the author's, whatever they are
+        return _make_failed_report(scenario, request, _describe(error))
+
+
+def _run(scenario: Scenario, request: RunRequest) -> RunReport:
+    with _open_world(scenario, request) as sim:
+        return run_scenario(
+            scenario, sim, allows_python=request.allows_python, repeat=request.repeat
+        )
+
+
+def _open_world(scenario: Scenario, request: RunRequest) -> Simulation:
+    """Load the world of a scenario, in this process or in a server of its own."""
+    engine, word = scenario.format.engine, scenario.format.world.load
+    file = scenario.find_file("world.load", word)
+    world = str(file) if file.is_file() else word
+    if request.is_served:
+        return launch_configured(make_launch_config(scenario, world))
+    return zensim.World(
+        world,
+        engine=engine.use or ENGINE_IN_PROCESS,
+        seed=scenario.seed,
+        step_hz=engine.step_rate,
+        control_hz=engine.control_rate,
+    )
+
+
+def make_launch_config(scenario: Scenario, world: str) -> LaunchConfig:
+    """Configure a paused server of its own with one pool, and sensor processes if wanted."""
+    sections = scenario.format
+    if (sections.engine.step_rate, sections.engine.control_rate) != (None, None):
+        raise ScenarioFailed(
+            "engine.step_rate and engine.control_rate need a run in process; leave out --server"
+        )
+    return LaunchConfig(
+        world=world,
+        world_name=sections.world.name,
+        endpoint=with_free_port("tcp/127.0.0.1:0"),
+        model_paths=tuple(
+            str(scenario.find_file("world.model_paths", path))
+            for path in sections.world.model_paths
+        ),
+        is_strict=sections.world.strict,
+        allow_missing=sections.world.allow_missing,
+        is_paused=True,
+        seed=scenario.seed,
+        engine=sections.engine.use,
+        clusters=sections.engine.clusters,
+        engine_workers=sections.engine.workers,
+        dynamics=sections.engine.dynamics,
+        agents=LaunchAgentsConfig(pools=1),
+        ros=NO_ROS,
+    )
+
+
+def _describe(error: Exception) -> str:
+    """Describe an error, with the line of the author's code that raised it."""
+    told = f"{type(error).__name__}: {error}"
+    if isinstance(error, ScenarioFailed):
+        return str(error)
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if f"{os.sep}zensim{os.sep}" not in frame.filename]
+    return f"{told} ({own[-1].filename}:{own[-1].lineno})" if own[1:] else told
+
+
+def _make_failed_report(scenario: Scenario, request: RunRequest, error: str) -> RunReport:
+    return RunReport(
+        scenario.name,
+        scenario.file,
+        scenario.seed,
+        scenario.sha256,
+        robots=len(scenario.robots),
+        error=error,
+        repeat=request.repeat,
+    )
+
+
+def run_in_process(request: RunRequest) -> RunReport:
+    """Run a scenario in a process of its own, which is killed at the timeout."""
+    outcome = run_process(
+        RUN_COMMAND,
+        msgspec.msgpack.encode(request),
+        timeout_s=request.timeout_s,
+        environment=SINGLE_THREADED,
+    )
+    if not outcome.is_out_of_time and not outcome.status:
+        return msgspec.msgpack.decode(outcome.output, type=RunReport)
+    told = f"its process ended with status {outcome.status}"
+    if outcome.is_out_of_time:
+        told = f"timeout: not over after {request.timeout_s:g} s of wall time"
+    return _make_failed_report(read_scenario(request.file, request.settings), request, told)
+
+
+def run_all(
+    requests: Sequence[RunRequest], *, jobs: int, on_run: Callable[[RunReport], None]
+) -> list[RunReport]:
+    """Run scenarios, several at once; reports are in the order of the requests.
+
+    Args:
+        requests: Scenarios without mistakes.
+        jobs: Number at once.
+        on_run: Called in order, as soon as possible.
+    """
+    runs = []
+    with ThreadPoolExecutor(jobs) as pool:
+        outcomes = [pool.submit(run_in_process, one) for one in requests]
+        try:
+            for outcome in outcomes:
+                runs.append(outcome.result())
+                on_run(runs[-1])
+        finally:
+            pool.shutdown(cancel_futures=True)
+    return runs
+
+
+def main() -> None:
+    """Run the scenario of the request on stdin."""
+    die_with_parent()
+    replies = reserve_stdout()
+    request = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=RunRequest)
+    report = run_request(request)
+    with os.fdopen(replies, "wb") as stream:
+        stream.write(msgspec.msgpack.encode(report))
+
+
+if __name__ == "__main__":
+    main()
