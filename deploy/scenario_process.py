@@ -5,6 +5,7 @@ import sys
 import traceback
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import msgspec
 
@@ -115,9 +116,10 @@ def _describe(error: Exception) -> str:
     told = f"{type(error).__name__}: {error}"
     if isinstance(error, ScenarioFailed):
         return str(error)
+    package = str(Path(zensim.__file__).parent)
     frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if f"{os.sep}zensim{os.sep}" not in frame.filename]
-    return f"{told} ({own[-1].filename}:{own[-1].lineno})" if own[1:] else told
+    own = [frame for frame in frames if not frame.filename.startswith(package)]
+    return f"{told} ({own[-1].filename}:{own[-1].lineno})" if own else told
 
 
 def _make_failed_report(scenario: Scenario, request: RunRequest, error: str) -> RunReport:

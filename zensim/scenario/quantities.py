@@ -18,7 +18,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0},
     "m/s^2": {"m/s^2": 1.0, "m/s2": 1.0},
     "N": {"N": 1.0, "kN": 1e3},
-    "N m": {"N m": 1.0, "Nm": 1.0},
+    "N m s": {"N m s": 1.0, "Nms": 1.0},
     "1": {"%": 1e-2},
 }
 """Factors to the SI unit, by SI unit; `1` is a number without dimension."""

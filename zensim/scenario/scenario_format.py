@@ -382,10 +382,10 @@ class Kidnap(FaultOfRobots, frozen=True, kw_only=True, tag="kidnap"):
 
 
 class WheelJam(FaultOfRobots, frozen=True, kw_only=True, tag="wheel_jam"):
-    """Friction holds a joint."""
+    """Damping holds a joint against its motor."""
 
     joint: Annotated[str, described("Joint of the wheel.")]
-    friction: Annotated[float, quantity("N m", "Friction torque.", above=0.0)] = 100.0
+    damping: Annotated[float, quantity("N m s", "Torque by speed.", above=0.0)] = 1e4
 
 
 Fault = (
@@ -572,7 +572,8 @@ class EndSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The end of the run, whichever comes first."""
 
     at: (
-        Annotated[float, quantity("s", "Simulated time; null = 10 s in `zensim test`.", above=0.0)] | None
+        Annotated[float, quantity("s", "Simulated time; null = 10 s in `zensim test`.", above=0.0)]
+        | None
     ) = None
     when: Annotated[EndCondition, described("End as soon as checks have passed.")] | None = None
     on_failure: Annotated[Literal["stop", "continue"], described("What a failed check does.")] = (

@@ -127,7 +127,7 @@ class ScenarioRun:
         scenario = self.scenario
         self.faults = FaultSchedule(scenario)
         self._command_faults = CommandFaults(scenario)
-        self._friction: dict[str, float] = {}
+        self._damping: dict[str, float] = {}
         self._acting: set[str] = set()
         self._before: CheckedState | None = None
         self.commands = np.zeros((len(scenario.robots), 2))
@@ -255,9 +255,9 @@ class ScenarioRun:
         joint = f"{robot}::{fault.joint}"
         if is_start:
             found = self.sim.call(GET_JOINT_PROPERTIES, GetJointPropertiesRequest(joint))
-            self._friction[joint] = found.friction[0] if found.friction else 0.0
-        friction = fault.friction if is_start else self._friction[joint]
-        properties = ODEJointProperties(fmax=(friction,))
+            self._damping[joint] = found.damping[0] if found.damping else 0.0
+        damping = fault.damping if is_start else self._damping[joint]
+        properties = ODEJointProperties(damping=(damping,))
         self.sim.call(SET_JOINT_PROPERTIES, SetJointPropertiesRequest(joint, properties))
 
     def _update_behaviours(self, state: FleetState) -> list[ScenarioEvent]:

@@ -1,0 +1,90 @@
+"""The demo of `zensim up` moves its robots until something commands them."""
+
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from zensim.api.connections import connect, launch
+from zensim.api.sim import Sim
+from zensim.deploy.fleet_demo import (
+    DEMO_BEHAVIOURS,
+    DemoBehaviour,
+    FleetDemo,
+    find_commanded_robot,
+    make_demo_motion,
+)
+from zensim.proto.bus import BusConfig, BusPublisher, open_bus
+from zensim.proto.codec.message_codec import Format, encode
+from zensim.proto.messages.standard_messages import Twist, Vector3
+from zensim.proto.topic_catalog import CMD_VEL
+from zensim.scenario.robot_behaviours import FleetState
+from zensim.spawner.spawn.spawn_poses import make_fleet_layout
+
+PLACES = make_fleet_layout("r", 3, "row", 1.0)
+
+
+@pytest.fixture
+def playing() -> Iterator[Sim]:
+    with launch(rtf=1.0) as sim:
+        sim.spawn_fleet("box_bot", poses=[(one.x, one.y) for one in PLACES], prefix="r")
+        yield sim
+
+
+def update_until(demo: FleetDemo, condition: Callable[[], bool], within_s: float = 20.0) -> None:
+    deadline = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < deadline
+        demo.update()
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize(
+    ("key", "robot"),
+    [
+        ("r0/cmd_vel", "r0"),
+        ("0/r0/cmd_vel/geometry_msgs::msg::dds_::Twist_/RIHS01_9c", "r0"),
+        ("cmd_vel", ""),
+        ("r0/odom", ""),
+    ],
+)
+def test_robot_of_a_command_is_found(key: str, robot: str) -> None:
+    assert find_commanded_robot(key) == robot
+
+
+@pytest.mark.parametrize("behaviour", DEMO_BEHAVIOURS)
+def test_pattern_commands_each_robot(behaviour: DemoBehaviour) -> None:
+    motion = make_demo_motion(PLACES, behaviour)
+    poses = np.array([(one.x, one.y, one.yaw) for one in PLACES])
+
+    twists = motion.command(FleetState(0.0, 0.01, poses, np.zeros((3, 6))))
+
+    assert twists.shape == (3, 2)
+    assert (twists[:, 0] > 0.0).all() == (behaviour != "none")
+
+
+def test_robots_move_each_until_it_is_commanded(playing: Sim) -> None:
+    fleet = playing.fleet(["r0", "r1", "r2"])
+    endpoint = playing.endpoint
+    start = fleet.poses2d()
+
+    with (
+        open_bus(BusConfig(connect=(endpoint,))) as bus,
+        FleetDemo(bus, endpoint, "default", PLACES, "circle") as demo,
+    ):
+        update_until(demo, lambda: bool((np.abs(fleet.poses2d() - start).max(axis=1) > 0.1).all()))
+        command = bus.advertise(CMD_VEL.key("r0"), CMD_VEL.encoding)
+        update_until(demo, lambda: _drive_back(command) and fleet.twists()[0, 0] < -0.05)
+        with connect(endpoint) as other:
+            other.robots["r1"].drive(-0.1, 0.0)
+            update_until(demo, lambda: bool(fleet.twists()[1, 0] < -0.05))
+
+        assert fleet.twists()[2, 0] > 0.2
+        assert not demo.is_over
+
+
+def _drive_back(command: BusPublisher) -> bool:
+    payload = encode(Twist(linear=Vector3(x=-0.1)), Format.CDR)
+    command.send(payload)
+    return True
