@@ -47,6 +47,7 @@ from zensim.scenario.robot_behaviours import (
     load_class,
     make_motions,
 )
+from zensim.scenario.robot_places import ScenarioRobot
 from zensim.scenario.scenario_faults import CommandFaults, FaultRun, FaultSchedule
 from zensim.scenario.scenario_format import (
     AllOfCheck,
@@ -376,20 +377,23 @@ def _spawn_group(sim: Simulation, scenario: Scenario, index: int, group: RobotsS
         return
     for one in robots:
         options: SpawnKeywords = {
-            "x": one.x,
-            "y": one.y,
-            "roll": one.roll,
-            "pitch": one.pitch,
-            "yaw": one.yaw,
             "xacro_args": group.xacro,
             "controllers": controllers,
             "drive": group.drive,
             "dynamics": dynamics,
             "agent": agent,
         }
-        if one.z is not None:
-            options["z"] = one.z
-        sim.spawn(model, one.name, **options)
+        _spawn_alone(sim, model, one, options)
+
+
+def _spawn_alone(
+    sim: Simulation, model: str, robot: ScenarioRobot, options: "SpawnKeywords"
+) -> None:
+    options["x"], options["y"] = robot.x, robot.y
+    options["roll"], options["pitch"], options["yaw"] = robot.roll, robot.pitch, robot.yaw
+    if robot.z is not None:
+        options["z"] = robot.z
+    sim.spawn(model, robot.name, **options)
 
 
 def find_end(scenario: Scenario, default: float = DEFAULT_END_S) -> float:
