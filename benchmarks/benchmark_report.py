@@ -27,6 +27,7 @@ NAMES = (
     "fleet_traffic",
     "fleet_physics",
     "pools",
+    "api",
     "sensors",
     "casting",
     "state_sensors",

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 
-from zensim.api.api_errors import Error, NotFound, Timeout, Unreachable
+from zensim.api.api_errors import ConnectionLost, Error, NotFound, Timeout, Unreachable
 from zensim.api.local_deployment import (
     LaunchAgentsConfig,
     LaunchConfig,
@@ -234,10 +234,10 @@ class ProgramKeeper:
         """Check that the programs run.
 
         Raises:
-            Error: One that is not restarted has ended.
+            ConnectionLost: One that is not restarted has ended.
         """
         if self._failure is not None:
-            raise Error(str(self._failure), slug="program_ended")
+            raise ConnectionLost(str(self._failure), slug="program_ended")
 
     def close(self) -> None:
         """End all programs."""

@@ -1,0 +1,155 @@
+"""What the API says when the server stops, ends or is cut off, and when a process forks."""
+
+import math
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection
+
+import psutil
+import pytest
+
+import zensim
+from tests.integration.processes import eventually
+
+SLACK_S = 2.0
+"""Of wall times on a machine with other work."""
+
+
+@pytest.fixture
+def own() -> Iterator[zensim.Sim]:
+    """A server that a test may end."""
+    with zensim.launch() as sim:
+        yield sim
+
+
+def server_process() -> psutil.Process:
+    """Find the server that this process has started."""
+    children = psutil.Process().children()
+    return next(one for one in children if "serve" in one.cmdline())
+
+
+def test_killed_server_is_lost_soon(own: zensim.Sim) -> None:
+    server_process().kill()
+
+    began_s = time.monotonic()
+    with pytest.raises(zensim.ConnectionLost):
+        own.run_for(1.0, timeout_s=2.0)
+
+    assert time.monotonic() - began_s < 2.0 + SLACK_S
+    assert eventually(lambda: not own.is_connected, 5.0)
+
+
+def test_stopped_server_keeps_the_timeout(own: zensim.Sim) -> None:
+    server = server_process()
+    server.send_signal(signal.SIGSTOP)
+    try:
+        began_s = time.monotonic()
+        with pytest.raises(zensim.Error) as caught:
+            own.step(timeout_s=1.0)
+        waited_s = time.monotonic() - began_s
+    finally:
+        server.send_signal(signal.SIGCONT)
+
+    assert waited_s < 1.0 + SLACK_S
+    assert caught.value.slug in ("timeout", "connection_lost")
+
+
+def test_value_is_refused_when_the_server_is_silent(own: zensim.Sim) -> None:
+    robot = own.spawn("box_bot", name="r1")
+    server = server_process()
+    server.send_signal(signal.SIGSTOP)
+    try:
+
+        def is_lost() -> bool:
+            try:
+                _ = robot.pose
+            except zensim.ConnectionLost:
+                return True
+            return False
+
+        eventually(is_lost, 6.0)
+    finally:
+        server.send_signal(signal.SIGCONT)
+
+
+def find_slug(call: Callable[[], object]) -> str:
+    """Find the slug of the error that a call raises; empty without one."""
+    try:
+        call()
+    except zensim.Error as error:
+        return error.slug
+    return ""
+
+
+def use_in_child(sim: zensim.Sim, out: Connection) -> None:
+    """Try what a forked child must not do."""
+    out.send([find_slug(one) for one in (lambda: sim.time, sim.step, lambda: sim.run_for(0.1))])
+
+
+def test_forked_child_is_refused(sim: zensim.Sim) -> None:
+    receive, send = multiprocessing.Pipe(duplex=False)
+    child_id = os.fork()
+    if not child_id:
+        use_in_child(sim, send)
+        os._exit(0)
+    try:
+        assert receive.poll(20.0), "the child hangs"
+        assert receive.recv() == ["forked"] * 3
+    finally:
+        os.kill(child_id, signal.SIGKILL)
+        os.waitpid(child_id, 0)
+
+
+def test_slow_callback_drops_and_does_not_delay() -> None:
+    with zensim.launch(rtf=1) as sim:
+        robot = sim.spawn("box_bot", name="r1")
+        called: list[object] = []
+        is_over = threading.Event()
+
+        @robot.on("odom")
+        def be_slow(odom: object) -> None:
+            called.append(odom)
+            is_over.wait(1.0)
+
+        began = sim.time
+        eventually(lambda: be_slow.dropped > 0, 10.0)
+        eventually(lambda: sim.time > began + 1.0, 10.0)
+        is_over.set()
+        be_slow.cancel()
+
+    assert called
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda sim: sim.run_for(math.nan),
+        lambda sim: sim.run_for(-1.0),
+        lambda sim: sim.step(0),
+        lambda sim: sim.run_to(-1.0),
+        lambda sim: sim.cast_rays([[0.0, 0.0]], [[1.0, 0.0]]),
+        lambda sim: sim.cast_rays([[0.0, 0.0, math.nan]], [[1.0, 0.0, 0.0]]),
+        lambda sim: sim.spawn("box_bot", x=math.inf),
+        lambda sim: sim.spawn("box_bot", name="no name"),
+        lambda sim: sim.spawn_fleet("box_bot", poses=[[0.0]]),
+        lambda sim: sim.spawn_fleet("box_bot", count=-1),
+        lambda sim: list(sim.steps(seconds=1.0, rate=33.0)),
+        lambda sim: sim.spawn("box_bot", name="f").follow([(0.0, 0.0, 0.0)]),
+    ],
+)
+def test_wrong_argument_is_invalid(sim: zensim.Sim, call: Callable[[zensim.Sim], object]) -> None:
+    before = sim.time
+
+    with pytest.raises(zensim.Invalid):
+        call(sim)
+
+    assert sim.time == before
+
+
+def test_unknown_keyword_is_a_type_error(sim: zensim.Sim) -> None:
+    with pytest.raises(TypeError):
+        sim.spawn("box_bot", names="r1")  # type: ignore[call-arg]
