@@ -602,9 +602,10 @@ def make_sensor_entry(
 
 
 SCAN_S, RAY_S = 3e-5, 3.5e-7
-PIXEL_S = {"rgb": 1.7e-8, "depth": 1.9e-8, "rgbd": 2.2e-8}
+PIXEL_S = {"rgb": 2e-8, "depth": 4e-8, "rgbd": 4.5e-8}
 MESSAGE_S = 1e-5
-"""CPU time of a scan, a ray, a pixel and another message, measured on one core of a server."""
+"""CPU time of a scan, a ray, a pixel (all topics subscribed) and another message, each one of
+many, measured on one core of a server."""
 SHOWN_COST = 1e-5
 
 
