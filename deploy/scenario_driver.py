@@ -10,11 +10,23 @@ from zensim.api.local_deployment import LaunchConfig, LocalDeployment
 from zensim.api.server_access import ServerAccess
 from zensim.api.sim import Sim
 from zensim.proto.bus import BusConfig, open_bus
+from zensim.proto.endpoints import DEFAULT_ENDPOINT, with_free_port
+from zensim.proto.ros2.ros_settings import RosSettings, parse_ros_settings
 from zensim.scenario.check_monitors import CheckResult
+from zensim.scenario.scenario_format import RosSection
 from zensim.scenario.scenario_reader import Scenario
 from zensim.scenario.scenario_runner import ScenarioRun, find_end
 
 Value = TypeVar("Value")
+DEFAULT_PAGE_PORT = 8080
+UNUSED_KEYS = (
+    *("engine.step_rate", "engine.control_rate", "time.on_miss", "time.miss_timeout"),
+    *("network.connect", "network.wait", "network.journal", "network.verbose"),
+    *("record", "vary"),
+)
+"""Keys that are checked, but have no effect on `zensim up`."""
+UNUSED_AGENT_KEYS = ("processes", "odom_rate", "tf_rate")
+"""The same of entries of `agents`: pools share all robots here."""
 
 
 class ScenarioDriver:
@@ -91,6 +103,39 @@ def add_scenario(config: LaunchConfig, scenario: Scenario) -> LaunchConfig:
         dynamics=_choose(config.dynamics, "full", engine.dynamics),
         real_time_factor=_choose(config.real_time_factor, None, sections.time.speed),
         seed=config.seed or scenario.seed,
+        is_paused=config.is_paused or sections.time.paused,
+        # Lockstep is the default of files, since tests need it; here it has to be written.
+        is_lockstep=config.is_lockstep
+        or ("time.mode" in scenario.places and sections.time.mode == "lockstep"),
+        endpoint=_choose_endpoint(config.endpoint, sections.network.listen),
+        has_viewer=config.has_viewer and sections.viewer.show,
+        viewer_port=_choose(config.viewer_port, DEFAULT_PAGE_PORT, sections.viewer.port),
+        sensor_processes=_choose(
+            config.sensor_processes,
+            None,
+            sections.sensors.processes if "sensors.processes" in scenario.places else None,
+        ),
+        ros=config.ros if "ros" not in scenario.places else _read_ros(sections.ros),
+    )
+
+
+def list_unused_keys(scenario: Scenario) -> list[str]:
+    """List the keys of the file that have no effect on `zensim up`."""
+    agents = (
+        f"agents[{index}].{key}"
+        for index in range(len(scenario.format.agents))
+        for key in UNUSED_AGENT_KEYS
+    )
+    return [key for key in (*UNUSED_KEYS, *agents) if key in scenario.places]
+
+
+def _choose_endpoint(given: str, of_file: str) -> str:
+    return with_free_port(of_file) if of_file and given == DEFAULT_ENDPOINT else given
+
+
+def _read_ros(section: RosSection) -> RosSettings:
+    return parse_ros_settings(
+        section.domain, section.distro, section.tf, section.tf_root, is_bridged=section.bridge
     )
 
 

@@ -34,7 +34,7 @@ from zensim.deploy.fleet_demo import (
     describe_demo,
     make_demo,
 )
-from zensim.deploy.scenario_driver import ScenarioDriver, add_scenario
+from zensim.deploy.scenario_driver import ScenarioDriver, add_scenario, list_unused_keys
 from zensim.proto.cli_options import (
     AllowMissingOption,
     ClustersOption,
@@ -224,6 +224,8 @@ def _make_scenario_driver(scenario: Scenario, deployment: LocalDeployment) -> Sc
     def warn(check: CheckResult) -> None:
         typer.echo(f"check failed: {check.name}: {check.message} ({check.place})", err=True)
 
+    for key in list_unused_keys(scenario):
+        typer.echo(f"{scenario.find_place(key)}: {key} has no effect on zensim up", err=True)
     driver = ScenarioDriver(deployment, scenario, warn)
     typer.echo(f"Scenario {scenario.name}: {len(scenario.robots)} robots.", err=True)
     return driver
