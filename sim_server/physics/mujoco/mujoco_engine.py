@@ -587,6 +587,8 @@ class MujocoEngine(Engine):
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
         self._slots = SlotAllocator()
+        for body in self._bodies.values():
+            self._slots.expect_one_more(body.archetype)
         for number, body in self._bodies.items():
             body.slot = self._slots.take(body.archetype, number)
         self._switch_model(_COMPILE_CACHE.compile(self._slots.counts, self._config))
