@@ -521,8 +521,22 @@ class CellMap:
         is_accepted = model is self._accepted
         return all(
             (is_accepted and engine.capabilities.is_remote) or engine.prepare(model)
-            for engine in self.engines.values()
+            for engine in self._list_receivers(model)
         )
+
+    def _list_receivers(self, model: Model) -> list[Engine]:
+        """List the engines that may get a body of a model: a full cell gets no more that move."""
+        if not can_move(model) or self._has_room_in_single_cell:
+            return list(self.engines.values())
+        moving = self.members.moving
+        counts = np.bincount(self.members.cell[moving], minlength=max(self.engines) + 1)
+        most = self._capacity.max_bodies(len(moving))
+        return [engine for cell, engine in self.engines.items() if counts[cell] < most]
+
+    @property
+    def _has_room_in_single_cell(self) -> bool:
+        """Whether there is one cell, and it gets the next body."""
+        return len(self.engines) == 1 and self.members.moving_count < self._single_cell_bodies
 
     def expect(self, models: Sequence[Model]) -> None:
         """See `Engine.expect`; which of many cells gets a body that moves shows when it comes."""
@@ -757,7 +771,7 @@ class CellMap:
 
     def _find_nearest_cell(self, base: FloatArray) -> int:
         """Find the cell with free capacity whose body is nearest; else the emptiest cell."""
-        if len(self.engines) == 1 and self.members.moving_count < self._single_cell_bodies:
+        if self._has_room_in_single_cell:
             return 0
         moving = self.members.moving
         cells = self.members.cell[moving]
