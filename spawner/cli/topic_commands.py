@@ -34,7 +34,9 @@ ZENSIM_TYPES = {
     for topic in TOPICS.values()
     if topic.scope is not TopicScope.ROBOT
 }
-ARRAY_TYPES = {"base": "<f8", "joint_positions": "<f8", "joint_velocities": "<f8", "targets": "<f8"}
+ARRAY_TYPES = dict.fromkeys(
+    ("base", "joint_positions", "joint_velocities", "joint_efforts", "targets"), "<f8"
+)
 CLAIM_TYPE = "<u4"
 MAX_NESTING = 64
 

@@ -592,6 +592,21 @@ class CellMap:
         each = [engine.read([inner]) for engine, inner in (self.locate(body)[0] for body in bodies)]
         return concatenate_states(each)
 
+    def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
+        """Read the efforts of joints, each in its cell."""
+        by_cell: dict[int, list[tuple[int, int]]] = {}
+        for place, body in enumerate(bodies):
+            cell, inner = self._locate_by_cell(body)[0]
+            by_cell.setdefault(cell, []).append((place, inner))
+        counts = [len(self.members.by_number[body].model.joints) for body in bodies]
+        ends = np.cumsum(counts, dtype=np.intp)
+        efforts = np.zeros(sum(counts))
+        for cell, found in by_cell.items():
+            places = [place for place, _ in found]
+            into = expand_ranges((ends - counts)[places], np.array(counts, np.intp)[places])[1]
+            efforts[into] = self.engines[cell].read_joint_efforts([inner for _, inner in found])
+        return efforts
+
     def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
         """Read the contact points of bodies, each in its cell or cells."""
         by_cell: dict[int, list[int]] = {}
@@ -908,6 +923,10 @@ class CelledEngine(Engine):
         if not self._cell_map.is_single_cell and self._may_touch_other_cells(body):
             self._regroup()
         return self._cell_map.find_overlaps_async(body)
+
+    def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
+        """See `Engine.read_joint_efforts`; each cell reads its own."""
+        return self._cell_map.read_joint_efforts(bodies)
 
     def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
         """See `Engine.read_contacts`; each cell reads its own."""
