@@ -19,6 +19,7 @@ from zensim.proto.messages.standard_messages import (
     CameraInfo,
     Clock,
     CompressedImage,
+    Empty,
     FluidPressure,
     Image,
     Imu,
@@ -416,6 +417,15 @@ IMAGE_RAW = TopicSpec(
     publisher=Participant.SENSORS,
     qos=RELIABLE_5,
     description="colours of a camera",
+)
+IMAGE_TRIGGER = TopicSpec(
+    name="image_trigger",
+    scope=TopicScope.ROBOT,
+    messages=(Empty,),
+    publisher=Participant.USER,
+    subscriber=Participant.SENSORS,
+    is_gettable=False,
+    description="request for an image of a triggered camera",
 )
 IMAGE_COMPRESSED = TopicSpec(
     name="image_compressed",
