@@ -7,13 +7,13 @@ from typing import Protocol
 import numpy as np
 
 from zensim.proto.se3 import FloatArray
-from zensim.proto.topic_catalog import TOPICS, Participant
+from zensim.proto.topic_catalog import TOPICS
 from zensim.sim_server.scene.broad_phase import IntArray
 from zensim.sim_server.scene.fleet_casting import make_scan_caster
 from zensim.sim_server.scene.scan_casting import ScanCaster
 from zensim.sim_server.scene.scene import SceneLayout
 from zensim.sim_server.sensors.scene_roster import SceneSensor
-from zensim.sim_server.sensors.sensor_publishers import SensorAddress, SensorTopics
+from zensim.sim_server.sensors.sensor_publishers import SensorAddress, SensorTopics, is_subscribed
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,12 +115,12 @@ def list_topic_names(sensor: SceneSensor) -> tuple[str, ...]:
 
 def list_addresses(sensor: SceneSensor) -> list[SensorAddress]:
     """List the topics that a sensor publishes."""
-    return [one for one in _list_all(sensor) if one.topic.publisher is Participant.SENSORS]
+    return [one for one in _list_all(sensor) if not is_subscribed(one)]
 
 
 def list_subscriptions(sensor: SceneSensor) -> list[SensorAddress]:
     """List the topics that a sensor subscribes to."""
-    return [one for one in _list_all(sensor) if one.topic.subscriber is Participant.SENSORS]
+    return [one for one in _list_all(sensor) if is_subscribed(one)]
 
 
 def _list_all(sensor: SceneSensor) -> list[SensorAddress]:

@@ -8,7 +8,7 @@ from zensim.proto import keys
 from zensim.proto.fleet_publisher import FleetTopicPublisher, RosFleetPublisher, TopicMember
 from zensim.proto.network_protocols import AgentNetwork
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode
-from zensim.proto.topic_catalog import Participant, TopicSpec
+from zensim.proto.topic_catalog import IMAGE_TRIGGER, TopicSpec
 from zensim.proto.topic_endpoints import TopicFactory, TopicSubscription
 
 NODE_NAME = "sensors"
@@ -29,7 +29,7 @@ SUBSCRIPTION_DEPTH = 16
 
 def is_subscribed(address: SensorAddress) -> bool:
     """Whether sensors subscribe to a topic, which others publish."""
-    return address.topic.subscriber is Participant.SENSORS
+    return address.topic is IMAGE_TRIGGER
 
 
 class LastPayloads:
