@@ -66,7 +66,7 @@ class TransformWaits:
 def read_stamp_ns(payload: bytes, start: int) -> int:
     """Read the `Time` at an offset of a CDR message."""
     sec, nanosec = STAMP.unpack_from(payload, start)
-    return sec * NANOSECONDS + nanosec
+    return int(sec) * NANOSECONDS + int(nanosec)
 
 
 class EverythingListener:

@@ -21,6 +21,11 @@ MIN_INERTIA = 1e-8
 """Least principal moment [kg m^2] of a moving link."""
 
 
+def can_move(model: Model) -> bool:
+    """Whether any part of a model moves."""
+    return not model.is_static or any(joint.kind != "fixed" for joint in model.joints)
+
+
 class EngineRefused(SimError):
     """The engine cannot simulate this."""
 

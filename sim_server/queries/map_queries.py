@@ -18,7 +18,7 @@ from zensim.proto.messages.world_messages import GetMapRequest, GetMapResponse
 from zensim.proto.se3 import FloatArray
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.parser_process.asset_store import AssetStore
-from zensim.sim_server.physics.body_reach import can_move
+from zensim.sim_server.physics.engine import can_move
 from zensim.sim_server.queries.sliced_work import MAX_WORK_S, SlicedWork
 from zensim.sim_server.scene.occupancy_grid import (
     MAX_CELLS,

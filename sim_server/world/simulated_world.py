@@ -18,13 +18,13 @@ from zensim.proto.se3 import to_origin
 from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import IncorrectState
 from zensim.sim_server.physics.actuation import make_stop_targets
-from zensim.sim_server.physics.body_reach import can_move
 from zensim.sim_server.physics.engine import (
     BodyStates,
     Engine,
     EngineLost,
     EngineRefused,
     FloatArray,
+    can_move,
     refuse_faults,
 )
 from zensim.sim_server.scene.convex_shapes import MeshVertices

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from zensim.proto.messages.model_messages import Model
-from zensim.sim_server.physics.body_reach import BodyReach, ReachCache, can_move
+from zensim.sim_server.physics.body_reach import BodyReach, ReachCache
 from zensim.sim_server.physics.cells.cell_executor import CellExecutor, CellReadRequest, CellTargets
 from zensim.sim_server.physics.engine import (
     GROUND,
@@ -18,6 +18,7 @@ from zensim.sim_server.physics.engine import (
     Engine,
     EngineRefused,
     FloatArray,
+    can_move,
     concatenate_contacts,
     concatenate_states,
 )

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from zensim.proto.se3 import to_yaw
-from zensim.sim_server.physics.body_reach import can_move
 from zensim.sim_server.physics.engine import (
     GROUND,
     NO_CONTACTS,
@@ -17,6 +16,7 @@ from zensim.sim_server.physics.engine import (
     ContactPoints,
     EngineRefused,
     FloatArray,
+    can_move,
     concatenate_contacts,
     make_contact_points,
     make_unknown_efforts,

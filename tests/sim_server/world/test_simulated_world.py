@@ -33,8 +33,7 @@ from zensim.sim_server.errors import (
     NamespaceRefused,
     RequestRefused,
 )
-from zensim.sim_server.physics.body_reach import can_move
-from zensim.sim_server.physics.engine import BodyStates, EngineRefused
+from zensim.sim_server.physics.engine import BodyStates, EngineRefused, can_move
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.world.applied_forces import LinkWrench, TimeSpan
 from zensim.sim_server.world.entity import Entity, make_entity_index
