@@ -1,18 +1,20 @@
 """Topic `map`: what is fixed in the world, drawn when there is a subscriber."""
 
 import logging
+from typing import Protocol
+
+import msgspec
 
 from zensim.proto.messages.standard_messages import OccupancyGrid
 from zensim.proto.messages.world_messages import GetMapRequest, GetMapResponse
 from zensim.proto.rate_limiter import RateLimiter
-from zensim.proto.topic_catalog import MAP
+from zensim.proto.topic_catalog import MAP, TopicSpec
 from zensim.sim_server.queries.map_queries import (
     MAX_RESOLUTION_M,
     MapRefused,
     draw_map,
     find_fixed_entities,
 )
-from zensim.sim_server.runtime.loop_channels import WorldPublisher
 from zensim.sim_server.service_parts import DeferredResponse, ServerParts
 
 CHECK_HZ = 5.0
@@ -22,6 +24,19 @@ MAX_CELLS = 1 << 22
 LOG = logging.getLogger(__name__)
 
 
+class MapPublisher(Protocol):
+    """Publishes the topic."""
+
+    def is_wanted(self, topic: TopicSpec) -> bool:
+        """Whether a topic has a subscriber."""
+
+    def publish(self, topic: TopicSpec, message: msgspec.Struct) -> None:
+        """Publish a message."""
+
+    def serve_late_subscribers(self) -> None:
+        """Publish the last message to new subscribers."""
+
+
 class WorldMap:
     """The map of the topic: as `get_map` draws it, but coarser in a large world.
 
@@ -29,7 +44,7 @@ class WorldMap:
     added, moved or removed while there is a subscriber.
     """
 
-    def __init__(self, parts: ServerParts, publisher: WorldPublisher) -> None:
+    def __init__(self, parts: ServerParts, publisher: MapPublisher) -> None:
         self._parts = parts
         self._publisher = publisher
         self._limiter = RateLimiter(CHECK_HZ)
@@ -61,6 +76,17 @@ class WorldMap:
         if self._drawing is None:
             return self._find_grid()
         return DeferredResponse(lambda: self._drawing is None, self._find_grid)
+
+    def draw(self) -> OccupancyGrid:
+        """Draw the map at once.
+
+        Raises:
+            MapRefused: The world is too large.
+        """
+        self.message()
+        while self._drawing is not None:
+            self._continue(self._drawing)
+        return self._find_grid()
 
     def _find_grid(self) -> OccupancyGrid:
         if self._grid is None:

@@ -143,3 +143,10 @@ def test_late_subscribers_get_the_map_on_each_key() -> None:
     found.append(decode(OccupancyGrid, sample.payload, sample.encoding))
 
     assert [occupied_x(grid) for grid in found] == [[3.0]] * 3
+
+
+def test_map_is_drawn_at_once_where_steps_may_wait() -> None:
+    server = a_server_with_pillar()
+
+    assert occupied_x(WorldMap(server.parts, server.publisher).draw()) == [3.0]
+    assert maps_of(server)
