@@ -126,7 +126,7 @@ def _states(robots: int) -> Iterator[DriveState]:
 
 def _run(container: str, robots: int, seconds: int) -> tuple[float, float, list[float]]:
     """Return wall and CPU time [s] until all robots are claimed, and CPU [cores] per second."""
-    layout = ("--count", str(robots), "--layout", "grid", "--spacing", str(SPACING_M))
+    layout = ("--robots", str(robots), "--layout", "grid", "--spacing", str(SPACING_M))
     with serving() as server, ExitStack() as stack:
         if (done := server.zensim("fleet", MODEL, *layout)).returncode:
             raise RuntimeError(f"no fleet was spawned: {done.stderr}")

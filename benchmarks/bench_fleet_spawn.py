@@ -134,7 +134,7 @@ def _moved(count: int, *, pools: int, runs: int) -> Iterator[Figure]:
 
 def _all_moved(count: int, pools: int) -> tuple[float, int]:
     """Return the time [s] until all moved or the timeout, and how many moved."""
-    arguments = ("--count", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
+    arguments = ("--robots", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
     with (
         run_installation(AUTO_ARGUMENTS, (pool(10.0),) * pools) as crew,
         run_fleet_users(crew.bus, count, COMMANDS_HZ) as (tallies, _),

@@ -40,7 +40,7 @@ class Fleet:
 @contextmanager
 def fleet(count: int, *serve_arguments: str) -> Iterator[Fleet]:
     """Run a server, robots far apart, and agents without a command timeout."""
-    layout = ("--count", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
+    layout = ("--robots", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
     with serving(*serve_arguments) as server, ExitStack() as stack:
         done = server.zensim("fleet", "box_bot", *layout)
         if done.returncode:

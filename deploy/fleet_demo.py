@@ -136,7 +136,7 @@ def make_demo(deployment: LocalDeployment, behaviour: DemoBehaviour) -> FleetDem
     """Make the demo of the robots of a deployment."""
     config = deployment.config
     return FleetDemo(
-        deployment.bus, config.endpoint, config.world_name, config.placements, behaviour
+        deployment.bus, config.client_endpoint, config.world_name, config.placements, behaviour
     )
 
 

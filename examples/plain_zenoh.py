@@ -16,6 +16,8 @@ from rosbags.typesys import Stores, get_typestore
 ENDPOINT = sys.argv[1] if len(sys.argv) > 1 else "tcp/127.0.0.1:7447"
 ROBOT = sys.argv[2] if len(sys.argv) > 2 else "box_bot3"
 SECONDS = 3.0
+OK = 1
+"""Result of a successful request, as in simulation_interfaces/msg/Result."""
 
 config = zenoh.Config()
 config.insert_json5("mode", '"client"')
@@ -38,14 +40,16 @@ with zenoh.open(config) as session:
     for key, (x, y) in sorted(places.items()):
         print(f"{key}: x={x:.3f} y={y:.3f}")
 
-    reply = next(
-        iter(
-            session.get(
-                "sim/default/get_entity_state",
-                payload=json.dumps({"entity": ROBOT}),
-                encoding="application/json",
-                timeout=5.0,
-            )
-        )
+    replies = session.get(
+        "sim/default/get_entity_state",
+        payload=json.dumps({"entity": ROBOT}),
+        encoding="application/json",
+        timeout=5.0,
     )
-    print(json.loads(reply.ok.payload.to_bytes())["state"]["pose"]["position"])
+    reply = next(iter(replies), None)
+    if reply is None or reply.ok is None:
+        sys.exit(f"no server of world 'default' replies at {ENDPOINT}")
+    response = json.loads(reply.ok.payload.to_bytes())
+    if response["result"]["result"] != OK:
+        sys.exit(response["result"]["error_message"])
+    print(response["state"]["pose"]["position"])

@@ -2,7 +2,6 @@
 
 import os
 import select
-import signal
 import struct
 import subprocess
 import sys
@@ -10,6 +9,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple, NoReturn
+
+from zensim.proto.process_limits import KILLED_STATUS, OUT_OF_CPU_TIME_STATUS, SIGKILL
 
 FRAME_LENGTH = struct.Struct("<Q")
 """Precedes the bytes of each frame."""
@@ -67,7 +68,7 @@ class ProcessOutcome(NamedTuple):
     @property
     def is_out_of_time(self) -> bool:
         """Whether the process exceeded its deadline or its CPU time."""
-        return self.status in (-signal.SIGXCPU, -signal.SIGKILL)
+        return self.status in (OUT_OF_CPU_TIME_STATUS, KILLED_STATUS)
 
 
 def run_process(
@@ -88,7 +89,7 @@ def run_process(
             output, _ = process.communicate(request, timeout_s)
         except subprocess.TimeoutExpired:
             process.kill()
-            return ProcessOutcome(-signal.SIGKILL, b"")
+            return ProcessOutcome(KILLED_STATUS, b"")
         except BaseException:
             process.kill()
             process.wait()
@@ -165,10 +166,9 @@ class FramedProcess:
     def receive(self) -> list[bytes]:
         """Read what the pipe holds, at most `CHUNK_BYTES`, and return the complete frames."""
         try:
-            count = os.readv(self._stdout, [self._buffer])
+            self._incoming += self._read_chunk()
         except BlockingIOError:
             return []
-        self._incoming += memoryview(self._buffer)[:count]
         frames = []
         while (frame := self._next_frame()) is not None:
             frames.append(frame)
@@ -182,6 +182,12 @@ class FramedProcess:
     def wait(self) -> None:
         """Block until the process has ended."""
         self._process.wait()
+
+    def _read_chunk(self) -> bytes | memoryview:
+        if not hasattr(os, "readv"):
+            return os.read(self._stdout, CHUNK_BYTES)
+        count = os.readv(self._stdout, [self._buffer])
+        return memoryview(self._buffer)[:count]
 
     def _next_chunk(self) -> bool:
         while self._queue:
@@ -249,8 +255,11 @@ def run_in_fork(
         report_timeout_s: The copy is killed when nothing is reported for this long.
 
     Returns:
-        The last number reported, None without any; the wait status, 0 when the task returned.
+        The last number reported, None without any; the wait status, 0 when the task returned. Also
+        None and 0 on Windows, which cannot copy a process: the task is not run.
     """
+    if not hasattr(os, "fork"):
+        return None, 0
     reader, writer = os.pipe()
     child = os.fork()
     if child == 0:
@@ -279,7 +288,7 @@ def _wait_for_fork(reader: int, child: int, report_timeout_s: float) -> tuple[in
     last: int | None = None
     while True:
         if not select.select([reader], [], [], report_timeout_s)[0]:
-            os.kill(child, signal.SIGKILL)
+            os.kill(child, SIGKILL)
         if not (data := os.read(reader, FORK_REPORT.size)):
             break
         last = FORK_REPORT.unpack(data)[0]

@@ -12,9 +12,12 @@ import typer
 from typer.models import ArgumentInfo, OptionInfo
 
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
+from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.ros2.ros_settings import RosSettings, parse_ros_settings
+from zensim.proto.verbosity import print_old_spelling, set_verbosity
 
 Choice = TypeVar("Choice", bound=str)
+Value = TypeVar("Value")
 Options = TypeVar("Options")
 
 # In help texts a unit is written r"\[m]": Rich reads a plain [m] as markup and drops it.
@@ -37,8 +40,17 @@ def make_app(name: str = "", *, has_default: bool = False) -> typer.Typer:
     )
 
 
+def is_from_environment(context: typer.Context, parameter: str) -> bool:
+    """Whether the value of an option is that of a variable: a given flag takes precedence."""
+    source = context.get_parameter_source(parameter)
+    return source is not None and source.name == "ENVIRONMENT"
+
+
 def expand_options(action: Callable[..., None]) -> Callable[..., None]:
-    """Replace each parameter that is a dataclass by one option per field."""
+    """Replace each parameter that is a dataclass by one option per field.
+
+    A command without `--quiet` or `--verbose` gets them.
+    """
     parameters = inspect.signature(action).parameters.values()
     groups = {
         parameter.name: parameter.annotation
@@ -47,6 +59,7 @@ def expand_options(action: Callable[..., None]) -> Callable[..., None]:
     }
 
     def command(**given: object) -> None:
+        _apply_verbosity(action.__name__, given, added)
         for name, group in groups.items():
             given[name] = group(**{f.name: given.pop(f.name) for f in dataclasses.fields(group)})
         action(**given)
@@ -58,12 +71,35 @@ def expand_options(action: Callable[..., None]) -> Callable[..., None]:
             _make_parameters(parameter.annotation) if parameter.name in groups else [parameter]
         )
     ]
+    added = _list_missing_switches([one.name for one in expanded])
+    expanded += added
     command.__name__ = action.__name__
     command.__doc__ = action.__doc__
     command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in expanded]
     )
     return command
+
+
+def _list_missing_switches(names: Sequence[str]) -> list[inspect.Parameter]:
+    return [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=option)
+        for name, option in (("quiet", QuietOption), ("verbose", VerboseOption))
+        if name not in names
+    ]
+
+
+def _apply_verbosity(
+    command: str, given: dict[str, object], added: Sequence[inspect.Parameter]
+) -> None:
+    """Apply the switches; those that were added to a command are taken out of its arguments."""
+    chosen = {name: bool(given.get(name)) for name in ("quiet", "verbose", "as_json")}
+    for parameter in added:
+        del given[parameter.name]
+    with exit_on_failure(command):
+        set_verbosity(
+            is_quiet=chosen["quiet"], is_verbose=chosen["verbose"], is_json=chosen["as_json"]
+        )
 
 
 def _make_parameters(group: type) -> list[inspect.Parameter]:
@@ -189,6 +225,34 @@ TimeoutOption = Annotated[
     float, _connection("--timeout", metavar="SECONDS", help=r"Timeout of each service call \[s].")
 ]
 JsonOption = Annotated[bool, flag("--json", help="Print JSON to standard output.")]
+QuietOption = Annotated[
+    bool,
+    flag("--quiet", "-q", help="Print no notes; of lists, only names.", rich_help_panel="Output"),
+]
+VerboseOption = Annotated[
+    bool,
+    flag(
+        "--verbose",
+        "-v",
+        help="Log at level INFO, and print where a failure came from.",
+        rich_help_panel="Output",
+    ),
+]
+
+
+def choose_spelling(command: str, old: tuple[str, Value | None], new: tuple[str, Value]) -> Value:
+    """Return the value of an option, or that of its old spelling, with a note on the new one.
+
+    Args:
+        command: Verb in the note.
+        old: Old spelling, and its value; None if it was not given.
+        new: Spelling and value.
+    """
+    if old[1] is None:
+        return new[1]
+    print_old_spelling(command, old[0], new[0])
+    return old[1]
+
 
 _physics = partial(typer.Option, rich_help_panel="Physics")
 RealTimeFactorOption = Annotated[
@@ -245,8 +309,44 @@ LockstepOption = Annotated[
         rich_help_panel="Lockstep",
     ),
 ]
+SHIPPED = Path(__file__).resolve().parent.parent / "sim_server"
+MODEL_SUFFIXES = (".urdf", ".xacro", ".sdf")
+WORLD_SUFFIXES = (".world", ".sdf", ".xml")
+
+
+def complete_models(incomplete: str) -> list[str]:
+    """Find the built-in models, and the files and folders, that start with a text."""
+    return _complete_shipped("models/*.urdf", incomplete, MODEL_SUFFIXES)
+
+
+def complete_worlds(incomplete: str) -> list[str]:
+    """Find the built-in worlds, and the files and folders, that start with a text."""
+    return _complete_shipped("worlds/*.sdf", incomplete, WORLD_SUFFIXES)
+
+
+def _complete_shipped(pattern: str, incomplete: str, suffixes: tuple[str, ...]) -> list[str]:
+    names = sorted(path.stem for path in SHIPPED.glob(pattern))
+    found = [name for name in names if name.startswith(incomplete)]
+    typed = Path(incomplete)
+    folder = typed if incomplete.endswith("/") else typed.parent
+    try:
+        paths = sorted(folder.expanduser().iterdir())
+    except OSError:
+        return found
+    found += [f"{path}/" for path in paths if path.is_dir() and f"{path}".startswith(incomplete)]
+    return found + [
+        str(path) for path in paths if path.suffix in suffixes and str(path).startswith(incomplete)
+    ]
+
+
 WorldOption = Annotated[
-    str, typer.Option("--world", metavar="NAME|FILE", help="Built-in world or SDF file to load.")
+    str,
+    typer.Option(
+        "--world",
+        metavar="NAME|FILE",
+        help="Built-in world or SDF file to load.",
+        autocompletion=complete_worlds,
+    ),
 ]
 StrictWorldOption = Annotated[bool, flag("--strict", help="Fail if the world file has warnings.")]
 AllowMissingOption = Annotated[

@@ -1,14 +1,20 @@
 """Endpoints of Zenoh sessions, as in `tcp/127.0.0.1:7447`: the default, checks, free ports."""
 
+import errno
+import os
 import re
 import socket
 from typing import Final
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
+ANY_HOSTS: Final = {"0.0.0.0": "127.0.0.1", "[::]": "[::1]"}
+"""Hosts that stand for all addresses when listening, and loopback, on which such a program is."""
 ENDPOINT_PATTERN = re.compile(
     r"(tcp|tls|quic|ws|udp)/(?P<host>\[[^\]]+\]|[^\s:/#?]+):(?P<port>\d{1,5})\S*"
 )
 MAX_PORT: Final = 65535
+STREAM_PROTOCOLS: Final = frozenset({"tcp", "tls", "ws"})
+"""Protocols whose listener accepts a plain TCP connection."""
 
 
 def check_endpoint(endpoint: str) -> str:
@@ -23,6 +29,34 @@ def check_endpoint(endpoint: str) -> str:
     raise ValueError(
         f"endpoint {endpoint[:80]!r} is not valid; use protocol/host:port, as {DEFAULT_ENDPOINT}"
     )
+
+
+def to_client_endpoint(endpoint: str) -> str:
+    """Make the endpoint to connect to on this host from one to listen on."""
+    match = ENDPOINT_PATTERN.fullmatch(check_endpoint(endpoint))
+    host = match["host"] if match else ""
+    return endpoint.replace(host, ANY_HOSTS.get(host, host), 1)
+
+
+def is_port_taken(host: str, port: int) -> bool:
+    """Whether a program listens on a TCP port of this host, so that another cannot."""
+    host = host.strip("[]")
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
+        if os.name == "posix":  # elsewhere the option would take the port from its program
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            return error.errno == errno.EADDRINUSE
+    return False
+
+
+def is_endpoint_taken(endpoint: str) -> bool:
+    """Whether a program listens at a TCP endpoint of this host; False for other protocols."""
+    match = ENDPOINT_PATTERN.fullmatch(check_endpoint(endpoint))
+    if match is None or match[1] not in STREAM_PROTOCOLS:
+        return False
+    return is_port_taken(match["host"], int(match["port"]))
 
 
 def with_free_port(endpoint: str) -> str:

@@ -1,12 +1,16 @@
 """Exit codes of every command, and the one-line message printed with a failure."""
 
+import json
 import os
+import re
 import sys
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import IntEnum
 
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.verbosity import CURRENT
 
 
 class ExitCode(IntEnum):
@@ -53,15 +57,51 @@ def _list_exit_codes() -> tuple[tuple[tuple[type[Exception], ...], ExitCode], ..
     )
 
 
+CLI_WORDS = {
+    "set allow_renaming": "use --allow-renaming",
+    "'?get_entities'?": "'zensim list'",
+    "get_available_worlds": "'zensim world list'",
+    "unload_world and load_world": "'zensim world unload' and 'zensim world load'",
+    "load_world": "'zensim world load'",
+    "send the text as resource_string": "give the path of a file",
+}
+"""What commands call what messages of services name, as regular expressions; in this order."""
+
+
+def to_cli_words(message: str) -> str:
+    """Write the message of a service in the words of commands, without the code before it."""
+    text = re.sub(r"^[A-Z_]+ \(\d+\): ", "", message)
+    for theirs, ours in CLI_WORDS.items():
+        text = re.sub(theirs, ours, text)
+    return text
+
+
 def format_failure(error: Exception) -> str:
-    """Write a failure in one line, with its code."""
-    text = " ".join(str(error).split())
+    """Write a failure in one line, in the words of the command line.
+
+    The exit status has the number of a command's failure; `--json` prints the code of a service.
+    """
     if isinstance(error, ServiceError):
-        return text
-    if isinstance(error, OSError) and error.filename:
+        text = to_cli_words(error.message)
+    elif isinstance(error, OSError) and error.filename:
         text = f"{error.filename}: {error.strerror}"
-    status = choose_exit_code(error)
-    return f"{status.name} ({int(status)}): {text}"
+    else:
+        text = str(error)
+    return " ".join(text.split())
+
+
+def print_failure(command: str, error: Exception) -> None:
+    """Print a failure in one line on standard error; as JSON where the command prints JSON."""
+    if CURRENT.is_verbose:
+        traceback.print_exception(error)
+    text = format_failure(error)
+    if not CURRENT.is_json:
+        sys.stderr.write(f"zensim {command}: {text}\n")
+        return
+    code = error.code_name if isinstance(error, ServiceError) else choose_exit_code(error).name
+    number = error.code if isinstance(error, ServiceError) else int(choose_exit_code(error))
+    failure = {"command": command, "code": code, "number": number, "message": text}
+    sys.stderr.write(json.dumps({"error": failure}) + "\n")
 
 
 @contextmanager
@@ -84,7 +124,7 @@ def exit_on_failure(command: str, *also: type[Exception]) -> Iterator[None]:
     except Exception as error:
         if not isinstance(error, (*list_expected_failures(), *also)):
             raise
-        sys.stderr.write(f"zensim {command}: {format_failure(error)}\n")
+        print_failure(command, error)
         raise SystemExit(choose_exit_code(error)) from error
     except KeyboardInterrupt:
         raise SystemExit(ExitCode.INTERRUPTED) from None

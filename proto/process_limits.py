@@ -1,21 +1,45 @@
-"""What a process may use: CPU time, memory, files, priority; and its end with its parent."""
+"""What depends on the operating system: limits, priority, file locks, a process's end.
+
+No other module imports fcntl, msvcrt or resource. Where a system lacks something, its function does
+nothing, and says so.
+"""
 
 import ctypes
 import os
 import signal
 import sys
+import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from importlib import import_module
 from math import ceil
 from pathlib import Path
+from types import ModuleType
 from typing import NamedTuple
 
-if sys.platform != "win32":
-    import resource
+
+def _import_if_there(name: str) -> ModuleType | None:
+    try:
+        return import_module(name)
+    except ModuleNotFoundError:
+        return None
+
+
+resource = _import_if_there("resource")
+fcntl, msvcrt = _import_if_there("fcntl"), _import_if_there("msvcrt")
+"""None where the system lacks them: Windows has msvcrt alone."""
 
 PARENT_PID_VARIABLE = "ZENSIM_PARENT"
 """Environment variable with the process id of the supervisor."""
 PR_SET_PDEATHSIG = 1
+PARENT_POLL_S = 0.5
+LOCKED_OFFSET = 1 << 30
+"""Of the byte that Windows locks: beyond the end, so that others can read the file."""
+STATM = Path("/proc/self/statm")
+SIGKILL = getattr(signal, "SIGKILL", signal.SIGTERM)
+"""Ends a process at once; Windows ends it so for any signal."""
+KILLED_STATUS, OUT_OF_CPU_TIME_STATUS = -9, -24
+"""Exit status of a process that was killed, or ended by its limit of CPU time."""
 
 
 class ResourceLimits(NamedTuple):
@@ -29,10 +53,29 @@ class ResourceLimits(NamedTuple):
     """Whether new file descriptors, file data, processes and threads are refused."""
 
 
-def die_with_parent(signal_number: signal.Signals = signal.SIGKILL) -> None:
-    """Make the kernel send this process a signal when its parent ends (Linux only)."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal_number, 0, 0, 0)
+def die_with_parent(signal_number: signal.Signals = SIGKILL) -> None:
+    """Send this process a signal when its parent ends.
+
+    The kernel does it where prctl exists; elsewhere a thread looks twice a second. Windows does not
+    report the end of a parent.
+    """
+    prctl = _find_prctl()
+    if prctl is not None:
+        prctl(PR_SET_PDEATHSIG, signal_number, 0, 0, 0)
+        return
+    threading.Thread(
+        target=_await_orphanhood, args=(os.getppid(), signal_number), daemon=True
+    ).start()
+
+
+def _find_prctl() -> Callable[..., int] | None:
+    return getattr(ctypes.CDLL(None), "prctl", None) if sys.platform == "linux" else None
+
+
+def _await_orphanhood(parent: int, signal_number: signal.Signals) -> None:
+    while os.getppid() == parent:
+        time.sleep(PARENT_POLL_S)
+    os.kill(os.getpid(), signal_number)
 
 
 def die_with_supervisor(environ: Mapping[str, str]) -> None:
@@ -42,7 +85,7 @@ def die_with_supervisor(environ: Mapping[str, str]) -> None:
         SystemExit: It has ended already.
     """
     parent = environ.get(PARENT_PID_VARIABLE, "")
-    if not parent.isdigit() or sys.platform != "linux":
+    if not parent.isdigit():
         return
     die_with_parent(signal.SIGTERM)
     if os.getppid() != int(parent):
@@ -50,20 +93,32 @@ def die_with_supervisor(environ: Mapping[str, str]) -> None:
 
 
 def set_resource_limits(limits: ResourceLimits) -> None:
-    """Set hard limits; they cannot be raised again."""
+    """Set hard limits; they cannot be raised again.
+
+    Windows has none, and where there is no /proc, memory is not limited.
+    """
+    if resource is None:
+        return
     # Reading it needs a file descriptor.
-    max_bytes = _address_space_bytes() + limits.extra_memory_bytes
+    used_bytes = _find_address_space_bytes()
     if limits.is_sandboxed:
         for kind in (resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE, resource.RLIMIT_NPROC):
             resource.setrlimit(kind, (0, 0))
     if limits.total_cpu_s is not None:
         resource.setrlimit(resource.RLIMIT_CPU, (limits.total_cpu_s, limits.total_cpu_s))
-    resource.setrlimit(resource.RLIMIT_AS, (max_bytes, max_bytes))
+    if used_bytes is not None:
+        max_bytes = used_bytes + limits.extra_memory_bytes
+        resource.setrlimit(resource.RLIMIT_AS, (max_bytes, max_bytes))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def allow_cpu_time(seconds: int) -> None:
-    """Allow this much CPU time from now on, in whole seconds; SIGXCPU follows. May be repeated."""
+    """Allow this much CPU time from now on, in whole seconds; SIGXCPU follows. May be repeated.
+
+    Windows has no limit of CPU time.
+    """
+    if resource is None:
+        return
     total_s = ceil(time.process_time()) + seconds
     resource.setrlimit(resource.RLIMIT_CPU, (total_s, resource.RLIM_INFINITY))
 
@@ -80,8 +135,11 @@ def set_niceness(niceness: int, process_id: int = 0, proc: Path = Path("/proc"))
 
     Returns:
         False if the kernel is busy (it accepts ten changes a second) and a later try may succeed.
-        True also if the permission is lacking, as for most users who lower a niceness.
+        True also if the permission is lacking, as for most users who lower a niceness, and on
+        Windows, which has no niceness.
     """
+    if not hasattr(os, "setpriority"):
+        return True
     try:
         os.setpriority(os.PRIO_PROCESS, process_id, niceness)
         session_share = proc / (str(process_id) if process_id else "self") / "autogroup"
@@ -95,6 +153,40 @@ def set_niceness(niceness: int, process_id: int = 0, proc: Path = Path("/proc"))
     return True
 
 
-def _address_space_bytes() -> int:
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    return pages * resource.getpagesize()
+def lock_file(descriptor: int) -> None:
+    """Lock an open file for this process until the descriptor is closed.
+
+    Raises:
+        OSError: Another process has locked it.
+    """
+    if fcntl is not None:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    elif msvcrt is not None:
+        os.lseek(descriptor, LOCKED_OFFSET, os.SEEK_SET)
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the entries of a folder durable; Windows has no such call, and journals them itself."""
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def count_usable_cores() -> int:
+    """Count the cores that this process may use."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return cores or 1
+
+
+def _find_address_space_bytes() -> int | None:
+    """Find how much address space this process has; None where the system does not report it."""
+    try:
+        pages = int(STATM.read_text(encoding="ascii").split()[0])
+    except OSError:
+        return None
+    return pages * (resource.getpagesize() if resource is not None else 0)

@@ -1,5 +1,6 @@
 """Supervisor of local processes: starts, restarts and ends programs."""
 
+import math
 import os
 import subprocess
 import time
@@ -33,10 +34,13 @@ class SupervisedProgram:
     name: str
     arguments: tuple[str, ...]
     is_restarted: bool = False
+    is_essential: bool = True
+    """Whether the others cannot do without it."""
     module: str = CLI_MODULE
     process: "subprocess.Popen[bytes] | None" = None
     restarts: int = 0
     restart_at_s: float = 0.0
+    """Monotonic time of the next start; infinite = it is not started again."""
 
 
 @dataclass
@@ -52,10 +56,11 @@ class Supervisor:
         arguments: Sequence[str],
         *,
         is_restarted: bool = False,
+        is_essential: bool = True,
         module: str = CLI_MODULE,
     ) -> SupervisedProgram:
         """Start `zensim ARGUMENTS`, or another module, as a process in a new session."""
-        program = SupervisedProgram(name, tuple(arguments), is_restarted, module)
+        program = SupervisedProgram(name, tuple(arguments), is_restarted, is_essential, module)
         program.process = _start_process(program)
         self.programs.append(program)
         return program
@@ -64,7 +69,7 @@ class Supervisor:
         """Check the processes once, and restart those that exited, if permitted.
 
         Raises:
-            ProgramDied: A process exited that is not restarted.
+            ProgramDied: An essential process exited that is not restarted.
         """
         for program in self.programs:
             if program.process is None:
@@ -74,12 +79,13 @@ class Supervisor:
             if (status := program.process.poll()) is None:
                 continue
             close_pipes(program.process)
-            if not program.is_restarted or program.restarts >= MAX_RESTARTS:
+            is_last = not program.is_restarted or program.restarts >= MAX_RESTARTS
+            if is_last and program.is_essential:
                 raise ProgramDied(f"{program.name} exited with status {status}")
-            self.on_restart(program, status)
-            program.restarts += 1
             program.process = None
-            program.restart_at_s = time.monotonic() + RESTART_DELAY_S
+            program.restart_at_s = math.inf if is_last else time.monotonic() + RESTART_DELAY_S
+            self.on_restart(program, status)
+            program.restarts += not is_last
 
     def close(self) -> None:
         """End all processes: SIGTERM, then SIGKILL after the grace period."""

@@ -3,7 +3,6 @@
 import logging
 import math
 import signal
-import sys
 import time
 import uuid
 from collections.abc import Callable, Sequence
@@ -24,6 +23,7 @@ from zensim.proto.process_limits import set_niceness
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
 from zensim.proto.topic_catalog import CONTACTS, DRIVE_COMMAND, DRIVE_STATE
+from zensim.proto.verbosity import configure_logging
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, override_rates
 from zensim.robot_agent.bumpers import ContactReport, read_contact_report
 from zensim.robot_agent.claim_client import (
@@ -451,11 +451,7 @@ def run_agent_process(start: AgentProcessConfig) -> None:
         EndpointUnreachable: Nothing accepts connections at the endpoint.
         ServiceError: See `run_agent`, as for the others.
     """
-    logging.basicConfig(
-        level=logging.WARNING if start.is_quiet else logging.INFO,
-        format="%(levelname)s %(name)s %(message)s",
-        stream=sys.stderr,
-    )
+    configure_logging(logging.WARNING if start.is_quiet else logging.INFO)
     config = start.config
     # Opening does not return to Python; until a token exists, a signal just ends the process.
     for number in STOP_SIGNALS:

@@ -1,15 +1,17 @@
 """`zensim agent`: run a robot agent."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, get_args
 
 import typer
 
 from zensim.proto.cli_options import (
     ConnectOption,
+    JsonOption,
     OdomHzOption,
     RosTfOptions,
     TfHzOption,
+    choose_spelling,
     expand_options,
     flag,
     make_app,
@@ -19,6 +21,7 @@ from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.agent_messages import OnRelease
 from zensim.proto.names import check_name
+from zensim.proto.verbosity import print_announcement
 from zensim.robot_agent.agent import run_agent_process
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, RateOverrides
 
@@ -65,19 +68,20 @@ class AgentOptions(RosTfOptions):
             help="At exit, stop the robots, keep their last command, or delete them.",
         ),
     ] = "stop"
+    as_json: JsonOption = False
     quiet: Annotated[bool, flag("--quiet", "-q", help="Log at level WARNING.")] = False
     connect: ConnectOption = ""
     world_name: Annotated[
         str,
         typer.Option(
             "--world-name",
-            "--world",
             metavar="NAME",
             help="Name of the world on the network.",
             envvar="ZENSIM_WORLD",
             rich_help_panel="Connection",
         ),
     ] = "default"
+    old_world: Annotated[str | None, typer.Option("--world", hidden=True)] = None
     wait: Annotated[
         float,
         typer.Option(
@@ -98,7 +102,14 @@ class AgentOptions(RosTfOptions):
 def agent(given: AgentOptions) -> None:
     """Drive robots: subscribe to cmd_vel, publish odom and tf."""
     with exit_on_failure("agent"):
+        world = choose_spelling(
+            "agent", ("--world", given.old_world), ("--world-name", given.world_name)
+        )
+        given = replace(given, world_name=world)
         endpoint = given.connect or DEFAULT_ENDPOINT
+        if given.as_json:
+            facts = {"endpoint": endpoint, "world": world, "robots": given.entities or []}
+            print_announcement("agent", "", facts, as_json=True)
         run_agent_process(
             AgentProcessConfig(endpoint=endpoint, config=_make_config(given), is_quiet=given.quiet)
         )

@@ -1,9 +1,7 @@
 """Command line of the server: `zensim serve`."""
 
-import logging
-import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, get_args
@@ -16,6 +14,7 @@ from zensim.proto.cli_options import (
     ClustersOption,
     EngineOption,
     EngineWorkersOption,
+    JsonOption,
     LockstepOption,
     ModelPathOption,
     RealTimeFactorOption,
@@ -26,13 +25,15 @@ from zensim.proto.cli_options import (
     WorldOption,
     expand_options,
     flag,
+    is_from_environment,
     make_app,
     parse_choice,
 )
-from zensim.proto.endpoints import DEFAULT_ENDPOINT
+from zensim.proto.endpoints import DEFAULT_ENDPOINT, to_client_endpoint
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.stop_signal import StopFlag
+from zensim.proto.verbosity import configure_logging, print_announcement
 from zensim.sim_server.journal.sqlite_store import JournalError
 from zensim.sim_server.pacing.lockstep import LOCKSTEP_TIMEOUT_S, LockstepSettings, OnMiss
 from zensim.sim_server.physics.engine_config import (
@@ -82,7 +83,9 @@ class ServeOptions(RosOptions):
             envvar="ZENSIM_JOURNAL",
         ),
     ] = None
-    verbose: Annotated[bool, flag("--verbose", "-v", help="Log at level INFO.")] = False
+    as_json: JsonOption = False
+    announce: Annotated[bool, flag("--announce", hidden=True)] = False
+    """For a program that starts the server: print as JSON what is served, and failures as text."""
     listen: Annotated[
         str,
         _connection(
@@ -148,13 +151,16 @@ class ServeOptions(RosOptions):
   zensim serve --listen tcp/0.0.0.0:7447 --journal ./journal"""
 )
 @expand_options
-def serve(given: ServeOptions) -> None:
+def serve(context: typer.Context, given: ServeOptions) -> None:
     """Start a simulation server, until Ctrl-C."""
-    _configure_logging(is_verbose=given.verbose)
+    configure_logging()
+    if given.listen and is_from_environment(context, "connect"):
+        # An exported ZENSIM_CONNECT is meant for clients.
+        given = replace(given, connect="")
     stop = StopFlag()
     with exit_on_failure("serve"):
         config = _make_server_config(given)
-    _run_server(config, stop)
+    _run_server(config, stop, as_json=given.as_json or given.announce)
 
 
 def _make_server_config(given: ServeOptions) -> ServerConfig:
@@ -186,21 +192,20 @@ def _make_server_config(given: ServeOptions) -> ServerConfig:
     )
 
 
-def _configure_logging(*, is_verbose: bool) -> None:
-    logging.basicConfig(
-        level=logging.INFO if is_verbose else logging.WARNING,
-        format="%(levelname)s %(name)s %(message)s",
-        stream=sys.stderr,
-    )
-
-
-def _run_server(config: ServerConfig, stop: StopFlag) -> None:
+def _run_server(config: ServerConfig, stop: StopFlag, *, as_json: bool) -> None:
     def announce(bus: Bus, config: ServerConfig) -> None:
-        typer.echo(
-            f"zensim serve: world '{config.world}' at {bus.endpoint} "
-            f"({config.step_hz:g} Hz, real-time factor {config.real_time_factor:g}, "
-            f"{choose_engine(config.physics, find_installed_engines())})",
-            err=True,
+        engine = choose_engine(config.physics, find_installed_engines())
+        print_announcement(
+            "serve",
+            f"world '{config.world}' at {bus.endpoint} "
+            f"({config.step_hz:g} Hz, real-time factor {config.real_time_factor:g}, {engine})",
+            {
+                "world": config.world,
+                "endpoint": bus.endpoint,
+                "connect": to_client_endpoint(bus.endpoint),
+                "engine": engine,
+            },
+            as_json=as_json,
         )
 
     with exit_on_failure(

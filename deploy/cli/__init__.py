@@ -32,6 +32,9 @@ VERBS: dict[str, Verb] = {
         "zensim.deploy.cli.up_commands",
         "Start a server, robots, agents and the viewer on this host.",
     ),
+    "down": Verb(
+        "Programs", "zensim.deploy.cli.down_commands", "End what 'zensim up' runs on this host."
+    ),
     "serve": Verb("Programs", "zensim.sim_server.cli", "Start a simulation server."),
     "router": Verb("Programs", "zensim.deploy.cli.router_commands", "Start a Zenoh router."),
     "agent": Verb(
@@ -58,15 +61,10 @@ VERBS: dict[str, Verb] = {
         "Entities", "zensim.spawner.cli.entity_commands", "Show the details of one entity."
     ),
     "delete": Verb("Entities", "zensim.spawner.cli.entity_commands", "Delete entities."),
-    "state": Verb(
+    "set": Verb(
         "Entities",
-        "zensim.spawner.cli.state_commands",
-        "Get or set the pose and velocity of an entity.",
-    ),
-    "info": Verb(
-        "Entities",
-        "zensim.spawner.cli.info_commands",
-        "Get or set the category, tags and description of an entity.",
+        "zensim.spawner.cli.set_commands",
+        "Set pose, velocity, category, tags or description of an entity.",
     ),
     "map": Verb(
         "Simulation",
@@ -97,7 +95,7 @@ VERBS: dict[str, Verb] = {
         "zensim.spawner.cli.simulation_commands",
         "Advance a paused simulation to a given time.",
     ),
-    "speed": Verb(
+    "rtf": Verb(
         "Simulation",
         "zensim.spawner.cli.simulation_commands",
         "Get or set the target real-time factor.",
@@ -109,6 +107,11 @@ VERBS: dict[str, Verb] = {
     ),
     "drive": Verb(
         "Topics", "zensim.spawner.cli.topic_commands", "Publish velocity commands to a robot."
+    ),
+    "topic": Verb(
+        "Topics",
+        "zensim.spawner.cli.topic_group_commands",
+        "List, inspect, print, measure and publish topics.",
     ),
     "echo": Verb("Topics", "zensim.spawner.cli.topic_commands", "Print the messages of a topic."),
     "hz": Verb(
@@ -145,7 +148,27 @@ VERBS: dict[str, Verb] = {
         "zensim.deploy.cli.journal_commands",
         "Show, verify or export a server journal.",
     ),
+    "version": Verb(
+        "Diagnostics", "zensim.deploy.cli.version_commands", "Print the versions of all parts."
+    ),
 }
+
+OLD_VERBS: dict[str, Verb] = {
+    "state": Verb(
+        "Old spellings",
+        "zensim.spawner.cli.state_commands",
+        "Old spelling of 'inspect' and 'set'.",
+    ),
+    "info": Verb(
+        "Old spellings",
+        "zensim.spawner.cli.info_commands",
+        "Old spelling of 'inspect' and 'set'.",
+    ),
+    "speed": Verb(
+        "Old spellings", "zensim.spawner.cli.simulation_commands", "Old spelling of 'rtf'."
+    ),
+}
+"""They work until version 0.2, and no help lists them."""
 
 
 HELP_HEAD = """Usage: zensim [OPTIONS] COMMAND [ARGS]...
@@ -156,7 +179,7 @@ HELP_OPTIONS = (
     ("--version", "Print the version and exit."),
     ("--install-completion", "Install completion for the current shell."),
     ("--show-completion", "Print the completion script of the current shell."),
-    ("--help", "Print this text and exit."),
+    ("-h, --help", "Print this text and exit."),
 )
 HELP_END = "Run 'zensim COMMAND --help' for the options of a command."
 NAME_WIDTH = 22
@@ -210,6 +233,7 @@ def build(called: str) -> "typer.Typer":
     app = typer.Typer(
         add_completion=True,
         cls=RootGroup,
+        context_settings={"help_option_names": ["-h", "--help"]},
         no_args_is_help=True,
         pretty_exceptions_enable=False,
     )
@@ -219,6 +243,8 @@ def build(called: str) -> "typer.Typer":
             _add_verb(app, name, verb)
         else:
             app.command(name, help=verb.summary, rich_help_panel=verb.panel)(_not_loaded)
+    if called in OLD_VERBS:
+        _add_verb(app, called, OLD_VERBS[called])
     return app
 
 
@@ -254,7 +280,7 @@ def main() -> None:
     arguments = sys.argv[1:]
     if "_ZENSIM_COMPLETE" not in os.environ and arguments == ["--version"]:
         print_version()
-    elif "_ZENSIM_COMPLETE" not in os.environ and arguments in ([], ["--help"]):
+    elif "_ZENSIM_COMPLETE" not in os.environ and arguments in ([], ["--help"], ["-h"]):
         print(format_help())
         sys.exit(0 if arguments else 2)
     elif "_ZENSIM_COMPLETE" in os.environ or not _run_plainly(arguments):

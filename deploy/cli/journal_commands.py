@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from zensim.proto.cli_options import JsonOption, make_app
+from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.sim_server.journal.sqlite_store import JournalError, open_store_read_only
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
@@ -28,6 +28,7 @@ class JournalAction(str, Enum):
   zensim journal show ./journal
   zensim journal export ./journal > journal.json"""
 )
+@expand_options
 def journal(
     action: Annotated[
         JournalAction,

@@ -6,10 +6,11 @@ from typing import Annotated
 import typer
 
 from zensim.proto.bus import BusConfig, open_bus, to_zenoh_json
-from zensim.proto.cli_options import flag, make_app
+from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.stop_signal import StopFlag
+from zensim.proto.verbosity import print_announcement
 
 POLL_S = 0.05
 
@@ -22,6 +23,7 @@ app = make_app()
   zensim router --listen tcp/0.0.0.0:7447
   zensim router --print-config > router.json"""
 )
+@expand_options
 def router(
     *,
     listen: Annotated[
@@ -39,6 +41,7 @@ def router(
     print_config: Annotated[
         bool, flag("--print-config", help="Print the configuration for 'zenohd -c', and exit.")
     ] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Start a Zenoh router, until Ctrl-C; servers and agents connect with --connect."""
     config = BusConfig(
@@ -50,6 +53,7 @@ def router(
             return
         stop = StopFlag()
         with open_bus(config) as bus:
-            typer.echo(f"zensim router: at {', '.join(bus.config.listen)}", err=True)
+            at = bus.config.listen
+            print_announcement("router", f"at {', '.join(at)}", {"endpoints": at}, as_json=as_json)
             while not stop():
                 time.sleep(POLL_S)

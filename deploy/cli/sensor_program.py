@@ -7,6 +7,7 @@ import typer
 
 from zensim.proto.cli_options import (
     ConnectOption,
+    JsonOption,
     RosOptions,
     WorldNameOption,
     expand_options,
@@ -15,6 +16,7 @@ from zensim.proto.cli_options import (
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
+from zensim.proto.verbosity import print_announcement
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 from zensim.spawner.cli.sensor_commands import app
@@ -35,6 +37,7 @@ class SensorRunOptions(RosOptions):
         flag("--always", help="Follow the scene without subscribers, too, as for recorders."),
     ] = False
     quiet: Annotated[bool, flag("--quiet", "-q", help="Log at level WARNING.")] = False
+    as_json: JsonOption = False
     connect: ConnectOption = ""
     world_name: WorldNameOption = "default"
     wait: Annotated[
@@ -59,9 +62,13 @@ def run(given: SensorRunOptions) -> None:
     with exit_on_failure("sensors run", MissingServerExtra):
         with server_extra():
             from zensim.sim_server.sensors.sensor_process import start_sensor_process
+        endpoint = given.connect or DEFAULT_ENDPOINT
+        if given.as_json:
+            facts = {"endpoint": endpoint, "world": given.world_name}
+            print_announcement("sensors run", "", facts, as_json=True)
         start_sensor_process(
             SensorProcessConfig(
-                endpoint=given.connect or DEFAULT_ENDPOINT,
+                endpoint=endpoint,
                 world=check_name(given.world_name, "world"),
                 name=check_name(given.name, "sensor process") if given.name else "",
                 is_always_on=given.always,

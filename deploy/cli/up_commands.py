@@ -1,13 +1,15 @@
 """`zensim up`: start server, robots, agents and viewer on this host."""
 
 import os
+import socket
 import sys
 import time
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from math import isfinite
 from typing import Annotated
 
 import msgspec
@@ -26,32 +28,20 @@ from zensim.api.local_deployment import (
     summarize_run,
     supervise,
 )
-from zensim.deploy.cli.scenario_commands import SetOption
 from zensim.deploy.fleet_demo import (
     DEMO_BEHAVIOURS,
     DemoBehaviour,
-    FleetDemo,
     describe_demo,
     make_demo,
 )
-from zensim.deploy.scenario_driver import ScenarioDriver, add_scenario, list_unused_keys
+from zensim.deploy.local_runs import LocalRun, recorded_run
 from zensim.proto.cli_options import (
-    AllowMissingOption,
-    ClustersOption,
-    EngineOption,
-    EngineWorkersOption,
-    JsonOption,
-    LockstepOption,
-    ModelPathOption,
     OdomHzOption,
-    RealTimeFactorOption,
     RosTfOptions,
-    StrictWorldOption,
     TfHzOption,
-    WorldDynamicsOption,
-    WorldNameOption,
-    WorldOption,
+    complete_models,
     expand_options,
+    is_from_environment,
     make_app,
     parse_choice,
 )
@@ -61,8 +51,7 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied, SupervisedProgram, Supervisor
-from zensim.scenario.check_monitors import CheckResult
-from zensim.scenario.scenario_reader import Scenario, find_scenario_file, read_scenario
+from zensim.sim_server.cli import MISS_POLICIES, ServeOptions
 from zensim.spawner.cli.spawn_arguments import (
     ControllersOption,
     DriveOption,
@@ -71,12 +60,12 @@ from zensim.spawner.cli.spawn_arguments import (
     make_placements,
     parse_dynamics,
 )
+from zensim.spawner.cli.view_commands import MissingViewerExtra, check_page
 from zensim.spawner.spawn.spawn_poses import LAYOUTS, RobotPlacement
 
 app = make_app()
 
 console = Console(stderr=True)
-DriverMaker = Callable[[LocalDeployment], FleetDemo | ScenarioDriver]
 MAX_AGENT_PROCESSES = 20
 """Default limit of one agent process per robot; each takes 40 MB."""
 
@@ -85,13 +74,9 @@ _viewer = partial(typer.Option, rich_help_panel="Viewer")
 
 
 @dataclass(frozen=True, kw_only=True)
-class UpOptions(RosTfOptions):
+class UpOptions(RosTfOptions, ServeOptions):
     """All options of `zensim up`."""
 
-    file: Annotated[
-        str, typer.Argument(metavar="[FILE]", help="Scenario file, or name of a shipped scenario.")
-    ] = ""
-    settings: SetOption = None
     robots: Annotated[
         int, typer.Option("--robots", min=0, metavar="N", help="Number of robots.")
     ] = 10
@@ -101,16 +86,13 @@ class UpOptions(RosTfOptions):
             "--model",
             metavar="MODEL",
             help="Model of the robots: built-in, or path of a URDF, xacro or SDF file.",
+            autocompletion=complete_models,
         ),
     ] = "box_bot"
     controllers: ControllersOption = None
     drive: DriveOption = ""
     layout: LayoutOption = "row"
     spacing: SpacingOption = 1.0
-    world: WorldOption = "empty"
-    model_path: ModelPathOption = None
-    strict: StrictWorldOption = False
-    allow_missing: AllowMissingOption = False
     duration: Annotated[
         float,
         typer.Option(
@@ -119,7 +101,6 @@ class UpOptions(RosTfOptions):
             help=r"Exit after this time, counted from ready \[s]; 0 = run until Ctrl-C.",
         ),
     ] = 0.0
-    as_json: JsonOption = False
     listen: Annotated[
         str,
         typer.Option(
@@ -129,12 +110,6 @@ class UpOptions(RosTfOptions):
             rich_help_panel="Connection",
         ),
     ] = DEFAULT_ENDPOINT
-    world_name: WorldNameOption = "default"
-    engine: EngineOption = ""
-    rtf: RealTimeFactorOption = None
-    dynamics: WorldDynamicsOption = "full"
-    clusters: ClustersOption = "auto"
-    engine_workers: EngineWorkersOption = None
     agents: Annotated[
         str,
         _agents(
@@ -156,7 +131,6 @@ class UpOptions(RosTfOptions):
             show_default="1, from the first robot that has one",
         ),
     ] = None
-    lockstep: LockstepOption = False
     behaviour: Annotated[
         str,
         typer.Option(
@@ -185,62 +159,35 @@ class UpOptions(RosTfOptions):
 @app.command(
     epilog="""Examples:
   zensim up
-  zensim up first_minutes
   zensim up --robots 100 --agents pooled --layout grid --no-viewer
   zensim up --model robot.urdf --world warehouse --rtf 0 --duration 60"""
 )
 @expand_options
-def up(given: UpOptions) -> None:
+def up(context: typer.Context, given: UpOptions) -> None:
     """Start a server, robots, agents and the viewer on this host, until Ctrl-C."""
     began_s = time.monotonic()
-    with exit_on_failure("up", LaunchFailed, ProgramDied):
-        config, drive_robots = _choose_driver(given)
+    if is_from_environment(context, "connect"):
+        # An exported ZENSIM_CONNECT is meant for clients.
+        given = replace(given, connect="")
+    with exit_on_failure("up", LaunchFailed, ProgramDied, MissingViewerExtra):
+        if given.viewer:
+            check_page(given.viewer_port)
         _launch_and_run(
-            config,
+            make_config(given),
             began_s,
             given.duration,
             given.open_page,
-            drive_robots=drive_robots,
+            behaviour=parse_choice("--behaviour", given.behaviour, DEMO_BEHAVIOURS),
             as_json=given.as_json,
         )
 
 
-def _choose_driver(given: UpOptions) -> tuple[LaunchConfig, DriverMaker | None]:
-    """Choose what drives the robots: a scenario, which also completes the settings, or the demo."""
-    behaviour = parse_choice("--behaviour", given.behaviour, DEMO_BEHAVIOURS)
-    config = _make_config(given)
-    if given.file:
-        scenario = read_scenario(find_scenario_file(given.file), given.settings or ())
-        pools = choose_pool_count(max(1, len(scenario.robots)), os.cpu_count() or 1)
-        agents = msgspec.structs.replace(config.agents, pools=pools)
-        config = msgspec.structs.replace(add_scenario(config, scenario), agents=agents)
-        return config, partial(_make_scenario_driver, scenario)
-    if behaviour == "none" or not config.placements:
-        return config, None
-    return config, partial(_make_demo, behaviour, is_quiet=given.as_json)
+def make_config(given: UpOptions) -> LaunchConfig:
+    """Make the settings of a deployment.
 
-
-def _make_scenario_driver(scenario: Scenario, deployment: LocalDeployment) -> ScenarioDriver:
-    def warn(check: CheckResult) -> None:
-        typer.echo(f"check failed: {check.name}: {check.message} ({check.place})", err=True)
-
-    for key in list_unused_keys(scenario):
-        typer.echo(f"{scenario.find_place(key)}: {key} has no effect on zensim up", err=True)
-    driver = ScenarioDriver(deployment, scenario, warn)
-    typer.echo(f"Scenario {scenario.name}: {len(scenario.robots)} robots.", err=True)
-    return driver
-
-
-def _make_demo(
-    behaviour: DemoBehaviour, deployment: LocalDeployment, *, is_quiet: bool
-) -> FleetDemo:
-    demo = make_demo(deployment, behaviour)
-    if not is_quiet:
-        typer.echo(describe_demo(behaviour))
-    return demo
-
-
-def _make_config(given: UpOptions) -> LaunchConfig:
+    Raises:
+        ValueError: An option is not valid.
+    """
     return LaunchConfig(
         placements=_make_placements(given),
         model=given.model,
@@ -254,6 +201,15 @@ def _make_config(given: UpOptions) -> LaunchConfig:
         is_strict=given.strict,
         allow_missing=given.allow_missing,
         is_lockstep=given.lockstep,
+        lockstep_timeout_s=given.lockstep_timeout,
+        on_miss=parse_choice("--on-miss", given.on_miss, MISS_POLICIES),
+        connect=given.connect,
+        wait_s=given.wait,
+        is_paused=given.paused,
+        seed=given.seed,
+        journal=str(given.journal or ""),
+        step_hz=given.step_hz,
+        control_hz=given.control_hz,
         dynamics=parse_dynamics(given.dynamics),
         engine=given.engine,
         clusters=given.clusters,
@@ -272,7 +228,7 @@ def _launch_and_run(
     duration: float,
     open_page: bool | None,
     *,
-    drive_robots: DriverMaker | None,
+    behaviour: DemoBehaviour,
     as_json: bool,
 ) -> None:
     stop = StopFlag(is_armed=False)
@@ -281,10 +237,11 @@ def _launch_and_run(
             deployment = launch(config, supervisor, progress, began_s)
         stop.arm()
         should_stop: Callable[[], bool] = stop
-        if drive_robots is not None:
-            driver = drive_robots(deployment)
-            stack.callback(driver.close)
-            should_stop = driver.watch(stop)
+        if behaviour != "none" and config.placements:
+            demo = stack.enter_context(make_demo(deployment, behaviour))
+            should_stop = demo.watch(stop)
+            if not as_json:
+                typer.echo(describe_demo(behaviour))
         run_on = partial(supervise, deployment, duration, should_stop)
         _run_until_stopped(deployment, run_on, open_page, as_json=as_json)
 
@@ -296,7 +253,15 @@ def _run_until_stopped(
     *,
     as_json: bool,
 ) -> None:
-    with deployment.bus:
+    config = deployment.config
+    run = LocalRun(
+        os.getpid(),
+        config.connect or config.endpoint,
+        config.world_name,
+        len(config.placements),
+        deployment.viewer_url,
+    )
+    with deployment.bus, recorded_run(run):
         _print_ready(deployment, as_json=as_json)
         _open_page(deployment.viewer_url, open_page)
         run_on()
@@ -343,23 +308,36 @@ def _print_ready(deployment: LocalDeployment, *, as_json: bool) -> None:
             {
                 "ready_s": round(deployment.ready_s, 3),
                 "robots": len(config.placements),
-                "endpoint": config.endpoint,
+                "endpoint": config.connect or config.endpoint,
+                "engine": deployment.ready_info.engine,
                 "viewer": deployment.viewer_url or None,
             }
         )
         return
     first = config.placements[0].name if config.placements else "NAME"
-    connect = "" if config.endpoint == DEFAULT_ENDPOINT else f" --connect {config.endpoint}"
+    where = _make_client_options(config)
     lines = {
         "page": deployment.viewer_url or "none (--no-viewer)",
-        "endpoint": config.endpoint,
-        "drive": f"zensim drive {first} 0.2 0.5{connect}",
-        "subscribe": f"zensim echo {first}/odom{connect}",
+        "endpoint": config.connect or config.endpoint,
+        "engine": deployment.ready_info.engine,
+        "drive": f"zensim drive {first} 0.2 0.5{where}",
+        "subscribe": f"zensim echo {first}/odom{where}",
     }
+    if config.client_endpoint != (config.connect or config.endpoint):
+        elsewhere = config.client_endpoint.replace("127.0.0.1", socket.gethostname())
+        lines["elsewhere"] = f"--connect {elsewhere.replace('[::1]', socket.gethostname())}"
     typer.echo(f"{len(config.placements)} robots ready in {deployment.ready_s:.1f} s")
     for word, line in lines.items():
         typer.echo(f"  {word:<10} {line}")
-    typer.echo("Ctrl-C to stop.")
+    typer.echo("Ctrl-C or 'zensim down' to stop.")
+
+
+def _make_client_options(config: LaunchConfig) -> str:
+    """Make the options that a client in the same shell needs."""
+    default = os.environ.get("ZENSIM_CONNECT") or DEFAULT_ENDPOINT
+    connect = f" --connect {config.client_endpoint}" if config.client_endpoint != default else ""
+    named = os.environ.get("ZENSIM_WORLD") or "default"
+    return f"{connect} --world-name {config.world_name}" if config.world_name != named else connect
 
 
 def _open_page(url: str, open_page: bool | None) -> None:
@@ -384,4 +362,5 @@ def _print_json(figures: object) -> None:
 
 
 def _print_restart(program: SupervisedProgram, status: int) -> None:
-    typer.echo(f"zensim up: {program.name} exited with status {status}; restarting it", err=True)
+    fate = "restarting it" if isfinite(program.restart_at_s) else "it is not started again"
+    typer.echo(f"zensim up: {program.name} exited with status {status}; {fate}", err=True)

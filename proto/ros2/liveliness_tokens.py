@@ -190,6 +190,50 @@ def make_endpoint_token(endpoint: GraphEndpoint) -> str:
     )
 
 
+class AnnouncedEndpoint(msgspec.Struct, frozen=True):
+    """An endpoint, as its token announces it."""
+
+    kind: str
+    key: str
+    """Name without the first slash."""
+    node: str
+    """With namespace, as `/box_bot0/agent`."""
+    ros_type: str
+    qos: Qos
+
+
+def parse_endpoint_token(token: str) -> AnnouncedEndpoint | None:
+    """Parse the token of an endpoint; None for that of a node, and for any other key."""
+    match token.split("/"):
+        case [start, _, _, _, _, kind, _, namespace, node, name, dds, _, qos]:
+            if start != TOKEN_SPACE:
+                return None
+            return AnnouncedEndpoint(
+                kind,
+                rmw_keys.demangle_name(name).strip("/"),
+                f"{rmw_keys.demangle_name(namespace).rstrip('/')}/{rmw_keys.demangle_name(node)}",
+                rmw_keys.parse_dds_type(dds),
+                read_qos(qos),
+            )
+    return None
+
+
+def read_qos(chunk: str) -> Qos:
+    """Read reliability, durability, history and depth of a profile; defaults for what is odd."""
+    reliability, durability, history, *_ = [*chunk.split(":"), "", "", ""]
+    kind, _, depth = history.partition(",")
+    return Qos(
+        reliability=_find_word(RMW_RELIABILITY, reliability, DEFAULT_QOS.reliability),
+        durability=_find_word(RMW_DURABILITY, durability, DEFAULT_QOS.durability),
+        history=_find_word(RMW_HISTORY, kind, DEFAULT_QOS.history),
+        depth=int(depth) if depth.isdigit() else DEFAULT_QOS.depth,
+    )
+
+
+def _find_word(numbers: dict[Word, int], written: str, default: Word) -> Word:
+    return next((word for word, number in numbers.items() if str(number) == written), default)
+
+
 def gid_from_token(token: str) -> bytes:
     """Compute the gid (16 bytes) of an endpoint: XXH3 of its token, low half first."""
     return xxhash.xxh3_128_intdigest(token.encode()).to_bytes(GID_BYTES, "little")

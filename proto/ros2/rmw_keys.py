@@ -35,6 +35,11 @@ def mangle_name(name: str) -> str:
     return name.replace("/", "%") or EMPTY_CHUNK
 
 
+def demangle_name(chunk: str) -> str:
+    """Convert a chunk of a key back to a name: `/box_bot0/odom` for `%box_bot0%odom`."""
+    return chunk.replace("%", "/")
+
+
 def qualify_name(namespace: str, name: str) -> str:
     """Join namespace and name: `/box_bot0/odom`."""
     return "/" + "/".join(part for part in (namespace.strip("/"), name.strip("/")) if part)

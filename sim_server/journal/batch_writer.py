@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 import msgspec
 
 from zensim.proto.messages.model_messages import Model
+from zensim.proto.process_limits import sync_folder
 from zensim.sim_server.journal.journal_records import (
     ENCODER,
     EntityRow,
@@ -23,7 +24,7 @@ from zensim.sim_server.journal.journal_records import (
     hash_body,
     make_response_key,
 )
-from zensim.sim_server.journal.sqlite_store import FILES, sync_folder
+from zensim.sim_server.journal.sqlite_store import FILES
 from zensim.sim_server.parser_process.description_cache import list_assets
 
 if TYPE_CHECKING:

@@ -16,6 +16,7 @@ import numpy as np
 from zensim.proto.child_process import run_in_fork
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.process_limits import sync_folder
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.journal.batch_writer import BatchWriter, WriterThread
 from zensim.sim_server.journal.journal_contents import (
@@ -41,7 +42,6 @@ from zensim.sim_server.journal.sqlite_store import (
     SqliteStore,
     open_store,
     raising_journal_errors,
-    sync_folder,
 )
 from zensim.sim_server.journal_protocol import JournaledResponse
 from zensim.sim_server.world.spawn_request import ValidatedSpawn

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import os
 import sqlite3
 import struct
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
+
+from zensim.proto.process_limits import lock_file, sync_folder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -265,22 +266,13 @@ def _migrate(folder: Path, connection: sqlite3.Connection, mark: int) -> None:
 def _lock_folder(folder: Path) -> int:
     lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock_file(lock)
     except OSError as error:
         os.close(lock)
         raise JournalError(
             f"{folder} is used by another server; stop it, or use another folder"
         ) from error
     return lock
-
-
-def sync_folder(folder: Path) -> None:
-    """Make the entries of a folder durable."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 @contextmanager

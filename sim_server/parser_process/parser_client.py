@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import signal
 import sys
 from collections import deque
 from pathlib import Path
@@ -20,7 +19,7 @@ from zensim.proto.child_process import (
 )
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.proto.process_limits import set_niceness
+from zensim.proto.process_limits import OUT_OF_CPU_TIME_STATUS, set_niceness
 from zensim.sim_server.parser_process.parser_protocol import (
     ParsedMesh,
     ParseRequest,
@@ -184,7 +183,7 @@ class ParserClient:
         self._killed.append(self._process)
 
     def _replace_exited(self, status: int) -> list[ParsedMesh | ParseResult]:
-        if status == -signal.SIGXCPU:
+        if status == OUT_OF_CPU_TIME_STATUS:
             return self._replace_process(TIMEOUT_MESSAGE, slug="reader.timeout")
         message = f"the parser process ended (status {status}) over it; make it simpler"
         return self._replace_process(message, slug="reader.crashed")

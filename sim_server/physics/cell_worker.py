@@ -33,7 +33,6 @@ from zensim.sim_server.physics.engine import (
     concatenate_states,
     make_contact_points,
     make_invalid_state,
-    make_unknown_efforts,
 )
 from zensim.sim_server.physics.engine_factory import CellConfig
 
@@ -54,7 +53,8 @@ def use_mmap_for_large_blocks() -> bool:
 
 def release_zero_pages() -> int:
     """Release pages of zeros; return how many bytes. Does nothing if there are other threads."""
-    if not _is_glibc() or len(list(Path("/proc/self/task").iterdir())) > 1:
+    threads = Path("/proc/self/task")
+    if not _is_glibc() or not threads.is_dir() or len(list(threads.iterdir())) > 1:
         return 0
     advise = ctypes.CDLL(None).madvise
     advise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
@@ -164,12 +164,6 @@ class HostedCell:
             return self.engine.read(self.to_engine_numbers(bodies))
         return concatenate_states([self._read_one(body) for body in bodies])
 
-    def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
-        """Read the efforts of joints; lost bodies have NaN."""
-        if self.lost.isdisjoint(bodies):
-            return self.engine.read_joint_efforts(self.to_engine_numbers(bodies))
-        return np.concatenate([np.zeros(0), *(self._read_efforts_of(body) for body in bodies)])
-
     def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
         """Read contact points, in the server's numbers."""
         found = self.engine.read_contacts(self.to_engine_numbers(bodies))
@@ -202,11 +196,6 @@ class HostedCell:
         if body in self.lost:
             return make_invalid_state(self.models[body])
         return self.engine.read((self.engine_numbers[body],))
-
-    def _read_efforts_of(self, body: int) -> FloatArray:
-        if body in self.lost:
-            return make_unknown_efforts(len(self.models[body].joints))
-        return self.engine.read_joint_efforts((self.engine_numbers[body],))
 
 
 class CellWorker:
@@ -297,9 +286,6 @@ class CellWorker:
 
     def _read_contacts(self, cell: int, bodies: Sequence[int]) -> CellWorkerReply:
         return CellWorkerReply(self._cells[cell].read_contacts(bodies))
-
-    def _read_joint_efforts(self, cell: int, bodies: Sequence[int]) -> CellWorkerReply:
-        return CellWorkerReply(self._cells[cell].read_joint_efforts(bodies))
 
     def _find_overlaps(self, cell: int, body: int) -> CellWorkerReply:
         hosted = self._cells[cell]

@@ -1,10 +1,10 @@
 """Creates the engine of a world or of one cell; imports only the chosen library."""
 
-import os
 from importlib import import_module
 
 import msgspec
 
+from zensim.proto.process_limits import count_usable_cores
 from zensim.sim_server.physics.cells.cell_executor import (
     CellExecutor,
     InProcessCellExecutor,
@@ -81,10 +81,10 @@ def create_world_engine(
     if choice.clusters == "off":
         return create_engine(name, config)
     releases_lock = name != "pybullet"  # of the interpreter, while it steps
-    threads = _count_usable_cores() if releases_lock and not choice.workers else 1
+    threads = _limit_cores() if releases_lock and not choice.workers else 1
     workers = choice.workers
     if workers is None:
-        workers = 0 if releases_lock else _count_usable_cores() - 1
+        workers = 0 if releases_lock else _limit_cores() - 1
     single_cell = (
         MAX_SINGLE_CELL_BODIES_PARALLEL if workers or threads > 1 else MAX_SINGLE_CELL_BODIES
     )
@@ -104,7 +104,6 @@ def _make_cell_executor(cell: CellConfig, threads: int, workers: int) -> CellExe
     return InProcessCellExecutor(cell.make, threads=threads)
 
 
-def _count_usable_cores() -> int:
+def _limit_cores() -> int:
     """Count the cores that this process may use, up to the limit."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return min(cores or 1, MAX_PARALLEL_CELLS)
+    return min(count_usable_cores(), MAX_PARALLEL_CELLS)

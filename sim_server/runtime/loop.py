@@ -5,7 +5,6 @@ import logging
 import os
 import platform
 import struct
-import sys
 from collections.abc import Callable
 from functools import partial
 from typing import Protocol
@@ -25,7 +24,6 @@ from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
 from zensim.sim_server.runtime.loop_channels import Inbox, WorldPublisher
 from zensim.sim_server.runtime.request_dispatcher import RequestDispatcher
 from zensim.sim_server.runtime.sensor_sessions import SensorSessions
-from zensim.sim_server.runtime.world_map import WorldMap
 from zensim.sim_server.runtime.world_telemetry import WorldTelemetry
 from zensim.sim_server.service_parts import ServerParts
 from zensim.sim_server.services.service_registry import ServiceHandlers
@@ -61,7 +59,7 @@ def request_short_time_slice() -> bool:
 
 
 def _has_default_policy() -> bool:
-    if sys.platform != "linux" or platform.machine() not in SCHED_SETATTR:
+    if not hasattr(os, "sched_getscheduler") or platform.machine() not in SCHED_SETATTR:
         return False
     return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER
 
@@ -317,8 +315,7 @@ class ServerLoop:
         """Wall time of the last requested step."""
         self._paced_ns = 0
         self._factor = parts.pacing.target_real_time_factor
-        self._world_map = WorldMap(parts, publisher)
-        self._telemetry = WorldTelemetry(parts.world, parts.pacing, parts.sensors, self._world_map)
+        self._telemetry = WorldTelemetry(parts.world, parts.pacing, parts.sensors)
         self._contacts = ContactTelemetry(parts.world, parts.store.vertices)
         self._dispatcher = RequestDispatcher(
             ServiceHandlers(parts),
@@ -406,7 +403,6 @@ class ServerLoop:
         for topic in self._telemetry.due(now_ns):
             if self._publisher.is_wanted(topic):
                 self._publisher.publish(topic, self._telemetry.message(topic))
-        self._world_map.poll(now_ns)
 
     def _advance(self, now_ns: int) -> None:
         self._apply_speed_change(now_ns)

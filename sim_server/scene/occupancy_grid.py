@@ -29,7 +29,7 @@ MAX_LAYERS = 16
 
 
 class GridTooLarge(Exception):
-    """The grid would have too many cells; the message says its size."""
+    """The grid would have more than `MAX_CELLS`; the message says its size."""
 
 
 @dataclass(frozen=True)
@@ -99,11 +99,7 @@ class OccupancyDrawing:
 
 
 def plan_grid(
-    shapes: PlacedShapes,
-    numbers: IntArray,
-    band: tuple[float, float],
-    resolution_m: float,
-    max_cells: int = MAX_CELLS,
+    shapes: PlacedShapes, numbers: IntArray, band: tuple[float, float], resolution_m: float
 ) -> OccupancyDrawing:
     """Plan the grid of some shapes.
 
@@ -112,7 +108,6 @@ def plan_grid(
         numbers: Indices of those to draw; planes are left out.
         band: Lowest and highest height [m].
         resolution_m: Side of a cell.
-        max_cells: Of the grid.
 
     Raises:
         GridTooLarge: It would have too many cells.
@@ -127,9 +122,9 @@ def plan_grid(
     )
     extent = high[:, :2].max(axis=0, initial=0.0) + MARGIN_M - corner
     width, height = np.ceil(extent / resolution_m).tolist()
-    if width * height > max_cells:
+    if width * height > MAX_CELLS:
         raise GridTooLarge(
-            f"{width:.0f} x {height:.0f} cells of {resolution_m:g} m; at most {max_cells}"
+            f"{width:.0f} x {height:.0f} cells of {resolution_m:g} m; at most {MAX_CELLS}"
         )
     frame = GridFrame(corner, resolution_m, int(width), int(height))
     cells = np.full((frame.height, frame.width), FREE, np.int8)

@@ -3,7 +3,6 @@
 import logging
 import math
 import signal
-import sys
 import time
 import uuid
 from collections import Counter
@@ -39,6 +38,7 @@ from zensim.proto.sensor_schedule import count_due, find_true_rate_hz, is_due
 from zensim.proto.service_catalog import GET_MODELS
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
 from zensim.proto.topic_catalog import EVENTS, SCENE_STATE, SENSOR_STATS, SENSORS_REPLY
+from zensim.proto.verbosity import configure_logging
 from zensim.sim_server.scene.camera_selection import find_opengl_fault
 from zensim.sim_server.scene.sensor_faults import (
     SensorFault,
@@ -60,7 +60,6 @@ from zensim.sim_server.sensors.sensor_groups import (
     SensorGroup,
     group_sensors,
     list_addresses,
-    list_subscriptions,
 )
 from zensim.sim_server.sensors.sensor_publishers import SensorAddress, SensorTopics
 
@@ -601,11 +600,7 @@ def start_sensor_process(config: SensorProcessConfig) -> None:
     Raises:
         EndpointUnreachable: Nothing accepts connections at the endpoint.
     """
-    logging.basicConfig(
-        level=logging.WARNING if config.is_quiet else logging.INFO,
-        format="%(levelname)s %(name)s %(message)s",
-        stream=sys.stderr,
-    )
+    configure_logging(logging.WARNING if config.is_quiet else logging.INFO)
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_DFL)
     with open_bus_with_retry(BusConfig(connect=(config.endpoint,)), config.wait_s) as bus:
@@ -617,11 +612,7 @@ def start_sensor_process(config: SensorProcessConfig) -> None:
 
 
 def _list_all_addresses(sensors: Iterable[SceneSensor]) -> list[SensorAddress]:
-    return [
-        address
-        for sensor in sensors
-        for address in (*list_addresses(sensor), *list_subscriptions(sensor))
-    ]
+    return [address for sensor in sensors for address in list_addresses(sensor)]
 
 
 def _is_roster_event(sample: Sample) -> bool:

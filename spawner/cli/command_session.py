@@ -1,5 +1,6 @@
 """What all client commands share: name completion, the client, the consoles."""
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Annotated, TypeVar
@@ -14,9 +15,12 @@ from zensim.proto.cli_options import ClientOptions, ConnectionOptions
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure, list_expected_failures
 from zensim.proto.names import check_name
+from zensim.proto.verbosity import configure_logging
 from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.client.topic_discovery import list_topics
 
 Item = TypeVar("Item")
+LOG = logging.getLogger(__name__)
 
 COMPLETION_TIMEOUT_S = 0.3
 """Limit on the delay of the shell; after it there are no suggestions."""
@@ -39,6 +43,29 @@ def complete_world_names(ctx: typer.Context, incomplete: str) -> list[str]:
     worlds = _query(ctx, SimClient.available_worlds)
     uris = [world.world_resource.uri for world in worlds]
     return [uri for uri in uris if uri.startswith(incomplete)]
+
+
+def complete_robots(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Find the namespaces of the robots that start with a text."""
+
+    def find(client: SimClient) -> list[str]:
+        models = client.models()
+        return [
+            one.namespace
+            for one in models.entities
+            if one.namespace and models.models[one.model].drive is not None
+        ]
+
+    return [name for name in _query(ctx, find) if name.startswith(incomplete)]
+
+
+def complete_topics(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Find the topics that start with a text."""
+
+    def find(client: SimClient) -> list[str]:
+        return [one.key for one in list_topics(client.bus, client.world, client.models())]
+
+    return [key for key in _query(ctx, find) if key.startswith(incomplete)]
 
 
 def _query(ctx: typer.Context, call: Callable[[SimClient], Sequence[Item]]) -> Sequence[Item]:
@@ -96,7 +123,9 @@ def open_client(
         _check_seconds("--wait", wait_s, 0.0)
         endpoint = options.connect or DEFAULT_ENDPOINT
         config = BusConfig(connect=(endpoint,), open_timeout_s=max(wait_s, MIN_OPEN_TIMEOUT_S))
+        configure_logging()
         with open_bus(config) as bus:
+            LOG.info("connected to %s, world=%s", endpoint, options.world_name)
             yield SimClient(bus, options.world_name, timeout_s)
 
 

@@ -14,7 +14,12 @@ from rich.text import Text
 from zensim.proto import keys, service_catalog
 from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
 from zensim.proto.cli_options import ConnectionOptions, JsonOption, expand_options, flag, make_app
-from zensim.proto.endpoints import DEFAULT_ENDPOINT, ENDPOINT_PATTERN, check_endpoint
+from zensim.proto.endpoints import (
+    DEFAULT_ENDPOINT,
+    ENDPOINT_PATTERN,
+    STREAM_PROTOCOLS,
+    check_endpoint,
+)
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.messages.telemetry_messages import (
     EntityModel,
@@ -36,8 +41,6 @@ CONNECT_TIMEOUT_S = 2.0
 REPLY_TIMEOUT_S = 1.0
 """Shorter than the Zenoh lease, so that a suspended server still counts as alive."""
 MAX_NAMES_SHOWN = 5
-STREAM_PROTOCOLS = frozenset({"tcp", "tls", "ws"})
-"""Protocols whose listener accepts a plain TCP connection."""
 
 
 class Finding(msgspec.Struct, frozen=True):

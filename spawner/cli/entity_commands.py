@@ -15,11 +15,19 @@ from rich.table import Table
 from rich.text import Text
 
 from zensim.proto.bus import NoServer
-from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, flag, make_app
-from zensim.proto.exit_codes import ExitCode, choose_exit_code, exit_on_failure, format_failure
+from zensim.proto.cli_options import (
+    ClientOptions,
+    JsonOption,
+    choose_spelling,
+    expand_options,
+    flag,
+    make_app,
+)
+from zensim.proto.exit_codes import ExitCode, choose_exit_code, exit_on_failure, print_failure
 from zensim.proto.messages.entity_messages import Bounds, BoundsType, EntityFilters
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
+from zensim.proto.verbosity import CURRENT, print_note
 from zensim.spawner.cli.command_session import (
     EntityName,
     complete_entity_names,
@@ -29,6 +37,7 @@ from zensim.spawner.cli.command_session import (
     print_table,
 )
 from zensim.spawner.cli.info_commands import CATEGORIES, format_category, make_filters
+from zensim.spawner.cli.state_commands import FrameOption
 from zensim.spawner.cli.terminal_output import print_report
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn.spawn_poses import find_heading
@@ -185,7 +194,7 @@ def _redraw_live(fetch: FetchListing, period_s: float) -> None:
 
 
 def _print_silence() -> None:
-    typer.echo("zensim list: note: no server replies; waiting for one", err=True)
+    print_note("list", "no server replies; waiting for one")
 
 
 def _print_json_rows(listing: EntityListing) -> None:
@@ -193,6 +202,10 @@ def _print_json_rows(listing: EntityListing) -> None:
 
 
 def _print_rows(listing: EntityListing) -> None:
+    if CURRENT.is_quiet:
+        for row in listing.rows:
+            typer.echo(row.name)
+        return
     print_table(_make_table(listing))
 
 
@@ -214,12 +227,18 @@ def _make_table(listing: EntityListing) -> Table:
 
 @app.command()
 @expand_options
-def inspect(name: EntityName, *, as_json: JsonOption = False, server: ClientOptions) -> None:
+def inspect(
+    name: EntityName,
+    *,
+    frame: FrameOption = "",
+    as_json: JsonOption = False,
+    server: ClientOptions,
+) -> None:
     """Show pose, category, bounds, agent, links, joints and spawn report of an entity."""
     with open_client("inspect", server) as client:
         models = client.models((name,))
         model, entity = models.models[0], models.entities[0]
-        facts = {**_fetch_pose(client, name), **_fetch_info(client, name)}
+        facts = {**_fetch_pose(client, name, frame), **_fetch_info(client, name)}
     facts.update(
         namespace=entity.namespace,
         agent=entity.agent,
@@ -238,8 +257,8 @@ def inspect(name: EntityName, *, as_json: JsonOption = False, server: ClientOpti
     print_report(model.report, data_console)
 
 
-def _fetch_pose(client: SimClient, name: str) -> dict[str, Any]:
-    state = client.entity_state(name)
+def _fetch_pose(client: SimClient, name: str, frame: str) -> dict[str, Any]:
+    state = client.entity_state(name, frame)
     position = state.pose.position
     return {
         "name": name,
@@ -279,6 +298,12 @@ def _format_value(value: object) -> str:
     return "-" if value in (None, "") else str(value)
 
 
+class NoMatch(Exception):
+    """No entity has a name that matches."""
+
+    code = ResultCode.NOT_FOUND
+
+
 class DeletionOutcome(msgspec.Struct, frozen=True):
     """Result of one deletion."""
 
@@ -290,7 +315,7 @@ class DeletionOutcome(msgspec.Struct, frozen=True):
 @app.command(
     epilog="""Examples:
   zensim delete r1 r2
-  zensim delete --pattern '^box_bot'
+  zensim delete --filter '^box_bot'
   zensim delete --all --yes"""
 )
 @expand_options
@@ -303,22 +328,24 @@ def delete(
     ] = None,
     *,
     everything: Annotated[bool, flag("--all", help="Delete all entities.")] = False,
-    pattern: Annotated[
+    filtered: Annotated[
         str,
         typer.Option(
-            "--pattern",
+            "--filter",
             metavar="REGEX",
             help="Delete the entities whose names contain a match of this expression.",
         ),
     ] = "",
+    old_pattern: Annotated[str | None, typer.Option("--pattern", hidden=True)] = None,
     yes: Annotated[bool, flag("--yes", "-y", help="Do not ask for confirmation of --all.")] = False,
     as_json: JsonOption = False,
     server: ClientOptions,
 ) -> None:
-    """Delete entities: by name, by pattern, or all of them."""
+    """Delete entities: by name, by a filter of names, or all of them."""
+    pattern = choose_spelling("delete", ("--pattern", old_pattern), ("--filter", filtered))
     with exit_on_failure("delete"):
         if sum(map(bool, (names, everything, pattern))) != 1:
-            raise ValueError("give names, --pattern REGEX or --all; one of them")
+            raise ValueError("give names, --filter REGEX or --all; one of them")
     with open_client("delete", server) as client:
         names = list(dict.fromkeys(names or ()))
         if not names:
@@ -327,8 +354,8 @@ def delete(
                 _confirm(len(names))
         failures = _delete_each(client, names, as_json=as_json)
     if pattern and not names:
-        typer.echo(f"zensim delete: NOT_FOUND (3): no name matches {pattern!r}", err=True)
-        raise typer.Exit(ExitCode.NOT_FOUND)
+        with exit_on_failure("delete", NoMatch):
+            raise NoMatch(f"no name matches {pattern!r}; 'zensim list' lists all")
     if failures:
         raise typer.Exit(_choose_status(failures, len(names)))
 
@@ -361,7 +388,7 @@ def _delete_each(client: SimClient, names: Sequence[str], *, as_json: bool) -> l
         if (error := _try_delete(client, name)) is not None:
             failures.append(error)
             outcomes.append(DeletionOutcome(name, error.code, error.message))
-            typer.echo(f"zensim delete: {format_failure(error)}", err=True)
+            print_failure("delete", error)
         else:
             outcomes.append(DeletionOutcome(name))
             if not as_json:

@@ -1,6 +1,7 @@
-"""`zensim info get` and `set`, and entity categories and filters as words."""
+"""Entity categories and filters as words; `zensim info get` and `set`, the old spellings."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Annotated
 
@@ -15,7 +16,9 @@ from zensim.proto.messages.entity_messages import (
     EntityInfo,
     TagsFilter,
 )
+from zensim.proto.verbosity import print_old_spelling
 from zensim.spawner.cli.command_session import EntityName, open_client, print_json
+from zensim.spawner.client.sim_client import SimClient
 
 CATEGORIES = ", ".join(known.name.lower() for known in Category)
 
@@ -56,51 +59,77 @@ _new_value = partial(typer.Option, show_default="unchanged")
 @expand_options
 def get_info(name: EntityName, *, as_json: JsonOption = False, server: ClientOptions) -> None:
     """Print the category, tags and description of an entity."""
+    print_old_spelling("info get", "'zensim info get'", "'zensim inspect'")
     with open_client("info get", server) as client:
-        _print_info(name, client.entity_info(name), as_json=as_json)
+        print_info(name, client.entity_info(name), as_json=as_json)
 
 
-@app.command(
-    "set",
-    epilog="""Examples:
-  zensim info set r1 --category robot --tag red --tag fast
-  zensim info set r1 --no-tags --description 'spare robot'""",
-)
+@dataclass(frozen=True, kw_only=True)
+class NewInfoOptions:
+    """Category, tags and description to set."""
+
+    category: Annotated[
+        str, _new_value("--category", metavar="CATEGORY", help=f"New category: {CATEGORIES}.")
+    ] = ""
+    tag: Annotated[
+        list[str] | None,
+        _new_value("--tag", metavar="TAG", help="New tag; repeatable. Replaces all present tags."),
+    ] = None
+    no_tags: Annotated[bool, flag("--no-tags", help="Remove all tags.")] = False
+    description: Annotated[
+        str | None, _new_value("--description", metavar="TEXT", help="New description.")
+    ] = None
+
+    @property
+    def is_given(self) -> bool:
+        """Whether there is something to set."""
+        return bool(self.category or self.tag or self.no_tags) or self.description is not None
+
+    def check(self) -> None:
+        """Check the options.
+
+        Raises:
+            ValueError: They contradict each other, or the category is unknown.
+        """
+        if self.tag and self.no_tags:
+            raise ValueError("--tag and --no-tags exclude each other; give one of them")
+        if self.category:
+            parse_category(self.category)
+
+
+def change_info(client: SimClient, name: str, new: NewInfoOptions) -> EntityInfo:
+    """Set what is given of category, tags and description, and keep the rest."""
+    old = client.entity_info(name)
+    info = EntityInfo(
+        parse_category(new.category) if new.category else old.category,
+        old.description if new.description is None else new.description,
+        tuple(new.tag) if new.tag else () if new.no_tags else old.tags,
+    )
+    client.set_entity_info(name, info)
+    return info
+
+
+@app.command("set")
 @expand_options
 def set_info(
     name: EntityName,
     *,
-    category: Annotated[
-        str, _new_value(metavar="CATEGORY", help=f"New category: {CATEGORIES}.")
-    ] = "",
-    tag: Annotated[
-        list[str] | None,
-        _new_value("--tag", metavar="TAG", help="New tag; repeatable. Replaces all present tags."),
-    ] = None,
-    no_tags: Annotated[bool, flag("--no-tags", help="Remove all tags.")] = False,
-    description: Annotated[str | None, _new_value(metavar="TEXT", help="New description.")] = None,
+    new: NewInfoOptions,
     as_json: JsonOption = False,
     server: ClientOptions,
 ) -> None:
     """Set the category, tags or description of an entity."""
+    print_old_spelling("info set", "'zensim info set'", "'zensim set'")
     with exit_on_failure("info set"):
-        if tag and no_tags:
-            raise ValueError("--tag and --no-tags exclude each other; give one of them")
-        if not (category or tag or no_tags) and description is None:
+        new.check()
+        if not new.is_given:
             raise ValueError("nothing to set; give --category, --tag, --no-tags or --description")
-        new_category = parse_category(category) if category else None
     with open_client("info set", server) as client:
-        old = client.entity_info(name)
-        new = EntityInfo(
-            new_category or old.category,
-            old.description if description is None else description,
-            tuple(tag) if tag else () if no_tags else old.tags,
-        )
-        client.set_entity_info(name, new)
-        _print_info(name, new, as_json=as_json)
+        print_info(name, change_info(client, name, new), as_json=as_json)
 
 
-def _print_info(name: str, info: EntityInfo, *, as_json: bool) -> None:
+def print_info(name: str, info: EntityInfo, *, as_json: bool) -> None:
+    """Print category, tags and description of an entity."""
     facts = {
         "entity": name,
         "category": format_category(info.category),

@@ -1,6 +1,7 @@
-"""`zensim pause`, `play`, `stop`, `reset`, `features`, `step`, `run-to` and `speed`."""
+"""`zensim pause`, `play`, `stop`, `reset`, `features`, `step`, `run-to` and `rtf`."""
 
 import math
+import sys
 from enum import IntEnum
 from typing import Annotated
 
@@ -10,6 +11,7 @@ from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, 
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.verbosity import print_note, print_old_spelling
 from zensim.spawner.cli.command_session import open_client, print_json
 from zensim.spawner.cli.terminal_output import step_progress
 from zensim.spawner.client.sim_client import SimClient, StepGoalInterrupted
@@ -22,31 +24,68 @@ MAX_SIM_TIME_S = 1e9
 
 @app.command()
 @expand_options
-def pause(*, server: ClientOptions) -> None:
+def pause(*, as_json: JsonOption = False, server: ClientOptions) -> None:
     """Pause the simulation."""
-    _set_state("pause", State.PAUSED, server)
+    with open_client("pause", server) as client:
+        _set_state(client, State.PAUSED, as_json=as_json)
 
 
 @app.command()
 @expand_options
-def play(*, server: ClientOptions) -> None:
+def play(*, as_json: JsonOption = False, server: ClientOptions) -> None:
     """Start or resume the simulation."""
-    _set_state("play", State.PLAYING, server)
+    with open_client("play", server) as client:
+        _set_state(client, State.PLAYING, as_json=as_json)
 
 
 @app.command()
 @expand_options
-def stop(*, server: ClientOptions) -> None:
-    """Reset the simulation, delete spawned entities, and stop."""
-    _set_state("stop", State.STOPPED, server)
+def stop(
+    *,
+    yes: Annotated[
+        bool, flag("--yes", "-y", help="Delete spawned entities without confirmation.")
+    ] = False,
+    as_json: JsonOption = False,
+    server: ClientOptions,
+) -> None:
+    """Reset the simulation, delete spawned entities, and stop.
+
+    To stop time only, use 'zensim pause'.
+    """
+    with open_client("stop", server) as client, exit_on_failure("stop", DeletionRefused):
+        spawned = sum(1 for one in client.models().entities if one.namespace)
+        if spawned and not yes:
+            _confirm_deletion(spawned)
+        _set_state(client, State.STOPPED, as_json=as_json)
+        if spawned:
+            print_note("stop", f"deleted the spawned entities, {spawned} with topics")
 
 
-def _set_state(verb: str, state: State, server: ClientOptions) -> None:
-    with open_client(verb, server) as client:
-        # The service refuses a transition to the current state.
-        if client.simulation_state() != state:
-            client.set_simulation_state(state)
-        typer.echo(f"{state.name.lower()} at {client.info().sim_time_s:.3f} s")
+class DeletionRefused(Exception):
+    """Entities would be deleted, and nobody agreed."""
+
+
+def _confirm_deletion(count: int) -> None:
+    text = f"'zensim stop' deletes all spawned entities, {count} with topics"
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        raise DeletionRefused(f"{text}; 'zensim pause' stops time only, --yes deletes them")
+    try:
+        is_confirmed = typer.confirm(f"{text}. Continue?", err=True)
+    except typer.Abort:
+        raise KeyboardInterrupt from None
+    if not is_confirmed:
+        raise DeletionRefused("nothing was changed; 'zensim pause' stops time only")
+
+
+def _set_state(client: SimClient, state: State, *, as_json: bool) -> None:
+    # The service refuses a transition to the current state.
+    if client.simulation_state() != state:
+        client.set_simulation_state(state)
+    name, sim_time_s = state.name.lower(), client.info().sim_time_s
+    if as_json:
+        print_json({"state": name, "sim_time_s": sim_time_s})
+    else:
+        typer.echo(f"{name} at {sim_time_s:.3f} s")
 
 
 @app.command()
@@ -56,15 +95,22 @@ def reset(
     time: Annotated[bool, flag("--time", help="Reset simulation time.")] = False,
     state: Annotated[bool, flag("--state", help="Reset poses, velocities and joints.")] = False,
     spawned: Annotated[bool, flag("--spawned", help="Delete spawned entities.")] = False,
+    as_json: JsonOption = False,
     server: ClientOptions,
 ) -> None:
     """Reset time, entity states and spawned entities; all of them if no option is given."""
     selected = {ResetScope.TIME: time, ResetScope.STATE: state, ResetScope.SPAWNED: spawned}
     scope = sum(bit for bit, is_selected in selected.items() if is_selected)
     with open_client("reset", server) as client:
+        before = client.info().entities
         client.reset(scope or ResetScope.DEFAULT)
         info = client.info()
-        typer.echo(f"reset: time {info.sim_time_s:.3f} s, epoch {info.epoch}")
+    deleted = max(0, before - info.entities)
+    if as_json:
+        print_json({"sim_time_s": info.sim_time_s, "epoch": info.epoch, "deleted": deleted})
+        return
+    fate = f", {deleted} entities deleted" if deleted else ""
+    typer.echo(f"reset: time {info.sim_time_s:.3f} s, epoch {info.epoch}{fate}")
 
 
 @app.command()
@@ -84,8 +130,7 @@ def features(*, as_json: JsonOption = False, server: ClientOptions) -> None:
         )
         return
     typer.echo("\n".join(names))
-    typer.echo(f"spawn formats: {', '.join(reply.spawn_formats)}", err=True)
-    typer.echo(reply.custom_info, err=True)
+    print_note("features", f"spawn formats: {', '.join(reply.spawn_formats)}; {reply.custom_info}")
 
 
 def _enum_name(kind: type[IntEnum], number: int) -> str:
@@ -127,22 +172,36 @@ def run_to(
         _print_steps(client, completed, as_json=as_json)
 
 
+FactorArgument = Annotated[
+    float | None,
+    typer.Argument(
+        metavar="FACTOR",
+        help="Target real-time factor; 0 = as fast as possible. Without it, only print.",
+    ),
+]
+
+
 @app.command()
 @expand_options
-def speed(
-    factor: Annotated[
-        float | None,
-        typer.Argument(
-            metavar="FACTOR",
-            help="Target real-time factor; 0 = as fast as possible. Without it, only print.",
-        ),
-    ] = None,
-    *,
-    as_json: JsonOption = False,
-    server: ClientOptions,
+def rtf(
+    factor: FactorArgument = None, *, as_json: JsonOption = False, server: ClientOptions
 ) -> None:
     """Set the target real-time factor, and print target and measured factor."""
-    with open_client("speed", server) as client:
+    _set_factor("rtf", factor, server, as_json=as_json)
+
+
+@app.command(hidden=True)
+@expand_options
+def speed(
+    factor: FactorArgument = None, *, as_json: JsonOption = False, server: ClientOptions
+) -> None:
+    """Set the target real-time factor: the old spelling of `rtf`."""
+    print_old_spelling("speed", "'zensim speed'", "'zensim rtf'")
+    _set_factor("speed", factor, server, as_json=as_json)
+
+
+def _set_factor(verb: str, factor: float | None, server: ClientOptions, *, as_json: bool) -> None:
+    with open_client(verb, server) as client:
         if factor is not None:
             client.set_speed(factor)
         info = client.info()
@@ -150,7 +209,8 @@ def speed(
     if as_json:
         print_json({"target_real_time_factor": target, "real_time_factor": measured})
         return
-    typer.echo(f"speed {f'{target:g}' if target else 'flat out'}, now {measured:.3f}")
+    goal = f"{target:g}" if target else "as fast as possible"
+    typer.echo(f"real-time factor {measured:.3f}, target {goal}")
 
 
 def _simulate_steps(verb: str, client: SimClient, steps: int) -> int:
@@ -167,7 +227,7 @@ def _simulate_steps(verb: str, client: SimClient, steps: int) -> int:
         typer.echo(f"zensim {verb}: {result}", err=True)
         raise
     if response.result.error_message:
-        typer.echo(f"zensim {verb}: note: {response.result.error_message}", err=True)
+        print_note(verb, response.result.error_message)
     return response.completed_steps
 
 

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Annotated, get_args
 import msgspec
 import typer
 
-from zensim.proto.cli_options import ClientOptions, JsonOption, flag, parse_choice
+from zensim.proto.cli_options import (
+    ClientOptions,
+    JsonOption,
+    choose_spelling,
+    complete_models,
+    flag,
+    parse_choice,
+)
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.spawn_messages import Compat, SpawnEntityOrder
@@ -38,11 +45,18 @@ from zensim.spawner.spawn.spawn_poses import (
 if TYPE_CHECKING:
     from zensim.proto.bus import Bus
 
+
+def complete_layouts(incomplete: str) -> list[str]:
+    """Find the layouts that start with a text."""
+    return [layout for layout in LAYOUTS if layout.startswith(incomplete)]
+
+
 ModelArgument = Annotated[
     str,
     typer.Argument(
         metavar="MODEL",
         help="Built-in model, path of a URDF, xacro or SDF file, or - for standard input.",
+        autocompletion=complete_models,
     ),
 ]
 DynamicsOption = Annotated[
@@ -55,7 +69,13 @@ DynamicsOption = Annotated[
     ),
 ]
 LayoutOption = Annotated[
-    str, typer.Option("--layout", metavar="row|grid|circle", help="Arrangement of the robots.")
+    str,
+    typer.Option(
+        "--layout",
+        metavar="row|grid|circle",
+        help="Arrangement of the robots.",
+        autocompletion=complete_layouts,
+    ),
 ]
 SpacingOption = Annotated[
     float,
@@ -194,12 +214,13 @@ class EntityOptions:
     frame: Annotated[
         str,
         _pose(
-            "--reference-frame",
+            "--frame",
             metavar="ENTITY",
             help="Entity that the pose is relative to.",
             show_default="world",
         ),
     ] = ""
+    old_frame: Annotated[str | None, typer.Option("--reference-frame", hidden=True)] = None
     snap_to_ground: Annotated[
         bool,
         flag("--snap-to-ground", help="Place on the ground, despite -z.", rich_help_panel="Pose"),
@@ -251,9 +272,10 @@ class FleetOptions(WaitingClientOptions, DescriptionOptions):
     """All options of `zensim fleet`."""
 
     model: ModelArgument
-    count: Annotated[
-        int, typer.Option("--count", "-c", min=1, metavar="N", help="Number of robots.")
+    robots: Annotated[
+        int, typer.Option("--robots", min=1, metavar="N", help="Number of robots.")
     ] = 10
+    old_count: Annotated[int | None, typer.Option("--count", "-c", min=1, hidden=True)] = None
     layout: LayoutOption = "row"
     spacing: SpacingOption = 1.0
     prefix: Annotated[
@@ -358,7 +380,9 @@ def make_spawn_order(given: SpawnOptions) -> SpawnEntityOrder:
             "remove -J, which Gazebo ignores, too"
         )
     name = given.name or given.entity
-    frame = given.reference_frame or given.frame
+    frame = given.reference_frame or choose_spelling(
+        "spawn", ("--reference-frame", given.old_frame), ("--frame", given.frame)
+    )
     pose = make_pose((given.x, given.y, given.z or 0.0), (given.roll, given.pitch, given.yaw))
     return SpawnEntityOrder(
         check_name(name) if name else "",

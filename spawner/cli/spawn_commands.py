@@ -6,9 +6,9 @@ import msgspec
 import typer
 
 from zensim.proto import keys
-from zensim.proto.cli_options import expand_options, make_app
+from zensim.proto.cli_options import choose_spelling, expand_options, make_app
 from zensim.proto.drive_orders import parse_drive_order
-from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.proto.exit_codes import ExitCode, exit_on_failure, to_cli_words
 from zensim.proto.messages.model_messages import ReportEntry
 from zensim.proto.messages.result_messages import ResultCode, ServiceError, SetSimulationStateCode
 from zensim.proto.messages.simulation_messages import State
@@ -18,6 +18,7 @@ from zensim.proto.messages.spawn_messages import (
     SpawnEntityReport,
 )
 from zensim.proto.stop_signal import StopFlag
+from zensim.proto.verbosity import CURRENT, print_note
 from zensim.spawner.cli.command_session import data_console, open_client, print_json
 from zensim.spawner.cli.spawn_arguments import (
     FleetOptions,
@@ -74,7 +75,7 @@ def spawn(given: SpawnOptions) -> None:
         plan = _make_plan(given)
     if given.gazebo_namespace:
         note = "-gazebo_namespace has no effect; choose the world with --world-name"
-        typer.echo(f"zensim spawn: note: {note}", err=True)
+        print_note("spawn", note)
     with open_client("spawn", given, wait_s=plan.wait_s) as client:
         client.wait_for_server(plan.wait_s)
         if given.wait_entity:
@@ -146,6 +147,9 @@ def _print_report(report: SpawnEntityReport, given: SpawnOptions) -> None:
     if given.as_json:
         print_json(report)
         return
+    if CURRENT.is_quiet:
+        typer.echo(report.entity_name)
+        return
     verb = "would spawn" if given.dry_run else "spawned"
     typer.echo(f"{verb} {report.entity_name} under {report.entity_namespace}/")
     print_report(report.report, data_console)
@@ -179,16 +183,15 @@ def _hold_until_stopped(client: SimClient, entity: str) -> None:
 
 @app.command(
     epilog="""Examples:
-  zensim fleet box_bot --count 20 --layout grid
+  zensim fleet box_bot --robots 20 --layout grid
   zensim fleet robot.urdf --prefix cart --spacing 2 --partial"""
 )
 @expand_options
 def fleet(given: FleetOptions) -> None:
     """Spawn several robots of one model, in one step."""
+    robots = choose_spelling("fleet", ("--count", given.old_count), ("--robots", given.robots))
     with exit_on_failure("fleet"):
-        placements = make_placements(
-            given.model, given.count, given.layout, given.spacing, given.prefix
-        )
+        placements = make_placements(given.model, robots, given.layout, given.spacing, given.prefix)
         paths = make_search_paths(given)
         common = SpawnEntityOrder(
             strict=given.strict,
@@ -216,11 +219,13 @@ def _print_outcomes(outcomes: list[SpawnOutcome], *, as_json: bool) -> None:
     refused = [outcome for outcome in outcomes if outcome.code != ResultCode.OK]
     if as_json:
         print_json(outcomes)
+    elif CURRENT.is_quiet:
+        typer.echo("\n".join(one.name for one in outcomes if one.code == ResultCode.OK))
     else:
         typer.echo(f"spawned {len(outcomes) - len(refused)} of {len(outcomes)}")
     # The others are refused only because of these.
     causes = [outcome for outcome in refused if NOT_SPAWNED_PREFIX not in outcome.message]
     for outcome in causes:
-        typer.echo(f"zensim fleet: {outcome.name}: {outcome.message}", err=True)
+        typer.echo(f"zensim fleet: {outcome.name}: {to_cli_words(outcome.message)}", err=True)
     if refused:
         raise typer.Exit(ExitCode.FAILED if len(refused) == len(outcomes) else ExitCode.PARTIAL)

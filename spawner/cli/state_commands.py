@@ -1,5 +1,6 @@
-"""`zensim state get` and `set`."""
+"""Pose and velocity of an entity; `zensim state get` and `set`, the old spellings."""
 
+from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, TypeVar
 
@@ -20,7 +21,9 @@ from zensim.proto.messages.standard_messages import (
     ns_from_time,
 )
 from zensim.proto.rigid_transforms import to_rpy
+from zensim.proto.verbosity import print_old_spelling
 from zensim.spawner.cli.command_session import EntityName, open_client, print_json
+from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn.spawn_poses import make_pose
 
 app = make_app("state")
@@ -51,55 +54,78 @@ def get_state(
     server: ClientOptions,
 ) -> None:
     """Print the pose and velocity of an entity."""
+    print_old_spelling("state get", "'zensim state get'", "'zensim inspect'")
     with open_client("state get", server) as client:
         state = client.entity_state(name, frame)
-    if as_json:
-        print_json({"entity": name, **msgspec.to_builtins(state)})
-        return
-    typer.echo("\n".join(_format_state(name, state)))
+    print_state(name, state, as_json=as_json)
 
 
-@app.command(
-    "set",
-    epilog="""Examples:
-  zensim state set r1 -x 1 -Y 0.5
-  zensim state set r1 --linear 0.2 0 0 --frame r2""",
-)
+@dataclass(frozen=True, kw_only=True)
+class NewStateOptions:
+    """Pose and velocity to set; None = unchanged."""
+
+    x: Annotated[float | None, _pose("-x", help=r"Position along x \[m].")] = None
+    y: Annotated[float | None, _pose("-y", help=r"Position along y \[m].")] = None
+    z: Annotated[float | None, _pose("-z", help=r"Position along z \[m].")] = None
+    roll: Annotated[float | None, _pose("-R", help=r"Roll \[rad].")] = None
+    pitch: Annotated[float | None, _pose("-P", help=r"Pitch \[rad].")] = None
+    yaw: Annotated[float | None, _pose("-Y", help=r"Yaw \[rad].")] = None
+    linear: Annotated[
+        Vector | None, _pose("--linear", metavar="X Y Z", help=r"Linear velocity \[m/s].")
+    ] = None
+    angular: Annotated[
+        Vector | None, _pose("--angular", metavar="X Y Z", help=r"Angular velocity \[rad/s].")
+    ] = None
+    frame: FrameOption = ""
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether a part of the pose is given."""
+        parts = (self.x, self.y, self.z, self.roll, self.pitch, self.yaw)
+        return any(number is not None for number in parts)
+
+    @property
+    def has_twist(self) -> bool:
+        """Whether a velocity is given."""
+        return self.linear is not None or self.angular is not None
+
+
+def change_state(client: SimClient, name: str, new: NewStateOptions) -> None:
+    """Set what is given of pose and velocity, and keep the rest."""
+    old = client.entity_state(name, new.frame)
+    state = EntityState(
+        Header(frame_id=new.frame),
+        _merge_pose(old.pose, (new.x, new.y, new.z), (new.roll, new.pitch, new.yaw)),
+        _merge_twist(old.twist, new.linear, new.angular),
+    )
+    client.set_entity_state(name, state, has_pose=new.has_pose, has_twist=new.has_twist)
+
+
+@app.command("set")
 @expand_options
 def set_state(
     name: EntityName,
     *,
-    x: Annotated[float | None, _pose("-x", help=r"Position along x \[m].")] = None,
-    y: Annotated[float | None, _pose("-y", help=r"Position along y \[m].")] = None,
-    z: Annotated[float | None, _pose("-z", help=r"Position along z \[m].")] = None,
-    roll: Annotated[float | None, _pose("-R", help=r"Roll \[rad].")] = None,
-    pitch: Annotated[float | None, _pose("-P", help=r"Pitch \[rad].")] = None,
-    yaw: Annotated[float | None, _pose("-Y", help=r"Yaw \[rad].")] = None,
-    linear: Annotated[
-        Vector | None, _pose(metavar="X Y Z", help=r"Linear velocity \[m/s].")
-    ] = None,
-    angular: Annotated[
-        Vector | None, _pose(metavar="X Y Z", help=r"Angular velocity \[rad/s].")
-    ] = None,
-    frame: FrameOption = "",
+    new: NewStateOptions,
+    as_json: JsonOption = False,
     server: ClientOptions,
 ) -> None:
     """Set the pose or velocity of an entity, and print the result."""
-    position, angles = (x, y, z), (roll, pitch, yaw)
-    has_pose = any(number is not None for number in (*position, *angles))
-    has_twist = linear is not None or angular is not None
+    print_old_spelling("state set", "'zensim state set'", "'zensim set'")
     with exit_on_failure("state set"):
-        if not (has_pose or has_twist):
+        if not (new.has_pose or new.has_twist):
             raise ValueError("nothing to set; give -x -y -z -R -P -Y, --linear or --angular")
     with open_client("state set", server) as client:
-        old = client.entity_state(name, frame)
-        new = EntityState(
-            Header(frame_id=frame),
-            _merge_pose(old.pose, position, angles),
-            _merge_twist(old.twist, linear, angular),
-        )
-        client.set_entity_state(name, new, has_pose=has_pose, has_twist=has_twist)
-        typer.echo("\n".join(_format_state(name, client.entity_state(name, frame))))
+        change_state(client, name, new)
+        print_state(name, client.entity_state(name, new.frame), as_json=as_json)
+
+
+def print_state(name: str, state: EntityState, *, as_json: bool) -> None:
+    """Print pose and velocity of an entity."""
+    if as_json:
+        print_json({"entity": name, **msgspec.to_builtins(state)})
+    else:
+        typer.echo("\n".join(format_state(name, state)))
 
 
 def _merge_pose(
@@ -127,7 +153,8 @@ def _or_old(new: Component | None, old: Component) -> Component:
     return old if new is None else new
 
 
-def _format_state(name: str, state: EntityState) -> list[str]:
+def format_state(name: str, state: EntityState) -> list[str]:
+    """Format pose and velocity, one line each."""
     position, twist = state.pose.position, state.twist
     when_s = ns_from_time(state.header.stamp) / NANOSECONDS
     figures = {

@@ -3,7 +3,7 @@
 import math
 import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from typing import Annotated
 
@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import typer
 
-from zensim.proto.bus import BusError, BusPublisher, BusSubscription
+from zensim.proto.bus import Bus, BusError, BusPublisher, BusSubscription
 from zensim.proto.cli_options import ConnectionOptions, JsonOption, expand_options, flag, make_app
 from zensim.proto.codec.message_codec import (
     Format,
@@ -22,11 +22,20 @@ from zensim.proto.codec.message_codec import (
     parse_schema_name,
 )
 from zensim.proto.keys import last_chunk
+from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import Twist, Vector3
+from zensim.proto.messages.telemetry_messages import GetModelsResponse
 from zensim.proto.network_protocols import Sample
 from zensim.proto.schema import list_messages
 from zensim.proto.topic_catalog import CMD_VEL, TOPICS, TopicScope
-from zensim.spawner.cli.command_session import open_client, print_json
+from zensim.proto.verbosity import print_announcement, print_note
+from zensim.spawner.cli.command_session import (
+    complete_robots,
+    complete_topics,
+    open_client,
+    print_json,
+)
+from zensim.spawner.client.sim_client import SimClient
 
 ROS_TYPES = {kind.ros_type: kind for kind in list_messages().values() if hasattr(kind, "ros_type")}
 ZENSIM_TYPES = {
@@ -34,9 +43,13 @@ ZENSIM_TYPES = {
     for topic in TOPICS.values()
     if topic.scope is not TopicScope.ROBOT
 }
-ARRAY_TYPES = dict.fromkeys(
-    ("base", "joint_positions", "joint_velocities", "joint_efforts", "targets"), "<f8"
-)
+GETTABLE_NAMES = {
+    topic.suffix
+    for topic in TOPICS.values()
+    if topic.scope is not TopicScope.ROBOT and topic.is_gettable
+}
+"""Of topics; services have other names."""
+ARRAY_TYPES = {"base": "<f8", "joint_positions": "<f8", "joint_velocities": "<f8", "targets": "<f8"}
 CLAIM_TYPE = "<u4"
 MAX_NESTING = 64
 
@@ -127,14 +140,33 @@ app = make_app()
 POLL_S = 0.002
 QUEUE_DEPTH = 65536
 SUBSCRIBER_TIMEOUT_S = 3.0
+MAX_NAMES_SHOWN = 5
 
 KeyArgument = Annotated[
-    str, typer.Argument(metavar="KEY", help="Key expression, such as r1/odom or '*/odom'.")
+    str,
+    typer.Argument(
+        metavar="KEY",
+        help="Key expression, such as r1/odom or '*/odom'.",
+        autocompletion=complete_topics,
+    ),
+]
+DurationOption = Annotated[
+    float, typer.Option("--duration", metavar="SECONDS", help=r"Duration \[s]; 0 = until Ctrl-C.")
+]
+WindowOption = Annotated[
+    int,
+    typer.Option("--window", min=2, metavar="N", help="Average over the last N messages."),
 ]
 
 
 class NoSubscriber(BusError):
     """No agent subscribes to a robot's cmd_vel."""
+
+
+class NoSuchRobot(BusError):
+    """No entity has this name or namespace."""
+
+    code = ResultCode.NOT_FOUND
 
 
 @app.command(
@@ -145,19 +177,23 @@ class NoSubscriber(BusError):
 )
 @expand_options
 def drive(
-    robot: Annotated[str, typer.Argument(metavar="ROBOT", help="Namespace of the robot.")],
+    robot: Annotated[
+        str,
+        typer.Argument(
+            metavar="ROBOT", help="Namespace of the robot.", autocompletion=complete_robots
+        ),
+    ],
     linear: Annotated[float, typer.Argument(metavar="LINEAR", help=r"Forward velocity \[m/s].")],
     angular: Annotated[
         float, typer.Argument(metavar="ANGULAR", help=r"Yaw rate, positive to the left \[rad/s].")
     ] = 0.0,
     *,
     rate: Annotated[float, typer.Option(metavar="HZ", help=r"Message rate \[Hz].")] = 10.0,
-    duration: Annotated[
-        float, typer.Option(metavar="SECONDS", help=r"Duration \[s]; 0 = until Ctrl-C.")
-    ] = 0.0,
+    duration: DurationOption = 0.0,
     once: Annotated[
         bool, flag("--once", help="Publish one message and exit without a stop command.")
     ] = False,
+    as_json: JsonOption = False,
     server: ConnectionOptions,
 ) -> None:
     """Publish velocity commands to a robot, and a stop command at the end."""
@@ -167,11 +203,14 @@ def drive(
             raise ValueError(f"--rate must be positive, got {rate:g}")
         key = CMD_VEL.key(robot.strip("/"))
         publisher = client.bus.advertise(key, CMD_VEL.encoding)
-        _wait_for_subscriber(publisher, key)
-        typer.echo(f"zensim drive: {key} at {linear:g} m/s, {angular:g} rad/s", err=True)
+        if not wait_for_subscriber(publisher):
+            raise _explain_silence(client, robot.strip("/"))
+        text = f"{key} at {linear:g} m/s, {angular:g} rad/s"
+        facts = {"key": key, "linear": linear, "angular": angular}
+        print_announcement("drive", text, facts, as_json=as_json)
         count = 1 if once else math.ceil(duration * rate) if duration > 0 else 0
         try:
-            _publish_at_rate(publisher, encode(twist, Format.CDR), 1.0 / rate, count)
+            publish_at_rate(publisher, encode(twist, Format.CDR), 1.0 / rate, count)
         finally:
             if not once:
                 publisher.send(encode(Twist(), Format.CDR))
@@ -183,16 +222,53 @@ def _make_twist(linear: float, angular: float) -> Twist:
     return Twist(Vector3(x=linear), Vector3(z=angular))
 
 
-def _wait_for_subscriber(publisher: BusPublisher, key: str) -> None:
+def wait_for_subscriber(publisher: BusPublisher) -> bool:
+    """Wait until something subscribes; False if nothing does within `SUBSCRIBER_TIMEOUT_S`."""
     deadline = time.monotonic() + SUBSCRIBER_TIMEOUT_S
     while not publisher.is_matched:
         if time.monotonic() > deadline:
-            robot = key.rsplit("/", 1)[0]
-            raise NoSubscriber(f"no agent subscribes to {key}; start one: 'zensim agent {robot}'")
+            return False
         time.sleep(POLL_S)
+    return True
 
 
-def _publish_at_rate(publisher: BusPublisher, payload: bytes, period_s: float, count: int) -> None:
+def _explain_silence(client: SimClient, robot: str) -> BusError:
+    """Find out why nothing subscribes to the commands of a robot."""
+    key = CMD_VEL.key(robot)
+    try:
+        models = client.models()
+    except (BusError, ServiceError, TimeoutError):
+        return NoSubscriber(f"nothing subscribes to {key}, and no server says why")
+    names = {one.namespace: one for one in models.entities} | {
+        one.entity: one for one in models.entities if one.namespace != robot
+    }
+    found = names.get(robot)
+    if found is None:
+        return NoSuchRobot(f"there is no robot '{robot}'; {_list_robots(models)}")
+    if models.models[found.model].drive is None:
+        return NoSubscriber(f"'{robot}' is not a robot: it has no drive; {_list_robots(models)}")
+    if found.namespace != robot:
+        return NoSubscriber(
+            f"the topics of '{robot}' are at {found.namespace}/; use 'zensim drive "
+            f"{found.namespace}'"
+        )
+    if not found.agent:
+        return NoSubscriber(f"no agent drives '{robot}'; start one: 'zensim agent {found.entity}'")
+    return NoSubscriber(f"agent {found.agent} drives '{robot}', but does not subscribe to {key}")
+
+
+def _list_robots(models: GetModelsResponse) -> str:
+    names = [
+        one.namespace or one.entity
+        for one in models.entities
+        if models.models[one.model].drive is not None
+    ]
+    more = f" and {len(names) - MAX_NAMES_SHOWN} more" if len(names) > MAX_NAMES_SHOWN else ""
+    shown = ", ".join(names[:MAX_NAMES_SHOWN])
+    return f"the robots are {shown}{more}" if names else "spawn one: 'zensim spawn box_bot'"
+
+
+def publish_at_rate(publisher: BusPublisher, payload: bytes, period_s: float, count: int) -> None:
     """Publish at a fixed rate; count 0 = forever."""
     start, sent = time.monotonic(), 0
     while count == 0 or sent < count:
@@ -231,7 +307,7 @@ def echo(
         limit = 1 if once else count
         subscription = client.bus.subscribe(key.strip("/"), QUEUE_DEPTH)
         # tf_static and robot_description are published once, before this command started.
-        samples = client.bus.get(key.strip("/"))
+        samples = get_last_messages(client.bus, key.strip("/"))
         printed = 0
         while True:
             for sample in samples:
@@ -240,6 +316,21 @@ def echo(
                 if printed == limit:
                     return
             samples = _wait_for_samples(subscription, key, timeout)
+
+
+def get_last_messages(bus: Bus, key: str) -> list[Sample]:
+    """Get the last message of each topic; a key expression never calls the services it covers."""
+    is_pattern = "*" in key
+    if key.startswith("**"):
+        # It covers the services of ROS 2, too.
+        return [one for name in sorted(GETTABLE_NAMES) for one in bus.get(f"sim/*/{name}")]
+    if key.startswith("sim/") and not is_pattern and last_chunk(key) not in GETTABLE_NAMES:
+        return []
+    return [sample for sample in bus.get(key) if _is_of_topic(sample.key)]
+
+
+def _is_of_topic(key: str) -> bool:
+    return not key.startswith("sim/") or last_chunk(key) in GETTABLE_NAMES
 
 
 def _wait_for_samples(subscription: BusSubscription, key: str, timeout_s: float) -> list[Sample]:
@@ -270,33 +361,52 @@ def _print_sample(sample: Sample, *, as_json: bool) -> None:
 def hz(
     key: KeyArgument,
     *,
-    window: Annotated[
-        int, typer.Option(min=2, metavar="N", help="Average over the last N messages.")
-    ] = 1000,
-    duration: Annotated[
-        float, typer.Option(metavar="SECONDS", help=r"Duration \[s]; 0 = until Ctrl-C.")
-    ] = 0.0,
+    window: WindowOption = 1000,
+    duration: DurationOption = 0.0,
     as_json: JsonOption = False,
     server: ConnectionOptions,
 ) -> None:
     """Measure the message rate of a topic, and print it every second."""
+    arrivals: list[float] = []
+
+    def receive(now: float, samples: list[Sample]) -> None:
+        arrivals.extend(now for _ in samples)
+        del arrivals[:-window]
+
     with open_client("hz", server) as client:
         subscription = client.bus.subscribe(key.strip("/"), QUEUE_DEPTH)
-        end = time.monotonic() + (duration or math.inf)
-        arrivals: list[float] = []
-        report_at = min(time.monotonic() + 1.0, end)
-        while (now := time.monotonic()) <= end or report_at <= end:
-            arrivals.extend(now for _ in subscription.take())
-            del arrivals[:-window]
-            if now >= report_at:
-                report_at = now + 1.0
-                _print_rate(arrivals, as_json=as_json)
-            time.sleep(POLL_S)
+        report_every_second(
+            subscription, duration, receive, lambda: _print_rate(arrivals, as_json=as_json)
+        )
+
+
+def report_every_second(
+    subscription: BusSubscription,
+    duration_s: float,
+    receive: Callable[[float, list[Sample]], None],
+    report: Callable[[], None],
+) -> None:
+    """Receive messages, and report every second of wall time.
+
+    Args:
+        subscription: To take messages from.
+        duration_s: 0 = forever.
+        receive: Called with the monotonic time [s] and the new messages.
+        report: Called every second, and at least once.
+    """
+    end = time.monotonic() + (duration_s or math.inf)
+    report_at = min(time.monotonic() + 1.0, end)
+    while (now := time.monotonic()) <= end or report_at <= end:
+        receive(now, subscription.take())
+        if now >= report_at:
+            report_at = now + 1.0
+            report()
+        time.sleep(POLL_S)
 
 
 def _print_rate(arrivals: list[float], *, as_json: bool) -> None:
     if len(arrivals) < 2:  # noqa: PLR2004  a rate needs two arrivals
-        typer.echo("zensim hz: no new messages", err=True)
+        print_note("hz", "no new messages")
         return
     gaps = [later - earlier for earlier, later in pairwise(arrivals)]
     span_s = max(arrivals[-1] - arrivals[0], 1e-9)

@@ -1,15 +1,17 @@
 """`zensim view`: serve a web page that shows the world in 3D."""
 
+import json
 import webbrowser
 from collections.abc import Callable
 from contextlib import closing
+from importlib.util import find_spec
 from typing import Annotated
 
 import typer
 
 from zensim.proto.bus import BusConfig, open_bus
-from zensim.proto.cli_options import ConnectionOptions, expand_options, make_app
-from zensim.proto.endpoints import DEFAULT_ENDPOINT
+from zensim.proto.cli_options import ConnectionOptions, JsonOption, expand_options, make_app
+from zensim.proto.endpoints import DEFAULT_ENDPOINT, is_port_taken
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
 from zensim.proto.stop_signal import StopFlag
@@ -23,6 +25,25 @@ ANY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "::1"}
 
 class MissingViewerExtra(Exception):
     """The packages of the viewer extra are not installed."""
+
+
+def check_page(port: int) -> None:
+    """Check that a page can be served on a port of this host, before anything else is started.
+
+    Raises:
+        MissingViewerExtra: A package is missing.
+        OSError: Another program listens on the port.
+    """
+    missing = [name for name in VIEWER_EXTRA if find_spec(name) is None]
+    if missing:
+        raise MissingViewerExtra(
+            f"{missing[0]} is not installed; use pip install 'zensim[viewer]', or --no-viewer"
+        )
+    if port and is_port_taken("127.0.0.1", port):
+        raise OSError(
+            f"another program listens on port {port} of this host; use --viewer-port with "
+            "another, 0 for any free one, or --no-viewer"
+        )
 
 
 @app.command(
@@ -43,6 +64,7 @@ def view(
     open_page: Annotated[
         bool, typer.Option("--open/--no-open", metavar="", help="Open the page in a browser.")
     ] = False,
+    as_json: JsonOption = False,
     server: ConnectionOptions,
 ) -> None:
     """Serve a web page that shows the world in 3D, until Ctrl-C."""
@@ -50,7 +72,7 @@ def view(
     def announce(page_port: int) -> None:
         name = ANY_ADDRESS.get(host, host)
         url = f"http://{f'[{name}]' if ':' in name else name}:{page_port}"
-        typer.echo(f"viewer {url}")
+        typer.echo(json.dumps({"viewer": url}) if as_json else f"viewer {url}")
         if open_page:
             webbrowser.open(url)
 

@@ -10,6 +10,7 @@ import typer
 from rich.table import Table
 
 from zensim.proto.cli_options import (
+    WORLD_SUFFIXES,
     ClientOptions,
     JsonOption,
     TimeoutOption,
@@ -20,6 +21,7 @@ from zensim.proto.cli_options import (
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.entity_messages import TagsFilter
 from zensim.proto.messages.world_messages import WorldResource
+from zensim.proto.verbosity import CURRENT
 from zensim.spawner.cli.command_session import (
     complete_world_names,
     data_console,
@@ -31,8 +33,6 @@ from zensim.spawner.cli.terminal_output import print_report
 from zensim.spawner.spawn.spawn_poses import find_heading
 
 app = make_app("world")
-
-WORLD_SUFFIXES = (".world", ".sdf", ".xml")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,13 +70,15 @@ def load_world(
     with exit_on_failure("world load"):
         text = _read_world_file(world)
     with open_client("world load", server) as client:
+        before = client.info().entities
         reply = client.load_world(
             "" if text else world, text, is_strict=strict, may_lack_assets=allow_missing
         )
     if as_json:
         print_json(reply)
         return
-    typer.echo(f"loaded {_label_world(reply.world)}; start it with 'zensim play'")
+    fate = f"{before} entities deleted; " if before else ""
+    typer.echo(f"loaded {_label_world(reply.world)}; {fate}start it with 'zensim play'")
     print_report(reply.report, data_console)
 
 
@@ -105,6 +107,8 @@ def list_worlds(*, as_json: JsonOption = False, server: ClientOptions) -> None:
         worlds = client.available_worlds()
     if as_json:
         print_json(worlds)
+    elif CURRENT.is_quiet:
+        typer.echo("\n".join(map(_label_world, worlds)))
     else:
         print_table(_make_table(worlds))
 
@@ -148,11 +152,15 @@ def named_poses(
 
 @app.command("unload")
 @expand_options
-def unload_world(*, server: ClientOptions) -> None:
+def unload_world(*, as_json: JsonOption = False, server: ClientOptions) -> None:
     """Unload the current world, and delete all entities."""
     with open_client("world unload", server) as client:
+        before = client.info().entities
         client.unload_world()
-    typer.echo("unloaded")
+    if as_json:
+        print_json({"deleted": before})
+    else:
+        typer.echo(f"unloaded; {before} entities deleted" if before else "unloaded")
 
 
 def _label_world(world: WorldResource) -> str:

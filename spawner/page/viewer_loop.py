@@ -392,8 +392,13 @@ class ViewerDataSource:
             return None
 
     def commands(self, entities: frozenset[str]) -> dict[str, LastCommand]:
-        """Subscribe to the commands of exactly these entities; return the last of each."""
-        namespaces = {e: m.namespace for e, m in self._fleet.members.items() if e in entities}
+        """Subscribe to the commands of those entities that have topics; return the last of each."""
+        # A wall has no namespace, hence no topics.
+        namespaces = {
+            entity: member.namespace
+            for entity, member in self._fleet.members.items()
+            if entity in entities and member.namespace
+        }
         for gone in self._monitors.keys() - namespaces.keys():
             self._monitors.pop(gone).close()
         for entity in namespaces.keys() - self._monitors.keys():

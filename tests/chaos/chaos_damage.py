@@ -58,7 +58,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 def _fill(folder: Path) -> None:
     with serving_with_journal(folder, free_endpoint()) as server:
-        server.zensim("fleet", "box_bot", "--count", str(ROBOTS))
+        server.zensim("fleet", "box_bot", "--robots", str(ROBOTS))
         for i in range(ROBOTS):
             if i % 4 == 0:
                 server.client.delete(f"box_bot{i}")

@@ -122,7 +122,7 @@ def _measure_kills(folder: Path, rounds: int, robots: int) -> KillCosts:
         client = SimClient(bus)
         client.wait_for_server(START_S)
         done = zensim(
-            *("fleet", "box_bot", "--count", str(robots), "--layout", "grid"),
+            *("fleet", "box_bot", "--robots", str(robots), "--layout", "grid"),
             *("--spacing", "2", "--connect", endpoint),
         )
         assert done.returncode == 0, done.stderr

@@ -81,7 +81,7 @@ def run_driven_fleet(endpoint: str, count: int) -> Iterator[DrivenFleet]:
         bus = stack.enter_context(open_bus(BusConfig(connect=(endpoint,))))
         client = SimClient(bus, timeout_s=START_S)
         client.wait_for_server(START_S)
-        done = zensim("fleet", "box_bot", "--count", str(count), "--spacing", "3", *connected)
+        done = zensim("fleet", "box_bot", "--robots", str(count), "--spacing", "3", *connected)
         assert done.returncode == 0, done.stderr
         agents = [
             stack.enter_context(running("agent", name, "--quiet", *connected)) for name in names

@@ -206,7 +206,7 @@ def test_up_refuses_invalid_arguments_in_one_line(arguments: tuple[str, ...], va
     done = zensim("up", *arguments)
 
     assert done.returncode == ExitCode.USAGE
-    assert done.stderr.startswith("zensim up: USAGE (2): ")
+    assert done.stderr.startswith("zensim up: ")
     assert value in done.stderr
     assert done.stderr.count("\n") == 1
     assert done.stdout == ""
@@ -216,9 +216,9 @@ def test_up_prints_the_error_of_its_server() -> None:
     done = zensim("up", "--world", "nowhere.sdf", "--listen", "tcp/127.0.0.1:0", "--no-viewer")
 
     assert done.returncode == ExitCode.FAILED
-    assert "zensim serve: USAGE (2): " in done.stderr
+    assert "zensim serve: " in done.stderr
     assert "nowhere.sdf" in done.stderr
-    assert "zensim up: FAILED (1): " in done.stderr
+    assert "zensim up: " in done.stderr
 
 
 @pytest.mark.parametrize(

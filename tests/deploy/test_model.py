@@ -61,7 +61,7 @@ def test_model_reports_a_missing_visual_once(tmp_path: Path) -> None:
         (robot_of(GONE), ("--allow-missing",), ExitCode.OK, ""),
         (robot_of(BASE, GONE), ("--strict",), ExitCode.FAILED, "report.suspicious: "),
         (robot_of(BASE), ("--strict",), ExitCode.OK, ""),
-        (robot_of(BASE), ("--compat", "ignition"), ExitCode.USAGE, "USAGE (2): "),
+        (robot_of(BASE), ("--compat", "ignition"), ExitCode.USAGE, "--compat"),
         ("<robot", (), ExitCode.FAILED, "xml.syntax: "),
         ('<robot name="r"/>', (), ExitCode.FAILED, "urdf.no_links: "),
     ],
@@ -99,12 +99,12 @@ def test_model_refuses_a_binary_file(tmp_path: Path) -> None:
     done = RUNNER.invoke(app, [str(file)])
 
     assert done.exit_code == ExitCode.USAGE
-    assert done.stderr.startswith("zensim model: USAGE (2): ")
+    assert done.stderr.startswith("zensim model: ")
 
 
 def test_model_fails_for_a_missing_file() -> None:
     done = RUNNER.invoke(app, ["nowhere.urdf"])
 
     assert done.exit_code == ExitCode.NOT_FOUND
-    assert done.stderr.startswith("zensim model: NOT_FOUND (3): ")
+    assert done.stderr.startswith("zensim model: ")
     assert "nowhere.urdf" in done.stderr

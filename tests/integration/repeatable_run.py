@@ -77,7 +77,7 @@ def run_lockstep_fleet(
     """
     names = [f"box_bot{i}" for i in range(robots)]
     with serving(*LOCKSTEP, endpoint=endpoint) as server, ExitStack() as stack:
-        layout = ("--count", str(robots), "--layout", "grid", "--spacing", SPACING_M)
+        layout = ("--robots", str(robots), "--layout", "grid", "--spacing", SPACING_M)
         done = server.zensim("fleet", "box_bot", *layout)
         assert done.returncode == 0, done.stderr
         joining = ("--connect", server.endpoint, "--quiet", "--cmd-vel-timeout", "0")

@@ -17,7 +17,7 @@ BODY_M = 0.1
 @pytest.fixture(scope="module")
 def server() -> Iterator[Server]:
     with serving("--paused") as found:
-        layout = ("--count", "10", "--layout", "grid", "--spacing", "5")
+        layout = ("--robots", "10", "--layout", "grid", "--spacing", "5")
         assert found.zensim("fleet", "box_bot", *layout).returncode == 0
         with running_agents(found, *TEN):
             yield found

@@ -15,7 +15,7 @@ SOON_S = 20.0
 
 def test_robot_moves_before_the_next_drive_state_when_commanded_between_states() -> None:
     with serving("--control-hz", "1") as server:
-        assert server.zensim("fleet", "box_bot", "--count", "1").returncode == 0
+        assert server.zensim("fleet", "box_bot", "--robots", "1").returncode == 0
         with running_agents(server, NAME, options=("--cmd-vel-timeout", "0")):
             found = robot(server.bus, NAME)
 

@@ -18,7 +18,7 @@ FLEET = MAX_CELL_BODIES["pybullet"] + 6
 def server() -> Iterator[Server]:
     options = ("--clusters", "on", "--engine-workers", "1", "--rtf", "0", "--step-hz", "100")
     with serving(*options) as found:
-        layout = ("--count", str(FLEET), "--layout", "grid", "--spacing", "2")
+        layout = ("--robots", str(FLEET), "--layout", "grid", "--spacing", "2")
         done = found.zensim("fleet", "box_bot", *layout)
         assert done.returncode == 0, done.stderr
         yield found

@@ -32,7 +32,7 @@ def test_server_uses_mujoco_when_pybullet_is_not_installed(server: Server) -> No
 
 
 def test_robots_follow_their_commands_on_mujoco(server: Server) -> None:
-    spawned = server.zensim("fleet", "box_bot", "--count", "2", "--spacing", "2")
+    spawned = server.zensim("fleet", "box_bot", "--robots", "2", "--spacing", "2")
     assert spawned.returncode == 0, spawned.stderr
 
     with running_agents(server, *TWO):

@@ -17,7 +17,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "plain_zenoh.py"
 
 def test_plain_zenoh_program_drives_and_reads_robots() -> None:
     with serving() as server:
-        server.zensim("fleet", "box_bot", "--count", "4", "--spacing", "2")
+        server.zensim("fleet", "box_bot", "--robots", "4", "--spacing", "2")
         with running_agents(server, "box_bot2", "box_bot3"):
             done = subprocess.run(
                 [sys.executable, str(EXAMPLE), server.endpoint, "box_bot3"],

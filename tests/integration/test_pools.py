@@ -45,7 +45,7 @@ def pools(server: Server, *names: str) -> "Iterator[dict[str, subprocess.Popen[s
 
 
 def spawn(server: Server) -> None:
-    layout = ("--count", str(ROBOTS), "--layout", "grid", "--spacing", "2")
+    layout = ("--robots", str(ROBOTS), "--layout", "grid", "--spacing", "2")
     assert server.zensim("fleet", "box_bot", *layout).returncode == 0
 
 

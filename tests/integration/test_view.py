@@ -65,7 +65,7 @@ def viewing(endpoint: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
 @pytest.fixture(scope="module")
 def server() -> Iterator[Server]:
     with serving() as found:
-        assert found.zensim("fleet", "box_bot", "--count", str(ROBOTS)).returncode == 0
+        assert found.zensim("fleet", "box_bot", "--robots", str(ROBOTS)).returncode == 0
         yield found
 
 
@@ -206,7 +206,7 @@ def test_page_recovers_when_the_server_is_replaced() -> None:
             tab.until("document.body.innerText.includes('no server')")
 
             with running("serve", "--listen", endpoint):
-                fleet = ("fleet", "box_bot", "--count", "3", "--wait", "20")
+                fleet = ("fleet", "box_bot", "--robots", "3", "--wait", "20")
                 assert zensim(*fleet, "--connect", endpoint).returncode == 0
                 tab.until("document.body.innerText.includes('Robots\\n3')")
                 tab.until(f"{BATCHES}.every(([path, count]) => count === 3)")

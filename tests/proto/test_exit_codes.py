@@ -1,8 +1,10 @@
 """Exit status and error line of each kind of failure."""
 
+import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 
 import pytest
 
@@ -11,6 +13,8 @@ from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.exit_codes import ExitCode, choose_exit_code, exit_on_failure, format_failure
 from zensim.proto.messages.result_messages import ResultCode, ServiceError, SpawnCode
 from zensim.proto.names import InvalidName
+from zensim.proto.verbosity import set_verbosity
+from zensim.sim_server.errors import EntityNotFound, NameNotUnique
 
 
 def a_refusal(code: int, name: str = "SOME_CODE") -> ServiceError:
@@ -45,14 +49,14 @@ def test_failure_has_its_exit_status(error: Exception, status: ExitCode) -> None
 @pytest.mark.parametrize(
     ("error", "line"),
     [
-        (a_refusal(101, "NAME_NOT_UNIQUE"), "NAME_NOT_UNIQUE (101): given, wrong, works"),
-        (NoServer("no server"), "UNREACHABLE (4): no server"),
-        (FileNotFoundError(2, "no such file", "a.urdf"), "NOT_FOUND (3): a.urdf: no such file"),
-        (ValueError("first\n  second\tthird"), "USAGE (2): first second third"),
+        (a_refusal(101, "NAME_NOT_UNIQUE"), "given, wrong, works"),
+        (NoServer("no server"), "no server"),
+        (FileNotFoundError(2, "no such file", "a.urdf"), "a.urdf: no such file"),
+        (ValueError("first\n  second\tthird"), "first second third"),
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_failure_is_one_line_with_its_code(error: Exception, line: str) -> None:
+def test_failure_is_one_line_without_numbers(error: Exception, line: str) -> None:
     assert format_failure(error) == line
 
 
@@ -62,7 +66,7 @@ def test_command_ends_with_one_line_and_a_status(capsys: pytest.CaptureFixture[s
 
     printed = capsys.readouterr()
     assert ended.value.code == ExitCode.UNREACHABLE
-    assert printed.err == "zensim spawn: UNREACHABLE (4): no server\n"
+    assert printed.err == "zensim spawn: no server\n"
     assert printed.out == ""
 
 
@@ -73,7 +77,53 @@ def test_command_reports_further_failures_that_it_declares(
         raise LookupError("lost")
 
     assert ended.value.code == ExitCode.FAILED
-    assert capsys.readouterr().err == "zensim up: FAILED (1): lost\n"
+    assert capsys.readouterr().err == "zensim up: lost\n"
+
+
+@pytest.fixture
+def usual_verbosity() -> Iterator[None]:
+    yield
+    set_verbosity(is_quiet=False, is_verbose=False, is_json=False)
+
+
+@pytest.mark.usefixtures("usual_verbosity")
+def test_failure_of_a_command_with_json_has_code_and_number(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    set_verbosity(is_quiet=False, is_verbose=False, is_json=True)
+
+    with pytest.raises(SystemExit), exit_on_failure("spawn"):
+        raise a_refusal(101, "NAME_NOT_UNIQUE")
+
+    assert json.loads(capsys.readouterr().err) == {
+        "error": {
+            "command": "spawn",
+            "code": "NAME_NOT_UNIQUE",
+            "number": 101,
+            "message": "given, wrong, works",
+        }
+    }
+
+
+@pytest.mark.usefixtures("usual_verbosity")
+def test_verbose_command_prints_where_its_failure_came_from(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    set_verbosity(is_quiet=False, is_verbose=True, is_json=False)
+
+    with pytest.raises(SystemExit), exit_on_failure("spawn"):
+        raise NoServer("no server")
+
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("message", [str(NameNotUnique("r1")), str(EntityNotFound("r9"))])
+def test_refusals_of_services_name_commands(message: str) -> None:
+    text = format_failure(ServiceError("spawn_entity", 101, "SOME_CODE", message))
+
+    assert "allow_renaming" not in text.replace("--allow-renaming", "")
+    assert "get_entities" not in text
+    assert text != message
 
 
 def test_unexpected_error_propagates() -> None:

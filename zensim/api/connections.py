@@ -14,6 +14,7 @@ from zensim.api.api_errors import ConnectionLost, Error, NotFound, Timeout, Unre
 from zensim.api.local_deployment import (
     LaunchAgentsConfig,
     LaunchConfig,
+    LaunchFailed,
     SensorLaunch,
     start_programs,
 )
@@ -137,7 +138,7 @@ def _start(config: LaunchConfig, timeout_s: float) -> Sim:
         try:
             start_programs(config, supervisor)
             bus = _wait_for_server(config, supervisor, timeout_s)
-        except ProgramDied as error:
+        except (LaunchFailed, ProgramDied) as error:
             raise Error(str(error), slug="launch_failed", hint="see the lines above") from error
         stack.callback(bus.close)
         sensors = SensorLaunch(config, supervisor, bus)

@@ -1,26 +1,32 @@
 """Start server, robots, agents and viewer on this host, and wait until they are ready."""
 
+import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from queue import Empty, SimpleQueue
 
 import msgspec
 
-from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
+from zensim.proto.bus import Bus, BusConfig, BusError, BusSubscription, NoServer, open_bus
 from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.endpoints import is_endpoint_taken, to_client_endpoint
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor
-from zensim.proto.messages.telemetry_messages import Event, Info
+from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
+from zensim.proto.messages.telemetry_messages import Event, Info, WorldClock
 from zensim.proto.network_protocols import Sample
 from zensim.proto.ros2.ros_settings import RosSettings, to_cli_arguments
 from zensim.proto.supervisor import PREPARED_START_MODULE, SupervisedProgram, Supervisor
-from zensim.proto.topic_catalog import EVENTS, ODOM
+from zensim.proto.topic_catalog import CLOCK, EVENTS, ODOM
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, RateOverrides
+from zensim.sim_server.pacing.lockstep import LOCKSTEP_TIMEOUT_S, OnMiss
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
+from zensim.sim_server.server_config import CONTROL_HZ
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn.spawn_client import spawn_fleet
 from zensim.spawner.spawn.spawn_poses import RobotPlacement
@@ -79,12 +85,28 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     engine_workers: int | None = None
     dynamics: Dynamics = "full"
     """Empty = default of the server."""
+    connect: str = ""
+    """Endpoint of a router that the server connects to, instead of listening at `endpoint`."""
+    wait_s: float = 30.0
+    """Timeout of the server's connection to the router."""
+    journal: str = ""
+    """Folder; empty = no journal."""
+    step_hz: float | None = None
+    """None = from the world file."""
+    control_hz: float = CONTROL_HZ
+    lockstep_timeout_s: float = LOCKSTEP_TIMEOUT_S
+    on_miss: OnMiss = "hold"
     agents: LaunchAgentsConfig = LaunchAgentsConfig()
     sensor_processes: int | None = None
     """Number of processes that share lidars and cameras; None = one when the first appears."""
     ros: RosSettings = RosSettings()
     has_viewer: bool = False
     viewer_port: int = 0
+
+    @property
+    def client_endpoint(self) -> str:
+        """Endpoint that programs on this host connect to."""
+        return self.connect or to_client_endpoint(self.endpoint)
 
 
 @dataclass(frozen=True)
@@ -98,7 +120,7 @@ class LaunchProgress:
 class SensorLaunch:
     """Starts the sensor processes: at once, or when the world has something for them to measure.
 
-    An idle one takes 23 MB (proportional set size), and most robots have no such sensor.
+    An idle one takes about as much memory as two agents, and most robots have no such sensor.
     """
 
     def __init__(self, config: LaunchConfig, supervisor: Supervisor, bus: Bus) -> None:
@@ -145,6 +167,24 @@ def _is_arrival(sample: Sample) -> bool:
         return False
 
 
+class SimTimeMeter:
+    """Sums simulation time across resets.
+
+    Attributes:
+        total_ns: Time that has passed since the first reading.
+    """
+
+    def __init__(self, time_ns: int, epoch: int) -> None:
+        self.total_ns = 0
+        self._time_ns, self._epoch = time_ns, epoch
+
+    def add(self, time_ns: int, epoch: int) -> None:
+        """Add a reading of the clock; a new epoch began at 0."""
+        before_ns = self._time_ns if epoch == self._epoch else 0
+        self.total_ns += max(0, time_ns - before_ns)
+        self._time_ns, self._epoch = time_ns, epoch
+
+
 @dataclass
 class LocalDeployment:
     """Running programs on this host."""
@@ -160,6 +200,9 @@ class LocalDeployment:
     ready_info: Info = field(default_factory=Info)
     ready_at_s: float = 0.0
     """Monotonic time when all programs were ready."""
+    clock: BusSubscription | None = None
+    """Of simulation time."""
+    meter: SimTimeMeter = field(default_factory=lambda: SimTimeMeter(0, 0))
 
 
 def launch(
@@ -168,9 +211,15 @@ def launch(
     """Start all programs, and wait until every robot publishes odom and the page is served.
 
     Raises:
-        LaunchFailed: A program is not ready in time.
+        LaunchFailed: Another program has the endpoint, or a program is not ready in time.
         ProgramDied: A process exited.
     """
+    if not config.connect and is_endpoint_taken(config.endpoint):
+        # Its world would get the robots before the server of this one fails.
+        raise LaunchFailed(
+            f"another program listens at {config.endpoint}; end it, with 'zensim down' if it is "
+            "'zensim up', or choose another endpoint, as --listen tcp/127.0.0.1:0"
+        )
     start_programs(config, supervisor)
     with ExitStack() as stack:
         bus = stack.enter_context(_open_bus(config, supervisor))
@@ -187,23 +236,47 @@ def launch(
 
 def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
     """Make the command line of the server; defaults are left out."""
-    factor = config.real_time_factor
+    at = ("--connect", config.connect) if config.connect else ("--listen", config.endpoint)
+    switches = {
+        "--strict": config.is_strict,
+        "--allow-missing": config.allow_missing,
+        "--lockstep": config.is_lockstep,
+        "--paused": config.is_paused,
+    }
     return (
-        *("serve", "--listen", config.endpoint, "--world", config.world),
-        *("--world-name", config.world_name),
-        *(("--rtf", str(factor)) if factor is not None else ()),
+        *("serve", *at, "--world", config.world, "--world-name", config.world_name, "--announce"),
         *(word for path in config.model_paths for word in ("--model-path", path)),
-        *(("--strict",) if config.is_strict else ()),
-        *(("--allow-missing",) if config.allow_missing else ()),
-        *(("--lockstep",) if config.is_lockstep else ()),
-        *(("--paused",) if config.is_paused else ()),
-        *(("--seed", str(config.seed)) if config.seed else ()),
-        *(("--engine", config.engine) if config.engine else ()),
-        *(("--clusters", config.clusters) if config.clusters != "auto" else ()),
-        *_engine_worker_arguments(config.engine_workers),
-        *(("--dynamics", config.dynamics) if config.dynamics != "full" else ()),
+        *(switch for switch, is_on in switches.items() if is_on),
+        *_make_value_arguments(config),
         *to_cli_arguments(config.ros),
     )
+
+
+def _make_value_arguments(config: LaunchConfig) -> tuple[str, ...]:
+    usual = _list_values(LaunchConfig(world=config.world, endpoint=config.endpoint))
+    return tuple(
+        word
+        for option, value in _list_values(config).items()
+        if value != usual[option]
+        for word in (option, str(value))
+    )
+
+
+def _list_values(config: LaunchConfig) -> dict[str, object]:
+    return {
+        "--rtf": config.real_time_factor,
+        "--engine": config.engine,
+        "--clusters": config.clusters,
+        "--engine-workers": config.engine_workers,
+        "--dynamics": config.dynamics,
+        "--seed": config.seed,
+        "--journal": config.journal,
+        "--step-hz": config.step_hz,
+        "--control-hz": config.control_hz,
+        "--lockstep-timeout": config.lockstep_timeout_s,
+        "--on-miss": config.on_miss,
+        "--wait": config.wait_s,
+    }
 
 
 def make_agent_starts(config: LaunchConfig) -> dict[str, AgentProcessConfig]:
@@ -222,7 +295,7 @@ def make_agent_starts(config: LaunchConfig) -> dict[str, AgentProcessConfig]:
         pool = msgspec.structs.replace(common, pool_limit=0)
         configs = {f"pool {number}": pool for number in range(config.agents.pools)}
     return {
-        name: AgentProcessConfig(endpoint=config.endpoint, config=one, is_quiet=True)
+        name: AgentProcessConfig(endpoint=config.client_endpoint, config=one, is_quiet=True)
         for name, one in configs.items()
     }
 
@@ -231,7 +304,10 @@ def make_sensor_starts(config: LaunchConfig) -> dict[str, SensorProcessConfig]:
     """Make the settings of the sensor processes, by program name."""
     return {
         f"sensor process {number}": SensorProcessConfig(
-            endpoint=config.endpoint, world=config.world_name, ros=config.ros, is_quiet=True
+            endpoint=config.client_endpoint,
+            world=config.world_name,
+            ros=config.ros,
+            is_quiet=True,
         )
         for number in range(1 if config.sensor_processes is None else config.sensor_processes)
     }
@@ -242,21 +318,40 @@ def choose_pool_count(robots: int, cores: int) -> int:
     return max(1, min(cores, -(-robots // ROBOTS_PER_POOL)))
 
 
-def _engine_worker_arguments(count: int | None) -> tuple[str, ...]:
-    return () if count is None else ("--engine-workers", str(count))
-
-
 def start_programs(config: LaunchConfig, supervisor: Supervisor) -> None:
-    """Start the server and the agents."""
-    supervisor.start("server", make_serve_arguments(config))
+    """Start the server and the agents, and wait until the server listens.
+
+    Raises:
+        LaunchFailed: The server does not listen in time.
+        ProgramDied: A process exited.
+    """
+    server = supervisor.start("server", make_serve_arguments(config))
     for name, start in make_agent_starts(config).items():
         words = ("agent", msgspec.json.encode(start).decode())
         supervisor.start(name, words, is_restarted=True, module=PREPARED_START_MODULE)
 
+    _await_announcement(server, supervisor)
+
+
+def _await_announcement(server: SupervisedProgram, supervisor: Supervisor) -> None:
+    """Wait for the line that the server prints when it listens; another may listen there."""
+    lines: SimpleQueue[bytes] = SimpleQueue()
+    stream = server.process.stdout if server.process is not None else None
+    if stream is None:
+        raise LaunchFailed("the server has no output")
+    threading.Thread(target=lambda: lines.put(stream.readline()), daemon=True).start()
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while time.monotonic() < deadline:
+        supervisor.watch()
+        with suppress(Empty):
+            if lines.get(timeout=POLL_S):
+                return
+    raise LaunchFailed(f"the server is not ready after {START_TIMEOUT_S:g} s")
+
 
 def _open_bus(config: LaunchConfig, supervisor: Supervisor) -> Bus:
     deadline = time.monotonic() + START_TIMEOUT_S
-    bus_config = BusConfig(connect=(config.endpoint,), open_timeout_s=0.2)
+    bus_config = BusConfig(connect=(config.client_endpoint,), open_timeout_s=0.2)
     while True:
         supervisor.watch()
         try:
@@ -285,7 +380,24 @@ def _wait_until_ready(
     if refused := [outcome for outcome in outcomes if outcome.code != ResultCode.OK]:
         raise LaunchFailed(f"{refused[0].name}: {refused[0].message}")
     viewer = _start_viewer(deployment) if config.has_viewer else None
-    missing = {ODOM.key(robot.name) for robot in config.placements}
+    if config.is_paused:
+        _wait_for_agents(deployment)
+    else:
+        _wait_for_odom(deployment, odom, progress)
+    odom.close()
+    deployment.ready_s = time.monotonic() - began_s
+    if viewer is not None:
+        deployment.viewer_url = _read_viewer_url(viewer)
+        # A restarted page has the same address.
+        port = int(deployment.viewer_url.rsplit(":", 1)[1])
+        viewer.arguments = _make_viewer_arguments(config, port)
+    _begin_measuring(deployment)
+
+
+def _wait_for_odom(
+    deployment: LocalDeployment, odom: BusSubscription, progress: LaunchProgress
+) -> None:
+    missing = {ODOM.key(robot.name) for robot in deployment.config.placements}
     deadline = time.monotonic() + START_TIMEOUT_S + 0.2 * len(missing)
     while missing:
         arrived = {sample.key for sample in odom.take()} & missing
@@ -293,11 +405,22 @@ def _wait_until_ready(
         for _ in arrived:
             progress.on_odom()
         _poll(deployment, deadline, f"{len(missing)} robots do not publish odom")
-    odom.close()
-    deployment.ready_s = time.monotonic() - began_s
-    if viewer is not None:
-        deployment.viewer_url = _read_viewer_url(viewer)
+
+
+def _wait_for_agents(deployment: LocalDeployment) -> None:
+    """Wait until each robot has an agent; while paused there is no odometry."""
+    robots = len(deployment.config.placements)
+    deadline = time.monotonic() + START_TIMEOUT_S + 0.2 * robots
+    while deployment.client.info().claimed < robots:
+        _poll(deployment, deadline, "robots have no agent")
+
+
+def _begin_measuring(deployment: LocalDeployment) -> None:
+    deployment.clock = deployment.bus.subscribe(CLOCK.key(deployment.config.world_name))
     deployment.ready_info, deployment.ready_at_s = deployment.client.info(), time.monotonic()
+    deployment.meter = SimTimeMeter(
+        round(deployment.ready_info.sim_time_s * NANOSECONDS), deployment.ready_info.epoch
+    )
 
 
 def _poll(deployment: LocalDeployment, deadline: float, failure: str) -> None:
@@ -308,13 +431,19 @@ def _poll(deployment: LocalDeployment, deadline: float, failure: str) -> None:
 
 
 def _start_viewer(deployment: LocalDeployment) -> SupervisedProgram:
-    config = deployment.config
     return deployment.supervisor.start(
         "viewer",
-        (
-            *("view", "--connect", config.endpoint, "--world-name", config.world_name),
-            *("--port", str(config.viewer_port), "--no-open"),
-        ),
+        _make_viewer_arguments(deployment.config, deployment.config.viewer_port),
+        is_restarted=True,
+        # The world goes on without its page.
+        is_essential=False,
+    )
+
+
+def _make_viewer_arguments(config: LaunchConfig, port: int) -> tuple[str, ...]:
+    return (
+        *("view", "--connect", config.client_endpoint, "--world-name", config.world_name),
+        *("--port", str(port), "--no-open"),
     )
 
 
@@ -340,7 +469,15 @@ def supervise(
     while not should_stop() and time.monotonic() < end:
         deployment.supervisor.watch()
         deployment.sensors.poll(time.monotonic())
+        _read_clock(deployment)
         time.sleep(POLL_S * 5)
+
+
+def _read_clock(deployment: LocalDeployment) -> None:
+    sample = deployment.clock.newest() if deployment.clock is not None else None
+    if sample is not None:
+        now = decode(WorldClock, sample.payload, sample.encoding)
+        deployment.meter.add(ns_from_time(now.clock), now.epoch)
 
 
 def summarize_run(deployment: LocalDeployment) -> dict[str, float | int]:
@@ -350,8 +487,9 @@ def summarize_run(deployment: LocalDeployment) -> dict[str, float | int]:
     except (NoServer, TimeoutError):
         last = deployment.ready_info
     wall_s = max(time.monotonic() - deployment.ready_at_s, 1e-9)
+    deployment.meter.add(round(last.sim_time_s * NANOSECONDS), last.epoch)
     return {
-        "real_time_factor": (last.sim_time_s - deployment.ready_info.sim_time_s) / wall_s,
+        "real_time_factor": deployment.meter.total_ns / NANOSECONDS / wall_s,
         "sim_time_s": last.sim_time_s,
         "wall_time_s": wall_s,
         "robots": last.entities,

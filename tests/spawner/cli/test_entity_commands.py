@@ -66,18 +66,18 @@ def test_list_does_not_wrap_long_names(two: Server) -> None:
         (
             ("--category", "rbot"),
             ExitCode.USAGE,
-            "zensim list: USAGE (2): ",
+            "zensim list: ",
         ),
-        (("--filter", "("), ExitCode.FAILED, "zensim list: OPERATION_FAILED (4): "),
+        (("--filter", "("), ExitCode.FAILED, "zensim list: "),
         (
             ("--world-name", "mars"),
             ExitCode.UNREACHABLE,
-            "zensim list: UNREACHABLE (4): ",
+            "zensim list: ",
         ),
         (
             ("-w", "--world-name", "mars"),
             ExitCode.UNREACHABLE,
-            "zensim list: UNREACHABLE (4): ",
+            "zensim list: ",
         ),
     ],
 )
@@ -90,7 +90,7 @@ def test_list_fails_with_one_line(
 def test_list_fails_when_nothing_listens() -> None:
     done = run(app, "list", "--connect", NOWHERE)
 
-    assert_failed(done, ExitCode.UNREACHABLE, "zensim list: UNREACHABLE (4): ")
+    assert_failed(done, ExitCode.UNREACHABLE, "zensim list: ")
 
 
 def test_watch_continues_after_a_restart_of_the_server() -> None:
@@ -123,7 +123,7 @@ def test_delete_removes_entities(two: Server) -> None:
 def test_delete_fails_for_an_unknown_entity(two: Server) -> None:
     done = run_at(two, app, "delete", "r9")
 
-    assert_failed(done, ExitCode.NOT_FOUND, "zensim delete: NOT_FOUND (2): ", "r9")
+    assert_failed(done, ExitCode.NOT_FOUND, "zensim delete: ", "r9")
     assert two.client.entities() == ("r1", "r2")
 
 
@@ -137,21 +137,21 @@ def test_delete_continues_after_a_failure(
     done = run_at(two, app, "delete", *names)
 
     assert done.status == status
-    assert done.err.count("zensim delete: NOT_FOUND (2): ") == done.err.count("\n") == failures
+    assert done.err.count("zensim delete: ") == done.err.count("\n") == failures
     assert ("r1" in two.client.entities()) == ("r1" not in names)
 
 
 def test_delete_removes_entities_that_match_a_pattern(two: Server) -> None:
-    done = run_at(two, app, "delete", "--pattern", "^r[13]$", "--json")
+    done = run_at(two, app, "delete", "--filter", "^r[13]$", "--json")
 
     assert done.json() == [{"name": "r1", "code": 1, "message": ""}]
     assert two.client.entities() == ("r2",)
 
 
 def test_delete_fails_when_nothing_matches(two: Server) -> None:
-    done = run_at(two, app, "delete", "--pattern", "x")
+    done = run_at(two, app, "delete", "--filter", "x")
 
-    assert_failed(done, ExitCode.NOT_FOUND, "zensim delete: NOT_FOUND (3): ")
+    assert_failed(done, ExitCode.NOT_FOUND, "zensim delete: ")
     assert two.client.entities() == ("r1", "r2")
 
 
@@ -163,14 +163,14 @@ def test_delete_all_succeeds_without_entities(two: Server) -> None:
 
 
 @pytest.mark.parametrize(
-    "arguments", [(), ("r1", "--all"), ("r1", "--pattern", "r"), ("--all", "--pattern", "r")]
+    "arguments", [(), ("r1", "--all"), ("r1", "--filter", "r"), ("--all", "--filter", "r")]
 )
 def test_delete_is_refused_without_exactly_one_selection(
     two: Server, arguments: tuple[str, ...]
 ) -> None:
     done = run_at(two, app, "delete", *arguments)
 
-    assert_failed(done, ExitCode.USAGE, "zensim delete: USAGE (2): ")
+    assert_failed(done, ExitCode.USAGE, "zensim delete: ")
     assert two.client.entities() == ("r1", "r2")
 
 
@@ -204,7 +204,7 @@ def test_inspect_prints_info_and_bounds_as_json(two: Server) -> None:
 def test_inspect_fails_for_an_unknown_entity(two: Server) -> None:
     done = run_at(two, app, "inspect", "r9")
 
-    assert_failed(done, ExitCode.NOT_FOUND, "zensim inspect: NOT_FOUND (2): ")
+    assert_failed(done, ExitCode.NOT_FOUND, "zensim inspect: ")
 
 
 @pytest.mark.parametrize("arguments", [("delete", "r1"), ("inspect", "r1")], ids=str)
@@ -213,4 +213,4 @@ def test_command_fails_when_no_server_has_the_world(
 ) -> None:
     done = run_at(server, app, *arguments, "--world-name", "mars")
 
-    assert_failed(done, ExitCode.UNREACHABLE, f"zensim {arguments[0]}: UNREACHABLE (4): ")
+    assert_failed(done, ExitCode.UNREACHABLE, f"zensim {arguments[0]}: ")

@@ -111,14 +111,14 @@ def test_spawn_refuses_a_taken_name_without_allow_renaming(server: Server) -> No
     refused = run_at(server, app, "spawn", "box_bot", "-n", "r1", "-x", "1")
     renamed = run_at(server, app, "spawn", "box_bot", "-n", "r1", "-x", "1", "--allow-renaming")
 
-    assert_failed(refused, ExitCode.FAILED, "zensim spawn: NAME_NOT_UNIQUE (101): ", "'r1'")
+    assert_failed(refused, ExitCode.FAILED, "zensim spawn: ", "'r1'")
     assert renamed.out.startswith("spawned r1_1 ")
 
 
 def test_spawn_uses_the_reference_frame(server: Server) -> None:
     run_at(server, app, "spawn", "box_bot", "-n", "r1", "-x", "5", "-Y", str(math.pi / 2.0))
 
-    done = run_at(server, app, "spawn", "box_bot", "-n", "r2", "-x", "1", "--reference-frame", "r1")
+    done = run_at(server, app, "spawn", "box_bot", "-n", "r2", "-x", "1", "--frame", "r1")
 
     assert done.status == ExitCode.OK
     position = find_position(server, "r2")
@@ -165,16 +165,16 @@ def test_spawn_refuses_invalid_arguments_before_connecting(
 def test_spawn_refuses_an_invalid_endpoint() -> None:
     done = run(app, "spawn", "box_bot", "--connect", "there")
 
-    assert_failed(done, ExitCode.USAGE, "zensim spawn: USAGE (2): ")
+    assert_failed(done, ExitCode.USAGE, "zensim spawn: ")
 
 
 @pytest.mark.parametrize(
     ("arguments", "status", "value"),
     [
         (("tank",), ExitCode.NOT_FOUND, "box_bot"),
-        (("box_bot", "-x", "nan"), ExitCode.FAILED, "INVALID_POSE (109): "),
-        (("box_bot", "-x", "1e9"), ExitCode.FAILED, "INVALID_POSE (109): "),
-        (("box_bot", "--reference-frame", "r7"), ExitCode.NOT_FOUND, "'r7'"),
+        (("box_bot", "-x", "nan"), ExitCode.FAILED, ""),
+        (("box_bot", "-x", "1e9"), ExitCode.FAILED, ""),
+        (("box_bot", "--frame", "r7"), ExitCode.NOT_FOUND, "'r7'"),
     ],
     ids=str,
 )
@@ -190,17 +190,17 @@ def test_spawn_prints_a_refusal_of_the_server(
 def test_spawn_fails_when_nothing_listens() -> None:
     done = run(app, "spawn", "box_bot", "--connect", NOWHERE, "--wait", "0.1")
 
-    assert_failed(done, ExitCode.UNREACHABLE, "zensim spawn: UNREACHABLE (4): ")
+    assert_failed(done, ExitCode.UNREACHABLE, "zensim spawn: ")
 
 
 def test_spawn_fails_when_no_server_has_the_world(server: Server) -> None:
     done = run_at(server, app, "spawn", "box_bot", "--world-name", "mars", "--wait", "0.1")
 
-    assert_failed(done, ExitCode.UNREACHABLE, "zensim spawn: UNREACHABLE (4): ")
+    assert_failed(done, ExitCode.UNREACHABLE, "zensim spawn: ")
 
 
 def test_fleet_places_robots_in_a_row(server: Server) -> None:
-    done = run_at(server, app, "fleet", "box_bot", "--count", "3", "--spacing", "2")
+    done = run_at(server, app, "fleet", "box_bot", "--robots", "3", "--spacing", "2")
 
     assert (done.status, done.out) == (ExitCode.OK, "spawned 3 of 3\n")
     assert server.client.entities() == ("box_bot0", "box_bot1", "box_bot2")
@@ -210,7 +210,17 @@ def test_fleet_places_robots_in_a_row(server: Server) -> None:
 
 def test_fleet_uses_the_given_prefix(server: Server) -> None:
     done = run_at(
-        server, app, "fleet", "box_bot", "-c", "4", "--prefix", "r", "--layout", "grid", "--json"
+        server,
+        app,
+        "fleet",
+        "box_bot",
+        "--robots",
+        "4",
+        "--prefix",
+        "r",
+        "--layout",
+        "grid",
+        "--json",
     )
 
     assert [(one["name"], one["code"]) for one in done.json()] == [(f"r{i}", 1) for i in range(4)]
@@ -220,10 +230,12 @@ def test_fleet_uses_the_given_prefix(server: Server) -> None:
 def test_fleet_is_atomic(server: Server) -> None:
     run_at(server, app, "spawn", "box_bot", "-n", "r1")
 
-    done = run_at(server, app, "fleet", "box_bot", "-c", "3", "--prefix", "r", "--spacing", "3")
+    done = run_at(
+        server, app, "fleet", "box_bot", "--robots", "3", "--prefix", "r", "--spacing", "3"
+    )
 
     assert (done.status, done.out) == (ExitCode.FAILED, "spawned 0 of 3\n")
-    assert done.err.startswith("zensim fleet: r1: NAME_NOT_UNIQUE (101): ")
+    assert done.err.startswith("zensim fleet: r1: ")
     assert done.err.count("\n") == 1
     assert server.client.entities() == ("r1",)
 
@@ -231,18 +243,18 @@ def test_fleet_is_atomic(server: Server) -> None:
 def test_partial_fleet_continues_after_a_refusal(server: Server) -> None:
     run_at(server, app, "spawn", "box_bot", "-n", "r1")
 
-    done = run_at(server, app, "fleet", "box_bot", "-c", "3", "--prefix", "r", "--partial")
+    done = run_at(server, app, "fleet", "box_bot", "--robots", "3", "--prefix", "r", "--partial")
 
     assert (done.status, done.out) == (ExitCode.PARTIAL, "spawned 2 of 3\n")
-    assert done.err.startswith("zensim fleet: r1: NAME_NOT_UNIQUE (101): ")
+    assert done.err.startswith("zensim fleet: r1: ")
     assert server.client.entities() == ("r1", "r0", "r2")
 
 
 def test_fleet_fails_when_all_are_refused(server: Server) -> None:
-    done = run_at(server, app, "fleet", "tank", "-c", "2")
+    done = run_at(server, app, "fleet", "tank", "--robots", "2")
 
     assert (done.status, done.out) == (ExitCode.FAILED, "spawned 0 of 2\n")
-    assert done.err.startswith("zensim fleet: tank0: NOT_FOUND (2): library.model: ")
+    assert done.err.startswith("zensim fleet: tank0: library.model: ")
 
 
 @pytest.mark.parametrize(

@@ -62,12 +62,12 @@ def test_set_angular_keeps_linear_velocity(two: Server) -> None:
         (
             ("get", "r9"),
             ExitCode.NOT_FOUND,
-            "zensim state get: NOT_FOUND (2): ",
+            "zensim state get: ",
         ),
-        (("get", "r1", "--frame", "r9"), ExitCode.NOT_FOUND, "zensim state get: NOT_FOUND (2): "),
-        (("set", "r9", "-x", "1"), ExitCode.NOT_FOUND, "zensim state set: NOT_FOUND (2): "),
-        (("set", "r1"), ExitCode.USAGE, "zensim state set: USAGE (2): "),
-        (("set", "r1", "-x", "nan"), ExitCode.FAILED, "zensim state set: INVALID_POSE (101): "),
+        (("get", "r1", "--frame", "r9"), ExitCode.NOT_FOUND, "zensim state get: "),
+        (("set", "r9", "-x", "1"), ExitCode.NOT_FOUND, "zensim state set: "),
+        (("set", "r1"), ExitCode.USAGE, "zensim state set: "),
+        (("set", "r1", "-x", "nan"), ExitCode.FAILED, "zensim state set: "),
     ],
 )
 def test_state_fails_with_one_line(

@@ -262,6 +262,18 @@ def test_only_commands_of_followed_robots_are_subscribed() -> None:
     assert not setup.bus.has_subscriber("r1/cmd_vel")
 
 
+def test_clicked_wall_without_a_namespace_has_no_commands() -> None:
+    setup = Setup()
+    models = make_models(r1=make_robot(), wall=make_wall())
+    wall = msgspec.structs.replace(models.entities[1], namespace="")
+    setup.server.models = msgspec.structs.replace(models, entities=(models.entities[0], wall))
+    setup.receive("r1", "wall")
+
+    assert setup.source.commands(frozenset({"wall"})) == {}
+
+    assert not setup.bus.has_subscriber("/cmd_vel")
+
+
 @pytest.mark.parametrize("is_stamped", [False, True])
 def test_last_command_is_returned_with_its_age(*, is_stamped: bool) -> None:
     setup = Setup()

@@ -40,7 +40,16 @@ DEFAULTS = LaunchConfig(
     has_viewer=False,
     viewer_port=0,
 )
-COMMON = ("serve", "--listen", "tcp/127.0.0.1:1", "--world", "w.world", "--world-name", "default")
+COMMON = (
+    "serve",
+    "--listen",
+    "tcp/127.0.0.1:1",
+    "--world",
+    "w.world",
+    "--world-name",
+    "default",
+    "--announce",
+)
 ROS = ("--ros-domain", "0")
 
 

@@ -1,0 +1,40 @@
+"""`zensim version`: versions of zensim, Python, and the libraries that it uses."""
+
+import platform
+import sys
+from importlib.metadata import PackageNotFoundError, version
+
+import typer
+
+from zensim.proto.cli_options import JsonOption, expand_options, make_app
+from zensim.proto.verbosity import CURRENT
+from zensim.spawner.cli.command_session import print_json
+
+app = make_app()
+
+PACKAGES = ("zensim", "eclipse-zenoh", "pybullet", "mujoco", "viser", "numpy")
+MISSING = "not installed"
+
+
+@app.command("version")
+@expand_options
+def print_versions(*, as_json: JsonOption = False) -> None:
+    """Print the versions of zensim, Python, and the libraries that zensim uses."""
+    versions = {name: find_version(name) for name in PACKAGES}
+    versions["python"] = platform.python_version()
+    versions["platform"] = f"{sys.platform} {platform.machine()}"
+    if as_json:
+        print_json(versions)
+    elif CURRENT.is_quiet:
+        typer.echo(versions["zensim"])
+    else:
+        for name, found in versions.items():
+            typer.echo(f"{name:<14} {found}")
+
+
+def find_version(package: str) -> str:
+    """Find the version of an installed package."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return MISSING

@@ -1,0 +1,65 @@
+"""How much a command prints besides its data: notes, logs, and failures as text or JSON."""
+
+import json
+import logging
+import sys
+from collections.abc import Mapping
+
+LOG = logging.getLogger("zensim")
+LOG_FORMAT = "%(levelname)s %(name)s %(message)s"
+
+
+class Verbosity:
+    """The choice of `--quiet`, `--verbose` and `--json` of the command that runs."""
+
+    is_quiet = False
+    is_verbose = False
+    is_json = False
+
+
+CURRENT = Verbosity()
+
+
+def set_verbosity(*, is_quiet: bool, is_verbose: bool, is_json: bool) -> None:
+    """Choose how much this process prints, from now on.
+
+    Raises:
+        ValueError: Quiet and verbose exclude each other.
+    """
+    CURRENT.is_quiet, CURRENT.is_verbose, CURRENT.is_json = is_quiet, False, is_json
+    if is_quiet and is_verbose:
+        raise ValueError("--quiet and --verbose exclude each other; give one of them")
+    CURRENT.is_verbose = is_verbose
+
+
+def configure_logging(usual_level: int = logging.WARNING) -> None:
+    """Log to standard error: at a program's usual level, or as `set_verbosity` says."""
+    level = usual_level
+    if CURRENT.is_quiet:
+        level = max(usual_level, logging.WARNING)
+    elif CURRENT.is_verbose:
+        level = min(usual_level, logging.INFO)
+    logging.basicConfig(format=LOG_FORMAT, stream=sys.stderr)
+    LOG.setLevel(level)
+
+
+def print_announcement(
+    command: str, text: str, facts: Mapping[str, object], *, as_json: bool
+) -> None:
+    """Print what a program does: a line on standard error, or facts on standard output."""
+    if as_json:
+        sys.stdout.write(json.dumps(facts) + "\n")
+        sys.stdout.flush()
+    elif not CURRENT.is_quiet:
+        sys.stderr.write(f"zensim {command}: {text}\n")
+
+
+def print_note(command: str, text: str) -> None:
+    """Print a note to standard error, unless the command is quiet."""
+    if not CURRENT.is_quiet:
+        sys.stderr.write(f"zensim {command}: note: {text}\n")
+
+
+def print_old_spelling(command: str, old: str, new: str) -> None:
+    """Print what an old spelling is called now."""
+    print_note(command, f"{old} is now {new}; the old spelling works until version 0.2")

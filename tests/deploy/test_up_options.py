@@ -1,0 +1,61 @@
+"""Every option of `zensim serve` is one of `zensim up`, and reaches its server."""
+
+import dataclasses
+from typing import get_args
+
+import pytest
+import typer
+
+from tests.zensim.api.test_local_deployment import DEFAULTS
+from zensim.api.local_deployment import LaunchConfig, make_serve_arguments
+from zensim.deploy.cli.up_commands import UpOptions, make_config
+from zensim.sim_server.cli import ServeOptions
+
+CHANGED: dict[str, object] = {
+    "world": "walls",
+    "model_path": ["models"],
+    "strict": True,
+    "allow_missing": True,
+    "paused": True,
+    "seed": 3,
+    "journal": "journal",
+    "listen": "tcp/127.0.0.1:5",
+    "connect": "tcp/127.0.0.1:6",
+    "wait": 3.0,
+    "world_name": "other",
+    "engine": "mujoco",
+    "rtf": 2.0,
+    "step_hz": 100.0,
+    "control_hz": 50.0,
+    "dynamics": "kinematic",
+    "clusters": "off",
+    "engine_workers": 1,
+    "lockstep": True,
+    "lockstep_timeout": 2.0,
+    "on_miss": "wait",
+    "ros_domain": "5",
+    "ros_distro": "humble",
+    "ros_bridge": True,
+}
+PRINTED_ONLY = {"as_json", "announce"}
+
+
+@pytest.mark.parametrize("field", dataclasses.fields(ServeOptions), ids=lambda field: field.name)
+def test_option_of_serve_reaches_the_server_of_up(field: "dataclasses.Field[object]") -> None:
+    if field.name in PRINTED_ONLY:
+        return
+    usual = make_serve_arguments(make_config(UpOptions(robots=0)))
+
+    given = UpOptions(robots=0, **{field.name: CHANGED[field.name]})  # type: ignore[arg-type]
+
+    assert make_serve_arguments(make_config(given)) != usual
+    assert isinstance(get_args(field.type)[1], typer.models.OptionInfo)
+
+
+def test_defaults_of_the_server_are_left_out() -> None:
+    assert isinstance(DEFAULTS, LaunchConfig)
+    words = make_serve_arguments(DEFAULTS)
+
+    assert [word for word in words if word.startswith("--")] == [
+        *("--listen", "--world", "--world-name", "--announce", "--ros-domain"),
+    ]
