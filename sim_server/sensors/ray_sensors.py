@@ -150,6 +150,9 @@ SCAN_WRITERS: dict[str, MakeScanWriter] = {
     POINTS.name: PointsWriter,
     POINT_CLOUD.name: PointCloudWriter,
 }
+RAYS_AT_ONCE = 1 << 16
+"""Rays that are measured before their messages are published: the first scan of a large fleet does
+not wait for the last one, and memory is bounded."""
 
 
 class RaySensorGroup:
@@ -178,7 +181,10 @@ class RaySensorGroup:
         self._scene = scene
         self._places = SensorPlaces(sensors, roster)
         self._topics = GroupTopics(sensors, topics)
-        self._noise: tuple[bytes, SensorNoise] | None = None
+        self._noise: dict[int, tuple[bytes, SensorNoise]] = {}
+        """Of blocks of rows, by their first row."""
+        rays = settings.horizontal.count * settings.vertical.count
+        self._block = max(1, RAYS_AT_ONCE // max(rays, 1))
         frames = [sensor.sensor.frame_id for sensor in sensors]
         compat = sensors[0].sensor.compat
         self._writers = {
@@ -192,18 +198,20 @@ class RaySensorGroup:
         wanted, rows_of = self._topics.find_all_wanted()
         if not len(wanted):
             return wanted
-        ranges = self._measure(moment, wanted)
-        for name, writer in self._writers.items():
-            rows = rows_of[name]
-            if len(rows):
-                found = ranges[np.searchsorted(wanted, rows)]
-                self._topics.put(name, rows, writer.write(rows, moment.time_ns, found))
+        poses = self._places.find_poses(moment.base, moment.joint_positions)
+        for start in range(0, len(wanted), self._block):
+            block = wanted[start : start + self._block]
+            ranges = self._measure(moment, block, poses[block])
+            for name, writer in self._writers.items():
+                rows = np.intersect1d(rows_of[name], block, assume_unique=True)
+                if len(rows):
+                    found = ranges[np.searchsorted(block, rows)]
+                    self._topics.put(name, rows, writer.write(rows, moment.time_ns, found))
         return wanted
 
-    def _measure(self, moment: SceneMoment, rows: IntArray) -> FloatArray:
-        """Measure ranges (m, vertical, horizontal)."""
+    def _measure(self, moment: SceneMoment, rows: IntArray, poses: FloatArray) -> FloatArray:
+        """Measure ranges (m, vertical, horizontal) of the sensors of some rows at poses (m, 7)."""
         settings = self._settings
-        poses = self._places.find_poses(moment.base, moment.joint_positions)[rows]
         caster = self._scene.find_caster(moment)
         exact = caster.cast(settings, poses, self._places.entities[rows])
         noisy = self._find_noise(rows).apply_to_ranges(
@@ -216,11 +224,11 @@ class RaySensorGroup:
 
     def _find_noise(self, rows: IntArray) -> SensorNoise:
         """Find the noise of some rows, which are mostly the same as the last time."""
-        key = rows.tobytes()
-        if self._noise is None or self._noise[0] != key:
+        first, key = int(rows[0]), rows.tobytes()
+        if first not in self._noise or self._noise[first][0] != key:
             chosen = [self.sensors[row] for row in rows.tolist()]
             seed = self._environment.seed
-            self._noise = (
+            self._noise[first] = (
                 key,
                 SensorNoise(
                     [self._settings.noise],
@@ -229,7 +237,7 @@ class RaySensorGroup:
                     chosen[0].sensor.compat,
                 ),
             )
-        return self._noise[1]
+        return self._noise[first][1]
 
 
 def _in_frames(template: msgspec.Struct, frames: Sequence[str]) -> list[msgspec.Struct]:

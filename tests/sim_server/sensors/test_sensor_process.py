@@ -24,6 +24,7 @@ from zensim.proto.messages.standard_messages import LaserScan, time_from_ns
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.stl import write_corners
 from zensim.proto.topic_catalog import SCENE_STATE, SENSOR_STATS, SENSORS_REPLY
+from zensim.sim_server.sensors import ray_sensors
 
 
 @pytest.fixture
@@ -147,6 +148,14 @@ def test_bytes_are_the_same_whoever_measures() -> None:
     assert record_noisy_scans("b", "a") == alone
     assert {len(payloads) for payloads in alone.values()} == {9}
     assert len({payload for payloads in alone.values() for payload in payloads}) == 45
+
+
+def test_bytes_are_the_same_in_blocks_of_any_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    together = record_noisy_scans("s1")
+
+    monkeypatch.setattr(ray_sensors, "RAYS_AT_ONCE", 1)
+
+    assert record_noisy_scans("s1") == together
 
 
 def test_bytes_are_the_same_for_a_single_listener() -> None:
