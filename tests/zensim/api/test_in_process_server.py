@@ -219,7 +219,7 @@ def test_a_world_in_process_loads_neither_network_nor_mesh_libraries() -> None:
         " & sys.modules.keys()))\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=600
     )
 
     assert done.stdout.split() == []

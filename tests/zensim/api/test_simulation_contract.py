@@ -1,0 +1,390 @@
+"""The contract of `Simulation`: the same cases for a world in process and for a server."""
+
+import inspect
+import math
+import pickle
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+import zensim
+
+NAN, INF = math.nan, math.inf
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[zensim.World]:
+    with zensim.World() as made:
+        yield made
+
+
+@pytest.fixture(params=["world", "server"])
+def simulation(request: pytest.FixtureRequest) -> zensim.Simulation:
+    """A paused, empty simulation of each kind."""
+    found: zensim.Simulation = request.getfixturevalue(request.param)
+    if isinstance(found, zensim.Sim):
+        found.pause()
+    found.reset()
+    return found
+
+
+@pytest.fixture
+def robot(simulation: zensim.Simulation) -> zensim.Robot:
+    return simulation.spawn("box_bot", name="r1")
+
+
+Case = tuple[str, Callable[[zensim.Simulation, zensim.Robot], object], type[zensim.Error]]
+
+
+def list_wrong_twists() -> Iterator[Case]:
+    for number in (NAN, INF, -INF):
+        for place in ("v", "w", "left"):
+            order = {place: number}
+            yield (
+                f"drive {place}={number}",
+                lambda _, robot, order=order: robot.drive(**order),
+                zensim.Invalid,
+            )
+
+
+def list_wrong_poses() -> Iterator[Case]:
+    for number in (NAN, INF, -INF):
+        for place in range(3):
+            row = [0.0, 0.0, 0.1]
+            row[place] = number
+            yield (
+                f"set_pose {place}={number}",
+                lambda _, robot, row=tuple(row): robot.set_pose(*row),
+                zensim.Invalid,
+            )
+
+
+def list_wrong_paths() -> Iterator[Case]:
+    for points in ((), (1.0, 2.0), ((1.0,),), ((1.0, 2.0, 3.0),), ((NAN, 0.0),), ((0.0, INF),)):
+        yield (
+            f"follow {points}",
+            lambda _, robot, points=points: robot.follow(points),
+            zensim.Invalid,
+        )
+    for speed in (0.0, -1.0, NAN, INF, 1e9):
+        yield (
+            f"follow speed={speed}",
+            lambda _, robot, speed=speed: robot.follow([(1.0, 0.0)], speed=speed),
+            zensim.Invalid,
+        )
+
+
+def list_wrong_times() -> Iterator[Case]:
+    for seconds in (NAN, -1.0, INF, 1e9):
+        yield (
+            f"run_for {seconds}",
+            lambda sim, _, seconds=seconds: sim.run_for(seconds),
+            zensim.Invalid,
+        )
+    for time in (NAN, -1.0, INF):
+        yield f"run_to {time}", lambda sim, _, time=time: sim.run_to(time), zensim.Invalid
+    for count in (0, -1, -(10**9)):
+        yield f"step {count}", lambda sim, _, count=count: sim.step(count), zensim.Invalid
+    for rate in (0.0, -1.0, 7.0, 1e9, NAN):
+        yield (
+            f"steps rate={rate}",
+            lambda sim, _, rate=rate: list(sim.steps(seconds=0.1, rate=rate)),
+            zensim.Invalid,
+        )
+
+
+def list_wrong_rays() -> Iterator[Case]:
+    rays = {
+        "shapes": ([(0, 0, 1)], [(0, 0)]),
+        "flat": ([0.0], [1.0]),
+        "not a number": ([(NAN, 0, 1)], [(1, 0, 0)]),
+        "infinite": ([(0, 0, 1)], [(INF, 0, 0)]),
+        "no rows": ([(0, 0, 1)] * 2, [(1, 0, 0)]),
+    }
+    for name, (origins, directions) in rays.items():
+        yield (
+            f"cast_rays {name}",
+            lambda sim, _, pair=(origins, directions): sim.cast_rays(*pair),
+            zensim.Invalid,
+        )
+
+
+def list_unknown_names() -> Iterator[Case]:
+    for name in ("r9", "", "R1", "r1 ", "r1/odom", "*", "é" * 40):
+        yield f"robots[{name!r}]", lambda sim, _, name=name: sim.robots[name], zensim.NotFound
+        yield f"entities[{name!r}]", lambda sim, _, name=name: sim.entities[name], zensim.NotFound
+        yield f"delete({name!r})", lambda sim, _, name=name: sim.delete(name), zensim.NotFound
+        yield f"topic({name!r})", lambda _, robot, name=name: robot.topic(name), zensim.NotFound
+    for model in ("no_such_robot.urdf", "./missing.sdf", "a/b/c.xacro"):
+        yield f"spawn {model}", lambda sim, _, model=model: sim.spawn(model), zensim.NotFound
+        yield f"check {model}", lambda sim, _, model=model: sim.check(model), zensim.NotFound
+
+
+def list_refused_spawns() -> Iterator[Case]:
+    for name in ("r1", "a b", "/x", "a//b", "x" * 500):
+        yield (
+            f"spawn name={name[:8]!r}",
+            lambda sim, _, name=name: sim.spawn("box_bot", name=name),
+            zensim.SpawnRefused,
+        )
+
+
+CASES = tuple(
+    case
+    for listed in (
+        list_wrong_twists,
+        list_wrong_poses,
+        list_wrong_paths,
+        list_wrong_times,
+        list_wrong_rays,
+        list_unknown_names,
+        list_refused_spawns,
+    )
+    for case in listed()
+)
+
+
+@pytest.mark.parametrize(("act", "kind"), [case[1:] for case in CASES], ids=[c[0] for c in CASES])
+def test_a_wrong_argument_raises_its_error_and_changes_nothing(
+    simulation: zensim.Simulation,
+    robot: zensim.Robot,
+    act: Callable[[zensim.Simulation, zensim.Robot], object],
+    kind: type[zensim.Error],
+) -> None:
+    before = simulation.state_hash()
+
+    with pytest.raises(kind) as raised:
+        act(simulation, robot)
+
+    error = raised.value
+    assert error.slug
+    assert error.message
+    assert pickle.loads(pickle.dumps(error)).slug == error.slug
+    assert simulation.state_hash() == before
+
+
+GONE: dict[str, Callable[[zensim.Robot], object]] = {
+    "pose": lambda robot: robot.pose,
+    "twist": lambda robot: robot.twist,
+    "namespace": lambda robot: robot.namespace,
+    "agent": lambda robot: robot.agent,
+    "odom": lambda robot: robot.odom,
+    "joints": lambda robot: robot.joints,
+    "sensors": lambda robot: robot.sensors,
+    "drive": lambda robot: robot.drive(0.1),
+    "stop": lambda robot: robot.stop(),
+    "follow": lambda robot: robot.follow([(1.0, 0.0)]),
+    "set_pose": lambda robot: robot.set_pose(0.0, 0.0),
+    "delete": lambda robot: robot.delete(),
+    "topic": lambda robot: robot.topic("odom"),
+}
+
+
+@pytest.mark.parametrize("act", GONE.values(), ids=GONE)
+def test_a_handle_of_a_deleted_robot_raises(
+    simulation: zensim.Simulation,
+    robot: zensim.Robot,
+    act: Callable[[zensim.Robot], object],
+) -> None:
+    simulation.delete("r1")
+
+    assert not robot.exists
+    with pytest.raises(zensim.NotFound):
+        act(robot)
+
+
+VALUES: dict[str, tuple[Callable[[zensim.Simulation], Any], type]] = {
+    "time": (lambda sim: sim.time, float),
+    "epoch": (lambda sim: sim.epoch, int),
+    "step_period": (lambda sim: sim.step_period, float),
+    "control_period": (lambda sim: sim.control_period, float),
+    "is_paused": (lambda sim: sim.is_paused, bool),
+    "seed": (lambda sim: sim.seed, int),
+    "state_hash": (lambda sim: sim.state_hash(), str),
+    "models": (lambda sim: sim.models(), tuple),
+    "worlds": (lambda sim: sim.worlds(), tuple),
+    "html": (lambda sim: sim._repr_html_(), str),
+}
+
+
+@pytest.mark.parametrize(("read", "kind"), VALUES.values(), ids=VALUES)
+def test_a_property_has_its_type(
+    simulation: zensim.Simulation, read: Callable[[zensim.Simulation], Any], kind: type
+) -> None:
+    assert isinstance(read(simulation), kind)
+
+
+def test_time_moves_only_by_steps(simulation: zensim.Simulation, robot: zensim.Robot) -> None:
+    assert robot.exists
+    assert simulation.is_paused
+
+    simulation.step(5)
+    simulation.run_for(0.5)
+    simulation.run_to(1.0)
+
+    assert simulation.time == pytest.approx(1.0, abs=simulation.step_period)
+
+
+def test_an_order_holds_until_stop(simulation: zensim.Simulation, robot: zensim.Robot) -> None:
+    robot.drive(0.3)
+    simulation.run_for(3.0)
+    driven = robot.pose.x
+    robot.stop()
+    simulation.run_for(1.0)
+
+    assert driven == pytest.approx(0.9, abs=0.06)
+    assert robot.twist.speed < 1e-3
+
+
+def test_a_fleet_has_rows_that_stay(simulation: zensim.Simulation) -> None:
+    fleet = simulation.spawn_fleet("box_bot", count=4)
+
+    fleet.drive(v=0.2, w=np.linspace(0.0, 0.3, 4))
+    simulation.run_for(1.0)
+    simulation.delete(fleet.names[1])
+
+    assert fleet.alive.tolist() == [True, False, True, True]
+    assert np.isnan(fleet.poses()[1]).all()
+    assert np.isfinite(fleet.poses()[[0, 2, 3]]).all()
+    with pytest.raises(ValueError, match="read-only"):
+        fleet.poses()[0] = 0.0
+
+
+@pytest.mark.parametrize("shape", [(3,), (5,), (4, 2), (2, 4)])
+def test_a_wrong_shape_of_a_fleet_is_invalid(
+    simulation: zensim.Simulation, shape: tuple[int, ...]
+) -> None:
+    fleet = simulation.spawn_fleet("box_bot", count=4)
+
+    with pytest.raises(zensim.Invalid):
+        fleet.drive(v=np.zeros(shape))
+
+
+def test_wait_until_returns_at_the_time_or_raises_with_it(
+    simulation: zensim.Simulation, robot: zensim.Robot
+) -> None:
+    robot.drive(0.3)
+
+    at = simulation.wait_until(lambda: robot.pose.x > 0.2, within=5.0)
+    with pytest.raises(zensim.Timeout):
+        simulation.wait_until(lambda: False, within=0.1)
+
+    assert 0.5 < at < 2.0
+
+
+def test_reset_deletes_what_was_spawned_and_starts_an_epoch(
+    simulation: zensim.Simulation, robot: zensim.Robot
+) -> None:
+    before = simulation.epoch
+    simulation.run_for(0.1)
+
+    simulation.reset()
+
+    assert (simulation.time, len(simulation.entities)) == (0.0, 0)
+    assert simulation.epoch > before
+    assert not robot.exists
+
+
+def test_odometry_is_that_of_the_last_step(
+    simulation: zensim.Simulation, robot: zensim.Robot
+) -> None:
+    robot.drive(0.3)
+    simulation.run_for(1.0)
+
+    assert robot.odom.twist.twist.linear.x == pytest.approx(0.3, abs=0.02)
+
+
+def test_callbacks_run_while_the_caller_steps(
+    simulation: zensim.Simulation, robot: zensim.Robot
+) -> None:
+    stamps = []
+    callback = robot.topic("odom").on(lambda message: stamps.append(message.header.stamp))
+
+    simulation.run_for(0.5)
+    callback.cancel()
+    count = len(stamps)
+    simulation.run_for(0.5)
+
+    assert count >= 5
+    assert len(stamps) == count
+
+
+def test_check_spawns_nothing(simulation: zensim.Simulation) -> None:
+    report = simulation.check("box_bot")
+
+    assert report.drive == "differential"
+    assert len(simulation.entities) == 0
+
+
+def test_another_world_is_loaded_and_stays_paused(simulation: zensim.Simulation) -> None:
+    simulation.load("walls")
+    loaded = len(simulation.entities)
+    simulation.load("empty")
+
+    assert loaded > 1
+    assert simulation.is_paused
+
+
+def test_a_ray_hits_a_robot(simulation: zensim.Simulation) -> None:
+    simulation.spawn("box_bot", name="r1", x=2.0)
+
+    ranges, names = simulation.cast_rays(
+        [(0.0, 0.0, 0.1), (0.0, 0.0, 0.1)], [(1, 0, 0), (-1, 0, 0)]
+    )
+
+    assert 1.0 < ranges[0] < 2.0
+    assert ranges[1] == INF
+    assert names[0] == "r1"
+
+
+def run_formation(sim: zensim.Simulation, seconds: float) -> str:
+    """Drive three robots in a formation: each order depends on the state before."""
+    sim.reset()
+    offsets = np.array([[0.0, 0.0], [-1.0, 1.0], [-1.0, -1.0]])
+    fleet = sim.spawn_fleet("box_bot", poses=offsets)
+    for now in sim.steps(seconds=seconds, rate=20):
+        x, y, yaw = fleet.poses2d().T
+        dx, dy = x[0] + offsets[:, 0] - x, y[0] + offsets[:, 1] - y
+        fleet.drive(v=np.hypot(dx, dy).clip(0, 0.5), w=2 * np.sin(np.arctan2(dy, dx) - yaw))
+        fleet[0].drive(0.2, 0.1 * np.sin(now))
+    return sim.state_hash()
+
+
+def test_a_world_in_process_equals_a_server_in_lockstep_after_1000_steps() -> None:
+    steps = 1000
+    with zensim.World(seed=1) as world:
+        here = [run_formation(world, steps * world.step_period) for _ in range(2)]
+    with zensim.launch(seed=1, engine="mujoco") as sim:
+        there = run_formation(sim, steps * sim.step_period)
+
+    assert {*here, there} == {there}
+
+
+@pytest.mark.parametrize("kind", [zensim.World, zensim.Sim])
+def test_every_method_of_a_simulation_has_a_docstring(kind: type[zensim.Simulation]) -> None:
+    public = [
+        member
+        for name, member in inspect.getmembers(kind)
+        if not name.startswith("_") and (inspect.isfunction(member) or isinstance(member, property))
+    ]
+
+    assert len(public) > 25
+    assert all(inspect.getdoc(member) for member in public)
+
+
+def test_a_world_in_process_does_not_run_by_itself(world: zensim.World) -> None:
+    with pytest.raises(zensim.Unsupported):
+        world.play()
+
+
+def test_a_closed_world_refuses() -> None:
+    world = zensim.World()
+    robot = world.spawn("box_bot", name="r1")
+    world.close()
+    world.close()
+
+    for act in (lambda: world.time, lambda: robot.pose, world.step, world.state_hash):
+        with pytest.raises(zensim.Closed):
+            act()

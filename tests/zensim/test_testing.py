@@ -1,0 +1,93 @@
+"""The plug-in of pytest, in runs of pytest of their own."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PASSING = """
+import pytest
+from zensim.testing import expect
+
+@pytest.mark.zensim(world="walls", seed=3, record="on-failure")
+def test_reaches_its_goal(zensim_world):
+    robot = zensim_world.spawn("box_bot")
+    robot.follow([(0.5, 0.0)], speed=0.3)
+    expect(robot).to_reach((0.5, 0.0), within=5.0)
+    expect(robot).to_stop()
+    assert zensim_world.seed == 3
+    assert len(zensim_world.entities) > 1
+"""
+FAILING = """
+from zensim.testing import expect
+
+def test_is_too_far(zensim_world):
+    robot = zensim_world.spawn("box_bot", name="r1")
+    expect(robot).to_reach((9.0, 0.0), within=0.5)
+"""
+UNKNOWN = """
+import pytest
+
+@pytest.mark.zensim(wrld="walls")
+def test_nothing(zensim_world):
+    pass
+"""
+
+
+def run_pytest(folder: Path, text: str) -> subprocess.CompletedProcess[str]:
+    (folder / "test_case.py").write_text(text)
+    command = [sys.executable, "-m", "pytest", "-p", "zensim.testing", "-p", "no:cacheprovider"]
+    return subprocess.run(
+        [*command, "-q", "--rootdir", str(folder), "--junitxml=out.xml", "test_case.py"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
+    )
+
+
+def test_a_passed_test_leaves_no_files(tmp_path: Path) -> None:
+    done = run_pytest(tmp_path, PASSING)
+
+    assert done.returncode == 0, done.stdout
+    assert not (tmp_path / "test-results").exists()
+
+
+def test_a_failed_test_leaves_report_and_events_and_names_them(tmp_path: Path) -> None:
+    done = run_pytest(tmp_path, FAILING)
+
+    folder = tmp_path / "test-results" / "test_case.py-test_is_too_far"
+    report = json.loads((folder / "report.json").read_text())
+    events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
+    assert done.returncode == 1, done.stdout
+    assert report["entities"][0]["name"] == "r1"
+    assert report["time"] == pytest.approx(0.5, abs=0.02)
+    assert "distance" in report["message"]
+    assert "spawned" in {one["kind"] for one in events}
+    assert "report.json" in (tmp_path / "out.xml").read_text()
+
+
+def test_an_unknown_option_of_the_marker_is_an_error(tmp_path: Path) -> None:
+    done = run_pytest(tmp_path, UNKNOWN)
+
+    assert done.returncode == 1
+    assert "wrld" in done.stdout
+
+
+def test_the_plugin_imports_pytest_only() -> None:
+    program = (
+        "import sys, pytest\nbefore = set(sys.modules)\nimport zensim.testing\n"
+        "print(*sorted(one for one in set(sys.modules) - before))\n"
+    )
+
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=600
+    )
+
+    own = ("zensim", "pytest")
+    standard = sys.stdlib_module_names
+    loaded = {name.partition(".")[0] for name in done.stdout.split()}
+    assert {one for one in loaded if one not in own and one not in standard} == set()

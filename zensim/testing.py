@@ -1,0 +1,145 @@
+"""Plug-in of pytest: fixtures with a simulation, `expect`, and files about failed tests.
+
+It is loaded by its entry point. Only a test that uses a fixture loads the simulation.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, overload
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Iterator
+
+    from zensim.api.expectations import RobotExpectation, TopicExpectation
+    from zensim.api.robot import EntityHandle
+    from zensim.api.sim import Sim
+    from zensim.api.simulation import Simulation
+    from zensim.api.topic import Topic
+
+RESULTS_FOLDER = "test-results"
+OPTIONS = frozenset({"world", "seed", "engine", "record", "step_hz", "control_hz"})
+WORLD_OPTIONS = ("world", "seed", "engine", "step_hz", "control_hz")
+MAX_FOLDER_NAME = 120
+PHASE_KEY = pytest.StashKey[dict[str, pytest.TestReport]]()
+_current: list[Simulation] = []
+"""The simulations of the running test, the newest last."""
+
+
+@overload
+def expect(subject: EntityHandle, sim: Simulation | None = None) -> RobotExpectation: ...
+@overload
+def expect(subject: Topic[Any], sim: Simulation | None = None) -> TopicExpectation: ...
+def expect(
+    subject: EntityHandle | Topic[Any], sim: Simulation | None = None
+) -> RobotExpectation | TopicExpectation:
+    """Expect something of a robot or a topic; the methods step the simulation until it holds.
+
+    Args:
+        subject: A robot, or a topic.
+        sim: Its simulation; that of the test's fixture if it is not given.
+
+    Returns:
+        `RobotExpectation` or `TopicExpectation`.
+
+    Raises:
+        RuntimeError: There is no simulation to step.
+        TypeError: The subject is neither robot nor topic.
+    """
+    from zensim.api.expectations import RobotExpectation, TopicExpectation
+    from zensim.api.robot import EntityHandle
+    from zensim.api.topic import Topic
+
+    if sim is None and not _current:
+        raise RuntimeError("no simulation to step; use a fixture of zensim, or give sim=")
+    simulation = sim or _current[-1]
+    if isinstance(subject, EntityHandle):
+        return RobotExpectation(simulation, subject)
+    if isinstance(subject, Topic):
+        return TopicExpectation(simulation, subject)
+    raise TypeError(f"expect takes a robot or a topic, not {type(subject).__name__}")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Declare the marker."""
+    config.addinivalue_line(
+        "markers",
+        "zensim(world, seed, engine, step_hz, control_hz, record): the simulation of a test",
+    )
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Keep the report of each phase for the fixtures."""
+    del call
+    report = yield
+    item.stash.setdefault(PHASE_KEY, {})[report.when or ""] = report
+    return report
+
+
+@pytest.fixture
+def zensim_world(request: pytest.FixtureRequest) -> Iterator[Simulation]:
+    """A paused world in this process, of this test only."""
+    from zensim.api.in_process_world import World
+
+    options = read_marker(request.node)
+    with World(**{key: options[key] for key in WORLD_OPTIONS if key in options}) as world:
+        yield from _watch(request.node, world)
+
+
+@pytest.fixture(scope="session")
+def zensim_server() -> Iterator[Sim]:
+    """A paused server of this session with a pool, on a free port, without ROS 2."""
+    from zensim.api.connections import launch
+
+    with launch() as sim:
+        yield sim
+
+
+@pytest.fixture
+def zensim_sim(request: pytest.FixtureRequest, zensim_server: Sim) -> Iterator[Simulation]:
+    """The server of this session, paused and reset, in the world of this test."""
+    options = read_marker(request.node)
+    zensim_server.pause()
+    zensim_server.load(options.get("world", "empty"))
+    yield from _watch(request.node, zensim_server)
+    zensim_server.pause()
+    zensim_server.reset()
+
+
+def read_marker(node: pytest.Item) -> dict[str, Any]:
+    """Return the options of the marker `zensim`.
+
+    Raises:
+        ValueError: An option is unknown.
+    """
+    marker = node.get_closest_marker("zensim")
+    options = dict(marker.kwargs) if marker else {}
+    if unknown := options.keys() - OPTIONS:
+        raise ValueError(f"mark zensim has no option {sorted(unknown)}; use {sorted(OPTIONS)}")
+    return options
+
+
+def _watch(node: pytest.Item, sim: Simulation) -> Iterator[Simulation]:
+    """Lend a simulation to a test; write files if it fails."""
+    from zensim.api.run_artefacts import RunArtefacts
+
+    artefacts = RunArtefacts(sim)
+    _current.append(sim)
+    yield sim
+    _current.remove(sim)
+    report = node.stash.get(PHASE_KEY, {}).get("call")
+    if report is not None and report.failed:
+        folder = Path(node.config.rootpath) / RESULTS_FOLDER / _name_folder(node.nodeid)
+        paths = artefacts.write(folder, test=node.nodeid, message=report.longreprtext[-4000:])
+        for path in paths:
+            node.user_properties.append((path.stem, str(path)))
+
+
+def _name_folder(test: str) -> str:
+    return re.sub(r"[^\w.=-]+", "-", test).strip("-")[-MAX_FOLDER_NAME:]
