@@ -28,6 +28,7 @@ NAMES = (
     "fleet_physics",
     "pools",
     "api",
+    "world",
     "sensors",
     "casting",
     "state_sensors",

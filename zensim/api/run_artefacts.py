@@ -44,7 +44,7 @@ class RunArtefacts:
 
     def __init__(self, sim: Simulation) -> None:
         self._sim = sim
-        self._events: "Topic[Event]" = sim.topic(f"sim/{sim.info.world}/events", Event)
+        self._events: Topic[Event] = sim.topic(f"sim/{sim.info.world}/events", Event)
         self._events.collect()
 
     def write(self, folder: Path, *, test: str, message: str) -> tuple[Path, ...]:

@@ -122,13 +122,14 @@ def list_unknown_names() -> Iterator[Case]:
         yield f"check {model}", lambda sim, _, model=model: sim.check(model), zensim.NotFound
 
 
-def list_refused_spawns() -> Iterator[Case]:
-    for name in ("r1", "a b", "/x", "a//b", "x" * 500):
+def list_wrong_new_names() -> Iterator[Case]:
+    for name in ("a b", "/x", "a//b", "x" * 500, "9", "é"):
         yield (
             f"spawn name={name[:8]!r}",
             lambda sim, _, name=name: sim.spawn("box_bot", name=name),
-            zensim.SpawnRefused,
+            zensim.Invalid,
         )
+    yield "spawn taken", lambda sim, _: sim.spawn("box_bot", name="r1"), zensim.SpawnRefused
 
 
 CASES = tuple(
@@ -140,7 +141,7 @@ CASES = tuple(
         list_wrong_times,
         list_wrong_rays,
         list_unknown_names,
-        list_refused_spawns,
+        list_wrong_new_names,
     )
     for case in listed()
 )
@@ -314,7 +315,7 @@ def test_callbacks_run_while_the_caller_steps(
 def test_check_spawns_nothing(simulation: zensim.Simulation) -> None:
     report = simulation.check("box_bot")
 
-    assert report.drive == "differential"
+    assert report.drive == "diff_drive"
     assert len(simulation.entities) == 0
 
 

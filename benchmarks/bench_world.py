@@ -1,0 +1,120 @@
+"""Worlds in process
+
+`zensim.World` with MuJoCo and box_bot, 240 Hz, a control step each 3 steps. CPU time.
+"Engine alone" makes the same steps in the same run without drives, odometry and services, as the
+floor. A further world is made, gets its robots and makes one control step after another was made.
+"""
+
+import gc
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import zensim
+from benchmarks.figures import Figure, Limit, table
+from zensim.api.in_process_server import InProcessServer
+from zensim.api.in_process_world import InProcessAccess
+from zensim.api.simulation import Simulation
+from zensim.sim_server.physics.engine_config import EngineOptions
+from zensim.sim_server.server_config import ServerConfig
+
+__all__ = ["rows", "table"]
+
+COLD = """
+import time, sys, zensim
+zensim.World().spawn("box_bot")
+print(time.process_time(), len({"zenoh", "scipy", "trimesh"} & sys.modules.keys()))
+"""
+MOST_MS = {1: 0.25, 10: 0.6, 100: 4.0}
+"""Control step, by number of robots."""
+PAGE_KIB = 4.0
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Measure the cold start, further worlds and control steps."""
+    cold = [_run_cold() for _ in range(1 if is_short else 5)]
+    yield _figure("import zensim; World().spawn, cold", "s", 0.9, [spent for spent, _ in cold])
+    yield Figure(
+        what="of zenoh, scipy and trimesh, loaded by it",
+        unit="",
+        samples=tuple(count for _, count in cold),
+        limit=Limit("max", "<=", 0.0),
+    )
+    yield from _further_worlds(3 if is_short else 40)
+    for robots, most in MOST_MS.items():
+        yield from _control_steps(robots, most, 20 if is_short else 200)
+
+
+def _figure(what: str, unit: str, most: float, samples: list[float]) -> Figure:
+    limit = Limit("median", "<=", most, is_timed=True)
+    return Figure(what=what, unit=unit, samples=tuple(samples), limit=limit)
+
+
+def _run_cold() -> tuple[float, float]:
+    done = subprocess.run(
+        [sys.executable, "-c", COLD], capture_output=True, text=True, check=True, timeout=300
+    )
+    spent, loaded = done.stdout.split()
+    return float(spent), float(loaded)
+
+
+def _further_worlds(count: int) -> Iterator[Figure]:
+    first = _make_world(10)
+    gc.collect()
+    worlds, spent, before = [], [], _read_resident_kib()
+    for _ in range(count):
+        began = time.process_time()
+        worlds.append(_make_world(10))
+        worlds[-1].step(3)
+        spent.append(1e3 * (time.process_time() - began))
+    used = (_read_resident_kib() - before) / count / 1024.0
+    yield _figure("a further world of 10 robots", "ms", 10.0, spent)
+    yield _figure("memory of a further world of 10 robots", "MiB", 1.5, [used])
+    for world in (first, *worlds):
+        world.close()
+
+
+def _make_world(robots: int) -> zensim.World:
+    world = zensim.World()
+    world.spawn_fleet("box_bot", count=robots)
+    return world
+
+
+def _read_resident_kib() -> float:
+    return PAGE_KIB * int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+
+
+def _control_steps(robots: int, most: float, count: int) -> Iterator[Figure]:
+    with zensim.World() as world:
+        fleet = world.spawn_fleet("box_bot", count=robots)
+        fleet.drive(0.3, 0.4)
+        world.run_for(1.0)
+        whole = _time(lambda: world.step(3 * count), count)
+    yield _figure(f"control step, {robots} robots", "ms", most, whole)
+    alone = _time_engine(robots, count)
+    yield Figure(what=f"engine alone, {robots} robots", unit="ms", samples=tuple(alone))
+
+
+def _time_engine(robots: int, count: int) -> list[float]:
+    """Find the CPU time of the engine's part of a control step [ms]."""
+    config = ServerConfig(is_paused=True, physics=EngineOptions(engine="mujoco", workers=0))
+    server = InProcessServer(config)
+    simulation = Simulation(InProcessAccess(server))
+    simulation.spawn_fleet("box_bot", count=robots).drive(0.3, 0.4)
+    simulation.run_for(1.0)
+    engine = server.world.engine
+    spent = _time(lambda: [engine.step() for _ in range(3 * count)], count)
+    simulation.close()
+    return spent
+
+
+def _time(call: Callable[[], object], count: int) -> list[float]:
+    """Find the CPU time of a part of a call [ms], five times."""
+    samples = []
+    for _ in range(5):
+        began = time.process_time()
+        call()
+        samples.append(1e3 * (time.process_time() - began) / count)
+    return samples
