@@ -10,7 +10,7 @@ import zensim
 @pytest.fixture(scope="module")
 def server() -> Iterator[zensim.Sim]:
     """A paused server with one pool."""
-    with zensim.launch() as sim:
+    with zensim.launch(timeout_s=120.0) as sim:
         yield sim
 
 

@@ -357,7 +357,7 @@ def test_a_world_in_process_equals_a_server_in_lockstep_after_1000_steps() -> No
     steps = 1000
     with zensim.World(seed=1) as world:
         here = [run_formation(world, steps * world.step_period) for _ in range(2)]
-    with zensim.launch(seed=1, engine="mujoco") as sim:
+    with zensim.launch(seed=1, engine="mujoco", timeout_s=120.0) as sim:
         there = run_formation(sim, steps * sim.step_period)
 
     assert {*here, there} == {there}
