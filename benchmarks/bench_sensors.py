@@ -233,6 +233,8 @@ class UpTrial:
     ready_s: float
     spent: Spent
     rates_hz: tuple[float, ...]
+    transform_waits_ms: tuple[float, ...]
+    """Of scans, for a transform at or after their stamp."""
     resumed_s: float
     """From the end of the sensor process until there were scans again."""
 
@@ -265,6 +267,12 @@ def _up_figures(
         yield Figure(what=f"{name}CPU, {group}", unit="cores", samples=tuple(cores))
     yield Figure(what=f"{name}scans received", unit="Hz", samples=trial.rates_hz)
     yield Figure(
+        what=f"{name}wait of a scan for tf at or after its stamp",
+        unit="ms",
+        samples=trial.transform_waits_ms,
+        limit=Limit("p99", "<=", 50.0) if is_few else None,
+    )
+    yield Figure(
         what=f"{name}scans again after kill -9 of the sensor process",
         unit="s",
         samples=(trial.resumed_s,),
@@ -284,8 +292,10 @@ def _try_up(robots: int, options: tuple[str, ...], seconds: float) -> UpTrial:
             _wait_until_heard(found, robots)
             pids = find_programs(process)
             _spend(bus, SimClient(bus), pids, seconds, spent)
-            rates_hz = _scan_rates(found.tallies())
-            return UpTrial(ready_s, spent, rates_hz, _kill_sensors(bus, pids["sensors"]))
+            tallies = list(found.tallies())
+            resumed_s = _kill_sensors(bus, pids["sensors"])
+    waits_ms = _transform_waits(tallies)
+    return UpTrial(ready_s, spent, _scan_rates(tallies), waits_ms, resumed_s)
 
 
 def _kill_sensors(bus: Bus, pids: Sequence[int]) -> float:
@@ -409,6 +419,11 @@ def _scan_rates(tallies: Sequence[ScanTally]) -> tuple[float, ...]:
         (after.scans - before.scans) / (after.wall_s - before.wall_s)
         for before, after in pairwise(tallies)
     ) or (0.0,)
+
+
+def _transform_waits(tallies: Sequence[ScanTally]) -> tuple[float, ...]:
+    """List the waits [ms], without those of the first second, in which subscriptions begin."""
+    return tuple(wait for one in tallies[1:] for wait in one.transform_waits_ms) or (0.0,)
 
 
 def _scan_volumes(tallies: Sequence[ScanTally]) -> tuple[float, ...]:

@@ -19,6 +19,7 @@ from zensim.proto.messages.standard_messages import (
     CameraInfo,
     Clock,
     CompressedImage,
+    Empty,
     FluidPressure,
     Image,
     Imu,
@@ -26,6 +27,7 @@ from zensim.proto.messages.standard_messages import (
     LaserScan,
     MagneticField,
     NavSatFix,
+    OccupancyGrid,
     Odometry,
     PointCloud,
     PointCloud2,
@@ -186,6 +188,16 @@ STEPS_PROGRESS = TopicSpec(
     is_gettable=False,
     description="progress of each `simulate_steps` goal",
 )
+MAP = TopicSpec(
+    name="map",
+    scope=TopicScope.WORLD,
+    messages=(OccupancyGrid,),
+    publisher=Participant.SERVER,
+    format=Format.MSGPACK,
+    qos=LATCHED,
+    root_message=OccupancyGrid,
+    description="what is fixed in the world, as a map for Nav2",
+)
 CONTACTS = TopicSpec(
     name="contacts",
     scope=TopicScope.WORLD,
@@ -300,7 +312,7 @@ JOINT_STATES = TopicSpec(
     messages=(JointState,),
     publisher=Participant.AGENT,
     rate_hz=30.0,
-    description="positions and velocities of joints",
+    description="positions, velocities and efforts of joints",
 )
 IMU = TopicSpec(
     name="imu",
@@ -405,6 +417,15 @@ IMAGE_RAW = TopicSpec(
     publisher=Participant.SENSORS,
     qos=RELIABLE_5,
     description="colours of a camera",
+)
+IMAGE_TRIGGER = TopicSpec(
+    name="image_trigger",
+    scope=TopicScope.ROBOT,
+    messages=(Empty,),
+    publisher=Participant.USER,
+    subscriber=Participant.SENSORS,
+    is_gettable=False,
+    description="request for an image of a triggered camera",
 )
 IMAGE_COMPRESSED = TopicSpec(
     name="image_compressed",

@@ -65,6 +65,8 @@ class RobotState(msgspec.Struct, frozen=True, gc=False):
     positions: tuple[float, ...]
     """Of all joints, in the order of `Model.joints`."""
     velocities: tuple[float, ...]
+    efforts: tuple[float, ...] = ()
+    """Likewise; empty if the server does not report them."""
 
 
 class DriveStateLayout:
@@ -89,6 +91,7 @@ class DriveStateLayout:
             base = self._base.unpack(state.base)
             positions = self._all_joints.unpack(state.joint_positions)
             velocities = self._all_joints.unpack(state.joint_velocities)
+            efforts = self._all_joints.unpack(state.joint_efforts) if state.joint_efforts else ()
         except struct.error as error:
             raise MalformedPayload(f"drive state does not fit its claims: {error}") from error
         return [
@@ -97,6 +100,7 @@ class DriveStateLayout:
                 base[row * STATE_COLUMNS : (row + 1) * STATE_COLUMNS],
                 positions[joints],
                 velocities[joints],
+                efforts[joints],
             )
             for row, joints in enumerate(self._joints)
         ]

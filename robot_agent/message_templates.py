@@ -68,12 +68,13 @@ def list_tf_stamps(count: int) -> tuple[str, ...]:
 
 
 def list_joint_paths(count: int) -> tuple[str, ...]:
-    """List the paths of the numbers of `count` joints: positions, then velocities."""
-    return tuple(f"{array}[{item}]" for array in ("position", "velocity") for item in range(count))
+    """List the paths of the numbers of `count` joints: positions, velocities, then efforts."""
+    arrays = ("position", "velocity", "effort")
+    return tuple(f"{array}[{item}]" for array in arrays for item in range(count))
 
 
 def make_joint_states_template(model: Model, joints: Sequence[int]) -> JointState:
     """Make the joint states of joints at 0."""
     zeros = (0.0,) * len(joints)
     names = tuple(model.joints[joint].name for joint in joints)
-    return JointState(Header(), names, zeros, zeros)
+    return JointState(Header(), names, zeros, zeros, zeros)

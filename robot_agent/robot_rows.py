@@ -56,9 +56,11 @@ class StateRows:
     """Of all joints [rad or m], (n, joints)."""
     velocities: FloatArray
     """[rad/s or m/s]."""
+    efforts: FloatArray | None = None
+    """[N m or N]; None if the server does not report them."""
 
     def remap(self, before: IntArray) -> "StateRows":
-        """Rearrange the rows; new ones are NaN. See `remap_floats`."""
+        """Rearrange the rows, without efforts; new ones are NaN. See `remap_floats`."""
         columns = (self.base, self.positions, self.velocities)
         return StateRows(self.time_ns, *(remap_floats(one, before, np.nan) for one in columns))
 

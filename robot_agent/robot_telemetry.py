@@ -1,5 +1,6 @@
 """Topics of one robot: odometry, tf, tf_static, joint states and robot_description."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import TypeAlias
@@ -233,6 +234,8 @@ class JointTelemetry:
         self._state: RobotState | None = None
         self._limiter = RateLimiter(settings.update_rate_hz)
         self._joints = list_published_joints(claim.model)
+        self.wants_efforts = False
+        """Whether there was a subscriber when the last message was due."""
         self.publishers: list[LazyTopicPublisher] = []
         if key := find_topic_keys(claim, factory.settings).joint_states:
             value = self._make_joint_states(claim.model)
@@ -244,11 +247,13 @@ class JointTelemetry:
         self._limiter.reset()
 
     def publish(self, state: RobotState) -> None:
-        """Publish positions and velocities if they are due."""
+        """Publish positions, velocities and efforts if they are due."""
         if self._limiter.elapsed_s(state.time_ns) is None:
             return
         self._state = state
-        for publisher in self.publishers:
+        wanted = [publisher for publisher in self.publishers if publisher.is_matched]
+        self.wants_efforts = bool(wanted)
+        for publisher in wanted:
             publisher.publish()
 
     def _make_joint_states(self, model: Model) -> MakePayload:
@@ -264,7 +269,8 @@ class JointTelemetry:
             return None
         positions = [state.positions[index] for index in self._joints]
         velocities = [state.velocities[index] for index in self._joints]
-        return template.payload(state.time_ns, positions + velocities)
+        efforts = [state.efforts[index] if state.efforts else math.nan for index in self._joints]
+        return template.payload(state.time_ns, positions + velocities + efforts)
 
 
 def make_static_publishers(factory: TopicFactory, claim: Claim) -> list[LazyTopicPublisher]:

@@ -187,6 +187,11 @@ class DrivenRobot:
         """Targets of `Model.actuators`, as of the last state."""
         return self._base.targets
 
+    @property
+    def wants_efforts(self) -> bool:
+        """Whether the joint states have a subscriber."""
+        return self._joints.wants_efforts
+
     def revise(self) -> bool:
         """Apply a command that came after the last state; return whether there was one."""
         if self.cmd_vel is None or self._state is None or self._ordered is not None:
@@ -382,7 +387,10 @@ class IndividualRobots:
     def _make_command(self, state: DriveState) -> DriveCommand:
         targets = [target for robot in self._robots_in_order for target in robot.targets]
         packed = struct.pack(f"<{len(targets)}d", *targets)
-        return DriveCommand(state.epoch, state.step, state.claims, packed, state.order)
+        wants_efforts = any(robot.wants_efforts for robot in self._robots_in_order)
+        return DriveCommand(
+            *(state.epoch, state.step, state.claims, packed, state.order), wants_efforts
+        )
 
     def reply_to_queries(self) -> None:
         """Reply to queries with the last values."""

@@ -84,6 +84,9 @@ class ObedientEngine(Engine):
             np.concatenate([none, *(body.velocities for body in found)]),
         )
 
+    def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
+        return np.full(sum(len(self._bodies[body].positions) for body in bodies), np.nan)
+
     def set_base_state(self, body: int, base: FloatArray) -> None:
         self._bodies[body].base = base.copy()
 

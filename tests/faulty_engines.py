@@ -65,6 +65,10 @@ class FaultyEngine(EngineLayer):
         self._check("read", bodies)
         return super().read(bodies)
 
+    def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
+        self._check("read_joint_efforts", bodies)
+        return super().read_joint_efforts(bodies)
+
     def set_base_state(self, body: int, base: FloatArray) -> None:
         self._check("set_base_state", [body])
         super().set_base_state(body, base)

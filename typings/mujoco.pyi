@@ -65,6 +65,7 @@ class MjData:
     qpos: _Floats
     qvel: _Floats
     qacc: _Floats
+    qfrc_spring: _Floats
     qfrc_applied: _Floats
     xfrc_applied: _Floats
     eq_active: npt.NDArray[np.uint8]

@@ -28,13 +28,16 @@ from zensim.api.local_deployment import (
     summarize_run,
     supervise,
 )
+from zensim.deploy.cli.scenario_commands import SetOption
 from zensim.deploy.fleet_demo import (
     DEMO_BEHAVIOURS,
     DemoBehaviour,
+    FleetDemo,
     describe_demo,
     make_demo,
 )
 from zensim.deploy.local_runs import LocalRun, recorded_run
+from zensim.deploy.scenario_driver import ScenarioDriver, add_scenario, list_unused_keys
 from zensim.proto.cli_options import (
     OdomHzOption,
     RosTfOptions,
@@ -51,6 +54,8 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied, SupervisedProgram, Supervisor
+from zensim.scenario.check_monitors import CheckResult
+from zensim.scenario.scenario_reader import Scenario, find_scenario_file, read_scenario
 from zensim.sim_server.cli import MISS_POLICIES, ServeOptions
 from zensim.spawner.cli.spawn_arguments import (
     ControllersOption,
@@ -66,6 +71,7 @@ from zensim.spawner.spawn.spawn_poses import LAYOUTS, RobotPlacement
 app = make_app()
 
 console = Console(stderr=True)
+DriverMaker = Callable[[LocalDeployment], FleetDemo | ScenarioDriver]
 MAX_AGENT_PROCESSES = 20
 """Default limit of one agent process per robot; each takes 40 MB."""
 
@@ -77,6 +83,10 @@ _viewer = partial(typer.Option, rich_help_panel="Viewer")
 class UpOptions(RosTfOptions, ServeOptions):
     """All options of `zensim up`."""
 
+    file: Annotated[
+        str, typer.Argument(metavar="[FILE]", help="Scenario file, or name of a shipped scenario.")
+    ] = ""
+    settings: SetOption = None
     robots: Annotated[
         int, typer.Option("--robots", min=0, metavar="N", help="Number of robots.")
     ] = 10
@@ -159,6 +169,7 @@ class UpOptions(RosTfOptions, ServeOptions):
 @app.command(
     epilog="""Examples:
   zensim up
+  zensim up first_minutes
   zensim up --robots 100 --agents pooled --layout grid --no-viewer
   zensim up --model robot.urdf --world warehouse --rtf 0 --duration 60"""
 )
@@ -172,14 +183,50 @@ def up(context: typer.Context, given: UpOptions) -> None:
     with exit_on_failure("up", LaunchFailed, ProgramDied, MissingViewerExtra):
         if given.viewer:
             check_page(given.viewer_port)
+        config, drive_robots = _choose_driver(given)
         _launch_and_run(
-            make_config(given),
+            config,
             began_s,
             given.duration,
             given.open_page,
-            behaviour=parse_choice("--behaviour", given.behaviour, DEMO_BEHAVIOURS),
+            drive_robots=drive_robots,
             as_json=given.as_json,
         )
+
+
+def _choose_driver(given: UpOptions) -> tuple[LaunchConfig, DriverMaker | None]:
+    """Choose what drives the robots: a scenario, which also completes the settings, or the demo."""
+    behaviour = parse_choice("--behaviour", given.behaviour, DEMO_BEHAVIOURS)
+    config = make_config(given)
+    if given.file:
+        scenario = read_scenario(find_scenario_file(given.file), given.settings or ())
+        pools = choose_pool_count(max(1, len(scenario.robots)), os.cpu_count() or 1)
+        agents = msgspec.structs.replace(config.agents, pools=pools)
+        config = msgspec.structs.replace(add_scenario(config, scenario), agents=agents)
+        return config, partial(_make_scenario_driver, scenario)
+    if behaviour == "none" or not config.placements:
+        return config, None
+    return config, partial(_make_demo, behaviour, is_quiet=given.as_json)
+
+
+def _make_scenario_driver(scenario: Scenario, deployment: LocalDeployment) -> ScenarioDriver:
+    def warn(check: CheckResult) -> None:
+        typer.echo(f"check failed: {check.name}: {check.message} ({check.place})", err=True)
+
+    for key in list_unused_keys(scenario):
+        typer.echo(f"{scenario.find_place(key)}: {key} has no effect on zensim up", err=True)
+    driver = ScenarioDriver(deployment, scenario, warn)
+    typer.echo(f"Scenario {scenario.name}: {len(scenario.robots)} robots.", err=True)
+    return driver
+
+
+def _make_demo(
+    behaviour: DemoBehaviour, deployment: LocalDeployment, *, is_quiet: bool
+) -> FleetDemo:
+    demo = make_demo(deployment, behaviour)
+    if not is_quiet:
+        typer.echo(describe_demo(behaviour))
+    return demo
 
 
 def make_config(given: UpOptions) -> LaunchConfig:
@@ -228,7 +275,7 @@ def _launch_and_run(
     duration: float,
     open_page: bool | None,
     *,
-    behaviour: DemoBehaviour,
+    drive_robots: DriverMaker | None,
     as_json: bool,
 ) -> None:
     stop = StopFlag(is_armed=False)
@@ -237,11 +284,10 @@ def _launch_and_run(
             deployment = launch(config, supervisor, progress, began_s)
         stop.arm()
         should_stop: Callable[[], bool] = stop
-        if behaviour != "none" and config.placements:
-            demo = stack.enter_context(make_demo(deployment, behaviour))
-            should_stop = demo.watch(stop)
-            if not as_json:
-                typer.echo(describe_demo(behaviour))
+        if drive_robots is not None:
+            driver = drive_robots(deployment)
+            stack.callback(driver.close)
+            should_stop = driver.watch(stop)
         run_on = partial(supervise, deployment, duration, should_stop)
         _run_until_stopped(deployment, run_on, open_page, as_json=as_json)
 

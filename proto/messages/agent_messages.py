@@ -195,6 +195,8 @@ class DriveState(msgspec.Struct, frozen=True):
     order: UInt32 = 0
     """Number of the last order in `twists`; the command repeats it. A state of the same step with
     another number replaces the one before: find the targets again, and publish nothing twice."""
+    joint_efforts: bytes = b""
+    """`<f8` [N m or N], as `joint_velocities`; NaN of kinematic robots. Empty unless wanted."""
 
 
 class TwistCommands(msgspec.Struct, frozen=True):
@@ -227,3 +229,5 @@ class DriveCommand(msgspec.Struct, frozen=True):
     """`<f8`, claim by claim, `width` numbers for each of `Model.actuators`."""
     order: UInt32 = 0
     """As in the drive state."""
+    wants_efforts: bool = False
+    """Whether the next states shall have `joint_efforts`."""

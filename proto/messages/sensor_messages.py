@@ -66,6 +66,9 @@ class RaySensor(msgspec.Struct, frozen=True, tag="ray"):
     min_intensity: float = 0.0
     sees_itself: bool = False
     """Whether rays hit the robot that carries the sensor."""
+    is_organized: bool = False
+    """Whether a PointCloud2 has a point for each ray, row by row, also for those without a hit, and
+    the number of its row as field `ring`, as gz-sim publishes it."""
 
 
 class ImuSensor(msgspec.Struct, frozen=True, tag="imu"):
@@ -141,6 +144,8 @@ class CameraSensor(msgspec.Struct, frozen=True, tag="camera"):
     """k1, k2, p1, p2, k3 of plumb_bob, as camera_info says them; images are not distorted."""
     stereo_baseline_m: float = 0.0
     """`hack_baseline` of Gazebo: P[3] = -f * baseline."""
+    is_triggered: bool = False
+    """Whether it measures only if `image_trigger` got a message since it was last due."""
 
 
 StateSensorSettings: TypeAlias = (

@@ -277,6 +277,12 @@ class JointState(msgspec.Struct, frozen=True):
     effort: tuple[float, ...] = ()
 
 
+class Empty(msgspec.Struct, frozen=True):
+    """Nothing but that it was sent. Source: std_msgs/msg/Empty."""
+
+    ros_type: ClassVar[str] = "std_msgs/msg/Empty"
+
+
 class String(msgspec.Struct, frozen=True):
     """Text, such as a robot description. Source: std_msgs/msg/String."""
 

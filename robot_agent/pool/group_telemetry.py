@@ -474,7 +474,7 @@ class GroupJointTopic(GroupTopic):
         )
         self._limiters = GroupRateLimiter(group_key.joint_states_hz)
         self._published = list(group_key.published)
-        self._states = np.zeros((0, 2 * count))
+        self._states = np.zeros((0, 3 * count))
 
     def remap_rows(self, before: IntArray) -> None:
         """See `GroupTopic`."""
@@ -487,13 +487,19 @@ class GroupJointTopic(GroupTopic):
         super().reset()
         self._limiters.reset()
 
-    def publish_joints(self, positions: FloatArray, velocities: FloatArray, time_ns: int) -> None:
+    def publish_joints(self, state: StateRows) -> None:
         """Publish the joints of the rows that are due."""
-        rows, _ = self._limiters.open(time_ns)
+        rows, _ = self._limiters.open(state.time_ns)
         if len(rows):
-            states = positions[rows][:, self._published], velocities[rows][:, self._published]
-            self._states[rows] = np.concatenate(states, axis=1)
-            self.publish(rows, time_ns)
+            efforts = np.full_like(state.positions, np.nan)
+            columns = (
+                state.positions,
+                state.velocities,
+                efforts if state.efforts is None else state.efforts,
+            )
+            found = [column[rows][:, self._published] for column in columns]
+            self._states[rows] = np.concatenate(found, axis=1)
+            self.publish(rows, state.time_ns)
 
 
 class GroupTelemetry:
@@ -534,6 +540,11 @@ class GroupTelemetry:
         """Topics that each robot has, in the order of `list_keys` and `make_templates`."""
         found = (self.odometry, self.transforms, self.joints)
         return tuple(topic for topic in found if topic is not None)
+
+    @property
+    def wants_efforts(self) -> bool:
+        """Whether joint states may have a subscriber."""
+        return self.joints is not None and self.joints.publisher.is_wanted
 
     def list_keys(self, found: RobotTopicKeys) -> tuple[str, ...]:
         """List the keys of a robot, one per topic."""
@@ -581,7 +592,7 @@ class GroupTelemetry:
         if self.shared is not None:
             self.shared.publish(rows, time_ns)
         if self.joints is not None:
-            self.joints.publish_joints(state.positions, state.velocities, time_ns)
+            self.joints.publish_joints(state)
 
     def close(self) -> None:
         """Undeclare the shared tf topic; the others go with their robots."""

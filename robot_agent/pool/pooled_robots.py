@@ -228,6 +228,8 @@ class PoolDriveState:
     """(n, STATE_COLUMNS)."""
     positions: FloatArray
     velocities: FloatArray
+    efforts: FloatArray | None
+    """None if the server does not report them."""
     twists: FloatArray
     """(n, 6)."""
 
@@ -293,6 +295,7 @@ class RobotGroup:
             state.base[slots.places],
             state.positions[slots.joints],
             state.velocities[slots.joints],
+            None if state.efforts is None else state.efforts[slots.joints],
         )
         rows = self._bases.update(own, state.twists[slots.places])
         targets[slots.targets] = self._bases.targets
@@ -310,6 +313,11 @@ class RobotGroup:
             self._due = None
             self._telemetry.publish(due.rows, due.state)
             self._sensors.publish(due.state)
+
+    @property
+    def wants_efforts(self) -> bool:
+        """Whether joint states may have a subscriber."""
+        return self._telemetry.wants_efforts
 
     def release(self, member: GroupMember) -> None:
         """Undeclare a robot's topics."""
@@ -405,6 +413,7 @@ class PoolStateLayout:
             _unpack_floats(state.base, rows * STATE_COLUMNS).reshape(rows, STATE_COLUMNS),
             _unpack_floats(state.joint_positions, joints),
             _unpack_floats(state.joint_velocities, joints),
+            _unpack_floats(state.joint_efforts, joints) if state.joint_efforts else None,
             twists,
         )
 
@@ -545,7 +554,7 @@ class PooledRobots:
         for single in self._singles:
             twist = _find_ordered(ordered, single.place)
             targets[single.targets] = single.robot.advance(_extract_state(single, read), twist)
-        return _make_command(state, targets)
+        return self._make_command(state, targets)
 
     def repeats(self, state: DriveState) -> bool:
         """Whether a state has the step and claims of the last one that was answered."""
@@ -566,7 +575,17 @@ class PooledRobots:
             single.robot.repeat(_find_ordered(ordered, single.place))
             targets[single.targets] = single.robot.targets
         self._state = state
-        return _make_command(state, targets)
+        return self._make_command(state, targets)
+
+    def _make_command(self, state: DriveState, targets: FloatArray) -> DriveCommand:
+        groups = self._groups.values()
+        wants_efforts = any(group.wants_efforts for group in groups) or any(
+            single.robot.wants_efforts for single in self._singles
+        )
+        packed = targets.astype("<f8").tobytes()
+        return DriveCommand(
+            *(state.epoch, state.step, state.claims, packed, state.order), wants_efforts
+        )
 
     def revise(self) -> None:
         """Return nothing: one robot's command would need new arrays of all."""
@@ -711,6 +730,7 @@ def _extract_state(single: _SingleRobot, read: PoolDriveState) -> RobotState:
         tuple(read.base[single.place].tolist()),
         tuple(read.positions[single.joints].tolist()),
         tuple(read.velocities[single.joints].tolist()),
+        () if read.efforts is None else tuple(read.efforts[single.joints].tolist()),
     )
 
 
@@ -719,8 +739,3 @@ def _find_ordered(ordered: FloatArray | None, place: int) -> Twist | None:
         return None
     forward, left, turn = ordered[place].tolist()
     return Twist(Vector3(forward, left), Vector3(z=turn))
-
-
-def _make_command(state: DriveState, targets: FloatArray) -> DriveCommand:
-    packed = targets.astype("<f8").tobytes()
-    return DriveCommand(state.epoch, state.step, state.claims, packed, state.order)

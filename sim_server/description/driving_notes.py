@@ -44,7 +44,7 @@ DRIFT_RAD_S = 0.01
 MIN_TILT_RAD = math.radians(1.0)
 MAX_BLOCKED_RAD = 0.01
 """Range of a joint below which it does not turn."""
-MIN_CLEARANCE_M = 1e-4
+MIN_CLEARANCE_M = 1e-5
 """Height of a wheel over the ground that is worth a word."""
 NO_LOAD_SHARE = 0.005
 """Of the weight, below which a driven wheel counts as without load."""
@@ -169,7 +169,7 @@ def _list_idle_wheels(model: Model, ground: GroundMotion) -> list[str]:
         if link and height > MIN_CLEARANCE_M
     }
     return [
-        f"{joint!r} (it ends {1e3 * clearances[joint]:.1f} mm above the ground)"
+        f"{joint!r} (it ends {1e3 * clearances[joint]:.2g} mm above the ground)"
         if joint in clearances
         else repr(joint)
         for joint, load in sorted(loads.items())

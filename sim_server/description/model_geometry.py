@@ -92,10 +92,11 @@ def find_ground_clearance(
 
 
 def falls_without_end(model: Model) -> bool:
-    """Whether a model has weight and nothing to stand on."""
-    weight = sum(link.inertial.mass_kg - link.weightless.mass_kg for link in model.links)
+    """Whether a model has weight and nothing to stand on; engines give mass to what has none."""
+    mass_kg = sum(link.inertial.mass_kg for link in model.links)
+    lifted_kg = sum(link.weightless.mass_kg for link in model.links)
     stands = any(link.collisions for link in model.links)
-    return not (model.is_static or stands) and weight > 0.0
+    return not (model.is_static or stands) and (mass_kg > lifted_kg or lifted_kg == 0.0)
 
 
 UNLIMITED_RAD = 20.0 * math.pi

@@ -56,11 +56,6 @@ def measure_reach(model: Model, mesh_radius: MeshRadius) -> BodyReach:
     )
 
 
-def can_move(model: Model) -> bool:
-    """Whether any part of a model moves."""
-    return not model.is_static or any(joint.kind != "fixed" for joint in model.joints)
-
-
 def _measure_levers(model: Model, own: list[float]) -> FloatArray:
     actuation = make_actuation(model)
     speeds, twist = actuation.speeds, actuation.twist

@@ -33,6 +33,7 @@ from zensim.sim_server.physics.engine import (
     concatenate_states,
     make_contact_points,
     make_invalid_state,
+    make_unknown_efforts,
 )
 from zensim.sim_server.physics.engine_factory import CellConfig
 
@@ -164,6 +165,12 @@ class HostedCell:
             return self.engine.read(self.to_engine_numbers(bodies))
         return concatenate_states([self._read_one(body) for body in bodies])
 
+    def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
+        """Read the efforts of joints; lost bodies have NaN."""
+        if self.lost.isdisjoint(bodies):
+            return self.engine.read_joint_efforts(self.to_engine_numbers(bodies))
+        return np.concatenate([np.zeros(0), *(self._read_efforts_of(body) for body in bodies)])
+
     def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
         """Read contact points, in the server's numbers."""
         found = self.engine.read_contacts(self.to_engine_numbers(bodies))
@@ -196,6 +203,11 @@ class HostedCell:
         if body in self.lost:
             return make_invalid_state(self.models[body])
         return self.engine.read((self.engine_numbers[body],))
+
+    def _read_efforts_of(self, body: int) -> FloatArray:
+        if body in self.lost:
+            return make_unknown_efforts(len(self.models[body].joints))
+        return self.engine.read_joint_efforts((self.engine_numbers[body],))
 
 
 class CellWorker:
@@ -286,6 +298,9 @@ class CellWorker:
 
     def _read_contacts(self, cell: int, bodies: Sequence[int]) -> CellWorkerReply:
         return CellWorkerReply(self._cells[cell].read_contacts(bodies))
+
+    def _read_joint_efforts(self, cell: int, bodies: Sequence[int]) -> CellWorkerReply:
+        return CellWorkerReply(self._cells[cell].read_joint_efforts(bodies))
 
     def _find_overlaps(self, cell: int, body: int) -> CellWorkerReply:
         hosted = self._cells[cell]

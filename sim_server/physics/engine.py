@@ -21,6 +21,11 @@ MIN_INERTIA = 1e-8
 """Least principal moment [kg m^2] of a moving link."""
 
 
+def can_move(model: Model) -> bool:
+    """Whether any part of a model moves."""
+    return not model.is_static or any(joint.kind != "fixed" for joint in model.joints)
+
+
 class EngineRefused(SimError):
     """The engine cannot simulate this."""
 
@@ -69,6 +74,11 @@ class BodyStates:
     base: FloatArray
     joint_positions: FloatArray
     joint_velocities: FloatArray
+
+
+def make_unknown_efforts(count: int) -> FloatArray:
+    """Make the efforts (count,) of joints whose forces are not computed: NaN."""
+    return np.full(count, np.nan)
 
 
 def concatenate_states(states: Sequence[BodyStates]) -> BodyStates:
@@ -198,6 +208,14 @@ class Engine(ABC):
     @abstractmethod
     def read(self, bodies: Sequence[int]) -> BodyStates:
         """Read the states of bodies."""
+
+    @abstractmethod
+    def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
+        """Read the efforts (k,) [N m or N] of the joints of bodies in the last step, as in `read`.
+
+        An effort is what the motor exerts on the child link along the axis of the joint; of a joint
+        without a motor its friction, and its spring. NaN where no forces are computed.
+        """
 
     @abstractmethod
     def set_base_state(self, body: int, base: FloatArray) -> None:

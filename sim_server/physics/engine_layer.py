@@ -41,6 +41,9 @@ class EngineLayer(Engine):
     def read(self, bodies: Sequence[int]) -> BodyStates:
         return self._inner.read(bodies)
 
+    def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
+        return self._inner.read_joint_efforts(bodies)
+
     def set_base_state(self, body: int, base: FloatArray) -> None:
         self._inner.set_base_state(body, base)
 

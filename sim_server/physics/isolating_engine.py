@@ -17,6 +17,7 @@ from zensim.sim_server.physics.engine import (
     concatenate_states,
     describe_fault,
     make_invalid_state,
+    make_unknown_efforts,
     refuse_faults,
 )
 from zensim.sim_server.physics.engine_layer import EngineLayer
@@ -97,6 +98,20 @@ class IsolatingEngine(EngineLayer):
             except Exception:
                 LOG.debug("fault call=read bodies=%d", len(bodies))
         return concatenate_states([self._read_one(body) for body in bodies])
+
+    def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
+        """See `Engine.read_joint_efforts`; bodies that are set aside have NaN."""
+        if self._set_aside.isdisjoint(bodies):
+            try:
+                return self._inner.read_joint_efforts(bodies)
+            except Exception:
+                LOG.debug("fault call=read_joint_efforts bodies=%d", len(bodies))
+        return np.concatenate([np.zeros(0), *(self._read_efforts_of(body) for body in bodies)])
+
+    def _read_efforts_of(self, body: int) -> FloatArray:
+        found = [make_unknown_efforts(len(self._models[body].joints))]
+        self._try(body, lambda: found.append(self._inner.read_joint_efforts((body,))))
+        return found[-1]
 
     def set_base_state(self, body: int, base: FloatArray) -> None:
         """See `Engine.set_base_state`."""

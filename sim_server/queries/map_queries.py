@@ -1,9 +1,11 @@
 """Maps of the world's fixed collisions, drawn in time slices."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
+from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import (
     Header,
     MapMetaData,
@@ -13,10 +15,19 @@ from zensim.proto.messages.standard_messages import (
     time_from_ns,
 )
 from zensim.proto.messages.world_messages import GetMapRequest, GetMapResponse
+from zensim.proto.se3 import FloatArray
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.parser_process.asset_store import AssetStore
+from zensim.sim_server.physics.engine import can_move
 from zensim.sim_server.queries.sliced_work import MAX_WORK_S, SlicedWork
-from zensim.sim_server.scene.occupancy_grid import GridTooLarge, OccupancyDrawing, plan_grid
+from zensim.sim_server.scene.occupancy_grid import (
+    MAX_CELLS,
+    GridTooLarge,
+    OccupancyDrawing,
+    plan_grid,
+)
+from zensim.sim_server.scene.ray_casting import PlacedShapes
+from zensim.sim_server.scene.scene import SceneLayout
 from zensim.sim_server.service_parts import DeferredResponse, Pacing
 from zensim.sim_server.world.simulated_world import SimulatedWorld
 
@@ -39,17 +50,55 @@ def get_map(
         MapRefused: The request is not valid, or the map would be too large.
     """
     _check_request(request)
-    scene = world.scene(store.vertices, store.corners)
+    return draw_map(world, store, pacing, request, MAX_CELLS)
+
+
+def draw_map(
+    world: SimulatedWorld,
+    store: AssetStore,
+    pacing: Pacing,
+    request: GetMapRequest,
+    max_cells: int,
+) -> GetMapResponse | DeferredResponse[GetMapResponse]:
+    """Draw what is fixed in the world, in at most so many cells; see `get_map`."""
+    shapes = _place_fixed_shapes(world, store)
     band = request.low_m, request.high_m
     try:
-        drawing = plan_grid(
-            scene.shapes, np.flatnonzero(scene.is_fixed), band, request.resolution_m
-        )
+        everything = np.arange(len(shapes.geometry))
+        drawing = plan_grid(shapes, everything, band, request.resolution_m, max_cells)
     except GridTooLarge as error:
         raise MapRefused(f"the map would have {error}; use a coarser resolution") from error
     time_ns = world.clock.time_ns
     work = SlicedWork(drawing.draw(), pacing)
     return work.respond(lambda: _finish(work, drawing, time_ns))
+
+
+@dataclass(frozen=True)
+class FixedEntities:
+    """Entities of which no link moves unless a request moves them as a whole.
+
+    Attributes:
+        models: Of each.
+        base: (n, 13) states of their root links.
+    """
+
+    models: tuple[Model, ...]
+    base: FloatArray
+
+
+def find_fixed_entities(world: SimulatedWorld) -> FixedEntities:
+    """Find what is fixed."""
+    found = [(row, one.model) for row, one in enumerate(world.entities) if not can_move(one.model)]
+    rows = np.array([row for row, _ in found], dtype=np.intp)
+    return FixedEntities(tuple(model for _, model in found), world.states().base[rows])
+
+
+def _place_fixed_shapes(world: SimulatedWorld, store: AssetStore) -> PlacedShapes:
+    """Place the shapes of what is fixed: robots, of which there may be many, are left out."""
+    fixed = find_fixed_entities(world)
+    layout = SceneLayout(fixed.models, store.vertices, store.corners)
+    joints = np.zeros(sum(len(model.joints) for model in fixed.models))
+    return layout.place(fixed.base, joints)
 
 
 def _check_request(request: GetMapRequest) -> None:

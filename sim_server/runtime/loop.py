@@ -24,6 +24,7 @@ from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
 from zensim.sim_server.runtime.loop_channels import Inbox, WorldPublisher
 from zensim.sim_server.runtime.request_dispatcher import RequestDispatcher
 from zensim.sim_server.runtime.sensor_sessions import SensorSessions
+from zensim.sim_server.runtime.world_map import WorldMap
 from zensim.sim_server.runtime.world_telemetry import WorldTelemetry
 from zensim.sim_server.service_parts import ServerParts
 from zensim.sim_server.services.service_registry import ServiceHandlers
@@ -315,7 +316,8 @@ class ServerLoop:
         """Wall time of the last requested step."""
         self._paced_ns = 0
         self._factor = parts.pacing.target_real_time_factor
-        self._telemetry = WorldTelemetry(parts.world, parts.pacing, parts.sensors)
+        self._world_map = WorldMap(parts, publisher)
+        self._telemetry = WorldTelemetry(parts.world, parts.pacing, parts.sensors, self._world_map)
         self._contacts = ContactTelemetry(parts.world, parts.store.vertices)
         self._dispatcher = RequestDispatcher(
             ServiceHandlers(parts),
@@ -403,6 +405,7 @@ class ServerLoop:
         for topic in self._telemetry.due(now_ns):
             if self._publisher.is_wanted(topic):
                 self._publisher.publish(topic, self._telemetry.message(topic))
+        self._world_map.poll(now_ns)
 
     def _advance(self, now_ns: int) -> None:
         self._apply_speed_change(now_ns)

@@ -25,7 +25,7 @@ from zensim.proto.topic_catalog import (
     WORLD_TOPICS,
     TopicSpec,
 )
-from zensim.proto.topic_endpoints import TopicFactory
+from zensim.proto.topic_endpoints import KeyPublisher, LazyTopicPublisher, TopicFactory
 
 COMMAND_DEPTH = 8192
 REPLY_DEPTH = 256
@@ -131,6 +131,9 @@ class WorldPublisher(Protocol):
     def publish(self, topic: TopicSpec, message: msgspec.Struct) -> None:
         """Publish on a topic of the world."""
 
+    def serve_late_subscribers(self) -> None:
+        """Publish the last messages of latched topics to subscribers that are new."""
+
     def publish_drive_state(
         self, agent: str, state: DriveState, form: Format = Format.MSGPACK
     ) -> None:
@@ -138,6 +141,49 @@ class WorldPublisher(Protocol):
 
     def forget_agent(self, agent: str) -> None:
         """Close the publisher of an agent."""
+
+
+class LatchedWorldTopic:
+    """A topic of the world whose last message goes to late subscribers, too."""
+
+    def __init__(
+        self, topic: TopicSpec, publisher: Publisher, ros2_topics: TopicFactory | None
+    ) -> None:
+        """Declare it at the root, too.
+
+        Args:
+            topic: With a message at the root.
+            publisher: On the key of the world.
+            ros2_topics: Declares the root topic; None = no ROS 2.
+        """
+        self._plain = KeyPublisher(publisher)
+        self._last: msgspec.Struct | None = None
+        self._root: LazyTopicPublisher | None = None
+        if ros2_topics is not None:
+            self._root = LazyTopicPublisher(ros2_topics, topic.root(), lambda: self._last)
+
+    @property
+    def is_matched(self) -> bool:
+        """Whether there is a subscriber."""
+        return self._plain.is_matched or (self._root is not None and self._root.is_matched)
+
+    def publish(self, message: msgspec.Struct) -> None:
+        """Publish a message and keep it for late subscribers."""
+        self._last = message
+        if self._root is not None:
+            self._root.publish()
+        if self._root is None or self._plain.is_matched:
+            self._plain.send(encode(message, Format.MSGPACK))
+
+    def serve_late_subscribers(self) -> None:
+        """Publish the last message to new subscribers; reply to queries."""
+        self._plain.publish_to_new(self._write_last)
+        if self._root is not None:
+            self._root.announce()
+            self._root.reply_to_queries()
+
+    def _write_last(self) -> bytes | None:
+        return None if self._last is None else encode(self._last, Format.MSGPACK)
 
 
 class BusWorldPublisher:
@@ -167,12 +213,19 @@ class BusWorldPublisher:
         self._root_topics = {
             topic: ros2_topics.publisher(topic.root())
             for topic in WORLD_TOPICS
-            if ros2_topics and topic.root_message
+            if ros2_topics and topic.root_message and not topic.is_latched
+        }
+        self._latched_topics = {
+            topic: LatchedWorldTopic(topic, self._topics[topic], ros2_topics)
+            for topic in WORLD_TOPICS
+            if topic.is_latched
         }
         self._agents: dict[str, Publisher] = {}
 
     def is_wanted(self, topic: TopicSpec) -> bool:
         """See `WorldPublisher`."""
+        if (latched := self._latched_topics.get(topic)) is not None:
+            return latched.is_matched
         root = self._root_topics.get(topic)
         return self._topics[topic].is_matched or (root is not None and root.is_matched)
 
@@ -180,11 +233,19 @@ class BusWorldPublisher:
         """See `WorldPublisher`."""
         if self._on_progress is not None and isinstance(message, StepsProgress):
             self._on_progress(message)
+        if (latched := self._latched_topics.get(topic)) is not None:
+            latched.publish(message)
+            return
         root = self._root_topics.get(topic)
         if root is not None and root.is_matched:
             root.send(encode(message, Format.CDR))
         if root is None or self._topics[topic].is_matched:
             self._topics[topic].send(encode(message, Format.MSGPACK))
+
+    def serve_late_subscribers(self) -> None:
+        """See `WorldPublisher`."""
+        for latched in self._latched_topics.values():
+            latched.serve_late_subscribers()
 
     def publish_drive_state(
         self, agent: str, state: DriveState, form: Format = Format.MSGPACK

@@ -201,11 +201,11 @@ class RequestDispatcher:
 
     def _take(self, call: ServiceCall) -> None:
         if (topic := GETTABLE_TOPICS.get(call.name)) is not None:
-            self._reply(call, self._telemetry.message(topic))
+            self._execute(call, lambda: self._telemetry.reply(topic))
         elif (cached := self._responses.find(call)) is not None:
             self._send(call, cached)
         elif not (self._attach_to_pending(call) or self._defer_until_writable(call)):
-            self._execute(call)
+            self._execute(call, lambda: self._handle(call))
 
     def _attach_to_pending(self, call: ServiceCall) -> bool:
         """Replace the call of a pending request by its retry."""
@@ -224,12 +224,16 @@ class RequestDispatcher:
         self._parked.append((call, journal.retry()))
         return True
 
-    def _execute(self, call: ServiceCall) -> None:
+    def _handle(self, call: ServiceCall) -> msgspec.Struct | DeferredResponse[Any]:
+        _check_size(call)
+        return self._handlers.handle(call.read(_request_type(call.name)))
+
+    def _execute(
+        self, call: ServiceCall, handle: Callable[[], msgspec.Struct | DeferredResponse[Any]]
+    ) -> None:
         self._flush_unrelated_changes()
         try:
-            _check_size(call)
-            request = call.read(_request_type(call.name))
-            response = self._handlers.handle(request)
+            response = handle()
         except SimError as error:
             response = make_refusal(call.name, error.code, str(error))
         except MalformedPayload as error:

@@ -9,6 +9,7 @@ from zensim.proto.forward_kinematics import compute_link_states
 from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import (
+    OccupancyGrid,
     Point,
     Pose,
     Quaternion,
@@ -22,6 +23,7 @@ from zensim.proto.se3 import FloatArray
 from zensim.proto.topic_catalog import (
     CLOCK,
     LINK_STATES,
+    MAP,
     MODEL_STATES,
     SNAPSHOT,
     STATS,
@@ -29,7 +31,8 @@ from zensim.proto.topic_catalog import (
     TopicSpec,
 )
 from zensim.sim_server.queries.frame_queries import SCOPE_SEPARATOR
-from zensim.sim_server.service_parts import Pacing, SensorProcesses
+from zensim.sim_server.runtime.world_map import WorldMap
+from zensim.sim_server.service_parts import DeferredResponse, Pacing, SensorProcesses
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.simulated_world import SimulatedWorld
 
@@ -94,7 +97,9 @@ GETTABLE_TOPICS = {topic.suffix: topic for topic in WORLD_TOPICS if topic.is_get
 class WorldTelemetry:
     """Makes the messages of a world's topics at their rates."""
 
-    def __init__(self, world: SimulatedWorld, pacing: Pacing, sensors: SensorProcesses) -> None:
+    def __init__(
+        self, world: SimulatedWorld, pacing: Pacing, sensors: SensorProcesses, world_map: WorldMap
+    ) -> None:
         self._world = world
         self._pacing = pacing
         self._sensors = sensors
@@ -104,6 +109,7 @@ class WorldTelemetry:
             for topic in (CLOCK, SNAPSHOT, MODEL_STATES, LINK_STATES)
         }
         self._idle_limiter = RateLimiter(PAUSED_HZ)
+        self._world_map = world_map
         self._make_message: dict[TopicSpec, Callable[[], msgspec.Struct]] = {
             CLOCK: self.clock,
             STATS: self.stats,
@@ -136,8 +142,12 @@ class WorldTelemetry:
             self._shown = seen
             yield SNAPSHOT
 
+    def reply(self, topic: TopicSpec) -> msgspec.Struct | DeferredResponse[OccupancyGrid]:
+        """Make the reply to a get on a gettable topic."""
+        return self._world_map.message() if topic is MAP else self.message(topic)
+
     def message(self, topic: TopicSpec) -> msgspec.Struct:
-        """Make the message of a gettable topic."""
+        """Make the message of a topic that is made at once."""
         return self._make_message[topic]()
 
     def clock(self) -> WorldClock:

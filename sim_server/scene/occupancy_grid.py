@@ -29,7 +29,7 @@ MAX_LAYERS = 16
 
 
 class GridTooLarge(Exception):
-    """The grid would have more than `MAX_CELLS`; the message says its size."""
+    """The grid would have too many cells; the message says its size."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,11 @@ class OccupancyDrawing:
 
 
 def plan_grid(
-    shapes: PlacedShapes, numbers: IntArray, band: tuple[float, float], resolution_m: float
+    shapes: PlacedShapes,
+    numbers: IntArray,
+    band: tuple[float, float],
+    resolution_m: float,
+    max_cells: int = MAX_CELLS,
 ) -> OccupancyDrawing:
     """Plan the grid of some shapes.
 
@@ -108,6 +112,7 @@ def plan_grid(
         numbers: Indices of those to draw; planes are left out.
         band: Lowest and highest height [m].
         resolution_m: Side of a cell.
+        max_cells: Of the grid.
 
     Raises:
         GridTooLarge: It would have too many cells.
@@ -122,9 +127,9 @@ def plan_grid(
     )
     extent = high[:, :2].max(axis=0, initial=0.0) + MARGIN_M - corner
     width, height = np.ceil(extent / resolution_m).tolist()
-    if width * height > MAX_CELLS:
+    if width * height > max_cells:
         raise GridTooLarge(
-            f"{width:.0f} x {height:.0f} cells of {resolution_m:g} m; at most {MAX_CELLS}"
+            f"{width:.0f} x {height:.0f} cells of {resolution_m:g} m; at most {max_cells}"
         )
     frame = GridFrame(corner, resolution_m, int(width), int(height))
     cells = np.full((frame.height, frame.width), FREE, np.int8)

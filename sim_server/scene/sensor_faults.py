@@ -8,9 +8,9 @@ from zensim.proto.messages.model_messages import Sensor
 from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor
 from zensim.proto.sensor_libraries import ADVICE, Library
 
-EXACT_RAY_S = 4e-5
+EXACT_RAY_S = 3e-5
 """CPU time of a ray that Embree does not cast, in a hall of 250 shapes."""
-PIXEL_BY_RAYS_S = 4e-7
+PIXEL_BY_RAYS_S = 4.4e-7
 """CPU time of a pixel without OpenGL."""
 MAX_SHARE = 0.5
 """Of a core, for the rays of one lidar without Embree; others would have to wait."""

@@ -128,6 +128,8 @@ class CameraSensorGroup:
     def publish(self, moment: SceneMoment) -> IntArray:
         """See `SensorGroup`."""
         wanted, rows_of = self._topics.find_all_wanted()
+        if self._settings.is_triggered:
+            wanted = np.intersect1d(wanted, self._topics.find_triggered())
         if not len(wanted):
             return wanted
         poses = self._places.find_poses(moment.base, moment.joint_positions)

@@ -29,13 +29,15 @@ from zensim.sim_server.sensors.sensor_publishers import SensorTopics
 
 NOTHING_IN_RANGE_GAZEBO = float(np.finfo(np.float32).max)
 """Range of a Range message in Gazebo Classic where nothing is hit."""
-FLOAT32 = 7
+UINT16, FLOAT32 = 4, 7
 """`PointField.datatype`."""
 POINT_FIELDS = tuple(
     PointField(name, 4 * number, FLOAT32, 1)
     for number, name in enumerate(("x", "y", "z", "intensity"))
 )
 POINT_STEP = 16
+RING_POINT = np.dtype([("point", "<f4", 4), ("ring", "<u2")])
+"""A point with `POINT_FIELDS` and the number of its row."""
 
 
 class ScanWriter(Protocol):
@@ -125,6 +127,43 @@ class PointsWriter:
         return self._messages.write(rows, [_add_intensity(one).tobytes() for one in points])
 
 
+class OrganizedPointsWriter:
+    """Writes all points as PointCloud2, with their row as `ring`, as gz-sim does.
+
+    The coordinates of rays without a hit are infinite, or NaN along an axis.
+    """
+
+    def __init__(self, settings: RaySensor, frames: Sequence[str], _: Compat) -> None:
+        """Encode the templates of sensors with these frames."""
+        height, width = settings.vertical.count, settings.horizontal.count
+        template = PointCloud2(
+            height=height,
+            width=width,
+            fields=(*POINT_FIELDS, PointField("ring", POINT_STEP, UINT16, 1)),
+            point_step=RING_POINT.itemsize,
+            row_step=RING_POINT.itemsize * width,
+        )
+        self._directions = make_ray_directions(settings)
+        self._rings = np.repeat(np.arange(height), width)
+        self._messages = ArrayMessages(_in_frames(template, frames), array="data", item=b"\1")
+
+    def write(self, rows: IntArray, time_ns: int, ranges: FloatArray) -> list[bytes]:
+        """See `ScanWriter`."""
+        points = np.zeros((len(ranges), len(self._rings)), RING_POINT)
+        with np.errstate(invalid="ignore"):  # no hit, along an axis
+            places = self._directions * ranges.reshape(len(ranges), -1, 1)
+        points["point"][..., :3] = places
+        points["ring"] = self._rings
+        self._messages.fill(rows, time_ns, lengths=points[0].nbytes if len(points) else 0)
+        return self._messages.write(rows, split_rows(points))
+
+
+def make_points_writer(settings: RaySensor, frames: Sequence[str], compat: Compat) -> ScanWriter:
+    """Make the writer of PointCloud2."""
+    make = OrganizedPointsWriter if settings.is_organized else PointsWriter
+    return make(settings, frames, compat)
+
+
 class PointCloudWriter:
     """Writes the finite points as PointCloud without channels."""
 
@@ -147,7 +186,7 @@ MakeScanWriter = Callable[[RaySensor, Sequence[str], Compat], ScanWriter]
 SCAN_WRITERS: dict[str, MakeScanWriter] = {
     SCAN.name: LaserScanWriter,
     RANGE.name: RangeWriter,
-    POINTS.name: PointsWriter,
+    POINTS.name: make_points_writer,
     POINT_CLOUD.name: PointCloudWriter,
 }
 RAYS_AT_ONCE = 1 << 16

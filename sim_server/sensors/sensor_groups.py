@@ -13,7 +13,7 @@ from zensim.sim_server.scene.fleet_casting import make_scan_caster
 from zensim.sim_server.scene.scan_casting import ScanCaster
 from zensim.sim_server.scene.scene import SceneLayout
 from zensim.sim_server.sensors.scene_roster import SceneSensor
-from zensim.sim_server.sensors.sensor_publishers import SensorAddress, SensorTopics
+from zensim.sim_server.sensors.sensor_publishers import SensorAddress, SensorTopics, is_subscribed
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +74,9 @@ class GroupTopics:
             name: [list_addresses(sensor)[number] for sensor in sensors]
             for number, name in enumerate(list_topic_names(sensors[0]))
         }
+        self._triggers = [
+            address for sensor in sensors for address in list_subscriptions(sensor)[:1]
+        ]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -85,6 +88,14 @@ class GroupTopics:
         has_subscribers = self._topics.has_subscribers
         addresses = self._addresses[name]
         return np.flatnonzero([has_subscribers(address) for address in addresses])
+
+    def find_triggered(self) -> IntArray:
+        """Find the rows (m,) of the sensors that got a trigger since the last call.
+
+        Triggers of a sensor that none of its subscribers saw are dropped.
+        """
+        counts = [self._topics.take_count(address) for address in self._triggers]
+        return np.flatnonzero(counts)
 
     def find_all_wanted(self) -> tuple[IntArray, dict[str, IntArray]]:
         """Find the rows of the sensors that have subscribers on any topic, and those by topic."""
@@ -98,12 +109,21 @@ class GroupTopics:
 
 
 def list_topic_names(sensor: SceneSensor) -> tuple[str, ...]:
-    """List the catalog names of the topics of a sensor."""
-    return tuple(topic.topic for topic in sensor.sensor.topics if topic.topic in TOPICS)
+    """List the catalog names of the topics that a sensor publishes."""
+    return tuple(address.topic.name for address in list_addresses(sensor))
 
 
 def list_addresses(sensor: SceneSensor) -> list[SensorAddress]:
-    """List the topics of a sensor."""
+    """List the topics that a sensor publishes."""
+    return [one for one in _list_all(sensor) if not is_subscribed(one)]
+
+
+def list_subscriptions(sensor: SceneSensor) -> list[SensorAddress]:
+    """List the topics that a sensor subscribes to."""
+    return [one for one in _list_all(sensor) if is_subscribed(one)]
+
+
+def _list_all(sensor: SceneSensor) -> list[SensorAddress]:
     return [
         SensorAddress(
             TOPICS[topic.topic], sensor.find_key(topic), sensor.namespace or sensor.entity

@@ -60,6 +60,7 @@ from zensim.sim_server.sensors.sensor_groups import (
     SensorGroup,
     group_sensors,
     list_addresses,
+    list_subscriptions,
 )
 from zensim.sim_server.sensors.sensor_publishers import SensorAddress, SensorTopics
 
@@ -612,7 +613,11 @@ def start_sensor_process(config: SensorProcessConfig) -> None:
 
 
 def _list_all_addresses(sensors: Iterable[SceneSensor]) -> list[SensorAddress]:
-    return [address for sensor in sensors for address in list_addresses(sensor)]
+    return [
+        address
+        for sensor in sensors
+        for address in (*list_addresses(sensor), *list_subscriptions(sensor))
+    ]
 
 
 def _is_roster_event(sample: Sample) -> bool:

@@ -8,7 +8,8 @@ from zensim.proto import keys
 from zensim.proto.fleet_publisher import FleetTopicPublisher, RosFleetPublisher, TopicMember
 from zensim.proto.network_protocols import AgentNetwork
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode
-from zensim.proto.topic_catalog import TopicSpec
+from zensim.proto.topic_catalog import IMAGE_TRIGGER, TopicSpec
+from zensim.proto.topic_endpoints import TopicFactory, TopicSubscription
 
 NODE_NAME = "sensors"
 """Of the ROS 2 node of each robot."""
@@ -21,6 +22,14 @@ class SensorAddress(msgspec.Struct, frozen=True):
     key: str
     namespace: str
     """Of the ROS 2 node."""
+
+
+SUBSCRIPTION_DEPTH = 16
+
+
+def is_subscribed(address: SensorAddress) -> bool:
+    """Whether sensors subscribe to a topic, which others publish."""
+    return address.topic is IMAGE_TRIGGER
 
 
 class LastPayloads:
@@ -58,6 +67,7 @@ class SensorTopics:
         self._members: dict[SensorAddress, tuple[TopicMember, FleetTopicPublisher]] = {}
         self._nodes: dict[str, RosNode] = {}
         self._payloads = LastPayloads()
+        self._subscriptions: dict[SensorAddress, TopicSubscription] = {}
 
     @property
     def is_wanted(self) -> bool:
@@ -65,11 +75,15 @@ class SensorTopics:
         return any(publisher.is_wanted for publisher in self._publishers.values())
 
     def set_addresses(self, every: Iterable[SensorAddress], share: Iterable[SensorAddress]) -> None:
-        """Set the topics of all sensors, and those that this process publishes."""
-        patterns = {(keys.make_pattern(one.key), one.topic) for one in every}
+        """Set the topics of all sensors, and those of the share of this process."""
+        patterns = {
+            (keys.make_pattern(one.key), one.topic) for one in every if not is_subscribed(one)
+        }
         for pattern, topic in patterns - self._publishers.keys():
             self._publishers[pattern, topic] = self._make_publisher(pattern, topic)
         wanted = dict.fromkeys(share)
+        self._set_subscriptions([one for one in wanted if is_subscribed(one)])
+        wanted = dict.fromkeys(one for one in wanted if not is_subscribed(one))
         for address in [one for one in self._members if one not in wanted]:
             self._remove(address)
         for address in [one for one in wanted if one not in self._members]:
@@ -97,6 +111,10 @@ class SensorTopics:
         for publisher, (members, listed) in by_publisher.items():
             publisher.put(members, listed)
 
+    def take_count(self, address: SensorAddress) -> int:
+        """Count the messages on a subscribed topic of the share since the last call."""
+        return len(self._subscriptions[address].take()) if address in self._subscriptions else 0
+
     def poll(self) -> None:
         """Declare missing publishers, and reply to queries with the last messages."""
         for publisher in self._publishers.values():
@@ -115,16 +133,25 @@ class SensorTopics:
         ros = RosFleetPublisher(self._network, self._graph, endpoint) if has_ros else None
         return FleetTopicPublisher(self._network, pattern, endpoint.kind, ros)
 
-    def _add(self, address: SensorAddress) -> None:
+    def _set_subscriptions(self, wanted: Sequence[SensorAddress]) -> None:
+        for address in [one for one in self._subscriptions if one not in wanted]:
+            self._subscriptions.pop(address).close()
+        for address in [one for one in wanted if one not in self._subscriptions]:
+            factory = TopicFactory(self._network, self._find_node(address), self._graph.settings)
+            self._subscriptions[address] = factory.subscription(
+                address.key, address.topic.messages, SUBSCRIPTION_DEPTH
+            )
+
+    def _find_node(self, address: SensorAddress) -> RosNode | None:
         if address.namespace not in self._nodes:
             node = self._graph.add_node(address.namespace, NODE_NAME)
             if node is not None:
                 self._nodes[address.namespace] = node
+        return self._nodes.get(address.namespace)
+
+    def _add(self, address: SensorAddress) -> None:
         member = TopicMember(
-            address.key,
-            self._payloads,
-            self._payloads.add_row(),
-            self._nodes.get(address.namespace),
+            address.key, self._payloads, self._payloads.add_row(), self._find_node(address)
         )
         publisher = self._publishers[keys.make_pattern(address.key), address.topic]
         self._members[address] = member, publisher
@@ -136,6 +163,6 @@ class SensorTopics:
         publisher.remove(member)
 
     def _close_unused_nodes(self) -> None:
-        used = {address.namespace for address in self._members}
+        used = {address.namespace for address in (*self._members, *self._subscriptions)}
         for namespace in [one for one in self._nodes if one not in used]:
             self._nodes.pop(namespace).close()

@@ -32,13 +32,23 @@ class ClaimedEntities:
     bodies: tuple[int, ...]
     target_count: int
 
-    def to_drive_state(self, epoch: int, step: int, time_ns: int, states: BodyStates) -> DriveState:
-        """Select the states of these entities."""
+    def to_drive_state(
+        self, now: tuple[int, int, int], states: BodyStates, efforts: FloatArray | None
+    ) -> DriveState:
+        """Select the states of these entities.
+
+        Args:
+            now: Epoch, step and simulation time [ns].
+            states: Of all entities.
+            efforts: Of the joints of these entities; None if their agent does not want them.
+        """
         return DriveState(
-            *(epoch, step, time_ns, self.claims),
+            *now,
+            self.claims,
             states.base[self.rows].tobytes(),
             states.joint_positions[self.joints].tobytes(),
             states.joint_velocities[self.joints].tobytes(),
+            joint_efforts=b"" if efforts is None else efforts.tobytes(),
         )
 
 
@@ -56,6 +66,7 @@ class ClaimRegistry:
         self._counts: Counter[str] = Counter()
         self._next_claim = 1
         self._targets: dict[str, FloatArray] = {}
+        self._wanting_efforts: set[str] = set()
         self._without_claims: set[str] = set()
         self._claimed: dict[str, ClaimedEntities] | None = None
 
@@ -122,6 +133,7 @@ class ClaimRegistry:
     def forget_agent(self, agent: str) -> None:
         """Send no further state to an agent: it has ended."""
         self._without_claims.discard(agent)
+        self._wanting_efforts.discard(agent)
 
     def take_agents_without_claims(self) -> list[str]:
         """Take the agents that lost their last claim since the previous call."""
@@ -152,8 +164,16 @@ class ClaimRegistry:
             self.dropped += 1
             return False
         self._targets[agent] = targets
+        if command.wants_efforts:
+            self._wanting_efforts.add(agent)
+        else:
+            self._wanting_efforts.discard(agent)
         self.taken += 1
         return True
+
+    def wants_efforts(self, agent: str) -> bool:
+        """Whether an agent wants the efforts of joints, by its last command."""
+        return agent in self._wanting_efforts
 
     def take_targets(self) -> Iterator[tuple[str, FloatArray]]:
         """Take the targets of each agent for the next step."""

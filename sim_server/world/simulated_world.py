@@ -24,6 +24,7 @@ from zensim.sim_server.physics.engine import (
     EngineLost,
     EngineRefused,
     FloatArray,
+    can_move,
     refuse_faults,
 )
 from zensim.sim_server.scene.convex_shapes import MeshVertices
@@ -182,11 +183,6 @@ def is_valid_state(states: BodyStates) -> bool:
     return bool(np.isfinite(sums)) and bool(
         np.abs(states.base[:, :3]).max(initial=0.0) <= MAX_COORDINATE_M
     )
-
-
-def can_move(model: Model) -> bool:
-    """Whether any link of a model can move."""
-    return not model.is_static or any(joint.kind != "fixed" for joint in model.joints)
 
 
 def make_frozen_model(model: Model, positions: FloatArray) -> Model:
@@ -601,13 +597,19 @@ class SimulatedWorld:
             for agent, claimed in self.claimed_by_agent().items():
                 if agent not in except_agents:
                     twists = self.commanded_twists.select(self.entities.index, claimed.rows)
-                    state = claimed.to_drive_state(*now, states)
+                    efforts = self._read_wanted_efforts(agent, claimed)
+                    state = claimed.to_drive_state(now, states, efforts)
                     if twists:
                         order = self.commanded_twists.changes
                         state = msgspec.structs.replace(state, twists=twists, order=order)
                     yield agent, state
         for agent in self.claims.take_agents_without_claims():
             yield agent, DriveState(*now, b"", b"", b"", b"")
+
+    def _read_wanted_efforts(self, agent: str, claimed: ClaimedEntities) -> FloatArray | None:
+        if not self.claims.wants_efforts(agent):
+            return None
+        return self.engine.read_joint_efforts(claimed.bodies)
 
     def snapshot(self, real_time_factor: float) -> Snapshot:
         """Make a message with the states of all entities."""

@@ -49,7 +49,9 @@ GETTABLE_NAMES = {
     if topic.scope is not TopicScope.ROBOT and topic.is_gettable
 }
 """Of topics; services have other names."""
-ARRAY_TYPES = {"base": "<f8", "joint_positions": "<f8", "joint_velocities": "<f8", "targets": "<f8"}
+ARRAY_TYPES = dict.fromkeys(
+    ("base", "joint_positions", "joint_velocities", "joint_efforts", "targets"), "<f8"
+)
 CLAIM_TYPE = "<u4"
 MAX_NESTING = 64
 

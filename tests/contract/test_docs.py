@@ -23,6 +23,7 @@ COMMAND = re.compile(
 )
 OPTION = re.compile(r"(?<=\s)--?[A-Za-z][\w-]*")
 CHANGES = {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
+READMES = ("README.md", "README.zh-CN.md")
 MAX_ADR_LINES = 45
 MAX_COLUMNS = 120
 SOURCE_PATH = re.compile(
@@ -114,10 +115,18 @@ def test_json_of_a_document_is_read(place: str, code: str) -> None:
     assert json.loads(code), place
 
 
-def test_readme_begins_with_two_commands() -> None:
-    head = text_of(ROOT / "README.md").splitlines()[:8]
+@pytest.mark.parametrize("name", READMES)
+def test_first_commands_of_a_readme_start_the_demo_and_the_tests(name: str) -> None:
+    first, *_ = FENCE.findall(text_of(ROOT / name))
 
-    assert [line for line in head if line.startswith("make ")] == ["make demo", "make test"]
+    assert first.splitlines()[1:-1] == ["make demo", "make test"]
+
+
+def test_readmes_have_the_same_commands() -> None:
+    blocks = [FENCE.findall(text_of(ROOT / name)) for name in READMES]
+
+    english, chinese = ([re.sub(r" *#.*", "", block) for block in one] for one in blocks)
+    assert english == chinese
 
 
 def test_change_log_has_its_format() -> None:

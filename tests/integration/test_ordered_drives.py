@@ -20,16 +20,12 @@ from tests.integration.robots import drive_for, place, robot, stamp_s
 from tests.models import a_state
 from tests.robot_track import Track
 from tests.sim_server.description.plugins.driven_robots import (
-    FOUR_STEERER,
-    a_car,
+    BALLS,
+    ORDERED_ROBOTS,
     a_diff_robot,
-    a_four_steerer,
     a_four_wheeler,
-    a_tricycle,
     read_driven,
-    reverse_axes,
 )
-from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_reference
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.drive_messages import DiffDrive, OmniDrive
@@ -39,29 +35,6 @@ from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
 
 WHEEL_RADIUS_M = 0.1
-BALLS = "".join(
-    a_link(name, a_collision(origin=f'<origin xyz="{x} 0 0"/>'))
-    + a_joint(f"{name}_joint", ("base_link", name))
-    + a_reference(name, "<mu1>0</mu1><mu2>0</mu2>")
-    for name, x in (("front_ball", 0.2), ("rear_ball", -0.2))
-)
-ROBOTS = {
-    "diff": (a_diff_robot(BALLS), "diff:left,right"),
-    "diff with reversed axes": (
-        reverse_axes(a_diff_robot(BALLS), "right"),
-        "diff:left,right",
-    ),
-    "car with reversed axes": (
-        reverse_axes(a_car(), "rear_left"),
-        "ackermann:rear_left,rear_right,steer_left,steer_right",
-    ),
-    "mecanum": (a_four_wheeler(), "mecanum:fl,fr,rl,rr"),
-    "omni": (a_four_wheeler(), "omni:fl,fr,rl,rr"),
-    "car": (a_car(), "ackermann:rear_left,rear_right,steer_left,steer_right"),
-    "two steered axles": (a_four_steerer(), FOUR_STEERER),
-    "tricycle": (a_tricycle(), "tricycle:front,steer"),
-    "tricycle with two driven wheels": (a_tricycle(), "tricycle:rear_left,rear_right,steer"),
-}
 ENGINES = (PyBulletEngine, MujocoEngine, TieredAuto)
 CONTROLLERS = """
 base:
@@ -77,7 +50,7 @@ def start() -> Iterator[StartTrack]:
     with ExitStack() as stack:
 
         def begin(name: str, make: MakeEngine) -> Track:
-            text, order = ROBOTS[name]
+            text, order = ORDERED_ROBOTS[name]
             model = read_driven(text, order=parse_drive_order(order))
             track = Track(model, a_state((0.0, 0.0, WHEEL_RADIUS_M)), make)
             stack.callback(track.close)
@@ -87,7 +60,7 @@ def start() -> Iterator[StartTrack]:
 
 
 @pytest.mark.parametrize("make", ENGINES, ids=lambda make: make.__name__)
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", ORDERED_ROBOTS)
 def test_ordered_drive_moves_as_commanded(start: StartTrack, name: str, make: MakeEngine) -> None:
     track = start(name, make)
     track.drive(2.0, x=0.3)

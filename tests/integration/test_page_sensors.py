@@ -74,6 +74,18 @@ PICTURES = """
 })
 """
 """Pixels of the pictures of cameras in the panel."""
+WITHIN = """
+new Promise((resolve) => {
+  const end = performance.now() + %d;
+  const look = () => {
+    const found = (%s);
+    if (found || performance.now() > end) resolve(found); else setTimeout(look, 50);
+  };
+  look();
+})
+"""
+"""Whether an expression becomes true within a time [ms]."""
+CLICK_MS = 5000
 LABEL = "[...document.querySelectorAll('label')].find((one) => one.innerText === '%s')"
 HOSTILE_SCANS = (
     b"",
@@ -104,8 +116,13 @@ class Shown:
         """Show all, click a robot, and wait for its panel."""
         self.tab.press("Show all")
         self.tab.until("!document.body.innerText.includes('Stop following')")
+        eventually(lambda: self._click(robot), START_S, f"following {robot}")
+
+    def _click(self, robot: str) -> bool:
+        """Click a robot; the camera may still move, or another robot be in between."""
         self.tab.click(*self.tab.evaluate(PLACE_OF % (robot, robot)))
-        self.tab.until(f"document.body.innerText.includes('Namespace\\n{robot}')")
+        panel = f"document.body.innerText.includes('Namespace\\n{robot}')"
+        return bool(self.tab.evaluate(WITHIN % (CLICK_MS, panel)))
 
     def switch(self, label: str) -> None:
         """Click a switch of the panel."""

@@ -47,6 +47,7 @@ ROBOTS = ("/team/r1", "/r2", "/r3")
 ACTION = "/simulate_steps/_action"
 PUBLISHED = {
     "/clock": "rosgraph_msgs/msg/Clock",
+    "/map": "nav_msgs/msg/OccupancyGrid",
     "/model_states": "gazebo_msgs/msg/ModelStates",
     "/link_states": "gazebo_msgs/msg/LinkStates",
     "/tf": TF,
@@ -56,7 +57,7 @@ PUBLISHED = {
     "/team/r1/ground_truth/state": ODOMETRY,
     **{f"{robot}/{topic}": kind for robot in ROBOTS for topic, kind in OF_ROBOT.items()},
 }
-LATCHED = ("tf_static", "robot_description", "status")
+LATCHED = ("tf_static", "robot_description", "status", "map")
 RELIABLE_10, TRANSIENT_LOCAL_1 = "::,10", ":1:,1"
 SILENT = f"{ACTION}/feedback"
 """Published for goals only; see `test_ros_action`."""

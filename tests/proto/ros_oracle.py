@@ -147,9 +147,10 @@ CANCEL = {
 ZENSIM = {
     "DriveState": "uint32 epoch; uint64 step; uint64 time_ns; uint8[] claims; uint8[] base;"
     " uint8[] joint_positions; uint8[] joint_velocities; uint32 newest_claim; bool is_awaited;"
-    " uint8[] twists; uint32 order",
+    " uint8[] twists; uint32 order; uint8[] joint_efforts",
     "TwistCommands": "string client; string[] entities; uint8[] twists",
-    "DriveCommand": "uint32 epoch; uint64 step; uint8[] claims; uint8[] targets; uint32 order",
+    "DriveCommand": "uint32 epoch; uint64 step; uint8[] claims; uint8[] targets; uint32 order;"
+    " bool wants_efforts",
     "SensorsReply": "uint32 epoch; uint64 step; uint64 messages; uint64 late",
     "SensorFigures": "string entity; string sensor; string topic; bool has_subscribers;"
     " uint64 messages; uint64 late; float64 cost_s",

@@ -21,13 +21,27 @@ def test_layout_splits_a_state_by_robots() -> None:
     ]
 
 
+def test_layout_splits_the_efforts_if_there_are_any() -> None:
+    efforts = a_state(0, positions=(7.0, 8.0, 9.0)).joint_positions
+    state = msgspec.structs.replace(
+        a_state(5, (1, 2), positions=(0.0,) * 3, velocities=(0.0,) * 3), joint_efforts=efforts
+    )
+    state = msgspec.structs.replace(
+        state,
+        joint_positions=state.joint_positions[: len(efforts)],
+        joint_velocities=state.joint_velocities[: len(efforts)],
+    )
+
+    assert [one.efforts for one in DriveStateLayout((1, 2)).split(state)] == [(7.0,), (8.0, 9.0)]
+
+
 def test_layout_without_robots_splits_an_empty_state() -> None:
     assert DriveStateLayout(()).split(a_state(0, (), positions=(), velocities=())) == []
 
 
-@pytest.mark.parametrize("field", ["base", "joint_positions", "joint_velocities"])
+@pytest.mark.parametrize("field", ["base", "joint_positions", "joint_velocities", "joint_efforts"])
 def test_layout_rejects_a_state_of_another_size(field: str) -> None:
-    state = a_state(5)
+    state = msgspec.structs.replace(a_state(5), joint_efforts=a_state(5).joint_positions)
     short = msgspec.structs.replace(state, **{field: getattr(state, field)[:-1]})
 
     with pytest.raises(MalformedPayload):

@@ -102,7 +102,7 @@ MOTION = BaseMotion((1.0, 2.0, 0.0), linear_x=0.5)
 
 
 def state(time_ns: int = 5 * SECOND) -> RobotState:
-    return RobotState(time_ns, AT_REST, (0.1, 0.2), (1.0, 2.0))
+    return RobotState(time_ns, AT_REST, (0.1, 0.2), (1.0, 2.0), (0.3, -0.4))
 
 
 def receive(bus: MemoryBus, key: str, kind: type[Message], model: Model | None = None) -> Message:
@@ -158,12 +158,42 @@ def test_tf_is_not_offered_when_nothing_moves() -> None:
     assert not bus.is_served("r1/*")
 
 
-def test_joint_states_have_names_positions_and_velocities() -> None:
+def test_joint_states_have_names_positions_velocities_and_efforts() -> None:
     message = receive(MemoryBus(), "r1/joint_states", JointState)
 
     assert message == JointState(
-        Header(Time(5)), ("left_joint", "right_joint"), (0.1, 0.2), (1.0, 2.0), ()
+        Header(Time(5)), ("left_joint", "right_joint"), (0.1, 0.2), (1.0, 2.0), (0.3, -0.4)
     )
+
+
+def test_joint_states_have_no_number_for_efforts_that_the_server_does_not_report() -> None:
+    bus = MemoryBus()
+    listener = bus.subscribe("r1/joint_states")
+
+    JointTelemetry(TopicFactory(bus), a_claim()).publish(
+        msgspec.structs.replace(state(), efforts=())
+    )
+
+    (sample,) = listener.take()
+    efforts = decode(JointState, sample.payload, sample.encoding).effort
+    assert [math.isnan(effort) for effort in efforts] == [True, True]
+
+
+def test_efforts_are_wanted_while_joint_states_have_a_subscriber() -> None:
+    bus = MemoryBus()
+    telemetry = JointTelemetry(TopicFactory(bus), a_claim())
+    wanted = []
+
+    telemetry.publish(state(0))
+    wanted.append(telemetry.wants_efforts)
+    listener = bus.subscribe("r1/joint_states")
+    telemetry.publish(state(SECOND))
+    wanted.append(telemetry.wants_efforts)
+    listener.close()
+    telemetry.publish(state(2 * SECOND))
+    wanted.append(telemetry.wants_efforts)
+
+    assert wanted == [False, True, False]
 
 
 def test_joint_states_hold_the_publishers_joints_only() -> None:

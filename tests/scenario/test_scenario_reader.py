@@ -148,6 +148,14 @@ BROKEN: dict[str, tuple[str, list[tuple[int, int, str]]]] = {
         HEAD + "vary: {robots.cart.count: [two]}\n",
         [(4, 28, "vary.robots.cart.count[0]")],
     ),
+    "file_name_that_is_too_long": (
+        f"zensim: 1\nworld: {{load: {'w' * 5000}}}\ninclude: [{'i' * 5000}]\n",
+        [(3, 11, "include")],
+    ),
+    "world_name_that_is_too_long": (
+        f"zensim: 1\nworld: {{load: {'w' * 5000}}}\n",
+        [(2, 15, "world.load")],
+    ),
     "missing_include": ("zensim: 1\ninclude: [no.yaml]\n", [(2, 11, "include")]),
     "too_deep": ("zensim: " + "[" * 40 + "]" * 40 + "\n", [(1, 38, "")]),
 }

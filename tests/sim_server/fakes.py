@@ -193,6 +193,9 @@ class RecordingPublisher:
     def publish(self, topic: TopicSpec, message: msgspec.Struct) -> None:
         self.sent.append((topic.suffix, message))
 
+    def serve_late_subscribers(self) -> None:
+        pass
+
     def publish_drive_state(
         self, agent: str, state: DriveState, form: Format = Format.MSGPACK
     ) -> None:

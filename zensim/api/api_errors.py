@@ -93,7 +93,7 @@ class SteppedElsewhere(Error):
 
     code = ResultCode.INCORRECT_STATE
     slug = STEPPED_ELSEWHERE
-    hint = "wait until it has ended, or use join_lockstep()"
+    hint = "wait until it has ended"
 
 
 class Unsupported(Error, NotImplementedError):

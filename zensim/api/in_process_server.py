@@ -4,7 +4,9 @@ import os
 import shutil
 import time
 import weakref
+from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -18,7 +20,7 @@ from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import Event, Snapshot
 from zensim.proto.network_protocols import Sample
 from zensim.proto.service_catalog import CLAIM_SHARE, Request, Response, Service, require_ok
-from zensim.proto.topic_catalog import CONTACTS, EVENTS, TopicSpec
+from zensim.proto.topic_catalog import CONTACTS, EVENTS, MAP, TopicSpec
 from zensim.robot_agent.bumpers import read_contact_report
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 from zensim.sim_server.description.builtin_models import list_builtin_worlds
@@ -27,6 +29,7 @@ from zensim.sim_server.initial_world import load_initial_world, make_initial_wor
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.in_process_parser import InProcessParser
 from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
+from zensim.sim_server.runtime.world_map import WorldMap
 from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, WorldTelemetry
 from zensim.sim_server.server_config import ServerConfig, validate_config
 from zensim.sim_server.service_parts import DeferredResponse, ServerParts
@@ -241,6 +244,17 @@ class InProcessServer:
         self.follow()
 
 
+@dataclass(frozen=True)
+class InProcessMapPublisher:
+    """Publishes the map of a world; late subscribers get it from `InProcessTelemetry.find_last`."""
+
+    is_wanted: Callable[[TopicSpec], bool]
+    publish: Callable[[TopicSpec, msgspec.Struct], None]
+
+    def serve_late_subscribers(self) -> None:
+        """See `MapPublisher`; there are none."""
+
+
 class InProcessTelemetry:
     """Publishes the topics of a world in simulation time, and contacts to its pool."""
 
@@ -248,7 +262,8 @@ class InProcessTelemetry:
         self._world = parts.world
         self._network = network
         self._robots = robots
-        self._messages = WorldTelemetry(parts.world, parts.pacing, parts.sensors)
+        self._map = WorldMap(parts, InProcessMapPublisher(self._is_wanted, self._put))
+        self._messages = WorldTelemetry(parts.world, parts.pacing, parts.sensors, self._map)
         self._contacts = ContactTelemetry(parts.world, parts.store.vertices)
 
     def publish(self) -> None:
@@ -258,12 +273,13 @@ class InProcessTelemetry:
         for topic in self._messages.due(self._world.clock.time_ns):
             if self._is_wanted(topic):
                 self._put(topic, self._messages.message(topic))
+        self._map.poll(self._world.clock.time_ns)
 
     def find_last(self, key: str) -> list[Sample]:
         """Make the message of a topic of the world, if it is one that always has a value."""
         for topic in GETTABLE_TOPICS.values():
             if topic.key(self._world.name) == key:
-                message = self._messages.message(topic)
+                message = self._map.draw() if topic is MAP else self._messages.message(topic)
                 return [Sample(key, encode(message, topic.format), topic.encoding)]
         return []
 

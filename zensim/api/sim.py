@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from zensim.api.api_errors import Unsupported
 from zensim.api.server_access import ServerAccess
 from zensim.api.simulation import Simulation
 from zensim.api.topic import TopicCallback
@@ -110,11 +109,3 @@ class Sim(Simulation):
                     with api_errors():
                         self._session.client.delete(name)
             self._session.access.refresh()
-
-    def export(self) -> None:
-        """Write the world as a scenario file.
-
-        Raises:
-            Unsupported: `zensim export` does it.
-        """
-        raise Unsupported("a Sim does not write scenario files", hint="use 'zensim export'")

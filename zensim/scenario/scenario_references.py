@@ -92,7 +92,7 @@ class ReferenceCheck:
         word = (self._plain.get("world") or {}).get("load")
         if not word or word in list_builtin_worlds():
             return
-        if not self._resolve("world.load", word).is_file():
+        if not _is_file(self._resolve("world.load", word)):
             worlds = ", ".join(list_builtin_worlds())
             self._refuse("world.load", f"`{word}` is no file and no shipped world; one of {worlds}")
 
@@ -121,7 +121,7 @@ class ReferenceCheck:
             ]
 
     def _check_model(self, path: str, word: str | None) -> None:
-        if not word or word in list_builtin_models() or self._resolve(path, word).is_file():
+        if not word or word in list_builtin_models() or _is_file(self._resolve(path, word)):
             return
         models = ", ".join(list_builtin_models())
         kind = "no file" if word.endswith(MODEL_SUFFIXES) or "/" in word else "no shipped model"
@@ -265,6 +265,14 @@ class ReferenceCheck:
             return True
         names = self._list_names(words[0])
         return words[1] in names or (words[1].isdigit() and int(words[1]) < len(listed))
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        # A name that is too long, or has characters that no file has.
+        return False
 
 
 def _find_range_mistakes(values: ScenarioNode) -> Iterator[str]:

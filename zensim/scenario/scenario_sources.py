@@ -40,11 +40,12 @@ def _read_with_includes(
     count[0] += 1
     if count[0] > MAX_INCLUDES:
         raise fail_at(place, "include", f"more than {MAX_INCLUDES} files are included")
+    text = _read_text(file, place)
     resolved = file.resolve()
     if resolved in above:
         loop = " -> ".join(one.name for one in (*above[above.index(resolved) :], resolved))
         raise fail_at(place, "include", f"`{file}` includes itself: {loop}")
-    node = read_nodes(_read_text(file, place), str(file))
+    node = read_nodes(text, str(file))
     if not node.is_map:
         raise fail_at(node.place, "", "a scenario is a map of keys and values, such as `zensim: 1`")
     base: ScenarioNode | None = None

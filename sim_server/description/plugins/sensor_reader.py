@@ -100,8 +100,7 @@ UNUSED_TAGS = {
     "camera/vertical_fov": "found from <horizontal_fov> and the size",
     "baseline": "disparities are not published",
     "camera/image/anti_aliasing": "not simulated",
-    "camera/trigger_topic": "not simulated",
-    "camera/triggered": "not simulated",
+    "camera/trigger_topic": "the camera is not triggered",
     "topic": "the plug-in names the topic",
     "gps/topic": "the plug-in names the topic",
     "imu/topic": "the plug-in names the topic",
@@ -128,8 +127,8 @@ UNUSED_PLUGIN_TAGS = {
     **dict.fromkeys(
         (
             *("focal_length", "focalLength", "cx", "cy", "Cx", "Cy", "CxPrime", "cx_prime"),
-            *("border_crop", "borderCrop", "autoDistortion", "auto_distortion", "triggered"),
-            *("Fx", "Fy", "fx", "fy", "trigger_topic", "triggerTopicName"),
+            *("border_crop", "borderCrop", "autoDistortion", "auto_distortion"),
+            *("Fx", "Fy", "fx", "fy"),
         ),
         "found from <horizontal_fov> and the size; images are not distorted",
     ),
@@ -137,6 +136,7 @@ UNUSED_PLUGIN_TAGS = {
         ("headingGaussianNoise", "headingDrift", "headingDriftFrequency", "headingOffset"),
         "orientation has no noise",
     ),
+    **dict.fromkeys(("triggered", "triggerTopicName"), "only cameras are triggered"),
     **dict.fromkeys(("hokuyoMinIntensity", "organize_cloud"), "not simulated"),
     "baseline": "disparities are not published",
     "body_name": "the sensor is on the link of its element",
@@ -602,9 +602,10 @@ def make_sensor_entry(
 
 
 SCAN_S, RAY_S = 3e-5, 3.5e-7
-PIXEL_S = {"rgb": 1.7e-8, "depth": 1.9e-8, "rgbd": 2.2e-8}
+PIXEL_S = {"rgb": 2e-8, "depth": 4e-8, "rgbd": 4.5e-8}
 MESSAGE_S = 1e-5
-"""CPU time of a scan, a ray, a pixel and another message, measured on one core of a server."""
+"""CPU time of a scan, a ray, a pixel (all topics subscribed) and another message, each one of
+many, measured on one core of a server."""
 SHOWN_COST = 1e-5
 
 

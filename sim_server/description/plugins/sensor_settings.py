@@ -59,6 +59,7 @@ OUTPUTS: dict[str, ScanOutput] = {
 RANGE_FINDERS = ("gazebo_ros_range", "hector_gazebo_ros_sonar")
 CLOUD_SCANNERS = ("gazebo_ros_velodyne",)
 OLD_CLOUD_SCANNERS = ("gazebo_ros_block_laser",)
+TRIGGERED_CAMERA = "gazebo_ros_triggered"
 PLANAR_SCANNERS = ("gazebo_ros_laser", "gazebo_ros_gpu_laser")
 
 
@@ -97,6 +98,7 @@ def read_ray(source: SensorSource) -> RaySensor:
         radiation_type=_read_radiation(source),
         min_intensity=source.plugin_value("min_intensity"),
         sees_itself=source.tags.flag("sees_itself", default=False),
+        is_organized=output == "PointCloud2" and source.plugin is None,
     )
 
 
@@ -412,7 +414,16 @@ def read_camera(source: SensorSource) -> CameraSensor:
         noise=read_noise(source.tags, "camera/noise"),
         distortion=_read_distortion(source),
         stereo_baseline_m=source.plugin_value("hack_baseline", "hackBaseline", "baseline"),
+        is_triggered=_read_triggered(source),
     )
+
+
+def _read_triggered(source: SensorSource) -> bool:
+    is_triggered = source.tags.flag("camera/triggered", default=False)
+    if source.plugin is None:
+        return is_triggered
+    by_plugin = source.plugin.flag("triggered", default=False)
+    return is_triggered or by_plugin or TRIGGERED_CAMERA in source.plugin.filename
 
 
 def _read_fov(source: SensorSource) -> float:

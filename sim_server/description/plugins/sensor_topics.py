@@ -163,7 +163,7 @@ def _list_camera_names(source: SensorSource, settings: CameraSensor) -> list[Nam
     else:
         names = _name_plugin_camera(source, settings)
     wanted = {"rgb": COLOUR_TOPICS, "depth": DEPTH_TOPICS, "rgbd": COLOUR_TOPICS + DEPTH_TOPICS}
-    shown = (*wanted[settings.kind], "labels")
+    shown = (*wanted[settings.kind], "labels", *(["image_trigger"] * settings.is_triggered))
     return [(topic, names[topic]) for topic in shown if topic in names]
 
 
@@ -174,7 +174,8 @@ DEPTH_TOPICS = ("depth_image", "depth_camera_info", "depth_points")
 def _name_camera(source: SensorSource, settings: CameraSensor) -> dict[str, str]:
     """Name the topics as gazebo_ros does, below the camera's name."""
     del settings
-    return _join_names(to_path(source.name))
+    trigger = source.tags.text("camera/trigger_topic", "image_trigger")
+    return _join_names(to_path(source.name), trigger=trigger)
 
 
 def _join_names(
@@ -182,6 +183,8 @@ def _join_names(
     image: str = "image_raw",
     info: str = "camera_info",
     depth: tuple[str, str, str] = ("depth/image_raw", "depth/camera_info", "points"),
+    *,
+    trigger: str = "image_trigger",
 ) -> dict[str, str]:
     names = {
         "image_raw": image,
@@ -191,6 +194,7 @@ def _join_names(
         "depth_camera_info": depth[1],
         "depth_points": depth[2],
         "labels": "labels",
+        "image_trigger": trigger,
     }
     return {
         topic: name if name.startswith("/") else f"{camera}/{name}".strip("/")
@@ -217,6 +221,7 @@ def _name_plugin_camera(source: SensorSource, settings: CameraSensor) -> dict[st
             ),
             source.written("pointCloudTopicName", default="points"),
         ),
+        trigger=source.written("triggerTopicName", default="image_trigger"),
     )
 
 
@@ -225,6 +230,7 @@ def _name_gz_camera(source: SensorSource, settings: CameraSensor, name: str) -> 
     above = name.rpartition("/")[0]
     beside = f"{above}/" if above else ""
     info = source.tags.text("camera/camera_info_topic", f"{beside}camera_info")
+    trigger = source.tags.text("camera/trigger_topic", f"{name}/trigger")
     if settings.kind == "rgbd":
         return {
             "image_raw": f"{name}/image",
@@ -233,6 +239,7 @@ def _name_gz_camera(source: SensorSource, settings: CameraSensor, name: str) -> 
             "depth_image": f"{name}/depth_image",
             "depth_points": f"{name}/points",
             "labels": f"{name}/labels",
+            "image_trigger": trigger,
         }
     if settings.kind == "depth":
         return {
@@ -240,12 +247,14 @@ def _name_gz_camera(source: SensorSource, settings: CameraSensor, name: str) -> 
             "depth_camera_info": info,
             "depth_points": f"{name}/points",
             "labels": f"{beside}labels",
+            "image_trigger": trigger,
         }
     return {
         "image_raw": name,
         "image_compressed": f"{name}/compressed",
         "camera_info": info,
         "labels": f"{beside}labels",
+        "image_trigger": trigger,
     }
 
 

@@ -97,6 +97,16 @@ def read_joint_states(
     return np.array(positions, dtype=np.float64), np.array(velocities, dtype=np.float64)
 
 
+def read_motor_efforts(
+    bodies: Iterable[tuple[int, Sequence[int]]], client: int, read_joints: ReadJointStates
+) -> FloatArray:
+    """Read what the motors of joints exerted in the last step (k,), body by body."""
+    efforts = [
+        effort for body, joints in bodies for _, _, _, effort in read_joints(body, joints, client)
+    ]
+    return np.array(efforts, dtype=np.float64)
+
+
 def read_contact_point(point: Sequence[Any]) -> tuple[float, ...]:
     """Convert a contact point of Bullet's, seen from its first body, to `ContactPoints.points`."""
     (_, _, _, _, _, position, _, (nx, ny, nz), distance, push, *friction) = point
@@ -425,9 +435,17 @@ class PyBulletEngine(Engine):
 
     def read(self, bodies: Sequence[int]) -> BodyStates:
         """See `Engine.read`."""
-        jointed = [(body, found) for body in bodies if (found := self._bodies[body].joints)]
+        jointed = self._list_joints(bodies)
         base = self._com_frames.states(bodies, self._com_states(bodies))
         return BodyStates(base, *read_joint_states(jointed, self._client, pybullet.getJointStates))
+
+    def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
+        """See `Engine.read_joint_efforts`; friction and springs of joints are motors, too."""
+        jointed = self._list_joints(bodies)
+        return read_motor_efforts(jointed, self._client, pybullet.getJointStates)
+
+    def _list_joints(self, bodies: Sequence[int]) -> list[tuple[int, Sequence[int]]]:
+        return [(body, found) for body in bodies if (found := self._bodies[body].joints)]
 
     def set_base_state(self, body: int, base: FloatArray) -> None:
         """See `Engine.set_base_state`."""

@@ -338,6 +338,10 @@ class RemoteCell(Engine):
         """See `Engine.read_contacts`."""
         return self.worker.call(ContactPoints, "read_contacts", self.cell, bodies)
 
+    def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
+        """See `Engine.read_joint_efforts`."""
+        return self.worker.call(np.ndarray, "read_joint_efforts", self.cell, bodies)
+
     def take_faults(self) -> Mapping[int, str]:
         """See `Engine.take_faults`."""
         return self.worker.call(dict, "take_faults", self.cell)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from zensim.proto.messages.model_messages import Model
-from zensim.sim_server.physics.body_reach import BodyReach, ReachCache, can_move
+from zensim.sim_server.physics.body_reach import BodyReach, ReachCache
 from zensim.sim_server.physics.cells.cell_executor import CellExecutor, CellReadRequest, CellTargets
 from zensim.sim_server.physics.engine import (
     GROUND,
@@ -18,6 +18,7 @@ from zensim.sim_server.physics.engine import (
     Engine,
     EngineRefused,
     FloatArray,
+    can_move,
     concatenate_contacts,
     concatenate_states,
 )
@@ -521,8 +522,22 @@ class CellMap:
         is_accepted = model is self._accepted
         return all(
             (is_accepted and engine.capabilities.is_remote) or engine.prepare(model)
-            for engine in self.engines.values()
+            for engine in self._list_receivers(model)
         )
+
+    def _list_receivers(self, model: Model) -> list[Engine]:
+        """List the engines that may get a body of a model: a full cell gets no more that move."""
+        if not can_move(model) or self._has_room_in_single_cell:
+            return list(self.engines.values())
+        moving = self.members.moving
+        counts = np.bincount(self.members.cell[moving], minlength=max(self.engines) + 1)
+        most = self._capacity.max_bodies(len(moving))
+        return [engine for cell, engine in self.engines.items() if counts[cell] < most]
+
+    @property
+    def _has_room_in_single_cell(self) -> bool:
+        """Whether there is one cell, and it gets the next body."""
+        return len(self.engines) == 1 and self.members.moving_count < self._single_cell_bodies
 
     def expect(self, models: Sequence[Model]) -> None:
         """See `Engine.expect`; which of many cells gets a body that moves shows when it comes."""
@@ -577,6 +592,21 @@ class CellMap:
         """Read bodies one by one, hidden ones included."""
         each = [engine.read([inner]) for engine, inner in (self.locate(body)[0] for body in bodies)]
         return concatenate_states(each)
+
+    def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
+        """Read the efforts of joints, each in its cell."""
+        by_cell: dict[int, list[tuple[int, int]]] = {}
+        for place, body in enumerate(bodies):
+            cell, inner = self._locate_by_cell(body)[0]
+            by_cell.setdefault(cell, []).append((place, inner))
+        counts = [len(self.members.by_number[body].model.joints) for body in bodies]
+        ends = np.cumsum(counts, dtype=np.intp)
+        efforts = np.zeros(sum(counts))
+        for cell, found in by_cell.items():
+            places = [place for place, _ in found]
+            into = expand_ranges((ends - counts)[places], np.array(counts, np.intp)[places])[1]
+            efforts[into] = self.engines[cell].read_joint_efforts([inner for _, inner in found])
+        return efforts
 
     def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
         """Read the contact points of bodies, each in its cell or cells."""
@@ -757,7 +787,7 @@ class CellMap:
 
     def _find_nearest_cell(self, base: FloatArray) -> int:
         """Find the cell with free capacity whose body is nearest; else the emptiest cell."""
-        if len(self.engines) == 1 and self.members.moving_count < self._single_cell_bodies:
+        if self._has_room_in_single_cell:
             return 0
         moving = self.members.moving
         cells = self.members.cell[moving]
@@ -894,6 +924,10 @@ class CelledEngine(Engine):
         if not self._cell_map.is_single_cell and self._may_touch_other_cells(body):
             self._regroup()
         return self._cell_map.find_overlaps_async(body)
+
+    def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
+        """See `Engine.read_joint_efforts`; each cell reads its own."""
+        return self._cell_map.read_joint_efforts(bodies)
 
     def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
         """See `Engine.read_contacts`; each cell reads its own."""

@@ -16,8 +16,10 @@ from zensim.sim_server.physics.engine import (
     ContactPoints,
     EngineRefused,
     FloatArray,
+    can_move,
     concatenate_contacts,
     make_contact_points,
+    make_unknown_efforts,
 )
 from zensim.sim_server.physics.engine_layer import EngineLayer
 from zensim.sim_server.physics.kinematic.collision_limits import (
@@ -470,6 +472,7 @@ class TieredBodies:
         moving_rows: Their rows.
         commanded: Rows of robots that were commanded since they were at rest.
         held_count: Number of robots that may be in the kinematic tier.
+        jointed: Rows of bodies with a fixed root and joints that move.
     """
 
     def __init__(self, full: Engine, corners: MeshTriangles, dt_s: float, period_s: float) -> None:
@@ -481,6 +484,7 @@ class TieredBodies:
         self.numbers: dict[int, int] = {}
         self.commanded: set[int] = set()
         self.held_count = 0
+        self.jointed: set[int] = set()
         self.movers: tuple[int, ...] = ()
         self.moving_rows: IntColumn = np.zeros(0, np.intp)
         self._full = full
@@ -496,6 +500,8 @@ class TieredBodies:
         rows.tier[row] = Tier.KINEMATIC
         rows.joint_count[row], rows.width[row] = len(model.joints), model.target_count
         rows.is_static[row] = model.is_static
+        if model.is_static and can_move(model):
+            self.jointed.add(row)
         if plan is not None:
             vehicle, footprint = plan
             rows.is_held[row], rows.is_auto[row] = True, is_auto
@@ -516,6 +522,7 @@ class TieredBodies:
         self.surroundings.remove_outline(row)
         self._pending_outlines.pop(row, None)
         self.commanded.discard(row)
+        self.jointed.discard(row)
         del self.models[row]
         self.rows.free(row)
         self._invalidate()
@@ -867,6 +874,14 @@ class TieredEngine(EngineLayer):
         velocities[full.joints] = reading.joint_velocities
         return BodyStates(base, positions, velocities)
 
+    def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
+        """See `Engine.read_joint_efforts`; NaN for kinematic bodies."""
+        mapping = self._bodies.mappings.get(bodies)
+        efforts = make_unknown_efforts(mapping.joint_count)
+        if mapping.bodies:
+            efforts[mapping.full.joints] = self._inner.read_joint_efforts(mapping.bodies)
+        return efforts
+
     def _read_kinematic(self, mapping: TierIndexMap) -> BodyStates:
         kinematic = self._bodies.kinematic
         return BodyStates(
@@ -944,7 +959,7 @@ class TieredEngine(EngineLayer):
         bodies.gather()
         self._move_kinematic()
         bodies.invalidate_reading()
-        return self._inner.step() if bodies.movers else True
+        return self._inner.step() if bodies.movers or bodies.jointed else True
 
     def _move_kinematic(self) -> None:
         kinematic = self._bodies.kinematic

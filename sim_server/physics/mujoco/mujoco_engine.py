@@ -28,6 +28,7 @@ from zensim.sim_server.physics.engine import (
     EngineRefused,
     FloatArray,
     concatenate_contacts,
+    make_unknown_efforts,
 )
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.link_forces import LinkForce, make_link_forces
@@ -517,6 +518,8 @@ class MujocoEngine(Engine):
         self._announced: deque[Model] = deque()
         """Models of expected bodies, whose archetypes are not found yet."""
         self._has_loads = False
+        self._solved_motors: IndexArray | None = None
+        """Those of the last step, in the order of their rows; None before the first."""
         self._start_with(_COMPILE_CACHE.compile((), config))
 
     def prepare(self, model: Model) -> bool:
@@ -587,6 +590,8 @@ class MujocoEngine(Engine):
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
         self._slots = SlotAllocator()
+        for body in self._bodies.values():
+            self._slots.expect_one_more(body.archetype)
         for number, body in self._bodies.items():
             body.slot = self._slots.take(body.archetype, number)
         self._switch_model(_COMPILE_CACHE.compile(self._slots.counts, self._config))
@@ -616,6 +621,16 @@ class MujocoEngine(Engine):
             chosen.gather.gather_joints(data.qpos, chosen.gather.positions),
             chosen.gather.gather_joints(data.qvel, chosen.gather.velocities),
         )
+
+    def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
+        """See `Engine.read_joint_efforts`; NaN before the first step with new slots."""
+        gather, motors = self._selection(bodies).gather, self._solved_motors
+        if motors is None:
+            return make_unknown_efforts(gather.joint_count)
+        data = self._data
+        efforts = data.qfrc_spring.copy()
+        efforts[motors] += data.efc_force[data.ne : data.ne + data.nf]
+        return gather.gather_joints(efforts, gather.velocities)
 
     def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
         """See `Engine.read_contacts`."""
@@ -712,6 +727,7 @@ class MujocoEngine(Engine):
         if len(inputs.twisted_roots.free):
             inputs.impose_twists(self._targets, data.qpos, data.qvel)
         self._make_constraints()
+        self._solved_motors = inputs.motors
         if len(inputs.link_forces):
             inputs.link_forces.apply(data, model.body_rootid)
         if len(inputs.motors):
@@ -778,6 +794,7 @@ class MujocoEngine(Engine):
         self._owners = np.full(len(self._model.geom_contype), NO_INDEX, np.intp)
         self._links = np.zeros(len(self._owners), np.intp)
         self._is_changed = True
+        self._solved_motors = None
         self._selections: dict[tuple[int, ...], BodySelection] = {}
         deactivate_all_slots(self._model, self._data, compiled.layout)
 

@@ -313,8 +313,11 @@ class SlotAllocator:
         bodies[archetype] = max(1, bodies[archetype])
         for one, count in bodies.items():
             if count:
-                taken = sum(map(_is_taken, self._owners.get(one, [])))
-                sizes[one] = max(sizes.get(one, 0), round_up_slots(taken + count))
+                wanted = count + sum(map(_is_taken, self._owners.get(one, [])))
+                # Scenery may have a thousand geometries and seldom grows.
+                is_complete = one.is_static and self._expected[one] > 0
+                size = wanted if is_complete else round_up_slots(wanted)
+                sizes[one] = max(sizes.get(one, 0), size)
         return sizes
 
     def _find_kept(self) -> dict[Archetype, list[int | None]]:

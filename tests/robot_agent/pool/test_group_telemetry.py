@@ -106,10 +106,14 @@ def test_joint_states_are_what_the_encoder_writes() -> None:
         message_templates.HEADER_STAMP,
     )
 
-    batch.fill(np.array([0]), np.array([[0.1, 0.2, 0.3, 0.4]]), np.array([10**9]))
+    batch.fill(np.array([0]), np.array([[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]]), np.array([10**9]))
 
     expected = JointState(
-        Header(time_from_ns(10**9)), ("left_joint", "right_joint"), (0.1, 0.2), (0.3, 0.4)
+        Header(time_from_ns(10**9)),
+        ("left_joint", "right_joint"),
+        (0.1, 0.2),
+        (0.3, 0.4),
+        (0.5, 0.6),
     )
     assert batch.payload(0) == cdr.encode(expected)
 

@@ -119,7 +119,8 @@ def assert_same(found: Sample, expected: Sample) -> None:
     kind = KINDS[last_chunk(found.key)]
     one, other = (decode(kind, sample.payload, sample.encoding) for sample in (found, expected))
     assert list(list_texts(one)) == list(list_texts(other))
-    assert list(list_numbers(one)) == pytest.approx(list(list_numbers(other)), abs=1e-12)
+    numbers, others = list(list_numbers(one)), list(list_numbers(other))
+    assert numbers == pytest.approx(others, abs=1e-12, nan_ok=True)
 
 
 def targets_of(command: DriveCommand) -> tuple[float, ...]:
@@ -136,6 +137,7 @@ class Both:
         self.received = [bus.subscribe("**", 100_000) for bus in self.buses]
         self.claims: list[Claim] = []
         self.time_ns = 0
+        self.has_efforts = True
 
     def take(self, *models: Model, namespace: str = "") -> None:
         for model in models:
@@ -167,6 +169,7 @@ class Both:
             base.tobytes(),
             rng.uniform(-3.0, 3.0, joints).tobytes(),
             rng.uniform(-3.0, 3.0, joints).tobytes(),
+            joint_efforts=rng.uniform(-3.0, 3.0, joints).tobytes() if self.has_efforts else b"",
         )
 
     def step(self, rng: np.random.Generator, period_ns: int, claims: Sequence[Claim]) -> None:
@@ -224,6 +227,33 @@ def test_pool_drives_robots_of_all_kinds_together() -> None:
             if rng.random() < 0.3:
                 both.command(a_twist(rng), list(Format)[rng.integers(3)], claim)
         both.step(rng, 12_500_000, both.claims)
+
+
+def test_pool_publishes_joint_states_without_efforts_as_individual_robots_do() -> None:
+    rng, both = np.random.default_rng(3), Both()
+    both.take(*[robot_of(drive) for drive in DRIVES.values()])
+    both.has_efforts = False
+    for _ in range(8):
+        both.step(rng, 12_500_000, both.claims)
+
+
+def test_pool_wants_efforts_while_joint_states_have_a_subscriber() -> None:
+    bus, rng = MemoryBus(), np.random.default_rng(3)
+    pool, both = PooledRobots(bus, TIMEOUT_NS), Both()
+    both.take(robot_of(DRIVE), two_wheeler(None))
+    pool.add_claims(both.claims)
+    wanted = []
+    for topic in ("odom", "joint_states"):
+        listener = bus.subscribe(f"*/{topic}")
+        for _ in range(3):
+            pool.reply_to_queries()
+            both.time_ns += 50_000_000
+            wanted.append(pool.advance(both.state(rng, both.claims)).wants_efforts)
+            pool.publish()
+        listener.close()
+
+    assert wanted[:3] == [False] * 3
+    assert wanted[-1]
 
 
 def test_pool_publishes_the_sensors_of_its_robots_as_individual_robots_do() -> None:

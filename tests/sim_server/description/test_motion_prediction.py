@@ -3,20 +3,15 @@
 import pytest
 
 from tests.sim_server.description.plugins.driven_robots import (
-    FOUR_STEERER,
+    BALLS,
+    ORDERED_ROBOTS,
     a_car,
     a_diff_robot,
-    a_four_steerer,
-    a_four_wheeler,
-    a_tricycle,
     read_driven,
-    reverse_axes,
 )
 from tests.sim_server.description.robots import (
-    a_collision,
     a_joint,
     a_link,
-    a_reference,
     an_inertial,
     mentions,
 )
@@ -25,35 +20,12 @@ from zensim.proto.messages.drive_messages import SteeringDrive
 from zensim.sim_server.description.ground_friction import GroundFriction
 from zensim.sim_server.description.motion_prediction import predict_motion
 
-BALLS = "".join(
-    a_link(name, a_collision(origin=f'<origin xyz="{x} 0 0"/>'))
-    + a_joint(f"{name}_joint", ("base_link", name))
-    + a_reference(name, "<mu1>0</mu1><mu2>0</mu2>")
-    for name, x in (("front_ball", 0.2), ("rear_ball", -0.2))
-)
-ROBOTS = {
-    "diff": (a_diff_robot(BALLS), "diff:left,right"),
-    "diff with reversed axes": (
-        reverse_axes(a_diff_robot(BALLS), "left", "right"),
-        "diff:left,right",
-    ),
-    "car with reversed axes": (
-        reverse_axes(a_car(), "rear_left"),
-        "ackermann:rear_left,rear_right,steer_left,steer_right",
-    ),
-    "mecanum": (a_four_wheeler(), "mecanum:fl,fr,rl,rr"),
-    "omni": (a_four_wheeler(), "omni:fl,fr,rl,rr"),
-    "car": (a_car(), "ackermann:rear_left,rear_right,steer_left,steer_right"),
-    "two steered axles": (a_four_steerer(), FOUR_STEERER),
-    "tricycle": (a_tricycle(), "tricycle:front,steer"),
-    "tricycle with two driven wheels": (a_tricycle(), "tricycle:rear_left,rear_right,steer"),
-}
 STRAIGHT, TURN, ARC = (0.2, 0.0, 0.0), (0.0, 0.0, 0.5), (0.2, 0.0, 0.2)
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", ORDERED_ROBOTS)
 def test_robot_whose_wheels_roll_is_predicted_to_move_as_commanded(name: str) -> None:
-    text, order = ROBOTS[name]
+    text, order = ORDERED_ROBOTS[name]
     model = read_driven(text, order=parse_drive_order(order))
     friction = GroundFriction(model)
 
@@ -79,7 +51,7 @@ def test_swapped_wheels_are_predicted_to_turn_the_robot_the_other_way() -> None:
 
 
 def test_wheelbase_that_is_not_that_of_the_links_is_named_as_the_cause() -> None:
-    _, order = ROBOTS["car"]
+    _, order = ORDERED_ROBOTS["car"]
     load = a_link("load", an_inertial("20")) + a_joint(
         "hold", ("base_link", "load"), inside='<origin xyz="0.4 0 0"/>'
     )
@@ -91,7 +63,7 @@ def test_wheelbase_that_is_not_that_of_the_links_is_named_as_the_cause() -> None
 
 
 def test_robot_that_drags_as_much_as_it_drives_is_not_predicted() -> None:
-    _, order = ROBOTS["car"]
+    _, order = ORDERED_ROBOTS["car"]
     load = a_link("load", an_inertial("9")) + a_joint(
         "hold", ("base_link", "load"), inside='<origin xyz="0.6 0 0"/>'
     )

@@ -10,7 +10,8 @@ import pytest
 from tests.models import TRACK_M, a_box, a_cart, a_fork, a_puck, an_arm
 from zensim.proto.messages.model_messages import Link, Model, Origin, Shape
 from zensim.proto.stl import write_corners
-from zensim.sim_server.physics.body_reach import MAX_REACH_M, SHAPE_MARGIN_M, ReachCache, can_move
+from zensim.sim_server.physics.body_reach import MAX_REACH_M, SHAPE_MARGIN_M, ReachCache
+from zensim.sim_server.physics.engine import can_move
 
 
 def radius(model: Model, folder: str = "") -> float:

@@ -5,33 +5,14 @@ import numpy as np
 import pytest
 
 from tests.models import a_box, on_ground
-from tests.sim_server.fakes import WallTime, a_spawn, a_world, handle_request, make_parts
+from tests.sim_server.fakes import a_spawn, a_world, handle_request, make_parts
+from tests.sim_server.queries.worlds_with_boxes import parts_with_boxes, respond
 from zensim.proto.messages.world_messages import GetMapRequest, GetMapResponse
 from zensim.sim_server.queries.map_queries import MapRefused
-from zensim.sim_server.service_parts import DeferredResponse, ServerParts
-
-
-def parts_with_boxes() -> ServerParts:
-    """A static box at x = 3, and one at x = 6 that can be pushed."""
-    world = a_world()
-    pillar = msgspec.structs.replace(a_box(), is_static=True)
-    world.spawn(a_spawn("pillar", model=pillar, base=on_ground(3.0)))
-    world.spawn(a_spawn("crate", model=a_box(), base=on_ground(6.0)))
-    return make_parts(world, WallTime())
-
-
-def get_map(parts: ServerParts, request: GetMapRequest) -> GetMapResponse:
-    response = handle_request(parts, request)
-    if isinstance(response, DeferredResponse):
-        while not response.is_ready():
-            pass
-        response = response.outcome()
-    assert isinstance(response, GetMapResponse)
-    return response
 
 
 def test_map_shows_what_is_fixed() -> None:
-    grid = get_map(parts_with_boxes(), GetMapRequest(0.05)).map
+    grid = respond(parts_with_boxes(), GetMapRequest(0.05), GetMapResponse).map
 
     cells = np.frombuffer(grid.data, np.int8).reshape(grid.info.height, grid.info.width)
     row, column = np.nonzero(cells == 100)

@@ -1,10 +1,10 @@
 """Rays of requests: hits by name, refusals, and time slices."""
 
-import msgspec
 import pytest
 
 from tests.models import a_box, on_ground
 from tests.sim_server.fakes import WallTime, a_spawn, a_world, handle_request, make_parts
+from tests.sim_server.queries.worlds_with_boxes import parts_with_boxes, respond
 from zensim.proto.messages.entity_messages import (
     NOTHING_HIT_M,
     CastRaysRequest,
@@ -14,39 +14,18 @@ from zensim.proto.messages.standard_messages import Point, Vector3
 from zensim.sim_server.errors import EntityNotFound
 from zensim.sim_server.queries.ray_queries import MAX_RAYS, RaysRefused
 from zensim.sim_server.queries.sliced_work import MAX_WORK_S
-from zensim.sim_server.service_parts import DeferredResponse, ServerParts
+from zensim.sim_server.service_parts import DeferredResponse
 
 AHEAD = Vector3(2.0, 0.0, 0.0)
 DOWN = Vector3(0.0, 0.0, -1.0)
 LOW = Point(0.0, 0.0, 0.05)
 
 
-def parts_with_boxes() -> ServerParts:
-    world = a_world()
-    for name, x in (("near", 3.0), ("far", 6.0)):
-        world.spawn(a_spawn(name, model=a_box(), base=on_ground(x)))
-    parts = make_parts(world)
-    parts.current_world.model = msgspec.structs.replace(
-        parts.current_world.model, ground_plane=True
-    )
-    return parts
-
-
-def cast(parts: ServerParts, request: CastRaysRequest) -> CastRaysResponse:
-    response = handle_request(parts, request)
-    if isinstance(response, DeferredResponse):
-        while not response.is_ready():
-            pass
-        response = response.outcome()
-    assert isinstance(response, CastRaysResponse)
-    return response
-
-
 def test_rays_hit_the_nearest_entity_the_ground_or_nothing() -> None:
     up = Vector3(0.0, 0.0, 1.0)
     request = CastRaysRequest((LOW, LOW, LOW), (AHEAD, DOWN, up))
 
-    response = cast(parts_with_boxes(), request)
+    response = respond(parts_with_boxes(), request, CastRaysResponse)
 
     assert response.entities == ("near", "", "")
     assert response.ranges == pytest.approx((2.9, 0.05, NOTHING_HIT_M))
@@ -55,17 +34,17 @@ def test_rays_hit_the_nearest_entity_the_ground_or_nothing() -> None:
 def test_rays_pass_through_the_ignored_entity() -> None:
     request = CastRaysRequest((LOW,), (AHEAD,), ignored_entity="near")
 
-    assert cast(parts_with_boxes(), request).entities == ("far",)
+    assert respond(parts_with_boxes(), request, CastRaysResponse).entities == ("far",)
 
 
 def test_nothing_is_hit_beyond_the_range() -> None:
     request = CastRaysRequest((LOW,), (AHEAD,), range_max_m=2.0)
 
-    assert cast(parts_with_boxes(), request).ranges == (NOTHING_HIT_M,)
+    assert respond(parts_with_boxes(), request, CastRaysResponse).ranges == (NOTHING_HIT_M,)
 
 
 def test_no_rays_have_no_hits() -> None:
-    assert cast(parts_with_boxes(), CastRaysRequest()) == CastRaysResponse()
+    assert respond(parts_with_boxes(), CastRaysRequest(), CastRaysResponse) == CastRaysResponse()
 
 
 @pytest.mark.parametrize(

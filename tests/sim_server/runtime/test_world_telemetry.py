@@ -6,7 +6,15 @@ import msgspec
 import pytest
 
 from tests.models import on_ground
-from tests.sim_server.fakes import a_server, a_spawn, a_world, answer_of, make_parts, names_in
+from tests.sim_server.fakes import (
+    RecordingPublisher,
+    a_server,
+    a_spawn,
+    a_world,
+    answer_of,
+    make_parts,
+    names_in,
+)
 from zensim.proto.messages.entity_messages import GetEntitiesRequest
 from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
 from zensim.proto.messages.simulation_messages import ResetScope
@@ -14,6 +22,7 @@ from zensim.proto.messages.standard_messages import Time
 from zensim.proto.messages.telemetry_messages import Snapshot, Stats, WorldClock
 from zensim.proto.topic_catalog import CLOCK, SNAPSHOT, STATS, TopicSpec
 from zensim.sim_server.pacing.loop_stats import LoopStats
+from zensim.sim_server.runtime.world_map import WorldMap
 from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, WorldTelemetry
 from zensim.sim_server.service_parts import Pacing, SensorProcesses
 from zensim.sim_server.world.simulated_world import SimulatedWorld
@@ -26,6 +35,12 @@ CHANGES: dict[str, Callable[[SimulatedWorld], object]] = {
     "reset": lambda world: world.reset(ResetScope.STATE),
     "place": lambda world: world.place("r0", on_ground(5.0)),
 }
+
+
+def make_telemetry(world: SimulatedWorld, pacing: Pacing | None = None) -> WorldTelemetry:
+    parts = make_parts(world)
+    world_map = WorldMap(parts, RecordingPublisher())
+    return WorldTelemetry(world, pacing or parts.pacing, SensorProcesses(), world_map)
 
 
 def due(telemetry: WorldTelemetry, now_ns: int) -> list[str]:
@@ -98,7 +113,7 @@ def test_snapshot_is_published_at_its_rate_when_flat_out() -> None:
 
 def test_telemetry_lists_the_due_topics_after_a_change() -> None:
     world = a_world("r0")
-    telemetry = WorldTelemetry(world, make_parts(world).pacing, SensorProcesses())
+    telemetry = make_telemetry(world)
     for i in range(5):
         due(telemetry, SECOND + i * 100 * MILLISECOND)
     nothing = due(telemetry, SECOND + 500 * MILLISECOND)
@@ -124,7 +139,7 @@ def test_clock_has_time_step_and_epoch() -> None:
     for _ in range(240):
         world.step()
 
-    clock = WorldTelemetry(world, make_parts(world).pacing, SensorProcesses()).message(CLOCK)
+    clock = make_telemetry(world).message(CLOCK)
 
     assert clock == WorldClock(Time(1, 80), 240, 1)
 
@@ -137,7 +152,7 @@ def test_stats_contain_the_loop_statistics() -> None:
     loop_stats.slipped_ns = SECOND
     loop_stats.close_window(SECOND)
 
-    stats = WorldTelemetry(world, Pacing(lambda: 0, loop_stats), SensorProcesses()).message(STATS)
+    stats = make_telemetry(world, Pacing(lambda: 0, loop_stats)).message(STATS)
 
     assert isinstance(stats, Stats)
     assert (stats.entities, stats.agents, stats.claimed) == (2, 1, 1)
@@ -152,7 +167,7 @@ def test_real_time_factor_is_zero_while_paused(topic: TopicSpec) -> None:
     loop_stats.real_time_factor = 1.0
     world.clock.pause()
 
-    message = WorldTelemetry(world, Pacing(lambda: 0, loop_stats), SensorProcesses()).message(topic)
+    message = make_telemetry(world, Pacing(lambda: 0, loop_stats)).message(topic)
 
     assert isinstance(message, (Stats, Snapshot))
     assert message.real_time_factor == 0.0

@@ -11,12 +11,13 @@ from PIL import Image as Picture
 
 from tests.sim_server.sensors.sensed_worlds import STEP_NS, WORLD, SensedWorld, a_robot, at
 from zensim.proto import keys
-from zensim.proto.codec.message_codec import decode
+from zensim.proto.codec.message_codec import Format, decode
 from zensim.proto.messages.model_messages import Link, Model, Origin, Sensor, Shape, Texture
 from zensim.proto.messages.sensor_messages import CameraSensor, Noise, SensorTopic
 from zensim.proto.messages.standard_messages import (
     CameraInfo,
     CompressedImage,
+    Empty,
     Image,
     PointCloud2,
     time_from_ns,
@@ -122,6 +123,37 @@ def test_texture_is_fetched_and_seen_if_it_can_be_read(picture: bytes, is_green:
     red, green, _ = np.frombuffer(image.data, np.uint8).reshape(60, 80, 3)[30, 40].tolist()
     assert green > 40
     assert (red == 0) == is_green
+
+
+def test_triggered_camera_measures_once_for_a_trigger() -> None:
+    camera = a_camera(is_triggered=True)
+    trigger = SensorTopic("image_trigger", "eye/image_trigger")
+    world = a_world(msgspec.structs.replace(camera, topics=(*camera.topics, trigger)))
+    world.start("s1")
+    seen = world.listen(f"r1/{TOPICS['image_raw']}")
+    stamps = []
+    for step in range(24, 24 * 7, 24):
+        if step in (48, 96):
+            world.bus.put_message("r1/eye/image_trigger", Empty(), Format.CDR)
+        world.step_to(step)
+        images = [decode(Image, one.payload, one.encoding) for one in seen.take()]
+        stamps += [image.header.stamp for image in images]
+
+    assert stamps == [time_from_ns(step * STEP_NS) for step in (48, 96)]
+
+
+def test_triggers_without_a_subscriber_are_dropped() -> None:
+    camera = a_camera(is_triggered=True)
+    trigger = SensorTopic("image_trigger", "eye/image_trigger")
+    world = a_world(msgspec.structs.replace(camera, topics=(*camera.topics, trigger)))
+    world.start("s1", is_always_on=True)
+    world.bus.put_message("r1/eye/image_trigger", Empty(), Format.CDR)
+    world.step_to(24)
+
+    seen = world.listen(f"r1/{TOPICS['image_raw']}")
+    world.step_to(48)
+
+    assert seen.take() == []
 
 
 def test_compressed_picture_is_nearly_the_same() -> None:

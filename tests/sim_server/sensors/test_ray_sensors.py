@@ -136,6 +136,25 @@ def test_points_are_finite_and_in_the_axes_of_the_sensor() -> None:
     assert points.tolist() == [pytest.approx([WALL_M, 0.0, 0.0, 0.0])]
 
 
+def test_points_of_gz_sim_have_a_row_for_each_ring() -> None:
+    rows = ScanAxis(3, -math.pi / 8, math.pi / 8)
+    sensor = a_sensor("points", vertical=rows, range_max_m=2.5, is_organized=True)
+    (sample,) = sense(sensor).take()
+    cloud = decode(PointCloud2, sample.payload, sample.encoding)
+
+    layout = np.dtype([("point", "<f4", 4), ("ring", "<u2")])
+    points = np.frombuffer(cloud.data, layout).reshape(cloud.height, cloud.width)
+    assert [(one.name, one.offset, one.datatype) for one in cloud.fields] == [
+        *((name, 4 * number, 7) for number, name in enumerate(("x", "y", "z", "intensity"))),
+        ("ring", 16, 4),
+    ]
+    assert (cloud.height, cloud.width, cloud.point_step, cloud.row_step) == (3, 3, 18, 54)
+    assert not cloud.is_dense
+    assert points["ring"].tolist() == [[0] * 3, [1] * 3, [2] * 3]
+    assert points["point"][1, 1].tolist() == pytest.approx([WALL_M, 0.0, 0.0, 0.0])
+    assert np.isinf(points["point"][1, [0, 2], :2]).all()
+
+
 def test_point_cloud_has_the_same_points() -> None:
     (sample,) = sense(a_sensor("point_cloud")).take()
     cloud = decode(PointCloud, sample.payload, sample.encoding)

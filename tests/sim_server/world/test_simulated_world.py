@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -32,7 +33,7 @@ from zensim.sim_server.errors import (
     NamespaceRefused,
     RequestRefused,
 )
-from zensim.sim_server.physics.engine import BodyStates, EngineRefused
+from zensim.sim_server.physics.engine import BodyStates, EngineRefused, can_move
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.world.applied_forces import LinkWrench, TimeSpan
 from zensim.sim_server.world.entity import Entity, make_entity_index
@@ -42,7 +43,6 @@ from zensim.sim_server.world.simulated_world import (
     PROBATION_NS,
     DivergenceGuard,
     SimulatedWorld,
-    can_move,
     make_frozen_model,
 )
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
@@ -918,6 +918,33 @@ def test_agent_gets_the_states_of_its_entities_in_the_order_of_claiming() -> Non
     assert rows == pytest.approx(np.array([on_ground(2.0), on_ground(0.0)]))
     assert np.frombuffer(state.claims, dtype="<u4").tolist() == [1, 2]
     assert len(state.joint_positions) == len(state.joint_velocities) == 4 * 8
+
+
+def test_agent_gets_the_efforts_of_its_joints_while_it_wants_them() -> None:
+    world = a_world("r0", "r1")
+    for name in ("r0", "r1"):
+        world.claim(name, (name,), "stop")
+    found = []
+    for wants in (False, True, False):
+        command = a_command(world, "r1", 1.0, 1.0)
+        assert world.command("r1", msgspec.structs.replace(command, wants_efforts=wants))
+        world.step()
+        states = dict(world.drive_states())
+        found.append((len(states["r0"].joint_efforts), len(states["r1"].joint_efforts)))
+
+    assert found == [(0, 0), (0, 2 * 8), (0, 0)]
+
+
+def test_agent_that_ended_wants_no_efforts() -> None:
+    world = a_world("r0")
+    world.claim("a", ("r0",), "stop")
+    command = a_command(world, "a", 1.0, 1.0)
+    world.command("a", msgspec.structs.replace(command, wants_efforts=True))
+
+    world.release("a")
+    world.claim("a", ("r0",), "stop")
+
+    assert dict(world.drive_states())["a"].joint_efforts == b""
 
 
 def test_agent_gets_one_empty_state_after_its_last_claim_ended() -> None:

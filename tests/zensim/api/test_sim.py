@@ -1,5 +1,6 @@
 """The API on a server: real processes on an ephemeral port."""
 
+import asyncio
 import math
 import os
 import pickle
@@ -250,3 +251,66 @@ def test_closed_simulation_refuses(sim: zensim.Sim) -> None:
             with pytest.raises(zensim.Error) as caught:
                 use()
             assert caught.value.slug == "closed"
+
+
+def test_attached_controller_drives_all_its_robots(sim: zensim.Sim) -> None:
+    fleet = sim.spawn_fleet("box_bot", count=3, layout="row", spacing=2.0)
+    periods = []
+
+    def control(robots: zensim.Fleet, period: float) -> np.ndarray:
+        periods.append(period)
+        return np.column_stack([0.3 - 0.1 * np.arange(len(robots)), np.zeros(len(robots))])
+
+    end = sim.attach(fleet, control)
+    sim.run_for(2.0)
+    end()
+    sim.run_for(1.0)
+
+    assert periods[0] == pytest.approx(sim.control_period)
+    assert np.abs(fleet.twists()).max() < 1e-2
+    moved = fleet.poses()[:, 0] - [0.0, 2.0, 4.0]
+    assert moved == pytest.approx([0.6, 0.4, 0.2], abs=0.08)
+
+
+def test_temporary_robots_are_gone_after_the_block(sim: zensim.Sim) -> None:
+    sim.spawn("box_bot", name="kept")
+
+    with sim.temporary():
+        sim.spawn("box_bot", name="gone", x=2.0)
+
+    assert list(sim.robots) == ["kept"]
+
+
+def test_notebooks_get_short_tables(sim: zensim.Sim) -> None:
+    fleet = sim.spawn_fleet("box_bot", count=20)
+
+    for one in (sim, fleet, sim.check("box_bot")):
+        assert 0 < len(one._repr_html_()) < 20_000
+
+
+def test_servers_lists_the_server(sim: zensim.Sim) -> None:
+    (found,) = zensim.servers(sim.endpoint)
+
+    assert (found.world, found.info.world) == ("default", "default")
+
+
+def test_it_works_in_a_running_event_loop(sim: zensim.Sim) -> None:
+    async def use() -> float:
+        sim.run_for(0.1)
+        return sim.time
+
+    assert asyncio.run(use()) == pytest.approx(0.1, abs=0.01)
+
+
+def test_load_replaces_the_world_and_stays_paused(sim: zensim.Sim) -> None:
+    sim.load("walls")
+    try:
+        assert sim.is_paused
+        assert sim.info.world_model == "walls"
+        assert "walls" in " ".join(sim.worlds())
+        assert "box_bot" in sim.models()
+        ranges, names = sim.cast_rays([[0.0, 0.0, 0.2]], [[1.0, 0.0, 0.0]], range_max=50.0)
+        assert np.isfinite(ranges).all()
+        assert names[0]
+    finally:
+        sim.load("empty")

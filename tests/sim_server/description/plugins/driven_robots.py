@@ -2,7 +2,14 @@
 
 from collections.abc import Sequence
 
-from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_robot, an_inertial
+from tests.sim_server.description.robots import (
+    a_collision,
+    a_joint,
+    a_link,
+    a_reference,
+    a_robot,
+    an_inertial,
+)
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.pipeline import parse_description
@@ -135,3 +142,30 @@ def read_driven(text: str, *controllers: str, order: DriveOrder | None = None) -
         controllers=controllers,
         drive=order or DriveOrder(),
     ).model
+
+
+BALLS = "".join(
+    a_link(name, a_collision(origin=f'<origin xyz="{x} 0 0"/>'))
+    + a_joint(f"{name}_joint", ("base_link", name))
+    + a_reference(name, "<mu1>0</mu1><mu2>0</mu2>")
+    for name, x in (("front_ball", 0.2), ("rear_ball", -0.2))
+)
+ORDERED_ROBOTS = {
+    "diff": (a_diff_robot(BALLS), "diff:left,right"),
+    "diff with reversed axes": (
+        reverse_axes(a_diff_robot(BALLS), "left", "right"),
+        "diff:left,right",
+    ),
+    "diff with one reversed axis": (reverse_axes(a_diff_robot(BALLS), "right"), "diff:left,right"),
+    "car with reversed axes": (
+        reverse_axes(a_car(), "rear_left"),
+        "ackermann:rear_left,rear_right,steer_left,steer_right",
+    ),
+    "mecanum": (a_four_wheeler(), "mecanum:fl,fr,rl,rr"),
+    "omni": (a_four_wheeler(), "omni:fl,fr,rl,rr"),
+    "car": (a_car(), "ackermann:rear_left,rear_right,steer_left,steer_right"),
+    "two steered axles": (a_four_steerer(), FOUR_STEERER),
+    "tricycle": (a_tricycle(), "tricycle:front,steer"),
+    "tricycle with two driven wheels": (a_tricycle(), "tricycle:rear_left,rear_right,steer"),
+}
+"""Descriptions whose wheels do not slip, and the drives that are ordered for them."""

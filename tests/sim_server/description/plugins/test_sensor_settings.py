@@ -88,6 +88,7 @@ def test_lidar_with_rows_is_a_cloud() -> None:
 
     assert settings.vertical == ScanAxis(16, -0.3, 0.15)
     assert settings.output == "PointCloud2"
+    assert settings.is_organized
 
 
 def test_scan_of_rows_is_the_middle_one() -> None:
@@ -226,6 +227,7 @@ def test_velodyne_limits_its_range() -> None:
 
     assert settings.output == "PointCloud2"
     assert (settings.range_min_m, settings.range_max_m) == (0.9, 8.0)
+    assert not settings.is_organized
 
 
 LOCAL = (

@@ -273,3 +273,44 @@ def test_names_are_unique_within_a_sensor(kind: str) -> None:
     found = the_sensor(a_sensor(kind)).topics
 
     assert len({one.name for one in found}) == len(found)
+
+
+@pytest.mark.parametrize(
+    ("inside", "plugin", "expected"),
+    [
+        ("<camera><triggered>true</triggered></camera>", "", "s/image_trigger"),
+        (
+            "<camera><triggered>1</triggered><trigger_topic>shoot</trigger_topic></camera>",
+            "",
+            "s/shoot",
+        ),
+        (
+            "<topic>cam/image</topic><camera><triggered>true</triggered></camera>",
+            "",
+            "cam/image/trigger",
+        ),
+        (
+            "",
+            a_sensor_plugin(
+                "gazebo_ros_camera",
+                "<camera_name>front</camera_name><triggered>true</triggered>",
+            ),
+            "front/image_trigger",
+        ),
+        (
+            "",
+            a_sensor_plugin(
+                "gazebo_ros_triggered_camera", "<triggerTopicName>shoot</triggerTopicName>"
+            ),
+            "s/shoot",
+        ),
+    ],
+)
+def test_triggered_camera_has_a_topic_for_its_trigger(
+    inside: str, plugin: str, expected: str
+) -> None:
+    assert topics("camera", inside, plugin=plugin)["image_trigger"] == expected
+
+
+def test_camera_that_is_not_triggered_has_no_topic_for_triggers() -> None:
+    assert "image_trigger" not in topics("camera", "<camera><triggered>0</triggered></camera>")

@@ -68,7 +68,10 @@ def drive_mixed_robots(engine: Engine) -> bytes:
         advance(engine, 12)
     touching = [list(engine.find_overlaps(body)) for body in crowd]
     reading = engine.read(crowd)
-    arrays = (reading.base, reading.joint_positions, reading.joint_velocities)
+    efforts = engine.read_joint_efforts(crowd)
+    assert np.isfinite(efforts).all()
+    assert efforts.any()
+    arrays = (reading.base, reading.joint_positions, reading.joint_velocities, efforts)
     return b"".join(array.tobytes() for array in arrays) + repr(touching).encode()
 
 

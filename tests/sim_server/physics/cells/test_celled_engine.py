@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.engines import STEP_NS, advance, running
+from tests.engines import STEP_NS, ObedientEngine, advance, running
 from tests.models import a_box, a_box_bot, a_cart, a_state, box_bot_at, on_ground
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.cells.cell_executor import InProcessCellExecutor
 from zensim.sim_server.physics.cells.celled_engine import (
@@ -367,3 +368,80 @@ def test_overlaps_across_cells_are_found() -> None:
         assert list(engine.find_overlaps(at_the_wall)) == [wall]
         assert list(engine.find_overlaps(wall)) == [at_the_wall]
         assert list(engine.find_overlaps(apart[2])) == []
+
+
+class AskedEngine(ObedientEngine):
+    """Records for which models it prepares, and which it expects."""
+
+    def __init__(self, config: EngineConfig) -> None:
+        super().__init__(config)
+        self.prepared: list[Model] = []
+        self.expected: list[Model] = []
+
+    def prepare(self, model: Model) -> bool:
+        self.prepared.append(model)
+        return True
+
+    def expect(self, models: Sequence[Model]) -> None:
+        self.expected = list(models)
+
+
+@contextmanager
+def asked(settings: CellSettings) -> Iterator[tuple[CelledEngine, list[AskedEngine]]]:
+    made: list[AskedEngine] = []
+
+    def make() -> Engine:
+        made.append(AskedEngine(EngineConfig(STEP_NS)))
+        return made[-1]
+
+    engine = CelledEngine(EngineConfig(STEP_NS), InProcessCellExecutor(make), settings)
+    try:
+        yield engine, made
+    finally:
+        engine.close()
+
+
+WALL = a_box("wall", is_static=True)
+
+
+def test_full_cell_prepares_for_nothing_that_moves() -> None:
+    with asked(CellSettings(single_cell_bodies=2, cell_bodies=2)) as (engine, cells):
+        for at in range(3):
+            engine.add(a_box(), on_ground(10.0 * at))
+
+        engine.prepare(a_cart())
+        engine.prepare(WALL)
+
+        assert [cell.prepared for cell in cells] == [[WALL], [a_cart(), WALL]]
+
+
+def test_models_of_a_small_world_are_expected_in_its_only_cell() -> None:
+    with asked(CellSettings(single_cell_bodies=2)) as (engine, cells):
+        engine.expect([a_box(), WALL, a_cart()])
+
+        assert cells[0].expected == [a_box(), WALL, a_cart()]
+
+
+def test_new_cell_expects_what_all_cells_have() -> None:
+    with asked(CellSettings(single_cell_bodies=1, cell_bodies=1)) as (engine, cells):
+        engine.expect([WALL, a_box(), a_box()])
+        assert cells[0].expected == [WALL]
+
+        engine.add(WALL, a_state((0.0, 5.0, 0.0)))
+        for at in range(2):
+            engine.add(a_box(), on_ground(10.0 * at))
+
+        assert [cell.expected for cell in cells] == [[WALL], [WALL]]
+
+
+def test_cell_expects_all_bodies_that_move_to_it_at_once() -> None:
+    with asked(CellSettings(single_cell_bodies=1, cell_bodies=4)) as (engine, cells):
+        for at in range(6):
+            engine.add(a_box(f"box{at}"), on_ground(10.0 * at))
+        assert len(cells) > 1
+
+        for at in range(6):
+            engine.set_base_state(at, on_ground(0.1 * at))
+        engine.step()
+
+        assert max(len(cell.expected) for cell in cells) > 1

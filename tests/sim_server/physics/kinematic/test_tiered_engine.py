@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.models import a_box, a_box_bot, a_state, box_bot_at
+from tests.models import a_box, a_box_bot, a_state, an_arm, box_bot_at
 from tests.sim_server.physics.kinematic.tiered_worlds import (
     DT_S,
     places,
@@ -181,3 +181,13 @@ def test_overlaps_across_tiers_are_found() -> None:
         assert list(engine.find_overlaps(near)) == [box]
         assert list(engine.find_overlaps(box)) == [near]
         assert list(engine.find_overlaps(beside)) == []
+
+
+def test_arm_on_a_fixed_post_moves_beside_kinematic_robots_only() -> None:
+    with two_tiers() as engine:
+        engine.add(a_box_bot(), box_bot_at())
+        arm = engine.add(an_arm("revolute"), a_state((5.0, 0.0, 0.0)))
+        steps(engine, 200)
+
+        assert engine.kinematic_count == 1
+        assert engine.read((arm,)).joint_positions == pytest.approx([0.5], abs=0.01)

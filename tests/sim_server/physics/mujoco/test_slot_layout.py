@@ -96,6 +96,15 @@ def test_expected_bodies_fill_free_slots_first() -> None:
     assert slots.with_one_more(CART) == ((BOX, 4), (CART, 1))
 
 
+def test_expected_scenery_gets_no_more_slots_than_it_needs() -> None:
+    slots = SlotAllocator()
+    tree = make_archetype(make_blueprint(a_box(is_static=True)))
+    for _ in range(5):
+        slots.expect_one_more(tree)
+
+    assert slots.with_one_more(tree) == ((tree, 5),)
+
+
 def test_forgotten_bodies_get_no_slots() -> None:
     slots = SlotAllocator()
     slots.expect_one_more(CART)
