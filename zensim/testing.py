@@ -78,7 +78,7 @@ def pytest_runtest_makereport(
     """Keep the report of each phase for the fixtures."""
     del call
     report = yield
-    item.stash.setdefault(PHASE_KEY, {})[report.when or ""] = report
+    item.stash.setdefault(PHASE_KEY, {})[str(report.when)] = report
     return report
 
 

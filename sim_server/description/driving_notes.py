@@ -15,7 +15,7 @@ import numpy as np
 from zensim.proto.messages.drive_messages import DiffDrive, SteeringDrive
 from zensim.proto.messages.model_messages import ReportEntry
 from zensim.sim_server.description.ground_friction import GroundFriction, GroundMotion
-from zensim.sim_server.description.model_geometry import NO_MESHES, falls_without_end
+from zensim.sim_server.description.model_geometry import FALL, NO_MESHES, falls_without_end
 from zensim.sim_server.description.motion_prediction import (
     STRAIGHT,
     PredictedMotion,
@@ -64,8 +64,6 @@ COST = ReportEntry(
     "cost",
     "its wheels slide or drag what slides: in PyBullet it takes 1.2 to 2 times as long to step",
 )
-SUBJECT = "driving"
-FALLS = "it falls: it has no collisions"
 
 
 class DrivingNotes(NamedTuple):
@@ -84,12 +82,11 @@ def describe_driving(model: Model, corners: FindCorners = NO_MESHES) -> DrivingN
     """Describe where a robot will not drive as commanded, on level ground of friction 1.
 
     Args:
-        model: The robot; without a drive, all there is to say is that it falls.
+        model: The robot; nothing is said without a drive.
         corners: Needed for meshes.
     """
     if model.drive is None or model.is_static:
-        falls = (ReportEntry("predicted", SUBJECT, FALLS),) if falls_without_end(model) else ()
-        return DrivingNotes(falls, drags=False)
+        return DrivingNotes((), drags=False)
     drags = False
     try:
         # A description may have any numbers up to 1e12.
@@ -100,7 +97,7 @@ def describe_driving(model: Model, corners: FindCorners = NO_MESHES) -> DrivingN
             drags = any(_find_drag_share(model, one) > DRAG_SHARE for one in motions)
     except (ArithmeticError, np.linalg.LinAlgError):
         lines = ("not predicted: its sizes and masses differ too much",)
-    entries = tuple(ReportEntry("predicted", SUBJECT, one) for one in lines)
+    entries = tuple(ReportEntry("predicted", FALL.subject, one) for one in lines)
     return DrivingNotes((*entries, COST) if drags else entries, drags)
 
 
@@ -143,7 +140,7 @@ def _find_drag_share(model: Model, motion: PredictedMotion) -> float:
 def _describe_rest(model: Model, ground: GroundMotion) -> Iterator[str]:
     rest = ground.rest
     if falls_without_end(model):
-        yield FALLS
+        yield FALL.reason
         return
     if rest.tilt_rad > MAX_TILT_RAD:
         yield "it falls over: its centre of mass is not above its supports"

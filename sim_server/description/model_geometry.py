@@ -22,6 +22,7 @@ from zensim.proto.messages.model_messages import (
     Model,
     Origin,
     Quat,
+    ReportEntry,
     Shape,
     Vec3,
 )
@@ -89,6 +90,10 @@ def find_ground_clearance(
         ),
         default=0.0,
     )
+
+
+FALL = ReportEntry("predicted", "driving", "it falls: it has no collisions")
+"""Report entry of a model that falls without end."""
 
 
 def falls_without_end(model: Model) -> bool:

@@ -20,7 +20,11 @@ from zensim.sim_server.description.meshes.mesh_lookup import (
     has_assets,
     no_meshes,
 )
-from zensim.sim_server.description.model_geometry import describe_mesh_wheels, falls_without_end
+from zensim.sim_server.description.model_geometry import (
+    FALL,
+    describe_mesh_wheels,
+    falls_without_end,
+)
 from zensim.sim_server.description.plugins.drive_selection import select_drive
 from zensim.sim_server.description.plugins.sensor_reader import complete_sensors
 from zensim.sim_server.description.report import ParseReport
@@ -197,8 +201,9 @@ def parse_world(
 
 def _add_notes(model: Model, meshes: dict[str, bytes]) -> Model:
     """Add what needs the meshes: round wheels, and how the robot will drive."""
-    if model.drive is None and not falls_without_end(model):
-        return model
+    if model.drive is None:
+        falls = (FALL,) if falls_without_end(model) else ()
+        return msgspec.structs.replace(model, report=(*model.report, *falls)) if falls else model
     from zensim.sim_server.description.driving_notes import describe_driving
 
     def corners(mesh: str) -> npt.NDArray[np.float32]:

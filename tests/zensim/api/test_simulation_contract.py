@@ -35,7 +35,28 @@ def robot(simulation: zensim.Simulation) -> zensim.Robot:
     return simulation.spawn("box_bot", name="r1")
 
 
-Case = tuple[str, Callable[[zensim.Simulation, zensim.Robot], object], type[zensim.Error]]
+Act = Callable[[zensim.Simulation, zensim.Robot], object]
+Case = tuple[str, Act, type[zensim.Error]]
+
+
+def of_robot(method: str, *arguments: object, **keywords: object) -> Act:
+    """Make the call of a method of the robot."""
+    return lambda _, robot: getattr(robot, method)(*arguments, **keywords)
+
+
+def of_simulation(method: str, *arguments: object, **keywords: object) -> Act:
+    """Make the call of a method of the simulation; of an iterator the first item counts."""
+
+    def act(sim: zensim.Simulation, _: zensim.Robot) -> object:
+        found = getattr(sim, method)(*arguments, **keywords)
+        return next(found, None) if isinstance(found, Iterator) else found
+
+    return act
+
+
+def look_up(mapping: str, name: str) -> Act:
+    """Make the lookup of a name."""
+    return lambda sim, _: getattr(sim, mapping)[name]
 
 
 def list_wrong_twists() -> Iterator[Case]:
@@ -44,7 +65,7 @@ def list_wrong_twists() -> Iterator[Case]:
             order = {place: number}
             yield (
                 f"drive {place}={number}",
-                lambda _, robot, order=order: robot.drive(**order),
+                of_robot("drive", **order),
                 zensim.Invalid,
             )
 
@@ -56,7 +77,7 @@ def list_wrong_poses() -> Iterator[Case]:
             row[place] = number
             yield (
                 f"set_pose {place}={number}",
-                lambda _, robot, row=tuple(row): robot.set_pose(*row),
+                of_robot("set_pose", *row),
                 zensim.Invalid,
             )
 
@@ -65,13 +86,13 @@ def list_wrong_paths() -> Iterator[Case]:
     for points in ((), (1.0, 2.0), ((1.0,),), ((1.0, 2.0, 3.0),), ((NAN, 0.0),), ((0.0, INF),)):
         yield (
             f"follow {points}",
-            lambda _, robot, points=points: robot.follow(points),
+            of_robot("follow", points),
             zensim.Invalid,
         )
     for speed in (0.0, -1.0, NAN, INF, 1e9):
         yield (
             f"follow speed={speed}",
-            lambda _, robot, speed=speed: robot.follow([(1.0, 0.0)], speed=speed),
+            of_robot("follow", [(1.0, 0.0)], speed=speed),
             zensim.Invalid,
         )
 
@@ -80,17 +101,17 @@ def list_wrong_times() -> Iterator[Case]:
     for seconds in (NAN, -1.0, INF, 1e9):
         yield (
             f"run_for {seconds}",
-            lambda sim, _, seconds=seconds: sim.run_for(seconds),
+            of_simulation("run_for", seconds),
             zensim.Invalid,
         )
     for time in (NAN, -1.0, INF):
-        yield f"run_to {time}", lambda sim, _, time=time: sim.run_to(time), zensim.Invalid
+        yield f"run_to {time}", of_simulation("run_to", time), zensim.Invalid
     for count in (0, -1, -(10**9)):
-        yield f"step {count}", lambda sim, _, count=count: sim.step(count), zensim.Invalid
+        yield f"step {count}", of_simulation("step", count), zensim.Invalid
     for rate in (0.0, -1.0, 7.0, 1e9, NAN):
         yield (
             f"steps rate={rate}",
-            lambda sim, _, rate=rate: list(sim.steps(seconds=0.1, rate=rate)),
+            of_simulation("steps", seconds=0.1, rate=rate),
             zensim.Invalid,
         )
 
@@ -106,30 +127,30 @@ def list_wrong_rays() -> Iterator[Case]:
     for name, (origins, directions) in rays.items():
         yield (
             f"cast_rays {name}",
-            lambda sim, _, pair=(origins, directions): sim.cast_rays(*pair),
+            of_simulation("cast_rays", origins, directions),
             zensim.Invalid,
         )
 
 
 def list_unknown_names() -> Iterator[Case]:
     for name in ("r9", "", "R1", "r1 ", "r1/odom", "*", "é" * 40):
-        yield f"robots[{name!r}]", lambda sim, _, name=name: sim.robots[name], zensim.NotFound
-        yield f"entities[{name!r}]", lambda sim, _, name=name: sim.entities[name], zensim.NotFound
-        yield f"delete({name!r})", lambda sim, _, name=name: sim.delete(name), zensim.NotFound
-        yield f"topic({name!r})", lambda _, robot, name=name: robot.topic(name), zensim.NotFound
+        yield f"robots[{name!r}]", look_up("robots", name), zensim.NotFound
+        yield f"entities[{name!r}]", look_up("entities", name), zensim.NotFound
+        yield f"delete({name!r})", of_simulation("delete", name), zensim.NotFound
+        yield f"topic({name!r})", of_robot("topic", name), zensim.NotFound
     for model in ("no_such_robot.urdf", "./missing.sdf", "a/b/c.xacro"):
-        yield f"spawn {model}", lambda sim, _, model=model: sim.spawn(model), zensim.NotFound
-        yield f"check {model}", lambda sim, _, model=model: sim.check(model), zensim.NotFound
+        yield f"spawn {model}", of_simulation("spawn", model), zensim.NotFound
+        yield f"check {model}", of_simulation("check", model), zensim.NotFound
 
 
 def list_wrong_new_names() -> Iterator[Case]:
     for name in ("a b", "/x", "a//b", "x" * 500, "9", "é"):
         yield (
             f"spawn name={name[:8]!r}",
-            lambda sim, _, name=name: sim.spawn("box_bot", name=name),
+            of_simulation("spawn", "box_bot", name=name),
             zensim.Invalid,
         )
-    yield "spawn taken", lambda sim, _: sim.spawn("box_bot", name="r1"), zensim.SpawnRefused
+    yield "spawn taken", of_simulation("spawn", "box_bot", name="r1"), zensim.SpawnRefused
 
 
 CASES = tuple(
@@ -151,7 +172,7 @@ CASES = tuple(
 def test_a_wrong_argument_raises_its_error_and_changes_nothing(
     simulation: zensim.Simulation,
     robot: zensim.Robot,
-    act: Callable[[zensim.Simulation, zensim.Robot], object],
+    act: Act,
     kind: type[zensim.Error],
 ) -> None:
     before = simulation.state_hash()
