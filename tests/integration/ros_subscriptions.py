@@ -66,7 +66,7 @@ def read_late_joining(session: zenoh.Session, topic: str, count: int) -> list[Re
 
 
 def receive_samples(session: zenoh.Session, topic: str, count: int = 3) -> list[ReceivedSample]:
-    if topic in LATCHED or topic.endswith(("/tf_static", "/robot_description", "/status")):
+    if topic in LATCHED or topic.endswith(("/map", "/tf_static", "/robot_description", "/status")):
         return read_late_joining(session, topic, 1)
     found = eventually(lambda: publishers_of(session, topic) or None, DISCOVERY_S, topic)
     key = key_of(found[0])
