@@ -15,6 +15,8 @@ EXTRA_OF = {
     "sim_server/scene/camera_rendering.py": {"", "server", "cameras"},
     "sim_server/": {"", "server"},
     "spawner/page/": {"", "viewer"},
+    # A plug-in that pytest loads.
+    "zensim/testing.py": {"", "dev"},
 }
 
 

@@ -39,7 +39,7 @@ def test_fleet_is_cast_as_ray_by_ray(
     trial: Trial, settings: RaySensor, library: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if library == "none":
-        monkeypatch.setattr(fleet_casting, "find_spec", lambda _: None)
+        monkeypatch.setattr(fleet_casting, "find_library_fault", lambda _: "not installed")
     sensors = random_sensors(np.random.default_rng(9), 10, 8.0)
     carriers = np.arange(10)
     caster = FleetCaster(trial.layout)

@@ -27,9 +27,9 @@ def own() -> Iterator[zensim.Sim]:
 
 
 def server_process() -> psutil.Process:
-    """Find the server that this process has started."""
-    children = psutil.Process().children()
-    return next(one for one in children if "serve" in one.cmdline())
+    """Find the server that this process has started last; others may serve other tests."""
+    running = [one for one in psutil.Process().children() if one.status() != psutil.STATUS_ZOMBIE]
+    return max((one for one in running if "serve" in one.cmdline()), key=psutil.Process.create_time)
 
 
 def test_killed_server_is_lost_soon(own: zensim.Sim) -> None:
