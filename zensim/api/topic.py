@@ -106,7 +106,7 @@ class Topic(Generic[Message]):
             raise NotFound(
                 f"no message on {self.key} yet",
                 slug="no_message",
-                hint="read() waits for one; check the key with 'zensim topics'",
+                hint="read() waits for one; check the key with 'zensim topic list'",
             )
         return self._latest
 
