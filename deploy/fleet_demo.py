@@ -90,13 +90,13 @@ class FleetDemo:
             fleet.drive(v=twists[self._is_ours, 0], w=twists[self._is_ours, 1])
 
     def watch(self, should_stop: Callable[[], bool]) -> Callable[[], bool]:
-        """Update whenever a loop asks whether to stop."""
+        """Update whenever a loop checks whether to stop."""
 
-        def update_and_ask() -> bool:
+        def update_and_check() -> bool:
             self.update()
             return should_stop()
 
-        return update_and_ask
+        return update_and_check
 
     def close(self) -> None:
         """End; the robots stop."""

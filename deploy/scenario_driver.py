@@ -63,13 +63,13 @@ class ScenarioDriver:
         self.is_over = state.now >= self._end or self._run.is_over(state)
 
     def watch(self, should_stop: Callable[[], bool]) -> Callable[[], bool]:
-        """Update whenever a loop asks whether to stop; the end of the scenario stops it, too."""
+        """Update whenever a loop checks whether to stop; the end of the scenario stops it, too."""
 
-        def update_and_ask() -> bool:
+        def update_and_check() -> bool:
             self.update()
             return self.is_over or should_stop()
 
-        return update_and_ask
+        return update_and_check
 
     def close(self) -> None:
         """End; the robots stop."""

@@ -113,13 +113,13 @@ def make_launch_config(scenario: Scenario, world: str) -> LaunchConfig:
 
 def _describe(error: Exception) -> str:
     """Describe an error, with the line of the author's code that raised it."""
-    told = f"{type(error).__name__}: {error}"
+    failure = f"{type(error).__name__}: {error}"
     if isinstance(error, ScenarioFailed):
         return str(error)
     package = str(Path(zensim.__file__).parent)
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if not frame.filename.startswith(package)]
-    return f"{told} ({own[-1].filename}:{own[-1].lineno})" if own else told
+    return f"{failure} ({own[-1].filename}:{own[-1].lineno})" if own else failure
 
 
 def _make_failed_report(scenario: Scenario, request: RunRequest, error: str) -> RunReport:
@@ -144,10 +144,10 @@ def run_in_process(request: RunRequest) -> RunReport:
     )
     if not outcome.is_out_of_time and not outcome.status:
         return msgspec.msgpack.decode(outcome.output, type=RunReport)
-    told = f"its process ended with status {outcome.status}"
+    failure = f"its process ended with status {outcome.status}"
     if outcome.is_out_of_time:
-        told = f"timeout: not over after {request.timeout_s:g} s of wall time"
-    return _make_failed_report(read_scenario(request.file, request.settings), request, told)
+        failure = f"timeout: not over after {request.timeout_s:g} s of wall time"
+    return _make_failed_report(read_scenario(request.file, request.settings), request, failure)
 
 
 def run_all(

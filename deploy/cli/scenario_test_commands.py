@@ -155,9 +155,9 @@ def _compare_repeats(runs: Sequence[RunReport], count: int) -> list[RunReport]:
         own = runs[start : start + count]
         hashes = {run.state_hash for run in own}
         if len(hashes) > 1:
-            told = f"not deterministic: {len(own)} runs ended in {len(hashes)} states"
-            typer.echo(f"{own[0].name}: {told}")
-            own = [msgspec.structs.replace(run, error=run.error or told) for run in own]
+            failure = f"not deterministic: {len(own)} runs ended in {len(hashes)} states"
+            typer.echo(f"{own[0].name}: {failure}")
+            own = [msgspec.structs.replace(run, error=run.error or failure) for run in own]
         found += own
     return found
 

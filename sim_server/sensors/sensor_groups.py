@@ -92,7 +92,7 @@ class GroupTopics:
     def find_triggered(self) -> IntArray:
         """Find the rows (m,) of the sensors that got a trigger since the last call.
 
-        Triggers of a sensor that none of its subscribers saw are dropped.
+        Triggers of a sensor that reach none of its subscribers are dropped.
         """
         counts = [self._topics.take_count(address) for address in self._triggers]
         return np.flatnonzero(counts)
