@@ -107,12 +107,12 @@ def test_engine_tells_a_touch_within_three_steps(engine: Engine) -> None:
     box = engine.add(a_box(), a_state((0.0, 0.0, 0.15)))
     falls = round((2.0 * 0.05 / 9.81) ** 0.5 / STEP_NS * 1e9)
 
-    told = []
+    readings = []
     for _ in range(falls + 10):
         engine.step()
-        told.append(bool(len(engine.read_contacts((box,)))))
+        readings.append(bool(len(engine.read_contacts((box,)))))
 
-    assert told.index(True) == pytest.approx(falls, abs=3)
+    assert readings.index(True) == pytest.approx(falls, abs=3)
 
 
 @pytest.mark.parametrize("make", [PyBulletEngine, MujocoEngine])

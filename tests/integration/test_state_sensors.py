@@ -61,11 +61,11 @@ def test_robot_feels_itself_and_the_wall_that_it_drives_into(tmp_path: Path, kin
             felt = [decode(Imu, one.payload, one.encoding) for one in imu.take()]
             places = [decode(NavSatFix, one.payload, one.encoding) for one in fix.take()]
             touched = [decode(ContactsState, one.payload, one.encoding) for one in bumper.take()]
-            told = [decode(Event, one.payload, one.encoding) for one in events.take()]
+            events_taken = [decode(Event, one.payload, one.encoding) for one in events.take()]
 
     check_motion(felt, places)
     check_bumper(touched)
-    assert [event.entity for event in told if event.kind == "touched"][:1] == ["r1"]
+    assert [event.entity for event in events_taken if event.kind == "touched"][:1] == ["r1"]
 
 
 def check_motion(felt: list[Imu], places: list[NavSatFix]) -> None:
