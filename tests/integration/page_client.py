@@ -2,6 +2,7 @@
 
 import msgspec
 import viser
+import zstandard
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
@@ -10,10 +11,15 @@ from zensim.spawner.page.viewer_page import FOV_RAD, START_CAMERA
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 
 
-def connect_page(url: str, origin: str = "") -> ClientConnection:
+def connect_page(url: str, origin: str = "", cookie: str = "") -> ClientConnection:
     """Connect like a page from `origin`, which defaults to the server."""
-    address = url.replace("http", "ws")
-    return connect(address, subprotocols=[PROTOCOL], origin=Origin(origin or url), max_size=None)
+    return connect(
+        url.replace("http", "ws"),
+        subprotocols=[PROTOCOL],
+        origin=Origin(origin or url),
+        additional_headers={"Cookie": cookie} if cookie else None,
+        max_size=None,
+    )
 
 
 def encode_camera() -> bytes:
@@ -44,6 +50,23 @@ def encode_click(path: str, instance: int) -> bytes:
         modifier=None,
         owner="",
     )
+
+
+def encode_update(uuid: str, **updates: object) -> bytes:
+    """Encode new values of the attributes of a control."""
+    return _encoded("GuiUpdateMessage", uuid=uuid, updates=updates)
+
+
+def find_control(connection: ClientConnection, kind: str) -> str:
+    """Read messages of the server until one adds a control of this kind; return its uuid."""
+    while True:
+        frame = connection.recv(timeout=5.0)
+        assert isinstance(frame, bytes)
+        size = int.from_bytes(frame[8:16], "little")
+        inner = msgspec.msgpack.decode(zstandard.decompress(frame[16 : 16 + size]))
+        for message in inner["messages"]:
+            if message["type"] == kind:
+                return str(message["uuid"])
 
 
 def encode_share_request() -> bytes:

@@ -2,11 +2,12 @@
 
 import urllib.request
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing, suppress
 from urllib.error import HTTPError
 
 import msgspec
 import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection
 
 from tests.integration.page_client import (
@@ -14,9 +15,17 @@ from tests.integration.page_client import (
     encode_camera,
     encode_click,
     encode_share_request,
+    encode_update,
+    find_control,
 )
 from tests.integration.processes import eventually
 from tests.spawner.page.builders import make_models_by_name, make_robot, make_snapshot, make_wall
+from zensim.spawner.page.page_server import (
+    MAX_MESSAGE_BYTES,
+    MAX_VISITORS,
+    CannotListen,
+    PortTaken,
+)
 from zensim.spawner.page.render_state import (
     LastCommand,
     RenderedFleet,
@@ -25,14 +34,21 @@ from zensim.spawner.page.render_state import (
     make_fleet,
     make_frame,
 )
-from zensim.spawner.page.viewer_page import CannotListen, PortTaken, ViewerPage
+from zensim.spawner.page.viewer_page import ViewerPage
 
+TOKEN = "7f3a-page"
 STATUS = SimulationStatus("playing", 1.0, 1.0, robots=2, entities=3)
 
 
 @pytest.fixture
 def page() -> Iterator[ViewerPage]:
     with closing(ViewerPage("127.0.0.1", 0)) as found:
+        yield found
+
+
+@pytest.fixture
+def page_with_token() -> Iterator[ViewerPage]:
+    with closing(ViewerPage("127.0.0.1", 0, TOKEN)) as found:
         yield found
 
 
@@ -161,6 +177,92 @@ def test_page_refuses_share_requests(
     wait_until_followed(page, "r1")
 
     assert capfd.readouterr() == ("", "")
+
+
+def wait_for_button(page: ViewerPage) -> list[str]:
+    pressed: list[str] = []
+
+    def look() -> bool:
+        pressed.extend(page.wait_for_input(0.01))
+        return bool(pressed)
+
+    eventually(look, 5.0, "a pressed button")
+    return pressed
+
+
+def test_a_page_sets_no_attribute_of_a_control_but_its_value(
+    page: ViewerPage, visitor: ClientConnection, capfd: pytest.CaptureFixture[str]
+) -> None:
+    buttons = find_control(visitor, "GuiButtonGroupMessage")
+
+    visitor.send(encode_update(buttons, update_cb=[]))
+    visitor.send(encode_update(buttons, value="Explode"))
+    visitor.send(b"\xff" * 9)
+    visitor.send("text")
+    visitor.send(encode_update(buttons, value="Pause"))
+
+    assert wait_for_button(page) == ["Pause"]
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_message_above_the_limit_ends_only_its_sender(page: ViewerPage) -> None:
+    with closing(connect_page(url_of(page))) as large, closing(connect_page(url_of(page))) as other:
+        buttons = find_control(other, "GuiButtonGroupMessage")
+        other.send(encode_camera())
+        large.send(encode_camera() + b"\0" * MAX_MESSAGE_BYTES)
+        other.send(encode_update(buttons, value="Play"))
+
+        assert wait_for_button(page) == ["Play"]
+        with pytest.raises(ConnectionClosed):
+            list(large)
+
+
+def test_a_page_beyond_the_limit_is_refused_until_one_is_closed(page: ViewerPage) -> None:
+    with ExitStack() as stack:
+        pages = [
+            stack.enter_context(closing(connect_page(url_of(page)))) for _ in range(MAX_VISITORS)
+        ]
+        with pytest.raises(InvalidStatus, match="503"):
+            connect_page(url_of(page))
+
+        pages[0].close()
+
+        def is_served() -> bool:
+            with suppress(InvalidStatus), closing(connect_page(url_of(page))):
+                return True
+            return False
+
+        eventually(is_served, 5.0, "a free place")
+
+
+def test_page_survives_drawing_while_clients_come_and_go(page: ViewerPage) -> None:
+    scenes = [a_scene("r1", "w1"), a_scene("r1", "r2", "w1")]
+    for number in range(60):
+        with closing(connect_page(url_of(page))) as connection:
+            connection.send(encode_camera())
+            for scene in scenes * 5:
+                page.show(*scene, STATUS, {})
+                page.wait_for_input(0.0)
+        assert names_of(page) == {"/robots/0": ["r1", "r2"], "/robots/1": ["w1"]}, number
+
+
+def test_page_with_a_token_needs_it_once(page_with_token: ViewerPage) -> None:
+    url = url_of(page_with_token)
+    opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+
+    for path in ("/", "/names", "/?zensim_token=wrong"):
+        with pytest.raises(HTTPError, match="401") as refusal:
+            opener.open(url + path)
+        refusal.value.close()
+    with pytest.raises(InvalidStatus, match="401"):
+        connect_page(url)
+    with opener.open(f"{url}/?zensim_token={TOKEN}") as response:
+        assert response.url == f"{url}/"  # the secret has left the address
+        assert b"<title>zensim</title>" in response.read()
+    with opener.open(f"{url}/names") as response:
+        assert response.status == 200
+    with closing(connect_page(url, cookie=f"a=b; zensim_token={TOKEN}")) as connection:
+        find_control(connection, "GuiButtonGroupMessage")
 
 
 def test_page_may_fetch_from_its_own_server_only(page: ViewerPage) -> None:

@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from zensim.spawner.page.viewer_page import HOVER_SCRIPT
+from zensim.spawner.page.page_server import HOVER_SCRIPT
 
 NODE = shutil.which("node") or "node"
 pytestmark = pytest.mark.browser

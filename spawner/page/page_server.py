@@ -1,0 +1,530 @@
+"""Server of the page: requests and messages that it accepts, before viser reads them."""
+
+import asyncio
+import errno
+import gzip
+import hmac
+import http
+import io
+import os
+import socket
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from http.cookies import CookieError, SimpleCookie
+from ipaddress import ip_address
+from math import isfinite
+from typing import Annotated, Any, Final, TypeAlias
+from urllib.parse import SplitResult, parse_qs, urlsplit
+
+import msgspec
+import rich
+import viser
+import viser.infra._async_message_buffer
+import viser.infra._infra
+import websockets.asyncio.server
+from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from zensim.spawner.page.side_panel import Button
+
+HOVER_SCRIPT: Final = """
+(() => {
+  "use strict";
+  const REACH_PX = 10, REFRESH_MS = 1000;
+  const tip = document.createElement("div");
+  tip.id = "zensim-name";
+  tip.style.cssText = "position:fixed;z-index:50;display:none;pointer-events:none;" +
+    "padding:2px 8px;border-radius:5px;background:rgba(18,20,24,.88);color:#eef1f5;" +
+    "font:600 13px system-ui,sans-serif;white-space:nowrap";
+  let names = {}, requestedAt = -Infinity, pointer = null;
+  const extents = new WeakMap();
+
+  async function refresh() {
+    if (performance.now() - requestedAt < REFRESH_MS) return;
+    requestedAt = performance.now();
+    const response = await fetch("/names").catch(() => null);
+    if (response && response.ok) names = await response.json();
+  }
+
+  function extentOf(vertices) {
+    if (!extents.has(vertices)) {
+      const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+      for (let i = 0; i < vertices.length; i++) {
+        low[i % 3] = Math.min(low[i % 3], vertices[i]);
+        high[i % 3] = Math.max(high[i % 3], vertices[i]);
+      }
+      extents.set(vertices, {low, high});
+    }
+    return extents.get(vertices);
+  }
+
+  function turnBack(q, v) {  // by the inverse of the quaternion w x y z
+    const [w, x, y, z] = [q[0], -q[1], -q[2], -q[3]];
+    const t = [2 * (y * v[2] - z * v[1]), 2 * (z * v[0] - x * v[2]), 2 * (x * v[1] - y * v[0])];
+    return [
+      v[0] + w * t[0] + y * t[2] - z * t[1],
+      v[1] + w * t[1] + z * t[0] - x * t[2],
+      v[2] + w * t[2] + x * t[1] - y * t[0],
+    ];
+  }
+
+  function enter(start, way, {low, high}) {  // distance along the ray to the box, or Infinity
+    let near = 0, far = Infinity;
+    for (let axis = 0; axis < 3; axis++) {
+      const a = (low[axis] - start[axis]) / way[axis], b = (high[axis] - start[axis]) / way[axis];
+      if (Number.isNaN(a) || Number.isNaN(b)) continue;
+      near = Math.max(near, Math.min(a, b));
+      far = Math.min(far, Math.max(a, b));
+    }
+    return near <= far ? near : Infinity;
+  }
+
+  function apply(m, v) {
+    const row = (r) => m[r] * v[0] + m[r + 4] * v[1] + m[r + 8] * v[2] + m[r + 12];
+    return [row(0), row(1), row(2), row(3)];
+  }
+
+  function rayOf(page, box) {
+    const {projectionMatrix: {elements: p}, matrixWorld: {elements: m}} = page.camera;
+    const x = (pointer.clientX - box.left) / box.width * 2 - 1;
+    const y = 1 - (pointer.clientY - box.top) / box.height * 2;
+    const v = [(x + p[8]) / p[0], (y + p[9]) / p[5], -1];
+    const way = [0, 1, 2].map((r) => m[r] * v[0] + m[r + 4] * v[1] + m[r + 8] * v[2]);
+    return {start: [m[12], m[13], m[14]], way};
+  }
+
+  function intoFrame(m, v) {
+    return [0, 4, 8].map((c) => m[c] * v[0] + m[c + 1] * v[1] + m[c + 2] * v[2]);
+  }
+
+  // The first thing under the pointer; else the one whose centre is nearest, if it is near.
+  function nearest() {
+    const page = window.__viserMutable, tree = window.__viserSceneTree;
+    if (!page || !page.camera || !page.canvas || !tree) return "";
+    const box = page.canvas.getBoundingClientRect();
+    const {projectionMatrix, matrixWorldInverse} = page.camera;
+    const ray = rayOf(page, box);
+    let hit = "", hitDistance = Infinity, best = "", bestDistance = REACH_PX;
+    for (const [path, node] of Object.entries(tree.getState())) {
+      const group = /^\\/robots\\/[0-9]+/.exec(path);
+      const list = group && names[group[0]];
+      const props = node && node.message && node.message.props;
+      const object = page.nodeRefFromName[path];
+      if (!list || !object || !props || !props.batched_positions) continue;
+      const m = object.matrixWorld.elements, all = props.batched_positions;
+      const start = intoFrame(m, ray.start.map((v, axis) => v - m[12 + axis]));
+      const way = intoFrame(m, ray.way);
+      const extent = props.vertices && extentOf(props.vertices);
+      for (let i = 0; i < Math.min(list.length, all.length / 3); i++) {
+        const place = all.slice(3 * i, 3 * i + 3);
+        const turn = props.batched_wxyzs.slice(4 * i, 4 * i + 4);
+        if (extent) {
+          const from = turnBack(turn, start.map((v, axis) => v - place[axis]));
+          const distance = enter(from, turnBack(turn, way), extent);
+          if (distance < hitDistance) [hit, hitDistance] = [list[i], distance];
+        }
+        const clip = apply(projectionMatrix.elements,
+          apply(matrixWorldInverse.elements, apply(m, place)));
+        if (clip[3] <= 0) continue;
+        const x = box.left + (clip[0] / clip[3] + 1) / 2 * box.width;
+        const y = box.top + (1 - clip[1] / clip[3]) / 2 * box.height;
+        const distance = Math.hypot(x - pointer.clientX, y - pointer.clientY);
+        if (distance < bestDistance) [best, bestDistance] = [list[i], distance];
+      }
+    }
+    return hit || best;
+  }
+
+  function update() {
+    const page = window.__viserMutable;
+    const isFree = pointer && page && pointer.target === page.canvas && !pointer.buttons;
+    const name = isFree ? nearest() : "";
+    tip.style.display = name ? "block" : "none";
+    if (!name) return;
+    tip.textContent = name;
+    tip.style.left = pointer.clientX + 14 + "px";
+    tip.style.top = pointer.clientY + 12 + "px";
+  }
+
+  addEventListener("DOMContentLoaded", () => document.body.append(tip));
+  addEventListener("pointermove", (event) => {
+    pointer = event;
+    refresh().then(update);
+  });
+  addEventListener("pointerdown", () => { pointer = null; update(); });
+})();
+"""
+
+
+CLOSE_TIMEOUT_S: Final = 0.1
+"""Limit of the closing handshake of a websocket."""
+TITLE: Final = "zensim"
+NAMES_PATH: Final = "/names"
+CONTENT_SECURITY_POLICY: Final = (
+    "default-src 'none'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:; "
+    "style-src 'unsafe-inline'; img-src data: blob:; font-src data:; worker-src blob: data:; "
+    "connect-src 'self' ws://{host} wss://{host} blob: data:; frame-ancestors 'none'; "
+    "base-uri 'none'; form-action 'none'"
+)
+"""viser's page is one file that unpacks itself; it may connect to its own server only."""
+
+REFUSAL: Final = "zensim: open the page by address, as localhost, or by the name of this host\n"
+
+MAX_MESSAGE_BYTES: Final = 64 << 10
+"""Limit of a message of a page; a camera is 300 bytes."""
+MAX_VISITORS: Final = 50
+"""Open pages at the same time; a further one is refused."""
+MESSAGES_PER_S: Final = 60.0
+"""Messages of one page that are read; further ones wait, and then its link does."""
+BURST_S: Final = 1.0
+"""Time for which messages may come faster."""
+TOKEN_NAME: Final = "zensim_token"
+"""Name of the cookie, and of the parameter in the address."""
+
+NO_TOKEN: Final = (
+    "zensim: open the page by the address with its token, as 'zensim view' printed it\n"
+)
+CROWDED: Final = f"zensim: {MAX_VISITORS} pages are open, the limit; close one\n"
+NamesProvider = Callable[[], bytes]
+
+
+class PortTaken(OSError):
+    """Another program listens on the port."""
+
+
+class CannotListen(OSError):
+    """The address does not belong to this host, or its use is not permitted."""
+
+
+Name: TypeAlias = Annotated[str, msgspec.Meta(max_length=256)]
+Vector: TypeAlias = tuple[float, float, float]
+Pixels: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=1 << 16)]
+
+
+class ViewerCameraMessage(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fields=True):
+    """The camera of a page has moved."""
+
+    wxyz: tuple[float, float, float, float]
+    position: Vector
+    fov: float
+    near: float
+    far: float
+    image_height: Pixels
+    image_width: Pixels
+    look_at: Vector
+    up_direction: Vector
+
+
+class NewValue(msgspec.Struct, forbid_unknown_fields=True):
+    """The only attribute of a control that a page may set."""
+
+    value: bool | Button
+
+
+class GuiUpdateMessage(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fields=True):
+    """A button or switch was used."""
+
+    uuid: Name
+    updates: NewValue
+
+
+class SceneNodeClickMessage(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fields=True):
+    """A robot was clicked."""
+
+    name: Name
+    instance_index: Annotated[int, msgspec.Meta(ge=0, lt=1 << 31)] | None
+    ray_origin: Vector
+    ray_direction: Vector
+    screen_pos: tuple[float, float]
+    modifier: Name | None
+    owner: Name = ""
+
+
+_PAGE_MESSAGES: Final = msgspec.msgpack.Decoder(
+    ViewerCameraMessage | GuiUpdateMessage | SceneNodeClickMessage
+)
+
+
+def is_page_message(raw: str | bytes) -> bool:
+    """Whether these bytes are a message that a page of this server sends, with finite numbers.
+
+    viser sets whatever attribute of a control a message names, and keeps uploads; it gets neither.
+    """
+    if isinstance(raw, str):
+        return False
+    try:
+        message = _PAGE_MESSAGES.decode(raw)
+    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError):
+        return False
+    return all(isfinite(number) for number in _list_numbers(message))
+
+
+def _list_numbers(
+    message: ViewerCameraMessage | GuiUpdateMessage | SceneNodeClickMessage,
+) -> tuple[float, ...]:
+    if isinstance(message, ViewerCameraMessage):
+        return (
+            *(message.fov, message.near, message.far),
+            *(*message.wxyz, *message.position, *message.look_at, *message.up_direction),
+        )
+    if isinstance(message, SceneNodeClickMessage):
+        return (*message.ray_origin, *message.ray_direction, *message.screen_pos)
+    return ()
+
+
+class PageConnection(ServerConnection):
+    """Websocket of a page: messages that no page sends are dropped, frequent ones wait."""
+
+    _next_s = 0.0
+    """Monotonic time from which the next message is on time."""
+
+    async def recv(self, decode: bool | None = None) -> Any:  # noqa: ANN401, FBT001
+        """Receive the next message that a page sends."""
+        while True:
+            raw = await super().recv(decode)
+            await self._wait_for_turn()
+            if is_page_message(raw):
+                return raw
+
+    async def _wait_for_turn(self) -> None:
+        now = time.monotonic()
+        self._next_s = max(self._next_s, now - BURST_S) + 1.0 / MESSAGES_PER_S
+        if self._next_s > now:
+            await asyncio.sleep(self._next_s - now)
+
+
+class LoopEvent(asyncio.Event):
+    """An event that other threads cannot set: viser sets it within its loop as well.
+
+    viser 1.1 sets `asyncio.Event` from the thread that draws, too. While its loop adds a waiter,
+    that raises "deque mutated during iteration" in the drawing thread.
+    """
+
+    def set(self) -> None:
+        """Wake what waits; without effect outside of an event loop."""
+        try:
+            asyncio.get_running_loop()
+        except RuntimeError:
+            return
+        super().set()
+
+
+@dataclass
+class LoopMessageBuffer(viser.infra._async_message_buffer.AsyncMessageBuffer):  # noqa: SLF001
+    """Buffer of viser whose waiters are woken within its loop only."""
+
+    message_event: asyncio.Event = field(default_factory=LoopEvent)
+
+
+class LocalViserServer(viser.ViserServer):
+    """A viser server without public tunnels."""
+
+    def request_share_url(self, verbose: bool = True) -> str | None:  # noqa: ARG002, FBT001, FBT002
+        """Refuse requests of pages for a public tunnel."""
+        return None
+
+
+def open_server(host: str, port: int, names: NamesProvider, token: str = "") -> LocalViserServer:
+    """Serve a page on exactly this port; 0 = any free port.
+
+    Args:
+        host: An address of this host.
+        port: 0 to 65535.
+        names: Body of `GET /names`: robot names by scene node as JSON.
+        token: Secret that a browser gives once, as `?zensim_token=`; empty = none is needed.
+
+    Raises:
+        PortTaken: Another program listens on the port.
+        CannotListen: The operating system refuses.
+    """
+    listener = _open_listener(host, port)
+    rich.reconfigure(stderr=True)  # viser prints with it; stdout has the address only
+    # A client may disconnect during a write.
+    warnings.filterwarnings("ignore", message=r"Queued a \w+ on a closed connection")
+    process_response = partial(_process_response, host=host, names=names, token=token)
+    _replace_message_buffer()
+    with _patch_serve(listener, process_response) as used, _suppress_stderr():
+        server = LocalViserServer(host=host, port=port, label=TITLE, verbose=False)
+    if not used:
+        close_server(server)
+        raise RuntimeError(f"viser {viser.__version__} has no replaceable serve function; use 1.1")
+    return server
+
+
+def close_server(server: viser.ViserServer) -> None:
+    """Stop the server without its output."""
+    with _suppress_stderr():
+        server.stop()
+
+
+def is_own_origin(hosts: Sequence[str], origins: Sequence[str], *, bound_to: str) -> bool:
+    """Whether a request comes from a page of this server.
+
+    A page of another site sends the Origin of that site. With DNS rebinding, both headers have
+    the name of the other site, so the name must be one of this host, too. Programs other than
+    browsers send no Origin.
+
+    Args:
+        hosts: Host headers; exactly one is valid.
+        origins: Origin headers.
+        bound_to: Address that the page is served on.
+    """
+    if len(hosts) != 1 or len(origins) > 1:
+        return False
+    name = _split_url(f"//{hosts[0]}").hostname or ""
+    own_name = socket.gethostname().lower()
+    is_own = name in {"localhost", bound_to.lower(), own_name, f"{own_name}.local"}
+    if not is_own and not _is_address(name):
+        return False
+    return all(_split_url(origin).netloc.lower() == hosts[0].lower() for origin in origins)
+
+
+def _open_listener(host: str, port: int) -> socket.socket:
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        return socket.create_server((host, port), family=family)
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise PortTaken(
+                f"port {port} on {host} is used by another program; stop it or use --port"
+            ) from error
+        is_numbered = error.errno is not None and error.errno > 0  # others are of the resolver
+        reason = os.strerror(error.errno or 0) if is_numbered else error.strerror
+        raise CannotListen(
+            f"cannot listen on {host} port {port}: {reason}; use an address of this host"
+        ) from error
+
+
+def _replace_message_buffer() -> None:
+    vars(viser.infra._infra)["AsyncMessageBuffer"] = LoopMessageBuffer  # noqa: SLF001
+
+
+@contextmanager
+def _patch_serve(
+    listener: socket.socket, process_response: Callable[..., Response | None]
+) -> Iterator[list[bool]]:
+    """Replace `serve` by one with the listener and hooks; the yielded list is empty if unused."""
+    module, used = vars(websockets.asyncio.server), []
+    original: Callable[..., object] = module["serve"]
+
+    def serve(handler: object, _host: str, _port: int, **options: object) -> object:
+        used.append(True)
+        options |= {
+            "process_response": process_response,
+            "close_timeout": CLOSE_TIMEOUT_S,
+            "create_connection": PageConnection,
+            "max_size": MAX_MESSAGE_BYTES,
+        }
+        return original(handler, sock=listener, **options)
+
+    module["serve"] = serve
+    try:
+        yield used
+    finally:
+        module["serve"] = original
+
+
+def _process_response(
+    connection: ServerConnection,
+    request: Request,
+    response: Response,
+    *,
+    host: str,
+    names: NamesProvider,
+    token: str,
+) -> Response | None:
+    """Check origin and token, then add headers, title and script to the response of viser."""
+    hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
+    if not is_own_origin(hosts, origins, bound_to=host):
+        return connection.respond(http.HTTPStatus.FORBIDDEN, REFUSAL)
+    if token and not has_token(request.headers.get_all("Cookie"), token):
+        return _exchange_token(connection, request, token)
+    if response.status_code == http.HTTPStatus.SWITCHING_PROTOCOLS:
+        return _refuse_crowd(connection)
+    if request.path == NAMES_PATH:
+        return _make_json_response(names())
+    response.headers["Content-Security-Policy"] = CONTENT_SECURITY_POLICY.format(host=hosts[0])
+    response.headers["X-Content-Type-Options"] = "nosniff"
+    if "html" in response.headers.get("Content-Type", ""):
+        _replace_title(response)
+    return None
+
+
+def _refuse_crowd(connection: ServerConnection) -> Response | None:
+    if len(connection.server.connections) < MAX_VISITORS:
+        return None
+    return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, CROWDED)
+
+
+def has_token(cookies: Sequence[str], token: str) -> bool:
+    """Whether a Cookie header has the secret."""
+    for header in cookies:
+        try:
+            found = SimpleCookie(header).get(TOKEN_NAME)
+        except CookieError:
+            continue
+        if found is not None and _is_equal(found.value, token):
+            return True
+    return False
+
+
+def _exchange_token(connection: ServerConnection, request: Request, token: str) -> Response:
+    """Exchange the secret in the address for a cookie, so that the address may be seen."""
+    given = parse_qs(_split_url(request.path).query).get(TOKEN_NAME, [""])[0]
+    if not _is_equal(given, token):
+        return connection.respond(http.HTTPStatus.UNAUTHORIZED, NO_TOKEN)
+    response = connection.respond(http.HTTPStatus.SEE_OTHER, "")
+    response.headers["Location"] = "/"
+    response.headers["Set-Cookie"] = f"{TOKEN_NAME}={token}; HttpOnly; SameSite=Strict; Path=/"
+    return response
+
+
+def _is_equal(given: str, token: str) -> bool:
+    return hmac.compare_digest(given.encode(), token.encode())
+
+
+def _replace_title(response: Response) -> None:
+    is_packed = response.headers.get("Content-Encoding") == "gzip"
+    response.body = _with_title(bytes(response.body), is_packed=is_packed)
+    del response.headers["Content-Length"]
+    response.headers["Content-Length"] = str(len(response.body))
+
+
+@lru_cache(maxsize=2)
+def _with_title(body: bytes, *, is_packed: bool) -> bytes:
+    page = gzip.decompress(body) if is_packed else body
+    head = f"<title>{TITLE}</title><script>{HOVER_SCRIPT}</script>".encode()
+    titled = page.replace(b"<title>Viser</title>", head, 1)
+    return gzip.compress(titled) if is_packed else titled
+
+
+def _make_json_response(body: bytes) -> Response:
+    headers = {"Content-Type": "application/json", "Content-Length": str(len(body))}
+    return Response(http.HTTPStatus.OK, "OK", Headers(headers), body)
+
+
+def _suppress_stderr() -> redirect_stderr[io.StringIO]:
+    return redirect_stderr(io.StringIO())
+
+
+def _split_url(url: str) -> SplitResult:
+    """Split a URL; an invalid one becomes empty."""
+    try:
+        parts = urlsplit(url)
+        _ = parts.port
+    except ValueError:
+        return urlsplit("")
+    return parts
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ip_address(name)
+    except ValueError:
+        return False
+    return True
