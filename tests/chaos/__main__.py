@@ -22,6 +22,7 @@ NAMES = (
     "lockstep",
     "killed",
     "sensors",
+    "page",
     "history",
     "damage",
 )
