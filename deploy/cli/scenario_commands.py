@@ -10,6 +10,7 @@ import typer
 
 from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.proto.verbosity import CURRENT
 from zensim.scenario.scenario_nodes import Issue, ScenarioInvalid
 from zensim.scenario.scenario_reader import (
     SHIPPED,
@@ -88,13 +89,20 @@ def _to_json(issue: Issue) -> dict[str, object]:
 
 
 @app.command()
-def schema() -> None:
-    """Print the JSON Schema of scenario files, for editors."""
-    typer.echo(format_schema(), nl=False)
+@expand_options
+def schema(*, as_json: JsonOption = False) -> None:
+    """Print the JSON Schema of scenario files, for editors; with --json in one line."""
+    text = format_schema()
+    typer.echo(json.dumps(json.loads(text)) if as_json else text.rstrip())
 
 
 @app.command(name="list")
-def list_shipped() -> None:
+@expand_options
+def list_shipped(*, as_json: JsonOption = False) -> None:
     """List the shipped scenarios with their files."""
-    for name in list_shipped_scenarios():
-        typer.echo(f"{name}  {SHIPPED / name}{SUFFIXES[0]}")
+    files = {name: str(SHIPPED / name) + SUFFIXES[0] for name in list_shipped_scenarios()}
+    if as_json:
+        typer.echo(json.dumps([{"name": name, "file": file} for name, file in files.items()]))
+        return
+    for name, file in files.items():
+        typer.echo(name if CURRENT.is_quiet else f"{name}  {file}")

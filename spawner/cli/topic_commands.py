@@ -4,6 +4,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated
 
@@ -159,6 +160,16 @@ WindowOption = Annotated[
     int,
     typer.Option("--window", min=2, metavar="N", help="Average over the last N messages."),
 ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasureOptions(ConnectionOptions):
+    """All options of a command that measures a topic."""
+
+    key: KeyArgument
+    window: WindowOption = 1000
+    duration: DurationOption = 0.0
+    as_json: JsonOption = False
 
 
 class NoSubscriber(BusError):
@@ -360,43 +371,37 @@ def _print_sample(sample: Sample, *, as_json: bool) -> None:
   zensim hz r1/odom --duration 10"""
 )
 @expand_options
-def hz(
-    key: KeyArgument,
-    *,
-    window: WindowOption = 1000,
-    duration: DurationOption = 0.0,
-    as_json: JsonOption = False,
-    server: ConnectionOptions,
-) -> None:
+def hz(given: MeasureOptions) -> None:
     """Measure the message rate of a topic, and print it every second."""
     arrivals: list[float] = []
 
     def receive(now: float, samples: list[Sample]) -> None:
         arrivals.extend(now for _ in samples)
-        del arrivals[:-window]
+        del arrivals[: -given.window]
 
-    with open_client("hz", server) as client:
-        subscription = client.bus.subscribe(key.strip("/"), QUEUE_DEPTH)
-        report_every_second(
-            subscription, duration, receive, lambda: _print_rate(arrivals, as_json=as_json)
-        )
+    def report() -> None:
+        _print_rate(arrivals, as_json=given.as_json)
+
+    with open_client("hz", given) as client:
+        measure_topic(client.bus, given, receive, report)
 
 
-def report_every_second(
-    subscription: BusSubscription,
-    duration_s: float,
+def measure_topic(
+    bus: Bus,
+    given: MeasureOptions,
     receive: Callable[[float, list[Sample]], None],
     report: Callable[[], None],
 ) -> None:
-    """Receive messages, and report every second of wall time.
+    """Receive the messages of the topic of the options, and report every second of wall time.
 
     Args:
-        subscription: To take messages from.
-        duration_s: 0 = forever.
+        bus: To subscribe at.
+        given: Which topic, and for how long.
         receive: Called with the monotonic time [s] and the new messages.
         report: Called every second, and at least once.
     """
-    end = time.monotonic() + (duration_s or math.inf)
+    subscription = bus.subscribe(given.key.strip("/"), QUEUE_DEPTH)
+    end = time.monotonic() + (given.duration or math.inf)
     report_at = min(time.monotonic() + 1.0, end)
     while (now := time.monotonic()) <= end or report_at <= end:
         receive(now, subscription.take())

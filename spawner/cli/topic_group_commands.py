@@ -1,6 +1,7 @@
 """`zensim topic list`, `info`, `echo`, `hz`, `bw`, `delay` and `pub`, as of `ros2 topic`."""
 
 import statistics
+from dataclasses import dataclass
 from typing import Annotated
 
 import msgspec
@@ -35,15 +36,14 @@ from zensim.proto.topic_catalog import CLOCK, ROBOT_TOPICS
 from zensim.proto.verbosity import CURRENT, print_note
 from zensim.spawner.cli.command_session import open_client, print_json, print_table
 from zensim.spawner.cli.topic_commands import (
-    QUEUE_DEPTH,
     ROS_TYPES,
-    DurationOption,
     KeyArgument,
+    MeasureOptions,
     WindowOption,
     echo,
     hz,
+    measure_topic,
     publish_at_rate,
-    report_every_second,
     wait_for_subscriber,
 )
 from zensim.spawner.client.sim_client import SimClient
@@ -133,32 +133,31 @@ def find_topics(client: SimClient) -> list[TopicFacts]:
     return list_topics(client.bus, client.world, models)
 
 
+@dataclass(frozen=True, kw_only=True)
+class BandwidthOptions(MeasureOptions):
+    """All options of `zensim topic bw`, whose window is that of `ros2 topic bw`."""
+
+    window: WindowOption = 100
+
+
 @app.command(
     epilog="""Example:
   zensim topic bw r1/scan --duration 10"""
 )
 @expand_options
-def bw(
-    key: KeyArgument,
-    *,
-    window: WindowOption = 100,
-    duration: DurationOption = 0.0,
-    as_json: JsonOption = False,
-    server: ConnectionOptions,
-) -> None:
+def bw(given: BandwidthOptions) -> None:
     """Measure the bandwidth of a topic, and print it every second."""
     arrivals: list[tuple[float, int]] = []
 
     def receive(now: float, samples: list[Sample]) -> None:
         arrivals.extend((now, len(sample.payload)) for sample in samples)
-        del arrivals[:-window]
+        del arrivals[: -given.window]
 
     def report() -> None:
-        _print_bandwidth(arrivals, as_json=as_json)
+        _print_bandwidth(arrivals, as_json=given.as_json)
 
-    with open_client("topic bw", server) as client:
-        subscription = client.bus.subscribe(key.strip("/"), QUEUE_DEPTH)
-        report_every_second(subscription, duration, receive, report)
+    with open_client("topic bw", given) as client:
+        measure_topic(client.bus, given, receive, report)
 
 
 def _print_bandwidth(arrivals: list[tuple[float, int]], *, as_json: bool) -> None:
@@ -188,22 +187,15 @@ def _print_bandwidth(arrivals: list[tuple[float, int]], *, as_json: bool) -> Non
   zensim topic delay r1/odom --duration 10"""
 )
 @expand_options
-def delay(
-    key: KeyArgument,
-    *,
-    window: WindowOption = 1000,
-    duration: DurationOption = 0.0,
-    as_json: JsonOption = False,
-    server: ConnectionOptions,
-) -> None:
+def delay(given: MeasureOptions) -> None:
     """Measure how old the stamps of a topic are on arrival, in simulation time.
 
     The time of arrival is that of the newest message of the clock, which comes every 0.01 s.
     """
     delays: list[float] = []
-    with open_client("topic delay", server) as client:
-        clock = client.bus.subscribe(CLOCK.key(server.world_name))
-        now_ns: list[int] = []
+    now_ns: list[int] = []
+    with open_client("topic delay", given) as client:
+        clock = client.bus.subscribe(CLOCK.key(given.world_name))
 
         def receive(_: float, samples: list[Sample]) -> None:
             if (newest := clock.newest()) is not None:
@@ -211,12 +203,12 @@ def delay(
                 now_ns[:] = [ns_from_time(time_of)]
             stamps = [read_stamp_ns(sample) for sample in samples]
             delays.extend((now_ns[0] - stamp) / NANOSECONDS for stamp in stamps if now_ns)
-            del delays[:-window]
+            del delays[: -given.window]
 
-        subscription = client.bus.subscribe(key.strip("/"), QUEUE_DEPTH)
-        report_every_second(
-            subscription, duration, receive, lambda: _print_delays(delays, as_json=as_json)
-        )
+        def report() -> None:
+            _print_delays(delays, as_json=given.as_json)
+
+        measure_topic(client.bus, given, receive, report)
 
 
 def read_stamp_ns(sample: Sample) -> int:

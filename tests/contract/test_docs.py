@@ -14,6 +14,7 @@ import pytest
 import yaml
 
 from tests.contract.repository import ROOT, files, shown, text_of
+from zensim.deploy.cli import VERBS
 
 LINK = re.compile(r"\]\((?!https?:|mailto:|#)([^)#\s]+)")
 BLOCK_FLAGS = re.MULTILINE | re.DOTALL
@@ -78,6 +79,13 @@ def test_documented_command_exists(verb: str, options: set[str]) -> None:
     assert answer.returncode == 0, answer.stderr
     known = set(OPTION.findall(answer.stdout.replace(",", " , ")))
     assert options <= known
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_page_of_commands_names_every_verb(verb: str) -> None:
+    rows = re.findall(r"^\| .*", text_of(ROOT / "docs" / "commands.md"), re.MULTILINE)
+
+    assert any(f"`zensim {verb}" in row for row in rows)
 
 
 def blocks_of(language: str) -> list[tuple[str, str]]:

@@ -12,6 +12,7 @@ from typing import Annotated
 
 import pytest
 import typer
+from click import Command
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.text import Text
@@ -146,13 +147,44 @@ def test_verb_prints_its_help(verb: str) -> None:
     assert "--" in done.stdout
 
 
+def list_commands(verb: str) -> list[Command]:
+    """List the command of a verb, or those of its group and the group itself if it runs alone."""
+    root = get_command(build(verb))
+    assert isinstance(root, TyperGroup)
+    command = root.commands[verb]
+    if not isinstance(command, TyperGroup):
+        return [command]
+    return [*command.commands.values(), *([command] if command.invoke_without_command else [])]
+
+
+def list_spellings(command: Command) -> set[str]:
+    return {word for one in command.params for word in (*one.opts, *one.secondary_opts)}
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_verb_prints_json_and_less_and_more(verb: str) -> None:
+    for command in list_commands(verb):
+        assert list_spellings(command) >= {"--json", "-q", "--quiet", "-v", "--verbose"}
+
+
+def test_up_has_every_option_of_serve() -> None:
+    (serve,), (up,) = list_commands("serve"), list_commands("up")
+
+    assert "--lockstep-timeout" in list_spellings(serve)
+    assert list_spellings(serve) - list_spellings(up) == set()
+
+
+def test_printed_help_keeps_units() -> None:
+    done = RUNNER.invoke(build("drive"), ["drive", "--help"], env={"COLUMNS": "200"})
+
+    assert "Forward velocity [m/s]" in done.stdout
+    assert "[rad/s]" in done.stdout
+
+
 @pytest.mark.parametrize("verb", VERBS)
 def test_help_texts_keep_their_brackets(verb: str) -> None:
     """Rich drops [m] as unknown markup unless the bracket is escaped."""
-    group = get_command(build(verb))
-    assert isinstance(group, TyperGroup)
-    command = group.commands[verb]
-    commands = command.commands.values() if isinstance(command, TyperGroup) else [command]
+    commands = list_commands(verb)
     texts = [
         text
         for one in commands

@@ -57,6 +57,21 @@ def test_check_accepts_the_shipped_scenarios() -> None:
     assert call("scenario", "check", *names).exit_code == ExitCode.OK
 
 
+def test_list_and_schema_print_json() -> None:
+    listed = json.loads(call("scenario", "list", "--json").stdout)
+    schema = json.loads(call("scenario", "schema", "--json").stdout)
+
+    assert [one["name"] for one in listed] == list(list_shipped_scenarios())
+    assert all(Path(one["file"]).is_file() for one in listed)
+    assert schema == json.loads(call("scenario", "schema").stdout)
+
+
+def test_list_prints_names_only_when_quiet() -> None:
+    done = call("scenario", "list", "--quiet")
+
+    assert done.stdout.split() == list(list_shipped_scenarios())
+
+
 def test_check_of_a_missing_file_says_so() -> None:
     assert call("scenario", "check", "no_such_file").exit_code == ExitCode.NOT_FOUND
 
