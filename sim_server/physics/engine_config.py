@@ -13,7 +13,7 @@ Clustering = Literal["auto", "on", "off"]
 EngineName = Literal["pybullet", "mujoco"]
 
 INSTALL_COMMANDS: dict[EngineName, str] = {
-    "pybullet": "pip install 'zensim[server]' (Linux x86_64, Python 3.10 or 3.11)",
+    "pybullet": "pip install 'zensim[server]' (on Linux x86_64 with Python 3.10 or 3.11)",
     "mujoco": "pip install 'zensim[server,mujoco]'",
 }
 

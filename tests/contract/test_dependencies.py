@@ -1,11 +1,13 @@
 """Imports of the code against dependencies in pyproject.toml."""
 
 import ast
+import re
 import sys
 from functools import cache
 from importlib.metadata import distribution, requires
 from pathlib import Path
 
+import pytest
 from packaging.requirements import Requirement
 
 from tests.contract.repository import PACKAGES, ROOT, files, shown, text_of
@@ -74,3 +76,41 @@ def test_module_imports_only_what_its_extra_declares() -> None:
 
     assert sources
     assert {name: modules for name, modules in found.items() if modules} == {}
+
+
+PYTHONS = ("3.10", "3.11", "3.12", "3.13", "3.14")
+PLATFORMS = {
+    "Linux x86_64": ("linux", "x86_64"),
+    "Linux arm64": ("linux", "aarch64"),
+    "macOS arm64": ("darwin", "arm64"),
+    "Windows": ("win32", "AMD64"),
+}
+PYBULLET_WHEELS = {("Linux x86_64", "3.10"), ("Linux x86_64", "3.11")}
+"""Those of PyBullet 3.2.7 on PyPI."""
+
+
+def engines_of_server(platform: str, python: str) -> set[str]:
+    """Find the engines that the extra `server` installs, in pyproject.toml."""
+    system, machine = PLATFORMS[platform]
+    environment = {"sys_platform": system, "platform_machine": machine, "python_version": python}
+    _, _, block = text_of(ROOT / "pyproject.toml").partition("\nserver = [")
+    lines = re.findall(r'^  "((?:pybullet|mujoco)\b[^"]*)"', block.partition("\n]")[0], re.M)
+    needs = [Requirement(line) for line in lines]
+    return {n.name for n in needs if n.marker is None or n.marker.evaluate(environment)}
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+@pytest.mark.parametrize("platform", PLATFORMS)
+def test_server_installs_the_engine_that_has_a_wheel(platform: str, python: str) -> None:
+    has_pybullet = (platform, python) in PYBULLET_WHEELS
+
+    assert engines_of_server(platform, python) == {"pybullet" if has_pybullet else "mujoco"}
+
+
+def test_classifiers_name_the_supported_versions_of_python() -> None:
+    text = text_of(ROOT / "pyproject.toml")
+
+    named = re.findall(r'"Programming Language :: Python :: (3\.\d+)"', text)
+
+    assert tuple(named) == PYTHONS
+    assert f'requires-python = ">={PYTHONS[0]}"' in text

@@ -12,11 +12,10 @@ from typing import Annotated
 
 import pytest
 import typer
-from click import Command
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.text import Text
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 from typer.testing import CliRunner
 
@@ -147,17 +146,20 @@ def test_verb_prints_its_help(verb: str) -> None:
     assert "--" in done.stdout
 
 
-def list_commands(verb: str) -> list[Command]:
+def list_commands(verb: str) -> list[TyperCommand | TyperGroup]:
     """List the command of a verb, or those of its group and the group itself if it runs alone."""
     root = get_command(build(verb))
     assert isinstance(root, TyperGroup)
     command = root.commands[verb]
-    if not isinstance(command, TyperGroup):
-        return [command]
-    return [*command.commands.values(), *([command] if command.invoke_without_command else [])]
+    if isinstance(command, TyperGroup):
+        inner = [one for one in command.commands.values() if isinstance(one, TyperCommand)]
+        assert len(inner) == len(command.commands)
+        return [*inner, *([command] if command.invoke_without_command else [])]
+    assert isinstance(command, TyperCommand)
+    return [command]
 
 
-def list_spellings(command: Command) -> set[str]:
+def list_spellings(command: TyperCommand | TyperGroup) -> set[str]:
     return {word for one in command.params for word in (*one.opts, *one.secondary_opts)}
 
 
