@@ -48,6 +48,8 @@ class Supervisor:
     """Owner of processes; `close` ends all."""
 
     on_restart: Callable[[SupervisedProgram, int], None]
+    errors: int | None = None
+    """File descriptor of the programs' standard error; None = that of this process."""
     programs: list[SupervisedProgram] = field(default_factory=list)
 
     def start(
@@ -61,7 +63,7 @@ class Supervisor:
     ) -> SupervisedProgram:
         """Start `zensim ARGUMENTS`, or another module, as a process in a new session."""
         program = SupervisedProgram(name, tuple(arguments), is_restarted, is_essential, module)
-        program.process = _start_process(program)
+        program.process = self._start_process(program)
         self.programs.append(program)
         return program
 
@@ -74,7 +76,7 @@ class Supervisor:
         for program in self.programs:
             if program.process is None:
                 if time.monotonic() >= program.restart_at_s:
-                    program.process = _start_process(program)
+                    program.process = self._start_process(program)
                 continue
             if (status := program.process.poll()) is None:
                 continue
@@ -94,10 +96,10 @@ class Supervisor:
         end_processes(alive, TERMINATE_TIMEOUT_S)
         self.programs.clear()
 
-
-def _start_process(program: SupervisedProgram) -> "subprocess.Popen[bytes]":
-    return start_process(
-        make_module_command(program.module, *program.arguments),
-        stdout=subprocess.PIPE,
-        environment={PARENT_PID_VARIABLE: str(os.getpid())},
-    )
+    def _start_process(self, program: SupervisedProgram) -> "subprocess.Popen[bytes]":
+        return start_process(
+            make_module_command(program.module, *program.arguments),
+            stdout=subprocess.PIPE,
+            stderr=self.errors,
+            environment={PARENT_PID_VARIABLE: str(os.getpid())},
+        )

@@ -2,7 +2,6 @@
 
 import atexit
 import os
-import threading
 import time
 import weakref
 from contextlib import ExitStack
@@ -10,30 +9,23 @@ from pathlib import Path
 
 import msgspec
 
-from zensim.api.api_errors import ConnectionLost, Error, NotFound, Timeout, Unreachable
-from zensim.api.local_deployment import (
-    LaunchAgentsConfig,
-    LaunchConfig,
-    LaunchFailed,
-    SensorLaunch,
-    start_programs,
-)
+from zensim.api.api_errors import NotFound, Unreachable
+from zensim.api.local_deployment import LaunchAgentsConfig, LaunchConfig
+from zensim.api.program_keeper import ProgramKeeper
 from zensim.api.server_access import ServerAccess
 from zensim.api.sim import Sim
 from zensim.api.world_access import api_errors
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, BusError, open_bus, open_bus_with_retry
+from zensim.proto.bus import Bus, BusConfig, BusError, open_bus_with_retry
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_endpoint, with_free_port
 from zensim.proto.messages.telemetry_messages import Info
 from zensim.proto.ros2.ros_settings import NO_ROS
-from zensim.proto.supervisor import ProgramDied, Supervisor
 from zensim.spawner.client.service_client import ServiceClient
 
 CONNECT_VARIABLE = "ZENSIM_CONNECT"
 DEFAULT_WORLD = "default"
 START_TIMEOUT_S = 30.0
 POLL_S = 0.01
-WATCH_PERIOD_S = 0.1
 _OPEN: "weakref.WeakSet[Sim]" = weakref.WeakSet()
 """Simulations that are closed at the exit of this process."""
 
@@ -90,9 +82,7 @@ def launch(  # noqa: PLR0913  options of a start, each with a default
     sensors: int | None = None,
     timeout_s: float = START_TIMEOUT_S,
 ) -> Sim:
-    """Start a server of our own, which ends with the simulation or with this process.
-
-    It is paused, so that time advances by `run_for`, `step` and `steps` only.
+    """Start a server of our own, paused, which ends with the simulation or with this process.
 
     Args:
         world: Name of a world, or an SDF file.
@@ -116,6 +106,8 @@ def launch(  # noqa: PLR0913  options of a start, each with a default
         is_paused=rtf is None,
         agents=LaunchAgentsConfig(pools=agents),
         sensor_processes=sensors,
+        # Equal orders give equal results however loaded the machine is.
+        on_miss="hold" if rtf is not None else "wait",
         ros=NO_ROS,
     )
     return launch_configured(config, timeout_s)
@@ -132,20 +124,19 @@ def launch_configured(config: LaunchConfig, timeout_s: float = START_TIMEOUT_S) 
 
 
 def _start(config: LaunchConfig, timeout_s: float) -> Sim:
-    supervisor = Supervisor(lambda _program, _status: None)
     with ExitStack() as stack:
-        stack.callback(supervisor.close)
-        try:
-            start_programs(config, supervisor)
-            bus = _wait_for_server(config, supervisor, timeout_s)
-        except (LaunchFailed, ProgramDied) as error:
-            raise Error(str(error), slug="launch_failed", hint="see the lines above") from error
-        stack.callback(bus.close)
-        sensors = SensorLaunch(config, supervisor, bus)
-        sensors.poll(time.monotonic())
-        keeper = ProgramKeeper(supervisor, sensors)
+        keeper = ProgramKeeper(config, timeout_s)
         stack.callback(keeper.close)
-        sim = Sim(ServerAccess(bus, config.world_name, watch=keeper.check, on_close=keeper.close))
+        bus = keeper.connect()
+        stack.callback(bus.close)
+        access = ServerAccess(
+            bus,
+            config.world_name,
+            watch=keeper.check,
+            on_close=keeper.close,
+            starts_sensors=config.sensor_processes != 0,
+        )
+        sim = Sim(access)
         # The simulation closes all.
         stack.pop_all()
     return sim
@@ -202,57 +193,6 @@ def _find_world(bus: Bus, deadline: float) -> str:
         if time.monotonic() > deadline:
             raise Unreachable(f"no server has a world at {bus.endpoint}")
         time.sleep(POLL_S)
-
-
-def _wait_for_server(config: LaunchConfig, supervisor: Supervisor, timeout_s: float) -> Bus:
-    deadline = time.monotonic() + timeout_s
-    bus_config = BusConfig(connect=(config.endpoint,), open_timeout_s=0.1)
-    bus: Bus | None = None
-    while time.monotonic() < deadline:
-        supervisor.watch()
-        try:
-            bus = bus or open_bus(bus_config)
-            if bus.list_tokens(keys.alive_server(config.world_name)):
-                return bus
-        except BusError:
-            continue
-        time.sleep(POLL_S)
-    raise Timeout(f"the server has not started after {timeout_s:g} s")
-
-
-class ProgramKeeper:
-    """Restarts programs that ended, and starts sensor processes on demand, in a thread."""
-
-    def __init__(self, supervisor: Supervisor, sensors: SensorLaunch) -> None:
-        self._supervisor = supervisor
-        self._sensors = sensors
-        self._failure: ProgramDied | None = None
-        self._is_over = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="zensim programs", daemon=True)
-        self._thread.start()
-
-    def check(self) -> None:
-        """Check that the programs run.
-
-        Raises:
-            ConnectionLost: One that is not restarted has ended.
-        """
-        if self._failure is not None:
-            raise ConnectionLost(str(self._failure), slug="program_ended")
-
-    def close(self) -> None:
-        """End all programs."""
-        self._is_over.set()
-        self._thread.join()
-        self._supervisor.close()
-
-    def _run(self) -> None:
-        try:
-            while not self._is_over.wait(WATCH_PERIOD_S):
-                self._supervisor.watch()
-                self._sensors.poll(time.monotonic())
-        except ProgramDied as error:
-            self._failure = error
 
 
 def _register(sim: Sim) -> Sim:

@@ -318,11 +318,17 @@ def choose_pool_count(robots: int, cores: int) -> int:
     return max(1, min(cores, -(-robots // ROBOTS_PER_POOL)))
 
 
-def start_programs(config: LaunchConfig, supervisor: Supervisor) -> None:
+def start_programs(
+    config: LaunchConfig,
+    supervisor: Supervisor,
+    timeout_s: float = START_TIMEOUT_S,
+    *,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> None:
     """Start the server and the agents, and wait until the server listens.
 
     Raises:
-        LaunchFailed: The server does not listen in time.
+        LaunchFailed: The server does not listen in time [s], or the start was stopped.
         ProgramDied: A process exited.
     """
     server = supervisor.start("server", make_serve_arguments(config))
@@ -330,23 +336,30 @@ def start_programs(config: LaunchConfig, supervisor: Supervisor) -> None:
         words = ("agent", msgspec.json.encode(start).decode())
         supervisor.start(name, words, is_restarted=True, module=PREPARED_START_MODULE)
 
-    _await_announcement(server, supervisor)
+    def watch() -> None:
+        supervisor.watch()
+        if should_stop():
+            raise LaunchFailed("the start was stopped")
+
+    _await_announcement(server, watch, timeout_s)
 
 
-def _await_announcement(server: SupervisedProgram, supervisor: Supervisor) -> None:
+def _await_announcement(
+    server: SupervisedProgram, watch: Callable[[], None], timeout_s: float
+) -> None:
     """Wait for the line that the server prints when it listens; another may listen there."""
     lines: SimpleQueue[bytes] = SimpleQueue()
     stream = server.process.stdout if server.process is not None else None
     if stream is None:
         raise LaunchFailed("the server has no output")
     threading.Thread(target=lambda: lines.put(stream.readline()), daemon=True).start()
-    deadline = time.monotonic() + START_TIMEOUT_S
+    deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
-        supervisor.watch()
+        watch()
         with suppress(Empty):
             if lines.get(timeout=POLL_S):
                 return
-    raise LaunchFailed(f"the server is not ready after {START_TIMEOUT_S:g} s")
+    raise LaunchFailed(f"the server is not ready after {timeout_s:g} s")
 
 
 def _open_bus(config: LaunchConfig, supervisor: Supervisor) -> Bus:

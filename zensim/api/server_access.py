@@ -22,10 +22,11 @@ from zensim.proto.codec.message_codec import (
 )
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.messages.sensor_messages import SensorStats
 from zensim.proto.messages.simulation_messages import SimulateStepsRequest
 from zensim.proto.messages.telemetry_messages import GetModelsRequest, Snapshot
 from zensim.proto.service_catalog import GET_MODELS, SIMULATE_STEPS, Request, Response, Service
-from zensim.proto.topic_catalog import SNAPSHOT, TWISTS
+from zensim.proto.topic_catalog import SENSOR_STATS, SNAPSHOT, TWISTS
 
 POLL_S = 0.01
 SILENCE_S = 2.0
@@ -34,6 +35,8 @@ GET_TIMEOUT_S = 1.0
 TOKEN_TIMEOUT_S = 2.0
 """Limit on the delay until the server has received the token of this client."""
 CALL_TIMEOUT_S = 10.0
+SENSOR_TIMEOUT_S = 30.0
+"""Limit on the start of a sensor process, with its libraries and meshes."""
 
 
 class BusFeed(TopicFeed[Message]):
@@ -71,6 +74,7 @@ class ServerAccess(WorldAccess):
         *,
         watch: Callable[[], None] = lambda: None,
         on_close: Callable[[], None] = lambda: None,
+        starts_sensors: bool = False,
     ) -> None:
         """Subscribe to states of the world.
 
@@ -79,11 +83,13 @@ class ServerAccess(WorldAccess):
             world: Name of the world.
             watch: Called now and then while a call waits; raises if a program of ours has ended.
             on_close: Called before the session is closed.
+            starts_sensors: Whether a sensor process of ours starts with the first sensor.
         """
         self.world_name = world
         self.bus = bus
         self._watch = watch
         self._on_close = on_close
+        self._starts_sensors = starts_sensors
         self._process = os.getpid()
         self._is_closed = False
         self._client = f"client_{uuid.uuid4().hex[:12]}"
@@ -219,6 +225,36 @@ class ServerAccess(WorldAccess):
             if left:
                 self._watch()
                 time.sleep(POLL_S)
+
+    def await_sensor(self, entity: str, sensor: str) -> None:
+        """See `WorldAccess`; returns at once where no sensor process runs or can measure it."""
+        deadline = time.monotonic() + SENSOR_TIMEOUT_S
+        while (found := self._read_sensor_stats()) or self._starts_sensors:
+            rows = [
+                (stats.is_active and one.has_subscribers, one.is_measured)
+                for stats in found
+                for one in stats.sensors
+                if (one.entity, one.sensor) == (entity, sensor)
+            ]
+            if any(is_ready or not is_measured for is_ready, is_measured in rows):
+                return
+            if time.monotonic() > deadline:
+                raise Timeout(
+                    f"sensor '{sensor}' of '{entity}' is not measured after {SENSOR_TIMEOUT_S:g} s",
+                    slug="no_sensor_process",
+                    hint="start one with 'zensim sensors run'",
+                )
+            self._watch()
+            time.sleep(POLL_S)
+
+    def _read_sensor_stats(self) -> list[SensorStats]:
+        self._require_open()
+        samples = self.bus.get(SENSOR_STATS.key(self.world_name, "*"), GET_TIMEOUT_S)
+        found = []
+        for sample in samples:
+            with suppress(MalformedPayload):
+                found.append(decode(SensorStats, sample.payload, sample.encoding))
+        return found
 
     def hold_bond(self) -> str:
         """See `WorldAccess`."""

@@ -79,11 +79,13 @@ class Topic(Generic[Message]):
         key: str,
         kind: type[Message],
         on_callback: Callable[[], None] = lambda: None,
+        on_subscribed: Callable[[], None] = lambda: None,
     ) -> None:
         self.key = key
         self.kind = kind
         self.settings: msgspec.Struct | None = None
         self._on_callback = on_callback
+        self._on_subscribed = on_subscribed
         self._access = access
         self._dispatcher = dispatcher
         self._feed: TopicFeed[Message] | None = None
@@ -198,6 +200,7 @@ class Topic(Generic[Message]):
             if self._feed is None:
                 depth = LARGE_FEED_DEPTH if _is_large(self.kind) else FEED_DEPTH
                 self._feed = self._access.subscribe(self.key, self.kind, depth)
+                self._on_subscribed()
             messages = [to_arrays(message) for message in self._feed.take()]
             for message in messages:
                 self._stamps_ns.append(find_stamp_ns(message))

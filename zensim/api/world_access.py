@@ -109,6 +109,13 @@ class WorldAccess(ABC):
             Timeout: No agent drives one of them.
         """
 
+    def await_sensor(self, entity: str, sensor: str) -> None:  # noqa: B027  in process: at once
+        """Wait until a sensor is measured for its subscribers, so that no step is left out.
+
+        Raises:
+            Timeout: The sensor process that is to measure it does not reply.
+        """
+
     @abstractmethod
     def hold_bond(self) -> str:
         """Return the name of a bond: its entities are deleted when this process ends."""

@@ -19,7 +19,7 @@ from zensim.api.world_access import WorldAccess, api_errors
 from zensim.api.world_state import POSE, FloatArray, WorldState
 from zensim.proto.messages.agent_messages import Claim, TwistCommands
 from zensim.proto.messages.model_messages import Model
-from zensim.proto.messages.sensor_messages import Environment
+from zensim.proto.messages.sensor_messages import CameraSensor, Environment, RaySensor
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.topic_catalog import CMD_VEL, JOINT_STATES, ODOM, ROBOT_TOPICS, TOPICS
 from zensim.robot_agent.topic_remapping import find_topic_keys
@@ -316,7 +316,12 @@ class WorldSession:
             kind = _find_kind(key)
         if (key, kind) not in self._topics:
             self._topics[key, kind] = Topic(
-                self.access, self.dispatcher, key, kind, on_callback=self._start_dispatch_thread
+                self.access,
+                self.dispatcher,
+                key,
+                kind,
+                on_callback=self._start_dispatch_thread,
+                on_subscribed=lambda: self._await_sensor(key),
             )
         return self._topics[key, kind]
 
@@ -328,6 +333,17 @@ class WorldSession:
             raise make_not_found(f"topic of '{name}'", topic, known)
         key, kind = known[topic]
         return self.find_topic(key, kind)
+
+    def _await_sensor(self, key: str) -> None:
+        """Wait until a sensor process has the subscription, so that each run has equal scans."""
+        if self.runs_by_itself:
+            return
+        for entry in self.roster().entries.values():
+            for sensor in entry.model.sensors:
+                is_process_sensor = isinstance(sensor.settings, RaySensor | CameraSensor)
+                names = [f"{entry.namespace}/{topic.name}" for topic in sensor.topics]
+                if is_process_sensor and key in names:
+                    self.access.await_sensor(entry.name, sensor.name)
 
     def _start_dispatch_thread(self) -> None:
         if self._dispatch_thread is None:
