@@ -11,8 +11,9 @@ import msgspec
 
 import zensim
 from zensim.api.connections import launch_configured
-from zensim.api.local_deployment import LaunchAgentsConfig, LaunchConfig
+from zensim.api.local_deployment import LaunchConfig
 from zensim.api.simulation import Simulation
+from zensim.deploy.scenario_settings import add_scenario
 from zensim.proto.child_process import (
     SINGLE_THREADED,
     make_module_command,
@@ -28,6 +29,8 @@ from zensim.scenario.scenario_runner import RunReport, ScenarioFailed, run_scena
 
 RUN_COMMAND = make_module_command("zensim.deploy.scenario_process")
 ENGINE_IN_PROCESS = "mujoco"
+SETTINGS_OF_UP = ("listen", "connect", "wait", "journal", "viewer", "rtf", "lockstep")
+"""Options whose keys do not count in tests."""
 
 
 class RunRequest(msgspec.Struct, frozen=True):
@@ -70,10 +73,10 @@ def _run(scenario: Scenario, request: RunRequest) -> RunReport:
 def _open_world(scenario: Scenario, request: RunRequest) -> Simulation:
     """Load the world of a scenario, in this process or in a server of its own."""
     engine, word = scenario.format.engine, scenario.format.world.load
+    if request.is_served:
+        return launch_configured(make_launch_config(scenario))
     file = scenario.find_file("world.load", word)
     world = str(file) if file.is_file() else word
-    if request.is_served:
-        return launch_configured(make_launch_config(scenario, world))
     return zensim.World(
         world,
         engine=engine.use or ENGINE_IN_PROCESS,
@@ -83,31 +86,11 @@ def _open_world(scenario: Scenario, request: RunRequest) -> Simulation:
     )
 
 
-def make_launch_config(scenario: Scenario, world: str) -> LaunchConfig:
-    """Configure a paused server of its own with one pool, and sensor processes if wanted."""
-    sections = scenario.format
-    if (sections.engine.step_rate, sections.engine.control_rate) != (None, None):
-        raise ScenarioFailed(
-            "engine.step_rate and engine.control_rate need a run in process; leave out --server"
-        )
-    return LaunchConfig(
-        world=world,
-        world_name=sections.world.name,
-        endpoint=with_free_port("tcp/127.0.0.1:0"),
-        model_paths=tuple(
-            str(scenario.find_file("world.model_paths", path))
-            for path in sections.world.model_paths
-        ),
-        is_strict=sections.world.strict,
-        allow_missing=sections.world.allow_missing,
-        is_paused=True,
-        seed=scenario.seed,
-        engine=sections.engine.use,
-        clusters=sections.engine.clusters,
-        engine_workers=sections.engine.workers,
-        dynamics=sections.engine.dynamics,
-        agents=LaunchAgentsConfig(pools=1),
-        ros=NO_ROS,
+def make_launch_config(scenario: Scenario) -> LaunchConfig:
+    """Configure a paused server of its own with its agents, and sensor processes if wanted."""
+    base = LaunchConfig(world="empty", endpoint=with_free_port("tcp/127.0.0.1:0"), ros=NO_ROS)
+    return msgspec.structs.replace(
+        add_scenario(base, scenario, dict.fromkeys(SETTINGS_OF_UP)), is_paused=True, ros=NO_ROS
     )
 
 

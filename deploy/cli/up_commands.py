@@ -5,7 +5,7 @@ import socket
 import sys
 import time
 import webbrowser
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -37,7 +37,8 @@ from zensim.deploy.fleet_demo import (
     make_demo,
 )
 from zensim.deploy.local_runs import LocalRun, recorded_run
-from zensim.deploy.scenario_driver import ScenarioDriver, add_scenario, list_unused_keys
+from zensim.deploy.scenario_driver import ScenarioDriver
+from zensim.deploy.scenario_settings import add_scenario, refuse_options_of_the_demo
 from zensim.proto.cli_options import (
     OdomHzOption,
     RosTfOptions,
@@ -54,6 +55,7 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied, SupervisedProgram, Supervisor
+from zensim.proto.verbosity import CURRENT
 from zensim.scenario.check_monitors import CheckResult
 from zensim.scenario.scenario_reader import Scenario, find_scenario_file, read_scenario
 from zensim.sim_server.cli import MISS_POLICIES, ServeOptions
@@ -181,42 +183,79 @@ def up(context: typer.Context, given: UpOptions) -> None:
         # An exported ZENSIM_CONNECT is meant for clients.
         given = replace(given, connect="")
     with exit_on_failure("up", LaunchFailed, ProgramDied, MissingViewerExtra):
-        if given.viewer:
-            check_page(given.viewer_port)
-        config, drive_robots = _choose_driver(given)
-        _launch_and_run(
-            config,
-            began_s,
-            given.duration,
-            given.open_page,
-            drive_robots=drive_robots,
-            as_json=given.as_json,
-        )
+        plan = _make_plan(context, given)
+        if plan.config.has_viewer:
+            check_page(plan.config.viewer_port)
+        _launch_and_run(plan, began_s, given.duration, as_json=given.as_json)
 
 
-def _choose_driver(given: UpOptions) -> tuple[LaunchConfig, DriverMaker | None]:
+@dataclass(frozen=True)
+class UpPlan:
+    """What is started.
+
+    Attributes:
+        drive_robots: Makes what drives the robots once all programs run.
+        open_page: Whether to open a browser; None = on a desktop.
+        names: Of the robots.
+    """
+
+    config: LaunchConfig
+    drive_robots: DriverMaker | None
+    open_page: bool | None
+    names: tuple[str, ...]
+
+
+def _make_plan(context: typer.Context, given: UpOptions) -> UpPlan:
     """Choose what drives the robots: a scenario, which also completes the settings, or the demo."""
     behaviour = parse_choice("--behaviour", given.behaviour, DEMO_BEHAVIOURS)
     config = make_config(given)
     if given.file:
-        scenario = read_scenario(find_scenario_file(given.file), given.settings or ())
-        pools = choose_pool_count(max(1, len(scenario.robots)), os.cpu_count() or 1)
-        agents = msgspec.structs.replace(config.agents, pools=pools)
-        config = msgspec.structs.replace(add_scenario(config, scenario), agents=agents)
-        return config, partial(_make_scenario_driver, scenario)
-    if behaviour == "none" or not config.placements:
-        return config, None
-    return config, partial(_make_demo, behaviour, is_quiet=given.as_json)
+        return _make_scenario_plan(context, given, config)
+    names = tuple(one.name for one in config.placements)
+    if behaviour == "none" or not names:
+        return UpPlan(config, None, given.open_page, names)
+    demo = partial(_make_demo, behaviour, is_quiet=given.as_json)
+    return UpPlan(config, demo, given.open_page, names)
+
+
+def _make_scenario_plan(context: typer.Context, given: UpOptions, config: LaunchConfig) -> UpPlan:
+    scenario = read_scenario(find_scenario_file(given.file), given.settings or ())
+    written = _list_written(context, given)
+    refuse_options_of_the_demo(scenario, written)
+    config = add_scenario(config, scenario, written)
+    _refuse_two_endpoints(config, scenario)
+    open_page = given.open_page if "open_page" in written else scenario.format.viewer.open
+    maker = partial(_make_scenario_driver, scenario)
+    return UpPlan(config, maker, open_page, tuple(scenario.robot_names))
+
+
+def _refuse_two_endpoints(config: LaunchConfig, scenario: Scenario) -> None:
+    places = scenario.places
+    if config.connect and {"network.listen", "network.connect"} <= places.keys():
+        raise ValueError(
+            f"{places['network.connect']}: network.listen and network.connect exclude each other; "
+            "remove one"
+        )
+
+
+def _list_written(context: typer.Context, given: UpOptions) -> dict[str, object]:
+    """List the options that were written, or that a variable gives, with their values."""
+    sources = {name: context.get_parameter_source(name) for name in vars(given)}
+    written = {
+        name: value
+        for name, value in vars(given).items()
+        if (source := sources[name]) is not None
+        and source.name in ("COMMANDLINE", "ENVIRONMENT")
+        and not (name == "connect" and not value)
+    }
+    return written | ({"verbose": True} if CURRENT.is_verbose else {})
 
 
 def _make_scenario_driver(scenario: Scenario, deployment: LocalDeployment) -> ScenarioDriver:
     def warn(check: CheckResult) -> None:
         typer.echo(f"check failed: {check.name}: {check.message} ({check.place})", err=True)
 
-    for key in list_unused_keys(scenario):
-        typer.echo(f"{scenario.find_place(key)}: {key} has no effect on zensim up", err=True)
     driver = ScenarioDriver(deployment, scenario, warn)
-    typer.echo(f"Scenario {scenario.name}: {len(scenario.robots)} robots.", err=True)
     return driver
 
 
@@ -266,50 +305,40 @@ def make_config(given: UpOptions) -> LaunchConfig:
         sensor_processes=given.sensors,
         has_viewer=given.viewer,
         viewer_port=given.viewer_port,
+        is_verbose=CURRENT.is_verbose,
     )
 
 
-def _launch_and_run(
-    config: LaunchConfig,
-    began_s: float,
-    duration: float,
-    open_page: bool | None,
-    *,
-    drive_robots: DriverMaker | None,
-    as_json: bool,
-) -> None:
+def _launch_and_run(plan: UpPlan, began_s: float, duration: float, *, as_json: bool) -> None:
     stop = StopFlag(is_armed=False)
     with closing(Supervisor(_print_restart)) as supervisor, ExitStack() as stack:
-        with _show_progress(len(config.placements)) as progress:
-            deployment = launch(config, supervisor, progress, began_s)
+        with _show_progress(len(plan.config.placements)) as progress:
+            deployment = launch(plan.config, supervisor, progress, began_s)
         stop.arm()
         should_stop: Callable[[], bool] = stop
-        if drive_robots is not None:
-            driver = drive_robots(deployment)
+        if plan.drive_robots is not None:
+            driver = plan.drive_robots(deployment)
             stack.callback(driver.close)
             should_stop = driver.watch(stop)
+            deployment.ready_s = time.monotonic() - began_s
         run_on = partial(supervise, deployment, duration, should_stop)
-        _run_until_stopped(deployment, run_on, open_page, as_json=as_json)
+        _run_until_stopped(deployment, run_on, plan, as_json=as_json)
 
 
 def _run_until_stopped(
-    deployment: LocalDeployment,
-    run_on: Callable[[], None],
-    open_page: bool | None,
-    *,
-    as_json: bool,
+    deployment: LocalDeployment, run_on: Callable[[], None], plan: UpPlan, *, as_json: bool
 ) -> None:
     config = deployment.config
     run = LocalRun(
         os.getpid(),
         config.connect or config.endpoint,
         config.world_name,
-        len(config.placements),
+        len(plan.names),
         deployment.viewer_url,
     )
     with deployment.bus, recorded_run(run):
-        _print_ready(deployment, as_json=as_json)
-        _open_page(deployment.viewer_url, open_page)
+        _print_ready(deployment, plan.names, as_json=as_json)
+        _open_page(deployment.viewer_url, plan.open_page)
         run_on()
         _print_summary(deployment, as_json=as_json)
 
@@ -347,20 +376,20 @@ def _show_progress(count: int) -> Iterator[LaunchProgress]:
         yield LaunchProgress(lambda: progress.advance(spawned), lambda: progress.advance(driving))
 
 
-def _print_ready(deployment: LocalDeployment, *, as_json: bool) -> None:
+def _print_ready(deployment: LocalDeployment, names: Sequence[str], *, as_json: bool) -> None:
     config = deployment.config
     if as_json:
         _print_json(
             {
                 "ready_s": round(deployment.ready_s, 3),
-                "robots": len(config.placements),
+                "robots": len(names),
                 "endpoint": config.connect or config.endpoint,
                 "engine": deployment.ready_info.engine,
                 "viewer": deployment.viewer_url or None,
             }
         )
         return
-    first = config.placements[0].name if config.placements else "NAME"
+    first = names[0] if names else "NAME"
     where = _make_client_options(config)
     lines = {
         "page": deployment.viewer_url or "none (--no-viewer)",
@@ -372,7 +401,7 @@ def _print_ready(deployment: LocalDeployment, *, as_json: bool) -> None:
     if config.client_endpoint != (config.connect or config.endpoint):
         elsewhere = config.client_endpoint.replace("127.0.0.1", socket.gethostname())
         lines["elsewhere"] = f"--connect {elsewhere.replace('[::1]', socket.gethostname())}"
-    typer.echo(f"{len(config.placements)} robots ready in {deployment.ready_s:.1f} s")
+    typer.echo(f"{len(names)} robots ready in {deployment.ready_s:.1f} s")
     for word, line in lines.items():
         typer.echo(f"  {word:<10} {line}")
     typer.echo("Ctrl-C or 'zensim down' to stop.")

@@ -50,6 +50,16 @@ class LaunchFailed(Exception):
     """A program did not become ready."""
 
 
+class AgentGroup(msgspec.Struct, frozen=True):
+    """An agent process that drives the robots that it names."""
+
+    name: str
+    """Of the program."""
+    entities: tuple[str, ...]
+    odom_hz: float | None = None
+    tf_hz: float | None = None
+
+
 class LaunchAgentsConfig(msgspec.Struct, frozen=True):
     """Agents of a deployment."""
 
@@ -59,6 +69,8 @@ class LaunchAgentsConfig(msgspec.Struct, frozen=True):
     """None = from the robot description."""
     tf_hz: float | None = None
     """None = `odom_hz`, or from the robot description."""
+    groups: tuple[AgentGroup, ...] = ()
+    """Further agents, for robots that are spawned later."""
 
 
 class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -102,6 +114,8 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     ros: RosSettings = RosSettings()
     has_viewer: bool = False
     viewer_port: int = 0
+    is_verbose: bool = False
+    """Whether the server logs at level INFO."""
 
     @property
     def client_endpoint(self) -> str:
@@ -242,6 +256,7 @@ def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
         "--allow-missing": config.allow_missing,
         "--lockstep": config.is_lockstep,
         "--paused": config.is_paused,
+        "--verbose": config.is_verbose,
     }
     return (
         *("serve", *at, "--world", config.world, "--world-name", config.world_name, "--announce"),
@@ -294,6 +309,11 @@ def make_agent_starts(config: LaunchConfig) -> dict[str, AgentProcessConfig]:
     if config.agents.pools is not None:
         pool = msgspec.structs.replace(common, pool_limit=0)
         configs = {f"pool {number}": pool for number in range(config.agents.pools)}
+    for group in config.agents.groups:
+        rates = RateOverrides(group.odom_hz, group.tf_hz)
+        configs[f"agent {group.name}"] = msgspec.structs.replace(
+            common, entities=group.entities, rates=rates
+        )
     return {
         name: AgentProcessConfig(endpoint=config.client_endpoint, config=one, is_quiet=True)
         for name, one in configs.items()
