@@ -23,12 +23,12 @@ from zensim.proto.child_process import (
 from zensim.proto.endpoints import with_free_port
 from zensim.proto.process_limits import die_with_parent
 from zensim.proto.ros2.ros_settings import NO_ROS
+from zensim.scenario.scenario_loading import open_world
 from zensim.scenario.scenario_nodes import ScenarioInvalid
 from zensim.scenario.scenario_reader import Scenario, read_scenario
 from zensim.scenario.scenario_runner import RunReport, ScenarioFailed, run_scenario
 
 RUN_COMMAND = make_module_command("zensim.deploy.scenario_process")
-ENGINE_IN_PROCESS = "mujoco"
 SETTINGS_OF_UP = ("listen", "connect", "wait", "journal", "viewer", "rtf", "lockstep")
 """Options whose keys do not count in tests."""
 
@@ -72,18 +72,9 @@ def _run(scenario: Scenario, request: RunRequest) -> RunReport:
 
 def _open_world(scenario: Scenario, request: RunRequest) -> Simulation:
     """Load the world of a scenario, in this process or in a server of its own."""
-    engine, word = scenario.format.engine, scenario.format.world.load
     if request.is_served:
         return launch_configured(make_launch_config(scenario))
-    file = scenario.find_file("world.load", word)
-    world = str(file) if file.is_file() else word
-    return zensim.World(
-        world,
-        engine=engine.use or ENGINE_IN_PROCESS,
-        seed=scenario.seed,
-        step_hz=engine.step_rate,
-        control_hz=engine.control_rate,
-    )
+    return open_world(scenario)
 
 
 def make_launch_config(scenario: Scenario) -> LaunchConfig:

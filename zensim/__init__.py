@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from zensim.api.sim import Sim
     from zensim.api.simulation import Simulation
     from zensim.api.topic import Topic, TopicCallback
+    from zensim.scenario.scenario_loading import load
 
 __all__ = [
     "Closed",
@@ -53,6 +54,7 @@ __all__ = [
     "connect",
     "deg",
     "launch",
+    "load",
     "servers",
 ]
 

@@ -24,6 +24,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "zensim.api.sim": ("Sim",),
     "zensim.api.simulation": ("Simulation",),
     "zensim.api.topic": ("Topic", "TopicCallback"),
+    "zensim.scenario.scenario_loading": ("load",),
 }
 """By module."""
 _MODULE_OF = {name: module for module, names in MODULES.items() for name in names}

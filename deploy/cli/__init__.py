@@ -143,6 +143,11 @@ VERBS: dict[str, Verb] = {
         "zensim.deploy.cli.scenario_commands",
         "Check scenario files, print their schema, list the shipped ones.",
     ),
+    "export": Verb(
+        "Scenarios",
+        "zensim.deploy.cli.export_commands",
+        "Write a running world as a scenario file.",
+    ),
     "journal": Verb(
         "Diagnostics",
         "zensim.deploy.cli.journal_commands",

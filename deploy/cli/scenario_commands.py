@@ -15,11 +15,13 @@ from zensim.scenario.scenario_nodes import Issue, ScenarioInvalid
 from zensim.scenario.scenario_reader import (
     SHIPPED,
     SUFFIXES,
+    Scenario,
     find_scenario_file,
     list_shipped_scenarios,
     read_scenario,
 )
 from zensim.scenario.scenario_schema import format_schema
+from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 
 app = make_app("scenario")
 
@@ -39,6 +41,12 @@ class ScenarioCheckOptions:
 
     files: FilesArgument
     settings: SetOption = None
+    models: Annotated[
+        bool,
+        typer.Option(
+            "--models/--no-models", metavar="", help="Read the world and the models, too."
+        ),
+    ] = True
     as_json: JsonOption = False
 
 
@@ -53,11 +61,12 @@ def check(given: ScenarioCheckOptions) -> None:
 
     Exit status: 0 without mistakes, 2 with some, 3 if a file does not exist.
     """
-    with exit_on_failure("scenario check"):
+    with exit_on_failure("scenario check", MissingServerExtra):
         issues: list[Issue] = []
         for file in map(find_scenario_file, given.files):
             with collect_issues(issues):
-                read_scenario(file, given.settings or ())
+                scenario = read_scenario(file, given.settings or ())
+                issues += _check_models(scenario) if given.models else ()
     if given.as_json:
         typer.echo(json.dumps([_to_json(issue) for issue in issues]))
     for issue in () if given.as_json else issues:
@@ -66,6 +75,12 @@ def check(given: ScenarioCheckOptions) -> None:
         raise typer.Exit(ExitCode.USAGE)
     if not given.as_json:
         typer.echo(f"{len(given.files)} checked, no mistakes", err=True)
+
+
+def _check_models(scenario: Scenario) -> tuple[Issue, ...]:
+    with server_extra():
+        from zensim.scenario.model_dry_run import check_models
+    return check_models(scenario)
 
 
 @contextmanager

@@ -155,6 +155,8 @@ class GetModelsRequest(msgspec.Struct, frozen=True):
     ros_type: ClassVar[str] = "zensim/srv/GetModels_Request"
 
     entities: tuple[str, ...] = ()
+    wants_descriptions: bool = False
+    """Whether to return the texts that the entities were spawned from, too."""
 
 
 class EntityModel(msgspec.Struct, frozen=True):
@@ -166,6 +168,10 @@ class EntityModel(msgspec.Struct, frozen=True):
     """Index into `GetModelsResponse.models`."""
     agent: str = ""
     initial_pose: Pose = Pose()
+    belongs_to_world: bool = False
+    """Whether it is part of the world file."""
+    description: UInt32 = 0
+    """Index into `GetModelsResponse.descriptions`, if these were wanted."""
 
 
 class GetModelsResponse(msgspec.Struct, frozen=True):
@@ -180,3 +186,5 @@ class GetModelsResponse(msgspec.Struct, frozen=True):
     scene: Scene = Scene()
     """Lights and colours of the world."""
     environment: Environment = Environment()
+    descriptions: tuple[str, ...] = ()
+    """Distinct texts, URDF or SDF; empty for entities of the world file."""

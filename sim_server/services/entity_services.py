@@ -27,7 +27,7 @@ from zensim.sim_server.service_parts import (
     Pacing,
     make_environment,
 )
-from zensim.sim_server.world.entity import check_entity_info
+from zensim.sim_server.world.entity import Entity, check_entity_info
 from zensim.sim_server.world.pose_conversion import (
     WORLD_FRAMES,
     pose_from_row,
@@ -106,6 +106,8 @@ def get_models(
     distinct = {id(entity.model): entity.model for entity in entities}
     number = {model: i for i, model in enumerate(dict.fromkeys(distinct.values()))}
     model_of = {key: number[model] for key, model in distinct.items()}
+    texts = [_find_wanted_text(entity, request) for entity in entities]
+    text_number = {text: i for i, text in enumerate(dict.fromkeys(texts))}
     return telemetry_messages.GetModelsResponse(
         Result(),
         world.entities.roster_number,
@@ -116,13 +118,20 @@ def get_models(
                 model_of[id(entity.model)],
                 world.claims.agent_of(entity.name),
                 pose_from_row(entity.initial),
+                entity.belongs_to_world,
+                text_number[text],
             )
-            for entity in entities
+            for entity, text in zip(entities, texts, strict=True)
         ),
         tuple(number),
         current.model.scene,
         make_environment(world, current),
+        tuple(text_number) if request.wants_descriptions else (),
     )
+
+
+def _find_wanted_text(entity: Entity, request: telemetry_messages.GetModelsRequest) -> str:
+    return entity.description if request.wants_descriptions else ""
 
 
 def get_entity_state(

@@ -186,6 +186,15 @@ class RobotsSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     xacro: Annotated[dict[str, str], described("Arguments of xacro.")] = {}
     controllers: Annotated[tuple[str, ...], described("Files of ros2_control.")] = ()
     drive: Annotated[str, described("Drive in place of that of the description.")] = ""
+    namespace: Annotated[
+        str, described("Prefix of topics and frames of a single robot; empty = its name.")
+    ] = ""
+    compat: Annotated[
+        Literal["fixed", "gazebo11"],
+        described("gazebo11 = drives with the documented errors of Gazebo 11."),
+    ] = "fixed"
+    strict: Annotated[bool, described("Refuse a description with suspicious entries.")] = False
+    allow_missing: Annotated[bool, described("Leave out collisions whose mesh is missing.")] = False
     tags: Annotated[tuple[str, ...], described("Tags of the entities.")] = ()
 
 

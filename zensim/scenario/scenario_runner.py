@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
+from types import TracebackType
 from typing import TYPE_CHECKING, cast
 
 import msgspec
@@ -14,7 +15,11 @@ import numpy.typing as npt
 
 from zensim.api.fleet import Fleet
 from zensim.api.simulation import Simulation
-from zensim.proto.messages.entity_messages import GetEntityBoundsOrder
+from zensim.proto.messages.entity_messages import (
+    GetEntityBoundsOrder,
+    GetEntityInfoRequest,
+    SetEntityInfoRequest,
+)
 from zensim.proto.messages.gazebo_messages import (
     ApplyLinkWrenchRequest,
     GetJointPropertiesRequest,
@@ -26,8 +31,10 @@ from zensim.proto.messages.telemetry_messages import GetModelsRequest
 from zensim.proto.service_catalog import (
     APPLY_LINK_WRENCH,
     GET_ENTITY_BOUNDS,
+    GET_ENTITY_INFO,
     GET_JOINT_PROPERTIES,
     GET_MODELS,
+    SET_ENTITY_INFO,
     SET_JOINT_PROPERTIES,
 )
 from zensim.scenario.check_monitors import (
@@ -64,7 +71,7 @@ from zensim.scenario.scenario_format import (
 from zensim.scenario.scenario_reader import Scenario
 
 if TYPE_CHECKING:
-    from zensim.api.spawning import SpawnKeywords
+    from zensim.api.spawning import FleetKeywords, SpawnKeywords
     from zensim.proto.messages.model_messages import Dynamics
 
 FloatArray = npt.NDArray[np.float64]
@@ -110,11 +117,13 @@ class ScenarioRun:
     Attributes:
         commands: Last commanded speed and turn of each robot, (n, 2).
         driven: Robots that a behaviour has driven, (n,).
+        owns_world: Whether `close` closes the world.
     """
 
     scenario: Scenario
     sim: Simulation
     allows_python: bool = True
+    owns_world: bool = False
     events: list[ScenarioEvent] = field(default_factory=list)
     fleet: Fleet = field(init=False)
     motions: list[ScheduledMotion] = field(init=False)
@@ -144,14 +153,36 @@ class ScenarioRun:
         self._start_time = self.sim.time
         self._start_wall_s = time.monotonic()
 
-    def run(self, end: float) -> None:
-        """Run to the end of the scenario, at most for simulated seconds."""
-        steps = self.sim.steps(seconds=end if math.isfinite(end) else None)
-        for _ in steps:
-            state = self.step()
-            if self.is_over(state):
-                return
+    def run(self, end: float | None = None) -> RunReport:
+        """Run to the end of the scenario, and report.
+
+        Args:
+            end: Most simulated seconds; None = as the file says, or 10 s.
+        """
+        seconds = find_end(self.scenario) if end is None else end
+        for _ in self.sim.steps(seconds=seconds if math.isfinite(seconds) else None):
+            if self.is_over(self.step()):
+                return self.report()
         self.check_now()
+        return self.report()
+
+    def close(self) -> None:
+        """Close the world, if it belongs to this run."""
+        if self.owns_world:
+            self.sim.close()
+
+    def __enter__(self) -> "ScenarioRun":
+        """Return the run."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close it."""
+        self.close()
 
     def step(self) -> CheckedState:
         """Do all that is due at the present control step, before time advances."""
@@ -363,27 +394,33 @@ def _spawn_group(sim: Simulation, scenario: Scenario, index: int, group: RobotsS
     controllers = [
         scenario.find_file(f"robots[{index}].controllers", one) for one in group.controllers
     ]
+    described: dict[str, object] = {
+        "xacro_args": group.xacro,
+        "controllers": controllers,
+        "drive": group.drive,
+        "dynamics": dynamics,
+        "compat": group.compat,
+        "strict": group.strict,
+        "allow_missing": group.allow_missing,
+        "agent": agent,
+    }
     if is_plain and len(robots) > 1 and [one.name for one in robots] == names:
-        sim.spawn_fleet(
-            model,
-            poses=[(one.x, one.y, one.yaw) for one in robots],
-            prefix=group.name,
-            xacro_args=group.xacro,
-            controllers=controllers,
-            drive=group.drive,
-            dynamics=dynamics,
-            agent=agent,
-        )
-        return
-    for one in robots:
-        options: SpawnKeywords = {
-            "xacro_args": group.xacro,
-            "controllers": controllers,
-            "drive": group.drive,
-            "dynamics": dynamics,
-            "agent": agent,
-        }
-        _spawn_alone(sim, model, one, options)
+        poses = [(one.x, one.y, one.yaw) for one in robots]
+        options = cast("FleetKeywords", {**described, "poses": poses, "prefix": group.name})
+        sim.spawn_fleet(model, **options)
+    else:
+        for one in robots:
+            own = cast("SpawnKeywords", {**described, "namespace": group.namespace})
+            _spawn_alone(sim, model, one, own)
+    if group.tags:
+        for one in robots:
+            _add_tags(sim, one.name, group.tags)
+
+
+def _add_tags(sim: Simulation, robot: str, tags: tuple[str, ...]) -> None:
+    info = sim.call(GET_ENTITY_INFO, GetEntityInfoRequest(robot)).info
+    info = msgspec.structs.replace(info, tags=(*info.tags, *tags))
+    sim.call(SET_ENTITY_INFO, SetEntityInfoRequest(robot, info))
 
 
 def _spawn_alone(
@@ -413,5 +450,5 @@ def run_scenario(
     """
     run = ScenarioRun(scenario, sim, allows_python=allows_python)
     run.spawn()
-    run.run(find_end(scenario))
+    run.run()
     return run.report(repeat=repeat)

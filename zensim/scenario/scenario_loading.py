@@ -1,0 +1,60 @@
+"""Loads a scenario file into a world: in this process, or one that runs."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from zensim.api.in_process_world import World
+from zensim.api.simulation import Simulation
+from zensim.scenario.scenario_reader import Scenario, find_scenario_file, read_scenario
+from zensim.scenario.scenario_runner import ScenarioRun
+
+ENGINE_IN_PROCESS = "mujoco"
+
+
+def open_world(scenario: Scenario) -> World:
+    """Load the world of a scenario in this process, without its robots."""
+    engine, word = scenario.format.engine, scenario.format.world.load
+    file = scenario.find_file("world.load", word)
+    return World(
+        file if file.is_file() else word,
+        engine=engine.use or ENGINE_IN_PROCESS,
+        seed=scenario.seed,
+        step_hz=engine.step_rate,
+        control_hz=engine.control_rate,
+    )
+
+
+def load(
+    file: str | Path,
+    settings: Sequence[str] = (),
+    *,
+    sim: Simulation | None = None,
+    python: bool = True,
+) -> ScenarioRun:
+    """Read a scenario file, and spawn its robots.
+
+    Args:
+        file: Its path, or the name of a shipped scenario.
+        settings: `KEY.PATH=VALUE`, which win over the file.
+        sim: World to use; None = one in this process, which the run closes.
+        python: Whether `python:` may run code of the file's author.
+
+    Returns:
+        The run: `run()` runs it to its end and returns the report; `sim` is its world.
+
+    Raises:
+        FileNotFoundError: There is no such file or scenario.
+        ScenarioInvalid: It has mistakes; all of them are in the message.
+        Error: The world refused a part of it.
+    """
+    scenario = read_scenario(find_scenario_file(str(file)), settings)
+    world = open_world(scenario) if sim is None else sim
+    try:
+        run = ScenarioRun(scenario, world, allows_python=python)
+        run.spawn()
+    except BaseException:
+        if sim is None:
+            world.close()
+        raise
+    run.owns_world = sim is None
+    return run
