@@ -41,9 +41,10 @@ MIN_SHARE_PERIOD_S = 0.05
 """Between two calls, however many events there are."""
 MAX_SHARE_PERIOD_S = 1.0
 """Calls are repeated, as events may be lost, and none says that a pool with a limit ended."""
+CLAIM_EVENTS = frozenset({"spawned", "released", "timed_out"})
 SHARE_EVENTS_DEPTH = 1024
 """Lost events do no harm: one is enough for a call."""
-SHARE_EVENTS = frozenset({"spawned", "deleted", "released", "loaded"})
+SHARE_EVENTS = frozenset({"spawned", "deleted", "released", "timed_out", "loaded"})
 
 
 def raise_with_wait(error: Exception, wait_s: float) -> NoReturn:
@@ -171,7 +172,7 @@ class NamedClaimClient:
             key = EVENTS.key(self._settings.world)
             self._events = self._network.subscribe(key, CLAIM_EVENTS_DEPTH)
         for event in _take_events(self._events):
-            if event.entity in self._missing and event.kind in ("spawned", "released"):
+            if event.entity in self._missing and event.kind in CLAIM_EVENTS:
                 self.retry_soon()
 
     def _claim(self, now_s: float) -> tuple[Claim, ...]:

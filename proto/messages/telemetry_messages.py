@@ -131,6 +131,7 @@ EventKind = Literal[
     "unloaded",
     "quitting",
     "missed",
+    "timed_out",
     "touched",
     "warning",
 ]

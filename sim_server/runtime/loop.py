@@ -20,6 +20,7 @@ from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.network_protocols import Sample
 from zensim.proto.topic_catalog import CONTACTS, EVENTS, STATS, STEPS_PROGRESS
 from zensim.sim_server.journal_protocol import ChangeJournal
+from zensim.sim_server.pacing.command_timeouts import CommandTimeouts, LastCommand
 from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
 from zensim.sim_server.runtime.loop_channels import Inbox, WorldPublisher
 from zensim.sim_server.runtime.request_dispatcher import RequestDispatcher
@@ -98,6 +99,7 @@ class AgentSessions:
         """Whether an agent did not get the state of the last control step."""
         self._awaited_since_ns: dict[str, int] = {}
         """By agent: wall time of a state that it has not replied to."""
+        self._command_timeouts = CommandTimeouts()
 
     def serve(self) -> None:
         """Handle liveliness changes, then apply drive commands."""
@@ -111,6 +113,21 @@ class AgentSessions:
             self._order_twists(sample)
         for sample in self._inbox.take_commands():
             self._command(sample)
+
+    def stop_silent_agents(self, now_ns: int) -> None:
+        """Stop the robots of agents that have sent no command for `COMMAND_TIMEOUT_NS`."""
+        time_ns = self._world.clock.time_ns
+        while (silent := self._command_timeouts.find_silent(time_ns, now_ns)) is not None:
+            agent, known_claims = silent
+            self._command_timeouts.forget(agent)
+            claimed = self._world.claimed_by_agent().get(agent)
+            if claimed is None:
+                continue
+            if claimed.claims == known_claims:
+                self._world.stop_silent(agent)
+            else:
+                # Commands of before do not fit new claims.
+                self._note_command(agent, claimed.claims, now_ns)
 
     def publish_states(self) -> None:
         """Publish the state of a control step to every agent.
@@ -187,10 +204,16 @@ class AgentSessions:
         form = self._agents.state_formats.get(agent, Format.MSGPACK)
         self._publisher.publish_drive_state(agent, sent, form)
         self._awaited_since_ns[agent] = self._pacing.now_ns()
+        if agent not in self._command_timeouts and agent not in self._world.claims.silent:
+            self._note_command(agent, sent.claims, self._pacing.now_ns())
         if not sent.claims:
             self._lockstep.forget(agent)
         elif not self._lockstep.record_sent(agent, sent, self._pacing.now_ns()):
             self._pacing.step_goals.note_late((agent,))
+
+    def _note_command(self, agent: str, claims: bytes, now_ns: int) -> None:
+        last = LastCommand(self._world.clock.time_ns, now_ns, claims)
+        self._command_timeouts.note(agent, last)
 
     def _publish_again(self, late: tuple[str, ...]) -> None:
         """Publish states again: a congested network drops messages."""
@@ -226,6 +249,7 @@ class AgentSessions:
         self._world.release(agent)
         self._lockstep.forget(agent)
         self._awaited_since_ns.pop(agent, None)
+        self._command_timeouts.forget(agent)
         self._publisher.forget_agent(agent)
 
     def _on_bond_liveliness(self, bond: str, *, is_alive: bool) -> None:
@@ -268,7 +292,9 @@ class AgentSessions:
         if not self._lockstep.record_answer(agent, command):
             self._world.claims.dropped += 1
         elif self._world.command(agent, command):
-            self._world.record_ready_time(agent, self._pacing.now_ns())
+            now_ns = self._pacing.now_ns()
+            self._note_command(agent, command.claims, now_ns)
+            self._world.record_ready_time(agent, now_ns)
 
 
 POLL_S = 0.0003
@@ -367,6 +393,7 @@ class ServerLoop:
 
     def tick(self, now_ns: int) -> None:
         """Advance by one step; publish drive states and scene states if it is a control step."""
+        self._agent_sessions.stop_silent_agents(now_ns)
         self._world.step()
         took_ns = self._clock.now_ns() - now_ns
         self._loop_stats.note_step(

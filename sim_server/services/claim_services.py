@@ -125,12 +125,14 @@ def _find_share(world: SimulatedWorld, limits: Mapping[str, int], agent: str) ->
         for entity in world.entities
         if entity.model.drive is not None and not world.divergence_guard.is_frozen(entity.name)
     }
+    silent = {pool for pool in limits if pool in world.claims.silent and pool != agent}
+    running = {pool: limit for pool, limit in limits.items() if pool not in silent}
     claims_of = {
         pool: [name for name, _ in world.claims.list_claims(pool) if name in robots]
-        for pool in limits
+        for pool in running
     }
-    free = [name for name in robots if not world.claims.agent_of(name)]
-    return tuple(robots[name] for name in find_robots_to_move(agent, limits, claims_of, free))
+    free = [name for name in robots if world.claims.agent_of(name) in {"", *silent}]
+    return tuple(robots[name] for name in find_robots_to_move(agent, running, claims_of, free))
 
 
 def _fit_in_reply(moved: tuple[Entity, ...]) -> tuple[str, ...]:

@@ -62,6 +62,8 @@ class ClaimRegistry:
         """Counts commands that did."""
         self.changes = 0
         """Counts claims that were granted or ended."""
+        self.silent: set[str] = set()
+        """Agents whose robots were stopped because no command came; the next command ends this."""
         self._claims: dict[str, ClaimRecord] = {}
         self._counts: Counter[str] = Counter()
         self._next_claim = 1
@@ -89,12 +91,13 @@ class ClaimRegistry:
         return record.agent if record else ""
 
     def require_free(self, name: str, agent: str) -> None:
-        """Check that no other agent drives an entity.
+        """Check that no other agent drives an entity, silent ones aside.
 
         Raises:
             RequestRefused: Another agent drives the entity.
         """
-        if (holder := self.agent_of(name)) not in ("", agent):
+        holder = self.agent_of(name)
+        if holder not in ("", agent) and holder not in self.silent:
             raise RequestRefused(
                 ClaimCode.ALREADY_CLAIMED,
                 f"entity '{name}' is driven by agent '{holder}'; stop that agent first",
@@ -128,10 +131,12 @@ class ClaimRegistry:
         self._targets.pop(record.agent, None)
         if not self._counts[record.agent]:
             del self._counts[record.agent]
+            self.silent.discard(record.agent)
             self._without_claims.add(record.agent)
 
     def forget_agent(self, agent: str) -> None:
         """Send no further state to an agent: it has ended."""
+        self.silent.discard(agent)
         self._without_claims.discard(agent)
         self._wanting_efforts.discard(agent)
 
@@ -164,6 +169,7 @@ class ClaimRegistry:
             self.dropped += 1
             return False
         self._targets[agent] = targets
+        self.silent.discard(agent)
         if command.wants_efforts:
             self._wanting_efforts.add(agent)
         else:
@@ -179,6 +185,11 @@ class ClaimRegistry:
         """Take the targets of each agent for the next step."""
         targets, self._targets = self._targets, {}
         yield from targets.items()
+
+    def note_silent(self, agent: str) -> None:
+        """Note that an agent has sent no command for too long; its last targets are dropped."""
+        self.silent.add(agent)
+        self._targets.pop(agent, None)
 
     def forget_targets(self) -> None:
         """Drop all targets."""

@@ -49,6 +49,7 @@ FROZEN_BY_FAULT = (
     "frozen at its last valid state: the engine failed for it; "
     "set its state, reset the world, or delete it"
 )
+SILENT_MESSAGE = "stopped: its agent has sent no command for 0.4 s"
 RESET_TO_REST_MESSAGE = (
     "put at rest at its last valid state: it diverged together with another entity"
 )
@@ -441,6 +442,8 @@ class SimulatedWorld:
     def claim(self, agent: str, names: tuple[str, ...], on_release: OnRelease) -> tuple[Claim, ...]:
         """Make an agent the only driver of some entities, all or none.
 
+        Those of a silent agent are taken from it.
+
         Raises:
             EntityNotFound: One does not exist.
             IncorrectState: One is frozen.
@@ -450,6 +453,10 @@ class SimulatedWorld:
         for entity in wanted:
             self.divergence_guard.require_not_frozen(entity.name)
             self.claims.require_free(entity.name, agent)
+        for entity in wanted:
+            if (holder := self.claims.agent_of(entity.name)) not in ("", agent):
+                self.claims.drop(entity.name)
+                self.clock.add_event("released", entity=entity.name, agent=holder)
         return tuple(self._grant(agent, entity, on_release) for entity in wanted)
 
     def release(self, agent: str) -> None:
@@ -464,6 +471,17 @@ class SimulatedWorld:
                 self.delete(name)
         self.claims.forget_agent(agent)
         self._recorded_changes.pop(agent, None)
+
+    def stop_silent(self, agent: str) -> None:
+        """Stop the entities of an agent that sends no commands, but those with `keep`.
+
+        Its claims stay, and its next command drives them again.
+        """
+        self.claims.note_silent(agent)
+        stopped = [name for name, one in self.claims.list_claims(agent) if one.on_release != "keep"]
+        self._stop([self.entities.find(name) for name in stopped])
+        for name in stopped:
+            self.clock.add_event("timed_out", entity=name, agent=agent, message=SILENT_MESSAGE)
 
     def _stop(self, entities: Sequence[Entity]) -> None:
         """Command entities to stop, all in one call: a pool may have driven hundreds."""

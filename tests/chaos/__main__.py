@@ -13,6 +13,7 @@ from benchmarks.machine import ROOT
 
 NAMES = (
     "agents",
+    "hung",
     "takeover",
     "router",
     "stopped",

@@ -16,8 +16,9 @@ from tests.sim_server.fakes import (
 )
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.agent_messages import ClaimEntityRequest, ClaimEntityResponse, OnRelease
-from zensim.proto.messages.result_messages import ResultCode
-from zensim.proto.messages.telemetry_messages import GetModelsRequest, Stats
+from zensim.proto.messages.result_messages import ClaimCode, ResultCode
+from zensim.proto.messages.simulation_messages import ResetScope, State
+from zensim.proto.messages.telemetry_messages import Event, GetModelsRequest, Stats
 from zensim.proto.network_protocols import Sample
 from zensim.proto.topic_catalog import DRIVE_COMMAND
 
@@ -292,3 +293,143 @@ def test_loop_reports_the_agent_of_a_robot() -> None:
 
     assert call.is_over
     assert server.world.claims.agent_of("r0") == "a"
+
+
+def a_paced_driven_server(*names: str, on_release: OnRelease = "stop") -> ServerFixture:
+    """A loop at real time whose agent `a` drives all carts at 3 rad/s."""
+    server = a_server(*names)
+    server.inbox.agents.append(("a", True))
+    server.request("claim_entity", ClaimEntityRequest("a", names, on_release))
+    server.turn_for(0.01)
+    server.drive("a", *[3.0, 3.0] * len(names))
+    server.turn_for(0.01)
+    return server
+
+
+def timed_out(server: ServerFixture) -> list[tuple[str, str]]:
+    sent = [event for event in server.publisher.on("events") if isinstance(event, Event)]
+    return [(event.entity, event.agent) for event in sent if event.kind == "timed_out"]
+
+
+def test_loop_stops_the_robots_of_a_silent_agent_after_the_timeout() -> None:
+    server = a_paced_driven_server("r0", "r1")
+    commanded_ns = server.world.clock.time_ns
+
+    server.turn_for(0.37)
+    before = wheel_speeds(server.world)
+    server.turn_for(0.03)
+
+    assert server.world.clock.time_ns - commanded_ns < 415_000_000
+    assert before == [3.0] * 4
+    assert wheel_speeds(server.world) == [0.0] * 4
+    assert timed_out(server) == [("r0", "a"), ("r1", "a")]
+    assert server.world.claims.agent_of("r0") == "a"
+
+
+def test_loop_reports_a_silent_agent_once_and_obeys_it_again() -> None:
+    server = a_paced_driven_server("r0")
+    server.turn_for(2.0)
+    reported = timed_out(server)
+
+    server.drive("a", 2.0, 2.0)
+    server.turn_for(0.35)
+
+    assert reported == [("r0", "a")]
+    assert wheel_speeds(server.world) == [2.0, 2.0]
+    server.turn_for(0.2)
+    assert wheel_speeds(server.world) == [0.0, 0.0]
+    assert timed_out(server) == [("r0", "a")] * 2
+
+
+def test_loop_drives_on_while_commands_come() -> None:
+    server = a_paced_driven_server("r0")
+
+    for _ in range(20):
+        server.drive("a", 3.0, 3.0)
+        server.turn_for(0.3)
+
+    assert wheel_speeds(server.world) == [3.0, 3.0]
+    assert timed_out(server) == []
+
+
+def test_loop_lets_a_silent_agent_with_keep_drive_on() -> None:
+    server = a_paced_driven_server("r0", on_release="keep")
+
+    server.turn_for(2.0)
+
+    assert wheel_speeds(server.world) == [3.0, 3.0]
+    assert timed_out(server) == []
+
+
+def test_loop_does_not_take_agents_for_silent_while_time_stands() -> None:
+    server = a_paced_driven_server("r0")
+
+    server.world.clock.pause()
+    server.turn_for(5.0)
+    server.world.clock.change_state(State.PLAYING)
+    server.turn_for(0.3)
+
+    assert timed_out(server) == []
+
+
+def test_loop_gives_agents_wall_time_to_reply_when_time_runs_fast() -> None:
+    server = a_driven_server("r0")
+
+    while server.world.clock.time_ns < 20_000_000_000:
+        server.wall.sleep(0.00001)
+        server.loop.turn()
+
+    assert timed_out(server) == []
+    assert wheel_speeds(server.world) == [3.0, 3.0]
+
+
+def test_loop_counts_silence_from_a_reset_on() -> None:
+    server = a_paced_driven_server("r0")
+    server.turn_for(0.3)
+    server.world.reset(ResetScope.TIME)
+    server.turn_for(0.3)
+    before = timed_out(server)
+
+    server.turn_for(0.2)
+
+    assert before == []
+    assert timed_out(server) == [("r0", "a")]
+
+
+def test_loop_stops_robots_of_an_agent_that_never_commands() -> None:
+    server = a_paced_driven_server("r0", on_release="keep")
+    server.inbox.agents += [("a", False), ("b", True)]
+    server.turn_for(0.01)
+    server.request("claim_entity", ClaimEntityRequest("b", ("r0",), "stop"))
+
+    server.turn_for(1.0)
+
+    assert wheel_speeds(server.world) == [0.0, 0.0]
+    assert timed_out(server) == [("r0", "b")]
+
+
+def test_loop_lets_another_agent_claim_the_robots_of_a_silent_one() -> None:
+    server = a_paced_driven_server("r0")
+    server.inbox.agents.append(("b", True))
+    early = server.request("claim_entity", ClaimEntityRequest("b", ("r0",)))
+    server.turn_for(0.6)
+    late = server.request("claim_entity", ClaimEntityRequest("b", ("r0",)))
+
+    server.turn_for(0.1)
+
+    assert claim_of(early).result.result == ClaimCode.ALREADY_CLAIMED
+    assert claim_of(late).result.result == ResultCode.OK
+    assert server.world.claims.agent_of("r0") == "b"
+    assert ("a", b"") in [(who, state.claims) for who, state in server.publisher.drive_states]
+
+
+def test_loop_waits_anew_when_the_claims_of_an_agent_change() -> None:
+    server = a_paced_driven_server("r0", "r1")
+    server.turn_for(0.3)
+    server.world.delete("r1")
+
+    server.turn_for(0.3)
+
+    assert timed_out(server) == []
+    server.turn_for(0.4)
+    assert timed_out(server) == [("r0", "a")]

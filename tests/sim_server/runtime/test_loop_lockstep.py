@@ -162,9 +162,10 @@ def test_holding_loop_continues_with_the_old_targets_after_the_timeout() -> None
     rolling = wheel_speeds(server.world)
     steps = server.world.clock.steps
 
-    server.turn_for(TIMEOUT_S + 0.1)
+    server.turn_for(TIMEOUT_S - 0.1)
+    while server.world.clock.steps < steps + 10:
+        server.loop.turn()
 
-    assert server.world.clock.steps > steps
     assert wheel_speeds(server.world) == rolling == [1.0, 1.0]
     assert server.parts.pacing.lockstep.misses["r0"] >= 1
     assert ("missed", "") in server.events()

@@ -203,6 +203,17 @@ def test_robots_of_a_lost_pool_go_to_the_other() -> None:
     assert [grant.entity for grant in share(parts, "q").grants] == ["r0"]
 
 
+def test_robots_of_a_silent_pool_go_to_the_other_until_it_calls_again() -> None:
+    parts = make_parts(a_world("r0", "r1"))
+    share(parts, "p")
+    share(parts, "q")
+
+    parts.world.stop_silent("p")
+
+    assert [grant.entity for grant in share(parts, "q").grants] == ["r0"]
+    assert [grant.entity for grant in share(parts, "p").grants] == ["r0"]
+
+
 def test_pool_without_a_token_is_refused() -> None:
     with pytest.raises(IncorrectState, match="'p'"):
         handle_request(make_parts(a_world("r0")), agent_messages.ClaimShareRequest("p"))

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.engines import STEP_NS, ObedientEngine
-from tests.models import a_box, a_cart, a_state, an_arm, on_ground
+from tests.engines import STEP_NS, MakeEngine, ObedientEngine, TieredAuto, running
+from tests.models import a_box, a_cart, a_fork, a_puck, a_state, an_arm, on_ground
 from tests.sim_server.fakes import (
     CONTROL_STEPS,
     a_command,
@@ -33,8 +33,10 @@ from zensim.sim_server.errors import (
     NamespaceRefused,
     RequestRefused,
 )
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.engine import BodyStates, EngineRefused, can_move
 from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
 from zensim.sim_server.world.applied_forces import LinkWrench, TimeSpan
 from zensim.sim_server.world.entity import Entity, make_entity_index
 from zensim.sim_server.world.simulated_world import (
@@ -1050,3 +1052,35 @@ def test_agent_that_lost_all_claims_with_the_world_gets_an_empty_state() -> None
 
     assert states["agent"].claims == b""
     assert states["agent"].epoch == 1
+
+
+@pytest.mark.parametrize("make", [PyBulletEngine, MujocoEngine, TieredAuto, ObedientEngine])
+@pytest.mark.parametrize("model", [a_cart(), a_fork(), a_puck()], ids=lambda model: model.name)
+def test_robot_of_a_silent_agent_stops_in_each_engine(make: MakeEngine, model: Model) -> None:
+    with running(make) as engine:
+        world = SimulatedWorld(engine, name="w", step_ns=STEP_NS, control_steps=CONTROL_STEPS)
+        world.spawn(a_spawn("r0", model=model))
+        world.claim("a", ("r0",), "stop")
+        world.command("a", a_command(world, "a", *[0.5] * model.target_count))
+        _advance(world, 60)
+        moving = _fastest(world)
+
+        world.stop_silent("a")
+        _advance(world, 60)
+
+        assert moving > 0.01
+        assert _fastest(world) < 0.01
+        assert world.command("a", a_command(world, "a", *[0.5] * model.target_count))
+        _advance(world, 60)
+        assert _fastest(world) > 0.01
+
+
+def _fastest(world: SimulatedWorld) -> float:
+    states = world.states()
+    speeds = np.concatenate([states.base[0, [7, 8, 12]], states.joint_velocities])
+    return float(np.abs(speeds).max())
+
+
+def _advance(world: SimulatedWorld, steps: int) -> None:
+    for _ in range(steps):
+        world.step()

@@ -1,0 +1,129 @@
+"""Agents that hang
+
+A robot drives, and its agent hangs at a random moment: in one half of the rounds the process is
+suspended with SIGSTOP, in the other its main thread sleeps while its session stays alive. The
+server stops the wheels 0.4 s after the last command, in simulation time, and publishes the event
+`timed_out` with the robot and the agent. Measured are the time from the hang until the robot is
+at rest, and the time until another agent that waits for the robot has it, both in simulation time
+at real-time factor 1.
+"""
+
+import random
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from benchmarks.figures import Figure, Limit
+from tests.chaos.chaos_agents import MARGIN_S, MOVING_M_S, STANDING_M_S, TIMEOUT_S, speed_of
+from tests.integration.processes import Server, agent_of, end, eventually, kill, running, serving
+from tests.integration.robots import Robot, robot
+from zensim.proto import keys
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.telemetry_messages import Event
+from zensim.proto.topic_catalog import EVENTS
+
+ROUNDS, ROUNDS_WHEN_SHORT = 100, 4
+TAKEOVERS, TAKEOVERS_WHEN_SHORT = 20, 1
+TAKEOVER_S = 2.0
+SEED = 17
+SLEEP_ON_SIGNAL = """
+import signal, sys, time
+signal.signal(signal.SIGUSR1, lambda *_: time.sleep(60.0))
+from zensim.__main__ import main
+sys.argv[0] = "zensim"
+main()
+"""
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Hang agents of a driving robot."""
+    phase = random.Random(SEED)
+    rounds = ROUNDS_WHEN_SHORT if is_short else ROUNDS
+    with serving() as server:
+        server.zensim("spawn", "box_bot", "--name", "r1")
+        found = [_hang(server, signal_of_round(i), phase) for i in range(rounds)]
+        takeovers = TAKEOVERS_WHEN_SHORT if is_short else TAKEOVERS
+        took = [_take_over_s(server) for _ in range(takeovers)]
+    yield Figure(
+        what="hang of the agent to robot at rest",
+        unit="s",
+        samples=tuple(stopped_s for stopped_s, _ in found),
+        limit=Limit("max", "<=", TIMEOUT_S + MARGIN_S, is_timed=True),
+    )
+    yield Figure(
+        what="events of a hang that name the robot and the agent",
+        unit="",
+        samples=tuple(float(count) for _, count in found),
+        limit=Limit("min", ">=", 1.0),
+    )
+    yield Figure(
+        what="suspended agent to claim of another one that waits",
+        unit="s",
+        samples=tuple(took),
+        limit=Limit("max", "<=", TAKEOVER_S, is_timed=True),
+    )
+
+
+@contextmanager
+def _agent(server: Server) -> Iterator["subprocess.Popen[bytes]"]:
+    """Run an agent whose main thread sleeps at SIGUSR1."""
+    arguments = ("agent", "r1", "--name", "driver", "--connect", server.endpoint)
+    process = subprocess.Popen(
+        [sys.executable, "-c", SLEEP_ON_SIGNAL, *arguments], stderr=subprocess.DEVNULL
+    )
+    try:
+        eventually(lambda: agent_of(server, "r1") == "driver", 30.0, "claiming")
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        eventually(lambda: not agent_of(server, "r1"), 30.0, "releasing")
+
+
+def signal_of_round(number: int) -> signal.Signals:
+    """Choose how the agent of a round hangs."""
+    return signal.SIGUSR1 if number % 2 else signal.SIGSTOP
+
+
+def _hang(server: Server, how: signal.Signals, phase: random.Random) -> tuple[float, int]:
+    """Hang an agent; return the time until its robot rests [s], and the number of events."""
+    events = server.bus.subscribe(EVENTS.key("default"), 64)
+    with _agent(server) as process:
+        _drive(server, robot(server.bus, "r1"), phase.uniform(0.0, 0.3))
+        process.send_signal(how)
+        hung_s = server.client.info().sim_time_s
+        eventually(lambda: speed_of(server, "r1") < STANDING_M_S, 10.0, "standing")
+        stopped_s = server.client.info().sim_time_s - hung_s
+        told = [decode(Event, one.payload, one.encoding) for one in events.take()]
+    events.close()
+    return stopped_s, [(one.kind, one.entity, one.agent) for one in told].count(
+        ("timed_out", "r1", "driver")
+    )
+
+
+def _drive(server: Server, driver: Robot, further_s: float) -> None:
+    def is_moving() -> bool:
+        driver.command(0.3, 0.5)
+        return speed_of(server, "r1") > MOVING_M_S
+
+    eventually(is_moving, 20.0, "moving")
+    until_s = server.client.info().sim_time_s + further_s
+    while server.client.info().sim_time_s < until_s:
+        driver.command(0.3, 0.5)
+
+
+def _take_over_s(server: Server) -> float:
+    connected = ("--connect", server.endpoint)
+    with _agent(server) as process:
+        with running("agent", "r1", "--name", "second", "--wait", "60", *connected) as second:
+            token = keys.alive_agent("default", "second")
+            eventually(lambda: server.bus.list_tokens(token), 30.0, "waiting")
+            _drive(server, robot(server.bus, "r1"), 0.0)
+            kill(process.pid, signal.SIGSTOP)
+            hung_s = server.client.info().sim_time_s
+            eventually(lambda: agent_of(server, "r1") == "second", 30.0, "taking over")
+            took_s = server.client.info().sim_time_s - hung_s
+            end(second)
+        return took_s
