@@ -20,8 +20,8 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 STAMP := .venv/.setup-done
 
-.PHONY: help setup demo test short lint fmt types imports schemas docs site bench house chaos fuzz pins ci clean \
-	packages
+.PHONY: help setup demo test short lint fmt types imports schemas docs site bench house chaos fuzz mutants pins \
+	ci clean packages
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 18
@@ -106,6 +106,9 @@ fuzz: setup ## damaged input for every reader and for servers with each engine, 
 	$(BIN)/python -m tests.hostile.fuzz
 	$(BIN)/python -m tests.hostile.server_fuzz
 	$(BIN)/python -m pytest -m hypothesis --hypothesis-profile=fuzz --timeout=900
+
+mutants: setup packages ## change the code in 100 places, and print the changes that no test notices
+	$(BIN)/python -m tests.mutation
 
 pins: ## resolve requirements/ anew
 	@$(FIND_PYTHON); $$python -m venv build/pins
