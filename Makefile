@@ -20,7 +20,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 STAMP := .venv/.setup-done
 
-.PHONY: help setup demo test short lint fmt types imports schemas docs site bench house chaos fuzz mutants pins \
+.PHONY: help setup demo test browser short lint fmt types imports schemas docs site bench house chaos fuzz mutants pins \
 	ci clean packages
 
 help: ## list the targets
@@ -57,14 +57,17 @@ packages: # Debian packages that the tests use
 PYTEST := $(BIN)/python -m pytest -n $$(($$(getconf _NPROCESSORS_ONLN) + 1)) --dist loadfile \
 	--no-loadscope-reorder
 
-test: setup packages ## all tests but those of `make short`
-	@if [ "$$(id -u)" = 0 ]; then $(PYTEST) -m "not short_form"; \
+test: setup packages ## all tests but those of `make browser` and `make short`
+	@if [ "$$(id -u)" = 0 ]; then $(PYTEST) -m "not browser and not short_form"; \
 	elif ! command -v sudo >/dev/null; then \
 		echo "tests of network namespaces need root, and there is no sudo; run make test as root" >&2; \
 		exit 1; \
-	else $(PYTEST) -m "not root and not short_form" && \
+	else $(PYTEST) -m "not root and not browser and not short_form" && \
 		sudo $(BIN)/python -B -m pytest -p no:cacheprovider -m "root and not short_form"; \
 	fi
+
+browser: setup packages ## tests of the page in Chromium
+	$(PYTEST) -m "browser and not short_form"
 
 short: setup packages ## short forms of `make bench`, `make chaos` and `make fuzz`
 	$(PYTEST) --dist load -m short_form

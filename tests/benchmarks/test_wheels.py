@@ -49,6 +49,7 @@ def test_robots_of_the_benchmark_have_different_names() -> None:
     assert len(ROBOTS) == len(list_robots()) >= 60
 
 
+@pytest.mark.short_form
 @pytest.mark.parametrize(("engine", "name"), CASES)
 def test_robot_drives_as_friction_allows(engine: str, name: str) -> None:
     (row,) = measure_robot(ROBOTS[name], [engine])

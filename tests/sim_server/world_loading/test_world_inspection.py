@@ -14,6 +14,7 @@ from zensim.sim_server.world_loading.world_inspection import (
     find_world_files,
     group_entries,
     inspect_in_process,
+    inspect_world,
 )
 from zensim.sim_server.world_loading.world_loader import WorldLoaderRequest
 
@@ -23,7 +24,7 @@ BOX = CRATE.replace("</link>", SOLID)
 
 def inspect(file: str, engine: EngineName | None = None, settle_s: float = 0.0) -> WorldInspection:
     order = WorldLoaderRequest(file)
-    return inspect_in_process(InspectionRequest(world=order, settle_s=settle_s, engine=engine))
+    return inspect_world(InspectionRequest(world=order, settle_s=settle_s, engine=engine))
 
 
 def test_inspection_lists_models_lights_and_frames(tmp_path: Path) -> None:
@@ -52,6 +53,14 @@ def test_builtin_world_stands_still(name: str, engine: EngineName) -> None:
     found = inspect(name, engine, 1.0)
 
     assert (found.fault, found.name, found.moving) == ("", name.replace("empty", "default"), ())
+
+
+def test_world_is_inspected_alike_in_a_process(tmp_path: Path) -> None:
+    request = InspectionRequest(world=WorldLoaderRequest(a_file(tmp_path, BOX)), settle_s=0.1)
+
+    found, expected = inspect_in_process(request), inspect_world(request)
+
+    assert found.models == expected.models != ()
 
 
 def test_refused_world_has_its_fault(tmp_path: Path) -> None:
