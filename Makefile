@@ -108,6 +108,9 @@ chaos: setup packages ## kill, stop and starve, at full length, and rewrite docs
 fuzz: setup ## damaged input for every reader and for servers with each engine, and property tests
 	$(BIN)/python -m tests.hostile.fuzz
 	$(BIN)/python -m tests.hostile.server_fuzz
+	for reader in messages descriptions meshes; do \
+		$(BIN)/python -m tests.hostile.coverage_fuzz $$reader || exit 1; \
+	done
 	$(BIN)/python -m pytest -m hypothesis --hypothesis-profile=fuzz --timeout=900
 
 mutants: setup packages ## change the code in 100 places, and print the changes that no test notices
