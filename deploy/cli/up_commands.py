@@ -86,7 +86,7 @@ class UpOptions(RosTfOptions, ServeOptions):
     """All options of `zensim up`."""
 
     file: Annotated[
-        str, typer.Argument(metavar="[FILE]", help="Scenario file, or name of a shipped scenario.")
+        str, typer.Argument(metavar="FILE", help="Scenario file, or name of a shipped scenario.")
     ] = ""
     settings: SetOption = None
     robots: Annotated[

@@ -257,7 +257,7 @@ def _parse_bytes(data: bytes) -> Element:
         if faults - _NAMESPACE_FAULTS == {_HYPHENS_IN_COMMENT} and bare != text:
             return _parse_bytes(bare)
         raise ModelError(
-            f"the description is not well-formed XML: {to_single_line(str(error))}",
+            f"the description is not well-formed XML: {to_single_line(error.msg or '')}",
             slug="xml.syntax",
         ) from error
 

@@ -141,6 +141,8 @@ def _yaml_scalar(value: object) -> str:
 app = make_app()
 
 POLL_S = 0.002
+ASK_S = 0.05
+"""Between questions to the server."""
 QUEUE_DEPTH = 65536
 SUBSCRIBER_TIMEOUT_S = 3.0
 MAX_NAMES_SHOWN = 5
@@ -216,8 +218,7 @@ def drive(
             raise ValueError(f"--rate must be positive, got {rate:g}")
         key = CMD_VEL.key(robot.strip("/"))
         publisher = client.bus.advertise(key, CMD_VEL.encoding)
-        if not wait_for_subscriber(publisher):
-            raise _explain_silence(client, robot.strip("/"))
+        _await_driver(client, publisher, robot.strip("/"))
         text = f"{key} at {linear:g} m/s, {angular:g} rad/s"
         facts = {"key": key, "linear": linear, "angular": angular}
         print_announcement("drive", text, facts, as_json=as_json)
@@ -245,13 +246,30 @@ def wait_for_subscriber(publisher: BusPublisher) -> bool:
     return True
 
 
-def _explain_silence(client: SimClient, robot: str) -> BusError:
-    """Find out why nothing subscribes to the commands of a robot."""
+def _await_driver(client: SimClient, publisher: BusPublisher, robot: str) -> None:
+    """Wait until commands of a robot have an effect.
+
+    A subscription with wildcards, as of a recorder, covers robots that nothing drives, so the
+    server is asked, too. Subscribers of a robot that it does not know get a note.
+    """
+    deadline = time.monotonic() + SUBSCRIBER_TIMEOUT_S
+    while (problem := _find_problem(client, robot, is_matched=publisher.is_matched)) is not None:
+        if publisher.is_matched and isinstance(problem, NoSuchRobot):
+            print_note("drive", str(problem))
+            return
+        if time.monotonic() > deadline:
+            raise problem
+        time.sleep(ASK_S)
+
+
+def _find_problem(client: SimClient, robot: str, *, is_matched: bool) -> BusError | None:
+    """Find out why commands of a robot have no effect; None if they have."""
     key = CMD_VEL.key(robot)
     try:
         models = client.models()
     except (BusError, ServiceError, TimeoutError):
-        return NoSubscriber(f"nothing subscribes to {key}, and no server says why")
+        unexplained = NoSubscriber(f"nothing subscribes to {key}, and no server says why")
+        return None if is_matched else unexplained
     names = {one.namespace: one for one in models.entities} | {
         one.entity: one for one in models.entities if one.namespace != robot
     }
@@ -267,7 +285,10 @@ def _explain_silence(client: SimClient, robot: str) -> BusError:
         )
     if not found.agent:
         return NoSubscriber(f"no agent drives '{robot}'; start one: 'zensim agent {found.entity}'")
-    return NoSubscriber(f"agent {found.agent} drives '{robot}', but does not subscribe to {key}")
+    unsubscribed = NoSubscriber(
+        f"agent {found.agent} drives '{robot}', but does not subscribe to {key}"
+    )
+    return None if is_matched else unsubscribed
 
 
 def _list_robots(models: GetModelsResponse) -> str:

@@ -183,6 +183,12 @@ def test_printed_help_keeps_units() -> None:
     assert "[rad/s]" in done.stdout
 
 
+def test_usage_of_up_writes_its_optional_file_once_in_brackets() -> None:
+    done = RUNNER.invoke(build("up"), ["up", "--help"], env={"COLUMNS": "200"})
+
+    assert "zensim up [OPTIONS] [FILE]" in done.stdout.replace("root up", "zensim up")
+
+
 @pytest.mark.parametrize("verb", VERBS)
 def test_help_texts_keep_their_brackets(verb: str) -> None:
     """Rich drops [m] as unknown markup unless the bracket is escaped."""

@@ -79,6 +79,18 @@ def test_drive_advises_an_agent_only_for_a_robot_without_one(two: Server) -> Non
     assert "zensim agent" not in crate.err
 
 
+def test_drive_is_not_misled_by_a_subscription_with_wildcards(two: Server) -> None:
+    recorder = two.bus.subscribe("**/cmd_vel/**")
+
+    without_agent = run_at(two, app, "drive", "r1", "0.2", "--once")
+    unknown = run_at(two, app, "drive", "r7", "0.2", "--once")
+    recorder.close()
+
+    assert_failed(without_agent, ExitCode.FAILED, "zensim drive: ", "zensim agent r1")
+    assert unknown.status == ExitCode.OK
+    assert "'r7'" in unknown.err
+
+
 def make_static_order(name: str) -> SpawnEntityOrder:
     return SpawnEntityOrder(name, entity_resource=Resource(resource_string=CRATE))
 
