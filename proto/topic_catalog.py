@@ -87,6 +87,10 @@ class TopicSpec(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     description: str
     """One line of the README."""
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle its name."""
+        return find_topic, (self.name,)
+
     def __post_init__(self) -> None:
         """Complete the suffix."""
         if not self.suffix:
@@ -492,3 +496,8 @@ WORLD_TOPICS = tuple(
 """What a server publishes about its world."""
 ROBOT_TOPICS = {topic.suffix: topic for topic in TOPICS.values() if topic.scope is TopicScope.ROBOT}
 """The topics of each robot, by suffix."""
+
+
+def find_topic(name: str) -> TopicSpec:
+    """Find a topic by its unique name."""
+    return TOPICS[name]

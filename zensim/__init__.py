@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from zensim.api.sim import Sim
     from zensim.api.simulation import Simulation
     from zensim.api.topic import Topic, TopicCallback
+    from zensim.api.world_view import WorldView
     from zensim.scenario.scenario_loading import load
 
 __all__ = [
@@ -51,6 +52,7 @@ __all__ = [
     "Unreachable",
     "Unsupported",
     "World",
+    "WorldView",
     "connect",
     "deg",
     "launch",

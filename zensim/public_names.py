@@ -24,6 +24,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "zensim.api.sim": ("Sim",),
     "zensim.api.simulation": ("Simulation",),
     "zensim.api.topic": ("Topic", "TopicCallback"),
+    "zensim.api.world_view": ("WorldView",),
     "zensim.scenario.scenario_loading": ("load",),
 }
 """By module."""

@@ -239,6 +239,10 @@ class GroupBaseController:
             rows, targets = revised
             self.targets[rows] = targets
 
+    def find_motions(self, rows: IntArray) -> FloatArray:
+        """Select the last motions of some rows."""
+        return self.motions[rows]
+
     def _new_motions(self, rows: IntArray, base: FloatArray) -> FloatArray:
         if self._encoders is not None:
             return self._encoders.motions[rows]

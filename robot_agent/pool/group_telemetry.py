@@ -70,15 +70,27 @@ class CdrBatch:
         self._buffer = bytearray(end)
         for one, start in zip(rows, starts, strict=True):
             self._buffer[start : start + len(one.payload)] = one.payload
-        self._views = [
-            memoryview(self._buffer)[start : start + len(one.payload)]
-            for one, start in zip(rows, starts, strict=True)
+        self._spans = [
+            (start, start + len(one.payload)) for one, start in zip(rows, starts, strict=True)
         ]
         at = np.array(starts, dtype=np.int64)[:, None]
-        self._floats = np.frombuffer(self._buffer, dtype="<f8")
-        self._words = np.frombuffer(self._buffer, dtype="<u4")
+        self._make_views()
         self._number_at = (at + _stack_offsets([one.numbers for one in rows], len(numbers))) // 8
         self._sec_at = (at + _stack_offsets([one.stamps for one in rows], len(stamps))) // 4
+
+    def __getstate__(self) -> dict[str, object]:
+        """Leave out the views of the buffer."""
+        return {**self.__dict__, "_views": None, "_floats": None, "_words": None}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        """Make the views of the buffer again."""
+        self.__dict__.update(state)
+        self._make_views()
+
+    def _make_views(self) -> None:
+        self._views = [memoryview(self._buffer)[start:end] for start, end in self._spans]
+        self._floats = np.frombuffer(self._buffer, dtype="<f8")
+        self._words = np.frombuffer(self._buffer, dtype="<u4")
 
     def fill(self, rows: IntArray, numbers: FloatArray, times_ns: IntArray) -> None:
         """Fill numbers (m, numbers) and stamps [ns] (m,) into some rows."""
@@ -454,7 +466,7 @@ class GroupOdometryTopic(GroupTopic):
     ) -> None:
         super().__init__(
             find_publisher(group_key.patterns.odom, ODOM),
-            numbers=lambda rows: bases.motions[rows],
+            numbers=bases.find_motions,
             paths=message_templates.ODOMETRY_PATHS,
             stamps=message_templates.HEADER_STAMP,
             rate_hz=find_motion_rates(group_key.drive)[1],
@@ -468,13 +480,16 @@ class GroupJointTopic(GroupTopic):
         count = len(group_key.published)
         super().__init__(
             find_publisher(group_key.patterns.joint_states, JOINT_STATES),
-            numbers=lambda rows: self._states[rows],
+            numbers=self._find_states,
             paths=message_templates.list_joint_paths(count),
             stamps=message_templates.HEADER_STAMP,
         )
         self._limiters = GroupRateLimiter(group_key.joint_states_hz)
         self._published = list(group_key.published)
         self._states = np.zeros((0, 3 * count))
+
+    def _find_states(self, rows: IntArray) -> FloatArray:
+        return self._states[rows]
 
     def remap_rows(self, before: IntArray) -> None:
         """See `GroupTopic`."""
@@ -638,6 +653,10 @@ class StaticTopics:
         for member in members:
             topic = ROBOT_TOPICS[keys.last_chunk(member.key)]
             self._find_publisher(keys.make_pattern(member.key), topic).remove(member)
+
+    def __getstate__(self) -> dict[str, object]:
+        """Leave out what is cached by the identity of models."""
+        return {**self.__dict__, "_fixed": {}}
 
     def forget(self) -> None:
         """Drop the encoded messages, when no robot is left."""

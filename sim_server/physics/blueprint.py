@@ -350,7 +350,7 @@ class BlueprintCache:
         joint_kinds: Collection[str],
         shape_kinds: Collection[str],
         mesh_folder: str = "",
-        arrange: Callable[[Blueprint], Blueprint] = lambda blueprint: blueprint,
+        arrange: Callable[[Blueprint], Blueprint] | None = None,
     ) -> None:
         """Make an empty cache.
 
@@ -360,7 +360,7 @@ class BlueprintCache:
             joint_kinds: That the engine supports.
             shape_kinds: That the engine supports.
             mesh_folder: With `<Shape.mesh>.stl`.
-            arrange: Orders the parts.
+            arrange: Orders the parts; None = they stay as they are.
         """
         self._arrange = arrange
         self._mesh_folder = mesh_folder
@@ -382,7 +382,9 @@ class BlueprintCache:
 
     def _make(self, model: Model) -> Blueprint:
         found = make_blueprint(model, partial(load_corners, self._mesh_folder))
-        blueprint = self._arrange(split_static_meshes(found, max_parts=self._max_parts))
+        blueprint = split_static_meshes(found, max_parts=self._max_parts)
+        if self._arrange is not None:
+            blueprint = self._arrange(blueprint)
         check_blueprint(
             blueprint,
             self._engine,

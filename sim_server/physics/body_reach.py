@@ -99,6 +99,10 @@ class ReachCache:
         self._reaches: dict[int, tuple[Model, BodyReach]] = {}
         self._mesh_radii: dict[tuple[str, Vec3], float] = {}
 
+    def __getstate__(self) -> dict[str, object]:
+        """Leave out what is cached by the identity of models."""
+        return {**self.__dict__, "_reaches": {}}
+
     def prepare(self, model: Model) -> bool:
         """Measure one mesh of a model; return whether none is left, or its file is missing."""
         meshes = (shape for link in model.links for shape in link.collisions if shape.mesh)

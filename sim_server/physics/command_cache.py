@@ -41,6 +41,13 @@ class CommandCache:
             self._targets[body] = np.nan
         self._indexes.clear()
 
+    def find(self, body: int, width: int) -> list[float]:
+        """Find the targets of a body; 0 if it was never commanded."""
+        if body >= len(self._targets) or width > self._targets.shape[1]:
+            return [0.0] * width
+        found: list[float] = np.nan_to_num(self._targets[body, :width]).tolist()
+        return found
+
     def take_changed(
         self, bodies: Sequence[int], targets: FloatArray
     ) -> Iterator[tuple[int, list[float]]]:

@@ -157,11 +157,13 @@ class EngineCapabilities:
         sleeps: `sleep`, `wake` and `find_contacts`.
         is_remote: Another process does the work: `skip_validation`, `find_overlaps_async` and
             `is_idle` avoid waiting for it.
+        copies: A pickled state can be used in another engine, beside this one.
     """
 
     hides: bool = False
     sleeps: bool = False
     is_remote: bool = False
+    copies: bool = False
 
 
 class Engine(ABC):
@@ -274,6 +276,12 @@ class Engine(ABC):
     @abstractmethod
     def close(self) -> None:
         """Free the engine."""
+
+    def resume(self) -> None:  # noqa: B027
+        """Finish the restoring of an engine that was read from a pickle of another state.
+
+        The engine that it replaces is closed afterwards.
+        """
 
     @property
     def kinematic_count(self) -> int:

@@ -70,6 +70,9 @@ class EngineLayer(Engine):
     def close(self) -> None:
         self._inner.close()
 
+    def resume(self) -> None:
+        self._inner.resume()
+
     @property
     def kinematic_count(self) -> int:
         return self._inner.kinematic_count

@@ -230,12 +230,15 @@ class SleepingEngine(EngineLayer):
         self._steps = 0
         self._tracker = SleepTracker(max(1, round(SLEEP_DELAY_S / dt_s)))
         self._actuations: dict[int, Actuation] = {}
-        self._commands = CommandCache(lambda body: self._actuations[body].width)
+        self._commands = CommandCache(self._find_width)
         self._contacts: dict[int, frozenset[int]] = {}
         self._hidden: dict[int, SleepState] = {}
         self._waking: set[int] = set()
         self._deferred_loads: list[DeferredLoad] = []
         self._rows: tuple[Sequence[int], _ReadRows] | None = None
+
+    def _find_width(self, body: int) -> int:
+        return self._actuations[body].width
 
     @property
     def asleep(self) -> tuple[int, ...]:

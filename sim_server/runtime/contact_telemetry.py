@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -80,6 +81,13 @@ def find_watched_entities(entities: Sequence[Entity], index: EntityIndex) -> Wat
     )
 
 
+class TouchingSensors(NamedTuple):
+    """Entities and sensors that touch something, in an epoch."""
+
+    names: frozenset[tuple[str, str]]
+    epoch: int
+
+
 class ContactTelemetry:
     """Reads what contact sensors feel; nothing without such sensors."""
 
@@ -90,6 +98,14 @@ class ContactTelemetry:
         self._touching: frozenset[tuple[str, str]] = frozenset()
         """Entity and sensor, as of the last reading."""
         self._epoch = -1
+
+    def save(self) -> TouchingSensors:
+        """Take what touches as of the last reading."""
+        return TouchingSensors(self._touching, self._epoch)
+
+    def load(self, saved: TouchingSensors) -> None:
+        """Replace what touches."""
+        self._touching, self._epoch = saved
 
     @property
     def has_sensors(self) -> bool:

@@ -1,6 +1,8 @@
 """Messages of a world's topics, and the times at which they are due."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -17,7 +19,7 @@ from zensim.proto.messages.standard_messages import (
     Vector3,
     time_from_ns,
 )
-from zensim.proto.messages.telemetry_messages import Stats, WorldClock
+from zensim.proto.messages.telemetry_messages import Snapshot, Stats, WorldClock
 from zensim.proto.rate_limiter import RateLimiter
 from zensim.proto.se3 import FloatArray
 from zensim.proto.topic_catalog import (
@@ -94,6 +96,14 @@ PAUSED_HZ = 2.0
 GETTABLE_TOPICS = {topic.suffix: topic for topic in WORLD_TOPICS if topic.is_gettable}
 
 
+class DueTimes(NamedTuple):
+    """When topics are due, and the last step that was published."""
+
+    limiters: dict[TopicSpec, RateLimiter]
+    idle: RateLimiter
+    shown: tuple[int, int, int, int]
+
+
 class WorldTelemetry:
     """Makes the messages of a world's topics at their rates."""
 
@@ -113,9 +123,9 @@ class WorldTelemetry:
         self._make_message: dict[TopicSpec, Callable[[], msgspec.Struct]] = {
             CLOCK: self.clock,
             STATS: self.stats,
-            SNAPSHOT: lambda: self._world.snapshot(self._real_time_factor()),
-            MODEL_STATES: lambda: make_model_states(self._world),
-            LINK_STATES: lambda: make_link_states(self._world),
+            SNAPSHOT: self._make_snapshot,
+            MODEL_STATES: partial(make_model_states, world),
+            LINK_STATES: partial(make_link_states, world),
         }
         self._shown = (-1, -1, -1, -1)
 
@@ -141,6 +151,14 @@ class WorldTelemetry:
         if self._limiters[SNAPSHOT].is_due(now_ns):
             self._shown = seen
             yield SNAPSHOT
+
+    def save(self) -> DueTimes:
+        """Take the times at which topics are due."""
+        return DueTimes(self._limiters, self._idle_limiter, self._shown)
+
+    def load(self, saved: DueTimes) -> None:
+        """Replace the times at which topics are due."""
+        self._limiters, self._idle_limiter, self._shown = saved
 
     def reply(self, topic: TopicSpec) -> msgspec.Struct | DeferredResponse[OccupancyGrid]:
         """Make the reply to a get on a gettable topic."""
@@ -185,6 +203,9 @@ class WorldTelemetry:
             sensor_messages=sum(reply.messages for reply in replies),
             late_sensor_messages=sum(reply.late for reply in replies),
         )
+
+    def _make_snapshot(self) -> Snapshot:
+        return self._world.snapshot(self._real_time_factor())
 
     def _real_time_factor(self) -> float:
         is_playing = self._world.clock.state == State.PLAYING

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -214,6 +215,10 @@ MAX_STATE_AGE_NS = 25_000_000
 """Simulation time for which the states of the last control step are reported again."""
 
 
+SavedWorld = dict[str, Any]
+"""State of a `SimulatedWorld`."""
+
+
 class SimulatedWorld:
     """One engine, one clock, the entities, and the claims of agents on them.
 
@@ -418,6 +423,20 @@ class SimulatedWorld:
             self.engine.set_base_state(body, base)
         else:
             self.engine.set_at_rest(body, base, positions)
+        self.placement_count += 1
+        self._states = None
+
+    def set_state(
+        self, name: str, base: FloatArray, positions: FloatArray, velocities: FloatArray
+    ) -> None:
+        """Set the state row (13,) of an entity and its joints, and unfreeze it; targets stay.
+
+        Raises:
+            EntityNotFound: It does not exist.
+        """
+        self._unfreeze(self.entities.find(name))
+        body = self.entities.find(name).body
+        self.engine.set_state(body, base, positions, velocities)
         self.placement_count += 1
         self._states = None
 
@@ -664,6 +683,20 @@ class SimulatedWorld:
         for name in self.entities.by_name:
             self.clock.add_event("spawned", entity=name)
         self._drop_cached_states()
+
+    def save(self) -> SavedWorld:
+        """Take the state: what `load` needs to go on with the same bits.
+
+        The objects are those in use: copy them before the next call.
+        """
+        return {**self.__dict__, "_scene_layouts": None}
+
+    def load(self, saved: SavedWorld) -> None:
+        """Replace the state by one that was taken of this world or another; it must be a copy."""
+        former = self.engine
+        self.__dict__.update(saved)
+        self.engine.resume()
+        former.close()
 
     def close(self) -> None:
         """Free the engine."""

@@ -24,6 +24,10 @@ class InProcessPublisher:
         self._version = -1
         self._matching: tuple[InProcessSubscription, ...] = ()
 
+    def __getstate__(self) -> dict[str, object]:
+        """Leave out the subscriptions found."""
+        return {**self.__dict__, "_version": -1, "_matching": ()}
+
     @property
     def is_matched(self) -> bool:
         """Whether there is a subscriber."""
@@ -187,6 +191,13 @@ class InProcessNetwork:
         if subscription in self.subscriptions:
             self.subscriptions.remove(subscription)
             self.version += 1
+
+    def replace(
+        self, subscriptions: list[InProcessSubscription], queues: list[InProcessQueries]
+    ) -> None:
+        """Replace all subscriptions and queues of queries."""
+        self.subscriptions, self.queues = subscriptions, queues
+        self.version += 1
 
     def find_subscriptions(self, key: str) -> tuple[InProcessSubscription, ...]:
         """Find the subscriptions that a key or key expression fits."""

@@ -8,32 +8,43 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple, cast
+from uuid import uuid4
 
 import msgspec
 
-from zensim.api.in_process_network import InProcessNetwork, InProcessSubscription
+from zensim.api.api_errors import Unsupported
+from zensim.api.in_process_network import (
+    InProcessNetwork,
+    InProcessQueries,
+    InProcessSubscription,
+)
+from zensim.api.world_snapshots import read_snapshot, write_snapshot
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import ClaimShareRequest, DriveState, expand_grants
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import Event, Snapshot
+from zensim.proto.messages.world_messages import WorldResource
 from zensim.proto.network_protocols import Sample
 from zensim.proto.service_catalog import CLAIM_SHARE, Request, Response, Service, require_ok
 from zensim.proto.topic_catalog import CONTACTS, EVENTS, MAP, TopicSpec
 from zensim.robot_agent.bumpers import read_contact_report
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 from zensim.sim_server.description.builtin_models import list_builtin_worlds
+from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.initial_world import load_initial_world, make_initial_world, make_parts
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.in_process_parser import InProcessParser
-from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
+from zensim.sim_server.physics.engine import EngineRefused
+from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry, TouchingSensors
 from zensim.sim_server.runtime.world_map import WorldMap
-from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, WorldTelemetry
+from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, DueTimes, WorldTelemetry
 from zensim.sim_server.server_config import ServerConfig, validate_config
 from zensim.sim_server.service_parts import DeferredResponse, ServerParts
 from zensim.sim_server.services.service_registry import ServiceHandlers, make_refusal
+from zensim.sim_server.world.simulated_world import SavedWorld
 from zensim.sim_server.world_loading.world_loader import (
     LoadedWorld,
     WorldLoaderRequest,
@@ -88,6 +99,30 @@ def read_no_time() -> int:
     return 0
 
 
+class SavedTelemetry(NamedTuple):
+    """State of an `InProcessTelemetry`."""
+
+    due_times: DueTimes
+    touching: TouchingSensors
+
+
+@dataclass(frozen=True)
+class SavedServer:
+    """State of an `InProcessServer`."""
+
+    world: SavedWorld
+    current: tuple[WorldModel, WorldResource]
+    seed: int
+    robots: PooledRobots
+    subscriptions: list[InProcessSubscription]
+    """Of the robots."""
+    queues: list[InProcessQueries]
+    telemetry: SavedTelemetry
+    followed: tuple[tuple[int, int], int, int]
+    more: object
+    """What the caller saves with it."""
+
+
 class InProcessServer:
     """One world, its services, and a pool that drives all robots.
 
@@ -117,6 +152,9 @@ class InProcessServer:
         self.network = InProcessNetwork(self.call)
         self.robots = PooledRobots(self.network, CMD_VEL_TIMEOUT_NS)
         self._telemetry = InProcessTelemetry(self.parts, self.network, self.robots)
+        self._name = uuid4().hex
+        self._users = weakref.WeakSet[InProcessSubscription]()
+        """Subscriptions of the user; those of the robots are a part of the state."""
         self._shared_roster = self.world.entities.roster_number
         self._followed = self._version
         self._followed_orders = 0
@@ -159,9 +197,55 @@ class InProcessServer:
         """Read the states of all entities."""
         return self.world.snapshot(0.0)
 
+    def save(self, more: object) -> bytes:
+        """Write the state, and more, as bytes; see `restore`.
+
+        Raises:
+            Unsupported: The engine cannot save its state.
+        """
+        own = [one for one in self.network.subscriptions if one not in self._users]
+        state = SavedServer(
+            world=self.world.save(),
+            current=(self.parts.current_world.model, self.parts.current_world.resource),
+            seed=self.parts.current_world.seed,
+            robots=self.robots,
+            subscriptions=own,
+            queues=self.network.queues,
+            telemetry=self._telemetry.save(),
+            followed=(self._followed, self._followed_orders, self._shared_roster),
+            more=more,
+        )
+        return write_snapshot(self._engine, state, self._list_fixed(), self.parts.store.folder)
+
+    def restore(self, snapshot: bytes) -> object:
+        """Replace the state by a saved one; return what was saved with it.
+
+        Subscriptions of users stay. If it fails, the world is as before.
+
+        Raises:
+            Invalid: It is not a snapshot of this version and engine.
+            Unsupported: The engine cannot restore it in this world.
+        """
+        fixed, folder = self._list_fixed(), self.parts.store.folder
+        try:
+            saved = cast("SavedServer", read_snapshot(self._engine, snapshot, fixed, folder))
+        except EngineRefused as refused:
+            raise Unsupported(str(refused), slug="not_restorable") from refused
+        self.world.load(saved.world)
+        current = self.parts.current_world
+        (current.model, current.resource), current.seed = saved.current, saved.seed
+        users = [one for one in self.network.subscriptions if one in self._users]
+        self.network.replace([*users, *saved.subscriptions], saved.queues)
+        self.robots = saved.robots
+        self._telemetry = InProcessTelemetry(self.parts, self.network, self.robots)
+        self._telemetry.load(saved.telemetry)
+        self._followed, self._followed_orders, self._shared_roster = saved.followed
+        return saved.more
+
     def subscribe(self, key: str, depth: int) -> InProcessSubscription:
         """Subscribe to a topic, the last value of its keys first."""
         subscription = self.network.subscribe(key, depth)
+        self._users.add(subscription)
         query = self.network.query(key)
         for _ in range(2 + len(self.world.entities) // DECLARED_AT_ONCE):
             self.robots.reply_to_queries()
@@ -227,6 +311,22 @@ class InProcessServer:
             is_more = response.is_more
 
     @property
+    def _engine(self) -> str:
+        """Name of the engine; and of this world, if states do not fit another."""
+        engine = self.world.engine
+        return engine.name if engine.capabilities.copies else f"{engine.name}:{self._name}"
+
+    def _list_fixed(self) -> dict[str, object]:
+        """List the objects that a snapshot names, and that `restore` leaves as they are."""
+        parts = self.parts
+        return {
+            "world": self.world,
+            "network": self.network,
+            "store": parts.store,
+            "pacing": parts.pacing,
+        }
+
+    @property
     def _version(self) -> tuple[int, int]:
         return self.world.clock.epoch, self.world.claims.changes
 
@@ -274,6 +374,15 @@ class InProcessTelemetry:
             if self._is_wanted(topic):
                 self._put(topic, self._messages.message(topic))
         self._map.poll(self._world.clock.time_ns)
+
+    def save(self) -> SavedTelemetry:
+        """Take the times at which messages are due, and what contact sensors touch."""
+        return SavedTelemetry(self._messages.save(), self._contacts.save())
+
+    def load(self, saved: SavedTelemetry) -> None:
+        """Replace what `save` took."""
+        self._messages.load(saved.due_times)
+        self._contacts.load(saved.touching)
 
     def find_last(self, key: str) -> list[Sample]:
         """Make the message of a topic of the world, if it is one that always has a value."""

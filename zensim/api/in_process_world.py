@@ -4,6 +4,7 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import cast
 
 import msgspec
 
@@ -12,7 +13,9 @@ from zensim.api.in_process_network import InProcessSubscription
 from zensim.api.in_process_server import CLIENT, POOL, InProcessServer
 from zensim.api.simulation import Simulation
 from zensim.api.world_access import Message, TopicFeed, WorldAccess, api_errors
+from zensim.api.world_session import SavedOrders
 from zensim.api.world_state import WorldState, make_world_state
+from zensim.api.world_view import WorldView
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.simulation_messages import SimulateStepsRequest
@@ -49,6 +52,7 @@ class InProcessAccess(WorldAccess):
         self.server = server
         self.world_name = server.world.name
         self._process_id = os.getpid()
+        self._view: WorldView | None = None
         self._state: WorldState | None = None
         self._before: WorldState | None = None
 
@@ -56,6 +60,24 @@ class InProcessAccess(WorldAccess):
     def client(self) -> str:
         """See `WorldAccess`."""
         return CLIENT
+
+    @property
+    def view(self) -> WorldView:
+        """The state of all entities as live arrays."""
+        self._require_open()
+        if self._view is None or not self._view.is_current:
+            self._view = WorldView(self.server.world)
+        return self._view
+
+    def _apply_view(self) -> None:
+        if self._view is not None and self._view.is_current:
+            self._view.apply()
+
+    def _refresh_view(self) -> None:
+        if self._view is not None and self._view.is_current:
+            self._view.refresh()
+        else:
+            self._view = None
 
     def call(
         self,
@@ -70,7 +92,25 @@ class InProcessAccess(WorldAccess):
         del world, timeout_s, request_id
         self._require_open()
         self._state = None
-        return self.server.call(service, request)
+        if self._view is None:
+            return self.server.call(service, request)
+        self._apply_view()
+        response = self.server.call(service, request)
+        self._refresh_view()
+        return response
+
+    def save(self, orders: SavedOrders) -> bytes:
+        """Write the state of the world and orders as bytes."""
+        self._require_open()
+        self._apply_view()
+        return self.server.save(orders)
+
+    def restore(self, snapshot: bytes) -> SavedOrders:
+        """Replace the state by a saved one; return the orders that were saved with it."""
+        self._require_open()
+        orders = self.server.restore(snapshot)
+        self._state = self._view = None
+        return cast("SavedOrders", orders)
 
     def advance(self, steps: int, twists: TwistCommands | None, timeout_s: float) -> WorldState:
         """See `WorldAccess`."""
@@ -181,8 +221,64 @@ class World(Simulation):
                     engine=parse_engine_name(engine), workers=0, compiles_ahead=False
                 ),
             )
-            self._server = InProcessServer(config)
-        super().__init__(InProcessAccess(self._server))
+            self._open(InProcessServer(config))
+
+    def _open(self, server: InProcessServer) -> None:
+        self._server = server
+        self._access = InProcessAccess(server)
+        super().__init__(self._access)
+
+    @property
+    def view(self) -> WorldView:
+        """The state of all entities as live arrays, which may be written."""
+        self._session.check_open()
+        return self._access.view
+
+    def snapshot(self) -> bytes:
+        """Save the whole state: of the engine, entities, drives, odometry, sensors and orders.
+
+        Raises:
+            Unsupported: The engine cannot save its state.
+        """
+        self._session.check_open()
+        with api_errors():
+            return self._access.save(self._session.save_orders())
+
+    def restore(self, snapshot: bytes) -> None:
+        """Replace the state by a saved one, of this world or another; the run goes on bit by bit.
+
+        Robots spawned since are gone, and those deleted since are back. Subscriptions stay.
+        Restore only bytes that you trust: reading them can run code.
+
+        Args:
+            snapshot: As `snapshot()` returned it, also in another process of the same version.
+
+        Raises:
+            Invalid: These bytes are not a snapshot of this version and engine.
+            Unsupported: The engine cannot restore it in this world.
+        """
+        self._session.check_open()
+        with api_errors():
+            self._session.load_orders(self._access.restore(snapshot))
+        self._session.access.refresh()
+        self._info = self._read_info()
+
+    def fork(self) -> "World":
+        """Make another world in the same state; both go on alone, with equal bits.
+
+        Raises:
+            Unsupported: The engine cannot copy its state.
+        """
+        self._session.check_open()
+        if not self._server.world.engine.capabilities.copies:
+            raise Unsupported(
+                f"the engine {self._info.engine} cannot copy its state", hint="use MuJoCo"
+            )
+        config = self._server.config.requested or self._server.config
+        other = World.__new__(World)
+        other._open(InProcessServer(config))  # noqa: SLF001
+        other.restore(self.snapshot())
+        return other
 
     def play(self) -> None:
         """Refuse: time moves only when this program asks for it.

@@ -1,14 +1,11 @@
 """Controller that drives a robot along points; no clock, no network."""
 
 import math
-from collections.abc import Callable
 from typing import Final
 
 from zensim.api.entity_values import RobotPose
 from zensim.api.world_state import FloatArray
 
-PathController = Callable[[RobotPose, float], "tuple[float, float] | None"]
-"""Takes the pose and the control period [s]; returns forward and angular velocity; None = over."""
 REACHED_M: Final = 0.05
 """Distance from a point at which it counts as reached."""
 TURN_GAIN: Final = 2.0
@@ -19,16 +16,22 @@ SLOW_DOWN_S: Final = 1.0
 """Time constant of the approach to the last point."""
 
 
-def make_path_controller(points: FloatArray, speed: float) -> PathController:
-    """Make a controller that drives to each point in turn.
+class PathController:
+    """Drives to each point in turn."""
 
-    Args:
-        points: x and y in the world [m], (n, 2).
-        speed: Most [m/s]; less while the heading is wrong, and near the last point.
-    """
-    left = [(float(x), float(y)) for x, y in points]
+    def __init__(self, points: FloatArray, speed: float) -> None:
+        """Start before the first point.
 
-    def control(pose: RobotPose, _period: float) -> tuple[float, float] | None:
+        Args:
+            points: x and y in the world [m], (n, 2).
+            speed: Most [m/s]; less while the heading is wrong, and near the last point.
+        """
+        self._left = [(float(x), float(y)) for x, y in points]
+        self._speed = speed
+
+    def control(self, pose: RobotPose) -> tuple[float, float] | None:
+        """Find forward and angular velocity at a pose; None = over."""
+        left = self._left
         while left and pose.distance_to(*left[0]) < REACHED_M:
             left.pop(0)
         if not left:
@@ -37,11 +40,9 @@ def make_path_controller(points: FloatArray, speed: float) -> PathController:
         distance = pose.distance_to(x, y)
         error = _wrap(math.atan2(y - pose.y, x - pose.x) - pose.yaw)
         # A last point is approached ever more slowly, so that the robot does not pass it.
-        most = min(speed, distance / SLOW_DOWN_S) if len(left) == 1 else speed
+        most = min(self._speed, distance / SLOW_DOWN_S) if len(left) == 1 else self._speed
         turn = max(-MAX_TURN, min(MAX_TURN, TURN_GAIN * error))
         return max(0.0, most * math.cos(error)), turn
-
-    return control
 
 
 def _wrap(angle: float) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 
 from zensim.api.api_errors import Error, Invalid
 from zensim.api.entity_values import RobotPose, RobotTwist, SpawnReport
-from zensim.api.path_following import make_path_controller
+from zensim.api.path_following import PathController
 from zensim.api.topic import Topic, TopicCallback
 from zensim.api.world_access import api_errors
 from zensim.api.world_session import RELEASED, WorldSession, check_finite
@@ -187,7 +187,7 @@ class Robot(EntityHandle):
         check_finite("points", path, "(n, 2)")
         if not 0.0 < speed < MAX_SPEED:
             raise Invalid(f"speed={speed:g} is out of range", hint="use a speed > 0 [m/s]")
-        self._session.follow_path(self._name, make_path_controller(path, speed))
+        self._session.follow_path(self._name, PathController(path, speed))
 
     def topic(self, name: str) -> "Topic[Any]":
         """Find a topic by its name below the namespace, as `scan`, `odom` or `front/scan`.

@@ -65,6 +65,14 @@ class Roster:
         return tuple(name for name, one in self.entries.items() if one.model.drive is not None)
 
 
+@dataclass(frozen=True)
+class SavedOrders:
+    """What a client has ordered, and the world does not know yet."""
+
+    twists: list[tuple[tuple[str, ...], FloatArray]]
+    paths: dict[str, PathController]
+
+
 class WorldSession:
     """One world, as the handles of a simulation use it."""
 
@@ -99,6 +107,15 @@ class WorldSession:
         """Forget orders, paths and models: the world was reset or replaced."""
         self._orders, self._roster = [], None
         self._paths.clear()
+
+    def save_orders(self) -> SavedOrders:
+        """Take the orders that wait for the next step, and the paths that robots follow."""
+        return SavedOrders(self._orders, self._paths)
+
+    def load_orders(self, saved: SavedOrders) -> None:
+        """Replace the orders and paths, after the world was replaced."""
+        self.forget()
+        self._orders, self._paths = saved.twists, saved.paths
 
     def close(self) -> None:
         """Stop what this client commands, and free all; may be repeated."""
@@ -263,15 +280,13 @@ class WorldSession:
         for control in self.controllers[:]:
             control(period_s)
         if self._paths:
-            self._control_paths(period_s)
+            self._control_paths()
 
-    def _control_paths(self, period_s: float) -> None:
+    def _control_paths(self) -> None:
         state, names, twists = self.state(), list[str](), list[tuple[float, float, float]]()
         for name, control in list(self._paths.items()):
             row = state.row.get(name)
-            found = row is not None and control(
-                RobotPose(*state.base[row, POSE].tolist()), period_s
-            )
+            found = row is not None and control.control(RobotPose(*state.base[row, POSE].tolist()))
             v, w = found or (0.0, 0.0)
             if not found:
                 self._paths.pop(name, None)

@@ -166,6 +166,10 @@ class BodyPool:
         self._waking.clear()
         return self._take_excess_awake()
 
+    def list_parked(self) -> dict[int, BulletBody]:
+        """List all parked bodies by number."""
+        return dict(one for parked in self._parked.values() for one in parked)
+
     def take_all(self) -> list[int]:
         """Empty the pool; return all bodies."""
         taken = [number for parked in self._parked.values() for number, _ in parked]

@@ -9,7 +9,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
+from uuid import uuid4
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -265,6 +269,60 @@ JOINT_TYPES["revolute"] = JOINT_TYPES["continuous"] = pybullet.JOINT_REVOLUTE
 GEOMETRY_TYPES = {kind: getattr(pybullet, f"GEOM_{kind.upper()}") for kind in COLLISION_SHAPE_KINDS}
 
 
+def _arrange(blueprint: Blueprint) -> Blueprint:
+    return add_wheel_carriers(order_depth_first(blueprint))
+
+
+class BulletOrigin:
+    """Bodies of one client of Bullet, into which only its own states fit.
+
+    Attributes:
+        engine: The engine that has the client now.
+        changes: Count of the bodies made and removed.
+    """
+
+    def __init__(self, engine: "PyBulletEngine") -> None:
+        self.engine = engine
+        self.changes = 0
+        self._name = uuid4().hex
+        _ORIGINS[self._name] = self
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Write the name and count, which must be the same when it is read."""
+        return _find_origin, (self._name, self.changes)
+
+
+_ORIGINS = WeakValueDictionary[str, BulletOrigin]()
+NOT_RESTORABLE = (
+    "Bullet restores a state only in the world that it was saved in, and with the same bodies; "
+    "use MuJoCo, or restore before robots are spawned or deleted"
+)
+
+
+def _find_origin(name: str, changes: int) -> BulletOrigin:
+    origin = _ORIGINS.get(name)
+    if origin is None or origin.changes != changes:
+        raise EngineRefused(NOT_RESTORABLE)
+    return origin
+
+
+def _save_bullet(client: int) -> bytes:
+    """Write positions, velocities and contacts of all bodies."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder, "state.bullet")
+        with suppress_output():
+            pybullet.saveBullet(str(file), physicsClientId=client)
+        return file.read_bytes()
+
+
+def _load_bullet(client: int, state: bytes) -> None:
+    with TemporaryDirectory() as folder:
+        file = Path(folder, "state.bullet")
+        file.write_bytes(state)
+        with suppress_output():
+            pybullet.restoreState(fileName=str(file), physicsClientId=client)
+
+
 class PyBulletEngine(Engine):
     """Bullet's multibody dynamics, DIRECT mode, one client."""
 
@@ -274,6 +332,8 @@ class PyBulletEngine(Engine):
     def __init__(self, config: EngineConfig, *, awake: int = 0) -> None:
         """Connect; keep `awake` pooled bodies awake, for bodies that arrive with a velocity."""
         self._client = client = pybullet.connect(pybullet.DIRECT)
+        self._origin = BulletOrigin(self)
+        self._asleep: set[int] = set()
         self._shapes = CollisionShapeCache(
             partial(pybullet.createCollisionShapeArray, physicsClientId=client),
             make_exact=self._take_margin,
@@ -289,7 +349,7 @@ class PyBulletEngine(Engine):
             joint_kinds=JOINT_TYPES,
             shape_kinds=GEOMETRY_TYPES,
             mesh_folder=config.mesh_folder,
-            arrange=lambda blueprint: add_wheel_carriers(order_depth_first(blueprint)),
+            arrange=_arrange,
         )
         self._twists: dict[int, list[float]] = {}
         self._resisting: set[int] = set()
@@ -300,7 +360,7 @@ class PyBulletEngine(Engine):
         self._gravity = config.gravity
         self._dt_s = dt_s = config.step_ns * 1e-9
         self._com_frames = ComFrames()
-        self._commands = CommandCache(lambda body: self._bodies[body].actuation.width)
+        self._commands = CommandCache(self._find_width)
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=dt_s, **SOLVER_ARGUMENTS, physicsClientId=client
         )
@@ -310,6 +370,36 @@ class PyBulletEngine(Engine):
             box, halfExtents=VISUAL_HALF_EXTENTS, physicsClientId=client
         )
         self._ground = self._add_ground(config.ground_friction) if config.has_ground else None
+
+    def __getstate__(self) -> dict[str, object]:
+        """Take the state, which fits Bullet's bodies of this engine only.
+
+        The order of contacts is not saved, and decides rounding: from now on Bullet sorts them.
+        """
+        pybullet.setPhysicsEngineParameter(
+            deterministicOverlappingPairs=1, physicsClientId=self._client
+        )
+        return {**self.__dict__, "_saved": _save_bullet(self._client)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore the state; `resume` restores that of Bullet."""
+        self.__dict__.update(state)
+
+    def resume(self) -> None:
+        """See `Engine.resume`."""
+        former, self._origin.engine = self._origin.engine, self
+        _load_bullet(self._client, self.__dict__.pop("_saved"))
+        for body in sorted(former._asleep ^ self._asleep):  # noqa: SLF001
+            states = ACTIVATION_ASLEEP if body in self._asleep else ACTIVATION_AWAKE
+            self._set_activation([body], states)
+        parked = self._pool.list_parked()
+        for body, known in (*self._bodies.items(), *parked.items()):
+            filters = COLLIDE_WITH_NOTHING if body in parked else COLLIDE_WITH_ALL
+            self._set_collision_filter(body, known, *filters)
+        twists = dict(self._twists)
+        for body, known in self._bodies.items():
+            self._actuate(body, self._commands.find(body, known.actuation.width))
+        self._twists = twists
 
     def prepare(self, model: Model) -> bool:
         """See `Engine.prepare`; creates the collision shape of one part."""
@@ -356,7 +446,7 @@ class PyBulletEngine(Engine):
             return
         for gear in known.gears:
             pybullet.removeConstraint(gear, physicsClientId=self._client)
-        pybullet.removeBody(body, physicsClientId=self._client)
+        self._remove_body(body)
 
     def hide(self, body: int) -> None:
         """See `Engine.hide`; not with gears, which would wake it."""
@@ -418,7 +508,7 @@ class PyBulletEngine(Engine):
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
         for body in self._pool.take_all():
-            pybullet.removeBody(body, physicsClientId=self._client)
+            self._remove_body(body)
 
     def find_overlaps(self, body: int) -> Sequence[int]:
         """See `Engine.find_overlaps`."""
@@ -506,7 +596,8 @@ class PyBulletEngine(Engine):
 
     def close(self) -> None:
         """See `Engine.close`."""
-        pybullet.disconnect(physicsClientId=self._client)
+        if self._origin.engine is self:
+            pybullet.disconnect(physicsClientId=self._client)
 
     def _complete(self, body: int, model: Model, blueprint: Blueprint, base: FloatArray) -> None:
         """Set what createMultiBody does not."""
@@ -530,6 +621,11 @@ class PyBulletEngine(Engine):
             table.pop(body, None)
         self._forget_springs(body)
         self._resisting.discard(body)
+        self._remove_body(body)
+
+    def _remove_body(self, body: int) -> None:
+        self._origin.changes += 1
+        self._asleep.discard(body)
         pybullet.removeBody(body, physicsClientId=self._client)
 
     def _register(self, body: int, known: BulletBody) -> None:
@@ -566,6 +662,9 @@ class PyBulletEngine(Engine):
             pybullet.setCollisionFilterGroupMask(body, part, group, mask, physicsClientId=client)
 
     def _set_activation(self, bodies: Sequence[int], states: tuple[int, int]) -> None:
+        (self._asleep.update if states is ACTIVATION_ASLEEP else self._asleep.difference_update)(
+            bodies
+        )
         for body, state in product(bodies, states):
             pybullet.changeDynamics(body, -1, activationState=state, physicsClientId=self._client)
 
@@ -677,6 +776,9 @@ class PyBulletEngine(Engine):
         read_pose, read_velocity = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
         return read_base_states(bodies, self._client, read_pose, read_velocity)
 
+    def _find_width(self, body: int) -> int:
+        return self._bodies[body].actuation.width
+
     def _is_finite(self, body: int) -> bool:
         return math.isfinite(pybullet.getBaseVelocity(body, physicsClientId=self._client)[0][0])
 
@@ -698,6 +800,7 @@ class PyBulletEngine(Engine):
             blueprint, base, shapes=shapes, visual=self._visual, kinds=JOINT_TYPES
         )
         flags = pybullet.URDF_USE_SELF_COLLISION if has_self_collision(blueprint.links) else 0
+        self._origin.changes += 1
         return int(pybullet.createMultiBody(**arguments, flags=flags, physicsClientId=self._client))
 
     def _take_margin(self, shape: int) -> None:

@@ -60,6 +60,15 @@ class InProcessCellExecutor:
         self._threads = threads
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
 
+    def __getstate__(self) -> dict[str, object]:
+        """Leave out the threads."""
+        return {**self.__dict__, "_pool": None}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        """Make new threads, when they are used."""
+        self.__dict__.update(state)
+        self._pool = ThreadPoolExecutor(self._threads - 1) if self._threads > 1 else None
+
     def start(self) -> None:
         """See `CellExecutor.start`; does nothing."""
 

@@ -1016,6 +1016,11 @@ class CelledEngine(Engine):
         """See `Engine.close`."""
         self._cell_map.close()
 
+    def resume(self) -> None:
+        """See `Engine.resume`."""
+        for engine in self._cell_map.engines.values():
+            engine.resume()
+
     def _advance(self) -> bool:
         engines = self._cell_map.engines
         if self._cell_map.is_single_cell:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,11 +30,11 @@ if TYPE_CHECKING:
 
 def make_mesh_reader(folder: str) -> MeshTriangles:
     """Make a reader of the meshes in a folder."""
+    return partial(_read_mesh, folder)
 
-    def corners(mesh: str) -> FloatArray:
-        return read_corners(Path(folder, f"{mesh}.stl").read_bytes()).astype(np.float64)
 
-    return corners
+def _read_mesh(folder: str, mesh: str) -> FloatArray:
+    return read_corners(Path(folder, f"{mesh}.stl").read_bytes()).astype(np.float64)
 
 
 ROUND_KINDS = ("sphere", "cylinder", "capsule")
@@ -345,6 +346,10 @@ class PlanarPlanCache:
         self._gravity = max(-config.gravity[2], 0.0)
         self._default: Dynamics = default or "full"
         self._plans: dict[int, tuple[Model, PlanarPlan | None]] = {}
+
+    def __getstate__(self) -> dict[str, object]:
+        """Leave out what is cached by the identity of models."""
+        return {**self.__dict__, "_plans": {}}
 
     def dynamics(self, model: Model) -> Dynamics:
         """Find the dynamics of a model: its own, else those of the world."""

@@ -263,6 +263,10 @@ class TierIndexMapCache:
     def __len__(self) -> int:
         return len(self._kept)
 
+    def __getstate__(self) -> dict[str, object]:
+        """Leave out what is cached by the identity of tuples."""
+        return {**self.__dict__, "_kept": OrderedDict()}
+
     def get(self, bodies: Sequence[int]) -> TierIndexMap:
         """Split bodies by tier."""
         if not isinstance(bodies, tuple):

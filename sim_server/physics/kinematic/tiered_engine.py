@@ -751,6 +751,10 @@ class TieredEngine(EngineLayer):
         self._stopped: dict[int, FloatArray] = {}
         """By body: displacement (2,) that obstacles shortened in the last step."""
 
+    def __getstate__(self) -> dict[str, object]:
+        """Leave out what is cached by the identity of models."""
+        return {**self.__dict__, "_verified": {}}
+
     def tier_of(self, body: int) -> TierName:
         """See `Engine.tier_of`."""
         return "kinematic" if self._bodies.rows.tier[body] == Tier.KINEMATIC else "full"

@@ -494,11 +494,66 @@ class CompiledModel:
     friction_axes: FrictionAxes | None
 
 
+SLOT_ARRAYS = (
+    *("body_pos", "body_quat", "body_gravcomp", "body_contype", "body_conaffinity"),
+    *("geom_contype", "geom_conaffinity", "dof_frictionloss", "jnt_stiffness"),
+)
+"""Arrays of a model that differ between engines: see `MjModelArrays`."""
+
+
+@dataclass(frozen=True)
+class SavedState:
+    """State of an engine, without what its compiled model has.
+
+    Attributes:
+        counts: Slots of the compiled model.
+        numbers: `mjSTATE_INTEGRATION`.
+        accelerations: Of the last step, by which the next one predicts slips.
+        arrays: `SLOT_ARRAYS`.
+    """
+
+    counts: SlotCounts
+    numbers: FloatArray
+    accelerations: FloatArray
+    arrays: tuple[FloatArray, ...]
+
+
+MAX_SPARES, MAX_SPARE_BYTES = 4, 1 << 22
+
+
+class SpareArrays:
+    """Models and data that engines have given up: to allocate new ones takes a millisecond."""
+
+    def __init__(self) -> None:
+        self._spares: list[tuple[CompiledModel, mujoco.MjModel, mujoco.MjData]] = []
+
+    def give(self, compiled: CompiledModel, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Keep a model and data that are not used any more."""
+        if data.nbuffer <= MAX_SPARE_BYTES:
+            self._spares = [*self._spares[1 - MAX_SPARES :], (compiled, model, data)]
+
+    def take(self, compiled: CompiledModel) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Find or make a model and data, as if new."""
+        for place, (known, model, data) in enumerate(self._spares):
+            if known is compiled:
+                del self._spares[place]
+                for name in SLOT_ARRAYS:
+                    getattr(model, name)[:] = getattr(compiled.model, name)
+                mujoco.mj_resetData(model, data)
+                return model, data
+        model = copy(compiled.model)
+        return model, mujoco.MjData(model)
+
+
+_SPARES = SpareArrays()
+_NO_ARRAYS = dict.fromkeys(("_compiled", "_model", "_data", "_selections", "_solved_motors"))
+
+
 class MujocoEngine(Engine):
     """MuJoCo with Newton's method, one MjData."""
 
     name = "mujoco"
-    capabilities = EngineCapabilities(hides=True)
+    capabilities = EngineCapabilities(hides=True, copies=True)
 
     def __init__(self, config: EngineConfig) -> None:
         self._config = config
@@ -518,9 +573,38 @@ class MujocoEngine(Engine):
         self._announced: deque[Model] = deque()
         """Models of expected bodies, whose archetypes are not found yet."""
         self._has_loads = False
+        self._selections: dict[tuple[int, ...], BodySelection] = {}
         self._solved_motors: IndexArray | None = None
         """Those of the last step, in the order of their rows; None before the first."""
         self._start_with(_COMPILE_CACHE.compile((), config))
+
+    def __getstate__(self) -> dict[str, object]:
+        """Take what determines the next steps; not contacts and forces of the last one."""
+        return {**self.__dict__, **_NO_ARRAYS, "_saved": self._save()}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        """Restore the state; compiles the model unless this process has it."""
+        self.__dict__.update(state)
+        self._load(self.__dict__.pop("_saved"))
+
+    def _save(self) -> "SavedState":
+        model, data = self._model, self._data
+        kind = mujoco.mjtState.mjSTATE_INTEGRATION
+        numbers = np.empty(mujoco.mj_stateSize(model, kind))
+        mujoco.mj_getState(model, data, numbers, kind)
+        arrays = tuple(getattr(model, name).copy() for name in SLOT_ARRAYS)
+        return SavedState(self._compiled.layout.slot_counts, numbers, data.qacc.copy(), arrays)
+
+    def _load(self, saved: "SavedState") -> None:
+        self._compiled = _COMPILE_CACHE.compile(saved.counts, self._config)
+        self._model, self._data = _SPARES.take(self._compiled)
+        for name, values in zip(SLOT_ARRAYS, saved.arrays, strict=True):
+            getattr(self._model, name)[:] = values
+        kind = mujoco.mjtState.mjSTATE_INTEGRATION
+        mujoco.mj_setState(self._model, self._data, saved.numbers, kind)
+        self._data.qacc[:] = saved.accelerations
+        self._selections = {}
+        self._solved_motors, self._is_changed = None, True
 
     def prepare(self, model: Model) -> bool:
         """See `Engine.prepare`; compiles on a thread."""
@@ -746,6 +830,7 @@ class MujocoEngine(Engine):
 
     def close(self) -> None:
         """See `Engine.close`."""
+        _SPARES.give(self._compiled, self._model, self._data)
         self._bodies.clear()
         self._start_with(_COMPILE_CACHE.compile((), self._config))
 
@@ -788,14 +873,13 @@ class MujocoEngine(Engine):
     def _start_with(self, compiled: CompiledModel) -> None:
         """Use a model, all slots inactive."""
         self._compiled = compiled
-        self._model = copy(compiled.model)
-        self._data = mujoco.MjData(self._model)
+        self._model, self._data = _SPARES.take(compiled)
         self._targets = make_zero_targets(self._model.nv)
         self._owners = np.full(len(self._model.geom_contype), NO_INDEX, np.intp)
         self._links = np.zeros(len(self._owners), np.intp)
         self._is_changed = True
         self._solved_motors = None
-        self._selections: dict[tuple[int, ...], BodySelection] = {}
+        self._selections = {}
         deactivate_all_slots(self._model, self._data, compiled.layout)
 
     def _switch_model(self, compiled: CompiledModel) -> None:

@@ -1,0 +1,265 @@
+"""Snapshots and views of worlds in process."""
+
+import pickle
+import random
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+
+import numpy as np
+import pytest
+
+from zensim import Invalid, NotFound, SpawnRefused, Unsupported, World
+
+
+@pytest.fixture
+def world() -> Iterator[World]:
+    with World(seed=3) as made:
+        yield made
+
+
+def _run(world: World, steps: int = 30) -> tuple[str, bytes]:
+    """Go on, and describe all that a user can observe: states, odometry, joints."""
+    world.step(steps)
+    robots = [world.robots[name] for name in world.robots]
+    telemetry = [(robot.odom, robot.joints.position, robot.twist) for robot in robots]
+    return world.state_hash(), repr(telemetry).encode()
+
+
+def test_run_goes_on_with_equal_bits_after_restore(world: World) -> None:
+    fleet = world.spawn_fleet("box_bot", count=3)
+    fleet.drive(0.3, [0.1, 0.2, 0.3])
+    world.run_for(0.5)
+    snapshot = world.snapshot()
+    first = _run(world)
+
+    for _ in range(3):
+        world.restore(snapshot)
+        assert _run(world) == first
+
+
+def test_restored_world_has_time_orders_paths_twists_and_names(world: World) -> None:
+    robot = world.spawn("box_bot", name="r1")
+    robot.follow([(1.0, 0.0), (2.0, 1.0)])
+    world.run_for(0.5)
+    other = world.spawn("box_bot", name="r2", y=3.0)
+    other.drive(0.2, 0.0)
+    snapshot, time = world.snapshot(), world.time
+    first = _run(world)
+
+    robot.drive(0.0, 1.0)
+    other.stop()
+    world.run_for(0.5)
+    world.restore(snapshot)
+
+    assert (world.time, list(world.robots)) == (time, ["r1", "r2"])
+    assert _run(world) == first
+
+
+def _spawn(world: World, choose: random.Random) -> None:
+    model = choose.choice(["box_bot", "omni_bot", "car_bot"])
+    with suppress(SpawnRefused):
+        world.spawn(model, x=choose.uniform(-4, 4), y=choose.uniform(-4, 4))
+
+
+def _drive(world: World, choose: random.Random) -> None:
+    for robot in world.robots.values():
+        robot.drive(choose.uniform(-0.3, 0.3), choose.uniform(-1, 1))
+
+
+def _delete(world: World, choose: random.Random) -> None:
+    if names := list(world.robots):
+        world.robots[choose.choice(names)].delete()
+
+
+def _place(world: World, choose: random.Random) -> None:
+    if names := list(world.robots):
+        world.robots[choose.choice(names)].set_pose(choose.uniform(-4, 4), 0.0, yaw=1.0)
+
+
+def _advance(world: World, choose: random.Random) -> None:
+    world.step(choose.randint(1, 40))
+
+
+MOVES = (_spawn, _drive, _drive, _delete, _place, _advance, _advance)
+
+
+def _play(world: World, moves: Sequence[Callable[..., None]], seed: int) -> str:
+    choose = random.Random(seed)
+    for move in moves:
+        move(world, choose)
+    world.step(7)
+    return world.state_hash()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_histories_repeat_from_each_snapshot(seed: int) -> None:
+    choose = random.Random(seed)
+    with World() as world:
+        saved: list[tuple[bytes, Sequence[Callable[..., None]], int, str]] = []
+        for number in range(6):
+            before = world.snapshot()
+            moves = choose.choices(MOVES, k=5)
+            saved.append((before, moves, number, _play(world, moves, number)))
+        choose.shuffle(saved)
+
+        for snapshot, moves, number, expected in saved:
+            world.restore(snapshot)
+            assert _play(world, moves, number) == expected
+
+
+BULLET_DIFFERENCE = 0.01
+"""Most difference of poses and velocities [m, m/s, rad/s] within 30 steps after restoring."""
+
+
+def test_pybullet_restores_the_state_exactly_and_the_run_nearly() -> None:
+    with World(engine="pybullet") as world:
+        fleet = world.spawn_fleet("box_bot", count=3)
+        fleet.drive(0.3, [0.1, 0.2, 0.3])
+        world.run_for(0.5)
+        snapshot, saved = world.snapshot(), world.state_hash()
+        states = []
+        for _ in range(4):
+            world.step(30)
+            states.append(np.concatenate([fleet.poses(), fleet.twists()], axis=1))
+            world.restore(snapshot)
+            assert world.state_hash() == saved
+
+        assert np.abs(states[1] - states[0]).max() < BULLET_DIFFERENCE
+        assert np.array_equal(states[1], states[2])
+        assert np.array_equal(states[1], states[3])
+
+
+def test_pybullet_refuses_to_restore_after_a_spawn_and_leaves_the_world_as_it_is() -> None:
+    with World(engine="pybullet") as world:
+        world.spawn("box_bot", name="r1")
+        snapshot = world.snapshot()
+        world.spawn("box_bot", name="r2", x=2.0)
+        before = world.state_hash()
+
+        with pytest.raises(Unsupported) as refused:
+            world.restore(snapshot)
+
+        assert refused.value.slug == "not_restorable"
+        assert world.state_hash() == before
+        assert _run(world)
+
+
+def test_state_of_pybullet_does_not_go_to_another_world() -> None:
+    with World(engine="pybullet") as world, World(engine="pybullet") as other:
+        with pytest.raises(Invalid):
+            other.restore(world.snapshot())
+        with pytest.raises(Unsupported):
+            world.fork()
+
+
+def test_fork_goes_on_alone_with_equal_bits() -> None:
+    with World(seed=3) as world:
+        world.spawn_fleet("box_bot", count=3).drive(0.3, 0.2)
+        world.run_for(0.3)
+
+        with world.fork() as other:
+            expected = _run(world)
+            assert _run(other) == expected
+            other.spawn("box_bot", name="only_here", x=5.0)
+            with pytest.raises(NotFound):
+                world.robots["only_here"]
+
+
+def test_snapshot_goes_to_another_process() -> None:
+    program = (
+        "import sys, pickle, zensim\n"
+        "world = zensim.World()\n"
+        "world.restore(pickle.load(sys.stdin.buffer))\n"
+        "world.step(30)\n"
+        "print(world.state_hash())\n"
+    )
+    with World() as world:
+        world.spawn_fleet("box_bot", count=2).drive(0.3, 0.2)
+        world.run_for(0.3)
+        snapshot = world.snapshot()
+        world.step(30)
+        done = subprocess.run(
+            [sys.executable, "-c", program],
+            input=pickle.dumps(snapshot),
+            capture_output=True,
+            check=True,
+            timeout=60,
+        )
+        assert done.stdout.decode().strip() == world.state_hash()
+
+
+def test_subscriptions_stay_and_get_the_messages_of_the_restored_run() -> None:
+    with World() as world:
+        robot = world.spawn("box_bot", name="r1")
+        stamps: list[float] = []
+        robot.on("odom")(lambda odom: stamps.append(odom.header.stamp.sec))
+        robot.drive(0.2, 0.0)
+        world.run_for(1.5)
+        snapshot = world.snapshot()
+        world.run_for(1.0)
+        count = len(stamps)
+
+        world.restore(snapshot)
+        world.run_for(1.0)
+
+        assert len(stamps) > count
+        assert stamps[count] == 1
+
+
+@pytest.mark.parametrize(
+    "change",
+    [lambda _: b"", lambda _: b"nonsense", lambda one: one[:-1], lambda one: one[::-1]],
+)
+def test_bytes_that_are_no_snapshot_are_refused(change: Callable[[bytes], bytes]) -> None:
+    with World() as world:
+        world.spawn("box_bot", name="r1")
+        snapshot = world.snapshot()
+        with pytest.raises(Invalid) as refused:
+            world.restore(change(snapshot))
+        assert refused.value.slug == "wrong_snapshot"
+        assert np.isfinite(world.robots["r1"].pose.x)
+
+
+def test_snapshot_of_another_engine_is_refused() -> None:
+    with World(engine="pybullet") as other, World() as world, pytest.raises(Invalid):
+        world.restore(other.snapshot())
+
+
+def test_view_follows_the_world_and_sets_what_is_written() -> None:
+    with World() as world:
+        robot = world.spawn("box_bot", name="r1")
+        view = world.view
+        poses = view.poses
+        robot.drive(0.3, 0.0)
+        world.run_for(1.0)
+        assert poses[0, 0] == robot.pose.x > 0.1
+
+        poses[0, :2] = 3.0, 4.0
+        world.step(3)
+
+        assert world.view is view
+        assert robot.pose.x == pytest.approx(3.0, abs=0.05)
+        assert robot.pose.y == pytest.approx(4.0, abs=0.05)
+        world.spawn("box_bot", name="r2")
+        assert list(world.view.names) == ["r1", "r2"]
+
+
+def test_view_sets_joints_and_velocities() -> None:
+    with World() as world:
+        world.spawn("box_bot", name="r1")
+        view = world.view
+        view.velocities[0, 2] = 3.0
+        view.joint_positions[:] = 0.5
+        world.step(1)
+        assert view.velocities[0, 2] > 2.0
+        assert view.joint_positions == pytest.approx(0.5, abs=0.1)
+
+
+def test_view_with_numbers_that_are_not_finite_is_refused() -> None:
+    with World() as world:
+        world.spawn("box_bot", name="r1")
+        world.view.poses[0, 0] = np.nan
+        with pytest.raises(Invalid):
+            world.step()
