@@ -105,7 +105,7 @@ class ContactTelemetry:
 
     def load(self, saved: TouchingSensors) -> None:
         """Replace what touches."""
-        self._touching, self._epoch = saved
+        self._touching, self._epoch = saved.names, saved.epoch
 
     @property
     def has_sensors(self) -> bool:

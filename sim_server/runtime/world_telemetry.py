@@ -158,7 +158,8 @@ class WorldTelemetry:
 
     def load(self, saved: DueTimes) -> None:
         """Replace the times at which topics are due."""
-        self._limiters, self._idle_limiter, self._shown = saved
+        self._limiters, self._idle_limiter = saved.limiters, saved.idle
+        self._shown = saved.shown
 
     def reply(self, topic: TopicSpec) -> msgspec.Struct | DeferredResponse[OccupancyGrid]:
         """Make the reply to a get on a gettable topic."""

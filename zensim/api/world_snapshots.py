@@ -112,7 +112,8 @@ def _make_view(
 ) -> np.ndarray[Any, Any]:
     """Make a view of an array, so that a change of one is a change of both."""
     buffer = base if base.flags.c_contiguous else base.T
-    return np.ndarray[Any, Any](shape, dtype, buffer, offset, strides)
+    view: np.ndarray[Any, Any] = np.ndarray(shape, dtype, buffer, offset, strides)
+    return view
 
 
 def _reduce_count(numbers: "count[int]") -> tuple[Any, ...]:

@@ -100,13 +100,13 @@ def test_random_histories_repeat_from_each_snapshot(seed: int) -> None:
         saved: list[tuple[bytes, Sequence[Callable[..., None]], int, str]] = []
         for number in range(6):
             before = world.snapshot()
-            moves = choose.choices(MOVES, k=5)
+            moves: Sequence[Callable[..., None]] = choose.choices(MOVES, k=5)
             saved.append((before, moves, number, _play(world, moves, number)))
         choose.shuffle(saved)
 
-        for snapshot, moves, number, expected in saved:
+        for snapshot, played, number, expected in saved:
             world.restore(snapshot)
-            assert _play(world, moves, number) == expected
+            assert _play(world, played, number) == expected
 
 
 BULLET_DIFFERENCE = 0.01
