@@ -1,6 +1,6 @@
 """The part of MuJoCo 4.0 that the engine calls; SI units, quaternions w x y z."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ class mjtSolver:
 class _Option:
     solver: int
     iterations: int
+    timestep: float
 
 class MjModel:
     opt: _Option
@@ -30,6 +31,7 @@ class MjModel:
     body_contype: _Ints
     body_conaffinity: _Ints
     geom_bodyid: _Ints
+    geom_dataid: _Ints
     geom_priority: _Ints
     geom_friction: _Floats
     geom_contype: _Ints
@@ -45,7 +47,7 @@ class MjModel:
     dof_damping: _Floats
     dof_invweight0: _Floats
     @staticmethod
-    def from_xml_string(xml: str) -> MjModel: ...
+    def from_xml_string(xml: str, assets: Mapping[str, bytes] = ...) -> MjModel: ...
     def __copy__(self) -> MjModel: ...
 
 class _Contacts:

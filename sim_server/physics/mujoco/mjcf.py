@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -52,18 +53,41 @@ WHEEL_STIFFNESS_PER_KG = 98100.0
 
 Softer wheels beside rigid casters carry nothing, and have no grip.
 """
+SCENERY_GEOMETRIES = 64
+"""Geometries from which a static archetype is a model of its own, which is attached to the world.
+
+MuJoCo's reader needs time with the square of the geometries of a model.
+"""
+COMPILER = '<compiler angle="radian" balanceinertia="true" boundmass="0"/>'
 CYLINDRICAL_KINDS = ("cylinder", "capsule")
+
+
+class MjcfText(NamedTuple):
+    """A model, and the models that it refers to, by the names of their files."""
+
+    text: str
+    files: dict[str, bytes]
 
 
 def write_mjcf(
     slots: Iterable[tuple[Archetype, int]], config: EngineConfig, pieces: LoadPieces
-) -> str:
+) -> MjcfText:
     """Write a world with its ground and a number of slots of each archetype."""
     slots = list(slots)
-    assets, names = _write_meshes([archetype for archetype, _ in slots], pieces)
+    is_large = [is_large_scenery(archetype, pieces) for archetype, _ in slots]
+    small = [slot[0] for slot, one in zip(slots, is_large, strict=True) if not one]
+    assets, names = _write_meshes(small, pieces)
     world, exclusions, equalities = [_write_ground(config)], [""], [""]
+    files: dict[str, bytes] = {}
     number = 0
-    for archetype, count in slots:
+    for (archetype, count), is_file in zip(slots, is_large, strict=True):
+        if is_file:
+            name = f"s{number}.xml"
+            files[name] = _write_scenery(archetype, count, config, pieces).encode()
+            assets.append(f'<model name="{name}" file="{name}"/>')
+            world.append(f'<attach model="{name}" prefix="s{number}-"/>')
+            number += count
+            continue
         texts = (
             _write_body(archetype, 0, names, config.step_ns * 1e-9),
             "".join(_write_exclusions(archetype)),
@@ -73,8 +97,8 @@ def write_mjcf(
             for section, text in zip((world, exclusions, equalities), texts, strict=True):
                 section.append(text.replace(SLOT_PLACEHOLDER, str(number)))
             number += 1
-    return (
-        '<mujoco><compiler angle="radian" balanceinertia="true" boundmass="0"/>'
+    text = (
+        f"<mujoco>{COMPILER}"
         f'<option timestep="{config.step_ns * 1e-9!r}" gravity="{_join_numbers(config.gravity)}" '
         f'integrator="implicitfast" cone="elliptic" jacobian="sparse" impratio="{IMPRATIO}">'
         # Warm starts are accepted for all islands or for none, so robots would affect each other.
@@ -83,9 +107,39 @@ def write_mjcf(
         f"<contact>{''.join(exclusions)}</contact>"
         f"<equality>{''.join(equalities)}</equality></mujoco>"
     )
+    return MjcfText(text, files)
 
 
-MeshPieceNames = dict[tuple[Shape, bool], list[str]]
+def is_large_scenery(archetype: Archetype, pieces: LoadPieces) -> bool:
+    """Whether an archetype has many geometries, and nothing that moves."""
+    if not archetype.is_static or any(
+        part.joint_kind != "fixed" for part in archetype.link_parts[1:]
+    ):
+        return False
+    shapes = (shape for part in archetype.parts for shape in part.shapes)
+    count = sum(len(pieces(shape, archetype.is_static)) if shape.mesh else 1 for shape in shapes)
+    return count >= SCENERY_GEOMETRIES
+
+
+def _write_scenery(
+    archetype: Archetype, count: int, config: EngineConfig, pieces: LoadPieces
+) -> str:
+    """Write a model of the slots of one archetype; its bodies need no names."""
+    assets, names = _write_meshes([archetype], pieces)
+    body = _write_body(archetype, 0, names, config.step_ns * 1e-9)
+    return (
+        f"<mujoco>{COMPILER}<asset>{''.join(assets)}</asset><worldbody>"
+        f'<replicate count="{count}" sep="-">{body}</replicate></worldbody></mujoco>'
+    )
+
+
+MeshKey = tuple[str, Vec3, bool]
+"""Name and scale of a mesh, and whether its body is static."""
+MeshPieceNames = dict[MeshKey, list[str]]
+
+
+def _make_mesh_key(shape: Shape, archetype: Archetype) -> MeshKey:
+    return shape.mesh, shape.size, archetype.is_static
 
 
 def _write_meshes(
@@ -96,7 +150,7 @@ def _write_meshes(
     names: MeshPieceNames = {}
     for archetype in archetypes:
         for shape in (shape for part in archetype.parts for shape in part.shapes if shape.mesh):
-            key = shape, archetype.is_static
+            key = _make_mesh_key(shape, archetype)
             if key in names:
                 continue
             names[key] = []
@@ -104,7 +158,7 @@ def _write_meshes(
                 names[key].append(name := f"m{len(texts)}")
                 texts.append(
                     f'<mesh name="{name}" inertia="convex" '
-                    f'vertex="{_join_numbers(points.ravel())}"/>'
+                    f'vertex="{_join_numbers(points.ravel().tolist())}"/>'
                 )
     return texts, names
 
@@ -220,7 +274,7 @@ def _write_geometries(
         contact = _contact_attributes(friction, make_rigid_parameters(dt_s))
         rest = f"{_pose_attributes(shape.origin)} {contact}/>"
         if shape.mesh:
-            for name in names[shape, archetype.is_static]:
+            for name in names[_make_mesh_key(shape, archetype)]:
                 yield f'<geom type="mesh" mesh="{name}" {rest}'
         else:
             yield f'<geom type="{shape.kind}" size="{_join_numbers(_geom_size(shape))}" {rest}'

@@ -7,7 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from itertools import count
 from typing import Generic, Protocol, TypeVar
 
@@ -1049,7 +1049,7 @@ def _compile_model(counts: SlotCounts, config: EngineConfig) -> CompiledModel:
     dt_s = config.step_ns * 1e-9
     load_pieces = partial(load_convex_pieces, config.mesh_folder)
     layout = make_model_layout(counts, config, load_pieces)
-    model = mujoco.MjModel.from_xml_string(write_mjcf(counts, config, load_pieces))
+    model = mujoco.MjModel.from_xml_string(*write_mjcf(counts, config, load_pieces))
     if invalid := list(layout.invalid_inertias()):
         for body, moments in invalid:
             model.body_inertia[body] = moments
@@ -1061,19 +1061,30 @@ def _compile_model(counts: SlotCounts, config: EngineConfig) -> CompiledModel:
         stiffness = float(model.jnt_stiffness[model.dof_jntid[index]])
         least = find_least_spring_damping(stiffness, float(model.dof_invweight0[index]), dt_s)
         model.dof_damping[index] = max(float(model.dof_damping[index]), least)
-    for geometry, part, mass_kg in layout.geometries():
-        # Of a static body, against which others move, it is 0.
-        inverse_mass = float(model.body_invweight0[model.geom_bodyid[geometry], 0]) or 1.0 / mass_kg
-        solver = make_contact_parameters(part.contact, dt_s, inverse_mass, mass_kg)
-        model.geom_solref[geometry] = solver.stiffness, solver.damping
-        model.geom_solimp[geometry, :2] = solver.impedance
     bodies = model.geom_bodyid.tolist()
+    _set_contact_parameters(model, layout, dt_s)
     axes = make_friction_axes(
         ((geometry, bodies[geometry], part) for geometry, part, _ in layout.geometries()),
         model.geom_friction[:, 0],
         model.geom_priority,
     )
     return CompiledModel(model, layout, axes)
+
+
+def _set_contact_parameters(model: mujoco.MjModel, layout: ModelLayout, dt_s: float) -> None:
+    """Set the parameters of contacts by the masses that take part in them."""
+    make_parameters = lru_cache(make_contact_parameters)
+    inverse_masses = model.body_invweight0[model.geom_bodyid, 0].tolist()
+    geometries, rows = [], []
+    for geometry, part, mass_kg in layout.geometries():
+        # Of a static body, against which others move, it is 0.
+        inverse_mass = inverse_masses[geometry] or 1.0 / mass_kg
+        solver = make_parameters(part.contact, dt_s, inverse_mass, mass_kg)
+        geometries.append(geometry)
+        rows.append((solver.stiffness, solver.damping, solver.impedance))
+    parameters = np.array(rows).reshape(-1, 3)
+    model.geom_solref[geometries] = parameters[:, :2]
+    model.geom_solimp[geometries, :2] = parameters[:, 2:]
 
 
 _COMPILE_CACHE = CompileCache(_compile_model)

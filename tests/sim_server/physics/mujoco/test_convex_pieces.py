@@ -1,9 +1,14 @@
 """Convex pieces of meshes."""
 
+import math
+from collections.abc import Callable, Sequence
+
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 from zensim.sim_server.physics.mujoco.convex_pieces import (
+    PLATE_TOLERANCE_M,
     SHEET_THICKNESS_M,
     HullPoints,
     split_into_convex_pieces,
@@ -43,12 +48,76 @@ def test_convex_component_of_a_static_mesh_stays_whole() -> None:
     assert found[1][:, 0].min() == 3.0
 
 
-def test_concave_mesh_is_a_thin_piece_per_triangle() -> None:
+def test_concave_mesh_is_a_thin_plate_per_wall() -> None:
     found = split_into_convex_pieces(a_room(), is_static=True)
 
-    assert [len(piece) for piece in found] == [6] * 12
+    assert [len(piece) for piece in found] == [8] * 6
     for piece in found:
         assert not (np.abs(piece - [2.0, 2.0, 1.0]) < 0.9).all(axis=1).any()
+
+
+def a_grid(height_of: Callable[[float, float], float], cells: int) -> HullPoints:
+    """Triangles (6 cells^2, 3) of a surface above a square of 1 m by 1 m."""
+    places = np.linspace(0.0, 1.0, cells + 1)
+    corners = [
+        (places[x + dx], places[y + dy])
+        for x in range(cells)
+        for y in range(cells)
+        for dx, dy in ((0, 0), (1, 0), (1, 1), (0, 0), (1, 1), (0, 1))
+    ]
+    return np.array([(x, y, height_of(x, y)) for x, y in corners])
+
+
+def find_top(pieces: Sequence[HullPoints], x: float, y: float) -> float:
+    """Find the height of the hulls of pieces at a place."""
+    tops = [-math.inf]
+    for piece in pieces:
+        # The top is the greatest height of a convex combination of corners above the place.
+        weights = linprog(
+            -piece[:, 2],
+            A_eq=np.vstack([piece[:, :2].T, np.ones(len(piece))]),
+            b_eq=[x, y, 1.0],
+        )
+        tops += [-weights.fun] if weights.success else []
+    return max(tops)
+
+
+def test_fine_flat_surface_is_a_few_plates_that_keep_to_its_outline() -> None:
+    flat = a_grid(lambda _x, _y: 0.0, 8)
+    is_corner = (flat.reshape(-1, 3, 3)[:, :, :2] > 0.49).all(axis=(1, 2))
+    angle = flat.reshape(-1, 3, 3)[~is_corner].reshape(-1, 3)
+
+    found = split_into_convex_pieces(angle, is_static=True)
+
+    assert len(found) <= 3
+    assert find_top(found, 0.9, 0.25) == pytest.approx(0.0, abs=1e-9)
+    assert find_top(found, 0.25, 0.9) == pytest.approx(0.0, abs=1e-9)
+    assert find_top(found, 0.6, 0.6) == -math.inf
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["bowl", "dome"])
+def test_plates_of_a_curved_surface_keep_to_it(sign: float) -> None:
+    def height_of(x: float, y: float) -> float:
+        return sign * 0.3 * ((x - 0.5) ** 2 + (y - 0.5) ** 2)
+
+    surface = a_grid(height_of, 24)
+    # A fin makes the dome concave as a whole.
+    fin = np.array([[0.0, 0.0, height_of(0, 0)], [1.0, 0.0, height_of(1, 0)], [0.5, 0.0, 0.9]])
+    found = split_into_convex_pieces(np.concatenate([surface, fin]), is_static=True)
+
+    assert len(found) < 2 * 24 * 24 / 8
+    for x, y in np.random.default_rng(3).uniform(0.05, 0.95, (12, 2)).tolist():
+        assert find_top(found, x, y) == pytest.approx(height_of(x, y), abs=PLATE_TOLERANCE_M + 5e-4)
+
+
+def test_every_triangle_of_a_double_sided_sheet_has_a_plate_behind_it() -> None:
+    flat = a_grid(lambda _x, _y: 0.0, 4)
+    both = np.concatenate([flat, flat.reshape(-1, 3, 3)[:, ::-1].reshape(-1, 3)])
+
+    found = split_into_convex_pieces(both, is_static=True)
+
+    assert len(found) == 2
+    assert find_top(found, 0.5, 0.5) == pytest.approx(SHEET_THICKNESS_M)
 
 
 def test_triangle_is_thick_behind_its_front() -> None:
