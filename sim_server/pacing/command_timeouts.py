@@ -10,7 +10,7 @@ to brake they rest within the 0.5 s after which agents let a `cmd_vel` expire.
 As much wall time must have passed: faster than real time, agents need more simulation time."""
 
 
-class LastCommand(NamedTuple):
+class CommandReceipt(NamedTuple):
     """When an agent last sent a command, and for which claims."""
 
     time_ns: int
@@ -22,13 +22,13 @@ class CommandTimeouts:
     """The last command of each agent, oldest first, so that a check looks at one agent only."""
 
     def __init__(self) -> None:
-        self._last: OrderedDict[str, LastCommand] = OrderedDict()
+        self._last: OrderedDict[str, CommandReceipt] = OrderedDict()
 
     def __contains__(self, agent: str) -> bool:
         """Whether the agent is watched."""
         return agent in self._last
 
-    def note(self, agent: str, last: LastCommand) -> None:
+    def note(self, agent: str, last: CommandReceipt) -> None:
         """Note a command, or the first state that an agent is to reply to."""
         self._last[agent] = last
         self._last.move_to_end(agent)
@@ -57,4 +57,4 @@ class CommandTimeouts:
     def _restart(self, time_ns: int, wall_ns: int) -> None:
         """Count from now on: a reset has set time back."""
         for agent, last in self._last.items():
-            self._last[agent] = LastCommand(time_ns, wall_ns, last.claims)
+            self._last[agent] = CommandReceipt(time_ns, wall_ns, last.claims)

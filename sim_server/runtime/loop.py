@@ -20,7 +20,7 @@ from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.network_protocols import Sample
 from zensim.proto.topic_catalog import CONTACTS, EVENTS, STATS, STEPS_PROGRESS
 from zensim.sim_server.journal_protocol import ChangeJournal
-from zensim.sim_server.pacing.command_timeouts import CommandTimeouts, LastCommand
+from zensim.sim_server.pacing.command_timeouts import CommandReceipt, CommandTimeouts
 from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
 from zensim.sim_server.runtime.loop_channels import Inbox, WorldPublisher
 from zensim.sim_server.runtime.request_dispatcher import RequestDispatcher
@@ -212,7 +212,7 @@ class AgentSessions:
             self._pacing.step_goals.note_late((agent,))
 
     def _note_command(self, agent: str, claims: bytes, now_ns: int) -> None:
-        last = LastCommand(self._world.clock.time_ns, now_ns, claims)
+        last = CommandReceipt(self._world.clock.time_ns, now_ns, claims)
         self._command_timeouts.note(agent, last)
 
     def _publish_again(self, late: tuple[str, ...]) -> None:

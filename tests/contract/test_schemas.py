@@ -8,7 +8,7 @@ import msgspec
 
 from zensim.proto import messages, schema
 
-MAX_BYTES = 512 * 1024
+MAX_BYTES = 640 * 1024
 
 
 def modules_with_structs() -> set[str]:

@@ -174,7 +174,7 @@ ZENSIM = {
     "CastRays_Response": "simulation_interfaces/Result result; float64[] ranges; string[] entities",
     "GetMap_Request": "float64 resolution_m; float64 low_m; float64 high_m",
     "GetMap_Response": "simulation_interfaces/Result result; nav_msgs/OccupancyGrid map",
-    "GetModels_Request": "string[] entities",
+    "GetModels_Request": "string[] entities\nbool wants_descriptions",
     "MissingAssets_Request": "string[] sha256s",
     "MissingAssets_Response": "simulation_interfaces/Result result; string[] missing;"
     " uint64[] received",

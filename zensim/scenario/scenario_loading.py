@@ -2,17 +2,23 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from zensim.api.in_process_world import World
 from zensim.api.simulation import Simulation
 from zensim.scenario.scenario_reader import Scenario, find_scenario_file, read_scenario
 from zensim.scenario.scenario_runner import ScenarioRun
 
+if TYPE_CHECKING:
+    from zensim.api.in_process_world import World
+
 ENGINE_IN_PROCESS = "mujoco"
 
 
-def open_world(scenario: Scenario) -> World:
+def open_world(scenario: Scenario) -> "World":
     """Load the world of a scenario in this process, without its robots."""
+    # Imported here: it needs the server extra, and reading a scenario does not.
+    from zensim.api.in_process_world import World  # noqa: PLC0415
+
     engine, word = scenario.format.engine, scenario.format.world.load
     file = scenario.find_file("world.load", word)
     return World(

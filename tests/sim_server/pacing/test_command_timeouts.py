@@ -2,8 +2,8 @@
 
 from zensim.sim_server.pacing.command_timeouts import (
     COMMAND_TIMEOUT_NS,
+    CommandReceipt,
     CommandTimeouts,
-    LastCommand,
 )
 
 
@@ -11,7 +11,7 @@ def watching(**last: tuple[int, int]) -> CommandTimeouts:
     """Watch agents, each with simulation time and wall time of its last command."""
     timeouts = CommandTimeouts()
     for agent, (time_ns, wall_ns) in last.items():
-        timeouts.note(agent, LastCommand(time_ns, wall_ns, agent.encode()))
+        timeouts.note(agent, CommandReceipt(time_ns, wall_ns, agent.encode()))
     return timeouts
 
 
@@ -29,7 +29,7 @@ def test_agent_is_silent_when_both_times_have_passed() -> None:
 
 def test_agent_that_commands_again_is_checked_after_the_others() -> None:
     timeouts = watching(a=(0, 0), b=(1, 1))
-    timeouts.note("a", LastCommand(2, 2, b"a"))
+    timeouts.note("a", CommandReceipt(2, 2, b"a"))
 
     assert timeouts.find_silent(COMMAND_TIMEOUT_NS + 1, COMMAND_TIMEOUT_NS + 1) == ("b", b"b")
 
