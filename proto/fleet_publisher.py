@@ -14,6 +14,7 @@ from zensim.proto.ros2.liveliness_tokens import GraphEndpoint
 from zensim.proto.ros2.rmw_attachment import ATTACHMENT_STRUCT, GID_BYTES
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic, gid_from_endpoint
 from zensim.proto.topic_endpoints import CACHE_SUFFIX, KeyPublisher
+from zensim.proto.topic_faults import TopicFaults
 
 ATTACHMENT_DTYPE: Final = np.dtype(
     [
@@ -293,6 +294,7 @@ class FleetTopicPublisher:
         pattern: str,
         message_type: type[msgspec.Struct],
         ros: RosFleetPublisher | None = None,
+        faults: TopicFaults | None = None,
     ) -> None:
         """Declare the topic.
 
@@ -301,8 +303,11 @@ class FleetTopicPublisher:
             pattern: Of the members' keys; see `zensim.proto.keys.make_pattern`.
             message_type: Of the payloads, which are CDR.
             ros: The same on ROS 2 keys.
+            faults: Of the topics of this process.
         """
         self._ros = ros
+        self._faults = faults or TopicFaults()
+        self._message_type = message_type
         self._network = network
         self._encoding = make_encoding(message_type, Format.CDR)
         self._members: dict[str, list[TopicMember]] = {}
@@ -374,12 +379,24 @@ class FleetTopicPublisher:
     def put(self, members: Sequence[TopicMember], payloads: Sequence[bytes]) -> None:
         """Publish to members with subscribers; those without a publisher yet are skipped."""
         self._has_put = True
+        if self._faults:
+            members, payloads = self._change(members, payloads)
         matched = self._matched.matched if self._probe.is_matched else {}
         for member, payload in zip(members, payloads, strict=True) if matched else ():
             if (publisher := matched.get(member)) is not None:
                 publisher.send(payload)
         if self._ros is not None:
             self._ros.put(members, payloads)
+
+    def _change(
+        self, members: Sequence[TopicMember], payloads: Sequence[bytes]
+    ) -> tuple[list[TopicMember], list[bytes]]:
+        changed = [
+            (member, one)
+            for member, payload in zip(members, payloads, strict=True)
+            for one in self._faults.change(member.key, self._message_type, payload)
+        ]
+        return [member for member, _ in changed], [payload for _, payload in changed]
 
     def announce(self) -> None:
         """Start to publish last values to new subscribers; see `announce_some`."""

@@ -9,6 +9,7 @@ from zensim.proto.messages import (
     agent_messages,
     asset_messages,
     entity_messages,
+    fault_messages,
     gazebo_messages,
     simulation_messages,
     spawn_messages,
@@ -266,6 +267,12 @@ CLEAR_JOINT_EFFORTS = Service(
     "clear_joint_efforts",
     gazebo_messages.ClearJointEffortsRequest,
     gazebo_messages.ClearJointEffortsReport,
+    is_mutating=True,
+)
+INJECT_FAULT = Service(
+    "inject_fault",
+    fault_messages.InjectFaultRequest,
+    fault_messages.InjectFaultResponse,
     is_mutating=True,
 )
 GET_JOINT_PROPERTIES = Service(

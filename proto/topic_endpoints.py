@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final, TypeAlias
 
 import msgspec
@@ -21,6 +22,7 @@ from zensim.proto.ros2.rmw_attachment import Attachment, write_attachment
 from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key, parse_data_key
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic, gid_from_endpoint
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
+from zensim.proto.topic_faults import TopicFaults
 
 CACHE_DEPTH: Final = 64
 CACHE_SUFFIX: Final = "@adv/pub"
@@ -195,6 +197,8 @@ class TopicFactory:
         self, network: TopicNetwork, node: RosNode | None = None, settings: RosSettings = NO_ROS
     ) -> None:
         self.settings = settings
+        self.faults = TopicFaults()
+        """Of the topics of this process."""
         self._network = network
         self._node = node
 
@@ -261,6 +265,7 @@ class LazyTopicPublisher:
         self._key = topic.key
         self._encoding = topic.encoding
         self._value = value
+        self._faults, self._message_type = topics.faults, topic.kind
         self._publisher = topics.publisher(topic)
         self._queries = topics.serve(topic.key, QUERY_DEPTH, is_complete=not is_shared)
 
@@ -271,7 +276,11 @@ class LazyTopicPublisher:
 
     def publish(self) -> None:
         """Publish the value if there is a subscriber."""
-        self._publisher.publish(self._payload)
+        if not self._faults.affects(self._key):
+            self._publisher.publish(self._payload)
+        elif self.is_matched and (payload := self._payload()) is not None:
+            for one in self._faults.change(self._key, self._message_type, payload):
+                self._publisher.publish(partial(bytes, one))
 
     def announce(self) -> None:
         """Publish the value to subscribers that are new since the last call."""

@@ -15,6 +15,7 @@ from zensim.proto.network_protocols import AgentNetwork, Sample, Subscription
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.topic_catalog import CMD_VEL
 from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory, make_topic_factory
+from zensim.proto.topic_faults import TopicFaults
 from zensim.robot_agent.base_controller import BaseController
 from zensim.robot_agent.bumpers import BumperTelemetry, ContactReport
 from zensim.robot_agent.drive_state_decoder import (
@@ -267,6 +268,7 @@ class IndividualRobots:
         self._network = network
         self._graph = graph
         self._timeout_ns = timeout_ns
+        self._faults = TopicFaults()
         self._robots: dict[int, DrivenRobot] = {}
         self._claims: bytes | None = None
         self.newest_claim = 0
@@ -285,6 +287,7 @@ class IndividualRobots:
         """Add the robots of new claims."""
         for claim in claims:
             factory = make_topic_factory(self._network, self._graph, claim.namespace, NODE_NAME)
+            factory.faults = self._faults
             robot = DrivenRobot(factory, claim, self._timeout_ns)
             robot.announce()
             self.hold(claim.claim, robot)
@@ -330,6 +333,7 @@ class IndividualRobots:
         Raises:
             MalformedPayload: The state does not fit the robots.
         """
+        self._faults.update(state.topic_faults, state.time_ns)
         if state.claims != self._claims:
             self._robots_in_order = tuple(
                 self._robots[claim] for claim in unpack_claims(state.claims)

@@ -7,6 +7,7 @@ import msgspec
 
 from zensim.proto.codec.cdr import MalformedPayload
 from zensim.proto.messages.drive_messages import Actuator
+from zensim.proto.messages.fault_messages import TopicFault
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import Result
 from zensim.proto.messages.scalar_types import UInt32, UInt64
@@ -197,6 +198,8 @@ class DriveState(msgspec.Struct, frozen=True):
     another number replaces the one before: find the targets again, and publish nothing twice."""
     joint_efforts: bytes = b""
     """`<f8` [N m or N], as `joint_velocities`; NaN of kinematic robots. Empty unless wanted."""
+    topic_faults: tuple[TopicFault, ...] = ()
+    """Faults of topics that act at this step; those of other agents' robots are among them."""
 
 
 class TwistCommands(msgspec.Struct, frozen=True):

@@ -221,6 +221,8 @@ class Joint(msgspec.Struct, frozen=True):
     """[N m/rad or N/m]; the spring pulls to `spring_reference`."""
     spring_reference: float = 0.0
     """[rad or m]."""
+    motor_factor: float = 1.0
+    """Share of the torque of its motor that is left; smaller during a fault."""
 
 
 CommandKind = Literal["velocity", "position", "effort"]

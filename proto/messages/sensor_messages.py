@@ -4,6 +4,7 @@ from typing import ClassVar, Literal, TypeAlias
 
 import msgspec
 
+from zensim.proto.messages.fault_messages import TopicFault
 from zensim.proto.messages.scalar_types import UInt8, UInt32, UInt64
 
 NoiseKind = Literal["none", "gaussian", "gaussian_quantized"]
@@ -209,6 +210,8 @@ class SceneState(msgspec.Struct, frozen=True):
     """The active sensor processes, in order: the k-th of n publishes every n-th sensor."""
     is_awaited: bool = False
     """Whether the server waits for a `SensorsReply` of each process."""
+    topic_faults: tuple[TopicFault, ...] = ()
+    """Faults of topics that act at this step."""
 
 
 class SensorsReply(msgspec.Struct, frozen=True):

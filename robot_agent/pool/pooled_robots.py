@@ -25,6 +25,7 @@ from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic
 from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.proto.topic_catalog import CMD_VEL, TopicSpec
 from zensim.proto.topic_endpoints import TopicSubscription, make_topic_factory
+from zensim.proto.topic_faults import TopicFaults
 from zensim.robot_agent.bumpers import ContactReport
 from zensim.robot_agent.drive_state_decoder import RobotState, is_repeated, unpack_claims
 from zensim.robot_agent.pool.group_bases import GroupBaseController
@@ -468,6 +469,7 @@ class PooledRobots:
         self._members: dict[int, GroupMember] = {}
         self._robots: dict[int, DrivenRobot] = {}
         self._publishers: dict[tuple[str, TopicSpec], FleetTopicPublisher] = {}
+        self._faults = TopicFaults()
         self._static_topics = StaticTopics(self._find_publisher, self._ros)
         self._bumpers = PooledBumpers(self._find_publisher)
         self._commands = FleetCmdVel(
@@ -494,6 +496,7 @@ class PooledRobots:
                 self._members[claim.claim] = member
             else:
                 factory = make_topic_factory(self._network, self._graph, claim.namespace, NODE_NAME)
+                factory.faults = self._faults
                 robot = DrivenRobot(factory, claim, self._timeout_ns)
                 robot.announce()
                 self._robots[claim.claim] = robot
@@ -545,6 +548,7 @@ class PooledRobots:
         """
         if state.claims != self._claims:
             self._remap(state.claims)
+        self._faults.update(state.topic_faults, state.time_ns)
         ordered = self._layout.read_twists(state)
         read = self._layout.read(state, self._commands.at(state.time_ns, ordered))
         self._state = state
@@ -694,7 +698,9 @@ class PooledRobots:
         if key not in self._publishers:
             endpoint = topic.at(pattern)
             ros = self._make_ros_publisher(endpoint)
-            self._publishers[key] = FleetTopicPublisher(self._network, pattern, endpoint.kind, ros)
+            self._publishers[key] = FleetTopicPublisher(
+                self._network, pattern, endpoint.kind, ros, self._faults
+            )
         return self._publishers[key]
 
     def _make_ros_publisher(self, topic: RosTopic) -> RosFleetPublisher | None:

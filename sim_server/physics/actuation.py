@@ -60,16 +60,22 @@ def make_actuation(model: Model) -> Actuation:
     twists = [column for column, actuator in columns if actuator.mode == "twist"]
     return Actuation(
         width,
-        _make_motor_group([one for one in columns if one[1].mode == "velocity"], index),
-        _make_motor_group([one for one in columns if one[1].mode == "position"], index),
+        _make_motor_group([one for one in columns if one[1].mode == "velocity"], index, model),
+        _make_motor_group([one for one in columns if one[1].mode == "position"], index, model),
         twists[0] if twists else None,
     )
 
 
-def _make_motor_group(motors: Sequence[tuple[int, Actuator]], index: dict[str, int]) -> MotorGroup:
+def _make_motor_group(
+    motors: Sequence[tuple[int, Actuator]], index: dict[str, int], model: Model
+) -> MotorGroup:
+    joints = [index[actuator.joint] for _, actuator in motors]
     return MotorGroup(
-        [index[actuator.joint] for _, actuator in motors],
-        [actuator.effort for _, actuator in motors],
+        joints,
+        [
+            actuator.effort * model.joints[joint].motor_factor
+            for (_, actuator), joint in zip(motors, joints, strict=True)
+        ],
         [column for column, _ in motors],
     )
 

@@ -103,6 +103,7 @@ class SensorSessions:
             joint_positions=states.joint_positions.tobytes(),
             processes=tuple(sorted(self._processes.active)),
             is_awaited=self._pacing.is_awaited,
+            topic_faults=world.injected_faults.topic_faults,
         )
 
     def _is_any_due(self) -> bool:

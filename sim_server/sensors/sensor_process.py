@@ -531,6 +531,7 @@ class SensorProcess:
         roster = self._share.roster
         if roster is None:
             return
+        self._share.topics.faults.update(state.topic_faults, state.time_ns)
         for group in self._share.find_groups():
             rate_hz = group.sensors[0].sensor.update_rate_hz
             if is_due(state.step, rate_hz, roster.environment):

@@ -10,6 +10,7 @@ from zensim.proto.network_protocols import AgentNetwork
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode
 from zensim.proto.topic_catalog import IMAGE_TRIGGER, TopicSpec
 from zensim.proto.topic_endpoints import TopicFactory, TopicSubscription
+from zensim.proto.topic_faults import TopicFaults
 
 NODE_NAME = "sensors"
 """Of the ROS 2 node of each robot."""
@@ -67,6 +68,7 @@ class SensorTopics:
         self._members: dict[SensorAddress, tuple[TopicMember, FleetTopicPublisher]] = {}
         self._nodes: dict[str, RosNode] = {}
         self._payloads = LastPayloads()
+        self.faults = TopicFaults()
         self._subscriptions: dict[SensorAddress, TopicSubscription] = {}
 
     @property
@@ -131,7 +133,7 @@ class SensorTopics:
         endpoint = topic.at(pattern)
         has_ros = self._graph.domain is not None
         ros = RosFleetPublisher(self._network, self._graph, endpoint) if has_ros else None
-        return FleetTopicPublisher(self._network, pattern, endpoint.kind, ros)
+        return FleetTopicPublisher(self._network, pattern, endpoint.kind, ros, self.faults)
 
     def _set_subscriptions(self, wanted: Sequence[SensorAddress]) -> None:
         for address in [one for one in self._subscriptions if one not in wanted]:

@@ -30,6 +30,7 @@ from zensim.sim_server.services import (
     spawn_services,
     world_services,
 )
+from zensim.sim_server.services.fault_services import inject_fault
 from zensim.sim_server.services.spawn_services import get_spawnables, spawn_entity_when_parsed
 
 if TYPE_CHECKING:
@@ -184,6 +185,7 @@ SERVICE_TABLE = (
     make_entry(service_catalog.CLEAR_LINK_WRENCHES, gazebo_services.clear_link_wrenches),
     make_entry(service_catalog.APPLY_JOINT_EFFORT, gazebo_services.apply_joint_effort),
     make_entry(service_catalog.CLEAR_JOINT_EFFORTS, gazebo_services.clear_joint_efforts),
+    make_entry(service_catalog.INJECT_FAULT, inject_fault),
     make_entry(service_catalog.GET_JOINT_PROPERTIES, gazebo_services.get_joint_properties),
     make_entry(service_catalog.SET_JOINT_PROPERTIES, gazebo_services.set_joint_properties),
     make_entry(service_catalog.GET_LINK_PROPERTIES, gazebo_services.get_link_properties),

@@ -35,6 +35,7 @@ from zensim.sim_server.world.claim_registry import ClaimedEntities, ClaimRegistr
 from zensim.sim_server.world.commanded_twists import CommandedTwists
 from zensim.sim_server.world.entity import Entity, EntityIndex, default_info
 from zensim.sim_server.world.entity_store import EntityStore
+from zensim.sim_server.world.injected_faults import BodyFault, InjectedFaults
 from zensim.sim_server.world.simulation_clock import SimulationClock
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
 
@@ -234,6 +235,7 @@ class SimulatedWorld:
         self.entities = EntityStore()
         self.claims = ClaimRegistry()
         self.applied_forces = AppliedForces()
+        self.injected_faults = InjectedFaults()
         self.divergence_guard = DivergenceGuard()
         self.commanded_twists = CommandedTwists()
         self.placement_count = 0
@@ -381,6 +383,7 @@ class SimulatedWorld:
         self.claims.drop(name)
         self.divergence_guard.forget(name)
         self.applied_forces.forget(name)
+        self.injected_faults.forget(name)
         self.commanded_twists.forget(name)
         self.engine.remove(entity.body)
         self.entities.remove(name)
@@ -458,6 +461,30 @@ class SimulatedWorld:
         self.engine.remove(self._add_body(model, rest.base))
         self._restore_at_rest(replace(entity, model=model), rest)
 
+    def add_body_fault(self, fault: BodyFault) -> None:
+        """Let a part of an entity fail; its motion goes on.
+
+        Raises:
+            EntityNotFound: There is no such entity.
+            IncorrectState: It is frozen.
+            RequestRefused: There are too many faults.
+            EngineRefused: The engine cannot simulate it.
+        """
+        model = self.entities.find(fault.entity).model
+        self.injected_faults.add_body_fault(fault, model, self._replace_moving)
+
+    def _replace_moving(self, name: str, model: Model) -> None:
+        """Replace the model of an entity that keeps the velocities of its joints."""
+        if self.divergence_guard.is_frozen(name):
+            return
+        joints = self.entities.index.joints_of(name)
+        positions = self.states().joint_positions[joints].copy()
+        velocities = self.states().joint_velocities[joints].copy()
+        base = self.state_of(name).copy()
+        self.replace_model(name, model)
+        self.engine.set_state(self.entities.find(name).body, base, positions, velocities)
+        self._states = None
+
     def claim(self, agent: str, names: tuple[str, ...], on_release: OnRelease) -> tuple[Claim, ...]:
         """Make an agent the only driver of some entities, all or none.
 
@@ -533,7 +560,9 @@ class SimulatedWorld:
                 self.ready_s[name] = (now_ns - self.entities.find(name).born_ns) * 1e-9
 
     def step(self) -> None:
-        """Advance by one step: commands, then physics."""
+        """Advance by one step: faults that are over, commands, then physics."""
+        if len(self.injected_faults) and self.is_control_step:
+            self.injected_faults.end_due(self.clock.time_ns, self._replace_moving)
         for agent, targets in self.claims.take_targets():
             if (claimed := self.claimed_by_agent().get(agent)) is not None:
                 self.engine.command(claimed.bodies, targets)
@@ -548,6 +577,7 @@ class SimulatedWorld:
     def reset(self, scope: int) -> None:
         """Reset time, states and spawned entities, as the bits of `ResetScope` select."""
         bits = scope or ResetScope.ALL
+        self.injected_faults.end_all(self._replace_moving)
         if bits & ResetScope.SPAWNED:
             self.rollback_staged(self.entities.staged)
             for name in [entity.name for entity in self.entities if not entity.belongs_to_world]:
@@ -636,6 +666,8 @@ class SimulatedWorld:
                     twists = self.commanded_twists.select(self.entities.index, claimed.rows)
                     efforts = self._read_wanted_efforts(agent, claimed)
                     state = claimed.to_drive_state(now, states, efforts)
+                    if faults := self.injected_faults.topic_faults:
+                        state = msgspec.structs.replace(state, topic_faults=faults)
                     if twists:
                         order = self.commanded_twists.changes
                         state = msgspec.structs.replace(state, twists=twists, order=order)
@@ -674,6 +706,7 @@ class SimulatedWorld:
         self.engine.close()
         self.claims.forget_targets()
         self.applied_forces.forget_all()
+        self.injected_faults.forget_all()
         self.commanded_twists.clear()
         self.ready_s.clear()
         self.engine, self.control_steps = other.engine, other.control_steps

@@ -6,12 +6,7 @@ from os import environ
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import ServiceError
-from zensim.scenario.scenario_format import (
-    AgentHang,
-    AgentKill,
-    Fault,
-    RobotsSection,
-)
+from zensim.scenario.scenario_format import AGENT_FAULTS, Fault, RobotsSection
 from zensim.scenario.scenario_nodes import Issue
 from zensim.scenario.scenario_reader import Scenario
 from zensim.sim_server.description.builtin_models import (
@@ -101,7 +96,7 @@ def _check_parts(
     scenario: Scenario, index: int, fault: Fault, models: dict[int, Model]
 ) -> Iterator[Issue]:
     """Check that each robot of a fault has the part that it names."""
-    if isinstance(fault, AgentKill | AgentHang):
+    if isinstance(fault, AGENT_FAULTS):
         return
     names = set(scenario.select(fault.robots))
     groups = {one.group for one in scenario.robots if one.name in names}

@@ -12,8 +12,10 @@ from zensim.scenario.check_monitors import ScenarioEvent
 from zensim.scenario.quantities import make_uniforms
 from zensim.scenario.robot_behaviours import FleetState
 from zensim.scenario.scenario_format import (
+    AGENT_FAULTS,
     AgentHang,
     AgentKill,
+    AgentSlow,
     CommandDelay,
     CommandLoss,
     CommandScale,
@@ -122,7 +124,7 @@ def _make_run(scenario: Scenario, index: int) -> FaultRun:
 
 
 def _list_robots(scenario: Scenario, fault: Fault) -> list[str]:
-    if isinstance(fault, AgentKill | AgentHang):
+    if isinstance(fault, AGENT_FAULTS):
         agents = {one.name: one.drives for one in scenario.format.agents}
         return scenario.select(agents.get(fault.agent, "*"))
     return scenario.select(fault.robots)
@@ -189,6 +191,16 @@ class CommandFaults:
                 found[number] = self._find_earlier(now - one.delay, int(row))
         return np.asarray(found)
 
+    def slow(self, run: FaultRun, now: float, commands: FloatArray) -> FloatArray:
+        """Send the commands of an earlier step, whose age is drawn at each step."""
+        found = commands.copy()
+        key, step = ("faults", run.fault.name), str(self._step)
+        for number, (row, one) in enumerate(zip(run.rows, run.own, strict=True)):
+            if isinstance(one, AgentSlow):
+                age = one.delay + one.jitter * make_uniforms(self._seed, *key, step)[0]
+                found[number] = self._find_earlier(now - age, int(row))
+        return np.asarray(found)
+
     def _find_earlier(self, time: float, row: int) -> FloatArray:
         found: FloatArray = np.zeros(2)
         for at, commands in self._history:
@@ -206,4 +218,5 @@ _CHANGES: Mapping[type, _Change] = {
     CommandDelay: CommandFaults.delay,
     AgentHang: CommandFaults.hold,
     AgentKill: CommandFaults.stop,
+    AgentSlow: CommandFaults.slow,
 }

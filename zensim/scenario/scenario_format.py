@@ -391,10 +391,100 @@ class Kidnap(FaultOfRobots, frozen=True, kw_only=True, tag="kidnap"):
 
 
 class WheelJam(FaultOfRobots, frozen=True, kw_only=True, tag="wheel_jam"):
-    """Damping holds a joint against its motor."""
+    """Something holds a wheel against its motor."""
 
     joint: Annotated[str, described("Joint of the wheel.")]
-    damping: Annotated[float, quantity("N m s", "Torque by speed.", above=0.0)] = 1e4
+
+
+class WheelSlip(FaultOfRobots, frozen=True, kw_only=True, tag="wheel_slip"):
+    """A wheel has less friction."""
+
+    joint: Annotated[str, described("Joint of the wheel.")]
+    factor: Annotated[float, quantity("1", "Of its friction.", at_least=0.0)] = 0.1
+
+
+class MotorWeak(FaultOfRobots, frozen=True, kw_only=True, tag="motor_weak"):
+    """A motor has less torque."""
+
+    joint: Annotated[str, described("Joint of the motor.")]
+    factor: Annotated[float, quantity("1", "Of its largest torque.", at_least=0.0)] = 0.5
+
+
+class JointLock(FaultOfRobots, frozen=True, kw_only=True, tag="joint_lock"):
+    """A joint stays where it is."""
+
+    joint: Annotated[str, described("Joint that moves.")]
+
+
+class LinkBroken(FaultOfRobots, frozen=True, kw_only=True, tag="link_broken"):
+    """A link touches nothing any more, and is not visible; a lost wheel lets the robot down."""
+
+    link: Annotated[str, described("Link.")]
+
+
+class FaultOfSensors(FaultOfRobots, frozen=True, kw_only=True):
+    """A fault of a sensor: all its topics, on the network."""
+
+    sensor: Annotated[str, described("Name of the sensor in the description.")]
+
+
+class SensorOff(FaultOfSensors, frozen=True, kw_only=True, tag="sensor_off"):
+    """The sensor publishes nothing."""
+
+
+class SensorStuck(FaultOfSensors, frozen=True, kw_only=True, tag="sensor_stuck"):
+    """The sensor repeats its first measurement of the fault, with new stamps."""
+
+
+class SensorSlow(FaultOfSensors, frozen=True, kw_only=True, tag="sensor_slow"):
+    """The sensor publishes fewer messages."""
+
+    every_nth: Annotated[
+        int, msgspec.Meta(ge=2, le=10000, description="Every how many-th is published.")
+    ] = 2
+
+
+class SensorDelay(FaultOfSensors, frozen=True, kw_only=True, tag="sensor_delay"):
+    """Messages come late, with the stamps of their measurements; rounded up to its period."""
+
+    delay: Annotated[float, quantity("s", "Delay.", above=0.0)]
+
+
+class SensorIntermittent(FaultOfSensors, frozen=True, kw_only=True, tag="sensor_intermittent"):
+    """Some messages are lost."""
+
+    share: Annotated[float, quantity("1", "Share of lost messages.", at_least=0.0, at_most=1.0)] = (
+        0.5
+    )
+
+
+class SensorNoisy(FaultOfSensors, frozen=True, kw_only=True, tag="sensor_noise"):
+    """Gaussian noise on ranges of lidars [m], or rates and accelerations of an imu."""
+
+    deviation: Annotated[
+        float, quantity("1", "Standard deviation, in the unit of the sensor.", above=0.0)
+    ]
+
+
+class SensorBias(FaultOfSensors, frozen=True, kw_only=True, tag="sensor_bias"):
+    """A constant on ranges of lidars [m], or rates and accelerations of an imu."""
+
+    bias: Annotated[float, quantity("1", "Bias, in the unit of the sensor.")]
+
+
+class SensorSector(FaultOfSensors, frozen=True, kw_only=True, tag="sensor_sector"):
+    """Rays of a scan between two angles hit nothing."""
+
+    low: Annotated[float, quantity("rad", "First angle about z of the sensor.")]
+    high: Annotated[float, quantity("rad", "Last angle.")]
+
+
+class AgentSlow(FaultSection, frozen=True, kw_only=True, tag="agent_slow"):
+    """The agent answers late: commands of its robots are old."""
+
+    agent: Annotated[Name, described("Name of an entry of `agents`.")]
+    delay: Annotated[float, quantity("s", "Age of the commands.", above=0.0)]
+    jitter: Annotated[float, quantity("s", "Largest further age, drawn at each step.")] = 0.0
 
 
 Fault = (
@@ -404,10 +494,24 @@ Fault = (
     | CommandScale
     | AgentKill
     | AgentHang
+    | AgentSlow
     | Push
     | Kidnap
     | WheelJam
+    | WheelSlip
+    | MotorWeak
+    | JointLock
+    | LinkBroken
+    | SensorOff
+    | SensorStuck
+    | SensorSlow
+    | SensorDelay
+    | SensorIntermittent
+    | SensorNoisy
+    | SensorBias
+    | SensorSector
 )
+AGENT_FAULTS = (AgentKill, AgentHang, AgentSlow)
 
 
 class CheckSection(

@@ -20,22 +20,17 @@ from zensim.proto.messages.entity_messages import (
     GetEntityInfoRequest,
     SetEntityInfoRequest,
 )
-from zensim.proto.messages.gazebo_messages import (
-    ApplyLinkWrenchRequest,
-    GetJointPropertiesRequest,
-    ODEJointProperties,
-    SetJointPropertiesRequest,
-)
+from zensim.proto.messages.fault_messages import InjectFaultRequest
+from zensim.proto.messages.gazebo_messages import ApplyLinkWrenchRequest
 from zensim.proto.messages.standard_messages import NANOSECONDS, Duration, Vector3, Wrench
 from zensim.proto.messages.telemetry_messages import GetModelsRequest
 from zensim.proto.service_catalog import (
     APPLY_LINK_WRENCH,
     GET_ENTITY_BOUNDS,
     GET_ENTITY_INFO,
-    GET_JOINT_PROPERTIES,
     GET_MODELS,
+    INJECT_FAULT,
     SET_ENTITY_INFO,
-    SET_JOINT_PROPERTIES,
 )
 from zensim.scenario.check_monitors import (
     CheckedState,
@@ -57,16 +52,21 @@ from zensim.scenario.robot_behaviours import (
 from zensim.scenario.robot_places import ScenarioRobot
 from zensim.scenario.scenario_faults import CommandFaults, FaultRun, FaultSchedule
 from zensim.scenario.scenario_format import (
+    AGENT_FAULTS,
     AllOfCheck,
     AnyOfCheck,
     CheckOfRobots,
+    CommandDelay,
+    CommandLoss,
+    CommandScale,
+    CommandStuck,
+    Fault,
     Kidnap,
     NoCollisionCheck,
     Push,
     PythonBehaviour,
     PythonCheck,
     RobotsSection,
-    WheelJam,
 )
 from zensim.scenario.scenario_reader import Scenario
 
@@ -75,6 +75,10 @@ if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Dynamics
 
 FloatArray = npt.NDArray[np.float64]
+OF_COMMANDS = (*AGENT_FAULTS, CommandLoss, CommandDelay, CommandStuck, CommandScale)
+"""Faults that the runner applies to the commands of behaviours."""
+VALUE_KEYS = ("factor", "every_nth", "delay", "share", "deviation", "bias")
+"""Keys of faults of which one is the value of a request."""
 DEFAULT_END_S = 10.0
 """Simulated length of a run that says nothing of its end."""
 
@@ -137,7 +141,6 @@ class ScenarioRun:
         scenario = self.scenario
         self.faults = FaultSchedule(scenario)
         self._command_faults = CommandFaults(scenario)
-        self._damping: dict[str, float] = {}
         self._acting: set[str] = set()
         self._before: CheckedState | None = None
         self.commands = np.zeros((len(scenario.robots), 2))
@@ -264,33 +267,27 @@ class ScenarioRun:
         for run, event in changes:
             for row, fault in zip(run.rows, run.own, strict=True):
                 robot = self.scenario.robots[row].name
-                if isinstance(fault, WheelJam):
-                    self._jam(robot, fault, is_start=event.kind == "start")
-                elif event.kind == "start" and isinstance(fault, Push):
-                    self._push(robot, fault)
-                elif event.kind == "start" and isinstance(fault, Kidnap):
-                    self.sim.robots[robot].set_pose(fault.x, fault.y, yaw=fault.yaw)
+                if event.kind == "start":
+                    self._start_fault(robot, fault, int(row))
         return changes
+
+    def _start_fault(self, robot: str, fault: Fault, row: int) -> None:
+        """Start a fault that the server applies, and ends by itself."""
+        if isinstance(fault, Push):
+            self._push(robot, fault)
+        elif isinstance(fault, Kidnap):
+            self.sim.robots[robot].set_pose(fault.x, fault.y, yaw=fault.yaw)
+        elif not isinstance(fault, OF_COMMANDS):
+            self.sim.call(INJECT_FAULT, make_fault_request(robot, fault, self.scenario.seed + row))
 
     def _push(self, robot: str, fault: Push) -> None:
         link = fault.link or self._find_root_link(robot)
-        length = -1.0 if fault.duration is None else fault.duration
-        seconds, rest = divmod(round(length * NANOSECONDS), NANOSECONDS)
         request = ApplyLinkWrenchRequest(
             link_name=f"{robot}::{link}",
             wrench=Wrench(force=Vector3(fault.x, fault.y, fault.z)),
-            duration=Duration(seconds, rest),
+            duration=_make_duration(fault),
         )
         self.sim.call(APPLY_LINK_WRENCH, request)
-
-    def _jam(self, robot: str, fault: WheelJam, *, is_start: bool) -> None:
-        joint = f"{robot}::{fault.joint}"
-        if is_start:
-            found = self.sim.call(GET_JOINT_PROPERTIES, GetJointPropertiesRequest(joint))
-            self._damping[joint] = found.damping[0] if found.damping else 0.0
-        damping = fault.damping if is_start else self._damping[joint]
-        properties = ODEJointProperties(damping=(damping,))
-        self.sim.call(SET_JOINT_PROPERTIES, SetJointPropertiesRequest(joint, properties))
 
     def _update_behaviours(self, state: FleetState) -> list[ScenarioEvent]:
         events = []
@@ -373,6 +370,28 @@ class ScenarioRun:
     def _find_root_link(self, robot: str) -> str:
         found = self.sim.call(GET_MODELS, GetModelsRequest((robot,)))
         return found.models[found.entities[0].model].links[0].name
+
+
+def _make_duration(fault: Fault) -> Duration:
+    """Make the length of a fault; negative = to the end."""
+    length = -1.0 if fault.duration is None else fault.duration
+    return Duration(*divmod(round(length * NANOSECONDS), NANOSECONDS))
+
+
+def make_fault_request(robot: str, fault: Fault, seed: int) -> InjectFaultRequest:
+    """Make the request that starts a fault of a body or a sensor."""
+    parts = (getattr(fault, key, "") for key in ("joint", "link", "sensor"))
+    numbers = (getattr(fault, key, None) for key in VALUE_KEYS)
+    return InjectFaultRequest(
+        robot,
+        str(type(fault).__struct_config__.tag),
+        next(filter(None, parts)),
+        float(next((one for one in numbers if one is not None), 0.0)),
+        getattr(fault, "low", 0.0),
+        getattr(fault, "high", 0.0),
+        _make_duration(fault),
+        seed,
+    )
 
 
 def _forget_before(state: CheckedState) -> CheckedState:
