@@ -6,8 +6,9 @@ No other module imports zenoh.
 import json
 import time
 import uuid
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from functools import cached_property, partial
 from itertools import cycle
 from typing import TYPE_CHECKING, Final, Literal, TypeVar, cast
 
@@ -19,7 +20,14 @@ from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_endpoint, with_free_port
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
-from zensim.proto.network_protocols import Sample, Stamp
+from zensim.proto.network_protocols import (
+    MAX_COMMAND_BYTES,
+    MAX_FLEET_COMMAND_BYTES,
+    MAX_REQUEST_ID_BYTES,
+    Sample,
+    Stamp,
+)
+from zensim.proto.reply_sender import ReplySender, Send
 from zensim.proto.service_catalog import Request, Response, Service, require_ok
 
 if TYPE_CHECKING:
@@ -30,10 +38,8 @@ MAX_REQUEST_BYTES = 3 << 20
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 
-MAX_TAKEN_BYTES: Final = 1 << 20
-"""Size limit of the requests that one `take` returns."""
-QUERY_OVERHEAD_BYTES: Final = MAX_TAKEN_BYTES // 32
-"""Added to the payload size of each request."""
+MAX_TAKEN: Final = 256
+"""Requests that one `take` returns, so that it takes about a millisecond at most."""
 EMPTY_PAYLOAD: Final = zenoh.ZBytes(b"")
 
 
@@ -80,8 +86,11 @@ class BusPublisher:
 class BusSubscription:
     """Subscription on a key expression; a full queue drops the oldest messages."""
 
-    def __init__(self, subscriber: "zenoh.Subscriber[Handler[zenoh.Sample]]") -> None:
+    def __init__(
+        self, subscriber: "zenoh.Subscriber[Handler[zenoh.Sample]]", max_bytes: int
+    ) -> None:
         self._subscriber = subscriber
+        self._max_bytes = max_bytes
 
     def take(self) -> list[Sample]:
         """Take all queued messages, oldest first."""
@@ -100,21 +109,33 @@ class BusSubscription:
 
     def _drain(self) -> Iterator[Sample]:
         while (sample := self._subscriber.try_recv()) is not None:
-            yield to_sample(sample)
+            if len(sample.payload) <= self._max_bytes:  # before it is copied
+                yield to_sample(sample)
 
 
 class BusQuery:
-    """A query that waits for its reply."""
+    """A query that waits for its reply. Replies leave from other threads and never block."""
 
-    def __init__(self, query: zenoh.Query) -> None:
+    def __init__(self, query: zenoh.Query, sender: ReplySender) -> None:
         self._query = query
+        self._sender = sender
         self.key = str(query.key_expr)
-        payload = query.payload or EMPTY_PAYLOAD
-        self.size = len(payload)
-        # A request that is too large is refused by its size.
-        self.payload = payload.to_bytes() if self.size <= MAX_REQUEST_BYTES else b""
         self.encoding = str(query.encoding) if query.encoding else ""
-        self.request_id = query.attachment.to_bytes() if query.attachment else b""
+        self.size = len(query.payload or EMPTY_PAYLOAD)
+        source = query.source_info
+        self.client = "" if source is None else str(source.source_id.zid)
+
+    @cached_property
+    def payload(self) -> bytes:
+        """Bytes of the request; empty if it is too large, as it is refused by its size."""
+        payload = self._query.payload
+        return payload.to_bytes() if payload and self.size <= MAX_REQUEST_BYTES else b""
+
+    @cached_property
+    def request_id(self) -> bytes:
+        """Attachment, cut where it is too long for an id."""
+        attachment = self._query.attachment
+        return attachment.to_bytes()[: MAX_REQUEST_ID_BYTES + 1] if attachment else b""
 
     @property
     def name(self) -> str:
@@ -135,46 +156,71 @@ class BusQuery:
 
     def reply(self, payload: bytes, encoding: str, key: str = "", attachment: bytes = b"") -> None:
         """Reply once and finish the query; give `key` if the queried one is a pattern."""
-        with self._query as query:
-            query.reply(key or self.key, payload, encoding=encoding, attachment=attachment or None)
+        reply = partial(
+            self._query.reply,
+            key or self.key,
+            payload,
+            encoding=encoding,
+            attachment=attachment or None,
+        )
+        self._send(len(payload), partial(self._finish_with, (reply,)))
 
     def reply_each(self, replies: Iterable[tuple[str, bytes]], encoding: str) -> None:
         """Reply with several values, each on its own key, and finish the query."""
-        with self._query as query:
-            for key, payload in replies:
-                query.reply(key, payload, encoding=encoding)
+        values = tuple(replies)
+        sends = [
+            partial(self._query.reply, key, payload, encoding=encoding) for key, payload in values
+        ]
+        size = sum(len(payload) for _, payload in values)
+        self._send(size, partial(self._finish_with, sends))
 
     def add_reply(
         self, key: str, payload: bytes, encoding: str, attachment: bytes, stamp: Stamp
     ) -> None:
         """Send one reply of several, if the query accepts its key; `drop` finishes the query."""
-        with suppress(zenoh.ZError):
-            self._query.reply(
-                key,
-                payload,
-                encoding=encoding,
-                attachment=attachment,
-                timestamp=cast("zenoh.Timestamp", stamp),
-            )
+        reply = partial(
+            self._query.reply,
+            key,
+            payload,
+            encoding=encoding,
+            attachment=attachment,
+            timestamp=cast("zenoh.Timestamp", stamp),
+        )
+        self._send(len(payload), partial(_send_if_accepted, reply), lambda: None)
 
     def drop(self) -> None:
         """Finish the query."""
-        self._query.drop()
+        self._send(0, self._query.drop)
+
+    def _send(self, size: int, send: Send, finish: Send | None = None) -> None:
+        self._sender.send(self.client, size, send, finish or self._query.drop)
+
+    def _finish_with(self, replies: Iterable[Callable[[], None]]) -> None:
+        with self._query:
+            for reply in replies:
+                _send_if_accepted(reply)
+
+
+def _send_if_accepted(reply: Callable[[], None]) -> None:
+    """Send a reply, unless its key does not match or its link is closed."""
+    with suppress(zenoh.ZError):
+        reply()
 
 
 class BusQueryQueue:
     """Queue of queries on a key expression; a full queue drops the oldest without a reply."""
 
-    def __init__(self, queryable: "zenoh.Queryable[Handler[zenoh.Query]]") -> None:
+    def __init__(
+        self, queryable: "zenoh.Queryable[Handler[zenoh.Query]]", sender: ReplySender
+    ) -> None:
         self._queryable = queryable
+        self._sender = sender
 
     def take(self) -> list[BusQuery]:
-        """Take queued queries, oldest first, up to `MAX_TAKEN_BYTES`."""
+        """Take queued queries, oldest first, `MAX_TAKEN` at most."""
         calls: list[BusQuery] = []
-        room = MAX_TAKEN_BYTES
-        while room > 0 and (query := self._queryable.try_recv()) is not None:
-            calls.append(BusQuery(query))
-            room -= QUERY_OVERHEAD_BYTES + len(calls[-1].payload)
+        while len(calls) < MAX_TAKEN and (query := self._queryable.try_recv()) is not None:
+            calls.append(BusQuery(query, self._sender))
         return calls
 
     def close(self) -> None:
@@ -247,6 +293,44 @@ hold as much memory; Zenoh's default is 1 GiB."""
 BATCHES_OF_DATA: Final = 16
 """Batches of 64 KiB that a link may hold before messages are dropped; Zenoh's default is 2. The
 scans of a hundred robots, published at once, are 150 kB; memory is allocated when it is needed."""
+LINK_TIMEOUT_US: Final = 100_000
+"""A link whose queue stays full for so long under replies is closed; Zenoh's default is 5 s."""
+MAX_QUERY_BYTES: Final = 4 << 20
+"""A router ends a larger query without a reply at once; servers refuse it from 3 MiB on."""
+SIZE_LIMITS: Final = (
+    {
+        "id": "queries",
+        "messages": ["query"],
+        "flows": ["ingress"],
+        "key_exprs": ["**"],
+        "size_limit": MAX_QUERY_BYTES,
+    },
+    {
+        "id": "commands",
+        "messages": ["put"],
+        "flows": ["ingress"],
+        "key_exprs": ["**/cmd_vel", "**/cmd_vel/**"],
+        "size_limit": MAX_COMMAND_BYTES,
+    },
+    {
+        "id": "fleet-commands",
+        "messages": ["put"],
+        "flows": ["ingress"],
+        "key_exprs": ["sim/*/drive/*/command", "sim/*/twists"],
+        "size_limit": MAX_FLEET_COMMAND_BYTES,
+    },
+)
+"""Messages that a router drops. A put on a wider key expression passes, and subscriptions drop it
+by its size."""
+QUERIES_OF_OWN_PRIORITY: Final = {
+    "id": "queries",
+    "messages": ["query"],
+    "flows": ["ingress"],
+    "key_exprs": ["**"],
+    "overwrite": {"priority": "data_high"},
+}
+"""Replies have the priority of their query. In a queue of their own they do not hold the lock that
+a message to the same link waits for, however long that link blocks."""
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
 """A query may return nothing after a reconnect (zenoh#2767): retry with the same id."""
 MAX_REPLIES: Final = 16384
@@ -288,6 +372,9 @@ class Bus:
 
     def __init__(self, session: zenoh.Session, config: BusConfig) -> None:
         self._session = session
+        self._sender = ReplySender()
+        # Names this session in its requests: a server shares its time among sessions.
+        self._source = zenoh.SourceInfo(session.id, 0)
         self.config = config
 
     def __enter__(self) -> "Bus":
@@ -322,8 +409,13 @@ class Bus:
         return open_bus(msgspec.structs.replace(self.config, mode="client", connect=at, listen=()))
 
     def close(self) -> None:
-        """Close the session and all that it declared."""
+        """Send the replies that wait, and close the session and all that it declared."""
+        self._sender.close()
         self._session.close()
+
+    def settle_replies(self, timeout_s: float) -> None:
+        """Wait until replies are sent, except to clients that have stopped reading."""
+        self._sender.settle(timeout_s)
 
     def advertise(self, key: str, encoding: str) -> BusPublisher:
         """Declare a publisher; `encoding` is the Zenoh Encoding of its payloads."""
@@ -334,11 +426,18 @@ class Bus:
         )
         return BusPublisher(declared)
 
-    def subscribe(self, key: str, depth: int = LATEST) -> BusSubscription:
-        """Subscribe to a key expression; the queue keeps the newest `depth` messages."""
-        return BusSubscription(
-            self._session.declare_subscriber(_to_key_expression(key), RingChannel(depth))
-        )
+    def subscribe(
+        self, key: str, depth: int = LATEST, max_bytes: int = MAX_MESSAGE_BYTES
+    ) -> BusSubscription:
+        """Subscribe to a key expression.
+
+        Args:
+            key: Key expression.
+            depth: Queue length; the newest messages are kept.
+            max_bytes: Larger messages are dropped.
+        """
+        declared = self._session.declare_subscriber(_to_key_expression(key), RingChannel(depth))
+        return BusSubscription(declared, max_bytes)
 
     def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> BusQueryQueue:
         """Declare a queryable.
@@ -351,7 +450,7 @@ class Bus:
         declared = self._session.declare_queryable(
             _to_key_expression(key), RingChannel(depth), complete=is_complete
         )
-        return BusQueryQueue(declared)
+        return BusQueryQueue(declared, self._sender)
 
     def token(self, key: str) -> LivelinessToken:
         """Declare a liveliness token."""
@@ -374,6 +473,7 @@ class Bus:
             FifoChannel(MAX_REPLIES),
             payload=payload or None,
             timeout=timeout_s,
+            source_info=self._source,
         )
         return [to_sample(reply.ok) for reply in replies if reply.ok]
 
@@ -421,6 +521,7 @@ class Bus:
                 encoding=encoding,
                 attachment=request_id,
                 timeout=timeout_s,
+                source_info=self._source,
             ):
                 if reply.ok:
                     return to_sample(reply.ok)
@@ -464,7 +565,7 @@ def _to_key_expression(key: str) -> zenoh.KeyExpr:
 
 
 def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
-    entries = {
+    entries: dict[str, object] = {
         "mode": config.mode,
         "listen/endpoints": list(config.listen),
         "connect/endpoints": list(config.connect),
@@ -479,7 +580,11 @@ def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
         "transport/link/tx/lease": config.lease_ms,
         "transport/link/rx/max_message_size": config.max_message_bytes,
         "transport/link/tx/queue/size/data": BATCHES_OF_DATA,
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": LINK_TIMEOUT_US,
     }
+    if config.mode == "router":
+        entries["low_pass_filter"] = SIZE_LIMITS
+        entries["qos/network"] = [QUERIES_OF_OWN_PRIORITY]
     made: zenoh.Config = zenoh.Config()
     for path, value in entries.items():
         made.insert_json5(path, json.dumps(value))

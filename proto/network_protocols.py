@@ -4,7 +4,7 @@ Each consumer names the smallest protocol that it needs; the last ones combine o
 """
 
 from collections.abc import Iterable, Sequence
-from typing import NewType, Protocol, TypeVar
+from typing import Final, NewType, Protocol, TypeVar
 
 import msgspec
 
@@ -13,6 +13,15 @@ from zensim.proto.service_catalog import Request, Response, Service
 Message = TypeVar("Message", bound=msgspec.Struct)
 Stamp = NewType("Stamp", object)
 """Time stamp of a sample, by the clock of its session."""
+
+
+MAX_REQUEST_ID_BYTES: Final = 64
+"""Longest id of a request; ROS 2 uses 24 bytes, our clients 32."""
+
+MAX_COMMAND_BYTES: Final = 64 << 10
+"""Largest command of one robot."""
+MAX_FLEET_COMMAND_BYTES: Final = 256 << 10
+"""Largest command of all robots of an agent, or of a client: 7000 robots with four wheels."""
 
 
 class Sample(msgspec.Struct, frozen=True):
@@ -55,12 +64,22 @@ class Subscription(Closable, Protocol):
 class ServiceCall(Protocol):
     """A request that must be replied to or dropped, once."""
 
-    payload: bytes
     encoding: str
-    request_id: bytes
-    """The same for a retry; empty when the caller does not retry."""
     size: int
     """Bytes of the request as received; `payload` is empty where that is too many."""
+    client: str
+    """Session that called, as it says itself; empty for clients that do not."""
+
+    @property
+    def payload(self) -> bytes:
+        """Bytes of the request."""
+
+    @property
+    def request_id(self) -> bytes:
+        """The same for a retry; empty when the caller does not retry.
+
+        One byte longer than `MAX_REQUEST_ID_BYTES` when it is too long.
+        """
 
     @property
     def name(self) -> str:
@@ -138,8 +157,8 @@ class PublishingNetwork(Protocol):
 class SubscribingNetwork(Protocol):
     """Declares subscriptions."""
 
-    def subscribe(self, key: str, depth: int = 1) -> Subscription:
-        """Subscribe to a key expression, keeping the newest `depth` messages."""
+    def subscribe(self, key: str, depth: int = 1, max_bytes: int = ...) -> Subscription:
+        """Subscribe to a key expression, keeping the newest `depth` messages up to a size."""
 
 
 class ServingNetwork(Protocol):
@@ -195,6 +214,9 @@ class ViewerNetwork(SubscribingNetwork, WatchingNetwork, CallingNetwork, Protoco
 
 class ServerNetwork(TopicNetwork, WatchingNetwork, TokenSession, Protocol):
     """Network for the server."""
+
+    def settle_replies(self, timeout_s: float) -> None:
+        """Wait until replies are sent, except to clients that have stopped reading."""
 
 
 class AgentNetwork(TopicNetwork, WatchingNetwork, CallingNetwork, TokenSession, Protocol):

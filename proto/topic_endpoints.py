@@ -219,10 +219,10 @@ class TopicFactory:
         return TopicPublisher(publishers, [LatchedCache(queue, publishers[1], key, encoding)])
 
     def subscription(
-        self, key: str, kinds: Sequence[type[msgspec.Struct]], depth: int
+        self, key: str, kinds: Sequence[type[msgspec.Struct]], depth: int, max_bytes: int
     ) -> TopicSubscription:
         """Subscribe to a topic of any of these types; samples name theirs in the encoding."""
-        plain = self._network.subscribe(key, depth)
+        plain = self._network.subscribe(key, depth, max_bytes)
         if (node := self._node) is None:
             return TopicSubscription(plain, ())
         ros = []
@@ -230,7 +230,7 @@ class TopicFactory:
             endpoint = node.add_topic_endpoint("MS", RosTopic(key, kind))
             # Any hash: publishers of humble have none.
             ros_key = make_data_key(endpoint.node.domain, key, endpoint.ros_type, ANY_HASH)
-            ros.append(self._network.subscribe(ros_key, depth))
+            ros.append(self._network.subscribe(ros_key, depth, max_bytes))
         return TopicSubscription(plain, ros)
 
     def serve(self, key: str, depth: int, *, is_complete: bool = True) -> QueryQueue:

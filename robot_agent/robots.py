@@ -11,7 +11,12 @@ from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import Twist
-from zensim.proto.network_protocols import AgentNetwork, Sample, Subscription
+from zensim.proto.network_protocols import (
+    MAX_COMMAND_BYTES,
+    AgentNetwork,
+    Sample,
+    Subscription,
+)
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.topic_catalog import CMD_VEL
 from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory, make_topic_factory
@@ -157,7 +162,9 @@ class DrivenRobot:
         self._is_motion_new = False
         if claim.model.drive is not None:
             key = find_topic_keys(claim, factory.settings).cmd_vel
-            subscription = factory.subscription(key, CMD_VEL.messages, CMD_VEL_DEPTH)
+            subscription = factory.subscription(
+                key, CMD_VEL.messages, CMD_VEL_DEPTH, MAX_COMMAND_BYTES
+            )
             self.cmd_vel = CmdVelSubscriber(subscription, cmd_vel_timeout_ns)
 
     def reset(self) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, TypeVar, cast
 import msgspec
 
 from zensim.proto import keys
-from zensim.proto.bus import LATEST, NoServer
+from zensim.proto.bus import LATEST, MAX_MESSAGE_BYTES, NoServer
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.keys import intersect
 from zensim.proto.network_protocols import Sample, Stamp
@@ -67,7 +67,10 @@ class MemoryBus:
     def advertise(self, key: str, encoding: str) -> "MemoryPublisher":
         return MemoryPublisher(self, key, encoding)
 
-    def subscribe(self, key: str, depth: int = LATEST) -> "MemorySubscription":
+    def subscribe(
+        self, key: str, depth: int = LATEST, max_bytes: int = MAX_MESSAGE_BYTES
+    ) -> "MemorySubscription":
+        del max_bytes
         subscription = MemorySubscription(self._subscriptions, key, depth)
         self._subscriptions.append(subscription)
         return subscription
@@ -77,6 +80,9 @@ class MemoryBus:
         queue = MemoryCallQueue(self._queues, key, depth)
         self._queues.append(queue)
         return queue
+
+    def settle_replies(self, timeout_s: float) -> None:
+        pass
 
     def token(self, key: str) -> "MemoryToken":
         token = MemoryToken(self._tokens, self._watches, key)
@@ -195,6 +201,7 @@ class MemoryCall:
         self.size = len(payload)
         self.encoding = encoding
         self.request_id = request_id
+        self.client = ""
         self.answers: list[Sample] = []
         self.is_over = False
 

@@ -118,6 +118,7 @@ class ActionCall:
     """A call of the server's own step services by this action; see `ServiceCall`."""
 
     payload, encoding, request_id, size = b"", MSGPACK_ENCODING, b"", 0
+    client = "simulate_steps action"
 
     def __init__(
         self, name: str, request: msgspec.Struct, on_reply: Callable[[bytes, str], None]
@@ -330,6 +331,7 @@ class Ros2Call:
         self.name = forms[0].service
         self.payload, self.size, self.encoding = call.payload, call.size, CDR_ENCODING_NAME
         self.request_id = NO_REQUEST_ID if attachment is None else _make_request_id(attachment)
+        self.client = call.client if attachment is None else attachment.gid.hex()
 
     def read(self, kind: type[Message]) -> Message:
         """See `ServiceCall`; the first form that fits is used."""

@@ -24,6 +24,7 @@ from zensim.sim_server.pacing.command_timeouts import CommandReceipt, CommandTim
 from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
 from zensim.sim_server.runtime.loop_channels import Inbox, WorldPublisher
 from zensim.sim_server.runtime.request_dispatcher import RequestDispatcher
+from zensim.sim_server.runtime.request_queue import RequestBudget, RequestBusy, RequestQueue
 from zensim.sim_server.runtime.sensor_sessions import SensorSessions
 from zensim.sim_server.runtime.world_map import WorldMap
 from zensim.sim_server.runtime.world_telemetry import WorldTelemetry
@@ -301,6 +302,8 @@ POLL_S = 0.0003
 IDLE_POLL_S = 0.001
 EAGER_NS, EAGER_POLL_S = 20_000_000, 0.0001
 """After a requested step, requests are polled fast for so long."""
+SETTLE_S = 0.001
+"""Most time that the loop waits for replies to leave before it goes on with a step."""
 MAX_EVENTS_PER_TURN = 128
 """Events published per turn; spawning many robots makes more than fit between two steps."""
 MAX_LAG_NS = 50_000_000
@@ -352,6 +355,10 @@ class ServerLoop:
             partial(keys.service, parts.world.name),
             journal,
         )
+        self._budget = RequestBudget(clock.used_ns)
+        self._requests = RequestQueue(self._budget)
+        self._has_looked_at_all = True
+        """Whether all pending requests were looked at since descriptions were parsed."""
         self._sensor_sessions = SensorSessions(parts, inbox, publisher)
         self._agent_sessions = AgentSessions(parts, inbox, publisher, self._sensor_sessions)
 
@@ -381,21 +388,46 @@ class ServerLoop:
         """Handle liveliness changes, drive commands and requests."""
         self._pacing.due_ns = self._deadline_ns
         # Calls are taken before tokens and handled after them: an agent declares its token first.
-        calls = self._inbox.take_calls()
+        self._queue_calls()
         self._agent_sessions.serve()
         self._sensor_sessions.serve()
-        for call in calls:
-            self._dispatcher.take(call)
-        self._descriptions.has_new = self._descriptions.provider.poll()
-        self._dispatcher.reply_to_ready()
+        if not self._waits_for_deadline:
+            self._budget.begin_slice()
+        self._handle_requests()
+        self._reply_to_pending()
         self._agent_sessions.publish_changed_claims()
         self._agent_sessions.publish_ordered_twists()
+
+    def _queue_calls(self) -> None:
+        for call in self._inbox.take_calls():
+            try:
+                self._requests.add(call)
+            except RequestBusy as error:
+                self._dispatcher.refuse(call, error)
+
+    def _handle_requests(self) -> None:
+        while (call := self._requests.take_next()) is not None:
+            with self._budget.charge(call.client):
+                self._dispatcher.take(call)
+
+    def _reply_to_pending(self) -> None:
+        has_new = self._descriptions.provider.poll()
+        self._descriptions.has_new = has_new or not self._has_looked_at_all
+        self._has_looked_at_all = self._dispatcher.reply_to_ready(self._budget)
+        self._inbox.settle_replies(SETTLE_S)
+
+    @property
+    def _waits_for_deadline(self) -> bool:
+        """Whether requests take time from steps: time runs, and no agent is awaited."""
+        is_stepped = self._pacing.lockstep.is_waiting or self._pacing.step_goals.has_steps_left
+        return self._world.clock.state == State.PLAYING and not is_stepped
 
     def tick(self, now_ns: int) -> None:
         """Advance by one step; publish drive states and scene states if it is a control step."""
         self._agent_sessions.stop_silent_agents(now_ns)
         self._world.step()
         took_ns = self._clock.now_ns() - now_ns
+        self._budget.begin_step(max(took_ns, self._wall_step_ns))
         self._loop_stats.note_step(
             simulated_ns=self._world.clock.step_ns,
             took_ns=took_ns,
@@ -442,7 +474,8 @@ class ServerLoop:
             # A client that steps sends its next request soon.
             is_stepped = now_ns - self._stepped_ns < EAGER_NS
             self._deadline_ns = now_ns
-            self._clock.sleep(EAGER_POLL_S if is_stepped else IDLE_POLL_S)
+            if not self._requests:
+                self._clock.sleep(EAGER_POLL_S if is_stepped else IDLE_POLL_S)
         elif now_ns >= self._deadline_ns:
             self.tick(now_ns)
             self._set_deadline()
@@ -455,12 +488,17 @@ class ServerLoop:
             self._factor = self._pacing.target_real_time_factor
             self._deadline_ns = now_ns
 
+    @property
+    def _wall_step_ns(self) -> int:
+        """Wall time of a step at the target speed; 0 if it is as fast as possible."""
+        return round(self._world.clock.step_ns / self._factor) if self._factor > 0.0 else 0
+
     def _set_deadline(self) -> None:
         now_ns = self._clock.now_ns()
         if self._factor <= 0.0:
             self._deadline_ns = now_ns
             return
-        self._paced_ns = round(self._world.clock.step_ns / self._factor)
+        self._paced_ns = self._wall_step_ns
         self._deadline_ns += self._paced_ns
         if (lag_ns := now_ns - self._deadline_ns) > MAX_LAG_NS:
             self._loop_stats.slipped_ns += lag_ns
@@ -482,7 +520,8 @@ class ServerLoop:
         self._pacing.step_goals.finish_completed()
         # Progress first: no progress message follows the reply.
         self._publish_progress(self._clock.now_ns())
-        self._dispatcher.reply_to_ready()
+        self._dispatcher.reply_to_ready(self._budget)
+        self._inbox.settle_replies(SETTLE_S)
 
     def _publish_progress(self, now_ns: int) -> None:
         for progress in self._pacing.step_goals.due_progress(now_ns):

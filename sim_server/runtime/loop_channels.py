@@ -10,6 +10,7 @@ from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.agent_messages import DriveState
 from zensim.proto.messages.simulation_messages import StepsProgress
 from zensim.proto.network_protocols import (
+    MAX_FLEET_COMMAND_BYTES,
     Publisher,
     PublishingNetwork,
     Sample,
@@ -62,6 +63,9 @@ class Inbox(Protocol):
     def take_twists(self) -> list[Sample]:
         """Take the orders of twists received."""
 
+    def settle_replies(self, timeout_s: float) -> None:
+        """Wait until replies are sent, except to clients that have stopped reading."""
+
 
 class BusInbox:
     """Inbox on the keys of one world, and other sources of service calls."""
@@ -69,14 +73,17 @@ class BusInbox:
     def __init__(
         self, network: ServerNetwork, world: str, others: tuple[ServiceCallSource, ...] = ()
     ) -> None:
+        self._network = network
         self._agents = network.watch_tokens(keys.alive_agents(world))
         self._bonds = network.watch_tokens(keys.bonds(world))
-        self._commands = network.subscribe(DRIVE_COMMAND.key(world, "*"), COMMAND_DEPTH)
+        self._commands = network.subscribe(
+            DRIVE_COMMAND.key(world, "*"), COMMAND_DEPTH, MAX_FLEET_COMMAND_BYTES
+        )
         self._sensors = network.watch_tokens(keys.active_sensors(world, "*"))
         self._libraries = network.watch_tokens(keys.sensor_libraries(world, "*", "*"))
         self._sensor_replies = network.subscribe(SENSORS_REPLY.key(world, "*"), REPLY_DEPTH)
         self._clients = network.watch_tokens(keys.alive_clients(world))
-        self._twists = network.subscribe(TWISTS.key(world), TWISTS_DEPTH)
+        self._twists = network.subscribe(TWISTS.key(world), TWISTS_DEPTH, MAX_FLEET_COMMAND_BYTES)
         self._calls = network.serve(keys.services(world))
         self._others = others
 
@@ -120,6 +127,10 @@ class BusInbox:
     def take_twists(self) -> list[Sample]:
         """See `Inbox`."""
         return self._twists.take()
+
+    def settle_replies(self, timeout_s: float) -> None:
+        """See `Inbox`."""
+        self._network.settle_replies(timeout_s)
 
 
 class WorldPublisher(Protocol):

@@ -16,15 +16,18 @@ from zensim.proto.codec.message_codec import (
     make_encoding,
 )
 from zensim.proto.messages.result_messages import ResultCode, SpawnCode
-from zensim.proto.network_protocols import ServiceCall
+from zensim.proto.network_protocols import MAX_REQUEST_ID_BYTES, ServiceCall
 from zensim.proto.service_catalog import CLAIM_ENTITY, CLAIM_SHARE, SERVICES, SPAWN_ENTITY
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.journal_protocol import ChangeJournal, JournaledResponse
 from zensim.sim_server.pacing.loop_stats import LoopStats
+from zensim.sim_server.runtime.request_queue import MAX_WAITING, RequestBudget, RequestBusy
 from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, WorldTelemetry
 from zensim.sim_server.service_parts import DeferredResponse
 from zensim.sim_server.services.service_registry import ServiceHandlers, make_refusal
 
+MAX_DETECTED_BYTES = 4096
+"""A longer request has the format that its encoding says, if it is refused unread."""
 MAX_CACHED_RESPONSES = 4096
 MAX_CACHED_BYTES = 32 << 20
 NOT_JOURNALED = frozenset({CLAIM_ENTITY.name, CLAIM_SHARE.name})
@@ -189,15 +192,34 @@ class RequestDispatcher:
     def take(self, call: ServiceCall) -> None:
         """Handle a request; reply now, or when its response is ready and durable."""
         self._loop_stats.requests += 1
-        self._take(call)
+        if len(call.request_id) > MAX_REQUEST_ID_BYTES:
+            self.refuse(call, RequestIdTooLong())
+        else:
+            self._take(call)
 
-    def reply_to_ready(self) -> None:
-        """Reply to the pending requests that are ready, in the order of receipt."""
+    def refuse(self, call: ServiceCall, error: SimError) -> None:
+        """Refuse a request now, unread; it has changed nothing."""
+        response = make_refusal(call.name, error.code, str(error))
+        self._reply_queue.send(QueuedReply(call, _encode_response(call, response), 0))
+
+    def reply_to_ready(self, budget: RequestBudget) -> bool:
+        """Reply to the pending requests that are ready, in the order of receipt.
+
+        Returns:
+            Whether all were looked at; the others wait for the budget of their clients.
+        """
+        is_complete = True
         for pending in self._pending[:]:
-            if pending.deferred.is_ready():
-                self._pending.remove(pending)
-                self._reply(pending.call, self._outcome(pending))
+            client = pending.call.client
+            if not budget.may_run(client):
+                is_complete = False
+                continue
+            with budget.charge(client):
+                if pending.deferred.is_ready():
+                    self._pending.remove(pending)
+                    self._reply(pending.call, self._outcome(pending))
         self._settle()
+        return is_complete
 
     def _take(self, call: ServiceCall) -> None:
         if (topic := GETTABLE_TOPICS.get(call.name)) is not None:
@@ -226,7 +248,17 @@ class RequestDispatcher:
 
     def _handle(self, call: ServiceCall) -> msgspec.Struct | DeferredResponse[Any]:
         _check_size(call)
+        self._check_pending(call)
         return self._handlers.handle(call.read(_request_type(call.name)))
+
+    def _check_pending(self, call: ServiceCall) -> None:
+        if len(self._pending) < MAX_WAITING:
+            return
+        if sum(one.call.client == call.client for one in self._pending) >= MAX_WAITING:
+            raise RequestBusy(
+                f"{MAX_WAITING} requests of this client are not finished, which is the limit; "
+                "send more when these have replies"
+            )
 
     def _execute(
         self, call: ServiceCall, handle: Callable[[], msgspec.Struct | DeferredResponse[Any]]
@@ -349,6 +381,15 @@ class RequestTooLarge(SimError):
             self.code = SpawnCode.RESOURCE_PARSE_ERROR
 
 
+class RequestIdTooLong(SimError):
+    """The request id has too many bytes to be kept."""
+
+    slug = "request.id"
+
+    def __init__(self) -> None:
+        super().__init__(f"the request id has more than {MAX_REQUEST_ID_BYTES} bytes; use a UUID")
+
+
 class UnknownService(SimError):
     """The service does not exist."""
 
@@ -359,7 +400,8 @@ class UnknownService(SimError):
 
 
 def _reply_format(call: ServiceCall) -> Format:
+    payload = call.payload if call.size <= MAX_DETECTED_BYTES else b""
     try:
-        return detect_format(call.payload, call.encoding)
+        return detect_format(payload, call.encoding)
     except MalformedPayload:
         return Format.JSON if "json" in call.encoding else Format.MSGPACK

@@ -6,7 +6,7 @@ import msgspec
 
 from zensim.proto import keys
 from zensim.proto.fleet_publisher import FleetTopicPublisher, RosFleetPublisher, TopicMember
-from zensim.proto.network_protocols import AgentNetwork
+from zensim.proto.network_protocols import MAX_COMMAND_BYTES, AgentNetwork
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode
 from zensim.proto.topic_catalog import IMAGE_TRIGGER, TopicSpec
 from zensim.proto.topic_endpoints import TopicFactory, TopicSubscription
@@ -141,7 +141,7 @@ class SensorTopics:
         for address in [one for one in wanted if one not in self._subscriptions]:
             factory = TopicFactory(self._network, self._find_node(address), self._graph.settings)
             self._subscriptions[address] = factory.subscription(
-                address.key, address.topic.messages, SUBSCRIPTION_DEPTH
+                address.key, address.topic.messages, SUBSCRIPTION_DEPTH, MAX_COMMAND_BYTES
             )
 
     def _find_node(self, address: SensorAddress) -> RosNode | None:

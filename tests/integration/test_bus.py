@@ -10,7 +10,9 @@ import zenoh
 from tests.integration.processes import eventually, free_endpoint
 from zensim.proto import keys
 from zensim.proto.bus import (
+    MAX_QUERY_BYTES,
     MAX_REQUEST_BYTES,
+    MAX_TAKEN,
     Bus,
     BusConfig,
     EndpointTaken,
@@ -23,6 +25,7 @@ from zensim.proto.endpoints import check_endpoint, with_free_port
 from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError
 from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEntityResponse
 from zensim.proto.messages.telemetry_messages import Info, InfoRequest
+from zensim.proto.network_protocols import MAX_COMMAND_BYTES
 from zensim.proto.service_catalog import DELETE_ENTITY, INFO
 
 if TYPE_CHECKING:
@@ -180,7 +183,7 @@ def test_many_requests_are_taken_in_batches(router: Bus) -> None:
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", f'["{router.endpoint}"]')
     with zenoh.open(config) as session:
-        waiting = [session.get(f"sim/default/s{number}") for number in range(100)]
+        waiting = [session.get(f"sim/default/s{number}") for number in range(MAX_TAKEN + 100)]
         batches: list[list[str]] = []
         while sum(map(len, batches)) < len(waiting):
             taken = eventually(lambda: calls.take() or None, 5.0, "coming")
@@ -188,8 +191,56 @@ def test_many_requests_are_taken_in_batches(router: Bus) -> None:
             for call in taken:
                 call.drop()
 
-    assert max(map(len, batches)) <= 32
-    assert [name for batch in batches for name in batch] == [f"s{i}" for i in range(100)]
+    assert max(map(len, batches)) <= MAX_TAKEN
+    assert [name for batch in batches for name in batch] == [
+        f"s{i}" for i in range(MAX_TAKEN + 100)
+    ]
+
+
+def test_queries_above_the_limit_end_at_once_without_a_reply(router: Bus) -> None:
+    calls = router.serve(keys.services("default"))
+    with open_bus(BusConfig(connect=(router.endpoint,))) as client:
+        replies = client.get("sim/default/info", 30.0, bytes(MAX_QUERY_BYTES + 1))
+
+    assert replies == []
+    assert calls.take() == []
+
+
+def test_commands_above_the_limit_are_dropped_however_they_are_addressed(
+    router: Bus, client: Bus
+) -> None:
+    received = router.subscribe("r1/cmd_vel", 8, MAX_COMMAND_BYTES)
+    for key, size in (("r1/cmd_vel", 1), ("*/cmd_vel", 1), ("r1/cmd_vel", -1)):
+        client.advertise(key, "text/plain").send(bytes(MAX_COMMAND_BYTES + size))
+
+    samples = eventually(lambda: received.take() or None, 5.0, "coming")
+
+    assert [len(sample.payload) for sample in samples] == [MAX_COMMAND_BYTES - 1]
+
+
+def test_request_names_its_session(router: Bus, client: Bus) -> None:
+    calls = router.serve(keys.services("default"))
+    thread = threading.Thread(target=client.get, args=("sim/default/info",))
+    thread.start()
+    (call,) = eventually(lambda: calls.take() or None, 5.0, "coming")
+    call.drop()
+    thread.join()
+
+    assert call.client == client.zid
+
+
+def test_replies_that_wait_are_sent_before_the_session_closes(router: Bus) -> None:
+    with open_bus(BusConfig(connect=(router.endpoint,))) as client:
+        with open_bus(BusConfig(connect=(router.endpoint,))) as server:
+            calls = server.serve("a/b")
+            samples: list[Sample] = []
+            thread = threading.Thread(target=lambda: samples.extend(client.get("a/b", 10.0)))
+            thread.start()
+            (call,) = eventually(lambda: calls.take() or None, 5.0, "coming")
+            call.reply(b"last words", "text/plain")
+        thread.join()
+
+    assert [sample.payload for sample in samples] == [b"last words"]
 
 
 def test_call_times_out_when_the_server_never_replies(router: Bus, client: Bus) -> None:

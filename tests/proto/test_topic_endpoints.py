@@ -139,7 +139,7 @@ def test_other_topics_do_not_serve_late_joiners() -> None:
 
 def test_command_of_either_type_and_of_any_hash_is_received() -> None:
     bus = MemoryBus()
-    received = a_factory(bus).subscription("r1/cmd_vel", (Twist, TwistStamped), 8)
+    received = a_factory(bus).subscription("r1/cmd_vel", (Twist, TwistStamped), 8, 1000)
 
     bus.put("0/r1/cmd_vel/geometry_msgs::msg::dds_::TwistStamped_/RIHS01_5f0f", b"stamped")
     bus.put("0/r1/cmd_vel/geometry_msgs::msg::dds_::Twist_/TypeHashNotSupported", b"bare")
@@ -155,7 +155,7 @@ def test_command_of_either_type_and_of_any_hash_is_received() -> None:
 
 def test_command_in_another_domain_is_not_received() -> None:
     bus = MemoryBus()
-    received = a_factory(bus).subscription("r1/cmd_vel", (Twist,), 8)
+    received = a_factory(bus).subscription("r1/cmd_vel", (Twist,), 8, 1000)
 
     bus.put("7/r1/cmd_vel/geometry_msgs::msg::dds_::Twist_/RIHS01_9c45", b"other")
 
@@ -166,7 +166,10 @@ def test_topics_have_plain_keys_only_without_ros() -> None:
     bus = MemoryBus()
     factory = TopicFactory(bus)
 
-    publisher, received = factory.publisher(TOPIC), factory.subscription("r1/cmd_vel", (Twist,), 8)
+    publisher, received = (
+        factory.publisher(TOPIC),
+        factory.subscription("r1/cmd_vel", (Twist,), 8, 1000),
+    )
 
     bus.subscribe(ROS_KEY)
     assert not publisher.is_matched

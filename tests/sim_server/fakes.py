@@ -177,6 +177,9 @@ class ScriptedInbox:
         taken, self.bonds = self.bonds, []
         return taken
 
+    def settle_replies(self, timeout_s: float) -> None:
+        pass
+
 
 @dataclass
 class RecordingPublisher:

@@ -8,7 +8,7 @@ import msgspec
 
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import decode
-from zensim.proto.network_protocols import Query, Sample, Stamp
+from zensim.proto.network_protocols import MAX_FLEET_COMMAND_BYTES, Query, Sample, Stamp
 from zensim.proto.service_catalog import Request, Response, Service
 
 Message = TypeVar("Message", bound=msgspec.Struct)
@@ -93,6 +93,7 @@ class LastValueQuery:
         self.payload = b""
         self.encoding = ""
         self.request_id = b""
+        self.client = ""
         self.size = 0
         self.samples: list[Sample] = []
 
@@ -179,8 +180,11 @@ class InProcessNetwork:
         """Declare a publisher."""
         return InProcessPublisher(self, key, encoding)
 
-    def subscribe(self, key: str, depth: int = 1) -> InProcessSubscription:
-        """Subscribe to a key expression, keeping the newest `depth` messages."""
+    def subscribe(
+        self, key: str, depth: int = 1, max_bytes: int = MAX_FLEET_COMMAND_BYTES
+    ) -> InProcessSubscription:
+        """Subscribe to a key expression, keeping the newest `depth` messages of any size."""
+        del max_bytes
         subscription = InProcessSubscription(self, key, depth)
         self.subscriptions.append(subscription)
         self.version += 1

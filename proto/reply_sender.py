@@ -1,0 +1,127 @@
+"""Threads that send replies: a client that stops reading delays its own replies only."""
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final, TypeAlias
+
+MAX_THREADS: Final = 8
+"""As many clients may stop reading at once without a delay for others."""
+MAX_UNSENT_BYTES: Final = 16 << 20
+"""Replies of one client that may wait to be sent; the next ones end without a value."""
+CLOSE_TIMEOUT_S: Final = 1.0
+LOG = logging.getLogger(__name__)
+
+Send: TypeAlias = Callable[[], None]
+
+
+@dataclass
+class UnsentReplies:
+    """Replies to one client, oldest first."""
+
+    client: str
+    queue: deque[tuple[Send, int]] = field(default_factory=deque)
+    size: int = 0
+    """Bytes of all."""
+    is_stalled: bool = False
+    """Whether `settle` has waited for it in vain since its last reply was sent."""
+
+
+class ReplySender:
+    """Sends replies in order of each client, at most one of each client at a time."""
+
+    def __init__(self, max_threads: int = MAX_THREADS, max_bytes: int = MAX_UNSENT_BYTES) -> None:
+        self._max_threads = max_threads
+        self._max_bytes = max_bytes
+        lock = threading.Lock()
+        self._has_work = threading.Condition(lock)
+        self._has_sent = threading.Condition(lock)
+        self._unsent: dict[str, UnsentReplies] = {}
+        self._ready: deque[UnsentReplies] = deque()
+        """Clients with unsent replies that no thread serves."""
+        self._threads = self._idle = 0
+        self._is_closed = False
+
+    def send(self, client: str, size: int, send: Send, finish: Send) -> None:
+        """Send a reply from another thread; too many unsent ones are finished without a value.
+
+        Args:
+            client: Whose replies stay in order.
+            size: Bytes of the reply.
+            send: Sends it and finishes the query; may block.
+            finish: Finishes the query only.
+        """
+        with self._has_work:
+            if (unsent := self._unsent.get(client)) is None:
+                unsent = self._unsent[client] = UnsentReplies(client)
+                self._ready.append(unsent)
+                self._wake_thread()
+            if unsent.queue and unsent.size + size > self._max_bytes:
+                send, size = finish, 0
+            unsent.queue.append((send, size))
+            unsent.size += size
+
+    def settle(self, timeout_s: float) -> None:
+        """Wait until the replies are sent, but not for clients that have stopped reading.
+
+        A client whose reply is unsent after the timeout is not waited for again before one is sent.
+        """
+        if not self._unsent:
+            return
+        deadline_s = time.monotonic() + timeout_s
+        with self._has_sent:
+            while waited := [one for one in self._unsent.values() if not one.is_stalled]:
+                if (left_s := deadline_s - time.monotonic()) <= 0.0:
+                    for unsent in waited:
+                        unsent.is_stalled = True
+                    return
+                self._has_sent.wait(left_s)
+
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
+        """Send what is unsent, for a time at most, and end the threads."""
+        deadline_s = time.monotonic() + timeout_s
+        with self._has_sent:
+            while self._unsent and (left_s := deadline_s - time.monotonic()) > 0.0:
+                self._has_sent.wait(left_s)
+            self._is_closed = True
+            self._has_work.notify_all()
+
+    def _wake_thread(self) -> None:
+        if len(self._ready) <= self._idle:
+            self._has_work.notify()
+        elif self._threads < self._max_threads:
+            self._threads += 1
+            self._idle += 1
+            threading.Thread(target=self._run, name="replies", daemon=True).start()
+
+    def _run(self) -> None:
+        while (unsent := self._take_client()) is not None:
+            try:
+                unsent.queue[0][0]()
+            except Exception:  # else all later replies to this client would wait for ever
+                LOG.exception("reply not sent client=%s", unsent.client)
+            self._note_sent(unsent)
+
+    def _take_client(self) -> UnsentReplies | None:
+        with self._has_work:
+            while not (self._ready or self._is_closed):
+                self._has_work.wait()
+            if self._is_closed:
+                return None
+            self._idle -= 1
+            return self._ready.popleft()
+
+    def _note_sent(self, unsent: UnsentReplies) -> None:
+        with self._has_work:
+            _, size = unsent.queue.popleft()
+            unsent.size -= size
+            unsent.is_stalled = False
+            self._idle += 1
+            if unsent.queue:
+                self._ready.append(unsent)
+            else:
+                del self._unsent[unsent.client]
+            self._has_sent.notify_all()

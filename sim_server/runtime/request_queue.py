@@ -1,0 +1,157 @@
+"""Requests that wait for their turn: round robin by client, bounded by time, number and bytes."""
+
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from operator import itemgetter
+from typing import Final
+
+from zensim.proto.network_protocols import ServiceCall
+from zensim.sim_server.errors import SimError
+
+MAX_WAITING: Final = 256
+"""Requests of one client that may wait."""
+MAX_WAITING_BYTES: Final = 16 << 20
+"""Their bytes."""
+MAX_CLIENTS: Final = 1024
+"""Clients with waiting requests; a client may call itself by a new name each time."""
+BUDGET_SHARE: Final = 4
+"""At most one part in so many of the time of a step goes to requests."""
+SHARE_OF_CLIENT: Final = 0.75
+"""Part of it that one client may use, so that others do not wait for the next step."""
+MIN_BUDGET_NS: Final = 250_000
+"""Least time for requests between two steps, so that short steps do not starve them."""
+SLICE_NS: Final = 2_000_000
+"""Time for requests of a turn when no step is due, before other traffic is served."""
+
+
+class RequestBusy(SimError):
+    """Too many requests wait already."""
+
+    slug = "request.busy"
+
+
+class RequestBudget:
+    """Time of the loop's thread for requests between two steps, shared by their clients.
+
+    No client uses it up alone. A request that takes more than is left gives its client a debt,
+    which the budgets of the next steps pay, in equal parts for all debtors; a client with a debt
+    waits, and the others do not.
+    """
+
+    def __init__(self, used_ns: Callable[[], int]) -> None:
+        """Start with the least budget.
+
+        Args:
+            used_ns: Reads the CPU time of the loop's thread.
+        """
+        self._read_used_ns = used_ns
+        self._budget_ns = MIN_BUDGET_NS
+        self._used_ns = 0
+        self._used_by_ns: dict[str, int] = {}
+        """By client: time used since the last step, and debt."""
+
+    @property
+    def is_used_up(self) -> bool:
+        """Whether all requests wait for the next step."""
+        return self._used_ns >= self._budget_ns
+
+    def may_run(self, client: str) -> bool:
+        """Whether a client's next request may run now; after a step the first always may."""
+        used_ns = self._used_by_ns.get(client, 0)
+        return not self.is_used_up and used_ns < self._budget_ns * SHARE_OF_CLIENT
+
+    @contextmanager
+    def charge(self, client: str) -> Iterator[None]:
+        """Count the time that the block takes for a client."""
+        start_ns = self._read_used_ns()
+        try:
+            yield
+        finally:
+            used_ns = self._read_used_ns() - start_ns
+            self._used_ns += used_ns
+            self._used_by_ns[client] = self._used_by_ns.get(client, 0) + used_ns
+
+    def begin_step(self, step_ns: int) -> None:
+        """Start the budget of a step that takes this wall time."""
+        self._budget_ns = max(step_ns // BUDGET_SHARE, MIN_BUDGET_NS)
+        self._used_ns = 0
+        self._used_by_ns = _pay(self._used_by_ns, self._budget_ns)
+
+    def begin_slice(self) -> None:
+        """Start a budget without debts: no step waits for requests."""
+        self._budget_ns, self._used_ns = SLICE_NS, 0
+        self._used_by_ns.clear()
+
+
+def _pay(used_by_ns: dict[str, int], budget_ns: int) -> dict[str, int]:
+    """Divide a budget equally among debts; what small ones leave goes to the others."""
+    debts_ns = {}
+    by_size = sorted(used_by_ns.items(), key=itemgetter(1))
+    for index, (client, debt_ns) in enumerate(by_size):
+        paid_ns = min(debt_ns, budget_ns // (len(by_size) - index))
+        budget_ns -= paid_ns
+        if debt_ns > paid_ns:
+            debts_ns[client] = debt_ns - paid_ns
+    return debts_ns
+
+
+@dataclass
+class WaitingRequests:
+    """Requests of one client, oldest first."""
+
+    calls: deque[ServiceCall] = field(default_factory=deque)
+    size: int = 0
+
+
+class RequestQueue:
+    """Waiting requests of all clients; each client's are in order."""
+
+    def __init__(self, budget: RequestBudget) -> None:
+        self._budget = budget
+        self._clients: OrderedDict[str, WaitingRequests] = OrderedDict()
+
+    def __bool__(self) -> bool:
+        return bool(self._clients)
+
+    def add(self, call: ServiceCall) -> None:
+        """Append a request.
+
+        Raises:
+            RequestBusy: Too many requests wait, of this client or in all.
+        """
+        waiting = self._clients.get(call.client)
+        if waiting is None:
+            if len(self._clients) >= MAX_CLIENTS:
+                raise RequestBusy(f"requests of {MAX_CLIENTS} clients wait, which is the limit")
+            waiting = self._clients[call.client] = WaitingRequests()
+        elif len(waiting.calls) >= MAX_WAITING:
+            raise RequestBusy(
+                f"{MAX_WAITING} requests of this client wait, which is the limit; "
+                "send more when these have replies"
+            )
+        elif waiting.size + call.size > MAX_WAITING_BYTES:
+            raise RequestBusy(
+                f"requests of {MAX_WAITING_BYTES} bytes of this client wait, which is the limit; "
+                "send more when these have replies"
+            )
+        waiting.calls.append(call)
+        waiting.size += call.size
+
+    def take_next(self) -> ServiceCall | None:
+        """Take the next request that may run now; clients take turns."""
+        for client in self._clients:
+            if self._budget.may_run(client):
+                return self._take_from(client)
+        return None
+
+    def _take_from(self, client: str) -> ServiceCall:
+        waiting = self._clients[client]
+        call = waiting.calls.popleft()
+        waiting.size -= call.size
+        if waiting.calls:
+            self._clients.move_to_end(client)
+        else:
+            del self._clients[client]
+        return call

@@ -1,0 +1,111 @@
+"""Loop: requests leave most of the time to steps, and none waits for ever."""
+
+from typing import Any
+
+import pytest
+
+from tests.engines import STEP_NS
+from tests.fakes import MemoryCall
+from tests.sim_server.fakes import InlineParser, ServerFixture, a_server, answer_of
+from zensim.proto.messages.entity_messages import GetEntitiesRequest
+from zensim.proto.messages.spawn_messages import (
+    DeleteEntityRequest,
+    DeleteEntityResponse,
+    SpawnEntityOrder,
+)
+from zensim.proto.network_protocols import MAX_REQUEST_ID_BYTES
+from zensim.sim_server.runtime.request_queue import MAX_WAITING
+
+COST_NS = 1_000_000
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> ServerFixture:
+    """A running world whose requests take a millisecond each."""
+    server = a_server("r0")
+    dispatcher = server.loop._dispatcher  # noqa: SLF001
+    take = dispatcher.take
+
+    def take_slowly(call: Any) -> None:  # noqa: ANN401
+        server.wall.ns += COST_NS
+        server.wall.used += COST_NS
+        take(call)
+
+    monkeypatch.setattr(dispatcher, "take", take_slowly)
+    return server
+
+
+def refused_slug(call: MemoryCall) -> str:
+    response = answer_of(call, DeleteEntityResponse)
+    assert isinstance(response, DeleteEntityResponse)
+    return response.result.error_message.partition(":")[0]
+
+
+def test_loop_gives_a_quarter_of_its_time_to_requests(server: ServerFixture) -> None:
+    calls = [server.request("get_entities", GetEntitiesRequest()) for _ in range(100)]
+
+    server.turn_for(0.2)
+
+    late_ns = server.wall.ns - server.world.clock.steps * STEP_NS
+    assert sum(call.is_over for call in calls) == pytest.approx(0.2e9 / COST_NS / 4, rel=0.1)
+    assert server.world.clock.steps == pytest.approx(0.2e9 / STEP_NS, rel=0.02)
+    assert late_ns > 0
+
+
+def test_loop_replies_to_another_client_before_the_rest_of_the_first(server: ServerFixture) -> None:
+    first = [server.request("get_entities", GetEntitiesRequest()) for _ in range(100)]
+    other = server.request("get_entities", GetEntitiesRequest())
+    other.client = "other"
+
+    server.turn_for(0.01)
+
+    assert other.is_over
+    assert sum(call.is_over for call in first) <= 3
+
+
+def test_loop_refuses_what_exceeds_the_bound_of_a_client_at_once(server: ServerFixture) -> None:
+    calls = [
+        server.request("delete_entity", DeleteEntityRequest("r9")) for _ in range(MAX_WAITING + 1)
+    ]
+
+    server.loop.turn()
+
+    assert refused_slug(calls[-1]) == "request.busy"
+    assert not calls[-2].is_over
+
+
+def test_loop_handles_all_while_paused(server: ServerFixture) -> None:
+    server.world.clock.pause()
+    calls = [server.request("get_entities", GetEntitiesRequest()) for _ in range(100)]
+
+    server.turn_for(0.105)
+
+    assert all(call.is_over for call in calls)
+
+
+def test_loop_refuses_a_request_id_that_is_too_long() -> None:
+    server = a_server("r0")
+    call = server.request("delete_entity", DeleteEntityRequest("r0"))
+    call.request_id = bytes(MAX_REQUEST_ID_BYTES + 1)
+    longest = server.request("delete_entity", DeleteEntityRequest("r9"))
+    longest.request_id = bytes(MAX_REQUEST_ID_BYTES)
+
+    server.loop.turn()
+
+    assert refused_slug(call) == "request.id"
+    assert refused_slug(longest) != "request.id"
+
+
+def test_loop_refuses_more_unfinished_requests_of_a_client_than_may_wait() -> None:
+    server = a_server("r0")
+    provider = server.parts.descriptions.provider
+    assert isinstance(provider, InlineParser)
+    provider.is_slow = True
+    for _ in range(MAX_WAITING):
+        server.request("spawn_entity", SpawnEntityOrder(name="r1"))
+        server.loop.serve()
+
+    call = server.request("spawn_entity", SpawnEntityOrder(name="r1"))
+    server.loop.serve()
+
+    assert refused_slug(call) == "request.busy"
