@@ -18,6 +18,7 @@ NAMES = (
     "reading",
     "bundle",
     "isolation",
+    "neighbours",
     "services",
     "journal",
     "flat_out",

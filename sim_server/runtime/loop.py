@@ -17,7 +17,7 @@ from zensim.proto.keys import parse_agent
 from zensim.proto.messages.agent_messages import DriveCommand, DriveState, TwistCommands
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import Event
-from zensim.proto.network_protocols import Sample
+from zensim.proto.network_protocols import Sample, ServiceCall
 from zensim.proto.topic_catalog import CONTACTS, EVENTS, STATS, STEPS_PROGRESS
 from zensim.sim_server.journal_protocol import ChangeJournal
 from zensim.sim_server.pacing.command_timeouts import CommandReceipt, CommandTimeouts
@@ -388,7 +388,8 @@ class ServerLoop:
         """Handle liveliness changes, drive commands and requests."""
         self._pacing.due_ns = self._deadline_ns
         # Calls are taken before tokens and handled after them: an agent declares its token first.
-        self._queue_calls()
+        for call in self._inbox.take_calls():
+            self._queue(call)
         self._agent_sessions.serve()
         self._sensor_sessions.serve()
         if not self._waits_for_deadline:
@@ -398,12 +399,11 @@ class ServerLoop:
         self._agent_sessions.publish_changed_claims()
         self._agent_sessions.publish_ordered_twists()
 
-    def _queue_calls(self) -> None:
-        for call in self._inbox.take_calls():
-            try:
-                self._requests.add(call)
-            except RequestBusy as error:
-                self._dispatcher.refuse(call, error)
+    def _queue(self, call: ServiceCall) -> None:
+        try:
+            self._requests.add(call)
+        except RequestBusy as error:
+            self._dispatcher.refuse(call, error)
 
     def _handle_requests(self) -> None:
         while (call := self._requests.take_next()) is not None:

@@ -21,7 +21,13 @@ from zensim.sim_server.parser_process.parser_protocol import ParseResult
 from zensim.sim_server.queries.entity_filters import make_tags_test
 from zensim.sim_server.service_parts import CurrentWorld, DeferredResponse, WorldLoading
 from zensim.sim_server.world.simulated_world import BuiltWorld, SimulatedWorld
-from zensim.sim_server.world_loading.world_catalog import ONLINE_SCHEMES, WorldSearch
+from zensim.sim_server.world_loading.file_work import FileWork
+from zensim.sim_server.world_loading.world_catalog import (
+    ONLINE_SCHEMES,
+    WorldSearch,
+    WorldText,
+    is_file_needed,
+)
 from zensim.sim_server.world_loading.world_resources import WorldParseJob
 
 EMPTY_WORLD = WorldModel("", gravity=(0.0, 0.0, 0.0))
@@ -35,34 +41,73 @@ def load_world(
     loading: WorldLoading, request: world_messages.LoadWorldRequest
 ) -> DeferredResponse[world_messages.LoadWorldReport]:
     """Parse and build a world while time is stopped, then replace the current one; or keep it."""
-    world, descriptions = loading.world, loading.descriptions
-    previous = world.clock.state
-    if previous in (State.LOADING_WORLD, State.QUITTING):
-        raise IncorrectState(f"the simulation is {world.clock.state_name}; try again later")
-    found = loading.catalog.find(request.world_resource)
-    is_lenient = request.ignore_missing_or_unsupported_assets
-    job = WorldParseJob(
-        found.text,
-        found.folders,
-        descriptions.provider,
-        descriptions.store,
-        allow_missing=is_lenient,
-    )
-    loading.pacing.step_goals.abort("another world is being loaded")
-    world.clock.change_state(State.LOADING_WORLD)
-    building = _WorldBuild(loading, lambda parsed: _check_parsed_world(parsed, request))
+    load = _WorldLoad(loading, request)
+    return DeferredResponse(load.advance, load.finish)
 
-    def finish() -> world_messages.LoadWorldReport:
+
+class _WorldLoad:
+    """A world that is found, parsed and built; files are read in threads."""
+
+    def __init__(self, loading: WorldLoading, request: world_messages.LoadWorldRequest) -> None:
+        """Refuse at once what needs no file to be refused."""
+        self._loading = loading
+        self._request = request
+        self._refusal: SimError | None = None
+        self._finding: FileWork[WorldText] | None = None
+        self._refuse_while_loading()
+        if is_file_needed(request.world_resource):
+            self._finding = FileWork(lambda _: loading.catalog.find(request.world_resource))
+        else:
+            self._begin(loading.catalog.find(request.world_resource))
+
+    def advance(self) -> bool:
+        """Go on for a time slice; return whether it is complete or refused."""
         try:
-            model, built = building.outcome()
-        except SimError:
-            if world.clock.state == State.LOADING_WORLD:
-                world.clock.change_state(previous)
-            raise
-        loading.replace_world(built, model, found.resource)
-        return world_messages.LoadWorldReport(Result(), found.resource, model.report)
+            if self._finding is not None:
+                if not self._finding.is_over():
+                    return False
+                found = self._finding.outcome()
+                self._refuse_while_loading()
+                self._finding = None
+                self._begin(found)
+            return self._building.advance(self._job.poll())
+        except SimError as refusal:
+            self._refusal = refusal
+            return True
 
-    return DeferredResponse(lambda: building.advance(job.result), finish)
+    def finish(self) -> world_messages.LoadWorldReport:
+        """Replace the world."""
+        world = self._loading.world
+        try:
+            if self._refusal is not None:
+                raise self._refusal
+            model, built = self._building.outcome()
+        except SimError:
+            if self._finding is None and world.clock.state == State.LOADING_WORLD:
+                world.clock.change_state(self._previous)
+            raise
+        self._loading.replace_world(built, model, self._resource)
+        return world_messages.LoadWorldReport(Result(), self._resource, model.report)
+
+    def _begin(self, found: WorldText) -> None:
+        loading, world, request = self._loading, self._loading.world, self._request
+        self._resource = found.resource
+        self._job = WorldParseJob(
+            found.text,
+            found.folders,
+            loading.descriptions.provider,
+            loading.descriptions.store,
+            allow_missing=request.ignore_missing_or_unsupported_assets,
+        )
+        loading.pacing.step_goals.abort("another world is being loaded")
+        self._previous = world.clock.state
+        world.clock.change_state(State.LOADING_WORLD)
+        self._building = _WorldBuild(loading, lambda parsed: _check_parsed_world(parsed, request))
+
+    def _refuse_while_loading(self) -> None:
+        clock = self._loading.world.clock
+        if clock.state in (State.LOADING_WORLD, State.QUITTING):
+            raise IncorrectState(f"the simulation is {clock.state_name}; try again later")
 
 
 class _WorldBuild:
@@ -139,10 +184,35 @@ def get_available_worlds(
             ResultCode.OPERATION_FAILED,
             f"{len(sources)} sources are too many; use {MAX_SOURCES} or less",
         )
-    search = loading.catalog.search(sources)
+    listing = _WorldListing(loading.catalog.search(sources))
     return DeferredResponse(
-        lambda: search.is_over or search.advance(), lambda: _make_worlds_response(search, request)
+        listing.advance, lambda: _make_worlds_response(listing.outcome(), request)
     )
+
+
+class _WorldListing:
+    """A search whose files are read in a thread, a few in each turn."""
+
+    def __init__(self, search: WorldSearch) -> None:
+        self._search = search
+        self._reading = self._read_more()
+
+    def advance(self) -> bool:
+        """Read a few more files; return whether the search is over, or stalled."""
+        if not self._reading.is_over():
+            return False
+        if self._reading.is_stalled or self._search.is_over:
+            return True
+        self._reading = self._read_more()
+        return False
+
+    def outcome(self) -> WorldSearch:
+        """Return the search; raise FilesStalled if a file system does not answer."""
+        self._reading.outcome()
+        return self._search
+
+    def _read_more(self) -> FileWork[bool]:
+        return FileWork(lambda _: self._search.advance())
 
 
 def _is_skipped(source: str, request: world_messages.GetAvailableWorldsRequest) -> bool:

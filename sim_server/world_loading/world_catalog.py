@@ -15,6 +15,7 @@ from zensim.proto.messages.world_messages import WorldResource
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
 from zensim.sim_server.description.strict_parsing import MAX_BYTES
 from zensim.sim_server.errors import RequestRefused
+from zensim.sim_server.world_loading.file_work import open_regular_file, read_regular_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -174,18 +175,7 @@ class WorldCatalog:
                 LoadWorldCode.UNSUPPORTED_FORMAT,
                 f"world {uri[:120]!r} ends in {file.suffix[:20]!r}; use .world or .sdf, both SDF",
             )
-        try:
-            if file.stat().st_size > MAX_BYTES:
-                raise RequestRefused(
-                    LoadWorldCode.RESOURCE_PARSE_ERROR,
-                    f"world {uri[:120]!r} has more than {MAX_BYTES} bytes; make it smaller",
-                )
-            text = file.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise RequestRefused(
-                LoadWorldCode.RESOURCE_PARSE_ERROR,
-                f"world {uri[:120]!r} cannot be read as text: {type(error).__name__}",
-            ) from error
+        text = _decode_world(read_regular_file(file, MAX_BYTES), uri)
         return WorldText(read_world_metadata(Resource(name), text), text, folders)
 
     def _file(self, name: str) -> tuple[Path | None, tuple[Path, ...]]:
@@ -197,6 +187,26 @@ class WorldCatalog:
                 if (file := resolve_below(root, name + ending)) is not None and file.is_file():
                     return file, (file.parent, *self._folders)
         return None, ()
+
+
+def is_file_needed(resource: Resource) -> bool:
+    """Whether `WorldCatalog.find` reads a file of the operator for this resource."""
+    return bool(resource.uri) and _strip_world_scheme(resource.uri) not in list_builtin_worlds()
+
+
+def _decode_world(data: bytes | None, uri: str) -> str:
+    if data is None:
+        raise RequestRefused(
+            LoadWorldCode.RESOURCE_PARSE_ERROR,
+            f"world {uri[:120]!r} cannot be read, or has more than {MAX_BYTES} bytes; make it "
+            "smaller",
+        )
+    try:
+        return data.decode()
+    except UnicodeDecodeError as error:
+        raise RequestRefused(
+            LoadWorldCode.RESOURCE_PARSE_ERROR, f"world {uri[:120]!r} is not text in UTF-8"
+        ) from error
 
 
 def find_start_file(name: str) -> Path | None:
@@ -256,9 +266,9 @@ def _is_inside(root: Path, path: Path) -> bool:
 
 
 def _read_listed_file(file: Path, uri: str) -> WorldResource | None:
-    try:
-        with file.open(encoding="utf-8", errors="replace") as stream:
-            head = stream.read(HEAD_BYTES)
-    except OSError:
+    stream = open_regular_file(file)
+    if stream is None:
         return None
+    with stream:
+        head = (stream.read(HEAD_BYTES) or b"").decode(errors="replace")
     return read_world_metadata(Resource(uri), head) if _WORLD_TAG.search(head) else None

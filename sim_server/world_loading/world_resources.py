@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import cache
+from functools import cache, partial
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from zensim.proto.messages.asset_messages import (
     MAX_BUNDLE_BYTES,
@@ -23,6 +22,7 @@ from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.strict_parsing import MAX_BYTES, parse_xml
 from zensim.sim_server.errors import ModelError
 from zensim.sim_server.parser_process.parser_protocol import ParseRequest, ParseResult
+from zensim.sim_server.world_loading.file_work import FileWork, read_regular_file
 from zensim.sim_server.world_loading.world_catalog import resolve_below
 
 if TYPE_CHECKING:
@@ -38,7 +38,13 @@ FindFile = Callable[[str], Path | None]
 """Finds the file of a URI; None if there is none."""
 
 
-def make_model_resolver(folders: Sequence[Path]) -> ResolveInclude:
+def do_nothing() -> None:
+    """Note no progress."""
+
+
+def make_model_resolver(
+    folders: Sequence[Path], on_progress: Callable[[], None] = do_nothing
+) -> ResolveInclude:
     """Make a function that reads the SDF text of a model from the first folder that has it.
 
     `model://NAME` is the folder NAME, whose model.config names the file; `model://NAME/FILE` is
@@ -55,6 +61,7 @@ def make_model_resolver(folders: Sequence[Path]) -> ResolveInclude:
             for part in _list_parts(uri, root, list_folders)
             if (path := resolve_below(root, part)) is not None
         )
+        on_progress()
         return next((text for path in paths if (text := _read_model_text(path)) is not None), None)
 
     return resolve
@@ -93,15 +100,16 @@ def _find_in_any_case(root: Path, part: str) -> Path | None:
     return path if is_inside else None
 
 
-def make_file_reader(folders: Sequence[Path]) -> Callable[[str], bytes | None]:
+def make_file_reader(
+    folders: Sequence[Path], on_progress: Callable[[], None] = do_nothing
+) -> Callable[[str], bytes | None]:
     """Make a function that reads what `make_file_finder` finds; None if missing or too large."""
     find = make_file_finder(folders)
 
     def read(uri: str) -> bytes | None:
+        on_progress()
         file = find(uri)
-        if file is None or not os.access(file, os.R_OK) or file.stat().st_size > MAX_FILE_BYTES:
-            return None
-        return file.read_bytes()
+        return None if file is None else read_regular_file(file, MAX_FILE_BYTES, on_progress)
 
     return read
 
@@ -158,9 +166,10 @@ def _read_model_text(path: Path) -> str | None:
     if path.is_dir():
         named = resolve_below(path, _find_model_file(path))
         return _read_model_text(named) if named is not None and named.is_file() else None
+    data = read_regular_file(path, MAX_BYTES)
     try:
-        return path.read_text(encoding="utf-8") if path.stat().st_size <= MAX_BYTES else None
-    except (OSError, UnicodeDecodeError):
+        return None if data is None else data.decode()
+    except UnicodeDecodeError:
         return None
 
 
@@ -190,8 +199,64 @@ MAX_PARSE_ROUNDS = 20
 """Each may add models that include others, nested 16 deep."""
 
 
+class SuppliedFile(NamedTuple):
+    """A file of a world."""
+
+    uri: str
+    name: str
+    """Its sha256."""
+    data: bytes
+
+
+class WorldFiles:
+    """Reads the files that a world names, from the operator's folders only."""
+
+    def __init__(self, folders: Sequence[Path]) -> None:
+        self._folders = folders
+        self._uris: set[str] = set()
+        self._bytes = 0
+
+    def read(self, uris: Iterable[str], on_progress: Callable[[], None]) -> list[SuppliedFile]:
+        """Read the files that are new, and the materials and images that they name."""
+        resolve = make_model_resolver(self._folders, on_progress)
+        find = make_file_reader(self._folders, on_progress)
+        files: list[SuppliedFile] = []
+        for uri in uris:
+            self._supply(uri, resolve, find, files)
+        return files
+
+    def _supply(
+        self,
+        uri: str,
+        resolve: ResolveInclude,
+        find: Callable[[str], bytes | None],
+        files: list[SuppliedFile],
+    ) -> bool:
+        """Add a file, and what it names; return whether it is new."""
+        if uri in self._uris:
+            return False
+        text = resolve(uri)
+        data = text.encode() if text is not None else find(uri)
+        if data is None or not self._has_room(data):
+            return False
+        self._uris.add(uri)
+        files.append(SuppliedFile(uri, sha256(data).hexdigest(), data))
+        for reference in list_references(uri, data):
+            # The first of these that exists.
+            for named in list_reference_uris(uri, reference):
+                if named in self._uris or self._supply(named, resolve, find, files):
+                    break
+        return True
+
+    def _has_room(self, data: bytes) -> bool:
+        if len(self._uris) >= MAX_WORLD_FILES:
+            return False
+        self._bytes += len(data)
+        return self._bytes <= MAX_BUNDLE_BYTES
+
+
 class WorldParseJob:
-    """Parses one world; files are read from the operator's folders only."""
+    """Parses one world, whose files are read in a thread."""
 
     def __init__(
         self,
@@ -202,17 +267,31 @@ class WorldParseJob:
         *,
         allow_missing: bool,
     ) -> None:
-        self.result: ParseResult | None = None
-        """None until the job is done."""
         self._text = text
         self._allow_missing = allow_missing
-        self._resolve, self._find = make_model_resolver(folders), make_file_reader(folders)
+        self._files = WorldFiles(folders)
         self._descriptions = descriptions
         self._store = store
         self._supplied: dict[str, str] = {}
-        self._supplied_bytes = self._rounds = 0
+        self._parsed: ParseResult | None = None
+        """The last result, while the files that it wants are read."""
+        self._reading: FileWork[list[SuppliedFile]] | None = None
+        self._result: ParseResult | None = None
+        self._rounds = 0
         self._is_final_round = False
         self._submit()
+
+    def poll(self) -> ParseResult | None:
+        """Return the result; None until the job is done.
+
+        Raises:
+            FilesStalled: A file system does not answer.
+        """
+        if self._reading is not None and self._reading.is_over():
+            new, self._reading = self._reading.outcome(), None
+            self._store_files(new)
+            self._go_on(has_new=bool(new))
+        return self._result
 
     def _submit(self) -> None:
         self._rounds += 1
@@ -230,44 +309,25 @@ class WorldParseJob:
         )
 
     def _on_parsed(self, result: ParseResult) -> None:
-        new = [uri for uri in result.wanted if self._supply(uri)]
-        if new and self._rounds < MAX_PARSE_ROUNDS:
+        self._parsed = result
+        if result.wanted:
+            self._reading = FileWork(partial(self._files.read, result.wanted))
+        else:
+            self._go_on(has_new=False)
+
+    def _store_files(self, new: Iterable[SuppliedFile]) -> None:
+        for file in new:
+            self._store.add(file.name, file.data)
+            self._supplied[file.uri] = file.name
+
+    def _go_on(self, *, has_new: bool) -> None:
+        parsed = self._parsed
+        assert parsed is not None
+        is_missing = parsed.code == SpawnCode.MISSING_ASSETS
+        if has_new and self._rounds < MAX_PARSE_ROUNDS:
             self._submit()
-        elif (
-            result.code == SpawnCode.MISSING_ASSETS
-            and self._allow_missing
-            and not self._is_final_round
-        ):
+        elif is_missing and self._allow_missing and not self._is_final_round:
             self._is_final_round = True
             self._submit()
         else:
-            self.result = result
-
-    def _supply(self, uri: str) -> bool:
-        """Add a file, and the materials and images that it names; return whether it is new."""
-        if uri in self._supplied:
-            return False
-        text = self._resolve(uri)
-        data = text.encode() if text is not None else self._find(uri)
-        if data is None or not self._add(uri, data):
-            return False
-        for reference in list_references(uri, data):
-            self._supply_first(list_reference_uris(uri, reference))
-        return True
-
-    def _supply_first(self, uris: Iterable[str]) -> None:
-        """Add the first of these files that exists."""
-        for uri in uris:
-            if uri in self._supplied or self._supply(uri):
-                return
-
-    def _add(self, uri: str, data: bytes) -> bool:
-        if len(self._supplied) >= MAX_WORLD_FILES:
-            return False
-        self._supplied_bytes += len(data)
-        if self._supplied_bytes > MAX_BUNDLE_BYTES:
-            return False
-        name = sha256(data).hexdigest()
-        self._store.add(name, data)
-        self._supplied[uri] = name
-        return True
+            self._result = parsed
