@@ -17,6 +17,7 @@ from mkdocs.structure.files import File
 from typer.cli import get_docs_for_click
 from typer.main import get_command
 
+import zensim
 from zensim.deploy import cli
 from zensim.proto import schema
 from zensim.proto.topic_catalog import TOPICS, TopicScope, TopicSpec
@@ -33,7 +34,7 @@ ROOT_PAGES = {
     "README.md": "index.md",
     "README.zh-CN.md": "index.zh-CN.md",
     "CONTRIBUTING.md": "contributing.md",
-    "SECURITY.md": "security.md",
+    "SECURITY.md": "security_policy.md",
     "CHANGELOG.md": "changelog.md",
 }
 """Documents of the root of the repository, by name, and their pages."""
@@ -58,6 +59,20 @@ The fields of every message and service, with types as in JSON Schema. MessagePa
 these names; CDR has the fields in this order.
 
 """
+API_HEAD = """# The API, name by name
+
+Every public name of `zensim`, with its signature. [Python](python.md) shows how to use them, and
+says what holds for all: units, errors, threads.
+
+"""
+SCENARIO_HEAD = """# Keys of scenario files
+
+Every key with its type, unit and default, as the reader checks them. [Scenarios](scenarios.md)
+shows how to write and run one; `zensim scenario schema` prints the JSON Schema.
+
+"""
+SCENARIO_REFERENCE = "## Reference\n"
+"""Heading in docs/scenarios.md; what follows is a page of its own on the site."""
 UNITS = ("format", "contentEncoding")
 LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(((?!https?:|mailto:|#)[^)\s]+)\)")
 IMAGE = re.compile(r"!\[([^\]]*)\]\((?:\.\./)*docs/([^)\s]+)\)")
@@ -68,6 +83,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     pages = {page: (ROOT / name).read_text() for name, page in ROOT_PAGES.items()}
     pages |= {"options.md": write_options_page(), "topics.md": write_topics_page()}
     pages |= {"messages.md": write_messages_page(), "adr/index.md": write_decisions_page()}
+    pages |= {"api.md": write_api_page(), "scenario_keys.md": write_scenario_keys_page()}
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))
     return files
@@ -78,6 +94,9 @@ def on_page_markdown(markdown: str, *, page: Page, **_: object) -> str:
     folder = ROOT / "docs" / Path(page.file.src_uri).parent
     if page.file.src_uri in ROOT_PAGES.values():
         folder = ROOT
+    if page.file.src_uri == "scenarios.md":
+        markdown, _, _ = markdown.partition(SCENARIO_REFERENCE)
+        markdown += "[Keys of scenario files](scenario_keys.md) lists every key.\n"
     markdown = IMAGE.sub(r"![\1](\2)", markdown)
     return LINK.sub(lambda link: _point(link, folder, page), markdown)
 
@@ -167,6 +186,49 @@ def _name_type(value: Mapping[str, Any]) -> str:
 def _write_default(value: Mapping[str, Any]) -> str:
     default = value.get("default")
     return "" if default in (None, {}, []) else f"`{json.dumps(default)}`"
+
+
+def write_api_page() -> str:
+    """Write the public names of the API: functions, then classes with their members."""
+    surface = json.loads((ROOT / "docs" / "api.json").read_text())
+    classes = {name: one for name, one in surface.items() if isinstance(one, dict)}
+    parts = [
+        f"## {name}\n\n`zensim.{name}{signature}`\n\n{_read_docstring(getattr(zensim, name))}\n"
+        for name, signature in surface.items()
+        if isinstance(signature, str) and callable(getattr(zensim, name))
+    ]
+    parts += [_describe_class(name, members) for name, members in classes.items()]
+    return API_HEAD + "\n".join(parts)
+
+
+def _describe_class(name: str, members: Mapping[str, str]) -> str:
+    described = getattr(zensim, name)
+    rows = []
+    for member, kind in members.items():
+        call = kind.replace("(self, ", "(").replace("(self)", "()") if kind[0] == "(" else ""
+        text = _read_docstring(getattr(described, member)) if call or kind == "property" else ""
+        rows.append(f"| `{member}{call}` | {text.partition(chr(10) * 2)[0]} |".replace("\n", " "))
+    table = ["| member | |", "|---|---|", *rows] if rows else []
+    return "\n".join([f"## {name}", "", _read_docstring(described), "", *table, ""])
+
+
+def _read_docstring(named: object) -> str:
+    """Read a docstring as Markdown; its sections of arguments and errors become lists."""
+    lines = []
+    for line in inspect.cleandoc(getattr(named, "__doc__", None) or "").splitlines():
+        if line in {"Args:", "Returns:", "Raises:", "Yields:"}:
+            lines += [f"**{line}**", ""]
+        elif line.startswith("    ") and not line.startswith("     "):
+            lines.append(f"- {line.strip()}")
+        else:
+            lines.append(line)
+    return "\n".join(lines)
+
+
+def write_scenario_keys_page() -> str:
+    """Write the generated reference of docs/scenarios.md as a page of its own."""
+    _, _, reference = (ROOT / "docs" / "scenarios.md").read_text().partition(SCENARIO_REFERENCE)
+    return SCENARIO_HEAD + reference.replace("\n### ", "\n## ")
 
 
 def write_decisions_page() -> str:

@@ -44,7 +44,7 @@ HEAD = """# Benchmarks
 
 `make bench` runs every section and rewrites this page; the command below a heading runs that
 section alone. *n* is the number of samples; a tenth of them is below p10, a tenth above p90.
-Limits are explained in [fleets](fleet.md), [engines](engines.md) and [ROS 2](ros2.md).
+Figures of single parts: [what parts cost](figures.md).
 """
 
 

@@ -10,6 +10,7 @@ from zensim.api.api_errors import Error
 from zensim.api.connections import connect
 from zensim.proto.cli_options import (
     ConnectOption,
+    JsonOption,
     WorldNameOption,
     expand_options,
     flag,
@@ -17,6 +18,7 @@ from zensim.proto.cli_options import (
 )
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.verbosity import print_announcement
 from zensim.scenario.scenario_reader import SUFFIXES, name_of_file
 from zensim.scenario.world_export import export_world
 
@@ -34,6 +36,7 @@ class ExportOptions:
     force: Annotated[bool, flag("--force", help="Write over files that exist.")] = False
     connect: ConnectOption = DEFAULT_ENDPOINT
     world_name: WorldNameOption = "default"
+    as_json: JsonOption = False
 
 
 @app.command(
@@ -51,7 +54,10 @@ def export(given: ExportOptions) -> None:
             found = export_world(sim, name_of_file(str(given.file)))
         _refuse_existing(given, [given.file.name, *found.files])
         found.write(given.file)
-    typer.echo(f"wrote {', '.join([given.file.name, *found.files])}", err=True)
+    files = [given.file.name, *found.files]
+    print_announcement(
+        "export", f"wrote {', '.join(files)}", {"files": files}, as_json=given.as_json
+    )
 
 
 def _refuse_existing(given: ExportOptions, names: list[str]) -> None:

@@ -87,7 +87,7 @@ def test_drive_is_read_from_a_plugin(drive: type[Drive]) -> None:
 
 @pytest.mark.parametrize("plugin", ALL_DRIVES, ids=lambda plugin: plugin.filenames[0])
 def test_drive_plugin_is_documented(plugin: DrivePlugin[Any]) -> None:
-    page = (ROOT / "docs" / "drives.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "drive_plugins.md").read_text(encoding="utf-8")
 
     assert any(name in page for name in plugin.filenames)
 

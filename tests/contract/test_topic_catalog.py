@@ -101,7 +101,7 @@ def test_readme_has_a_row_for_the_topic(topic: TopicSpec) -> None:
 
 @pytest.mark.parametrize("topic", TOPICS.values(), ids=TOPICS)
 def test_ros2_page_has_the_rows_of_the_topic(topic: TopicSpec) -> None:
-    rows = text_of(ROOT / "docs" / "ros2.md").splitlines()
+    rows = text_of(ROOT / "docs" / "ros2_interface.md").splitlines()
 
     assert [row for row in write_ros2_rows(topic) if row not in rows] == []
 

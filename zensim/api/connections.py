@@ -86,7 +86,7 @@ def launch(  # noqa: PLR0913  options of a start, each with a default
 
     Args:
         world: Name of a world, or an SDF file.
-        engine: bullet or mujoco; the default of the server if empty.
+        engine: pybullet or mujoco; the default of the server if empty.
         seed: Of the world's random numbers.
         rtf: Let time advance by itself at this real-time factor; 0 = as fast as possible.
         agents: Pools that drive the robots; 0 = none.
