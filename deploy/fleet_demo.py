@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from zensim.api.local_deployment import LocalDeployment
+from zensim.api.local_deployment import OPERATOR, LocalDeployment
 from zensim.api.server_access import ServerAccess
 from zensim.api.sim import Sim
 from zensim.proto.bus import Bus, BusConfig, open_bus
@@ -136,7 +136,7 @@ def make_demo(deployment: LocalDeployment, behaviour: DemoBehaviour) -> FleetDem
     """Make the demo of the robots of a deployment."""
     config = deployment.config
     return FleetDemo(
-        deployment.bus, config.client_endpoint, config.world_name, config.placements, behaviour
+        deployment.bus, config.address_of(OPERATOR), config.world_name, config.placements, behaviour
     )
 
 

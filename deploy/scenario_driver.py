@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 
-from zensim.api.local_deployment import LocalDeployment
+from zensim.api.local_deployment import OPERATOR, LocalDeployment
 from zensim.api.server_access import ServerAccess
 from zensim.api.sim import Sim
 from zensim.proto.bus import BusConfig, open_bus
@@ -22,7 +22,7 @@ class ScenarioDriver:
         on_failure: Callable[[CheckResult], None],
     ) -> None:
         config = deployment.config
-        bus = open_bus(BusConfig(connect=(config.client_endpoint,)))
+        bus = open_bus(BusConfig(connect=(config.address_of(OPERATOR),)))
         self._sim = Sim(ServerAccess(bus, config.world_name))
         self._run = ScenarioRun(scenario, self._sim)
         self._run.spawn()

@@ -3,6 +3,8 @@
 No other module imports zenoh.
 """
 
+import base64
+import hashlib
 import json
 import time
 import uuid
@@ -19,6 +21,7 @@ from zenoh.handlers import FifoChannel, RingChannel
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_endpoint, with_free_port
+from zensim.proto.join_tokens import JoinToken, is_join_address, read_join_address
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.network_protocols import (
     MAX_COMMAND_BYTES,
@@ -29,6 +32,7 @@ from zensim.proto.network_protocols import (
 )
 from zensim.proto.reply_sender import ReplySender, Send
 from zensim.proto.service_catalog import Request, Response, Service, require_ok
+from zensim.proto.tls_probe import ProbeFailed, fetch_authority
 
 if TYPE_CHECKING:
     from zenoh.handlers import Handler
@@ -123,7 +127,8 @@ class BusQuery:
         self.encoding = str(query.encoding) if query.encoding else ""
         self.size = len(query.payload or EMPTY_PAYLOAD)
         source = query.source_info
-        self.client = "" if source is None else str(source.source_id.zid)
+        self.user = keys.parse_user(self.key)
+        self.client = self.user or ("" if source is None else str(source.source_id.zid))
 
     @cached_property
     def payload(self) -> bytes:
@@ -133,9 +138,12 @@ class BusQuery:
 
     @cached_property
     def request_id(self) -> bytes:
-        """Attachment, cut where it is too long for an id."""
+        """Attachment, cut where it is too long for an id; differs from that of other users."""
         attachment = self._query.attachment
-        return attachment.to_bytes()[: MAX_REQUEST_ID_BYTES + 1] if attachment else b""
+        given = attachment.to_bytes()[: MAX_REQUEST_ID_BYTES + 1] if attachment else b""
+        if not (self.user and given) or len(given) > MAX_REQUEST_ID_BYTES:
+            return given
+        return hashlib.sha256(b"%s/%s" % (self.user.encode(), given)).digest()
 
     @property
     def name(self) -> str:
@@ -278,11 +286,14 @@ __all__ = [
     "BusQuery",
     "BusQueryQueue",
     "BusSubscription",
+    "Credentials",
     "EndpointTaken",
     "EndpointUnreachable",
+    "JoinRefused",
     "LivelinessToken",
     "LivelinessWatch",
     "NoServer",
+    "RouterSecurity",
     "open_bus",
     "to_zenoh_json",
 ]
@@ -331,6 +342,10 @@ QUERIES_OF_OWN_PRIORITY: Final = {
 }
 """Replies have the priority of their query. In a queue of their own they do not hold the lock that
 a message to the same link waits for, however long that link blocks."""
+ROUTER_USER: Final = "router"
+MAX_SECURED_SESSIONS: Final = 500
+ACCEPT_TIMEOUT_MS: Final = 2000
+JOIN_TIMEOUT_S: Final = 2.0
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
 """A query may return nothing after a reconnect (zenoh#2767): retry with the same id."""
 MAX_REPLIES: Final = 16384
@@ -355,6 +370,41 @@ class NoServer(BusError):
     """No queryable replies on this key."""
 
 
+class JoinRefused(BusError):
+    """A secured server does not admit the session, or is not the one of the token."""
+
+    def __init__(self, reason: str, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+        """One word: see `ProbeFailed`; `user` for a wrong password or a revoked user."""
+
+
+class Credentials(msgspec.Struct, frozen=True, kw_only=True):
+    """User and password of a session, and the authority that it trusts."""
+
+    user: str
+    password: str
+    authority: str
+    """Certificate, PEM."""
+
+    def __repr__(self) -> str:
+        """Name the user only."""
+        return f"Credentials({self.user!r})"
+
+
+class RouterSecurity(msgspec.Struct, frozen=True, kw_only=True):
+    """Certificate and users of a secured router."""
+
+    certificate: str
+    """File with its own certificate, and that of the authority."""
+    private_key: str
+    """File."""
+    passwords: str
+    """File with a line `user:password` for each user."""
+    access_control: dict[str, object]
+    """See `zensim.proto.security.access_rules`."""
+
+
 class BusConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Session settings; defaults to loopback without scouting and gossip."""
 
@@ -365,6 +415,10 @@ class BusConfig(msgspec.Struct, frozen=True, kw_only=True):
     """A stopped process loses its tokens after about this time."""
     max_message_bytes: int = MAX_MESSAGE_BYTES
     open_timeout_s: float = 2.0
+    credentials: Credentials | None = None
+    """Of a client of a secured router; a join token in `connect` stands for them, too."""
+    router_security: RouterSecurity | None = None
+    """Of a router that only admits users; None = it admits everyone."""
 
 
 class Bus:
@@ -389,6 +443,11 @@ class Bus:
     def endpoint(self) -> str:
         """First endpoint to listen at, else to connect to."""
         return (self.config.listen or self.config.connect or ("",))[0]
+
+    @property
+    def user(self) -> str:
+        """User of this session on a secured server; empty on others."""
+        return self.config.credentials.user if self.config.credentials else ""
 
     @property
     def zid(self) -> str:
@@ -504,7 +563,7 @@ class Bus:
                 f"request.size: a request of {len(payload)} bytes; send {limit} at most, "
                 "and meshes as files",
             )
-        key = keys.service(world, service.name)
+        key = keys.service(world, service.name, self.user)
         encoding = make_encoding(request, Format.MSGPACK)
         reply = self._query(key, payload, encoding, timeout_s, request_id or uuid.uuid4().hex)
         response = decode(service.response, reply.payload, reply.encoding)
@@ -527,6 +586,11 @@ class Bus:
                     return to_sample(reply.ok)
                 raise TimeoutError(f"no reply from {key} within {timeout_s:g} s")
             time.sleep(pause_s)
+        if self.user:
+            raise NoServer(
+                f"no server replies on {key} at {self.endpoint}; check --world-name, and that it "
+                "runs"
+            )
         raise NoServer(
             f"no server replies on {key} at {self.endpoint}; start one with 'zensim serve'"
         )
@@ -538,17 +602,49 @@ def open_bus(config: BusConfig) -> Bus:
     Raises:
         EndpointUnreachable: No router or server listens at the endpoints to connect to.
         EndpointTaken: Another process listens at an endpoint to listen at.
-        ValueError: An endpoint is not valid.
+        JoinRefused: A secured server does not admit the session, or is another one.
+        ValueError: An endpoint or a join token is not valid.
     """
-    listen = tuple(with_free_port(endpoint) for endpoint in config.listen)
-    connect = tuple(check_endpoint(endpoint) for endpoint in config.connect)
-    if config.mode == "client" and not connect:
-        connect = (DEFAULT_ENDPOINT,)
-    settled = msgspec.structs.replace(config, listen=listen, connect=connect)
+    settled = _settle(config)
     try:
         return Bus(zenoh.open(_make_zenoh_config(settled)), settled)
     except zenoh.ZError as error:
         raise _make_open_error(settled, str(error)) from error
+
+
+def _settle(config: BusConfig) -> BusConfig:
+    """Complete a configuration: free ports, the default endpoint, what a join token says."""
+    listen = tuple(with_free_port(endpoint) for endpoint in config.listen)
+    connect = config.connect
+    if config.mode == "client" and not connect:
+        connect = (DEFAULT_ENDPOINT,)
+    credentials, timeout_s = config.credentials, config.open_timeout_s
+    if connect and is_join_address(connect[0]):
+        token = read_join_address(connect[0])
+        connect = (token.endpoint,)
+        # A refusal is known by the timeout only: a short one would take haste for a refusal.
+        timeout_s = max(timeout_s, JOIN_TIMEOUT_S)
+        credentials = _join(token, timeout_s)
+    for endpoint in connect:
+        check_endpoint(endpoint)
+    return msgspec.structs.replace(
+        config,
+        listen=listen,
+        connect=connect,
+        credentials=credentials,
+        open_timeout_s=timeout_s,
+    )
+
+
+def _join(token: JoinToken, timeout_s: float) -> Credentials:
+    """Check who is at the endpoint of a token before its password is sent there."""
+    try:
+        authority = fetch_authority(token, timeout_s)
+    except ProbeFailed as error:
+        if error.reason == "unreachable":
+            raise EndpointUnreachable(str(error)) from error
+        raise JoinRefused(error.reason, str(error)) from error
+    return Credentials(user=token.user, password=token.password_text, authority=authority)
 
 
 def to_zenoh_json(config: BusConfig) -> str:
@@ -585,10 +681,40 @@ def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
     if config.mode == "router":
         entries["low_pass_filter"] = SIZE_LIMITS
         entries["qos/network"] = [QUERIES_OF_OWN_PRIORITY]
+    entries |= _make_client_entries(config.credentials)
+    entries |= _make_router_entries(config.router_security)
     made: zenoh.Config = zenoh.Config()
     for path, value in entries.items():
         made.insert_json5(path, json.dumps(value))
     return made
+
+
+def _make_client_entries(credentials: Credentials | None) -> dict[str, object]:
+    if credentials is None:
+        return {}
+    authority = base64.b64encode(credentials.authority.encode()).decode()
+    return {
+        "transport/link/tls/root_ca_certificate_base64": authority,
+        # The authority certifies one server only, whatever its address is.
+        "transport/link/tls/verify_name_on_connect": False,
+        "transport/auth/usrpwd/user": credentials.user,
+        "transport/auth/usrpwd/password": credentials.password,
+    }
+
+
+def _make_router_entries(security: RouterSecurity | None) -> dict[str, object]:
+    if security is None:
+        return {}
+    return {
+        "transport/link/tls/listen_private_key": security.private_key,
+        "transport/link/tls/listen_certificate": security.certificate,
+        "transport/auth/usrpwd/user": ROUTER_USER,
+        "transport/auth/usrpwd/password": uuid.uuid4().hex,
+        "transport/auth/usrpwd/dictionary_file": security.passwords,
+        "transport/unicast/max_sessions": MAX_SECURED_SESSIONS,
+        "transport/unicast/accept_timeout": ACCEPT_TIMEOUT_MS,
+        "access_control": security.access_control,
+    }
 
 
 def _make_open_error(config: BusConfig, text: str) -> BusError:
@@ -601,6 +727,12 @@ def _make_open_error(config: BusConfig, text: str) -> BusError:
         reason = text.partition(" at /")[0]
         return BusError(f"cannot listen at {', '.join(config.listen)}: {reason}")
     where = ", ".join(config.connect)
+    if config.credentials is not None:
+        return JoinRefused(
+            "user",
+            f"{where} does not admit user '{config.credentials.user}': the password is wrong, or "
+            "the user was revoked or has expired; get a new token from the server's operator",
+        )
     return EndpointUnreachable(
         f"no server listens at {where}; start one with 'zensim serve' or use --connect"
     )

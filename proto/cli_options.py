@@ -13,6 +13,7 @@ from typer.models import ArgumentInfo, OptionInfo
 
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.join_tokens import TOKEN_VARIABLE
 from zensim.proto.ros2.ros_settings import RosSettings, parse_ros_settings
 from zensim.proto.verbosity import print_old_spelling, set_verbosity
 
@@ -206,10 +207,28 @@ ConnectOption = Annotated[
     str,
     _connection(
         "--connect",
-        metavar="ENDPOINT",
-        help="Zenoh endpoint of the router or server.",
+        "--join",
+        metavar="ENDPOINT|TOKEN",
+        help="Zenoh endpoint of the router or server; or join token of a secured one, or @FILE "
+        "with a token.",
         show_default=DEFAULT_ENDPOINT,
-        envvar="ZENSIM_CONNECT",
+        envvar=[TOKEN_VARIABLE, "ZENSIM_CONNECT"],
+    ),
+]
+SecureOption = Annotated[
+    bool,
+    _connection(
+        "--secure",
+        metavar="",
+        help="Admit only users with a join token, over TLS; makes certificates and tokens.",
+    ),
+]
+InsecureOption = Annotated[
+    bool,
+    _connection(
+        "--insecure",
+        metavar="",
+        help="Admit everybody who reaches the endpoint, also from other hosts.",
     ),
 ]
 WorldNameOption = Annotated[

@@ -1,9 +1,11 @@
 """Endpoints of Zenoh sessions, as in `tcp/127.0.0.1:7447`: the default, checks, free ports."""
 
 import errno
+import ipaddress
 import os
 import re
 import socket
+from collections.abc import Iterable
 from typing import Final
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
@@ -29,6 +31,47 @@ def check_endpoint(endpoint: str) -> str:
     raise ValueError(
         f"endpoint {endpoint[:80]!r} is not valid; use protocol/host:port, as {DEFAULT_ENDPOINT}"
     )
+
+
+class Exposed(ValueError):
+    """A program would accept connections of other hosts without a decision about security."""
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host is this one only; names other than localhost are not."""
+    bare = host.strip("[]")
+    try:
+        return ipaddress.ip_address(bare).is_loopback
+    except ValueError:
+        return bare == "localhost"
+
+
+def check_exposure(
+    command: str, endpoints: Iterable[str], *, is_secure: bool, is_insecure: bool
+) -> None:
+    """Refuse to accept connections of other hosts unless the user says how.
+
+    Args:
+        command: To type, with its verb.
+        endpoints: To listen on.
+        is_secure: Whether only users with a token are admitted.
+        is_insecure: Whether the user accepts that everybody may do everything.
+
+    Raises:
+        Exposed: An endpoint is not on loopback, and neither is chosen.
+        ValueError: Both are chosen.
+    """
+    if is_secure and is_insecure:
+        raise ValueError("--secure and --insecure exclude each other; give one of them")
+    for endpoint in endpoints:
+        match = ENDPOINT_PATTERN.fullmatch(check_endpoint(endpoint))
+        if match is None or is_loopback(match["host"]) or is_secure or is_insecure:
+            continue
+        secured = f"{command} --secure --listen tls/{match['host']}:{match['port']}"
+        raise Exposed(
+            f"{endpoint} admits other hosts, and whoever reaches it may do everything; type "
+            f"'{secured}', or add --insecure in a network that you trust"
+        )
 
 
 def to_client_endpoint(endpoint: str) -> str:

@@ -4,14 +4,27 @@ Names are validated before: see `zensim.proto.names`.
 """
 
 
-def service(world: str, name: str) -> str:
-    """Key of a service."""
-    return f"sim/{world}/{name}"
+def service(world: str, name: str, user: str = "") -> str:
+    """Key of a service; of a user on a secured server, which has the user as a chunk."""
+    return f"sim/{world}/u/{user}/{name}" if user else f"sim/{world}/{name}"
 
 
 def services(world: str) -> str:
     """All services of a world."""
     return f"sim/{world}/*"
+
+
+def services_of_users(world: str) -> str:
+    """All services of a world, called by any user of a secured server."""
+    return f"sim/{world}/u/*/*"
+
+
+def parse_user(key: str) -> str:
+    """Return the user of a service key; empty for other keys."""
+    match key.split("/"):
+        case ["sim", _, "u", user, _]:
+            return user
+    return ""
 
 
 def alive_server(world: str) -> str:

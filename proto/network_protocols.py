@@ -65,6 +65,8 @@ class ServiceCall(Protocol):
     """A request that must be replied to or dropped, once."""
 
     encoding: str
+    user: str
+    """Who calls a secured server; empty on others."""
     size: int
     """Bytes of the request as received; `payload` is empty where that is too many."""
     client: str

@@ -38,7 +38,7 @@ from zensim.proto.messages.standard_messages import (
     TwistStamped,
     Vector3Stamped,
 )
-from zensim.proto.messages.telemetry_messages import Event, Snapshot, Stats, WorldClock
+from zensim.proto.messages.telemetry_messages import Event, Refusal, Snapshot, Stats, WorldClock
 from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_5, RELIABLE_10, Qos
 from zensim.proto.ros2.ros_graph import RosTopic
 
@@ -161,6 +161,15 @@ EVENTS = TopicSpec(
     format=Format.MSGPACK,
     is_gettable=False,
     description="spawned, deleted, claimed, released, touched, reset",
+)
+AUDIT = TopicSpec(
+    name="audit",
+    scope=TopicScope.WORLD,
+    messages=(Refusal,),
+    publisher=Participant.SERVER,
+    format=Format.MSGPACK,
+    is_gettable=False,
+    description="requests that a secured server refused: user, role, service, reason",
 )
 MODEL_STATES = TopicSpec(
     name="model_states",

@@ -459,7 +459,8 @@ def run_agent_process(start: AgentProcessConfig) -> None:
     deadline_s = time.monotonic() + config.wait_s
     with open_bus_with_retry(BusConfig(connect=(start.endpoint,)), config.wait_s) as bus:
         left_s = max(0.0, deadline_s - time.monotonic())
-        name = config.agent or _make_agent_name(config)
+        # On a secured server an agent can only be the user of its token.
+        name = bus.user or config.agent or _make_agent_name(config)
         # An interrupt in a callback of Python is lost: the flag is read, too.
         with suppress(KeyboardInterrupt):
             stop = StopFlag(is_armed=False)

@@ -19,6 +19,7 @@ from zensim.proto.cli_options import (
 )
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.join_tokens import hide_token
 from zensim.proto.messages.agent_messages import OnRelease
 from zensim.proto.names import check_name
 from zensim.proto.verbosity import print_announcement
@@ -108,7 +109,11 @@ def agent(given: AgentOptions) -> None:
         given = replace(given, world_name=world)
         endpoint = given.connect or DEFAULT_ENDPOINT
         if given.as_json:
-            facts = {"endpoint": endpoint, "world": world, "robots": given.entities or []}
+            facts = {
+                "endpoint": hide_token(endpoint),
+                "world": world,
+                "robots": given.entities or [],
+            }
             print_announcement("agent", "", facts, as_json=True)
         run_agent_process(
             AgentProcessConfig(endpoint=endpoint, config=_make_config(given), is_quiet=given.quiet)

@@ -1,24 +1,28 @@
 """Command line of the server: `zensim serve`."""
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, get_args
 
+import msgspec
 import typer
 
-from zensim.proto.bus import Bus
+from zensim.proto.bus import Bus, BusError
 from zensim.proto.cli_options import (
     AllowMissingOption,
     ClustersOption,
     EngineOption,
     EngineWorkersOption,
+    InsecureOption,
     JsonOption,
     LockstepOption,
     ModelPathOption,
     RealTimeFactorOption,
     RosOptions,
+    SecureOption,
     StrictWorldOption,
     WorldDynamicsOption,
     WorldNameOption,
@@ -29,10 +33,17 @@ from zensim.proto.cli_options import (
     make_app,
     parse_choice,
 )
-from zensim.proto.endpoints import DEFAULT_ENDPOINT, to_client_endpoint
+from zensim.proto.endpoints import (
+    DEFAULT_ENDPOINT,
+    check_exposure,
+    to_client_endpoint,
+    with_free_port,
+)
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.model_messages import Dynamics
+from zensim.proto.names import check_name
 from zensim.proto.stop_signal import StopFlag
+from zensim.proto.supervisor import ProgramDied
 from zensim.proto.verbosity import configure_logging, print_announcement
 from zensim.sim_server.journal.sqlite_store import JournalError
 from zensim.sim_server.pacing.lockstep import LOCKSTEP_TIMEOUT_S, LockstepSettings, OnMiss
@@ -42,6 +53,14 @@ from zensim.sim_server.physics.engine_config import (
     choose_engine,
     find_installed_engines,
     parse_engine_name,
+)
+from zensim.sim_server.security.router_process import secured_router
+from zensim.sim_server.security.secure_folder import (
+    DEFAULT_SECURE_ENDPOINT,
+    SecureFolder,
+    SecureSettings,
+    prepare_secure_folder,
+    to_secure_endpoint,
 )
 from zensim.sim_server.server_config import (
     CONTROL_HZ,
@@ -102,6 +121,8 @@ class ServeOptions(RosOptions):
             envvar="ZENSIM_CONNECT",
         ),
     ] = ""
+    secure: SecureOption = False
+    insecure: InsecureOption = False
     wait: Annotated[
         float,
         _connection(min=0.0, metavar="SECONDS", help=r"Timeout of connecting to the router \[s]."),
@@ -148,7 +169,7 @@ class ServeOptions(RosOptions):
     epilog="""Examples:
   zensim serve
   zensim serve --world warehouse --rtf 0 --paused
-  zensim serve --listen tcp/0.0.0.0:7447 --journal ./journal"""
+  zensim serve --secure --listen tls/0.0.0.0:7447 --journal ./journal"""
 )
 @expand_options
 def serve(context: typer.Context, given: ServeOptions) -> None:
@@ -158,9 +179,29 @@ def serve(context: typer.Context, given: ServeOptions) -> None:
         # An exported ZENSIM_CONNECT is meant for clients.
         given = replace(given, connect="")
     stop = StopFlag()
-    with exit_on_failure("serve"):
+    with exit_on_failure("serve", MissingServerExtra, ProgramDied, BusError), ExitStack() as stack:
         config = _make_server_config(given)
-    _run_server(config, stop, as_json=given.as_json or given.announce)
+        check_exposure(
+            "zensim serve",
+            config.bus.listen if config.bus else (),
+            is_secure=given.secure,
+            is_insecure=given.insecure,
+        )
+        folder = _prepare_folder(given) if given.secure else None
+        if folder is not None:
+            bus = stack.enter_context(secured_router(folder, "serve"))
+            config = msgspec.structs.replace(config, bus=bus, secure_folder=str(folder.path))
+        _run_server(config, stop, folder=folder, given=given)
+
+
+def _prepare_folder(given: ServeOptions) -> SecureFolder:
+    if given.connect:
+        raise ValueError("--secure and --connect exclude each other; a secured server has a router")
+    listen = with_free_port(to_secure_endpoint(given.listen or DEFAULT_SECURE_ENDPOINT))
+    with server_extra():
+        return prepare_secure_folder(
+            SecureSettings(check_name(given.world_name, "world"), given.ros.domain, listen)
+        )
 
 
 def _make_server_config(given: ServeOptions) -> ServerConfig:
@@ -192,26 +233,56 @@ def _make_server_config(given: ServeOptions) -> ServerConfig:
     )
 
 
-def _run_server(config: ServerConfig, stop: StopFlag, *, as_json: bool) -> None:
+def _run_server(
+    config: ServerConfig, stop: StopFlag, *, folder: SecureFolder | None, given: ServeOptions
+) -> None:
     def announce(bus: Bus, config: ServerConfig) -> None:
         engine = choose_engine(config.physics, find_installed_engines())
+        endpoint = bus.endpoint if folder is None else folder.settings.endpoint
+        secured = ", secured" if folder is not None else ""
+        facts: dict[str, object] = {
+            "world": config.world,
+            "endpoint": endpoint,
+            "connect": to_client_endpoint(endpoint),
+            "engine": engine,
+        }
+        if folder is not None and given.as_json:
+            facts["tokens"] = list_tokens(folder)
         print_announcement(
             "serve",
-            f"world '{config.world}' at {bus.endpoint} "
-            f"({config.step_hz:g} Hz, real-time factor {config.real_time_factor:g}, {engine})",
-            {
-                "world": config.world,
-                "endpoint": bus.endpoint,
-                "connect": to_client_endpoint(bus.endpoint),
-                "engine": engine,
-            },
-            as_json=as_json,
+            f"world '{config.world}' at {endpoint} "
+            f"({config.step_hz:g} Hz, real-time factor {config.real_time_factor:g}, {engine}"
+            f"{secured})",
+            facts,
+            as_json=given.as_json or given.announce,
         )
+        if folder is not None and not (given.as_json or given.announce):
+            print_tokens(folder)
 
     with exit_on_failure(
         "serve", ConfigError, WorldAlreadyServed, JournalError, MissingServerExtra
     ):
         _import_server()(config, stop, announce)
+
+
+def list_tokens(folder: SecureFolder) -> dict[str, str]:
+    """List the join tokens of a folder by user."""
+    return {
+        account.user.name: folder.make_token(account).write() for account in folder.list_active()
+    }
+
+
+def print_tokens(folder: SecureFolder) -> None:
+    """Print the join token of each user, and how to use one."""
+    users = {account.user.name: account.user for account in folder.list_active()}
+    typer.echo("Join tokens (each is a password; pass one on to one person or program only):")
+    for name, token in list_tokens(folder).items():
+        of = "" if users[name].role == name else f" ({users[name].role})"
+        typer.echo(f"  {name + of:<12} {token}")
+    typer.echo("Use: zensim list --join TOKEN; a token for the agent of a robot:")
+    world = folder.settings.world
+    named = "" if world == "default" else f" --world-name {world}"
+    typer.echo(f"  zensim token create --role agent --robot NAME{named}")
 
 
 def _import_server() -> Callable[..., None]:

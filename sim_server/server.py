@@ -7,6 +7,7 @@ import logging
 import time
 from contextlib import ExitStack
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -24,6 +25,7 @@ from zensim.sim_server.parser_process.parser_client import ParserClient
 from zensim.sim_server.ros2_node.server_node import start_server_node
 from zensim.sim_server.runtime.loop import ServerLoop, request_short_time_slice
 from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
+from zensim.sim_server.security.secure_folder import SecureFolder
 from zensim.sim_server.server_config import ServerConfig, WorldAlreadyServed, validate_config
 from zensim.sim_server.world_loading.world_loader import LoadedWorld, make_world_engine
 
@@ -124,9 +126,10 @@ def _run(
             _wait_for_parser(parser, clock, should_stop)
         node = start_server_node(bus, config.ros)
         cleanup.callback(node.close)
-        inbox = BusInbox(bus, config.world, node.sources)
+        users = SecureFolder(Path(config.secure_folder)) if config.secure_folder else None
+        inbox = BusInbox(bus, config.world, node.sources, is_secured=users is not None)
         publisher = BusWorldPublisher(bus, config.world, node.topics, node.on_progress)
-        loop = ServerLoop(parts, inbox, publisher, clock, tracker)
+        loop = ServerLoop(parts, inbox, publisher, clock, tracker, users)
         cleanup.callback(bus.token(keys.alive_server(config.world)).close)
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
         on_ready(bus, config)

@@ -68,6 +68,8 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     wait_s: float = 30.0
     """Timeout of connecting to the router."""
     ros: RosSettings = NO_ROS
+    secure_folder: str = ""
+    """Folder with the users of a secured server; empty = everybody may do everything."""
 
     @property
     def step_ns(self) -> int:

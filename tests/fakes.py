@@ -200,6 +200,7 @@ class MemoryCall:
         self.payload = payload
         self.size = len(payload)
         self.encoding = encoding
+        self.user = keys.parse_user(key)
         self.request_id = request_id
         self.client = ""
         self.answers: list[Sample] = []

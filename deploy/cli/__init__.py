@@ -37,6 +37,11 @@ VERBS: dict[str, Verb] = {
     ),
     "serve": Verb("Programs", "zensim.sim_server.cli", "Start a simulation server."),
     "router": Verb("Programs", "zensim.deploy.cli.router_commands", "Start a Zenoh router."),
+    "token": Verb(
+        "Programs",
+        "zensim.deploy.cli.token_commands",
+        "Create, list, revoke and show join tokens of a secured server.",
+    ),
     "agent": Verb(
         "Programs",
         "zensim.robot_agent.cli",

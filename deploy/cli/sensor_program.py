@@ -15,6 +15,7 @@ from zensim.proto.cli_options import (
 )
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.join_tokens import hide_token
 from zensim.proto.names import check_name
 from zensim.proto.verbosity import print_announcement
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
@@ -64,7 +65,7 @@ def run(given: SensorRunOptions) -> None:
             from zensim.sim_server.sensors.sensor_process import start_sensor_process
         endpoint = given.connect or DEFAULT_ENDPOINT
         if given.as_json:
-            facts = {"endpoint": endpoint, "world": given.world_name}
+            facts = {"endpoint": hide_token(endpoint), "world": given.world_name}
             print_announcement("sensors run", "", facts, as_json=True)
         start_sensor_process(
             SensorProcessConfig(

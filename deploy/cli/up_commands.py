@@ -18,6 +18,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from zensim.api.local_deployment import (
+    OPERATOR,
+    VIEWER,
     LaunchAgentsConfig,
     LaunchConfig,
     LaunchFailed,
@@ -25,6 +27,8 @@ from zensim.api.local_deployment import (
     LocalDeployment,
     choose_pool_count,
     launch,
+    make_agent_starts,
+    make_sensor_starts,
     summarize_run,
     supervise,
 )
@@ -50,15 +54,23 @@ from zensim.proto.cli_options import (
     parse_choice,
 )
 from zensim.proto.drive_orders import parse_drive_order
-from zensim.proto.endpoints import DEFAULT_ENDPOINT, with_free_port
+from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_exposure, with_free_port
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
+from zensim.proto.security.roles import ROLES, User
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied, SupervisedProgram, Supervisor
 from zensim.proto.verbosity import CURRENT
 from zensim.scenario.check_monitors import CheckResult
 from zensim.scenario.scenario_reader import Scenario, find_scenario_file, read_scenario
-from zensim.sim_server.cli import MISS_POLICIES, ServeOptions
+from zensim.sim_server.cli import MISS_POLICIES, ServeOptions, print_tokens
+from zensim.sim_server.security.secure_folder import (
+    SecureSettings,
+    open_secure_folder,
+    prepare_secure_folder,
+    to_secure_endpoint,
+)
+from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 from zensim.spawner.cli.spawn_arguments import (
     ControllersOption,
     DriveOption,
@@ -182,10 +194,12 @@ def up(context: typer.Context, given: UpOptions) -> None:
     if is_from_environment(context, "connect"):
         # An exported ZENSIM_CONNECT is meant for clients.
         given = replace(given, connect="")
-    with exit_on_failure("up", LaunchFailed, ProgramDied, MissingViewerExtra):
+    with exit_on_failure("up", LaunchFailed, ProgramDied, MissingViewerExtra, MissingServerExtra):
         plan = _make_plan(context, given)
         if plan.config.has_viewer:
             check_page(plan.config.viewer_port)
+        secured = secure_deployment(plan.config, is_secure=given.secure, is_insecure=given.insecure)
+        plan = replace(plan, config=secured)
         _launch_and_run(plan, began_s, given.duration, as_json=given.as_json)
 
 
@@ -309,6 +323,50 @@ def make_config(given: UpOptions) -> LaunchConfig:
     )
 
 
+def secure_deployment(config: LaunchConfig, *, is_secure: bool, is_insecure: bool) -> LaunchConfig:
+    """Give each program a user of its own if the server is secured; refuse to be exposed else.
+
+    Raises:
+        Exposed: Other hosts would be admitted without a decision.
+        ValueError: See `to_secure_endpoint`, `RefusedUser`.
+    """
+    listen = () if config.connect else (config.endpoint,)
+    check_exposure("zensim up", listen, is_secure=is_secure, is_insecure=is_insecure)
+    if not is_secure:
+        return msgspec.structs.replace(config, is_insecure=is_insecure)
+    if config.connect:
+        raise ValueError("--secure and --connect exclude each other; give one of them")
+    endpoint = to_secure_endpoint(config.endpoint)
+    config = msgspec.structs.replace(config, endpoint=endpoint)
+    with server_extra():
+        folder = prepare_secure_folder(
+            SecureSettings(config.world_name, config.ros.domain, endpoint)
+        )
+    users = list_users_of_programs(config)
+    accounts = folder.ensure(users.values())
+    addresses = {
+        program: folder.write_token(account, config.client_endpoint)
+        for program, account in zip(users, accounts, strict=True)
+    }
+    return msgspec.structs.replace(config, join_addresses=addresses)
+
+
+def list_users_of_programs(config: LaunchConfig) -> dict[str, User]:
+    """List the users of the programs of a secured deployment, by program."""
+    users = {OPERATOR: User("operator", "operator"), VIEWER: User("page", "page")}
+    for number, program in enumerate(make_sensor_starts(config), 1):
+        users[program] = User("sensors" if number == 1 else f"sensors_{number}", "sensors")
+    for number, (program, start) in enumerate(make_agent_starts(config).items(), 1):
+        robots = start.config.entities
+        if robots:
+            # A robot may be named as a role.
+            name = f"agent_{robots[0]}" if robots[0] in ROLES else robots[0]
+            users[program] = User(name, "agent", robots)
+        else:
+            users[program] = User("pool" if number == 1 else f"pool_{number}", "pool")
+    return users
+
+
 def _launch_and_run(plan: UpPlan, began_s: float, duration: float, *, as_json: bool) -> None:
     stop = StopFlag(is_armed=False)
     with closing(Supervisor(_print_restart)) as supervisor, ExitStack() as stack:
@@ -398,12 +456,14 @@ def _print_ready(deployment: LocalDeployment, names: Sequence[str], *, as_json: 
         "drive": f"zensim drive {first} 0.2 0.5{where}",
         "subscribe": f"zensim echo {first}/odom{where}",
     }
-    if config.client_endpoint != (config.connect or config.endpoint):
+    if config.client_endpoint != (config.connect or config.endpoint) and not config.join_addresses:
         elsewhere = config.client_endpoint.replace("127.0.0.1", socket.gethostname())
         lines["elsewhere"] = f"--connect {elsewhere.replace('[::1]', socket.gethostname())}"
     typer.echo(f"{len(names)} robots ready in {deployment.ready_s:.1f} s")
     for word, line in lines.items():
         typer.echo(f"  {word:<10} {line}")
+    if config.join_addresses:
+        print_tokens(open_secure_folder(config.world_name))
     typer.echo("Ctrl-C or 'zensim down' to stop.")
 
 
@@ -411,6 +471,8 @@ def _make_client_options(config: LaunchConfig) -> str:
     """Make the options that a client in the same shell needs."""
     default = os.environ.get("ZENSIM_CONNECT") or DEFAULT_ENDPOINT
     connect = f" --connect {config.client_endpoint}" if config.client_endpoint != default else ""
+    if config.join_addresses:
+        connect = f" --join {config.join_addresses[OPERATOR]}"
     named = os.environ.get("ZENSIM_WORLD") or "default"
     return f"{connect} --world-name {config.world_name}" if config.world_name != named else connect
 

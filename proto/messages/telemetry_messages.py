@@ -96,6 +96,22 @@ class Stats(msgspec.Struct, frozen=True):
     """Published by the present sensor processes since they started."""
     late_sensor_messages: UInt64 = 0
     """See `SensorsReply.late`."""
+    refused: UInt64 = 0
+    """Requests that a secured server refused since start: see `Refusal`."""
+
+
+class Refusal(msgspec.Struct, frozen=True):
+    """A request that a secured server refused because of its caller."""
+
+    ros_type: ClassVar[str] = "zensim/msg/Refusal"
+
+    user: str = ""
+    """Empty for a request without a user."""
+    role: str = ""
+    service: str = ""
+    reason: str = ""
+    number: UInt64 = 0
+    """Of refusals since start; a gap means that some were not published."""
 
 
 class Snapshot(msgspec.Struct, frozen=True):

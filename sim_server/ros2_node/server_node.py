@@ -45,6 +45,7 @@ from zensim.proto.ros2.ros_service_catalog import (
 )
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.ros2.type_hash import find_service_type, hash_service
+from zensim.proto.security.roles import ROS_USER
 from zensim.proto.service_catalog import CANCEL_STEPS, SIMULATE_STEPS
 from zensim.proto.topic_endpoints import TopicFactory, TopicPublisher
 
@@ -119,6 +120,7 @@ class ActionCall:
 
     payload, encoding, request_id, size = b"", MSGPACK_ENCODING, b"", 0
     client = "simulate_steps action"
+    user = ROS_USER
 
     def __init__(
         self, name: str, request: msgspec.Struct, on_reply: Callable[[bytes, str], None]
@@ -320,6 +322,8 @@ NO_REQUEST_ID: Final = b""
 
 class Ros2Call:
     """A request received on a key of rmw_zenoh or of a bridge; see `ServiceCall`."""
+
+    user = ROS_USER
 
     def __init__(
         self, call: Query, forms: tuple[RosService, ...], attachment: Attachment | None

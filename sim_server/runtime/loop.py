@@ -18,11 +18,15 @@ from zensim.proto.messages.agent_messages import DriveCommand, DriveState, Twist
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.network_protocols import Sample, ServiceCall
-from zensim.proto.topic_catalog import CONTACTS, EVENTS, STATS, STEPS_PROGRESS
+from zensim.proto.topic_catalog import AUDIT, CONTACTS, EVENTS, STATS, STEPS_PROGRESS
 from zensim.sim_server.journal_protocol import ChangeJournal
 from zensim.sim_server.pacing.command_timeouts import CommandReceipt, CommandTimeouts
 from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
 from zensim.sim_server.runtime.loop_channels import Inbox, WorldPublisher
+from zensim.sim_server.runtime.request_authorization import (
+    RequestAuthorization,
+    UserDirectory,
+)
 from zensim.sim_server.runtime.request_dispatcher import RequestDispatcher
 from zensim.sim_server.runtime.request_queue import RequestBudget, RequestBusy, RequestQueue
 from zensim.sim_server.runtime.sensor_sessions import SensorSessions
@@ -333,6 +337,7 @@ class ServerLoop:
         publisher: WorldPublisher,
         clock: LoopClock,
         journal: ChangeJournal | None = None,
+        users: UserDirectory | None = None,
     ) -> None:
         self._world, self._pacing = parts.world, parts.pacing
         self._descriptions = parts.descriptions
@@ -348,12 +353,18 @@ class ServerLoop:
         self._world_map = WorldMap(parts, publisher)
         self._telemetry = WorldTelemetry(parts.world, parts.pacing, parts.sensors, self._world_map)
         self._contacts = ContactTelemetry(parts.world, parts.store.vertices)
+        self._authorization: RequestAuthorization | None = None
+        if users is not None:
+            self._authorization = RequestAuthorization(
+                users, parts.world.entities, parts.pacing.now_ns, self._loop_stats
+            )
         self._dispatcher = RequestDispatcher(
             ServiceHandlers(parts),
             self._telemetry,
             self._loop_stats,
             partial(keys.service, parts.world.name),
             journal,
+            self._authorization,
         )
         self._budget = RequestBudget(clock.used_ns)
         self._requests = RequestQueue(self._budget)
@@ -457,6 +468,9 @@ class ServerLoop:
                 event.message,
             )
             self._publisher.publish(EVENTS, event)
+        if self._authorization is not None:
+            for refusal in self._authorization.take_reports():
+                self._publisher.publish(AUDIT, refusal)
         now_ns = self._clock.now_ns()
         self._publish_progress(now_ns)
         if self._loop_stats.close_window(now_ns) and self._publisher.is_wanted(STATS):

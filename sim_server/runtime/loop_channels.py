@@ -71,7 +71,12 @@ class BusInbox:
     """Inbox on the keys of one world, and other sources of service calls."""
 
     def __init__(
-        self, network: ServerNetwork, world: str, others: tuple[ServiceCallSource, ...] = ()
+        self,
+        network: ServerNetwork,
+        world: str,
+        others: tuple[ServiceCallSource, ...] = (),
+        *,
+        is_secured: bool = False,
     ) -> None:
         self._network = network
         self._agents = network.watch_tokens(keys.alive_agents(world))
@@ -85,11 +90,14 @@ class BusInbox:
         self._clients = network.watch_tokens(keys.alive_clients(world))
         self._twists = network.subscribe(TWISTS.key(world), TWISTS_DEPTH, MAX_FLEET_COMMAND_BYTES)
         self._calls = network.serve(keys.services(world))
+        self._user_calls = network.serve(keys.services_of_users(world)) if is_secured else None
         self._others = others
 
     def take_calls(self) -> list[ServiceCall]:
         """See `Inbox`."""
         calls: list[ServiceCall] = [*self._calls.take()]
+        if self._user_calls is not None:
+            calls += self._user_calls.take()
         for source in self._others:
             calls += source.take()
         return calls

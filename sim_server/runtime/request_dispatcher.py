@@ -21,6 +21,7 @@ from zensim.proto.service_catalog import CLAIM_ENTITY, CLAIM_SHARE, SERVICES, SP
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.journal_protocol import ChangeJournal, JournaledResponse
 from zensim.sim_server.pacing.loop_stats import LoopStats
+from zensim.sim_server.runtime.request_authorization import RequestAuthorization
 from zensim.sim_server.runtime.request_queue import MAX_WAITING, RequestBudget, RequestBusy
 from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, WorldTelemetry
 from zensim.sim_server.service_parts import DeferredResponse
@@ -112,7 +113,7 @@ class QueuedReply:
 class ReplyQueue:
     """Responses in the order in which they are sent."""
 
-    def __init__(self, key_of: Callable[[str], str]) -> None:
+    def __init__(self, key_of: Callable[[str, str], str]) -> None:
         self._key_of = key_of
         self._waiting: deque[QueuedReply] = deque()
 
@@ -136,7 +137,7 @@ class ReplyQueue:
     def send(self, queued: QueuedReply) -> None:
         """Send a response now."""
         call, cached = queued.call, queued.cached
-        call.reply(cached.payload, cached.encoding, self._key_of(call.name))
+        call.reply(cached.payload, cached.encoding, self._key_of(call.name, call.user))
 
 
 JOURNALED_SERVICES = frozenset(
@@ -169,13 +170,15 @@ class RequestDispatcher:
         handlers: ServiceHandlers,
         telemetry: WorldTelemetry,
         loop_stats: LoopStats,
-        key_of: Callable[[str], str],
+        key_of: Callable[[str, str], str],
         journal: ChangeJournal | None,
+        authorization: RequestAuthorization | None = None,
     ) -> None:
         self._handlers = handlers
         self._telemetry = telemetry
         self._loop_stats = loop_stats
         self._journal = journal
+        self._authorization = authorization
         self._responses = ResponseCache()
         if journal is not None:
             self._responses.load(journal.earlier_responses)
@@ -249,7 +252,10 @@ class RequestDispatcher:
     def _handle(self, call: ServiceCall) -> msgspec.Struct | DeferredResponse[Any]:
         _check_size(call)
         self._check_pending(call)
-        return self._handlers.handle(call.read(_request_type(call.name)))
+        request = call.read(_request_type(call.name))
+        if self._authorization is not None:
+            self._authorization.check(call, request)
+        return self._handlers.handle(request)
 
     def _check_pending(self, call: ServiceCall) -> None:
         if len(self._pending) < MAX_WAITING:
@@ -291,6 +297,8 @@ class RequestDispatcher:
             self._journal.record()
 
     def _reply(self, call: ServiceCall, response: msgspec.Struct) -> None:
+        if self._authorization is not None:
+            self._authorization.note_response(call, response)
         cached = _encode_response(call, response)
         forgotten = self._responses.keep(call, cached)
         if self._journal is not None:

@@ -203,6 +203,7 @@ class WorldTelemetry:
             sensor_processes=tuple(sorted(self._sensors.active)),
             sensor_messages=sum(reply.messages for reply in replies),
             late_sensor_messages=sum(reply.late for reply in replies),
+            refused=loop_stats.refused,
         )
 
     def _make_snapshot(self) -> Snapshot:

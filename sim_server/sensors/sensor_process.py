@@ -606,7 +606,7 @@ def start_sensor_process(config: SensorProcessConfig) -> None:
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_DFL)
     with open_bus_with_retry(BusConfig(connect=(config.endpoint,)), config.wait_s) as bus:
-        name = config.name or f"sensors_{uuid.uuid4().hex[:8]}"
+        name = bus.user or config.name or f"sensors_{uuid.uuid4().hex[:8]}"
         # An interrupt in a callback of Python is lost: the flag is read, too.
         with suppress(KeyboardInterrupt):
             stop = StopFlag(is_armed=False)

@@ -125,7 +125,7 @@ def open_client(
         config = BusConfig(connect=(endpoint,), open_timeout_s=max(wait_s, MIN_OPEN_TIMEOUT_S))
         configure_logging()
         with open_bus(config) as bus:
-            LOG.info("connected to %s, world=%s", endpoint, options.world_name)
+            LOG.info("connected to %s, world=%s", bus.endpoint, options.world_name)
             yield SimClient(bus, options.world_name, timeout_s)
 
 

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from zensim.proto import keys, service_catalog
-from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
+from zensim.proto.bus import Bus, BusConfig, BusError, JoinRefused, NoServer, open_bus
 from zensim.proto.cli_options import ConnectionOptions, JsonOption, expand_options, flag, make_app
 from zensim.proto.endpoints import (
     DEFAULT_ENDPOINT,
@@ -21,6 +21,7 @@ from zensim.proto.endpoints import (
     check_endpoint,
 )
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.proto.join_tokens import is_join_address, read_join_address
 from zensim.proto.messages.telemetry_messages import (
     EntityModel,
     GetModelsRequest,
@@ -63,12 +64,18 @@ def diagnose(endpoint: str, world: str, version: str) -> Iterator[Finding]:
         world: Name on the network.
         version: Version of this command.
     """
+    config = BusConfig(connect=(endpoint,), open_timeout_s=CONNECT_TIMEOUT_S)
+    if is_join_address(endpoint):
+        endpoint = read_join_address(endpoint).endpoint
     listener = _check_listener(endpoint)
     yield listener
     if listener.mark == "wrong":
         return
     try:
-        bus = open_bus(BusConfig(connect=(endpoint,), open_timeout_s=CONNECT_TIMEOUT_S))
+        bus = open_bus(config)
+    except JoinRefused as error:
+        yield _refused_finding(str(error))
+        return
     except BusError:
         yield _no_session_finding(endpoint)
         return
@@ -120,6 +127,11 @@ def _no_session_finding(endpoint: str) -> Finding:
         "check the port, and the credentials and certificates of the router",
         ExitCode.UNREACHABLE,
     )
+
+
+def _refused_finding(message: str) -> Finding:
+    found, _, advice = message.partition("; ")
+    return Finding("wrong", "session", found, advice, ExitCode.UNREACHABLE)
 
 
 def _check_server(bus: Bus, world: str, version: str) -> Iterator[Finding]:

@@ -16,8 +16,20 @@ from zensim.api.server_access import ServerAccess
 from zensim.api.sim import Sim
 from zensim.api.world_access import api_errors
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, BusError, open_bus_with_retry
+from zensim.proto.bus import (
+    Bus,
+    BusConfig,
+    BusError,
+    JoinRefused,
+    open_bus_with_retry,
+)
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_endpoint, with_free_port
+from zensim.proto.join_tokens import (
+    TOKEN_VARIABLE,
+    hide_token,
+    is_join_address,
+    read_join_address,
+)
 from zensim.proto.messages.telemetry_messages import Info
 from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.spawner.client.service_client import ServiceClient
@@ -50,22 +62,23 @@ def connect(
     Args:
         endpoint: As `tcp/127.0.0.1:7447`; else `ZENSIM_CONNECT`, else the default on this host.
         world: Name of the world; the only one there is if it is not given.
-        token: For servers with roles; those of this version have none and do not read it.
+        token: Join token of a secured server, or `@FILE` with one; else `ZENSIM_TOKEN`.
         timeout_s: Wall time.
 
     Raises:
         Unreachable: No server replies there.
         NotFound: There is no such world.
     """
-    del token
-    where, source = _choose_endpoint(endpoint)
+    where, source = _choose_endpoint(token or endpoint)
     deadline = time.monotonic() + timeout_s
     with ExitStack() as stack:
         bus = stack.enter_context(_open(where, source, timeout_s))
         name = world or _find_world(bus, deadline)
         if keys.alive_server(name) not in bus.list_tokens(keys.alive_server("*")):
             there = _list_worlds(bus)
-            raise NotFound(f"no world '{name}' at {where}", hint=f"there are {', '.join(there)}")
+            raise NotFound(
+                f"no world '{name}' at {bus.endpoint}", hint=f"there are {', '.join(there)}"
+            )
         sim = Sim(ServerAccess(bus, name))
         # The simulation closes it.
         stack.pop_all()
@@ -156,7 +169,8 @@ def servers(endpoint: str | None = None, *, timeout_s: float = 2.0) -> tuple[Ser
         return ()
     with bus, api_errors():
         return tuple(
-            ServerEntry(name, where, ServiceClient(bus, name).info()) for name in _list_worlds(bus)
+            ServerEntry(name, bus.endpoint, ServiceClient(bus, name).info())
+            for name in _list_worlds(bus)
         )
 
 
@@ -164,10 +178,18 @@ def _choose_endpoint(endpoint: str | None) -> tuple[str, str]:
     """Choose an endpoint; say where it comes from."""
     with api_errors():
         if endpoint is not None:
-            return check_endpoint(endpoint), "given"
-        if variable := os.environ.get(CONNECT_VARIABLE):
-            return check_endpoint(variable), CONNECT_VARIABLE
+            return _check_address(endpoint), "given"
+        for name in (TOKEN_VARIABLE, CONNECT_VARIABLE):
+            if variable := os.environ.get(name):
+                return _check_address(variable), name
     return DEFAULT_ENDPOINT, "default"
+
+
+def _check_address(address: str) -> str:
+    if is_join_address(address):
+        read_join_address(address)
+        return address
+    return check_endpoint(address)
 
 
 def _open(where: str, source: str, timeout_s: float) -> Bus:
@@ -175,8 +197,10 @@ def _open(where: str, source: str, timeout_s: float) -> Bus:
         return open_bus_with_retry(
             BusConfig(connect=(where,), open_timeout_s=min(timeout_s, 2.0)), min(timeout_s, 0.2)
         )
+    except JoinRefused as error:
+        raise Unreachable(str(error), slug="join_refused") from error
     except BusError as error:
-        raise Unreachable(f"no server at {where} ({source})") from error
+        raise Unreachable(f"no server at {hide_token(where)} ({source})") from error
 
 
 def _list_worlds(bus: Bus) -> list[str]:

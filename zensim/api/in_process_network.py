@@ -94,6 +94,7 @@ class LastValueQuery:
         self.encoding = ""
         self.request_id = b""
         self.client = ""
+        self.user = ""
         self.size = 0
         self.samples: list[Sample] = []
 

@@ -35,6 +35,8 @@ START_TIMEOUT_S = 30.0
 AGENT_WAIT_S = 3.0 * START_TIMEOUT_S
 """Longer than all timeouts here, so that the launcher reports the failure, not an agent."""
 ODOM_DEPTH = 65536
+OPERATOR, VIEWER = "operator", "viewer"
+"""Programs that have addresses of their own: the one that starts the others, and the page."""
 POLL_S = 0.01
 EVENTS_DEPTH = 256
 ARRIVALS = ("spawned", "loaded")
@@ -99,6 +101,10 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Empty = default of the server."""
     connect: str = ""
     """Endpoint of a router that the server connects to, instead of listening at `endpoint`."""
+    join_addresses: dict[str, str] = {}
+    """Of a secured server: join address (`@FILE`) of each program, and of `OPERATOR`."""
+    is_insecure: bool = False
+    """Whether the server may admit everybody from other hosts."""
     wait_s: float = 30.0
     """Timeout of the server's connection to the router."""
     journal: str = ""
@@ -121,6 +127,10 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     def client_endpoint(self) -> str:
         """Endpoint that programs on this host connect to."""
         return self.connect or to_client_endpoint(self.endpoint)
+
+    def address_of(self, program: str) -> str:
+        """Find what a program connects to: the join address of its user, or the endpoint."""
+        return self.join_addresses.get(program, self.client_endpoint)
 
 
 @dataclass(frozen=True)
@@ -257,6 +267,8 @@ def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
         "--lockstep": config.is_lockstep,
         "--paused": config.is_paused,
         "--verbose": config.is_verbose,
+        "--secure": bool(config.join_addresses),
+        "--insecure": config.is_insecure,
     }
     return (
         *("serve", *at, "--world", config.world, "--world-name", config.world_name, "--announce"),
@@ -315,7 +327,7 @@ def make_agent_starts(config: LaunchConfig) -> dict[str, AgentProcessConfig]:
             common, entities=group.entities, rates=rates
         )
     return {
-        name: AgentProcessConfig(endpoint=config.client_endpoint, config=one, is_quiet=True)
+        name: AgentProcessConfig(endpoint=config.address_of(name), config=one, is_quiet=True)
         for name, one in configs.items()
     }
 
@@ -324,7 +336,7 @@ def make_sensor_starts(config: LaunchConfig) -> dict[str, SensorProcessConfig]:
     """Make the settings of the sensor processes, by program name."""
     return {
         f"sensor process {number}": SensorProcessConfig(
-            endpoint=config.client_endpoint,
+            endpoint=config.address_of(f"sensor process {number}"),
             world=config.world_name,
             ros=config.ros,
             is_quiet=True,
@@ -384,7 +396,7 @@ def _await_announcement(
 
 def _open_bus(config: LaunchConfig, supervisor: Supervisor) -> Bus:
     deadline = time.monotonic() + START_TIMEOUT_S
-    bus_config = BusConfig(connect=(config.client_endpoint,), open_timeout_s=0.2)
+    bus_config = BusConfig(connect=(config.address_of(OPERATOR),), open_timeout_s=0.2)
     while True:
         supervisor.watch()
         try:
@@ -465,7 +477,7 @@ def _poll(deployment: LocalDeployment, deadline: float, failure: str) -> None:
 
 def _start_viewer(deployment: LocalDeployment) -> SupervisedProgram:
     return deployment.supervisor.start(
-        "viewer",
+        VIEWER,
         _make_viewer_arguments(deployment.config, deployment.config.viewer_port),
         is_restarted=True,
         # The world goes on without its page.
@@ -475,7 +487,7 @@ def _start_viewer(deployment: LocalDeployment) -> SupervisedProgram:
 
 def _make_viewer_arguments(config: LaunchConfig, port: int) -> tuple[str, ...]:
     return (
-        *("view", "--connect", config.client_endpoint, "--world-name", config.world_name),
+        *("view", "--connect", config.address_of(VIEWER), "--world-name", config.world_name),
         *("--port", str(port), "--no-open"),
     )
 

@@ -102,7 +102,7 @@ def a_reply(number: int, position: int) -> tuple[MemoryCall, QueuedReply]:
 
 
 def some_replies(*positions: int) -> tuple[ReplyQueue, list[MemoryCall]]:
-    replies = ReplyQueue(lambda name: f"key/{name}")
+    replies = ReplyQueue(lambda name, _: f"key/{name}")
     pairs = [a_reply(number, position) for number, position in enumerate(positions)]
     for _, waiting in pairs:
         replies.add(waiting)

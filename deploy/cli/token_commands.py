@@ -1,0 +1,196 @@
+"""`zensim token`: create, list, revoke and show join tokens of a secured server on this host."""
+
+import json
+import re
+import time
+from dataclasses import dataclass
+from typing import Annotated, Final
+
+import typer
+
+from zensim.proto.bus import BusConfig, Credentials, to_zenoh_json
+from zensim.proto.cli_options import JsonOption, WorldNameOption, expand_options, make_app
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.security.roles import ROLES, RefusedUser, User
+from zensim.sim_server.security.secure_folder import (
+    Account,
+    SecureFolder,
+    open_secure_folder,
+)
+
+app = make_app("token")
+
+UNITS_S: Final = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86_400.0}
+TTL_PATTERN: Final = re.compile(r"(\d{1,9})([smhd])")
+FORMS: Final = ("token", "zenoh-config", "rmw")
+
+HostOption = Annotated[
+    str,
+    typer.Option(
+        "--host",
+        metavar="HOST",
+        help="Name or address of this host for clients, as behind a router with NAT.",
+        show_default="as the server listens",
+    ),
+]
+UserArgument = Annotated[str, typer.Argument(metavar="USER", help="User, as 'list' prints it.")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CreateOptions:
+    """Options of `zensim token create`."""
+
+    role: Annotated[str, typer.Option("--role", metavar="ROLE", help=f"One of {', '.join(ROLES)}.")]
+    robot: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--robot",
+            metavar="NAME",
+            help="Robot that an agent drives; its name is also its namespace. Repeatable.",
+        ),
+    ] = None
+    name: Annotated[
+        str,
+        typer.Option(
+            "--name", metavar="NAME", help="Name of the user.", show_default="robot, or role"
+        ),
+    ] = ""
+    ttl: Annotated[
+        str,
+        typer.Option(
+            "--ttl",
+            metavar="TIME",
+            help="How long it is valid, as 30m, 1h or 7d.",
+            show_default="∞",
+        ),
+    ] = ""
+    host: HostOption = ""
+    world_name: WorldNameOption = "default"
+    as_json: JsonOption = False
+
+
+@app.command(
+    epilog="""Examples:
+  zensim token create --role agent --robot r1 --ttl 1h
+  zensim token create --role observer --name anna"""
+)
+@expand_options
+def create(given: CreateOptions) -> None:
+    """Create a user, and print its token. Sessions are interrupted for about two seconds."""
+    with exit_on_failure("token create"):
+        folder = open_secure_folder(given.world_name)
+        robots = tuple(given.robot or ())
+        user = User(given.name or choose_user_name(folder, given.role, robots), given.role, robots)
+        account = folder.add([user], parse_ttl(given.ttl))[0]
+        token = folder.make_token(account, given.host).write()
+        facts = {"user": user.name, "role": user.role, "robots": robots, "token": token}
+        typer.echo(json.dumps(facts) if given.as_json else token)
+
+
+@app.command(
+    name="list",
+    epilog="""Examples:
+  zensim token list""",
+)
+@expand_options
+def list_users(*, world_name: WorldNameOption = "default", as_json: JsonOption = False) -> None:
+    """List the users: role, robots and end; no secrets."""
+    with exit_on_failure("token list"):
+        accounts = open_secure_folder(world_name).accounts().values()
+        if as_json:
+            typer.echo(json.dumps([_describe(account) for account in accounts]))
+            return
+        for account in accounts:
+            user, robots = account.user, ", ".join(account.user.robots) or "-"
+            typer.echo(f"{user.name:<20} {user.role:<10} {robots:<20} {_format_end(account)}")
+
+
+@app.command(
+    epilog="""Examples:
+  zensim token revoke r1"""
+)
+@expand_options
+def revoke(*, user: UserArgument, world_name: WorldNameOption = "default") -> None:
+    """Revoke a user: its sessions end now. Others are interrupted for about two seconds."""
+    with exit_on_failure("token revoke"):
+        open_secure_folder(world_name).revoke(user)
+
+
+@app.command(
+    epilog="""Examples:
+  zensim token show r1
+  zensim token show ros --as rmw > session.json5"""
+)
+@expand_options
+def show(
+    *,
+    user: UserArgument,
+    form: Annotated[
+        str,
+        typer.Option(
+            "--as",
+            metavar="token|zenoh-config|rmw",
+            help="The token, or a session configuration of Zenoh or rmw_zenoh.",
+        ),
+    ] = "token",
+    host: HostOption = "",
+    world_name: WorldNameOption = "default",
+) -> None:
+    """Print the token of a user, or its settings for another Zenoh client."""
+    with exit_on_failure("token show"):
+        folder = open_secure_folder(world_name)
+        if form not in FORMS:
+            raise ValueError(f"--as must be one of {', '.join(FORMS)}; got {form[:40]!r}")
+        account = folder.accounts().get(user)
+        if account is None:
+            raise RefusedUser(f"user {user[:64]!r} does not exist; 'zensim token list' lists all")
+        typer.echo(write_settings(folder, account, form, host))
+
+
+def choose_user_name(folder: SecureFolder, role: str, robots: tuple[str, ...]) -> str:
+    """Choose the name of a new user: its robot's or role's, with a number if that is taken."""
+    first = robots[0].replace("/", "_") if robots else role
+    names = (first, *(f"{first}_{number}" for number in range(2, 10_000)))
+    return next(name for name in names if name not in folder.accounts())
+
+
+def parse_ttl(text: str) -> float:
+    """Parse a duration such as 1h, in seconds; 0 for none.
+
+    Raises:
+        ValueError: It is not a number with a unit.
+    """
+    if not text:
+        return 0.0
+    if (match := TTL_PATTERN.fullmatch(text)) is None or not int(match[1]):
+        raise ValueError(f"--ttl {text[:20]!r} is not valid; use a number with s, m, h or d, as 1h")
+    return int(match[1]) * UNITS_S[match[2]]
+
+
+def write_settings(folder: SecureFolder, account: Account, form: str, host: str) -> str:
+    """Write a token, or the same as a configuration of a Zenoh session."""
+    token = folder.make_token(account, host)
+    if form == "token":
+        return token.write()
+    credentials = Credentials(
+        user=token.user, password=token.password_text, authority=folder.authority
+    )
+    return to_zenoh_json(BusConfig(connect=(token.endpoint,), credentials=credentials))
+
+
+def _describe(account: Account) -> dict[str, object]:
+    user = account.user
+    return {
+        "user": user.name,
+        "role": user.role,
+        "robots": user.robots,
+        "expires_s": account.expires_s or None,
+        "is_active": account.is_active(time.time()),
+    }
+
+
+def _format_end(account: Account) -> str:
+    if not account.expires_s:
+        return "never expires"
+    when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(account.expires_s))
+    return f"until {when}" if account.is_active(time.time()) else f"expired {when}"

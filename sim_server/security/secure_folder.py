@@ -1,0 +1,339 @@
+"""The folder of a secured server: authority, router certificate, users and their passwords.
+
+The folder has mode 0700 and its files 0600; each file is replaced as a whole.
+"""
+
+import hashlib
+import os
+import socket
+import ssl
+import tempfile
+import time
+from collections.abc import Iterable, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import msgspec
+
+from zensim.proto.bus import BusConfig, Credentials, RouterSecurity
+from zensim.proto.endpoints import ENDPOINT_PATTERN, check_endpoint
+from zensim.proto.join_tokens import (
+    DEFAULT_WORLD,
+    JoinToken,
+    decode_base64,
+    encode_base64,
+    make_password,
+)
+from zensim.proto.names import check_name
+from zensim.proto.process_limits import lock_file
+from zensim.proto.security.access_rules import make_access_rules
+from zensim.proto.security.roles import ROLES, SERVER_USER, RefusedUser, User, check_user
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+FIRST_USERS: Final = tuple(name for name, role in ROLES.items() if not role.has_robots)
+"""Users that a new folder has, each named as its role; agents need the names of their robots."""
+DEFAULT_SECURE_ENDPOINT: Final = "tls/127.0.0.1:7447"
+ANY_ADDRESSES: Final = frozenset({"0.0.0.0", "[::]"})
+PUBLIC_TEST_ADDRESS: Final = ("192.0.2.1", 9)
+"""Of a network for documentation: finds the address of the route, and sends nothing."""
+
+
+class MissingFolder(ValueError):
+    """There is no secured server of this world on this host."""
+
+
+class Account(msgspec.Struct, frozen=True):
+    """A user, and how it proves who it is."""
+
+    user: User
+    password: str
+    """128 random bits in base64url."""
+    expires_s: float = 0.0
+    """Seconds since the epoch; 0 = never."""
+
+    def __repr__(self) -> str:
+        """Name the user only."""
+        return f"Account({self.user.name!r})"
+
+    def is_active(self, now_s: float) -> bool:
+        """Whether the account has not expired."""
+        return not self.expires_s or now_s < self.expires_s
+
+
+class SecureSettings(msgspec.Struct, frozen=True):
+    """What router and tokens need to know of the server."""
+
+    world: str = DEFAULT_WORLD
+    domain: int | None = 0
+    """Of ROS 2; None = no keys of ROS 2."""
+    endpoint: str = DEFAULT_SECURE_ENDPOINT
+    """That the router listens on."""
+
+
+def find_secure_folder(world: str) -> Path:
+    """Find the folder of a world, which may not exist, below XDG_STATE_HOME."""
+    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(state) / "zensim" / check_name(world, "world")
+
+
+class SecureFolder:
+    """Files of one secured server."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._read_state: tuple[int, int] | None = None
+        self._accounts: dict[str, Account] = {}
+
+    @property
+    def authority(self) -> str:
+        """Certificate of the authority, PEM."""
+        return (self.path / "ca.pem").read_text(encoding="ascii")
+
+    @property
+    def settings(self) -> SecureSettings:
+        """Settings of the server that ran last."""
+        return msgspec.json.decode((self.path / "settings.json").read_bytes(), type=SecureSettings)
+
+    def write_settings(self, settings: SecureSettings) -> None:
+        """Replace the settings."""
+        self._write("settings.json", msgspec.json.encode(settings))
+
+    def accounts(self) -> Mapping[str, Account]:
+        """Read all accounts by name, if the file has changed."""
+        status = (self.path / "users.json").stat()
+        if (state := (status.st_mtime_ns, status.st_ino)) != self._read_state:
+            data = (self.path / "users.json").read_bytes()
+            accounts = msgspec.json.decode(data, type=list[Account])
+            self._accounts = {account.user.name: account for account in accounts}
+            self._read_state = state
+        return self._accounts
+
+    def find_user(self, name: str) -> User | None:
+        """Find an active user."""
+        account = self.accounts().get(name)
+        return account.user if account and account.is_active(time.time()) else None
+
+    def list_active(self) -> list[Account]:
+        """List the accounts that have not expired."""
+        now_s = time.time()
+        return [account for account in self.accounts().values() if account.is_active(now_s)]
+
+    def add(self, users: Iterable[User], ttl_s: float = 0.0) -> list[Account]:
+        """Add accounts with new passwords.
+
+        Raises:
+            RefusedUser: A user cannot exist, or its name is taken.
+        """
+        added = [
+            Account(
+                check_user(user),
+                encode_base64(make_password()),
+                time.time() + ttl_s if ttl_s else 0.0,
+            )
+            for user in users
+        ]
+        with self._changing():
+            accounts = dict(self.accounts())
+            for account in added:
+                if (former := accounts.get(account.user.name)) and former.is_active(time.time()):
+                    raise RefusedUser(
+                        f"user '{account.user.name}' exists; choose another --name, or revoke it"
+                    )
+                accounts[account.user.name] = account
+            self._write_accounts(accounts.values())
+        return added
+
+    def ensure(self, users: Iterable[User]) -> list[Account]:
+        """Return the accounts of users; those that do not exist as such are made."""
+        wanted = tuple(users)
+        for user in wanted:
+            former = self.accounts().get(user.name)
+            if former and (former.user != user or not former.is_active(time.time())):
+                self.revoke(user.name)
+        self.add(user for user in wanted if user.name not in self.accounts())
+        return [self.accounts()[user.name] for user in wanted]
+
+    def revoke(self, name: str) -> None:
+        """Remove an account.
+
+        Raises:
+            RefusedUser: There is none.
+        """
+        with self._changing():
+            accounts = dict(self.accounts())
+            if accounts.pop(name, None) is None:
+                raise RefusedUser(
+                    f"user {name[:64]!r} does not exist; 'zensim token list' lists all"
+                )
+            self._write_accounts(accounts.values())
+
+    def make_token(self, account: Account, host: str = "") -> JoinToken:
+        """Make the join token of an account.
+
+        Args:
+            account: One of this folder.
+            host: Name or address for clients; empty = as the router listens.
+        """
+        settings = self.settings
+        der = ssl.PEM_cert_to_DER_cert(self.authority)
+        return JoinToken(
+            make_public_endpoint(settings.endpoint, host),
+            account.user.name,
+            decode_base64(account.password),
+            hashlib.sha256(der).digest(),
+            settings.world,
+        )
+
+    def write_token(self, account: Account, endpoint: str) -> str:
+        """Write a token for a program on this host to a file; return its join address."""
+        token = msgspec.structs.replace(self.make_token(account), endpoint=endpoint)
+        name = f"{account.user.name}.token"
+        self._write(name, f"{token.write()}\n".encode())
+        return f"@{self.path / name}"
+
+    def make_router_config(self, endpoint: str) -> BusConfig:
+        """Configure the router for the accounts that are active now."""
+        accounts = self.list_active()
+        settings = self.settings
+        lines = [f"{account.user.name}:{account.password}\n" for account in accounts]
+        lines.append(f"{SERVER_USER}:{self._server_password()}\n")
+        self._write("passwords", "".join(lines).encode())
+        rules = make_access_rules(
+            (account.user for account in accounts), world=settings.world, domain=settings.domain
+        )
+        security = RouterSecurity(
+            certificate=str(self.path / "router.pem"),
+            private_key=str(self.path / "router.key"),
+            passwords=str(self.path / "passwords"),
+            access_control=rules,
+        )
+        return BusConfig(mode="router", listen=(endpoint,), router_security=security)
+
+    def make_server_config(self, endpoint: str) -> BusConfig:
+        """Configure the session of the server, a client of its router on this host."""
+        credentials = Credentials(
+            user=SERVER_USER, password=self._server_password(), authority=self.authority
+        )
+        return BusConfig(connect=(endpoint,), credentials=credentials)
+
+    def _server_password(self) -> str:
+        return (self.path / "server.password").read_text(encoding="ascii")
+
+    def _write_accounts(self, accounts: Iterable[Account]) -> None:
+        self._write("users.json", msgspec.json.format(msgspec.json.encode(list(accounts))))
+
+    def _write(self, name: str, data: bytes) -> None:
+        # mkstemp makes files of mode 0600.
+        descriptor, temporary = tempfile.mkstemp(dir=self.path, prefix=f".{name}.")
+        with os.fdopen(descriptor, "wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        Path(temporary).replace(self.path / name)
+
+    @contextmanager
+    def _changing(self) -> "Iterator[None]":
+        """Let no other process change the users meanwhile."""
+        descriptor = os.open(self.path / "lock", os.O_RDWR | os.O_CREAT, 0o600)
+        try:
+            deadline_s = time.monotonic() + LOCK_TIMEOUT_S
+            while True:
+                try:
+                    lock_file(descriptor)
+                    break
+                except OSError:
+                    if time.monotonic() > deadline_s:
+                        raise
+                    time.sleep(LOCK_POLL_S)
+            yield
+        finally:
+            os.close(descriptor)
+
+
+LOCK_TIMEOUT_S, LOCK_POLL_S = 5.0, 0.01
+
+
+def open_secure_folder(world: str) -> SecureFolder:
+    """Open the folder of a world.
+
+    Raises:
+        MissingFolder: There is none.
+    """
+    path = find_secure_folder(world)
+    if not (path / "users.json").is_file():
+        raise MissingFolder(
+            f"world '{world}' has no secured server on this host ({path} does not exist); start "
+            "one with 'zensim serve --secure'"
+        )
+    return SecureFolder(path)
+
+
+def prepare_secure_folder(settings: SecureSettings) -> SecureFolder:
+    """Open the folder of a world, with settings; what it lacks is made.
+
+    Raises:
+        PermissionError: The folder belongs to another user.
+    """
+    from zensim.sim_server.security import certificates  # noqa: PLC0415  needs an extra
+
+    path = find_secure_folder(settings.world)
+    path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    path.chmod(0o700)
+    folder = SecureFolder(path)
+    if not (path / "ca.pem").is_file():
+        made = certificates.make_authority(settings.world)
+        folder._write("ca.key", made.private_key)  # noqa: SLF001
+        folder._write("ca.pem", made.certificate)  # noqa: SLF001
+    authority = certificates.CertifiedKey(
+        (path / "ca.pem").read_bytes(), (path / "ca.key").read_bytes()
+    )
+    router = path / "router.pem"
+    if not router.is_file() or certificates.is_due_for_renewal(router.read_bytes()):
+        own = certificates.make_router_certificate(authority)
+        folder._write("router.key", own.private_key)  # noqa: SLF001
+        folder._write("router.pem", own.certificate)  # noqa: SLF001
+    if not (path / "server.password").is_file():
+        folder._write("server.password", encode_base64(make_password()).encode())  # noqa: SLF001
+    folder.write_settings(settings)
+    if not (path / "users.json").is_file():
+        folder._write_accounts(())  # noqa: SLF001
+        folder.add(User(name, name) for name in FIRST_USERS)
+    return folder
+
+
+def to_secure_endpoint(endpoint: str) -> str:
+    """Make the TLS endpoint to listen on from the one asked for.
+
+    Raises:
+        ValueError: It is neither TCP nor TLS.
+    """
+    protocol, _, address = check_endpoint(endpoint).partition("/")
+    if protocol not in ("tcp", "tls"):
+        raise ValueError(f"--secure needs a TLS endpoint, got {endpoint!r}; use tls/{address}")
+    return f"tls/{address}"
+
+
+def make_public_endpoint(endpoint: str, host: str = "") -> str:
+    """Make the endpoint that clients on other hosts connect to.
+
+    Args:
+        endpoint: That the router listens on.
+        host: Name or address for clients; empty = as the router listens, and for all addresses
+            the one of this host's default route.
+    """
+    match = ENDPOINT_PATTERN.fullmatch(check_endpoint(endpoint))
+    if match is None or not (host or match["host"] in ANY_ADDRESSES):
+        return endpoint
+    return f"tls/{host or _find_own_address()}:{match['port']}"
+
+
+def _find_own_address() -> str:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(PUBLIC_TEST_ADDRESS)
+        except OSError:
+            return socket.gethostname()
+        return str(probe.getsockname()[0])
