@@ -54,8 +54,21 @@ def write_keys(role: Role) -> str:
         for template, name in NAMES.items():
             key = key.replace(template, name)  # noqa: PLW2901
         by_operations.setdefault(ordered, []).append(f"`{key}`")
-    rows = [f"| {operations} | {', '.join(keys)} |" for operations, keys in by_operations.items()]
+    rows = [
+        f"| {operations} | {', '.join(_join_topics(keys))} |"
+        for operations, keys in by_operations.items()
+    ]
     return "| | keys |\n|---|---|\n" + "\n".join(rows)
+
+
+def _join_topics(keys: list[str]) -> list[str]:
+    """Write the topics of any robot as one key, and leave out those of ROS 2 of the same name."""
+    suffixes = [key[1:-1].removeprefix("**/") for key in keys if key.startswith("`**/")]
+    others = [key for key in keys if not key.startswith(("`**/", "`DOMAIN/**/"))]
+    plain = [key for key in keys if key.startswith("`DOMAIN/**/@")]
+    if not suffixes:
+        return others + plain
+    return [*others, *plain, f"`**/TOPIC` and the same in ROS 2: {' '.join(suffixes)}"]
 
 
 def test_page_has_the_roles_of_the_code() -> None:

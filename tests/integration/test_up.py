@@ -175,7 +175,7 @@ def test_final_real_time_factor_counts_time_before_and_after_a_reset() -> None:
 def test_hints_name_an_address_that_clients_can_connect_to() -> None:
     port = free_endpoint().rsplit(":", 1)[1]
     listen = f"tcp/0.0.0.0:{port}"
-    with running("up", "--listen", listen, "--robots", "1", *SMALL) as process:
+    with running("up", "--insecure", "--listen", listen, "--robots", "1", *SMALL) as process:
         assert process.stdout is not None
         lines = [process.stdout.readline() for _ in range(7)]
 
