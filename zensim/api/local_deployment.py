@@ -103,6 +103,8 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Endpoint of a router that the server connects to, instead of listening at `endpoint`."""
     join_addresses: dict[str, str] = {}
     """Of a secured server: join address (`@FILE`) of each program, and of `OPERATOR`."""
+    is_secure: bool = False
+    """Whether the server admits only users with a join token."""
     is_insecure: bool = False
     """Whether the server may admit everybody from other hosts."""
     wait_s: float = 30.0
@@ -267,7 +269,7 @@ def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
         "--lockstep": config.is_lockstep,
         "--paused": config.is_paused,
         "--verbose": config.is_verbose,
-        "--secure": bool(config.join_addresses),
+        "--secure": config.is_secure,
         "--insecure": config.is_insecure,
     }
     return (
