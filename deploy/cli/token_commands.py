@@ -110,10 +110,14 @@ def list_users(*, world_name: WorldNameOption = "default", as_json: JsonOption =
   zensim token revoke r1"""
 )
 @expand_options
-def revoke(*, user: UserArgument, world_name: WorldNameOption = "default") -> None:
+def revoke(
+    *, user: UserArgument, world_name: WorldNameOption = "default", as_json: JsonOption = False
+) -> None:
     """Revoke a user: its sessions end now. Others are interrupted for about two seconds."""
     with exit_on_failure("token revoke"):
         open_secure_folder(world_name).revoke(user)
+        if as_json:
+            typer.echo(json.dumps({"user": user}))
 
 
 @app.command(
@@ -135,6 +139,7 @@ def show(
     ] = "token",
     host: HostOption = "",
     world_name: WorldNameOption = "default",
+    as_json: JsonOption = False,
 ) -> None:
     """Print the token of a user, or its settings for another Zenoh client."""
     with exit_on_failure("token show"):
@@ -144,7 +149,8 @@ def show(
         account = folder.accounts().get(user)
         if account is None:
             raise RefusedUser(f"user {user[:64]!r} does not exist; 'zensim token list' lists all")
-        typer.echo(write_settings(folder, account, form, host))
+        text = write_settings(folder, account, form, host)
+        typer.echo(json.dumps({"user": user, form: text}) if as_json else text)
 
 
 def choose_user_name(folder: SecureFolder, role: str, robots: tuple[str, ...]) -> str:

@@ -198,8 +198,7 @@ def up(context: typer.Context, given: UpOptions) -> None:
         plan = _make_plan(context, given)
         if plan.config.has_viewer:
             check_page(plan.config.viewer_port)
-        secured = secure_deployment(plan.config, is_secure=given.secure, is_insecure=given.insecure)
-        plan = replace(plan, config=secured)
+        plan = replace(plan, config=secure_deployment(plan.config))
         _launch_and_run(plan, began_s, given.duration, as_json=given.as_json)
 
 
@@ -304,6 +303,8 @@ def make_config(given: UpOptions) -> LaunchConfig:
         lockstep_timeout_s=given.lockstep_timeout,
         on_miss=parse_choice("--on-miss", given.on_miss, MISS_POLICIES),
         connect=given.connect,
+        is_secure=given.secure,
+        is_insecure=given.insecure,
         wait_s=given.wait,
         is_paused=given.paused,
         seed=given.seed,
@@ -323,7 +324,7 @@ def make_config(given: UpOptions) -> LaunchConfig:
     )
 
 
-def secure_deployment(config: LaunchConfig, *, is_secure: bool, is_insecure: bool) -> LaunchConfig:
+def secure_deployment(config: LaunchConfig) -> LaunchConfig:
     """Give each program a user of its own if the server is secured; refuse to be exposed else.
 
     Raises:
@@ -331,9 +332,9 @@ def secure_deployment(config: LaunchConfig, *, is_secure: bool, is_insecure: boo
         ValueError: See `to_secure_endpoint`, `RefusedUser`.
     """
     listen = () if config.connect else (config.endpoint,)
-    check_exposure("zensim up", listen, is_secure=is_secure, is_insecure=is_insecure)
-    if not is_secure:
-        return msgspec.structs.replace(config, is_insecure=is_insecure)
+    check_exposure("zensim up", listen, is_secure=config.is_secure, is_insecure=config.is_insecure)
+    if not config.is_secure:
+        return config
     if config.connect:
         raise ValueError("--secure and --connect exclude each other; give one of them")
     endpoint = to_secure_endpoint(config.endpoint)

@@ -21,6 +21,8 @@ CHANGED: dict[str, object] = {
     "journal": "journal",
     "listen": "tcp/127.0.0.1:5",
     "connect": "tcp/127.0.0.1:6",
+    "secure": True,
+    "insecure": True,
     "wait": 3.0,
     "world_name": "other",
     "engine": "mujoco",
