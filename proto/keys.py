@@ -118,14 +118,35 @@ def last_chunk(key: str) -> str:
 
 
 def intersect(one: str, other: str) -> bool:
-    """Whether some key fits both expressions; `*` is one chunk, `**` any number of them."""
+    """Whether some key fits both expressions.
+
+    `*` is one chunk, `**` any number of them, `$*` any part of one; none of them fits a chunk that
+    begins with `@`.
+    """
     return one == other or _chunks_intersect(one.split("/"), other.split("/"))
 
 
 def _chunks_intersect(one: list[str], other: list[str]) -> bool:
     if not one or not other:
         return all(chunk == "**" for chunk in (*one, *other))
-    if "**" in (one[0], other[0]):
-        return _chunks_intersect(one[1:], other) or _chunks_intersect(one, other[1:])
-    is_same = one[0] == other[0] or "*" in (one[0], other[0])
-    return is_same and _chunks_intersect(one[1:], other[1:])
+    if one[0] != "**" and other[0] != "**":
+        return _chunk_intersects(one[0], other[0]) and _chunks_intersect(one[1:], other[1:])
+    wild, rest = (one, other) if one[0] == "**" else (other, one)
+    if _chunks_intersect(wild[1:], rest):
+        return True
+    return not rest[0].startswith("@") and _chunks_intersect(wild, rest[1:])
+
+
+def _chunk_intersects(one: str, other: str) -> bool:
+    if one.startswith("@") or other.startswith("@"):
+        return one == other
+    return _texts_intersect(one.replace("$*", "*"), other.replace("$*", "*"))
+
+
+def _texts_intersect(one: str, other: str) -> bool:
+    if not one or not other:
+        return set(one + other) <= {"*"}
+    if one[0] != "*" and other[0] != "*":
+        return one[0] == other[0] and _texts_intersect(one[1:], other[1:])
+    wild, rest = (one, other) if one[0] == "*" else (other, one)
+    return _texts_intersect(wild[1:], rest) or _texts_intersect(wild, rest[1:])

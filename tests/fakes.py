@@ -102,7 +102,8 @@ class MemoryBus:
 
     def get(self, key: str, timeout_s: float = 1.0, payload: bytes = b"") -> list[Sample]:
         del timeout_s
-        return [answer for call in self._query(key, payload, "") for answer in call.answers]
+        answers = [answer for call in self._query(key, payload, "") for answer in call.answers]
+        return list({answer.key: answer for answer in answers}.values())
 
     def call(
         self,

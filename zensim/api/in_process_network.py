@@ -96,7 +96,12 @@ class LastValueQuery:
         self.client = ""
         self.user = ""
         self.size = 0
-        self.samples: list[Sample] = []
+        self._replies: dict[str, Sample] = {}
+
+    @property
+    def samples(self) -> list[Sample]:
+        """The last reply of each key."""
+        return list(self._replies.values())
 
     @property
     def name(self) -> str:
@@ -113,18 +118,22 @@ class LastValueQuery:
 
     def reply(self, payload: bytes, encoding: str, key: str = "", attachment: bytes = b"") -> None:
         """Collect a reply."""
-        self.samples.append(Sample(key or self.key, payload, encoding, attachment))
+        self._keep(Sample(key or self.key, payload, encoding, attachment))
 
     def reply_each(self, replies: Iterable[tuple[str, bytes]], encoding: str) -> None:
         """Collect several replies."""
-        self.samples += [Sample(key, payload, encoding) for key, payload in replies]
+        for key, payload in replies:
+            self._keep(Sample(key, payload, encoding))
 
     def add_reply(
         self, key: str, payload: bytes, encoding: str, attachment: bytes, stamp: Stamp
     ) -> None:
         """Collect one reply of several."""
         del stamp
-        self.samples.append(Sample(key, payload, encoding, attachment))
+        self._keep(Sample(key, payload, encoding, attachment))
+
+    def _keep(self, reply: Sample) -> None:
+        self._replies[reply.key] = reply
 
     def drop(self) -> None:
         """Do nothing: a query ends when it is answered."""

@@ -1,0 +1,322 @@
+"""What stands in for a network session behaves as one over loopback."""
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+
+import pytest
+import zenoh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.fakes import MemoryBus
+from tests.integration.processes import eventually, free_endpoint
+from zensim.api.in_process_network import InProcessNetwork
+from zensim.proto import keys
+from zensim.proto.bus import Bus, BusConfig, NoServer, open_bus
+from zensim.proto.codec.message_codec import Format, encode, make_encoding
+from zensim.proto.keys import intersect
+from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError
+from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEntityResponse
+from zensim.proto.network_protocols import Query, Sample, Subscription, TopicNetwork
+from zensim.proto.service_catalog import DELETE_ENTITY
+
+WITHIN_S = 5.0
+KINDS = ("zenoh", "memory", "process")
+WITH_TOKENS = ("zenoh", "memory")
+"""In one process a call is a function call, and all parts live equally long."""
+
+
+class Pair:
+    """Two ends of a network: one publishes and queries, the other subscribes and serves."""
+
+    def __init__(self, near: TopicNetwork, far: TopicNetwork) -> None:
+        self.near, self.far = near, far
+
+    def wait(self, condition: Callable[[], bool], what: str) -> None:
+        """Wait until a condition holds; at once where nothing is between the ends."""
+        if isinstance(self.near, Bus):
+            eventually(condition, WITHIN_S, what)
+        assert condition(), what
+
+    def query(self, key: str, serve: Callable[[], None]) -> list[Sample]:
+        """Query a key from the near end while `serve` handles queries at the far end."""
+        if isinstance(self.near, MemoryBus):
+            self.near.pumps.append(serve)
+            return self.near.get(key)
+        if isinstance(self.near, InProcessNetwork):
+            asked = self.near.query(key)
+            serve()
+            return asked.samples
+        found: list[list[Sample]] = []
+        assert isinstance(self.near, Bus)
+        get = self.near.get
+        thread = threading.Thread(target=lambda: found.append(get(key, WITHIN_S)))
+        thread.start()
+        while thread.is_alive():
+            serve()
+        return found[0]
+
+
+def refuse_calls(*_: object) -> object:
+    raise AssertionError("no service is called")
+
+
+@pytest.fixture(scope="module")
+def router() -> Iterator[Bus]:
+    with open_bus(BusConfig(mode="router", listen=(free_endpoint(),))) as bus:
+        yield bus
+
+
+@contextmanager
+def paired(kind: str, router: Bus) -> Iterator[Pair]:
+    if kind == "zenoh":
+        config = BusConfig(connect=(router.endpoint,))
+        with open_bus(config) as near, open_bus(config) as far:
+            yield Pair(near, far)
+        return
+    one: TopicNetwork = MemoryBus() if kind == "memory" else InProcessNetwork(refuse_calls)
+    yield Pair(one, one)
+
+
+@pytest.fixture(params=KINDS)
+def pair(request: pytest.FixtureRequest, router: Bus) -> Iterator[Pair]:
+    with paired(request.param, router) as made:
+        yield made
+
+
+@pytest.fixture(params=WITH_TOKENS)
+def caller(request: pytest.FixtureRequest, router: Bus) -> Iterator[Pair]:
+    with paired(request.param, router) as made:
+        yield made
+
+
+def take_all(pair: Pair, subscription: Subscription, count: int) -> list[Sample]:
+    found: list[Sample] = []
+
+    def has_all() -> bool:
+        found.extend(subscription.take())
+        return len(found) >= count
+
+    pair.wait(has_all, f"{count} messages")
+    return found
+
+
+def test_messages_arrive_in_order_as_they_were_published(pair: Pair) -> None:
+    subscription = pair.far.subscribe("r1/*", 10)
+    publisher = pair.near.advertise("r1/odom", "application/cdr")
+    pair.wait(lambda: publisher.is_matched, "a subscriber")
+
+    for number in range(4):
+        publisher.send(bytes([number]), b"attached" if number % 2 else b"")
+
+    assert take_all(pair, subscription, 4) == [
+        Sample("r1/odom", bytes([n]), "application/cdr", b"attached" if n % 2 else b"")
+        for n in range(4)
+    ]
+    assert subscription.take() == []
+    assert subscription.newest() is None
+
+
+def test_a_full_queue_keeps_the_newest(pair: Pair) -> None:
+    shallow, deep = pair.far.subscribe("a", 2), pair.far.subscribe("a", 10)
+    publisher = pair.near.advertise("a", "")
+    pair.wait(lambda: publisher.is_matched, "a subscriber")
+
+    for number in range(5):
+        publisher.send(bytes([number]))
+    take_all(pair, deep, 5)
+
+    assert [sample.payload[0] for sample in shallow.take()] == [3, 4]
+
+
+def test_newest_drops_what_is_older(pair: Pair) -> None:
+    kept, all_of_them = pair.far.subscribe("a", 9), pair.far.subscribe("a", 9)
+    publisher = pair.near.advertise("a", "")
+    pair.wait(lambda: publisher.is_matched, "a subscriber")
+
+    publisher.send(b"1")
+    publisher.send(b"2")
+    take_all(pair, all_of_them, 2)
+
+    newest = kept.newest()
+    assert newest is not None
+    assert newest.payload == b"2"
+    assert kept.take() == []
+
+
+def test_a_publisher_is_matched_while_there_is_a_subscription(pair: Pair) -> None:
+    publisher = pair.near.advertise("r1/odom", "")
+    assert not publisher.is_matched
+
+    one, other = pair.far.subscribe("r1/*"), pair.far.subscribe("r2/*")
+    pair.wait(lambda: publisher.is_matched, "a subscriber")
+    one.close()
+
+    pair.wait(lambda: not publisher.is_matched, "no subscriber")
+    other.close()
+
+
+def test_a_closed_subscription_receives_nothing(pair: Pair) -> None:
+    closed, kept = pair.far.subscribe("a", 9), pair.far.subscribe("a", 9)
+    publisher = pair.near.advertise("a", "")
+    pair.wait(lambda: publisher.is_matched, "a subscriber")
+
+    closed.close()
+    publisher.send(b"1")
+
+    assert len(take_all(pair, kept, 1)) == 1
+
+
+@pytest.mark.parametrize(
+    ("reply", "expected"),
+    [
+        (lambda query: query.reply(b"x", "text/plain"), [("a/b", b"x", "text/plain", b"")]),
+        (
+            lambda query: query.reply(b"x", "text/plain", "a/b", b"more"),
+            [("a/b", b"x", "text/plain", b"more")],
+        ),
+        (
+            lambda query: query.reply_each([("a/b", b"1"), ("a/b", b"2")], "text/plain"),
+            [("a/b", b"2", "text/plain", b"")],
+        ),
+        (lambda query: query.drop(), []),
+    ],
+    ids=["reply", "reply with attachment", "last of a key", "drop"],
+)
+def test_a_query_gets_the_replies(
+    pair: Pair,
+    reply: Callable[[Query], None],
+    expected: list[tuple[str, bytes, str, bytes]],
+) -> None:
+    queue = pair.far.serve("a/*", 9)
+    asked: list[tuple[str, str, bool, bool]] = []
+
+    def serve() -> None:
+        for query in queue.take():
+            seen = (query.key, query.name, query.covers("a/b"), query.covers("a/c"))
+            asked.append(seen)
+            reply(query)
+
+    found = pair.query("a/b", serve)
+
+    assert asked == [("a/b", "b", True, False)]
+    assert [(one.key, one.payload, one.encoding, one.attachment) for one in found] == expected
+
+
+def test_a_query_of_several_values_ends_when_it_is_dropped(pair: Pair) -> None:
+    queue = pair.far.serve("a/*", 9)
+
+    def serve() -> None:
+        for query in queue.take():
+            for number in range(2):
+                query.add_reply(f"a/{number}", b"x", "", b"", pair.far.stamp())
+            query.drop()
+
+    found = pair.query("a/*", serve)
+
+    assert sorted(one.key for one in found) == ["a/0", "a/1"]
+
+
+def test_a_closed_queue_gets_no_queries(pair: Pair) -> None:
+    with closing(pair.far.serve("a", 9)):
+        pass
+
+    assert pair.query("a", lambda: None) == []
+
+
+def serve_once(pair: Pair, response: DeleteEntityResponse | None) -> list[bytes]:
+    """Serve every call in the background with a response, or drop it; return the request ids."""
+    queue = pair.far.serve(keys.services("w"))
+    seen: list[bytes] = []
+
+    def serve() -> None:
+        for call in queue.take():
+            seen.append(call.request_id)
+            if response is None:
+                call.drop()
+            else:
+                call.reply(
+                    encode(response, Format.MSGPACK), make_encoding(response, Format.MSGPACK)
+                )
+
+    if isinstance(pair.near, MemoryBus):
+        pair.near.pumps.append(serve)
+    else:
+        threading.Thread(target=lambda: _repeat(serve, seen), daemon=True).start()
+    return seen
+
+
+def _repeat(serve: Callable[[], None], seen: list[bytes]) -> None:
+    pause = threading.Event()
+    while not seen:
+        serve()
+        pause.wait(0.001)
+
+
+def call(pair: Pair, request_id: str = "") -> DeleteEntityResponse:
+    assert isinstance(pair.near, Bus | MemoryBus)
+    return pair.near.call(
+        DELETE_ENTITY,
+        DeleteEntityRequest("r1"),
+        world="w",
+        timeout_s=1.0,
+        request_id=request_id,
+    )
+
+
+def test_a_call_without_a_server_is_refused(caller: Pair) -> None:
+    with pytest.raises(NoServer):
+        call(caller)
+
+
+def test_a_call_returns_the_response_and_has_its_id(caller: Pair) -> None:
+    seen = serve_once(caller, DeleteEntityResponse(Result(ResultCode.OK)))
+
+    assert call(caller, "again").result.result == ResultCode.OK
+    assert seen == [b"again"]
+
+
+def test_a_refused_call_raises_its_code(caller: Pair) -> None:
+    serve_once(caller, DeleteEntityResponse(Result(ResultCode.NOT_FOUND, "no r1")))
+
+    with pytest.raises(ServiceError, match="no r1") as refusal:
+        call(caller)
+
+    assert refusal.value.code == ResultCode.NOT_FOUND
+
+
+def test_tokens_are_listed_and_watched(caller: Pair) -> None:
+    near, far = caller.near, caller.far
+    assert isinstance(near, Bus | MemoryBus)
+    assert isinstance(far, Bus | MemoryBus)
+    first = near.token("t/one")
+    caller.wait(lambda: far.list_tokens("t/*") == ["t/one"], "the first token")
+    watch = far.watch_tokens("t/*")
+    changes: list[tuple[str, bool]] = []
+
+    def has(*expected: tuple[str, bool]) -> Callable[[], bool]:
+        def look() -> bool:
+            changes.extend(watch.take())
+            return changes == list(expected)
+
+        return look
+
+    caller.wait(has(("t/one", True)), "the present token")
+    second = near.token("t/two")
+    caller.wait(has(("t/one", True), ("t/two", True)), "the second token")
+    first.close()
+    caller.wait(has(("t/one", True), ("t/two", True), ("t/one", False)), "the end")
+    second.close()
+    watch.close()
+
+
+chunks = st.sampled_from(("a", "b", "ab", "@a", "*", "**", "a$*", "$*b", "a$*b"))
+expressions = st.lists(chunks, min_size=1, max_size=4).map("/".join)
+
+
+@given(one=expressions, other=expressions)
+def test_key_expressions_intersect_as_in_zenoh(one: str, other: str) -> None:
+    one, other = (str(zenoh.KeyExpr.autocanonize(key)) for key in (one, other))
+
+    assert intersect(one, other) == zenoh.KeyExpr(one).intersects(zenoh.KeyExpr(other))
