@@ -14,6 +14,8 @@ from zensim.sim_server.errors import SimError
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
+Place = tuple[float, float]
+"""x and y [m] of a root link."""
 
 MIN_MASS_KG = 1e-4
 """Least mass of a moving link: engines treat mass 0 as immovable."""
@@ -292,11 +294,15 @@ class Engine(ABC):
         """Find the dynamics that a body has now."""
         return "full"
 
-    def expect(self, models: Sequence[Model]) -> None:  # noqa: B027
+    def expect(self, models: Sequence[Model], places: Sequence[Place] = ()) -> None:  # noqa: B027
         """Announce the models of all bodies that come next, in place of those announced before.
 
         An engine may then make room for all of them at once. Nothing is due: bodies may come in
         another order, or not at all.
+
+        Args:
+            models: Of the bodies.
+            places: Where each of them will be, if known.
         """
 
     def hide(self, body: int) -> None:  # noqa: B027

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from zensim.proto.messages.model_messages import Model, TierName
-from zensim.sim_server.physics.engine import BodyStates, ContactPoints, Engine, FloatArray
+from zensim.sim_server.physics.engine import BodyStates, ContactPoints, Engine, FloatArray, Place
 
 # ruff: noqa: D102 - see `Engine`
 
@@ -80,8 +80,8 @@ class EngineLayer(Engine):
     def tier_of(self, body: int) -> TierName:
         return self._inner.tier_of(body)
 
-    def expect(self, models: Sequence[Model]) -> None:
-        self._inner.expect(models)
+    def expect(self, models: Sequence[Model], places: Sequence[Place] = ()) -> None:
+        self._inner.expect(models, places)
 
     def hide(self, body: int) -> None:
         self._inner.hide(body)

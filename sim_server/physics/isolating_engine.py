@@ -13,6 +13,7 @@ from zensim.sim_server.physics.engine import (
     ContactPoints,
     Engine,
     FloatArray,
+    Place,
     concatenate_contacts,
     concatenate_states,
     describe_fault,
@@ -51,10 +52,10 @@ class IsolatingEngine(EngineLayer):
         except Exception:
             return True  # `add` reports it
 
-    def expect(self, models: Sequence[Model]) -> None:
+    def expect(self, models: Sequence[Model], places: Sequence[Place] = ()) -> None:
         """See `Engine.expect`."""
         try:
-            self._inner.expect(models)
+            self._inner.expect(models, places)
         except Exception:
             LOG.debug("fault call=expect models=%d", len(models))  # `add` reports it
 

@@ -96,7 +96,10 @@ def spawn_models_stepwise(world: SimulatedWorld, model: WorldModel) -> Iterator[
     Raises:
         ConfigError: The engine refuses one.
     """
-    world.engine.expect([placed.model for placed in model.models])
+    world.engine.expect(
+        [placed.model for placed in model.models],
+        [placed.origin.position[:2] for placed in model.models],
+    )
     for placed in model.models:
         while not world.prepare(placed.model):
             yield True

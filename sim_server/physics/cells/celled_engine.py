@@ -3,6 +3,7 @@
 import heapq
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -18,9 +19,11 @@ from zensim.sim_server.physics.engine import (
     Engine,
     EngineRefused,
     FloatArray,
+    Place,
     can_move,
     concatenate_contacts,
     concatenate_states,
+    refuse_faults,
 )
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.scene.broad_phase import (
@@ -497,6 +500,14 @@ WORKER_START_RATIO = 0.8
 """Share of `CellSettings.single_cell_bodies` at which workers start."""
 
 
+class ExpectedBody(NamedTuple):
+    """A body that is announced, and its future cell."""
+
+    model: Model
+    place: Place
+    cell: int
+
+
 class CellMap:
     """Engines by number of their cell, and the bodies in them; cell 0 always exists."""
 
@@ -510,6 +521,8 @@ class CellMap:
         self._accepted: Model | None = None
         self._stuck: set[int] = set()
         """Bodies that another cell refused."""
+        self._planned: dict[int, list[ExpectedBody]] = {}
+        """Expected bodies by the identity of their model."""
         self.engines: dict[int, Engine] = {0: cells.make()}
 
     @property
@@ -527,6 +540,8 @@ class CellMap:
 
     def _list_receivers(self, model: Model) -> list[Engine]:
         """List the engines that may get a body of a model: a full cell gets no more that move."""
+        if planned := self._planned.get(id(model)):
+            return [self.engines[cell] for cell in {body.cell: None for body in planned}]
         if not can_move(model) or self._has_room_in_single_cell:
             return list(self.engines.values())
         moving = self.members.moving
@@ -539,15 +554,37 @@ class CellMap:
         """Whether there is one cell, and it gets the next body."""
         return len(self.engines) == 1 and self.members.moving_count < self._single_cell_bodies
 
+    def fits_single_cell(self, models: Sequence[Model]) -> bool:
+        """Whether one cell is enough when bodies of some models come."""
+        moving = sum(map(can_move, models))
+        is_enough = self.members.moving_count + moving <= self._single_cell_bodies
+        return len(self.engines) == 1 and is_enough
+
     def expect(self, models: Sequence[Model]) -> None:
         """See `Engine.expect`; which of many cells gets a body that moves shows when it comes."""
-        moving = sum(can_move(model) for model in models)
-        fit = len(self.engines) == 1 and (
-            self.members.moving_count + moving <= self._single_cell_bodies
-        )
-        expected = models if fit else [model for model in models if not can_move(model)]
+        self._planned.clear()
+        is_fit = self.fits_single_cell(models)
+        expected = models if is_fit else [model for model in models if not can_move(model)]
         for engine in self.engines.values():
             engine.expect(expected)
+
+    def plan(self, models: Sequence[Model], expected: Sequence[ExpectedBody]) -> None:
+        """Make the cells of the bodies that come next.
+
+        Args:
+            models: Of those that cannot move.
+            expected: Those that move.
+
+        Raises:
+            EngineRefused: A cell cannot be made.
+        """
+        by_cell: dict[int, list[Model]] = {}
+        for body in expected:
+            by_cell.setdefault(body.cell, []).append(body.model)
+        for cell, own in by_cell.items():
+            self.get_engine(cell).expect([*models, *own])
+        for body in expected:
+            self._planned.setdefault(id(body.model), []).append(body)
 
     def add(self, model: Model, reach: BodyReach, base: FloatArray) -> int:
         """Add a body: one that cannot move to all cells, any other to one; raises EngineRefused."""
@@ -559,7 +596,9 @@ class CellMap:
             return number
         if self.members.moving_count > self._single_cell_bodies * WORKER_START_RATIO:
             self._cells.start()
-        cell = self._find_nearest_cell(base)
+        cell = self._find_planned_cell(model, base)
+        if cell is None:
+            cell = self._find_nearest_cell(base)
         inner = self._find_accepting_engine(cell, model).add(model, base)
         self._accepted = model
         return self.members.add(model, reach, cell=cell, inner=inner)
@@ -785,6 +824,13 @@ class CellMap:
             engine.skip_validation(model)
         return engine
 
+    def _find_planned_cell(self, model: Model, base: FloatArray) -> int | None:
+        place = (float(base[0]), float(base[1]))
+        for body in self._planned.get(id(model), ()):
+            if body.place == place:
+                return body.cell
+        return None
+
     def _find_nearest_cell(self, base: FloatArray) -> int:
         """Find the cell with free capacity whose body is nearest; else the emptiest cell."""
         if self._has_room_in_single_cell:
@@ -881,9 +927,29 @@ class CelledEngine(Engine):
         """See `Engine.prepare`; each call prepares one cell or measures one mesh."""
         return self._cell_map.prepare(model) and self._measure.prepare(model)
 
-    def expect(self, models: Sequence[Model]) -> None:
-        """See `Engine.expect`."""
+    def expect(self, models: Sequence[Model], places: Sequence[Place] = ()) -> None:
+        """See `Engine.expect`; with places, bodies that need cells are assigned to them now."""
         self._cell_map.expect(models)
+        is_empty = bool(places) and not self._members.moving_count
+        if is_empty and not self._cell_map.fits_single_cell(models):
+            with suppress(EngineRefused), refuse_faults("expected models"):
+                self._plan_cells(models, places)
+
+    def _plan_cells(self, models: Sequence[Model], places: Sequence[Place]) -> None:
+        """Assign expected bodies to cells as the first regrouping would."""
+        moving = [at for at, model in enumerate(models) if can_move(model)]
+        own_models, own_places = [models[at] for at in moving], [places[at] for at in moving]
+        positions = np.array(own_places).reshape(-1, 2)
+        reaches = [self._measure.measure(model).radius_m for model in own_models]
+        speeds = np.full(len(moving), self._speed_margin_mps)
+        groups = self._find_fitting_groups(positions, np.array(reaches), speeds).groups
+        capacity = replace(self._capacity, moved_bodies=len(moving))
+        cells = assign_cells(np.zeros(len(moving), np.intp), groups, positions, capacity).tolist()
+        rows = zip(own_models, own_places, cells, strict=True)
+        self._cell_map.plan(
+            [model for model in models if not can_move(model)],
+            [ExpectedBody(*row) for row in rows],
+        )
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
@@ -1123,13 +1189,17 @@ class CelledEngine(Engine):
             target_speeds = np.abs(members.targets[order.targets]) * members.levers[order.targets]
             commanded[order.driven] = np.maximum.reduceat(target_speeds, order.target_starts)
         speeds = np.maximum(own, commanded) + members.load_speed[numbers] + self._speed_margin_mps
+        return self._find_fitting_groups(states.base[:, :2], radii, speeds)
+
+    def _find_fitting_groups(
+        self, places: FloatArray, radii: FloatArray, speeds: FloatArray
+    ) -> InteractionGroups:
+        """Find groups for the longest time for which they fit into cells."""
         period_s = self._settings.period_steps * self._dt_s
         choices = LOOKAHEAD_PERIODS[-1:] if self._steps < self._alert_until else LOOKAHEAD_PERIODS
         for periods in choices:
-            found = find_interaction_groups(
-                states.base[:, :2], radii, speeds, period_s, periods=periods
-            )
-            if found.largest <= self._capacity.max_bodies(len(numbers)):
+            found = find_interaction_groups(places, radii, speeds, period_s, periods=periods)
+            if found.largest <= self._capacity.max_bodies(len(places)):
                 break
         return found
 

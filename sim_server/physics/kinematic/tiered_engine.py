@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from itertools import compress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -61,7 +62,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from zensim.proto.messages.model_messages import Dynamics, Model, TierName
-    from zensim.sim_server.physics.engine import Engine
+    from zensim.sim_server.physics.engine import Engine, Place
     from zensim.sim_server.physics.engine_config import EngineConfig
     from zensim.sim_server.physics.kinematic.planar_vehicle import PlanarPlan, PlanarVehicle
     from zensim.sim_server.physics.kinematic.tier_body_table import TierIndexMap
@@ -764,9 +765,10 @@ class TieredEngine(EngineLayer):
         """See `Engine.kinematic_count`."""
         return int((self._bodies.rows.tier == Tier.KINEMATIC).sum())
 
-    def expect(self, models: Sequence[Model]) -> None:
+    def expect(self, models: Sequence[Model], places: Sequence[Place] = ()) -> None:
         """See `Engine.expect`; what may be kinematic needs no room in the engine."""
-        self._inner.expect([one for one in models if self._plans.dynamics(one) == "full"])
+        is_full = [self._plans.dynamics(one) == "full" for one in models]
+        self._inner.expect(list(compress(models, is_full)), list(compress(places, is_full)))
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`; refuses a model that needs the kinematic tier and cannot use it."""

@@ -27,6 +27,7 @@ from zensim.sim_server.physics.engine import (
     EngineCapabilities,
     EngineRefused,
     FloatArray,
+    Place,
     concatenate_contacts,
     make_unknown_efforts,
 )
@@ -463,7 +464,7 @@ FALLBACK_SOLVER = int(mujoco.mjtSolver.mjSOL_CG), 1000
 MAX_SOLVES = 4
 """Of a step in which contacts slide."""
 MAX_CACHED_SELECTIONS = 4096
-MAX_ANNOUNCED_AT_ONCE = 8
+MAX_ANNOUNCED_AT_ONCE = 32
 """Expected bodies whose archetypes are found between two steps."""
 
 
@@ -617,7 +618,11 @@ class MujocoEngine(Engine):
             return True
         return counts == self._slots.counts or _COMPILE_CACHE.is_ready(counts, self._config)
 
-    def expect(self, models: Sequence[Model]) -> None:
+    def expect(
+        self,
+        models: Sequence[Model],
+        places: Sequence[Place] = (),  # noqa: ARG002
+    ) -> None:
         """See `Engine.expect`; a world is compiled once, not once for each of its models."""
         self._slots.forget_expected()
         self._announced = deque(models)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.engines import STEP_NS, ObedientEngine, advance, running
 from tests.models import a_box, a_box_bot, a_cart, a_state, box_bot_at, on_ground
-from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.cells.cell_executor import InProcessCellExecutor
 from zensim.sim_server.physics.cells.celled_engine import (
@@ -23,7 +23,7 @@ from zensim.sim_server.physics.cells.celled_engine import (
     assign_cells,
     find_interaction_groups,
 )
-from zensim.sim_server.physics.engine import Engine, FloatArray
+from zensim.sim_server.physics.engine import Engine, FloatArray, Place
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.scene.broad_phase import IntArray
 
@@ -377,12 +377,21 @@ class AskedEngine(ObedientEngine):
         super().__init__(config)
         self.prepared: list[Model] = []
         self.expected: list[Model] = []
+        self.added: list[Model] = []
+
+    def add(self, model: Model, base: FloatArray) -> int:
+        self.added.append(model)
+        return super().add(model, base)
 
     def prepare(self, model: Model) -> bool:
         self.prepared.append(model)
         return True
 
-    def expect(self, models: Sequence[Model]) -> None:
+    def expect(
+        self,
+        models: Sequence[Model],
+        places: Sequence[Place] = (),  # noqa: ARG002
+    ) -> None:
         self.expected = list(models)
 
 
@@ -445,3 +454,42 @@ def test_cell_expects_all_bodies_that_move_to_it_at_once() -> None:
         engine.step()
 
         assert max(len(cell.expected) for cell in cells) > 1
+
+
+def test_bodies_announced_with_their_places_get_the_cells_that_regrouping_would_choose() -> None:
+    models = [a_box(f"b{at}") for at in range(6)]
+    places = [(10.0 * at, 0.0) for at in range(6)]
+    settings = CellSettings(single_cell_bodies=2, cell_bodies=4, moved_bodies=1)
+    with asked(settings) as (engine, cells):
+        engine.expect([WALL, *models], [(0.0, 5.0), *places])
+        expected = [cell.expected for cell in cells]
+
+        engine.add(WALL, a_state((0.0, 5.0, 0.0)))
+        for model, (x, _) in zip(models, places, strict=True):
+            engine.add(model, on_ground(x))
+        engine.step()
+
+        assert expected == [[WALL, *models[:3]], [WALL, *models[3:]]]
+        assert [cell.added for cell in cells] == expected
+
+
+def test_body_that_is_not_where_it_was_announced_gets_a_cell_nevertheless() -> None:
+    models = [a_box(f"b{at}") for at in range(3)]
+    with asked(CellSettings(single_cell_bodies=1, cell_bodies=2)) as (engine, _):
+        engine.expect(models, [(10.0 * at, 0.0) for at in range(3)])
+
+        bodies = [engine.add(model, on_ground(7.0 * at)) for at, model in enumerate(models)]
+        bodies.append(engine.add(a_cart(), on_ground(50.0)))
+        engine.step()
+
+        assert engine.read(bodies).base[:, 0] == pytest.approx([0.0, 7.0, 14.0, 50.0], abs=1e-3)
+
+
+def test_announced_places_of_models_that_cannot_be_measured_change_nothing() -> None:
+    broken = Model("m", (Link("m", collisions=(Shape("mesh", mesh="gone"),)),))
+    with asked(CellSettings(single_cell_bodies=1, cell_bodies=1)) as (engine, cells):
+        engine.expect([broken, a_box(), WALL], [(0.0, 0.0), (10.0, 0.0), (0.0, 5.0)])
+
+        engine.add(a_box(), on_ground(10.0))
+
+        assert [cell.expected for cell in cells] == [[WALL]]
