@@ -84,6 +84,10 @@ class MatchedPublishers(Generic[OwnerT]):
             self.matched.pop(owner, None)
             publisher.close()
 
+    def check_all(self) -> None:
+        """Check all publishers."""
+        self.matched = {owner: one for owner, one in self._all.items() if one.is_matched}
+
     def check_some(self) -> None:
         """Check the next publishers, in turn."""
         if not self._unchecked:
@@ -375,6 +379,12 @@ class FleetTopicPublisher:
             if member in self._members.get(member.key, ()):
                 member.publisher = self._network.advertise(member.key, self._encoding)
                 self._matched.add(member, member.publisher)
+
+    def check_all(self) -> None:
+        """Declare all missing publishers if there are subscribers, and check all."""
+        while self.is_declaring:
+            self.declare_some()
+        self._matched.check_all()
 
     def put(self, members: Sequence[TopicMember], payloads: Sequence[bytes]) -> None:
         """Publish to members with subscribers; those without a publisher yet are skipped."""

@@ -117,6 +117,11 @@ class SensorTopics:
         """Count the messages on a subscribed topic of the share since the last call."""
         return len(self._subscriptions[address].take()) if address in self._subscriptions else 0
 
+    def check_all(self) -> None:
+        """Declare all missing publishers, and check which have subscribers."""
+        for publisher in self._publishers.values():
+            publisher.check_all()
+
     def poll(self) -> None:
         """Declare missing publishers, and reply to queries with the last messages."""
         for publisher in self._publishers.values():

@@ -54,7 +54,7 @@ class InProcessSubscription:
     def __init__(self, network: "InProcessNetwork", key: str, depth: int) -> None:
         self.key = key
         self.samples: deque[Sample] = deque(maxlen=depth)
-        self._network = network
+        self.networks = [network]
 
     def take(self) -> list[Sample]:
         """Take all messages received, oldest first."""
@@ -71,7 +71,8 @@ class InProcessSubscription:
 
     def close(self) -> None:
         """End the subscription."""
-        self._network.remove(self)
+        for network in self.networks:
+            network.remove(self)
 
 
 class Undeclared:
@@ -199,6 +200,12 @@ class InProcessNetwork:
         self.subscriptions.append(subscription)
         self.version += 1
         return subscription
+
+    def add(self, subscription: InProcessSubscription) -> None:
+        """Give the messages of this network to a subscription of another, too."""
+        subscription.networks.append(self)
+        self.subscriptions.append(subscription)
+        self.version += 1
 
     def remove(self, subscription: InProcessSubscription) -> None:
         """End a subscription; twice is once."""

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from uuid import uuid4
 
 import msgspec
@@ -16,13 +16,16 @@ import msgspec
 from zensim.api.api_errors import Unsupported
 from zensim.api.in_process_network import (
     InProcessNetwork,
+    InProcessPublisher,
     InProcessQueries,
     InProcessSubscription,
 )
 from zensim.api.world_snapshots import read_snapshot, write_snapshot
+from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import ClaimShareRequest, DriveState, expand_grants
 from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import Event, Snapshot
 from zensim.proto.messages.world_messages import WorldResource
@@ -51,6 +54,9 @@ from zensim.sim_server.world_loading.world_loader import (
     load_world_in_process,
 )
 from zensim.sim_server.world_loading.world_loader_process import load_world_file
+
+if TYPE_CHECKING:
+    from zensim.api.in_process_sensors import InProcessSensors
 
 POOL = "pool"
 """Name of the agent that drives all robots."""
@@ -150,6 +156,10 @@ class InProcessServer:
         self.parts.pacing.lease.alive.add(CLIENT)
         self._handlers = ServiceHandlers(self.parts)
         self.network = InProcessNetwork(self.call)
+        self.sensor_network = InProcessNetwork(self.call)
+        """Of lidars and cameras, which are no part of the state; with the user's subscriptions."""
+        self._sensors: InProcessSensors | None = None
+        """From the first subscription to one of them on."""
         self.robots = PooledRobots(self.network, CMD_VEL_TIMEOUT_NS)
         self._telemetry = InProcessTelemetry(self.parts, self.network, self.robots)
         self._name = uuid4().hex
@@ -239,19 +249,62 @@ class InProcessServer:
         self.robots = saved.robots
         self._telemetry = InProcessTelemetry(self.parts, self.network, self.robots)
         self._telemetry.load(saved.telemetry)
+        self._sensors = None
+        self.sensor_network = InProcessNetwork(self.call)
+        for subscription in users:
+            self.sensor_network.add(subscription)
         self._followed, self._followed_orders, self._shared_roster = saved.followed
+        self._find_sensors()
         return saved.more
 
     def subscribe(self, key: str, depth: int) -> InProcessSubscription:
-        """Subscribe to a topic, the last value of its keys first."""
+        """Subscribe to a topic, the last value of its keys first.
+
+        Raises:
+            Unsupported: It is of a sensor that this host cannot measure.
+        """
         subscription = self.network.subscribe(key, depth)
         self._users.add(subscription)
+        self.sensor_network.add(subscription)
+        sensors = self._find_sensors()
         query = self.network.query(key)
         for _ in range(2 + len(self.world.entities) // DECLARED_AT_ONCE):
             self.robots.reply_to_queries()
         last = query.samples or self._telemetry.find_last(key)
+        if sensors is not None:
+            if refusal := sensors.find_refusal(key):
+                subscription.close()
+                raise Unsupported(f"topic '{key}': {refusal}", slug="sensor_not_measured")
+            query = self.sensor_network.query(key)
+            sensors.reply_to_queries()
+            last = last or query.samples
         subscription.samples.extend(last)
         return subscription
+
+    def publish(self, key: str, payload: bytes, encoding: str) -> None:
+        """Publish a message of the user to robots and sensors."""
+        for network in (self.network, self.sensor_network):
+            network.advertise(key, encoding).send(payload)
+
+    def _find_sensors(self) -> "InProcessSensors | None":
+        """Find what measures the sensors, from the first subscription to one of them on."""
+        if self._sensors is None and any(map(self._is_of_a_sensor, self._users)):
+            from zensim.api.in_process_sensors import InProcessSensors  # noqa: PLC0415  casters
+
+            self._sensors = InProcessSensors(self.world, self.sensor_network)
+        return self._sensors
+
+    def _is_of_a_sensor(self, subscription: InProcessSubscription) -> bool:
+        """Whether a lidar or camera of this world has a topic of a subscription."""
+        return any(
+            keys.intersect(
+                subscription.key, keys.robot(entity.namespace or entity.name, topic.name)
+            )
+            for entity in self.world.entities
+            for sensor in entity.model.sensors
+            if isinstance(sensor.settings, RaySensor | CameraSensor)
+            for topic in sensor.topics
+        )
 
     def _handle(self, service: Service[Request, Response], request: Request) -> msgspec.Struct:
         # Through the codec, which refuses what a server would refuse.
@@ -298,6 +351,7 @@ class InProcessServer:
         if roster != self._shared_roster:
             self._shared_roster = roster
             self._claim()
+            self._find_sensors()
         if self._followed != self._version:
             self.follow()
         self._telemetry.publish_events()
@@ -339,8 +393,10 @@ class InProcessServer:
             self.robots.publish()
 
     def _finish_control_step(self) -> None:
-        if self.network.subscriptions:
+        if self._users:
             self._telemetry.publish()
+            if self._sensors is not None:
+                self._sensors.publish()
         self.follow()
 
 
@@ -362,6 +418,7 @@ class InProcessTelemetry:
         self._world = parts.world
         self._network = network
         self._robots = robots
+        self._publishers: dict[TopicSpec, InProcessPublisher] = {}
         self._map = WorldMap(parts, InProcessMapPublisher(self._is_wanted, self._put))
         self._messages = WorldTelemetry(parts.world, parts.pacing, parts.sensors, self._map)
         self._contacts = ContactTelemetry(parts.world, parts.store.vertices)
@@ -408,10 +465,14 @@ class InProcessTelemetry:
                 self._robots.publish_contacts(read_contact_report(contacts))
 
     def _is_wanted(self, topic: TopicSpec) -> bool:
-        return bool(self._network.find_subscriptions(topic.key(self._world.name)))
+        return self._find_publisher(topic).is_matched
 
     def _put(self, topic: TopicSpec, message: msgspec.Struct) -> None:
-        key = topic.key(self._world.name)
-        if self._network.find_subscriptions(key):
-            publisher = self._network.advertise(key, topic.encoding)
+        if (publisher := self._find_publisher(topic)).is_matched:
             publisher.send(encode(message, topic.format))
+
+    def _find_publisher(self, topic: TopicSpec) -> InProcessPublisher:
+        if (publisher := self._publishers.get(topic)) is None:
+            key = topic.key(self._world.name)
+            publisher = self._publishers[topic] = self._network.advertise(key, topic.encoding)
+        return publisher

@@ -20,7 +20,6 @@ from zensim.proto.codec.message_codec import Format, decode, encode, make_encodi
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.simulation_messages import SimulateStepsRequest
 from zensim.proto.service_catalog import SIMULATE_STEPS, Request, Response, Service
-from zensim.proto.topic_catalog import ROBOT_TOPICS, TOPICS, Participant
 from zensim.sim_server.physics.engine_config import EngineOptions, parse_engine_name
 from zensim.sim_server.server_config import CONTROL_HZ, ServerConfig
 
@@ -139,14 +138,13 @@ class InProcessAccess(WorldAccess):
     def subscribe(self, key: str, kind: type[Message], depth: int) -> TopicFeed[Message]:
         """See `WorldAccess`."""
         self._require_open()
-        _require_published(key)
         return InProcessFeed(self.server.subscribe(key, depth), kind)
 
     def publish(self, key: str, message: msgspec.Struct) -> None:
         """See `WorldAccess`."""
         self._require_open()
         encoding = make_encoding(message, Format.CDR)
-        self.server.network.advertise(key, encoding).send(encode(message, Format.CDR))
+        self.server.publish(key, encode(message, Format.CDR), encoding)
 
     def wait_until_driven(self, names: Sequence[str], timeout_s: float) -> None:
         """Check that the pool drives these robots: it claims them when they are spawned."""
@@ -167,17 +165,6 @@ class InProcessAccess(WorldAccess):
     def _require_open(self) -> None:
         if not self.server.close.alive:
             raise Closed("this world is closed", hint="make another World()")
-
-
-def _require_published(key: str) -> None:
-    """Refuse topics of sensor processes, which a world in process does not have."""
-    suffix = key.rpartition("/")[2]
-    found = [one for one in (*ROBOT_TOPICS.values(), *TOPICS.values()) if one.suffix == suffix]
-    if found and all(one.publisher is Participant.SENSORS for one in found):
-        raise Unsupported(
-            f"topic '{key}' is published by a sensor process, which a world in process lacks",
-            hint="use zensim.launch(sensors=1), or cast_rays()",
-        )
 
 
 class World(Simulation):

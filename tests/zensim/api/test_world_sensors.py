@@ -1,0 +1,93 @@
+"""Sensors of worlds in process: their topics have what sensor processes publish."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from zensim import Sim, World, launch
+from zensim.api.simulation import Simulation
+from zensim.proto.messages.standard_messages import LaserScan
+
+STEPS = 150
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Sim]:
+    with launch("walls", engine="mujoco", sensors=1, seed=3) as sim:
+        yield sim
+
+
+def _scan_for_a_while(sim: Simulation) -> list[tuple[int, int, bytes]]:
+    robot = sim.spawn("box_bot_lidar", name="r1", x=0.5)
+    found: list[tuple[int, int, bytes]] = []
+
+    @robot.on("scan", queue=100)
+    def keep(scan: LaserScan) -> None:
+        stamp = scan.header.stamp
+        found.append((stamp.sec, stamp.nanosec, np.asarray(scan.ranges).tobytes()))
+
+    robot.drive(0.2, 0.4)
+    sim.step(STEPS)
+    return found
+
+
+def test_scans_come_at_their_rate_and_repeat() -> None:
+    with World("walls", seed=3) as world:
+        first = _scan_for_a_while(world)
+    with World("walls", seed=3) as world:
+        second = _scan_for_a_while(world)
+
+    times = [sec + 1e-9 * nanosec for sec, nanosec, _ in first]
+    assert len(first) > 3
+    assert np.ptp(np.diff(times)) < 0.02
+    assert first == second
+
+
+def test_scans_are_those_of_a_sensor_process(server: Sim) -> None:
+    with World("walls", seed=3) as world:
+        here = _scan_for_a_while(world)
+    there = _scan_for_a_while(server)
+
+    # A sensor process begins when it knows of the subscriber.
+    assert there
+    assert there == here[len(here) - len(there) :]
+
+
+def test_scans_go_on_after_restore_and_with_new_robots() -> None:
+    with World("walls", seed=3) as world:
+        robot = world.spawn("box_bot_lidar", name="r1")
+        topic = robot.topic("scan")
+        topic.collect()
+        world.run_for(0.5)
+        snapshot = world.snapshot()
+        world.run_for(0.5)
+        first = topic.latest.ranges
+
+        world.restore(snapshot)
+        world.run_for(0.5)
+        assert np.array_equal(topic.latest.ranges, first)
+        other = world.spawn("box_bot_lidar", name="r2", x=1.0)
+        other.topic("scan").collect()
+        world.run_for(0.5)
+        assert not np.array_equal(other.topic("scan").latest.ranges, topic.latest.ranges)
+
+
+def test_camera_of_a_world_in_process_takes_pictures() -> None:
+    with World("walls") as world:
+        robot = world.spawn("box_bot_camera", name="r1")
+        camera = next(iter(robot.sensors.values()))
+        camera.collect()
+        world.run_for(0.5)
+        picture = camera.latest
+        assert len(picture.data) == picture.height * picture.step
+        assert len(set(bytes(picture.data))) > 1
+
+
+def test_subscription_before_the_robot_exists_gets_its_scans() -> None:
+    with World("walls") as world:
+        topic = world.topic("r1/scan")
+        topic.collect()
+        world.spawn("box_bot_lidar", name="r1")
+        world.run_for(0.5)
+        assert len(topic.latest.ranges)

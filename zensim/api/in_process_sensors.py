@@ -1,0 +1,78 @@
+"""InProcessSensors: lidars and cameras of a world in process, measured for subscribers only."""
+
+from zensim.api.in_process_network import InProcessNetwork
+from zensim.proto.messages.telemetry_messages import GetModelsRequest
+from zensim.proto.ros2.ros_graph import RosGraph
+from zensim.proto.ros2.ros_settings import NO_ROS
+from zensim.proto.sensor_schedule import is_due
+from zensim.proto.service_catalog import GET_MODELS
+from zensim.sim_server.sensors.scene_roster import POSE_COLUMNS, SceneRoster
+from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
+from zensim.sim_server.sensors.sensor_groups import SceneMoment, list_addresses
+from zensim.sim_server.sensors.sensor_process import SensorShare
+from zensim.sim_server.world.simulated_world import SimulatedWorld
+
+NAME = "sensors"
+
+
+class InProcessSensors:
+    """Publishes the sensors as a sensor process does: at the same steps, with the same bytes."""
+
+    def __init__(self, world: SimulatedWorld, network: InProcessNetwork) -> None:
+        """Read the entities.
+
+        Args:
+            world: Its sensors are measured.
+            network: Of the sensors only, with the subscriptions of users.
+        """
+        self._world = world
+        self._network = network
+        config = SensorProcessConfig(endpoint="", world=world.name, name=NAME)
+        self._share = SensorShare(network, config, RosGraph(network, NO_ROS))
+        self._version = -1
+        self._update()
+
+    def find_refusal(self, key: str) -> str:
+        """Find why the sensor with this topic cannot be measured here; empty if it can."""
+        self._update()
+        for sensor in self._share.unmeasured:
+            if any(address.key == key for address in list_addresses(sensor)):
+                return str(self._share.find_fault(sensor, NAME))
+        return ""
+
+    def publish(self) -> None:
+        """Measure and publish what is due at this step and has subscribers."""
+        self._update()
+        roster = self._share.roster
+        if roster is None or not self._share.topics.is_wanted:
+            return
+        step = self._world.clock.steps
+        groups = self._share.find_groups()
+        due = [
+            group
+            for group in groups
+            if is_due(step, group.sensors[0].sensor.update_rate_hz, roster.environment)
+        ]
+        if due:
+            states = self._world.states()
+            poses = states.base[:, :POSE_COLUMNS].copy()
+            time_ns = self._world.clock.time_ns
+            moment = SceneMoment(step, time_ns, poses, states.joint_positions)
+            for group in due:
+                group.publish(moment)
+
+    def _update(self) -> None:
+        """Follow changes of the entities and of the subscriptions."""
+        roster = self._share.roster
+        if roster is None or roster.number != self._world.entities.roster_number:
+            found = self._network.call(GET_MODELS, GetModelsRequest(), world=self._world.name)
+            self._share.set_roster(SceneRoster(found, roster))
+            self._version = -1
+        if self._version != self._network.version:
+            self._version = self._network.version
+            self._share.topics.check_all()
+
+    def reply_to_queries(self) -> None:
+        """Reply to queries for the last messages."""
+        self._update()
+        self._share.topics.poll()
