@@ -282,11 +282,7 @@ def _make_demo(
 
 
 def make_config(given: UpOptions) -> LaunchConfig:
-    """Make the settings of a deployment.
-
-    Raises:
-        ValueError: An option is not valid.
-    """
+    """Make the settings of a deployment; raise `ValueError` if an option is not valid."""
     return LaunchConfig(
         placements=_make_placements(given),
         model=given.model,

@@ -327,6 +327,15 @@ class LoopClock(Protocol):
         """Sleep for a wall time."""
 
 
+def _make_authorization(
+    parts: ServerParts, users: UserDirectory | None
+) -> RequestAuthorization | None:
+    if users is None:
+        return None
+    pacing = parts.pacing
+    return RequestAuthorization(users, parts.world.entities, pacing.now_ns, pacing.loop_stats)
+
+
 class ServerLoop:
     """Loop of one world."""
 
@@ -353,11 +362,7 @@ class ServerLoop:
         self._world_map = WorldMap(parts, publisher)
         self._telemetry = WorldTelemetry(parts.world, parts.pacing, parts.sensors, self._world_map)
         self._contacts = ContactTelemetry(parts.world, parts.store.vertices)
-        self._authorization: RequestAuthorization | None = None
-        if users is not None:
-            self._authorization = RequestAuthorization(
-                users, parts.world.entities, parts.pacing.now_ns, self._loop_stats
-            )
+        self._authorization = _make_authorization(parts, users)
         self._dispatcher = RequestDispatcher(
             ServiceHandlers(parts),
             self._telemetry,

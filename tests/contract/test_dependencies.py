@@ -61,7 +61,7 @@ def importable(extras: set[str]) -> set[str]:
 def extras_of(path: Path) -> set[str]:
     name = shown(path)
     if name.startswith("tests/"):
-        return {"", "server", "viewer", "dev"}
+        return {"", "server", "mujoco", "viewer", "dev"}
     return next((ours for part, ours in EXTRA_OF.items() if name.startswith(part)), {""})
 
 

@@ -174,7 +174,11 @@ ZENSIM = {
     "CastRays_Response": "simulation_interfaces/Result result; float64[] ranges; string[] entities",
     "GetMap_Request": "float64 resolution_m; float64 low_m; float64 high_m",
     "GetMap_Response": "simulation_interfaces/Result result; nav_msgs/OccupancyGrid map",
-    "GetModels_Request": "string[] entities\nbool wants_descriptions",
+    "GetModels_Request": "string[] entities; bool wants_descriptions",
+    "InjectFault_Request": "string entity; string kind; string part; float64 value; float64 low;"
+    " float64 high; builtin_interfaces/Duration duration; uint64 seed",
+    "Refusal": "string user; string role; string service; string reason; uint64 number",
+    "InjectFault_Response": "simulation_interfaces/Result result",
     "MissingAssets_Request": "string[] sha256s",
     "MissingAssets_Response": "simulation_interfaces/Result result; string[] missing;"
     " uint64[] received",

@@ -365,9 +365,8 @@ class PyBulletEngine(Engine):
             fixedTimeStep=dt_s, **SOLVER_ARGUMENTS, physicsClientId=client
         )
         pybullet.setGravity(*config.gravity, physicsClientId=client)
-        box = pybullet.GEOM_BOX
         self._visual = pybullet.createVisualShape(
-            box, halfExtents=VISUAL_HALF_EXTENTS, physicsClientId=client
+            pybullet.GEOM_BOX, halfExtents=VISUAL_HALF_EXTENTS, physicsClientId=client
         )
         self._ground = self._add_ground(config.ground_friction) if config.has_ground else None
 
