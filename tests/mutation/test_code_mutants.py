@@ -31,7 +31,7 @@ def test_mutants_of_a_line(source: str, mutants: set[str]) -> None:
 
 
 def test_mutant_of_another_text_is_refused() -> None:
-    with pytest.raises(ValueError, match="a.py:1"):
+    with pytest.raises(ValueError, match=r"a\.py:1"):
         CodeMutant(HERE, 1, "<", "<=", 2).apply("a > b")
 
 
