@@ -1,4 +1,4 @@
-"""`zensim journal`: show, verify or export a server's journal, with or without a running server."""
+"""`zensim journal`: show, verify, export or copy a server's journal, even while it is in use."""
 
 import json
 from enum import Enum
@@ -9,7 +9,7 @@ import typer
 
 from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
-from zensim.sim_server.journal.sqlite_store import JournalError, open_store_read_only
+from zensim.sim_server.journal.sqlite_store import FILES, JournalError, open_store_read_only
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 
 app = make_app()
@@ -21,12 +21,14 @@ class JournalAction(str, Enum):
     SHOW = "show"
     VERIFY = "verify"
     EXPORT = "export"
+    BACKUP = "backup"
 
 
 @app.command(
     epilog="""Examples:
   zensim journal show ./journal
-  zensim journal export ./journal > journal.json"""
+  zensim journal export ./journal > journal.json
+  zensim journal backup ./journal ./copy"""
 )
 @expand_options
 def journal(
@@ -34,20 +36,26 @@ def journal(
         JournalAction,
         typer.Argument(
             metavar="ACTION",
-            help="show: list the entities; verify: check for damage; export: print all as JSON.",
+            help="show: list the entities; verify: check for damage; export: print all as JSON; "
+            "backup: copy it to TARGET.",
         ),
     ],
     folder: Annotated[
         Path, typer.Argument(metavar="FOLDER", help="Folder of 'zensim serve --journal'.")
     ],
+    target: Annotated[
+        Path | None, typer.Argument(metavar="TARGET", help="Empty or new folder for a backup.")
+    ] = None,
     *,
     as_json: JsonOption = False,
 ) -> None:
-    """Show, verify or export a server journal; the server may be running."""
+    """Show, verify, export or copy a server journal; the server may be running."""
     with exit_on_failure("journal", JournalError, MissingServerExtra):
         with server_extra():
             from zensim.sim_server.journal.journal_contents import (
+                backup_journal,
                 export_journal,
+                find_damaged_files,
                 format_summary,
                 read_contents,
                 summarize_journal,
@@ -56,14 +64,39 @@ def journal(
             contents = read_contents(store)
             summary = summarize_journal(store, contents)
             output = export_journal(store, contents) if action is JournalAction.EXPORT else summary
+            if action is JournalAction.BACKUP:
+                backup_journal(store, contents, _require_target(target))
+            damaged: tuple[str, ...] = ()
+            if action is JournalAction.VERIFY and contents is not None:
+                damaged = find_damaged_files(contents, folder / FILES)
         if action is JournalAction.EXPORT or as_json:
             typer.echo(json.dumps(output, indent=None if as_json else 2))
         elif action is JournalAction.SHOW:
             typer.echo(format_summary(summary))
         else:
-            typer.echo(f"{folder}: intact, up to change {summary['position']}")
-        if action is JournalAction.VERIFY and store.lost:
-            raise JournalError(
-                f"{folder} is truncated: its last {store.lost} changes are lost; "
-                f"a server would continue from change {store.position}"
-            )
+            _report(action, folder, summary, damaged)
+        if action is not JournalAction.SHOW and store.loss:
+            raise JournalError(store.loss)
+
+
+def _require_target(target: Path | None) -> Path:
+    if target is None:
+        raise JournalError("backup needs a second folder: zensim journal backup FOLDER TARGET")
+    return target
+
+
+def _report(
+    action: JournalAction, folder: Path, summary: dict[str, object], damaged: tuple[str, ...]
+) -> None:
+    """Print the result of a check or a copy.
+
+    Raises:
+        JournalError: Files are damaged.
+    """
+    if damaged:
+        raise JournalError(
+            f"{folder}: {len(damaged)} meshes are damaged or missing, as {FILES}/{damaged[0]}; "
+            "restore them from a copy, or a server sets their entities aside"
+        )
+    what = "copied" if action is JournalAction.BACKUP else "intact"
+    typer.echo(f"{folder}: {what}, up to change {summary['position']}")

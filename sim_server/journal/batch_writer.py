@@ -6,7 +6,9 @@ import os
 import shutil
 import sqlite3
 import threading
+import time
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Protocol
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
 MOTION_KIND, CLOCK_KIND, WORLD_KIND = "motion", "clock", "world"
 """Kinds with a single row; its key is empty."""
 MAX_CACHED_MODEL_HASHES = 256
+CHECKPOINT_PERIOD_S = 60.0
 
 
 class BatchWriter:
@@ -51,6 +54,9 @@ class BatchWriter:
         self._files = database.folder / FILES
         self._uses: Counter[tuple[str, str]] = Counter()
         self._hashes: dict[int, tuple[Model, str]] = {}
+        self._with_files: set[str] = set()
+        """Hashes of models whose files are known to exist."""
+        self._checkpoint_s = time.monotonic()
         self._count_uses()
 
     def write(self, records: Sequence[JournalRecord]) -> None:
@@ -70,8 +76,18 @@ class BatchWriter:
             self._database.commit(records[-1].position)
         except BaseException:
             self._database.rollback()
+            self._with_files.clear()
             self._count_uses()
             raise
+        self._checkpoint_if_due()
+
+    def _checkpoint_if_due(self) -> None:
+        """Copy the log into the database file, so that it does not grow without end."""
+        if time.monotonic() - self._checkpoint_s < CHECKPOINT_PERIOD_S:
+            return
+        self._checkpoint_s = time.monotonic()
+        with suppress(sqlite3.Error):  # the changes are durable in the log
+            self._database.checkpoint()
 
     def remove_unused_files(self) -> None:
         """Remove files that no stored model needs."""
@@ -140,8 +156,10 @@ class BatchWriter:
 
     def _put_model(self, model: Model) -> str:
         name = self._hash_model(model)
-        if ("model", name) not in self._database:
+        if name not in self._with_files:
             self._copy_meshes(model)
+            self._with_files.add(name)
+        if ("model", name) not in self._database:
             self._database.put("model", name, encode_model(model))
         return name
 
@@ -159,9 +177,7 @@ class BatchWriter:
         missing = [name for name in list_assets(model) if not self._path(name).exists()]
         for name in missing:
             part = self._files / f"{name}.part"
-            shutil.copyfile(self._meshes / f"{name}.stl", part)
-            with part.open("rb") as file:
-                os.fsync(file.fileno())
+            copy_synced(self._meshes / f"{name}.stl", part)
             part.rename(self._path(name))
         if missing:
             sync_folder(self._files)
@@ -175,6 +191,13 @@ class BatchWriter:
             self._count_use(msgspec.msgpack.decode(body, type=EntityRow), 1)
         for body in self._database.rows("aside").values():
             self._count_use(msgspec.msgpack.decode(body, type=ExcludedEntityRow).entity, 1)
+
+
+def copy_synced(source: Path, target: Path) -> None:
+    """Copy a file durably, but for the entry of its folder."""
+    shutil.copyfile(source, target)
+    with target.open("rb") as file:
+        os.fsync(file.fileno())
 
 
 END_S = 1.5

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar
@@ -12,8 +13,14 @@ import numpy as np
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.process_limits import sync_folder
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.journal.batch_writer import CLOCK_KIND, MOTION_KIND, WORLD_KIND
+from zensim.sim_server.journal.batch_writer import (
+    CLOCK_KIND,
+    MOTION_KIND,
+    WORLD_KIND,
+    copy_synced,
+)
 from zensim.sim_server.journal.journal_records import (
     ENCODER,
     ClockRow,
@@ -24,7 +31,12 @@ from zensim.sim_server.journal.journal_records import (
     ResponseRow,
     WorldRow,
 )
-from zensim.sim_server.journal.sqlite_store import JournalError, SqliteStore
+from zensim.sim_server.journal.sqlite_store import (
+    FILES,
+    JournalError,
+    SqliteStore,
+    raising_journal_errors,
+)
 from zensim.sim_server.parser_process.description_cache import ParseKey, list_assets
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
 
@@ -218,9 +230,77 @@ class MeshRestorer:
     store: AssetStore
 
     def copy(self, model: Model) -> None:
-        """Copy the meshes of a model."""
-        for mesh in list_assets(model):
-            self.store.add(mesh, (self.files / f"{mesh}.stl").read_bytes())
+        """Copy the meshes of a model that are not in the store.
+
+        Raises:
+            MeshDamaged: A file has changed; it is removed, so that a new spawn writes it again.
+            OSError: A file cannot be read.
+        """
+        for mesh in sorted(list_assets(model)):
+            if mesh in self.store:
+                continue
+            path = self.files / f"{mesh}.stl"
+            data = path.read_bytes()
+            if not _is_intact(mesh, data):
+                path.unlink(missing_ok=True)
+                raise MeshDamaged(mesh)
+            self.store.add(mesh, data)
+
+
+class MeshDamaged(SimError):
+    """A file of the journal does not have the bytes that were written."""
+
+    slug = "journal.mesh"
+
+    def __init__(self, sha256: str) -> None:
+        super().__init__(f"file {sha256}.stl of the journal has changed; spawn the model again")
+
+
+def _is_intact(sha256: str, data: bytes) -> bool:
+    return hashlib.sha256(data).hexdigest() == sha256
+
+
+def find_damaged_files(contents: JournalContents, files: Path) -> tuple[str, ...]:
+    """Find the files that entities need and that are missing or have changed.
+
+    Returns:
+        The names of the files in the folder `files`, in order.
+    """
+    needed = {mesh for row in contents.entities for mesh in list_assets(contents.models[row.model])}
+    return tuple(
+        f"{mesh}.stl" for mesh in sorted(needed) if not _is_readable(mesh, files / f"{mesh}.stl")
+    )
+
+
+def _is_readable(sha256: str, path: Path) -> bool:
+    try:
+        return _is_intact(sha256, path.read_bytes())
+    except OSError:
+        return False
+
+
+def backup_journal(database: SqliteStore, contents: JournalContents | None, folder: Path) -> None:
+    """Copy a journal to an empty folder, while a server may use it.
+
+    Raises:
+        JournalError: The folder is not empty or cannot be written, or a mesh is damaged.
+    """
+    database.backup(folder)
+    if contents is None:
+        return
+    source, target = database.folder / FILES, folder / FILES
+    with raising_journal_errors(folder):
+        for mesh in sorted(
+            {one for model in contents.models.values() for one in list_assets(model)}
+        ):
+            if (source / f"{mesh}.stl").is_file():
+                copy_synced(source / f"{mesh}.stl", target / f"{mesh}.stl")
+        sync_folder(target)
+    if damaged := find_damaged_files(contents, target):
+        raise JournalError(
+            f"{folder} is a copy, but {len(damaged)} of its meshes are damaged or missing, "
+            f"as {damaged[0]}; a server sets their entities aside"
+        )
 
 
 def commit_restore(
@@ -245,11 +325,17 @@ def commit_restore(
 def summarize_journal(database: SqliteStore, contents: JournalContents | None) -> dict[str, object]:
     """Summarize a journal, without descriptions."""
     if contents is None:
-        return {"position": database.position, "entities": [], "aside": []}
+        return {
+            "position": database.position,
+            "loss": database.loss,
+            "entities": [],
+            "aside": [],
+        }
     world, clock = contents.world, contents.clock
     return {
         "position": database.position,
         "lost": database.lost,
+        "loss": database.loss,
         "world": world.name,
         "world_model": world.source.name,
         "state": State(clock.state).name.lower(),
@@ -279,7 +365,11 @@ def export_journal(database: SqliteStore, contents: JournalContents | None) -> d
 
 def format_summary(summary: dict[str, object]) -> str:
     """Format a summary as lines."""
-    head = [f"{key}: {value}" for key, value in summary.items() if not isinstance(value, list)]
+    head = [
+        f"{key}: {value}"
+        for key, value in summary.items()
+        if not isinstance(value, list) and (value or key != "loss")
+    ]
     entities, aside = summary["entities"], summary["aside"]
     assert isinstance(entities, list)
     assert isinstance(aside, list)

@@ -455,8 +455,6 @@ def _find_first_crash(attempts: Sequence[Callable[[], None]], excluded: list[int
 
 RESTORE_MARK_FILE = "restoring"
 """Exists during a restore: a server that finds it crashed while restoring."""
-RESPONSE_LIFETIME_S = 3600.0
-"""Time for which a repeated request gets the response of an earlier server."""
 CRASHED_REASON = "crashed the process that restored it twice"
 
 
@@ -506,14 +504,17 @@ class Journal:
         self, contents: JournalContents, world: SimulatedWorld, store: AssetStore, now_ns: int
     ) -> tuple[str, ...]:
         self._mark.touch()
-        sync_folder(self.database.folder)
-        result = restore_world(contents, world, MeshRestorer(self.files, store), now_ns)
-        self.restored = tuple(result.restored)
-        clock = msgspec.structs.replace(
-            contents.clock, epoch=world.clock.epoch, steps=world.clock.steps
-        )
-        commit_restore(self.database, result.refused, clock)
-        self._mark.unlink()
+        try:
+            sync_folder(self.database.folder)
+            result = restore_world(contents, world, MeshRestorer(self.files, store), now_ns)
+            self.restored = tuple(result.restored)
+            clock = msgspec.structs.replace(
+                contents.clock, epoch=world.clock.epoch, steps=world.clock.steps
+            )
+            commit_restore(self.database, result.refused, clock)
+        finally:
+            # An exception, as of a full disk, is no crash: no entity need be tested alone.
+            self._mark.unlink()
         return tuple(row.entity.name for row in result.refused)
 
     def prepare(self, parts: ServerParts) -> None:
@@ -541,7 +542,7 @@ class Journal:
             writer,
             position=position,
             known=self.restored,
-            earlier_responses=self.recent_responses(time.time()),
+            earlier_responses=self.earlier_responses(),
             wall_s=time.time,
         )
 
@@ -550,14 +551,12 @@ class Journal:
         if not self._is_owned_by_tracker:
             self.database.close()
 
-    def recent_responses(self, now_s: float) -> tuple[JournaledResponse, ...]:
-        """List the responses that have not expired."""
+    def earlier_responses(self) -> tuple[JournaledResponse, ...]:
+        """List the responses of earlier servers, oldest first; their number limits them."""
         responses = self.contents.responses if self.contents else ()
-        oldest_s = now_s - RESPONSE_LIFETIME_S
         return tuple(
             JournaledResponse(row.service, row.request_id, row.payload, row.encoding)
             for row in responses
-            if row.at_s >= oldest_s
         )
 
     @property
@@ -577,13 +576,8 @@ def open_journal(folder: str) -> Journal:
     except BaseException:
         database.close()
         raise
-    if database.lost:
-        LOG.warning(
-            "journal %s was truncated: its last %d changes are lost; continuing after change %d",
-            database.folder,
-            database.lost,
-            database.position,
-        )
+    if database.loss:
+        LOG.warning("journal %s", database.loss)
     return Journal(database, contents)
 
 

@@ -6,8 +6,8 @@ import hashlib
 import os
 import sqlite3
 import struct
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Literal
 
 from zensim.proto.process_limits import lock_file, sync_folder
 
@@ -16,6 +16,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 DATABASE, LOCK, FILES = "journal.db", "lock", "files"
+LOG_SUFFIX = "-wal"
+"""Of the write-ahead log beside the database."""
+OPEN_ROW = "open", ""
+"""Kind and key of a row that exists while a server uses the journal, or after it was killed. Then
+the newest changes are in the log, which is never empty."""
 MIGRATIONS = (
     """
     CREATE TABLE rows (
@@ -44,6 +49,8 @@ class SqliteStore:
         self.position = 0
         self.lost = 0
         """Changes that were durable once and are missing now."""
+        self.is_log_missing = False
+        """Whether it was copied, without its log, while a server used it."""
         self._lock = lock
         self._connection = connection
         self._digests: dict[tuple[str, str], int] = {}
@@ -107,8 +114,63 @@ class SqliteStore:
             self._set_digest(row_key, digest)
         self._undo.clear()
 
+    @property
+    def loss(self) -> str:
+        """What is known to be missing, as a sentence; empty if nothing is."""
+        if self.is_log_missing:
+            return (
+                f"{self.folder} was copied without {DATABASE}{LOG_SUFFIX} while a server used it: "
+                f"changes after change {self.position} are lost; "
+                "copy it again with `zensim journal backup`"
+            )
+        if self.lost:
+            return (
+                f"{self.folder} is truncated: its last {self.lost} changes are lost; "
+                f"a server would continue from change {self.position}"
+            )
+        return ""
+
+    def mark_open(self) -> None:
+        """Note in the database file that the log belongs to it."""
+        self._commit_row(is_open=True)
+        self.checkpoint()
+
+    def checkpoint(self) -> None:
+        """Copy the log into the database file; the log stays."""
+        self._connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()
+
+    def backup(self, folder: Path) -> None:
+        """Copy the database, without meshes, to an empty folder; it may be in use.
+
+        Raises:
+            JournalError: The folder is not empty, or cannot be written.
+        """
+        with raising_journal_errors(folder):
+            (folder / FILES).mkdir(parents=True, exist_ok=True)
+            if (folder / DATABASE).exists() or any((folder / FILES).iterdir()):
+                raise JournalError(f"{folder} has a journal already; use an empty folder")
+            connection = _connect(folder)
+            try:
+                self._connection.backup(connection)
+                copy = SqliteStore(folder, connection, None)
+                copy.check()
+                copy._commit_row(is_open=False)
+            finally:
+                connection.close()
+            sync_folder(folder)
+
+    def _commit_row(self, *, is_open: bool) -> None:
+        self.begin()
+        if is_open:
+            self.put(*OPEN_ROW, b"")
+        else:
+            self.remove(*OPEN_ROW)
+        self.commit(self.position)
+
     def close(self) -> None:
         """Merge the write-ahead log into the database file, and unlock the folder."""
+        if self._lock is not None:
+            self._mark_closed()
         try:
             self._connection.close()
         finally:
@@ -142,6 +204,14 @@ class SqliteStore:
             raise JournalError(self._damaged("rows are missing or were added"))
         self.position = total[0]
         self.lost = max(0, self._read_mark() - self.position)
+
+    def _mark_closed(self) -> None:
+        try:
+            self._commit_row(is_open=False)
+        except sqlite3.Error:
+            # The disk is full or gone: the log stays, and so does the mark.
+            with suppress(sqlite3.Error):
+                self.rollback()
 
     def _damaged(self, what: str) -> str:
         return f"{self.folder / DATABASE} is damaged: {what}; restore a copy, or use another folder"
@@ -198,34 +268,51 @@ def open_store_read_only(folder: Path) -> Iterator[SqliteStore]:
             raise JournalError(
                 f"{folder} is not a journal; use a folder of `zensim serve --journal`"
             )
-        connection = _connect(folder)
+        has_log = _has_log(folder)
+        # Read-only: the last connection that can write would merge the log of a killed server.
+        connection = _connect(folder, mode="ro")
         try:
-            connection.execute("PRAGMA query_only = 1")
             connection.execute("BEGIN")
             database = SqliteStore(folder, connection, None)
             _check_version(folder, connection)
             database.check()
+            database.is_log_missing = OPEN_ROW in database and not has_log
             yield database
         finally:
             connection.close()
 
 
 def _open_locked(folder: Path, lock: int) -> SqliteStore:
+    has_log = _has_log(folder)
     connection = _connect(folder)
     database = SqliteStore(folder, connection, lock)
     try:
         _migrate(folder, connection, database._read_mark())  # noqa: SLF001  same module
         database.check()
+        database.is_log_missing = OPEN_ROW in database and not has_log
+        database.mark_open()
     except BaseException:
         connection.close()
         raise
     return database
 
 
-def _connect(folder: Path) -> sqlite3.Connection:
+def _has_log(folder: Path) -> bool:
+    """Whether there is a log; opening the database makes an empty one."""
+    log = folder / f"{DATABASE}{LOG_SUFFIX}"
+    return log.is_file() and log.stat().st_size > 0
+
+
+def _connect(folder: Path, mode: Literal["rwc", "ro"] = "rwc") -> sqlite3.Connection:
     connection = sqlite3.connect(
-        folder / DATABASE, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
+        f"{(folder / DATABASE).absolute().as_uri()}?mode={mode}",
+        timeout=BUSY_TIMEOUT_S,
+        isolation_level=None,
+        check_same_thread=False,
+        uri=True,
     )
+    if mode == "ro":
+        return connection
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("PRAGMA synchronous = FULL")
     return connection

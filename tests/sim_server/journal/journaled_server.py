@@ -72,8 +72,14 @@ class Disk:
 class JournaledServer:
     """A server loop that journals its world in a folder."""
 
-    def __init__(self, folder: Path, *names: str, world: SimulatedWorld | None = None) -> None:
-        wall = WallTime()
+    def __init__(
+        self,
+        folder: Path,
+        *names: str,
+        world: SimulatedWorld | None = None,
+        now_s: float = 5.0,
+    ) -> None:
+        wall = WallTime(round(now_s * 1e9))
         self.folder = folder
         self.database: SqliteStore = open_store(folder)
         journal = Journal(self.database, read_contents(self.database))
@@ -87,7 +93,7 @@ class JournaledServer:
             self.disk,
             position=self.database.position,
             known=journal.restored,
-            earlier_responses=journal.recent_responses(wall.now_ns() * 1e-9),
+            earlier_responses=journal.earlier_responses(),
             wall_s=lambda: wall.now_ns() * 1e-9,
         )
         journal.prepare(self.parts)

@@ -1,5 +1,7 @@
 """A journal is restored into an equal world, summarized and exported."""
 
+import errno
+import hashlib
 import json
 import tempfile
 from collections.abc import Callable
@@ -13,23 +15,32 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from tests.engines import STEP_NS, ObedientEngine
-from tests.models import a_box, a_cart, on_ground
+from tests.models import a_body, a_box, a_cart, on_ground
 from tests.sim_server.fakes import CONTROL_STEPS, a_spawn, a_world, names_in
 from tests.sim_server.journal.journaled_server import JournaledServer, read_journal
 from zensim.proto.messages.entity_messages import Category, EntityCategory, EntityInfo
-from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.proto.messages.simulation_messages import ResetScope, State
+from zensim.proto.stl import write_corners
 from zensim.sim_server.errors import SimError
+from zensim.sim_server.journal import server_journal
 from zensim.sim_server.journal.journal_contents import (
+    backup_journal,
     commit_restore,
     export_journal,
+    find_damaged_files,
     format_summary,
     read_contents,
     summarize_journal,
 )
 from zensim.sim_server.journal.journal_records import ExcludedEntityRow
 from zensim.sim_server.journal.server_journal import RESTORE_MARK_FILE, Journal, open_journal
-from zensim.sim_server.journal.sqlite_store import JournalError, open_store
+from zensim.sim_server.journal.sqlite_store import (
+    FILES,
+    JournalError,
+    open_store,
+    open_store_read_only,
+)
 from zensim.sim_server.parser_process.description_cache import ParseKey
 from zensim.sim_server.physics.engine import EngineRefused, FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
@@ -263,6 +274,112 @@ def test_mark_file_is_removed_after_a_restore(tmp_path: Path) -> None:
     restart(server)
 
     assert not (tmp_path / RESTORE_MARK_FILE).exists()
+
+
+def test_mark_file_is_removed_when_a_restore_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server = JournaledServer(tmp_path, "r0")
+    server.tracker.record()
+    server.crash()
+
+    def fail(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(server_journal, "commit_restore", fail)
+    with pytest.raises(JournalError):
+        JournaledServer(tmp_path)
+
+    assert not (tmp_path / RESTORE_MARK_FILE).exists()
+
+
+SQUARE = write_corners(np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[1, 1, 0]] * 3]))
+SQUARE_NAME = hashlib.sha256(SQUARE).hexdigest()
+MESHED = Model(
+    "meshed", (Link("base", a_body(), (Shape("mesh", (1.0, 1.0, 1.0), mesh=SQUARE_NAME),)),)
+)
+DAMAGED = {
+    "empty": b"",
+    "cut": SQUARE[: len(SQUARE) // 2],
+    "flipped": SQUARE[:90] + bytes([SQUARE[90] ^ 1]) + SQUARE[91:],
+    "missing": None,
+}
+
+
+def make_meshed_journal(folder: Path) -> Path:
+    """Journal carts and an entity with a mesh; return the file of the mesh."""
+    server = JournaledServer(folder, "r0", "r1")
+    server.parts.store.add(SQUARE_NAME, SQUARE)
+    server.world.spawn(a_spawn("m", model=MESHED, base=on_ground(9.0)))
+    server.tracker.record()
+    server.crash()
+    return folder / FILES / f"{SQUARE_NAME}.stl"
+
+
+@pytest.mark.parametrize("damage", DAMAGED)
+def test_entity_whose_mesh_is_damaged_is_excluded_and_may_be_spawned_again(
+    tmp_path: Path, damage: str
+) -> None:
+    file, data = make_meshed_journal(tmp_path), DAMAGED[damage]
+    file.unlink()
+    if data is not None:
+        file.write_bytes(data)
+
+    restarted = JournaledServer(tmp_path)
+
+    assert names_in(restarted.world) == ["r0", "r1"]
+    assert restarted.refused == ("m",)
+    restarted.parts.store.add(SQUARE_NAME, SQUARE)
+    restarted.world.spawn(a_spawn("m", model=MESHED, base=on_ground(9.0)))
+    restarted.tracker.record()
+    third = restart(restarted)
+    assert names_in(third.world) == ["r0", "r1", "m"]
+
+
+@pytest.mark.parametrize("damage", DAMAGED)
+def test_damaged_files_are_found(tmp_path: Path, damage: str) -> None:
+    file, data = make_meshed_journal(tmp_path), DAMAGED[damage]
+    contents = read_journal(tmp_path)
+    before = find_damaged_files(contents, tmp_path / FILES)
+
+    file.unlink()
+    if data is not None:
+        file.write_bytes(data)
+
+    assert before == ()
+    assert find_damaged_files(contents, tmp_path / FILES) == (file.name,)
+
+
+def test_backup_of_a_used_journal_restores_the_same_world(tmp_path: Path) -> None:
+    source, target = tmp_path / "source", tmp_path / "target"
+    server = JournaledServer(source, "r0", "r1")
+    server.parts.store.add(SQUARE_NAME, SQUARE)
+    server.world.spawn(a_spawn("m", model=MESHED, base=on_ground(9.0)))
+    server.tracker.record()
+
+    with open_store_read_only(source) as store:
+        backup_journal(store, read_contents(store), target)
+    server.world.delete("r0")
+    server.tracker.record()
+
+    copy = JournaledServer(target)
+    assert names_in(copy.world) == ["r0", "r1", "m"]
+    assert copy.database.loss == ""
+    assert names_in(restart(server).world) == ["r1", "m"]
+
+
+def test_backup_is_refused_into_a_folder_with_a_journal(tmp_path: Path) -> None:
+    make_meshed_journal(tmp_path)
+
+    with open_store_read_only(tmp_path) as store, pytest.raises(JournalError):
+        backup_journal(store, read_contents(store), tmp_path)
+
+
+def test_backup_reports_damaged_meshes(tmp_path: Path) -> None:
+    make_meshed_journal(tmp_path / "source").write_bytes(b"")
+
+    with open_store_read_only(tmp_path / "source") as store, pytest.raises(JournalError):
+        backup_journal(store, read_contents(store), tmp_path / "target")
 
 
 def test_journal_that_cannot_be_decoded_is_refused(tmp_path: Path) -> None:

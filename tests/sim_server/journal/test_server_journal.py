@@ -329,6 +329,23 @@ def test_repeated_request_gets_the_same_response_after_a_restart(server: Journal
     assert names_in(restarted.world) == ["r0", "r1", "r2"]
 
 
+@pytest.mark.parametrize("step_s", [-7200.0, 7200.0, 1e8])
+def test_repeated_request_gets_the_same_response_when_the_clock_was_set(
+    tmp_path: Path, step_s: float
+) -> None:
+    server = JournaledServer(tmp_path, now_s=1e4)
+    first = spawn(server, "r2", "abc")
+    turn(server)
+    server.crash()
+    restarted = JournaledServer(server.folder, now_s=1e4 + step_s)
+
+    retry = spawn(restarted, "r2", "abc")
+    turn(restarted)
+
+    assert retry.answers[0].payload == first.answers[0].payload
+    assert names_in(restarted.world) == ["r2"]
+
+
 def test_bond_that_is_not_renewed_after_a_restart_ends(server: JournaledServer) -> None:
     server.parts.bonds.alive.update({"lost", "renewed"})
     spawn(server, "g", bond="lost")

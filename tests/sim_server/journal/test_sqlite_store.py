@@ -240,3 +240,51 @@ def test_store_is_consistent_after_any_operations(
     store.close()
 
     assert read_state(folder)[2] == expected
+
+
+@pytest.mark.parametrize("is_locked", [True, False])
+@pytest.mark.parametrize("log", [None, b""])
+def test_copy_without_its_log_is_reported_by_all_that_open_it(
+    tmp_path: Path, log: bytes | None, *, is_locked: bool
+) -> None:
+    files = write_and_crash(tmp_path / "used", ROWS, {("entity", "last"): b"row"})
+    files.pop(f"{DATABASE}-wal")
+    if log is not None:
+        files[f"{DATABASE}-wal"] = log
+    if not is_locked:
+        files.pop(LOCK)
+    copy = write_files(tmp_path / "copy", files)
+
+    with open_store_read_only(copy) as shown:
+        assert shown.is_log_missing
+        assert shown.loss
+    served = open_store(copy)
+    assert served.loss
+    served.close()
+
+
+def test_whole_copies_are_not_reported(tmp_path: Path) -> None:
+    files = write_and_crash(tmp_path / "used", ROWS)
+    killed = write_files(tmp_path / "killed", files)
+
+    for folder in (killed, tmp_path / "used"):
+        with open_store_read_only(folder) as shown:
+            assert shown.loss == ""
+        store = open_store(folder)
+        assert store.loss == ""
+        store.close()
+
+
+def test_database_alone_has_what_a_checkpoint_copied(tmp_path: Path) -> None:
+    store = open_store(tmp_path / "used")
+    fill(store, ROWS, 1)
+    store.checkpoint()
+    fill(store, {("entity", "last"): b"row"}, 2)
+    data = (tmp_path / "used" / DATABASE).read_bytes()
+    store.close()
+    copy = write_files(tmp_path / "copy", {DATABASE: data})
+
+    with open_store_read_only(copy) as shown:
+        assert shown.position == 1
+        assert len(shown.rows("entity")) == len(ROWS)
+        assert shown.is_log_missing
