@@ -112,7 +112,7 @@ def _run(
 ) -> None:
     clock = HostClock()
     with ExitStack() as cleanup:
-        store = AssetStore()
+        store = AssetStore(folder=None if journal is None else journal.assets)
         cleanup.callback(store.close)
         parser = ParserClient(store, clock.now_ns)
         cleanup.callback(parser.close)

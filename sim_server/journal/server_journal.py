@@ -455,6 +455,7 @@ def _find_first_crash(attempts: Sequence[Callable[[], None]], excluded: list[int
 
 RESTORE_MARK_FILE = "restoring"
 """Exists during a restore: a server that finds it crashed while restoring."""
+ASSETS = "assets"
 CRASHED_REASON = "crashed the process that restored it twice"
 
 
@@ -471,6 +472,11 @@ class Journal:
     def files(self) -> Path:
         """Folder of the meshes, named `<sha256>.stl`."""
         return self.database.folder / FILES
+
+    @property
+    def assets(self) -> Path:
+        """Folder of the files of a running server; the lock of the journal protects it."""
+        return self.database.folder / ASSETS
 
     def exclude_crashing(self, make_engine: Callable[[], Engine]) -> None:
         """Exclude entities that crash a process, if the last server crashed while restoring.

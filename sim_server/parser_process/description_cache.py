@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -11,7 +12,7 @@ import msgspec
 from zensim.proto.messages.asset_messages import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, AssetRef
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.sim_server.description.builtin_models import resolve_resource
-from zensim.sim_server.errors import ModelError
+from zensim.sim_server.errors import AssetRefused, ModelError
 from zensim.sim_server.parser_process.parser_protocol import ParsedMesh, ParseRequest, ParseResult
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ MAX_MESHES_AT_ONCE = 16
 """Collision meshes whose hulls can be made between two steps."""
 REST_RATIO = 2
 """Pause after a part of a preparation, as a multiple of its duration."""
-TRANSIENT_SLUGS = frozenset({"reader.crashed", "reader.timeout"})
+TRANSIENT_SLUGS = frozenset({"reader.crashed", "reader.timeout", "bundle.disk"})
 """Errors that a retry may avoid: they are not cached."""
 
 
@@ -118,6 +119,8 @@ class DescriptionCache:
         self._transient: list[ParseKey] = []
         self._callbacks: dict[int, Callable[[ParseResult], None]] = {}
         self._next_number = 1
+        self._unstored: AssetRefused | None = None
+        """Why a mesh of the next result is missing."""
 
     def is_parsed(self, order: SpawnEntityOrder) -> bool:
         """See `DescriptionProvider`."""
@@ -150,7 +153,7 @@ class DescriptionCache:
         messages = self._parser.poll()
         for message in messages:
             if isinstance(message, ParsedMesh):
-                self._store.add(message.sha256, message.data)
+                self._add_mesh(message)
             else:
                 self._store_result(message)
         return self._prepare_next() or bool(messages)
@@ -161,6 +164,12 @@ class DescriptionCache:
             if isinstance(found, CachedModel) and found.model is model:
                 return key
         return None
+
+    def _add_mesh(self, mesh: ParsedMesh) -> None:
+        try:
+            self._store.add(mesh.sha256, mesh.data)
+        except AssetRefused as error:
+            self._unstored = error
 
     def remember(self, key: ParseKey, model: Model) -> None:
         """See `DescriptionProvider`."""
@@ -184,7 +193,8 @@ class DescriptionCache:
         if not cached.unread_meshes:
             return False
         if (mesh := cached.unread_meshes.pop()) in self._store:
-            self._store.vertices(mesh)
+            with suppress(AssetRefused, ValueError):  # the spawn is refused for it
+                self._store.vertices(mesh)
         return True
 
     def parse(self, request: ParseRequest, on_parsed: Callable[[ParseResult], None]) -> None:
@@ -223,6 +233,12 @@ class DescriptionCache:
         return names
 
     def _store_result(self, result: ParseResult) -> None:
+        if (unstored := self._unstored) is not None:
+            # The meshes of a result precede it.
+            self._unstored = None
+            result = ParseResult(
+                result.number, None, code=unstored.code, message=unstored.fault, slug=unstored.slug
+            )
         if (on_parsed := self._callbacks.pop(result.number, None)) is not None:
             on_parsed(result)
             return

@@ -20,6 +20,7 @@ from zensim.proto.child_process import (
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.process_limits import OUT_OF_CPU_TIME_STATUS, set_niceness
+from zensim.sim_server.errors import AssetRefused
 from zensim.sim_server.parser_process.parser_protocol import (
     ParsedMesh,
     ParseRequest,
@@ -159,8 +160,12 @@ class ParserClient:
         if self._clock.now_ns > self._deadline_ns:
             return results + self._replace_process(TIMEOUT_MESSAGE, slug="reader.timeout")
         results += self._refuse_overdue()
-        self._send_next()
-        self._process.flush()
+        try:
+            self._send_next()
+            self._process.flush()
+        except AssetRefused as error:
+            # The process waits for the rest of a file that cannot be read.
+            results += self._replace_process(error.fault, slug=error.slug)
         return results
 
     def close(self) -> None:

@@ -19,6 +19,7 @@ from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.network_protocols import Sample, ServiceCall
 from zensim.proto.topic_catalog import AUDIT, CONTACTS, EVENTS, STATS, STEPS_PROGRESS
+from zensim.sim_server.errors import SimError
 from zensim.sim_server.journal_protocol import ChangeJournal
 from zensim.sim_server.pacing.command_timeouts import CommandReceipt, CommandTimeouts
 from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
@@ -458,7 +459,11 @@ class ServerLoop:
     def _publish_contacts(self) -> None:
         wanted = [topic for topic in (CONTACTS, EVENTS) if self._publisher.is_wanted(topic)]
         if wanted and self._contacts.has_sensors:
-            contacts = self._contacts.read()
+            try:
+                contacts = self._contacts.read()
+            except SimError as error:  # the file of a mesh is gone
+                LOG.warning("contacts not published reason=%s", error)
+                return
             if CONTACTS in wanted:
                 self._publisher.publish(CONTACTS, contacts)
 

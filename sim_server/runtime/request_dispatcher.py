@@ -1,8 +1,10 @@
 """Dispatch of requests: decode, handle once for all retries, reply when the journal is durable."""
 
+import logging
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -21,12 +23,14 @@ from zensim.proto.service_catalog import CLAIM_ENTITY, CLAIM_SHARE, SERVICES, SP
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.journal_protocol import ChangeJournal, JournaledResponse
 from zensim.sim_server.pacing.loop_stats import LoopStats
+from zensim.sim_server.physics.engine import EngineLost, describe_fault
 from zensim.sim_server.runtime.request_authorization import RequestAuthorization
 from zensim.sim_server.runtime.request_queue import MAX_WAITING, RequestBudget, RequestBusy
 from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, WorldTelemetry
 from zensim.sim_server.service_parts import DeferredResponse
 from zensim.sim_server.services.service_registry import ServiceHandlers, make_refusal
 
+LOG = logging.getLogger(__name__)
 MAX_DETECTED_BYTES = 4096
 """A longer request has the format that its encoding says, if it is refused unread."""
 MAX_CACHED_RESPONSES = 4096
@@ -161,6 +165,35 @@ class _PendingRequest:
     call: ServiceCall
     deferred: DeferredResponse[Any]
 
+    def is_ready(self) -> bool:
+        """Whether the response can be made; also if that failed."""
+        try:
+            return self.deferred.is_ready()
+        except EngineLost:
+            raise
+        except Exception as error:  # noqa: BLE001  the outcome refuses the request
+            self.deferred = DeferredResponse(lambda: True, partial(_raise, error))
+            return True
+
+
+def _raise(error: Exception) -> msgspec.Struct:
+    raise error
+
+
+def _refuse_failures(call: ServiceCall, handle: Callable[[], Any]) -> Any:  # noqa: ANN401
+    """Handle a request; whatever fails is a refusal, but the loss of the engine."""
+    try:
+        return handle()
+    except SimError as error:
+        return make_refusal(call.name, error.code, str(error))
+    except MalformedPayload as error:
+        return make_refusal(call.name, ResultCode.OPERATION_FAILED, f"malformed request: {error}")
+    except EngineLost:
+        raise
+    except Exception as error:
+        LOG.exception("request failed service=%s", call.name)
+        return make_refusal(call.name, ResultCode.OPERATION_FAILED, str(HandlerFailed(error)))
+
 
 class RequestDispatcher:
     """Requests to one world, from receipt to reply."""
@@ -218,7 +251,7 @@ class RequestDispatcher:
                 is_complete = False
                 continue
             with budget.charge(client):
-                if pending.deferred.is_ready():
+                if pending.is_ready():
                     self._pending.remove(pending)
                     self._reply(pending.call, self._outcome(pending))
         self._settle()
@@ -270,14 +303,7 @@ class RequestDispatcher:
         self, call: ServiceCall, handle: Callable[[], msgspec.Struct | DeferredResponse[Any]]
     ) -> None:
         self._flush_unrelated_changes()
-        try:
-            response = handle()
-        except SimError as error:
-            response = make_refusal(call.name, error.code, str(error))
-        except MalformedPayload as error:
-            response = make_refusal(
-                call.name, ResultCode.OPERATION_FAILED, f"malformed request: {error}"
-            )
+        response = _refuse_failures(call, handle)
         if isinstance(response, DeferredResponse):
             self._pending.append(_PendingRequest(call, response))
         else:
@@ -285,10 +311,7 @@ class RequestDispatcher:
 
     def _outcome(self, pending: _PendingRequest) -> msgspec.Struct:
         self._flush_unrelated_changes()
-        try:
-            response: msgspec.Struct = pending.deferred.outcome()
-        except SimError as error:
-            response = make_refusal(pending.call.name, error.code, str(error))
+        response: msgspec.Struct = _refuse_failures(pending.call, pending.deferred.outcome)
         return response
 
     def _flush_unrelated_changes(self) -> None:
@@ -396,6 +419,15 @@ class RequestIdTooLong(SimError):
 
     def __init__(self) -> None:
         super().__init__(f"the request id has more than {MAX_REQUEST_ID_BYTES} bytes; use a UUID")
+
+
+class HandlerFailed(SimError):
+    """A handler failed for no reason that it knows, such as an error of the operating system."""
+
+    slug = "server.fault"
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__(f"the server could not do it: {describe_fault(error)}; its log has more")
 
 
 class UnknownService(SimError):

@@ -1,6 +1,10 @@
 """AssetStore: uploads in chunks, eviction, pinned files, vertices of meshes."""
 
+import errno
 import hashlib
+import os
+import shutil
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,7 +14,7 @@ import pytest
 from zensim.proto.messages.asset_messages import MAX_BUNDLE_FILES, MAX_CHUNK_BYTES, MAX_FILE_BYTES
 from zensim.proto.stl import write_corners
 from zensim.sim_server.errors import AssetRefused
-from zensim.sim_server.parser_process.asset_store import AssetStore
+from zensim.sim_server.parser_process.asset_store import AssetFolder, AssetStore
 
 DATA = b"solid zensim\nendsolid\n" * 10
 NAME = hashlib.sha256(DATA).hexdigest()
@@ -151,3 +155,88 @@ def test_store_removes_its_folder_when_closed() -> None:
     store.close()
 
     assert not Path(store.folder).exists()
+
+
+def test_store_refuses_a_file_when_the_disk_is_full_and_takes_it_later(
+    store: AssetStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as full:
+        full.setattr(AssetFolder, "_write", fail)
+        for write in (
+            put,
+            lambda at, data: at.add(NAME, data),
+            lambda at, data: at.pin(NAME, data),
+        ):
+            with pytest.raises(AssetRefused) as refused:
+                write(store, DATA)
+            assert refused.value.slug == "bundle.disk"
+
+    assert store.missing([NAME]) == [(NAME, 0)]
+    assert put(store, DATA) == NAME
+    assert store.read(NAME, 0, -1) == DATA
+
+
+def test_store_goes_on_when_its_folder_is_removed(store: AssetStore) -> None:
+    put(store, DATA)
+    shutil.rmtree(store.folder)
+
+    with pytest.raises(AssetRefused) as refused:
+        store.read(NAME, 0, -1)
+
+    assert refused.value.slug == "bundle.disk"
+    assert store.missing([NAME]) == [(NAME, 0)]
+    assert put(store, DATA) == NAME
+    assert Path(store.folder, f"{NAME}.stl").read_bytes() == DATA
+
+
+def test_store_goes_on_when_its_folder_is_replaced(store: AssetStore) -> None:
+    shutil.rmtree(store.folder)
+    Path(store.folder).mkdir()
+
+    put(store, DATA)
+
+    assert Path(store.folder, f"{NAME}.stl").read_bytes() == DATA
+
+
+def test_store_forgets_a_file_that_was_removed(store: AssetStore) -> None:
+    put(store, DATA)
+    Path(store.folder, f"{NAME}.stl").unlink()
+
+    with pytest.raises(AssetRefused) as refused:
+        store.read(NAME, 0, 1)
+
+    assert refused.value.slug == "bundle.disk"
+    assert NAME not in store
+
+
+def test_store_in_a_given_folder_begins_empty(tmp_path: Path) -> None:
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "assets" / "left.stl").write_bytes(b"left")
+
+    store = AssetStore(folder=tmp_path / "assets")
+
+    assert list(Path(store.folder).iterdir()) == []
+    store.close()
+    assert not (tmp_path / "assets").exists()
+
+
+def test_temporary_folders_of_ended_servers_are_swept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    first = AssetStore()
+    held, parent = Path(first.folder), Path(first.folder).parent
+    left, new = parent / "left", parent / "new"
+    for path in (left, new):
+        path.mkdir()
+    for path in (left, held):
+        os.utime(path, (0.0, 0.0))
+
+    second = AssetStore()
+
+    assert set(parent.iterdir()) == {held, new, Path(second.folder)}
+    for store in (first, second):
+        store.close()

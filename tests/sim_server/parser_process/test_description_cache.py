@@ -1,7 +1,9 @@
 """DescriptionCache: each description is parsed once while its meshes are stored."""
 
+import errno
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -14,7 +16,7 @@ from zensim.proto.messages.asset_messages import AssetRef
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.sim_server.errors import ModelError
-from zensim.sim_server.parser_process.asset_store import AssetStore
+from zensim.sim_server.parser_process.asset_store import AssetFolder, AssetStore
 from zensim.sim_server.parser_process.description_cache import MAX_MESHES_AT_ONCE, DescriptionCache
 from zensim.sim_server.parser_process.parser_client import ParserClient
 
@@ -202,3 +204,34 @@ def test_description_parsed_by_another_server_is_not_parsed_again(fixture: Parse
     assert other.model(order)[0] is model
     assert other.find_parse_key(model) == key
     assert other.find_parse_key(Model("other", ())) is None
+
+
+def test_description_is_refused_when_its_meshes_cannot_be_written_and_parsed_later(
+    fixture: ParserFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    order = fixture.order()
+    with monkeypatch.context() as full:
+        full.setattr(AssetFolder, "write", fail)
+        with pytest.raises(ModelError) as refused:
+            fixture.model(order)
+
+    assert refused.value.slug == "bundle.disk"
+    fixture.descriptions.poll()
+    assert mesh_of(fixture.model(order)) in fixture.store
+
+
+def test_description_is_refused_when_its_files_are_gone_and_parsed_later(
+    fixture: ParserFixture,
+) -> None:
+    order = fixture.order()
+    Path(fixture.store.folder, f"{order.assets[0].sha256}.stl").unlink()
+
+    with pytest.raises(ModelError) as refused:
+        fixture.model(order)
+
+    assert refused.value.slug in ("bundle.disk", "mesh.missing")
+    fixture.descriptions.poll()
+    assert mesh_of(fixture.model(fixture.order())) in fixture.store

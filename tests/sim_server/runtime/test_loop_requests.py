@@ -12,7 +12,12 @@ from zensim.proto.codec.message_codec import Format, detect_format, encode, make
 from zensim.proto.messages.entity_messages import GetEntitiesRequest, GetEntitiesResponse
 from zensim.proto.messages.result_messages import ResultCode, SpawnCode
 from zensim.proto.messages.simulation_messages import State, StepSimulationRequest
-from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEntityResponse
+from zensim.proto.messages.spawn_messages import (
+    DeleteEntityRequest,
+    DeleteEntityResponse,
+    Resource,
+    SpawnEntityOrder,
+)
 from zensim.proto.messages.telemetry_messages import (
     GetModelsRequest,
     GetModelsResponse,
@@ -23,8 +28,10 @@ from zensim.proto.messages.telemetry_messages import (
     WorldClock,
 )
 from zensim.proto.service_catalog import SERVICES
+from zensim.sim_server.physics.engine import EngineLost
 
 FORMATS = list(Format)
+BOX_BOT = Resource("box_bot")
 
 
 def refusal_in(call: MemoryCall) -> tuple[int, str]:
@@ -271,3 +278,43 @@ def test_request_of_another_service_does_not_replace_a_pending_one() -> None:
         server.loop.turn()
 
     assert (len(steps.answers), len(other.answers)) == (1, 1)
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(24, "Too many open files"), RuntimeError("a defect"), KeyError("gone")]
+)
+@pytest.mark.parametrize("is_deferred", [False, True])
+def test_loop_refuses_a_request_whose_handler_fails_and_goes_on(
+    monkeypatch: pytest.MonkeyPatch, error: Exception, *, is_deferred: bool
+) -> None:
+    server = a_server("r0")
+
+    def fail(*_: object) -> bool:
+        raise error
+
+    if is_deferred:
+        monkeypatch.setattr(server.parts.descriptions.provider, "is_parsed", fail)
+        call = server.request("spawn_entity", SpawnEntityOrder("r1", entity_resource=BOX_BOT))
+    else:
+        monkeypatch.setattr(server.world, "delete", fail)
+        call = server.request("delete_entity", DeleteEntityRequest("r0"))
+    server.loop.turn()
+    info = server.request("info", InfoRequest())
+    server.loop.turn()
+
+    response = answer_of(call, SERVICES[call.name].response)
+    assert response.result.error_message.startswith("server.fault: ")  # type: ignore[attr-defined]
+    assert info.is_over
+
+
+def test_loop_ends_when_the_engine_is_lost_in_a_handler(monkeypatch: pytest.MonkeyPatch) -> None:
+    server = a_server("r0")
+
+    def fail(*_: object) -> None:
+        raise EngineLost("gone")
+
+    monkeypatch.setattr(server.world, "delete", fail)
+    server.request("delete_entity", DeleteEntityRequest("r0"))
+
+    with pytest.raises(EngineLost):
+        server.loop.turn()
