@@ -1,0 +1,377 @@
+"""A secured server: joining it, what each role is refused, errors told apart, revocation."""
+
+import json
+import os
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import psutil
+import pytest
+
+import zensim as api
+from tests.integration.processes import eventually, run_in_process, running
+from tests.integration.processes import zensim as run_zensim
+from zensim.proto import keys
+from zensim.proto.bus import Bus, BusConfig, BusError, EndpointUnreachable, JoinRefused, open_bus
+from zensim.proto.codec.message_codec import Format, decode, encode
+from zensim.proto.endpoints import with_free_port
+from zensim.proto.join_tokens import parse_join_token
+from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.simulation_messages import (
+    SetSimulationStateRequest,
+    SimulationState,
+    State,
+)
+from zensim.proto.messages.spawn_messages import (
+    DeleteEntityRequest,
+    Resource,
+    SpawnEntityOrder,
+)
+from zensim.proto.messages.standard_messages import (
+    Point,
+    Pose,
+    PoseStamped,
+    Twist,
+    Vector3,
+)
+from zensim.proto.messages.telemetry_messages import Refusal
+from zensim.proto.security.roles import ROLES, User
+from zensim.proto.service_catalog import (
+    CLAIM_ENTITY,
+    DELETE_ENTITY,
+    SERVICES,
+    SET_SIMULATION_STATE,
+    SPAWN_ENTITY,
+)
+from zensim.proto.topic_catalog import AUDIT, CMD_VEL, DRIVE_COMMAND, ODOM
+from zensim.sim_server.security import certificates
+from zensim.sim_server.security.router_process import secured_router
+from zensim.sim_server.security.secure_folder import (
+    Account,
+    SecureFolder,
+    SecureSettings,
+    find_secure_folder,
+    prepare_secure_folder,
+)
+from zensim.spawner.client.sim_client import SimClient
+
+WORLD = "default"
+WITHIN_S = 20.0
+ROBOTS = ("r1", "r2")
+DENIED = "access.denied"
+MAY_QUIT = {"operator"}
+
+
+def make_order(name: str) -> SpawnEntityOrder:
+    y = float(ROBOTS.index(name)) if name in ROBOTS else 3.0
+    pose = PoseStamped(pose=Pose(position=Point(y=y)))
+    return SpawnEntityOrder(
+        name=name,
+        entity_resource=Resource(uri="box_bot"),
+        entity_namespace=name,
+        initial_pose=pose,
+    )
+
+
+@dataclass(frozen=True)
+class Secured:
+    folder: SecureFolder
+    process_id: int
+    operator: SimClient
+    users: dict[str, Bus]
+
+    def token(self, user: str) -> str:
+        return self.folder.make_token(self.folder.accounts()[user]).write()
+
+
+@pytest.fixture(scope="module")
+def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
+    with pytest.MonkeyPatch.context() as patch, ExitStack() as stack:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        settings = SecureSettings(WORLD, 0, with_free_port("tls/127.0.0.1:0"))
+        folder = prepare_secure_folder(settings)
+        folder.ensure(User(name, "agent", (name,)) for name in ROBOTS)
+        serve = ("serve", "--secure", "--listen", settings.endpoint, "--announce")
+        process = stack.enter_context(running(*serve))
+        assert process.stdout is not None
+        assert process.stdout.readline()
+        users = {
+            name: stack.enter_context(
+                open_bus(BusConfig(connect=(folder.make_token(account).write(),)))
+            )
+            for name, account in folder.accounts().items()
+        }
+        operator = SimClient(users["operator"])
+        for name in ROBOTS:
+            operator.spawn(make_order(name))
+        yield Secured(folder, process.pid, operator, users)
+
+
+@pytest.fixture(scope="module")
+def agent(secured: Secured) -> Iterator[None]:
+    """Drive r1 by an agent with a token of its own."""
+    address = secured.folder.write_token(
+        secured.folder.accounts()["r1"], secured.folder.settings.endpoint
+    )
+    with running("agent", "r1", "--join", address):
+        eventually(lambda: secured.operator.entity_model("r1").agent == "r1", WITHIN_S)
+        yield
+
+
+def x_of(secured: Secured, robot: str) -> float:
+    return secured.operator.entity_state(robot).pose.position.x
+
+
+def assert_drivable(secured: Secured) -> None:
+    before = x_of(secured, "r1")
+    publisher = secured.users["operator"].advertise(CMD_VEL.key("r1"), CMD_VEL.encoding)
+
+    def moves() -> bool:
+        publisher.send(encode(Twist(linear=Vector3(x=0.3)), Format.CDR))
+        return abs(x_of(secured, "r1") - before) > 0.02
+
+    eventually(moves, WITHIN_S, "driving r1")
+    publisher.close()
+
+
+def reason_of(call: "object") -> str:
+    """Call a function; return the message of its refusal."""
+    assert callable(call)
+    with pytest.raises(ServiceError) as caught:
+        call()
+    return str(caught.value)
+
+
+@pytest.mark.usefixtures("agent")
+def test_newcomer_needs_the_token_only(secured: Secured) -> None:
+    token = secured.token("operator")
+
+    listed = run_in_process("list", "--join", token, "--json")
+    with api.connect(token=token) as sim:
+        world = sim.info.world
+
+    assert [one["name"] for one in json.loads(listed.stdout)] == list(ROBOTS)
+    assert world == WORLD
+    assert_drivable(secured)
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_role_is_refused_the_services_of_others(secured: Secured, role: str) -> None:
+    user = "r1" if ROLES[role].has_robots else role
+    denied = set(SERVICES) - ROLES[role].services
+
+    for name in denied:
+        service = SERVICES[name]
+        call = lambda service=service: secured.users[user].call(  # noqa: E731
+            service, service.request(), world=WORLD
+        )
+        assert DENIED in reason_of(call), name
+
+
+@pytest.mark.parametrize("user", [*(set(ROLES) - MAY_QUIT - {"agent"}), "r1"])
+def test_only_an_operator_ends_the_server(secured: Secured, user: str) -> None:
+    request = SetSimulationStateRequest(SimulationState(State.QUITTING))
+
+    for key_user in ("", "operator", "server", "*"):
+        key = keys.service(WORLD, SET_SIMULATION_STATE.name, key_user)
+        payload = encode(request, Format.MSGPACK)
+        assert secured.users[user].get(key, timeout_s=0.5, payload=payload) == []
+    call = lambda: secured.users[user].call(  # noqa: E731
+        SET_SIMULATION_STATE, request, world=WORLD
+    )
+    assert DENIED in reason_of(call)
+    assert secured.operator.info().world == WORLD
+
+
+@pytest.mark.usefixtures("agent")
+def test_agent_cannot_act_for_another(secured: Secured) -> None:
+    mine, x = secured.users["r2"], x_of(secured, "r2")
+    forged = mine.advertise(DRIVE_COMMAND.key(WORLD, "r1"), DRIVE_COMMAND.encoding)
+    odometry = mine.advertise(ODOM.key("r1"), ODOM.encoding)
+    wild = mine.advertise("*/cmd_vel", CMD_VEL.encoding)
+    alive = [mine.token(keys.alive_agent(WORLD, "r1")), mine.token(keys.alive_server(WORLD))]
+    # A session asks its own queryables, too: this one is of another user.
+    rogue = secured.users["pool"].serve(f"sim/{WORLD}/u/*/*", is_complete=False)
+    watched = secured.users["observer"].subscribe(ODOM.key("r1"), depth=1000)
+    commanded = secured.operator.info().world
+
+    for claim in (("r1", ("r2",)), ("r2", ("r1",)), ("r2", ROBOTS)):
+        request = ClaimEntityRequest(*claim)
+        call = lambda request=request: mine.call(CLAIM_ENTITY, request, world=WORLD)  # noqa: E731
+        assert DENIED in reason_of(call)
+    delete = DeleteEntityRequest("r1")
+    assert DENIED in reason_of(lambda: mine.call(DELETE_ENTITY, delete, world=WORLD))
+    stop = DriveCommand(1, 10**9, np.arange(1, 9, dtype="<u4").tobytes(), bytes(8 * 16))
+    for _ in range(50):
+        forged.send(encode(stop, Format.MSGPACK))
+        odometry.send(b"forged")
+        wild.send(encode(Twist(linear=Vector3(x=1.0)), Format.CDR))
+    assert commanded == WORLD
+
+    assert_drivable(secured)
+    assert x_of(secured, "r2") == pytest.approx(x, abs=1e-3)
+    assert rogue.take() == []
+    assert b"forged" not in {sample.payload for sample in watched.take()}
+    for one in (forged, odometry, wild, rogue, watched, *alive):
+        one.close()
+
+
+def test_request_id_of_another_user_gets_no_reply_of_it(secured: Secured) -> None:
+    spawner, operator = secured.users["spawner"], secured.users["operator"]
+    order = msgspec.structs.replace(make_order("twin"), allow_renaming=True, entity_namespace="")
+
+    names = [
+        bus.call(SPAWN_ENTITY, order, world=WORLD, request_id="same").entity_name
+        for bus in (spawner, operator, spawner)
+    ]
+
+    assert names[0] == names[2] != names[1]
+    delete = DeleteEntityRequest(names[1])
+    assert DENIED in reason_of(lambda: spawner.call(DELETE_ENTITY, delete, world=WORLD))
+    spawner.call(DELETE_ENTITY, DeleteEntityRequest(names[0]), world=WORLD)
+    operator.call(DELETE_ENTITY, delete, world=WORLD)
+
+
+def test_refusal_is_published_and_counted(secured: Secured) -> None:
+    audit = secured.users["observer"].subscribe(AUDIT.key(WORLD), depth=100)
+
+    def refusals() -> list[Refusal]:
+        reason_of(lambda: SimClient(secured.users["recorder"]).delete("r1"))
+        return [decode(Refusal, one.payload, one.encoding) for one in audit.take()]
+
+    found = eventually(lambda: refusals() or None, WITHIN_S, "the audit")
+    audit.close()
+
+    assert {(one.user, one.role, one.service) for one in found} == {
+        ("recorder", "recorder", "delete_entity")
+    }
+    assert found[-1].number > 0
+
+
+def test_refused_service_is_told_from_an_absent_server(secured: Secured) -> None:
+    refused = run_in_process("pause", "--join", secured.token("observer"))
+    absent = run_in_process(
+        "pause", "--join", secured.token("operator"), "--world-name", "elsewhere"
+    )
+
+    assert DENIED in refused.stderr
+    assert "zensim serve" not in refused.stderr + absent.stderr
+    assert refused.exit_code if hasattr(refused, "exit_code") else refused.returncode
+    assert absent.returncode not in (0, refused.returncode)
+
+
+def test_no_secret_is_in_a_command_line_or_a_foreign_file(secured: Secured) -> None:
+    secrets = [account.password for account in secured.folder.accounts().values()]
+    family = [psutil.Process(secured.process_id)]
+    family += family[0].children(recursive=True)
+    lines = [" ".join(one.cmdline()) for one in family]
+
+    assert len(family) > 1
+    assert not [line for line in lines if any(secret in line for secret in secrets)]
+    assert all(path.stat().st_mode & 0o077 == 0 for path in secured.folder.path.iterdir())
+
+
+def find_reason(address: str) -> str:
+    try:
+        open_bus(BusConfig(connect=(address,))).close()
+    except JoinRefused as error:
+        return error.reason
+    except EndpointUnreachable:
+        return "unreachable"
+    return "admitted"
+
+
+def test_failures_to_join_are_told_apart(
+    secured: Secured, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    token = parse_join_token(secured.token("operator"))
+    other = type(token)(token.endpoint, token.user, bytes(16), token.fingerprint)
+    wrong_authority = type(token)(token.endpoint, token.user, token.password, bytes(32))
+    nothing = type(token)(
+        with_free_port("tls/127.0.0.1:0"), token.user, token.password, token.fingerprint
+    )
+    assert find_reason(token.write()) == "admitted"
+    assert find_reason(other.write()) == "user"
+    assert find_reason(wrong_authority.write()) == "other_authority"
+    assert find_reason(nothing.write()) == "unreachable"
+
+    with plain_listener() as port:
+        plain = type(token)(f"tls/127.0.0.1:{port}", "u", token.password, token.fingerprint)
+        assert find_reason(plain.write()) == "no_tls"
+
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    with secured_router(make_expired_folder(), "test"):
+        expired = SecureFolder(find_secure_folder(WORLD))
+        late = expired.make_token(expired.accounts()["operator"])
+        assert find_reason(late.write()) == "expired"
+
+
+def make_expired_folder() -> SecureFolder:
+    folder = prepare_secure_folder(SecureSettings(WORLD, None, with_free_port("tls/127.0.0.1:0")))
+    authority = certificates.CertifiedKey(
+        (folder.path / "ca.pem").read_bytes(), (folder.path / "ca.key").read_bytes()
+    )
+    own = certificates.make_router_certificate(authority, days=-1)
+    (folder.path / "router.pem").write_bytes(own.certificate)
+    (folder.path / "router.key").write_bytes(own.private_key)
+    return folder
+
+
+class plain_listener:  # noqa: N801  used as a function
+    """A listener that speaks no TLS: it answers each connection with text, and closes it."""
+
+    def __enter__(self) -> int:
+        self._socket = socket.create_server(("127.0.0.1", 0))
+        self._thread = threading.Thread(target=self._answer, daemon=True)
+        self._thread.start()
+        return int(self._socket.getsockname()[1])
+
+    def __exit__(self, *_: object) -> None:
+        self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+        self._thread.join()
+
+    def _answer(self) -> None:
+        try:
+            while True:
+                connection, _ = self._socket.accept()
+                connection.sendall(b"220 no TLS here\r\n")
+                connection.close()
+        except OSError:
+            return
+
+
+def test_session_without_a_token_is_refused(secured: Secured) -> None:
+    with pytest.raises(BusError):
+        open_bus(BusConfig(connect=(secured.folder.settings.endpoint,))).close()
+
+
+@pytest.mark.usefixtures("agent")
+def test_revoked_user_is_out_and_the_others_are_back(secured: Secured) -> None:
+    account: Account = secured.folder.accounts()["recorder"]
+    token = secured.folder.make_token(account).write()
+    pose = x_of(secured, "r2")
+
+    revoked = run_zensim("token", "revoke", "recorder")
+
+    assert revoked.returncode == 0, revoked.stderr
+    eventually(lambda: find_reason(token) == "user", WITHIN_S, "the refusal")
+    eventually(lambda: is_answered(secured), WITHIN_S, "the operator's session")
+    assert x_of(secured, "r2") == pytest.approx(pose, abs=1e-3)
+    eventually(lambda: secured.operator.entity_model("r1").agent == "r1", WITHIN_S, "the agent")
+    assert_drivable(secured)
+    assert os.environ.get("ZENSIM_TOKEN") is None
+
+
+def is_answered(secured: Secured) -> bool:
+    try:
+        return secured.operator.info().world == WORLD
+    except (BusError, TimeoutError):
+        return False
