@@ -54,9 +54,20 @@ BRAKED_BODY_THRESHOLDS = SleepThresholds(3e-3, 0.015, 0.1)
 """For motors that brake wheels: solver residuals let such robots creep by 1-2 mm/s."""
 
 
+MOTIONLESS_M, MOTIONLESS_RAD = 1e-5, 1e-5
+"""Largest motion since the last check of a loose body that sleeps without delay."""
+MOTIONLESS_SPEED = 1e-4
+"""Its largest speed [m/s and rad/s]."""
+
+
 def choose_sleep_thresholds(model: Model) -> SleepThresholds:
     """Choose the thresholds of a model."""
     return BRAKED_BODY_THRESHOLDS if make_actuation(model).speeds.joints else FREE_BODY_THRESHOLDS
+
+
+def is_loose(model: Model) -> bool:
+    """Whether nothing but its surroundings moves a model: it has neither joints nor actuators."""
+    return not model.joints and not make_actuation(model).width
 
 
 def find_initial_sleep_state(model: Model) -> SleepState:
@@ -86,6 +97,7 @@ class SleepTracker:
         self.joint_count = np.zeros(64, dtype=np.intp)
         self._since = np.zeros(64, dtype=np.int64)
         self._limits: FloatArray = np.zeros((64, 3))
+        self._is_loose = np.zeros(64, dtype=np.bool_)
 
     def add(self, body: int, model: Model, radius_m: float, step: int) -> None:
         """Add a body."""
@@ -95,6 +107,7 @@ class SleepTracker:
         self.radius[body] = radius_m
         self.joint_count[body] = len(model.joints)
         self._limits[body] = limits.moved_m, limits.turned_rad, limits.joint
+        self._is_loose[body] = is_loose(model)
         self.is_driven[body] = False
         self.mark_moved(body, step)
 
@@ -112,7 +125,11 @@ class SleepTracker:
         return np.asarray(np.isin(self.state, states))
 
     def update(self, bodies: IntArray, reading: BodyStates, step: int) -> BoolArray:
-        """Compare bodies with where they last moved; mask those at rest for the whole delay."""
+        """Compare bodies with where they last moved.
+
+        Returns:
+            Mask of those at rest for the whole delay, and of loose ones that did not move at all.
+        """
         positions = self._pad(bodies, reading.joint_positions)
         before = self.base[bodies]
         distance_limit, angle_limit, joint_limit = self._limits[bodies].T
@@ -121,13 +138,19 @@ class SleepTracker:
             # Cosine of half the angle between two quaternions of either sign.
             cosine = np.abs((reading.base[:, 3:7] * before[:, 3:7]).sum(axis=1))
             is_still = (distance <= distance_limit) & (cosine >= np.cos(angle_limit / 2.0))
+            is_motionless = (
+                (distance <= MOTIONLESS_M)
+                & (cosine >= np.cos(MOTIONLESS_RAD / 2.0))
+                & (np.abs(reading.base[:, 7:]).max(axis=1, initial=0.0) <= MOTIONLESS_SPEED)
+            )
         joint_motion = np.abs(positions - self.joints[bodies]).max(axis=1, initial=0.0)
         is_still &= joint_motion <= joint_limit
         moved = bodies[~is_still]
         self.base[moved] = reading.base[~is_still]
         self.joints[moved] = positions[~is_still]
         self._since[moved] = step
-        return np.asarray(step - self._since[bodies] >= self._delay_steps)
+        is_rested = step - self._since[bodies] >= self._delay_steps
+        return np.asarray(is_rested | (is_motionless & self._is_loose[bodies]))
 
     def store_asleep(self, bodies: IntArray, reading: BodyStates) -> None:
         """Store the state in which bodies fall asleep, with zero velocity."""
@@ -156,7 +179,7 @@ class SleepTracker:
         if body < height:
             return
         more = max(height, body + 1 - height)
-        for name in ("state", "is_driven", "radius", "joint_count", "_since"):
+        for name in ("state", "is_driven", "radius", "joint_count", "_since", "_is_loose"):
             setattr(self, name, np.pad(getattr(self, name), (0, more)))
         for name in ("base", "joints", "_limits"):
             setattr(self, name, np.pad(getattr(self, name), ((0, more), (0, 0))))

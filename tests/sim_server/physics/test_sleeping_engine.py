@@ -41,17 +41,39 @@ def tracker_with(model: Model) -> SleepTracker:
 
 def is_resting_after(tracker: SleepTracker, states: list[FloatArray]) -> bool:
     """Update with a state at each step; return whether the body is at rest after the last."""
-    return bool(
-        [tracker.update(ONE, a_reading(state), step) for step, state in enumerate(states)][-1]
-    )
+    joints = [0.0] * int(tracker.joint_count[ONE[0]])
+    found = [
+        tracker.update(ONE, a_reading(state, *joints), step) for step, state in enumerate(states)
+    ]
+    return bool(found[-1])
 
 
 def test_body_is_at_rest_after_the_delay() -> None:
-    tracker = tracker_with(a_box())
+    tracker = tracker_with(a_box_bot())
     states = [a_state((1.0, 2.0, 3.0), turn=(0.1, 0.2, 0.3))] * (STEPS + 1)
 
     assert not is_resting_after(tracker, states[:-1])
+    assert is_resting_after(tracker_with(a_box_bot()), states)
+
+
+def test_loose_body_that_does_not_move_at_all_is_at_rest_at_once() -> None:
+    states = [a_state((1.0, 2.0, 3.0))] * 2
+
     assert is_resting_after(tracker_with(a_box()), states)
+    assert not is_resting_after(tracker_with(an_arm("revolute")), states)
+
+
+@pytest.mark.parametrize(
+    "second",
+    [
+        a_state((2e-5, 0.0, 0.0)),
+        a_state(turn=(0.0, 0.0, 2e-5)),
+        a_state(linear=(0.0, 0.0, 2e-4)),
+    ],
+    ids=["creeps", "turns", "is at its apex"],
+)
+def test_loose_body_that_moves_a_little_waits_for_the_delay(second: FloatArray) -> None:
+    assert not is_resting_after(tracker_with(a_box()), [a_state(), second])
 
 
 @pytest.mark.parametrize("each_m", [1e-4, 1e-3])
