@@ -19,6 +19,7 @@ NAMES = (
     "bundle",
     "isolation",
     "neighbours",
+    "security",
     "services",
     "journal",
     "flat_out",

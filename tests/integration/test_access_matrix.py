@@ -1,8 +1,9 @@
 """What each role can do with each key, over TLS sessions with a secured router: every cell."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 
 import pytest
 import zenoh
@@ -10,6 +11,7 @@ import zenoh
 from tests.integration.processes import eventually
 from zensim.proto.bus import Bus, BusConfig, open_bus
 from zensim.proto.endpoints import with_free_port
+from zensim.proto.network_protocols import Closable
 from zensim.proto.security.roles import ROLES, Operation, User, list_keys
 from zensim.sim_server.security.router_process import secured_router
 from zensim.sim_server.security.secure_folder import SecureSettings, prepare_secure_folder
@@ -82,6 +84,11 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sessions]:
         yield Sessions(witness, users)
 
 
+def close_all(declared: Sequence[Closable]) -> None:
+    for one in declared:
+        one.close()
+
+
 def list_cells(operation: Operation) -> list[Cell]:
     return [
         Cell(user, operation, key.replace("ME", user))
@@ -136,8 +143,7 @@ def test_publishes_on_the_keys_of_its_role_only(sessions: Sessions) -> None:
 
     eventually(publish_again, WITHIN_S, "every granted put")
     publish_again()
-    for declared in (*watches, *(one for _, one in publishers)):
-        declared.close()
+    close_all([*watches, *(one for _, one in publishers)])
     assert seen == granted(Operation.PUBLISH)
 
 
@@ -161,8 +167,7 @@ def test_subscribes_to_the_keys_of_its_role_only(sessions: Sessions) -> None:
 
     eventually(publish_again, WITHIN_S, "every granted subscription")
     publish_again()
-    for declared in (*publishers, *(one for _, one in subscriptions)):
-        declared.close()
+    close_all([*publishers, *(one for _, one in subscriptions)])
     # A narrower subscription of the same session makes samples of a wider one arrive: both match.
     assert {cell for cell in seen - granted(Operation.SUBSCRIBE) if not may_overlap(cell)} == set()
     assert granted(Operation.SUBSCRIBE) - seen == set()
@@ -234,12 +239,16 @@ def test_declares_the_tokens_of_its_role_only(sessions: Sessions) -> None:
         user = sessions.users[cell.user]
         token = user.token(cell.key)
         if is_granted(cell):
-            eventually(lambda key=cell.key: sessions.witness.list_tokens(key), WITHIN_S, cell.key)
+            eventually(partial(sessions.witness.list_tokens, cell.key), WITHIN_S, cell.key)
         else:
             user.list_tokens(f"sim/{WORLD}/alive/server")
             assert sessions.witness.list_tokens(cell.key) == [], cell
         token.close()
-        eventually(lambda key=cell.key: not sessions.witness.list_tokens(key), WITHIN_S, "its end")
+        eventually(partial(has_no_token, sessions.witness, cell.key), WITHIN_S, "its end")
+
+
+def has_no_token(witness: Bus, key: str) -> bool:
+    return not witness.list_tokens(key)
 
 
 def test_lists_the_tokens_of_its_role_only(sessions: Sessions) -> None:

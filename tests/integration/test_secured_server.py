@@ -175,7 +175,7 @@ def test_role_is_refused_the_services_of_others(secured: Secured, role: str) -> 
         assert DENIED in reason_of(call), name
 
 
-@pytest.mark.parametrize("user", [*(set(ROLES) - MAY_QUIT - {"agent"}), "r1"])
+@pytest.mark.parametrize("user", [*sorted(set(ROLES) - MAY_QUIT - {"agent"}), "r1"])
 def test_only_an_operator_ends_the_server(secured: Secured, user: str) -> None:
     request = SetSimulationStateRequest(SimulationState(State.QUITTING))
 
@@ -219,8 +219,12 @@ def test_agent_cannot_act_for_another(secured: Secured) -> None:
     assert x_of(secured, "r2") == pytest.approx(x, abs=1e-3)
     assert rogue.take() == []
     assert b"forged" not in {sample.payload for sample in watched.take()}
-    for one in (forged, odometry, wild, rogue, watched, *alive):
-        one.close()
+    for publisher in (forged, odometry, wild):
+        publisher.close()
+    for token in alive:
+        token.close()
+    rogue.close()
+    watched.close()
 
 
 def test_request_id_of_another_user_gets_no_reply_of_it(secured: Secured) -> None:
