@@ -345,7 +345,9 @@ def secure_deployment(config: LaunchConfig) -> LaunchConfig:
         program: folder.write_token(account, config.client_endpoint)
         for program, account in zip(users, accounts, strict=True)
     }
-    return msgspec.structs.replace(config, join_addresses=addresses)
+    return msgspec.structs.replace(
+        config, join_addresses=addresses, page_token=str(folder.path / "page.secret")
+    )
 
 
 def list_users_of_programs(config: LaunchConfig) -> dict[str, User]:

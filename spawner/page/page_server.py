@@ -8,6 +8,7 @@ import http
 import io
 import os
 import socket
+import ssl
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -321,6 +322,37 @@ class LoopMessageBuffer(viser.infra._async_message_buffer.AsyncMessageBuffer):  
     message_event: asyncio.Event = field(default_factory=LoopEvent)
 
 
+@dataclass(frozen=True)
+class PageAccess:
+    """Who may open the page, and by which protocol.
+
+    Attributes:
+        token: Secret that a browser gives once, as `?zensim_token=`; empty = none is needed.
+        certificate: PEM file, with its chain; empty = HTTP.
+        private_key: PEM file of the certificate.
+    """
+
+    token: str = ""
+    certificate: str = ""
+    private_key: str = ""
+
+    def make_tls_context(self) -> ssl.SSLContext | None:
+        """Make the context of HTTPS; None for HTTP.
+
+        Raises:
+            OSError: A file cannot be read, or is not what it should be.
+        """
+        if not self.certificate:
+            return None
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.load_cert_chain(self.certificate, self.private_key)
+        return context
+
+
+OPEN_ACCESS: Final = PageAccess()
+"""Everybody who reaches the page, by HTTP."""
+
+
 class LocalViserServer(viser.ViserServer):
     """A viser server without public tunnels."""
 
@@ -329,26 +361,30 @@ class LocalViserServer(viser.ViserServer):
         return None
 
 
-def open_server(host: str, port: int, names: NamesProvider, token: str = "") -> LocalViserServer:
+def open_server(
+    host: str, port: int, names: NamesProvider, access: PageAccess = OPEN_ACCESS
+) -> LocalViserServer:
     """Serve a page on exactly this port; 0 = any free port.
 
     Args:
         host: An address of this host.
         port: 0 to 65535.
         names: Body of `GET /names`: robot names by scene node as JSON.
-        token: Secret that a browser gives once, as `?zensim_token=`; empty = none is needed.
+        access: Who may open it.
 
     Raises:
+        OSError: See `PageAccess.make_tls_context`.
         PortTaken: Another program listens on the port.
         CannotListen: The operating system refuses.
     """
+    tls = access.make_tls_context()
     listener = _open_listener(host, port)
     rich.reconfigure(stderr=True)  # viser prints with it; stdout has the address only
     # A client may disconnect during a write.
     warnings.filterwarnings("ignore", message=r"Queued a \w+ on a closed connection")
-    process_response = partial(_process_response, host=host, names=names, token=token)
+    process_response = partial(_process_response, host=host, names=names, access=access)
     _replace_message_buffer()
-    with _patch_serve(listener, process_response) as used, _suppress_stderr():
+    with _patch_serve(listener, process_response, tls) as used, _suppress_stderr():
         server = LocalViserServer(host=host, port=port, label=TITLE, verbose=False)
     if not used:
         close_server(server)
@@ -406,7 +442,9 @@ def _replace_message_buffer() -> None:
 
 @contextmanager
 def _patch_serve(
-    listener: socket.socket, process_response: Callable[..., Response | None]
+    listener: socket.socket,
+    process_response: Callable[..., Response | None],
+    tls: ssl.SSLContext | None,
 ) -> Iterator[list[bool]]:
     """Replace `serve` by one with the listener and hooks; the yielded list is empty if unused."""
     module, used = vars(websockets.asyncio.server), []
@@ -419,6 +457,7 @@ def _patch_serve(
             "close_timeout": CLOSE_TIMEOUT_S,
             "create_connection": PageConnection,
             "max_size": MAX_MESSAGE_BYTES,
+            "ssl": tls,
         }
         return original(handler, sock=listener, **options)
 
@@ -436,14 +475,14 @@ def _process_response(
     *,
     host: str,
     names: NamesProvider,
-    token: str,
+    access: PageAccess,
 ) -> Response | None:
     """Check origin and token, then add headers, title and script to the response of viser."""
     hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
     if not is_own_origin(hosts, origins, bound_to=host):
         return connection.respond(http.HTTPStatus.FORBIDDEN, REFUSAL)
-    if token and not has_token(request.headers.get_all("Cookie"), token):
-        return _exchange_token(connection, request, token)
+    if access.token and not has_token(request.headers.get_all("Cookie"), access.token):
+        return _exchange_token(connection, request, access)
     if response.status_code == http.HTTPStatus.SWITCHING_PROTOCOLS:
         return _refuse_crowd(connection)
     if request.path == NAMES_PATH:
@@ -473,14 +512,15 @@ def has_token(cookies: Sequence[str], token: str) -> bool:
     return False
 
 
-def _exchange_token(connection: ServerConnection, request: Request, token: str) -> Response:
+def _exchange_token(connection: ServerConnection, request: Request, access: PageAccess) -> Response:
     """Exchange the secret in the address for a cookie, so that the address may be seen."""
     given = parse_qs(_split_url(request.path).query).get(TOKEN_NAME, [""])[0]
-    if not _is_equal(given, token):
+    if not _is_equal(given, access.token):
         return connection.respond(http.HTTPStatus.UNAUTHORIZED, NO_TOKEN)
     response = connection.respond(http.HTTPStatus.SEE_OTHER, "")
     response.headers["Location"] = "/"
-    response.headers["Set-Cookie"] = f"{TOKEN_NAME}={token}; HttpOnly; SameSite=Strict; Path=/"
+    attributes = "HttpOnly; SameSite=Strict; Path=/" + ("; Secure" if access.certificate else "")
+    response.headers["Set-Cookie"] = f"{TOKEN_NAME}={access.token}; {attributes}"
     return response
 
 

@@ -26,7 +26,7 @@ from zensim.spawner.page.model_visuals import (
     find_bounds,
     make_link_meshes,
 )
-from zensim.spawner.page.page_server import close_server, open_server
+from zensim.spawner.page.page_server import OPEN_ACCESS, PageAccess, close_server, open_server
 from zensim.spawner.page.render_state import (
     InstanceGroup,
     LastCommand,
@@ -647,14 +647,14 @@ class ViewerPage:
         CannotListen: The operating system refuses.
     """
 
-    def __init__(self, host: str, port: int, token: str = "") -> None:
+    def __init__(self, host: str, port: int, access: PageAccess = OPEN_ACCESS) -> None:
         """Serve a page; see `open_server`."""
         self._events: SimpleQueue[ClientEvent | ButtonPressed] = SimpleQueue()
         self._clients: dict[int, ViewerClient] = {}
         self._fleet, self._frame = RenderedFleet(), RenderedFrame()
         self._names = b"{}"
         self._next_text_at = 0.0
-        self._server = open_server(host, port, lambda: self._names, token)
+        self._server = open_server(host, port, lambda: self._names, access)
         set_up_scene(self._server)
         self._lighting = SceneLighting(self._server.scene)
         self._lighting.show(Scene())

@@ -1,12 +1,19 @@
 """The viewer page on a real port, without a browser."""
 
+import datetime
+import ssl
 import urllib.request
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, suppress
+from ipaddress import ip_address
+from pathlib import Path
 from urllib.error import HTTPError
 
 import msgspec
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection
 
@@ -24,6 +31,7 @@ from zensim.spawner.page.page_server import (
     MAX_MESSAGE_BYTES,
     MAX_VISITORS,
     CannotListen,
+    PageAccess,
     PortTaken,
 )
 from zensim.spawner.page.render_state import (
@@ -48,7 +56,7 @@ def page() -> Iterator[ViewerPage]:
 
 @pytest.fixture
 def page_with_token() -> Iterator[ViewerPage]:
-    with closing(ViewerPage("127.0.0.1", 0, TOKEN)) as found:
+    with closing(ViewerPage("127.0.0.1", 0, PageAccess(TOKEN))) as found:
         yield found
 
 
@@ -263,6 +271,55 @@ def test_page_with_a_token_needs_it_once(page_with_token: ViewerPage) -> None:
         assert response.status == 200
     with closing(connect_page(url, cookie=f"a=b; zensim_token={TOKEN}")) as connection:
         find_control(connection, "GuiButtonGroupMessage")
+
+
+def make_certificate(folder: Path) -> tuple[str, str]:
+    """Make a certificate of 127.0.0.1 and its key, signed by itself."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "page")])
+    now = datetime.datetime.now(datetime.timezone.utc)
+    made = (
+        x509.CertificateBuilder(name, name, key.public_key(), x509.random_serial_number())
+        .not_valid_before(now)
+        .not_valid_after(now + datetime.timedelta(days=1))
+        .add_extension(
+            x509.SubjectAlternativeName([x509.IPAddress(ip_address("127.0.0.1"))]), critical=False
+        )
+        .sign(key, hashes.SHA256())
+    )
+    certificate, private_key = folder / "page.pem", folder / "page.key"
+    certificate.write_bytes(made.public_bytes(serialization.Encoding.PEM))
+    private_key.write_bytes(
+        key.private_bytes(
+            serialization.Encoding.PEM,
+            serialization.PrivateFormat.PKCS8,
+            serialization.NoEncryption(),
+        )
+    )
+    return str(certificate), str(private_key)
+
+
+def test_page_with_a_certificate_is_served_by_https(tmp_path: Path) -> None:
+    files = make_certificate(tmp_path)
+    trust = ssl.create_default_context(cafile=files[0])
+    with closing(ViewerPage("127.0.0.1", 0, PageAccess(TOKEN, *files))) as page:
+        opener = urllib.request.build_opener(
+            urllib.request.HTTPSHandler(context=trust), urllib.request.HTTPCookieProcessor()
+        )
+        url = url_of(page).replace("http", "https")
+        with opener.open(f"{url}/?zensim_token={TOKEN}") as response:
+            assert b"<title>zensim</title>" in response.read()
+        with opener.open(f"{url}/names") as response:
+            assert msgspec.json.decode(response.read()) == {}
+
+
+@pytest.mark.parametrize("missing", ["page.pem", "page.key"])
+def test_page_without_its_files_is_not_served(tmp_path: Path, missing: str) -> None:
+    files = make_certificate(tmp_path)
+    (tmp_path / missing).unlink()
+
+    with pytest.raises(FileNotFoundError):
+        ViewerPage("127.0.0.1", 0, PageAccess(TOKEN, *files))
 
 
 def test_page_may_fetch_from_its_own_server_only(page: ViewerPage) -> None:

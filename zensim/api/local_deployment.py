@@ -7,6 +7,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from urllib.parse import urlsplit
 
 import msgspec
 
@@ -104,6 +105,8 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     join_addresses: dict[str, str] = {}
     """Of a secured server: join address (`@FILE`) of each program, and of `OPERATOR`."""
     is_secure: bool = False
+    page_token: str = ""
+    """File of the page's token; empty = the page needs none."""
     """Whether the server admits only users with a join token."""
     is_insecure: bool = False
     """Whether the server may admit everybody from other hosts."""
@@ -436,7 +439,7 @@ def _wait_until_ready(
     if viewer is not None:
         deployment.viewer_url = _read_viewer_url(viewer)
         # A restarted page has the same address.
-        port = int(deployment.viewer_url.rsplit(":", 1)[1])
+        port = urlsplit(deployment.viewer_url).port or 0
         viewer.arguments = _make_viewer_arguments(config, port)
     _begin_measuring(deployment)
 
@@ -491,6 +494,7 @@ def _make_viewer_arguments(config: LaunchConfig, port: int) -> tuple[str, ...]:
     return (
         *("view", "--connect", config.address_of(VIEWER), "--world-name", config.world_name),
         *("--port", str(port), "--no-open"),
+        *(("--secure", "--page-token", config.page_token) if config.page_token else ()),
     )
 
 
