@@ -294,6 +294,7 @@ __all__ = [
     "LivelinessWatch",
     "NoServer",
     "RouterSecurity",
+    "list_client_settings",
     "open_bus",
     "to_zenoh_json",
 ]
@@ -650,6 +651,16 @@ def _join(token: JoinToken, timeout_s: float) -> Credentials:
 def to_zenoh_json(config: BusConfig) -> str:
     """Write a configuration as JSON for `zenohd`."""
     return str(_make_zenoh_config(config))
+
+
+def list_client_settings(config: BusConfig) -> dict[str, object]:
+    """List the settings that another Zenoh client needs to join, by path; with the password."""
+    return {
+        "mode": "client",
+        "connect/endpoints": list(config.connect),
+        "scouting/multicast/enabled": False,
+        **_make_client_entries(config.credentials),
+    }
 
 
 def _to_key_expression(key: str) -> zenoh.KeyExpr:

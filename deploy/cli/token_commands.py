@@ -3,12 +3,13 @@
 import json
 import re
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import typer
 
-from zensim.proto.bus import BusConfig, Credentials, to_zenoh_json
+from zensim.proto.bus import BusConfig, Credentials, list_client_settings
 from zensim.proto.cli_options import JsonOption, WorldNameOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.security.roles import ROLES, RefusedUser, User
@@ -123,7 +124,7 @@ def revoke(
 @app.command(
     epilog="""Examples:
   zensim token show r1
-  zensim token show ros --as rmw > session.json5"""
+  zensim token show observer --as zenoh-config > session.json5"""
 )
 @expand_options
 def show(
@@ -134,7 +135,7 @@ def show(
         typer.Option(
             "--as",
             metavar="token|zenoh-config|rmw",
-            help="The token, or a session configuration of Zenoh or rmw_zenoh.",
+            help="The token, a session configuration of Zenoh, or the variable of rmw_zenoh.",
         ),
     ] = "token",
     host: HostOption = "",
@@ -181,7 +182,23 @@ def write_settings(folder: SecureFolder, account: Account, form: str, host: str)
     credentials = Credentials(
         user=token.user, password=token.password_text, authority=folder.authority
     )
-    return to_zenoh_json(BusConfig(connect=(token.endpoint,), credentials=credentials))
+    settings = list_client_settings(BusConfig(connect=(token.endpoint,), credentials=credentials))
+    if form == "rmw":
+        words = ";".join(f"{path}={json.dumps(value)}" for path, value in settings.items())
+        return f"export ZENOH_CONFIG_OVERRIDE='{words}'"
+    return json.dumps(nest_settings(settings), indent=2)
+
+
+def nest_settings(settings: Mapping[str, object]) -> dict[str, Any]:
+    """Make the nested form of settings that are given by path."""
+    nested: dict[str, Any] = {}
+    for path, value in settings.items():
+        *before, last = path.split("/")
+        place = nested
+        for part in before:
+            place = place.setdefault(part, {})
+        place[last] = value
+    return nested
 
 
 def _describe(account: Account) -> dict[str, object]:

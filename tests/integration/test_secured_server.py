@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import psutil
 import pytest
+import zenoh
 
 import zensim as api
 from tests.integration.processes import eventually, run_in_process, running
@@ -355,6 +356,41 @@ class plain_listener:  # noqa: N801  used as a function
 def test_session_without_a_token_is_refused(secured: Secured) -> None:
     with pytest.raises(BusError):
         open_bus(BusConfig(connect=(secured.folder.settings.endpoint,))).close()
+
+
+def test_other_zenoh_client_joins_with_the_printed_settings(secured: Secured) -> None:
+    shown = run_in_process("token", "show", "observer", "--as", "zenoh-config")
+    variable = run_in_process("token", "show", "ros", "--as", "rmw").stdout.strip()
+    overrides = zenoh.Config()
+    for setting in variable.partition("='")[2].rstrip("'").split(";"):
+        overrides.insert_json5(*setting.split("=", 1))
+
+    for config, user in ((zenoh.Config.from_json5(shown.stdout), "observer"), (overrides, "ros")):
+        with zenoh.open(config) as session:
+            replies = [*session.get(keys.service(WORLD, "get_entities", user), payload=b"{}")]
+            assert [reply.ok is not None for reply in replies] == [True]
+    assert secured.operator.info().world == WORLD
+
+
+def test_token_is_created_listed_and_expires(secured: Secured) -> None:
+    made = run_in_process("token", "create", "--role", "agent", "--robot", "r9", "--ttl", "3s")
+    listed = run_in_process("token", "list", "--json")
+    token = made.stdout.strip()
+
+    users = {one["user"]: one for one in json.loads(listed.stdout)}
+    assert (users["r9"]["role"], users["r9"]["robots"]) == ("agent", ["r9"])
+    assert not [one for one in secured.folder.accounts().values() if one.password in listed.stdout]
+    assert parse_join_token(token).user == "r9"
+    eventually(lambda: find_reason(token) == "user", WITHIN_S, "the end of the token")
+    eventually(lambda: is_answered(secured), WITHIN_S, "the operator's session")
+
+
+@pytest.mark.parametrize("command", ["serve", "up", "router"])
+def test_exposed_listener_is_refused(command: str) -> None:
+    done = run_in_process(command, "--listen", "tcp/0.0.0.0:7447")
+
+    assert done.returncode == 2
+    assert "--secure --listen tls/0.0.0.0:7447" in done.stderr
 
 
 @pytest.mark.usefixtures("agent")
