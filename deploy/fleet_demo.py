@@ -10,10 +10,8 @@ import numpy as np
 from zensim.api.local_deployment import OPERATOR, LocalDeployment
 from zensim.api.server_access import ServerAccess
 from zensim.api.sim import Sim
+from zensim.deploy.other_commands import OtherCommands
 from zensim.proto.bus import Bus, BusConfig, open_bus
-from zensim.proto.codec.message_codec import MalformedPayload, decode
-from zensim.proto.messages.agent_messages import TwistCommands
-from zensim.proto.topic_catalog import TWISTS
 from zensim.scenario.robot_behaviours import (
     ConstantMotion,
     FleetState,
@@ -36,9 +34,6 @@ SPEED = 0.3
 """[m/s]."""
 RADIUS = 0.4
 """Of circles [m]; half of the side of squares."""
-COMMAND_KEY = "**/cmd_vel/**"
-"""Velocity commands on plain keys and on those of ROS 2."""
-QUEUE_DEPTH = 1000
 
 
 class FleetDemo:
@@ -57,10 +52,9 @@ class FleetDemo:
     ) -> None:
         self._names = [one.name for one in placements]
         self._motion = make_demo_motion(placements, behaviour)
-        self._commands = bus.subscribe(COMMAND_KEY, QUEUE_DEPTH)
-        self._orders = bus.subscribe(TWISTS.key(world), QUEUE_DEPTH)
         # A session of its own, which ends with the demo; so do its orders.
         self._access = ServerAccess(open_bus(BusConfig(connect=(endpoint,))), world)
+        self._others = OtherCommands(bus, world, self._access.client)
         self._sim = Sim(self._access)
         self._fleet = self._sim.fleet(self._names)
         self._is_ours = np.ones(len(self._names), dtype=bool)
@@ -100,8 +94,7 @@ class FleetDemo:
 
     def close(self) -> None:
         """End; the robots stop."""
-        self._commands.close()
-        self._orders.close()
+        self._others.close()
         self._sim.close()
 
     def __enter__(self) -> "FleetDemo":
@@ -118,14 +111,7 @@ class FleetDemo:
         self.close()
 
     def _leave_commanded(self) -> None:
-        names = {find_commanded_robot(one.key) for one in self._commands.take()}
-        for sample in self._orders.take():
-            try:
-                orders = decode(TwistCommands, sample.payload, sample.encoding)
-            except MalformedPayload:
-                continue
-            if orders.client != self._access.client:
-                names.update(orders.entities)
+        names = self._others.take()
         taken = np.array([name in names for name in self._names]) & self._is_ours
         if taken.any():
             self._is_ours &= ~taken
@@ -146,12 +132,6 @@ def describe_demo(behaviour: DemoBehaviour) -> str:
         f"The robots {DESCRIPTIONS[behaviour]}, each until something commands it "
         "(--behaviour none: they stand still)."
     )
-
-
-def find_commanded_robot(key: str) -> str:
-    """Find the robot of a key of velocity commands: the chunk before `cmd_vel`."""
-    chunks = key.split("/")
-    return chunks[chunks.index("cmd_vel") - 1] if "cmd_vel" in chunks[1:] else ""
 
 
 def make_demo_motion(placements: Sequence[RobotPlacement], behaviour: DemoBehaviour) -> Motion:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from zensim.api.local_deployment import OPERATOR, LocalDeployment
 from zensim.api.server_access import ServerAccess
 from zensim.api.sim import Sim
+from zensim.deploy.other_commands import OtherCommands
 from zensim.proto.bus import BusConfig, open_bus
 from zensim.scenario.check_monitors import CheckResult
 from zensim.scenario.scenario_reader import Scenario
@@ -23,7 +24,9 @@ class ScenarioDriver:
     ) -> None:
         config = deployment.config
         bus = open_bus(BusConfig(connect=(config.address_of(OPERATOR),)))
-        self._sim = Sim(ServerAccess(bus, config.world_name))
+        access = ServerAccess(bus, config.world_name)
+        self._sim = Sim(access)
+        self._others = OtherCommands(bus, config.world_name, access.client)
         self._run = ScenarioRun(scenario, self._sim)
         self._run.spawn()
         self._end = find_end(scenario, math.inf)
@@ -38,6 +41,7 @@ class ScenarioDriver:
         if self.is_over or now < self._next:
             return
         self._next = now + self._sim.control_period / 2.0
+        self._run.leave(self._others.take())
         state = self._run.step()
         for monitor in self._run.monitors:
             if monitor.check.name not in self._failed and monitor.has_failed(state.now):
@@ -56,4 +60,5 @@ class ScenarioDriver:
 
     def close(self) -> None:
         """End; the robots stop."""
+        self._others.close()
         self._sim.close()

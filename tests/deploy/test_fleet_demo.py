@@ -12,9 +12,9 @@ from zensim.deploy.fleet_demo import (
     DEMO_BEHAVIOURS,
     DemoBehaviour,
     FleetDemo,
-    find_commanded_robot,
     make_demo_motion,
 )
+from zensim.deploy.other_commands import find_commanded_robot
 from zensim.proto.bus import BusConfig, BusPublisher, open_bus
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.standard_messages import Twist, Vector3

@@ -11,15 +11,23 @@ from zensim.scenario.check_monitors import (
     CheckedState,
     CheckMonitor,
     CheckResult,
+    MessageCount,
     Outline,
     ScenarioEvent,
+    WorldOutlines,
     find_depths,
     find_gaps,
     make_monitor,
     make_outline,
+    make_rate_margin,
 )
-from zensim.scenario.scenario_format import Check
+from zensim.scenario.scenario_format import Check, RateCheck
+from zensim.scenario.wall_outlines import Wall
 
+WALLS = [
+    Wall("north", 0.0, 10.0, 0.0, 20.0, 0.1),
+    Wall("slanted", 20.0, 0.0, math.pi / 4, 2.0, 0.1),
+]
 SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4]]
 
 
@@ -43,7 +51,9 @@ def check_of(that: str, **values: object) -> Check:
 
 
 def monitor_of(check: Check, robots: int = 2, **others: CheckMonitor) -> CheckMonitor:
-    outlines = {f"r{row}": Outline(0.0, 0.0, 0.5, 0.25) for row in range(robots)}
+    outlines = WorldOutlines(
+        {f"r{row}": Outline(0.0, 0.0, 0.5, 0.25) for row in range(robots)}, WALLS
+    )
     names = [f"r{row}" for row in range(robots)]
     return make_monitor(
         check, names, rows=np.arange(robots), place="f:1", outlines=outlines, others=others
@@ -138,7 +148,9 @@ def test_samples_outside_of_from_and_to_do_not_count() -> None:
 
 def test_by_needs_it_once() -> None:
     check = check_of("speed", above=0.5, by=0.2, robots="r0")
-    monitor = make_monitor(check, ["r0"], rows=np.array([0]), place="", outlines={}, others={})
+    monitor = make_monitor(
+        check, ["r0"], rows=np.array([0]), place="", outlines=WorldOutlines(), others={}
+    )
 
     for one in with_speeds(0.0, 0.7, 0.0, 0.0):
         monitor.update(one)
@@ -248,7 +260,7 @@ def test_a_hundred_robots_are_checked_at_once() -> None:
     names = [f"r{row}" for row in range(100)]
     rows = np.arange(100)
     made = [
-        make_monitor(check, names, rows=rows, place="", outlines={}, others={})
+        make_monitor(check, names, rows=rows, place="", outlines=WorldOutlines(), others={})
         for check in (check_of("distance", above=0.1), check_of("speed", below=9.0))
     ]
     poses = np.column_stack([np.arange(100.0), np.zeros(100), np.zeros(100)])
@@ -259,3 +271,59 @@ def test_a_hundred_robots_are_checked_at_once() -> None:
             monitor.update(sample)
 
     assert [monitor.report().verdict for monitor in made] == ["passed", "passed"]
+
+
+def test_walls_count_as_collisions() -> None:
+    check = check_of("no_collision")
+
+    result = judge(check, [state(0.0, [[0.0, 9.0, 0.0], [5.0, 0.0, 0.0]])])
+    touching = judge(check, [state(0.0, [[0.0, 9.0, math.pi / 2], [5.0, 0.0, 0.0]])])
+
+    assert (result.verdict, result.robot) == ("passed", "r0, north")
+    assert result.margin == pytest.approx(0.65)
+    assert touching.margin == pytest.approx(0.4)
+
+
+def test_slanted_wall_is_a_slanted_rectangle() -> None:
+    result = judge(check_of("no_collision"), [state(0.0, [[20.0, 2.0, 0.0], [5.0, 0.0, 0.0]])])
+
+    # The nearest corner of the robot is at (20.5, 1.75), 1.25 / sqrt(2) from the middle line.
+    assert result.robot == "r0, slanted"
+    assert result.margin == pytest.approx(1.25 / math.sqrt(2.0) - 0.1)
+
+
+def test_walls_can_be_left_out() -> None:
+    far_away = [[0.0, 9.9, 0.0], [500.0, 0.0, 0.0]]
+
+    result = judge(check_of("no_collision", walls=False), [state(0.0, far_away)])
+
+    assert result.margin > 400.0
+
+
+def rate_result(times: Sequence[float], check: Check, end: float) -> CheckResult:
+    count = MessageCount()
+    assert isinstance(check, RateCheck)
+    monitor = CheckMonitor(check, make_rate_margin(check, count), [""])
+    left = list(times)
+    for step in range(round(end * 10) + 1):
+        now = step / 10
+        while left and left[0] <= now + 1e-9:
+            count.note(left.pop(0))
+        monitor.update(state(now))
+    return monitor.report()
+
+
+def test_rate_is_counted_over_its_window() -> None:
+    steady = [number / 10 for number in range(50)]
+    check = check_of("rate", topic="r0/scan", above=9.0, window=1.0)
+
+    assert rate_result(steady, check, 4.0).margin == pytest.approx(1.0)
+    with_gap = [time for time in steady if not 2.0 <= time < 3.0]
+    assert rate_result(with_gap, check, 4.0).margin == pytest.approx(-9.0)
+    assert rate_result(steady, check, 0.5).verdict == "not_evaluated"
+
+
+def test_rate_may_be_too_high() -> None:
+    check = check_of("rate", topic="r0/scan", below=5.0)
+
+    assert rate_result([number / 10 for number in range(30)], check, 2.0).verdict == "failed"

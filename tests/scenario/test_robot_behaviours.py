@@ -13,6 +13,7 @@ from zensim.scenario.robot_behaviours import (
     make_motions,
 )
 from zensim.scenario.scenario_format import PythonBehaviour
+from zensim.scenario.scenario_nodes import ScenarioInvalid
 from zensim.scenario.scenario_reader import read_scenario
 
 PERIOD = 0.02
@@ -23,11 +24,26 @@ def no_controller(behaviour: PythonBehaviour, _names: object) -> PythonControlle
     raise AssertionError(behaviour.call)
 
 
+DISC = (2.0, 0.1, 0.4)
+"""x, y and radius [m] of an obstacle ahead of the first robot."""
+
+
+def cast_at_discs(origins: FloatArray, along: FloatArray, range_max: float) -> FloatArray:
+    """Cast rays at one disc."""
+    offset = np.array(DISC[:2]) - origins[:, :2]
+    ahead = (offset * along[:, :2]).sum(axis=1)
+    squared = (offset**2).sum(axis=1) - ahead**2
+    depth = np.sqrt(np.maximum(DISC[2] ** 2 - squared, 0.0))
+    found = ahead - depth
+    is_hit = (squared < DISC[2] ** 2) & (found > 0.0) & (found < range_max)
+    return np.where(is_hit, found, np.inf)
+
+
 def drive(folder: Path, behaviour: str, seconds: float) -> FloatArray:
     """Drive three robots at x = 0, 5, 10; the track of x, y, heading is (steps, 3, 3)."""
     file = folder / "b.scenario.yaml"
     file.write_text(f"{ROBOTS}behaviours:\n  - {behaviour}\n")
-    motions = make_motions(read_scenario(str(file)), no_controller)
+    motions = make_motions(read_scenario(str(file)), no_controller, cast_at_discs)
     poses = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [10.0, 0.0, 0.0]])
     track = []
     for step in range(round(seconds / PERIOD)):
@@ -127,3 +143,46 @@ def test_python_class_is_found_beside_the_file(tmp_path: Path) -> None:
 def test_missing_python_class_is_named(call: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=call.partition(":")[0]):
         load_class(call, tmp_path)
+
+
+def test_robot_navigates_around_what_rays_hit(tmp_path: Path) -> None:
+    track = drive(
+        tmp_path, "{name: b, robots: r0, do: navigate, points: [[4, 0], [0, 0]], speed: 0.5}", 25.0
+    )
+
+    gaps = np.hypot(track[:, 0, 0] - DISC[0], track[:, 0, 1] - DISC[1]) - DISC[2]
+    assert gaps.min() > 0.25
+    assert np.hypot(track[:, 0, 0] - 4.0, track[:, 0, 1]).min() < 0.45
+
+
+def test_recorded_commands_are_repeated(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text("time,robot,v,w\n0.5,r0,0.4,0\n1.5,r0,0,0\n0,r1,0.1,0\n")
+
+    track = drive(tmp_path, "{name: b, robots: 'r[0-1]', do: replay, file: run.csv, at: 1}", 4.0)
+
+    assert track[-1, :2, 0] == pytest.approx([0.4, 5.3], abs=0.02)
+    assert track[round(1.4 / PERIOD), 0, 0] == 0.0
+
+
+def test_recorded_commands_loop(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text("time,v,w\n0,0.4,0\n0.5,0,0\n1,0,0\n")
+
+    track = drive(tmp_path, "{name: b, robots: r0, do: replay, file: run.csv, loop: true}", 3.0)
+
+    assert track[-1, 0, 0] == pytest.approx(0.6, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("t,v\n", "line 1"),
+        ("time,v,w\n0,x,0\n", "line 2"),
+        ("time,v,w\n0,1,0\n0,1,0\n", "line 3"),
+        ("time,robot,v,w\n0,nobody,1,0\n", "line 2"),
+    ],
+)
+def test_broken_recording_is_a_mistake_of_the_file(text: str, line: str, tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text(text)
+
+    with pytest.raises(ScenarioInvalid, match=line):
+        drive(tmp_path, "{name: b, robots: r0, do: replay, file: run.csv}", 1.0)

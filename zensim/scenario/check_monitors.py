@@ -1,6 +1,7 @@
 """Monitors of checks: the margin of a condition at each control step, and its verdict in time."""
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, cast
@@ -19,6 +20,7 @@ from zensim.scenario.time_operators import (
     TimeOperator,
     combine_results,
 )
+from zensim.scenario.wall_outlines import Wall
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
@@ -26,6 +28,7 @@ Verdict = Literal["passed", "failed", "not_evaluated", "error"]
 EventKind = Literal["start", "end"]
 UNITS_OF_MARGINS: Mapping[type, str] = {
     sections.SpeedCheck: "m/s",
+    sections.RateCheck: "Hz",
     sections.AccelerationCheck: "m/s^2",
     sections.UprightCheck: "rad",
     sections.NoEventCheck: "",
@@ -72,6 +75,44 @@ class Outline(msgspec.Struct, frozen=True):
     y: float = 0.0
     half_length: float = 0.0
     half_width: float = 0.0
+
+
+class WorldOutlines(msgspec.Struct, frozen=True):
+    """Outlines of robots by name, and of the world's own entities."""
+
+    robots: Mapping[str, Outline] = {}
+    walls: Sequence[Wall] = ()
+
+
+class MessageCount:
+    """Counts messages of a topic by their stamps."""
+
+    def __init__(self) -> None:
+        self._stamps: deque[float] = deque()
+
+    def note(self, stamp: float) -> None:
+        """Take the stamp of a message [s]."""
+        self._stamps.append(stamp)
+
+    def find_rate(self, now: float, window: float) -> float:
+        """Find the rate [Hz] of messages in a window that ends now [s]; older ones are dropped."""
+        while self._stamps and self._stamps[0] <= now - window + 1e-9:
+            self._stamps.popleft()
+        return len(self._stamps) / window
+
+
+def make_rate_margin(check: sections.RateCheck, count: MessageCount) -> "Margin":
+    """Make the margin of a rate; nothing to look at before the first window is over."""
+    low = -math.inf if check.above is None else check.above
+    high = math.inf if check.below is None else check.below
+
+    def margin(state: CheckedState) -> FloatArray:
+        if state.now < check.window - 1e-9:
+            return np.zeros(0)
+        rate = count.find_rate(state.now, check.window)
+        return np.array([min(rate - low, high - rate)])
+
+    return margin
 
 
 def make_outline(corners: Sequence[tuple[float, float]]) -> Outline:
@@ -223,7 +264,7 @@ def make_monitor(
     *,
     rows: IntArray,
     place: str,
-    outlines: Mapping[str, Outline],
+    outlines: WorldOutlines,
     others: Mapping[str, CheckMonitor],
 ) -> CheckMonitor:
     """Make the monitor of a check.
@@ -233,14 +274,18 @@ def make_monitor(
         robots: That it selects.
         rows: Of these robots in the states, (m,).
         place: File and line.
-        outlines: Of the robots, for `no_collision`.
+        outlines: For `no_collision`.
         others: Monitors that it may refer to.
     """
     if isinstance(check, sections.NoCollisionCheck | sections.DistanceCheck):
         first, second = np.triu_indices(len(rows), 1)
         pairs = list(zip(first.tolist(), second.tolist(), strict=True))
         subjects = [f"{robots[one]}, {robots[other]}" for one, other in pairs]
-        margin = _make_pair_margin(check, rows, [outlines.get(name) for name in robots])
+        known = [outlines.robots.get(name) for name in robots]
+        margin = _make_pair_margin(check, rows, known)
+        if isinstance(check, sections.NoCollisionCheck) and check.walls and outlines.walls:
+            subjects += [f"{robot}, {wall.name}" for robot in robots for wall in outlines.walls]
+            margin = _add_walls(margin, make_wall_margin(check, rows, known, outlines.walls))
         return CheckMonitor(check, margin, subjects, place)
     if isinstance(check, sections.AllOfCheck | sections.AnyOfCheck):
         parts = [others[name] for name in check.checks]
@@ -345,6 +390,48 @@ def _make_pair_margin(
     known = [one or Outline() for one in outlines]
     boxes = np.array([(one.x, one.y, one.half_length, one.half_width) for one in known])
     return lambda state: find_gaps(state.poses[rows], boxes, first, second)
+
+
+def _add_walls(pairs: Margin, walls: Margin) -> Margin:
+    return lambda state: np.concatenate([pairs(state), walls(state)])
+
+
+NEAR_WALL_M = 1.0
+"""Farther gaps are bounded from below only."""
+
+
+def make_wall_margin(
+    check: sections.NoCollisionCheck,
+    rows: IntArray,
+    outlines: Sequence[Outline | None],
+    walls: Sequence[Wall],
+) -> Margin:
+    """Make the margin of all pairs of a robot and a wall, robot by robot."""
+    radius = check.radius
+    known = [one or Outline() for one in outlines]
+    boxes = np.array([(one.x, one.y, one.half_length, one.half_width) for one in known])
+    if radius is not None:
+        # A square around the circle.
+        boxes = np.tile(np.array([0.0, 0.0, radius, radius]), (len(rows), 1))
+    boxes = boxes.reshape(-1, 4)
+    fixed = np.array([(one.x, one.y, one.yaw) for one in walls])
+    sizes = np.array([(0.0, 0.0, one.half_length, one.half_width) for one in walls])
+    reach = np.hypot(np.abs(boxes[:, 0]) + boxes[:, 2], np.abs(boxes[:, 1]) + boxes[:, 3])
+    cos, sin = np.cos(fixed[:, 2]), np.sin(fixed[:, 2])
+
+    def margin(state: CheckedState) -> FloatArray:
+        poses = state.poses[rows]
+        offset = poses[:, None, :2] - fixed[None, :, :2]
+        along = np.abs(offset[..., 0] * cos + offset[..., 1] * sin) - sizes[:, 2]
+        across = np.abs(offset[..., 1] * cos - offset[..., 0] * sin) - sizes[:, 3]
+        gaps = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0)) - reach[:, None]
+        robot, wall = np.nonzero(gaps < NEAR_WALL_M)
+        gaps[robot, wall] = find_gaps(
+            np.concatenate([poses, fixed]), np.concatenate([boxes, sizes]), robot, wall + len(poses)
+        )
+        return np.asarray(gaps.ravel())
+
+    return margin
 
 
 def find_gaps(

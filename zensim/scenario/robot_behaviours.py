@@ -8,25 +8,36 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Protocol, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from zensim.scenario.quantities import make_uniforms
+from zensim.scenario.ray_navigation import (
+    PERIOD_S,
+    CastRays,
+    find_bearings,
+    find_ranges,
+    steer_around,
+)
+from zensim.scenario.recorded_commands import read_commands
 from zensim.scenario.scenario_format import (
     Behaviour,
     CircleAround,
     DriveAhead,
     FollowRobot,
     FollowWaypoints,
+    Navigate,
     Patrol,
     PythonBehaviour,
     RandomWalk,
+    ReplayCommands,
 )
 from zensim.scenario.scenario_reader import Scenario
 
 FloatArray = npt.NDArray[np.float64]
+BehaviourT = TypeVar("BehaviourT")
 TURN_GAIN = 2.0
 """Turn by error of heading [1/s]."""
 MAX_TURN = 1.5
@@ -190,6 +201,61 @@ class FollowMotion(Motion):
         return steer(poses[:, 2], offset, np.clip(gap / SLOW_DOWN_S, 0.0, self._speed))
 
 
+class NavigateMotion(Motion):
+    """Between points, around what rays hit."""
+
+    def __init__(
+        self,
+        rows: npt.NDArray[np.intp],
+        paths: FloatArray,
+        behaviours: Sequence[Navigate],
+        cast_rays: CastRays,
+    ) -> None:
+        """Begin at the first points (m, k, 2)."""
+        self._rows, self._paths, self._cast = rows, paths, cast_rays
+        self._speed = np.array([one.speed for one in behaviours])
+        self._tolerance = np.array([one.tolerance for one in behaviours])
+        self._next = np.zeros(len(rows), dtype=np.intp)
+        self._due = -math.inf
+        self._commands = np.zeros((len(rows), 2))
+
+    def command(self, state: FleetState) -> FloatArray:
+        """Measure and steer when a scan is due; repeat the commands between."""
+        if state.now < self._due - 1e-9:
+            return self._commands
+        self._due = state.now + PERIOD_S
+        poses = state.poses[self._rows]
+        points = self._paths[np.arange(len(self._rows)), self._next]
+        is_there = np.hypot(*(points - poses[:, :2]).T) < self._tolerance
+        self._next = np.where(is_there, (self._next + 1) % self._paths.shape[1], self._next)
+        points = self._paths[np.arange(len(self._rows)), self._next]
+        ranges = find_ranges(self._cast, poses)
+        self._commands = steer_around(ranges, find_bearings(poses, points), self._speed)
+        return self._commands
+
+
+class ReplayMotion(Motion):
+    """Recorded commands, each from its time on."""
+
+    def __init__(self, recorded: Sequence[FloatArray], behaviour: ReplayCommands) -> None:
+        """Take time since the start, speed and turn (k, 3) of each robot."""
+        self._recorded, self._start = recorded, behaviour.at
+        self._loops = behaviour.loop
+
+    def command(self, state: FleetState) -> FloatArray:
+        """Find the newest command of each robot; zero before the first."""
+        return np.array([self._find(one, state.now - self._start) for one in self._recorded])
+
+    def _find(self, rows: FloatArray, now: float) -> FloatArray:
+        if not len(rows):
+            return np.zeros(2)
+        length = rows[-1, 0]
+        if self._loops and length > 0.0:
+            now %= length
+        number = int(np.searchsorted(rows[:, 0], now + 1e-9, side="right")) - 1
+        return np.asarray(rows[number, 1:]) if number >= 0 else np.zeros(2)
+
+
 class PythonController(Protocol):
     """A class that a file names in `call`."""
 
@@ -246,6 +312,7 @@ class ScheduledMotion:
 
     Attributes:
         rows: Of its robots among those of the scenario, (m,).
+        holds: Whether it goes on when others command its robots.
     """
 
     name: str
@@ -253,6 +320,7 @@ class ScheduledMotion:
     start: float
     end: float
     motion: Motion
+    holds: bool = False
 
     def is_active(self, now: float) -> bool:
         """Whether it acts at a control step."""
@@ -262,6 +330,7 @@ class ScheduledMotion:
 def make_motions(
     scenario: Scenario,
     make_controller: Callable[[PythonBehaviour, Sequence[str]], PythonController],
+    cast_rays: CastRays,
 ) -> list[ScheduledMotion]:
     """Make the motions of all behaviours; later ones win for the robots that they share."""
     made = []
@@ -271,9 +340,23 @@ def make_motions(
         own = [scenario.resolve_behaviour(index, name) for name in names]
         rows = np.array([row[name] for name in names], dtype=np.intp)
         end = math.inf if common.duration is None else common.at + common.duration
-        motion = _make_motion(own, names, rows, scenario, make_controller)
-        made.append(ScheduledMotion(common.name, rows, common.at, end, motion))
+        if isinstance(common, Navigate):
+            navigating = cast_all(Navigate, own)
+            paths = np.array([one.points for one in navigating])
+            motion: Motion = NavigateMotion(rows, paths, navigating, cast_rays)
+        elif isinstance(common, ReplayCommands):
+            file = scenario.find_file(f"behaviours[{index}].file", common.file)
+            recorded = read_commands(file, scenario.robot_names)
+            motion = ReplayMotion([recorded.find(name) for name in names], common)
+        else:
+            motion = _make_motion(own, names, rows, scenario, make_controller)
+        made.append(ScheduledMotion(common.name, rows, common.at, end, motion, common.hold))
     return made
+
+
+def cast_all(kind: type[BehaviourT], own: Sequence[Behaviour]) -> list[BehaviourT]:
+    """List the behaviours of a kind."""
+    return [one for one in own if isinstance(one, kind)]
 
 
 def _make_motion(

@@ -222,6 +222,9 @@ class BehaviourSection(
     duration: Annotated[float, quantity("s", "Length; null = to the end.", above=0.0)] | None = (
         msgspec.field(default=None, name="for")
     )
+    hold: Annotated[
+        bool, described("Go on commanding a robot of `zensim up` that others command, too.")
+    ] = False
 
 
 class Stand(BehaviourSection, frozen=True, tag="stand"):
@@ -272,6 +275,25 @@ class RandomWalk(BehaviourSection, frozen=True, tag="random_walk"):
     turn_every: Annotated[float, quantity("s", "Time between choices.", above=0.0)] = 2.0
 
 
+class Navigate(BehaviourSection, frozen=True, tag="navigate"):
+    """Drive from point to point, again and again, around what rays in front of the robot hit."""
+
+    points: FloorPath
+    speed: Annotated[float, quantity("m/s", "Largest speed.", above=0.0)] = 0.3
+    tolerance: Annotated[
+        float, quantity("m", "A point is reached at this distance.", above=0.0)
+    ] = 0.4
+
+
+class ReplayCommands(BehaviourSection, frozen=True, tag="replay"):
+    """Repeat recorded commands."""
+
+    file: Annotated[
+        str, described("CSV with a head line time,v,w, or time,robot,v,w; SI, times increase.")
+    ]
+    loop: Annotated[bool, described("Begin again after the last command.")] = False
+
+
 class FollowRobot(BehaviourSection, frozen=True, tag="follow"):
     """Follow another robot at a distance."""
 
@@ -303,6 +325,8 @@ Behaviour = (
     | Patrol
     | RandomWalk
     | FollowRobot
+    | Navigate
+    | ReplayCommands
     | PythonBehaviour
 )
 
@@ -550,12 +574,15 @@ class CheckOfRobots(CheckSection, frozen=True, kw_only=True):
 
 
 class NoCollisionCheck(CheckOfRobots, frozen=True, kw_only=True, tag="no_collision"):
-    """The outlines of robots do not touch: rectangles around their collisions."""
+    """The outlines of robots touch neither each other nor walls: rectangles around collisions."""
 
     radius: (
         Annotated[float, quantity("m", "Radius of round outlines; null = rectangles.", above=0.0)]
         | None
     ) = None
+    walls: Annotated[
+        bool, described("Nor do they touch the world's own static entities, meshes excepted.")
+    ] = True
 
 
 class DistanceCheck(CheckOfRobots, frozen=True, kw_only=True, tag="distance"):
@@ -614,6 +641,15 @@ class TrackingCheck(CheckOfRobots, frozen=True, kw_only=True, tag="tracking"):
     below: Annotated[float, quantity("m", "Largest distance.", above=0.0)]
 
 
+class RateCheck(CheckSection, frozen=True, kw_only=True, tag="rate"):
+    """Messages of a topic, by simulated time."""
+
+    topic: Annotated[str, described("Key, such as cart0/scan.")]
+    above: Annotated[float, quantity("Hz", "Least rate.")] | None = None
+    below: Annotated[float, quantity("Hz", "Largest rate.")] | None = None
+    window: Annotated[float, quantity("s", "Time over which it is counted.", above=0.0)] = 1.0
+
+
 class NoEventCheck(CheckSection, frozen=True, kw_only=True, tag="no_event"):
     """A fault or behaviour does not start."""
 
@@ -658,6 +694,7 @@ Check = (
     | OutsideCheck
     | UprightCheck
     | TrackingCheck
+    | RateCheck
     | NoEventCheck
     | RealTimeFactorCheck
     | PythonCheck

@@ -8,6 +8,7 @@ from typing import Any
 
 from zensim.proto.names import NAME_PATTERN
 from zensim.scenario.quantities import Draw, PlainValue
+from zensim.scenario.recorded_commands import read_commands
 from zensim.scenario.robot_places import (
     ScenarioRobot,
     name_group,
@@ -168,8 +169,18 @@ class ReferenceCheck:
 
     def _check_behaviour(self, path: str, entry: Entry) -> None:
         self._require(f"{path}.target", entry.get("target"), self._names, "robot")
+        self._check_replay(f"{path}.file", entry.get("file"))
         if entry.get("radius") == 0.0:
             self._refuse(f"{path}.radius", "`0` is no radius of a circle; use another number")
+
+    def _check_replay(self, path: str, word: str | None) -> None:
+        if not word:
+            return
+        try:
+            read_commands(self._resolve(path, word), self._names)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            self._refuse(path, f"`{word}`: {reason}")
 
     def _check_fault(self, path: str, entry: Entry) -> None:
         if "at" in entry and "when" in entry:
@@ -196,7 +207,7 @@ class ReferenceCheck:
         for told, at_key in _find_time_mistakes(entry):
             self._refuse(f"{path}.{at_key}" if at_key else path, told)
         kind = entry.get("that")
-        if kind in ("distance", "speed") and "above" not in entry and "below" not in entry:
+        if kind in ("distance", "speed", "rate") and "above" not in entry and "below" not in entry:
             self._refuse(path, "`above` or `below` is missing: what is the limit?")
         if kind == "distance" and len(self._check_quietly(entry.get("robots", "*"))) == 1:
             self._refuse(f"{path}.robots", "a distance needs at least two robots")

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from zensim.api.fleet import Fleet
 from zensim.api.simulation import Simulation
+from zensim.api.topic import find_stamp_ns
 from zensim.proto.messages.entity_messages import (
     GetEntityBoundsOrder,
     GetEntityInfoRequest,
@@ -37,10 +38,13 @@ from zensim.scenario.check_monitors import (
     CheckMonitor,
     CheckResult,
     Margin,
+    MessageCount,
     Outline,
     ScenarioEvent,
+    WorldOutlines,
     make_monitor,
     make_outline,
+    make_rate_margin,
 )
 from zensim.scenario.robot_behaviours import (
     FleetState,
@@ -55,6 +59,7 @@ from zensim.scenario.scenario_format import (
     AGENT_FAULTS,
     AllOfCheck,
     AnyOfCheck,
+    Check,
     CheckOfRobots,
     CommandDelay,
     CommandLoss,
@@ -66,9 +71,11 @@ from zensim.scenario.scenario_format import (
     Push,
     PythonBehaviour,
     PythonCheck,
+    RateCheck,
     RobotsSection,
 )
 from zensim.scenario.scenario_reader import Scenario
+from zensim.scenario.wall_outlines import Wall, find_walls
 
 if TYPE_CHECKING:
     from zensim.api.spawning import FleetKeywords, SpawnKeywords
@@ -79,6 +86,10 @@ OF_COMMANDS = (*AGENT_FAULTS, CommandLoss, CommandDelay, CommandStuck, CommandSc
 """Faults that the runner applies to the commands of behaviours."""
 VALUE_KEYS = ("factor", "every_nth", "delay", "share", "deviation", "bias")
 """Keys of faults of which one is the value of a request."""
+LOW_M, HIGH_M = 0.02, 1.0
+"""Heights between which the world's own entities count as walls."""
+MAX_MESSAGES = 256
+"""Messages of a topic between two control steps."""
 DEFAULT_END_S = 10.0
 """Simulated length of a run that says nothing of its end."""
 
@@ -145,13 +156,15 @@ class ScenarioRun:
         self._before: CheckedState | None = None
         self.commands = np.zeros((len(scenario.robots), 2))
         self.driven = np.zeros(len(scenario.robots), dtype=bool)
+        self._taken = np.zeros(len(scenario.robots), dtype=bool)
+        self._held = np.zeros(len(scenario.robots), dtype=bool)
 
     def spawn(self) -> None:
         """Spawn the robots, and make behaviours and checks."""
         for index, group in enumerate(self.scenario.format.robots):
             _spawn_group(self.sim, self.scenario, index, group)
         self.fleet = self.sim.fleet(self.scenario.robot_names)
-        self.motions = make_motions(self.scenario, self._make_controller)
+        self.motions = make_motions(self.scenario, self._make_controller, self._cast_rays)
         self.monitors = self._make_monitors()
         self._start_time = self.sim.time
         self._start_wall_s = time.monotonic()
@@ -196,6 +209,14 @@ class ScenarioRun:
         state = self._check(fleet_state, tuple(events))
         self._drive(fleet_state)
         return state
+
+    def leave(self, names: Iterable[str]) -> None:
+        """Leave robots to others that command them, except those of behaviours that hold them."""
+        row = {name: number for number, name in enumerate(self.scenario.robot_names)}
+        rows = [row[name] for name in names if name in row and not self._taken[row[name]]]
+        if rows:
+            self._taken[rows] = True
+            self.fleet[self._taken & ~self._held].release()
 
     def check_now(self) -> CheckedState:
         """Look at the present state with all checks, as after the last step."""
@@ -304,18 +325,25 @@ class ScenarioRun:
         for one in self.motions:
             if one.is_active(state.now):
                 self.driven[one.rows] = True
+                self._held[one.rows] = one.holds
                 self.commands[one.rows] = one.motion.command(state)
         sent = self._command_faults.apply(state.now, self.commands, self.faults.runs)
-        if self.driven.all():
+        ours = self.driven & ~(self._taken & ~self._held)
+        if ours.all():
             self.fleet.drive(v=sent[:, 0], w=sent[:, 1])
-        elif self.driven.any():
-            self.fleet[self.driven].drive(v=sent[self.driven, 0], w=sent[self.driven, 1])
+        elif ours.any():
+            self.fleet[ours].drive(v=sent[ours, 0], w=sent[ours, 1])
 
     def _make_controller(
         self, behaviour: PythonBehaviour, names: Sequence[str]
     ) -> PythonController:
         made = self._load(behaviour.call)(self.sim, list(names), **behaviour.args)
         return cast("PythonController", made)
+
+    def _cast_rays(
+        self, origins: FloatArray, directions: FloatArray, range_max: float
+    ) -> FloatArray:
+        return self.sim.cast_rays(origins, directions, range_max=range_max)[0]
 
     def _load(self, call: str) -> Callable[..., object]:
         if not self.allows_python:
@@ -331,16 +359,17 @@ class ScenarioRun:
             key=lambda one: isinstance(one[1], AllOfCheck | AnyOfCheck),
         )
         has_outlines = any(isinstance(one, NoCollisionCheck) for one in scenario.format.checks)
-        outlines = self._find_outlines() if has_outlines else {}
+        outlines = WorldOutlines()
+        if has_outlines:
+            outlines = WorldOutlines(self._find_outlines(), self._find_walls())
         for index, check in numbered:
             selector = check.robots if isinstance(check, CheckOfRobots) else "*"
             robots = scenario.select(selector) if scenario.robots else []
             place = scenario.find_place(f"checks[{index}]")
             shown = f"{place.file}:{place.line}"
-            if isinstance(check, PythonCheck):
-                made[check.name] = CheckMonitor(
-                    check, self._make_python_margin(check, robots), [""], shown
-                )
+            own = self._make_own_margin(check, robots)
+            if own is not None:
+                made[check.name] = CheckMonitor(check, own, [""], shown)
                 continue
             made[check.name] = make_monitor(
                 check,
@@ -351,6 +380,28 @@ class ScenarioRun:
                 others=made,
             )
         return [made[check.name] for check in scenario.format.checks]
+
+    def _make_own_margin(self, check: Check, robots: Sequence[str]) -> Margin | None:
+        """Make the margin of a check that needs more than states."""
+        if isinstance(check, PythonCheck):
+            return self._make_python_margin(check, robots)
+        return self._make_rate_margin(check) if isinstance(check, RateCheck) else None
+
+    def _make_rate_margin(self, check: RateCheck) -> Margin:
+        count = MessageCount()
+
+        def note(message: msgspec.Struct) -> None:
+            stamp_ns = find_stamp_ns(message)
+            time_s = stamp_ns / NANOSECONDS if stamp_ns else self.sim.time
+            count.note(time_s - self._start_time)
+
+        self._start_time = self.sim.time
+        self.sim.topic(check.topic).on(note, queue=MAX_MESSAGES)
+        return make_rate_margin(check, count)
+
+    def _find_walls(self) -> list[Wall]:
+        models = self.sim.call(GET_MODELS, GetModelsRequest())
+        return find_walls(models, LOW_M, HIGH_M)
 
     def _make_python_margin(self, check: PythonCheck, robots: Sequence[str]) -> Margin:
         made = self._load(check.call)(list(robots), **check.args)

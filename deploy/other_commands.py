@@ -1,0 +1,42 @@
+"""Which robots others command: by cmd_vel, or by orders of another client."""
+
+from zensim.proto.bus import Bus
+from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.messages.agent_messages import TwistCommands
+from zensim.proto.topic_catalog import TWISTS
+
+COMMAND_KEY = "**/cmd_vel/**"
+"""Velocity commands on plain keys and on those of ROS 2."""
+QUEUE_DEPTH = 1000
+
+
+class OtherCommands:
+    """Commands of a world from anything but one client."""
+
+    def __init__(self, bus: Bus, world: str, client: str) -> None:
+        self._client = client
+        self._commands = bus.subscribe(COMMAND_KEY, QUEUE_DEPTH)
+        self._orders = bus.subscribe(TWISTS.key(world), QUEUE_DEPTH)
+
+    def take(self) -> set[str]:
+        """Find the robots that were commanded since the last call."""
+        names = {find_commanded_robot(one.key) for one in self._commands.take()}
+        for sample in self._orders.take():
+            try:
+                orders = decode(TwistCommands, sample.payload, sample.encoding)
+            except MalformedPayload:
+                continue
+            if orders.client != self._client:
+                names.update(orders.entities)
+        return names
+
+    def close(self) -> None:
+        """End the subscriptions."""
+        self._commands.close()
+        self._orders.close()
+
+
+def find_commanded_robot(key: str) -> str:
+    """Find the robot of a key of velocity commands: the chunk before `cmd_vel`."""
+    chunks = key.split("/")
+    return chunks[chunks.index("cmd_vel") - 1] if "cmd_vel" in chunks[1:] else ""
