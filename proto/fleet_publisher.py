@@ -310,7 +310,7 @@ class FleetTopicPublisher:
             faults: Of the topics of this process.
         """
         self._ros = ros
-        self._faults = faults or TopicFaults()
+        self._faults = TopicFaults() if faults is None else faults
         self._message_type = message_type
         self._network = network
         self._encoding = make_encoding(message_type, Format.CDR)

@@ -58,6 +58,8 @@ class InProcessSensors:
             poses = states.base[:, :POSE_COLUMNS].copy()
             time_ns = self._world.clock.time_ns
             moment = SceneMoment(step, time_ns, poses, states.joint_positions)
+            faults = self._world.injected_faults.topic_faults
+            self._share.topics.faults.update(faults, time_ns)
             for group in due:
                 group.publish(moment)
 

@@ -29,7 +29,7 @@ class Wall(msgspec.Struct, frozen=True):
 
 def find_walls(models: GetModelsResponse, low: float, high: float) -> list[Wall]:
     """Find the static entities of the world file that reach between two heights [m]."""
-    walls = []
+    walls: list[Wall] = []
     for entity in models.entities:
         model = models.models[entity.model]
         if not entity.belongs_to_world or not model.is_static:
