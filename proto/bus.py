@@ -6,6 +6,7 @@ No other module imports zenoh.
 import base64
 import hashlib
 import json
+import socket
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator
@@ -30,6 +31,7 @@ from zensim.proto.network_protocols import (
     Sample,
     Stamp,
 )
+from zensim.proto.process_limits import raise_file_limit
 from zensim.proto.reply_sender import ReplySender, Send
 from zensim.proto.service_catalog import Request, Response, Service, require_ok
 from zensim.proto.tls_probe import ProbeFailed, fetch_authority
@@ -345,7 +347,15 @@ QUERIES_OF_OWN_PRIORITY: Final = {
 a message to the same link waits for, however long that link blocks."""
 ROUTER_USER: Final = "router"
 MAX_SECURED_SESSIONS: Final = 500
+RESERVED_FILES: Final = 200
+"""Open files that a server keeps for itself: its own, and those of its worlds and clients."""
+FILES_OF_SESSION: Final = 2
+MAX_SESSIONS: Final = 4000
 ACCEPT_TIMEOUT_MS: Final = 2000
+"""For a handshake; Zenoh's default is 10 s."""
+MAX_HANDSHAKES: Final = 500
+"""At a time; Zenoh's default is 100, which a client that opens sockets only can use up."""
+PROBE_TIMEOUT_S: Final = 0.5
 JOIN_TIMEOUT_S: Final = 2.0
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
 """A query may return nothing after a reconnect (zenoh#2767): retry with the same id."""
@@ -671,6 +681,11 @@ def _to_key_expression(key: str) -> zenoh.KeyExpr:
     return canonical
 
 
+def find_max_sessions(file_limit: int) -> int:
+    """Find how many sessions a router may hold without using up its open files."""
+    return max(1, min(MAX_SESSIONS, (file_limit - RESERVED_FILES) // FILES_OF_SESSION))
+
+
 def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
     entries: dict[str, object] = {
         "mode": config.mode,
@@ -690,6 +705,9 @@ def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
         "transport/link/tx/queue/congestion_control/block/wait_before_close": LINK_TIMEOUT_US,
     }
     if config.mode == "router":
+        entries["transport/unicast/max_sessions"] = find_max_sessions(raise_file_limit())
+        entries["transport/unicast/accept_timeout"] = ACCEPT_TIMEOUT_MS
+        entries["transport/unicast/accept_pending"] = MAX_HANDSHAKES
         entries["low_pass_filter"] = SIZE_LIMITS
         entries["qos/network"] = [QUERIES_OF_OWN_PRIORITY]
     entries |= _make_client_entries(config.credentials)
@@ -744,9 +762,26 @@ def _make_open_error(config: BusConfig, text: str) -> BusError:
             f"{where} does not admit user '{config.credentials.user}': the password is wrong, or "
             "the user was revoked or has expired; get a new token from the server's operator",
         )
+    if any(_accepts_connections(endpoint) for endpoint in config.connect):
+        return EndpointUnreachable(
+            f"{where} accepts connections, but no session: the router is full, suspended or none; "
+            "close other sessions, or try again"
+        )
     return EndpointUnreachable(
         f"no server listens at {where}; start one with 'zensim serve' or use --connect"
     )
+
+
+def _accepts_connections(endpoint: str) -> bool:
+    """Whether a TCP connection to an endpoint can be opened."""
+    host, _, port = endpoint.partition("?")[0].rpartition("/")[2].rpartition(":")
+    if not endpoint.startswith("tcp/") or not port.isdigit():
+        return False
+    try:
+        with socket.create_connection((host.strip("[]"), int(port)), PROBE_TIMEOUT_S):
+            return True
+    except OSError:
+        return False
 
 
 OPEN_TIMEOUTS_S = (0.25, 0.25, 0.25, 0.25, 2.0)

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib import import_module
 from math import ceil
 from pathlib import Path
@@ -121,6 +122,25 @@ def allow_cpu_time(seconds: int) -> None:
         return
     total_s = ceil(time.process_time()) + seconds
     resource.setrlimit(resource.RLIMIT_CPU, (total_s, resource.RLIM_INFINITY))
+
+
+DEFAULT_FILE_LIMIT = 512
+"""Open files of a process where the system does not report its limit."""
+MAX_FILE_LIMIT = 1 << 16
+
+
+def raise_file_limit() -> int:
+    """Raise the limit of open files of this process as far as it may; return the limit."""
+    if resource is None:
+        return DEFAULT_FILE_LIMIT
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    # Some systems have no hard limit, and refuse to have no limit.
+    wanted = MAX_FILE_LIMIT if hard == resource.RLIM_INFINITY else min(hard, MAX_FILE_LIMIT)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        with suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+            soft = wanted
+    return MAX_FILE_LIMIT if soft == resource.RLIM_INFINITY else int(soft)
 
 
 def set_niceness(niceness: int, process_id: int = 0, proc: Path = Path("/proc")) -> bool:

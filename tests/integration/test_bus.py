@@ -1,13 +1,16 @@
 """The bus with real sessions over loopback."""
 
+import socket
 import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 import pytest
 import zenoh
 
 from tests.integration.processes import eventually, free_endpoint
+from zensim.proto import bus as bus_module
 from zensim.proto import keys
 from zensim.proto.bus import (
     MAX_QUERY_BYTES,
@@ -18,6 +21,7 @@ from zensim.proto.bus import (
     EndpointTaken,
     EndpointUnreachable,
     NoServer,
+    find_max_sessions,
     open_bus,
 )
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
@@ -322,6 +326,30 @@ def test_open_fails_when_no_router_listens() -> None:
 
     with pytest.raises(EndpointUnreachable, match="tcp/127"):
         open_bus(config)
+
+
+def test_open_says_that_the_router_is_full(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bus_module, "MAX_SESSIONS", 1)
+    with open_bus(BusConfig(mode="router", listen=("tcp/127.0.0.1:0",))) as router:
+        config = BusConfig(connect=(router.endpoint,), open_timeout_s=0.5)
+
+        with open_bus(config), pytest.raises(EndpointUnreachable, match="full"):
+            open_bus(config)
+
+
+def test_sessions_open_beside_handshakes_that_do_not_end(router: Bus) -> None:
+    host, port = router.endpoint.removeprefix("tcp/").split(":")
+
+    with ExitStack() as stack:
+        for _ in range(150):
+            stack.enter_context(socket.create_connection((host, int(port))))
+        with open_bus(BusConfig(connect=(router.endpoint,), open_timeout_s=10.0)) as client:
+            assert client.zid
+
+
+@pytest.mark.parametrize(("file_limit", "sessions"), [(1024, 412), (100, 1), (1 << 16, 4000)])
+def test_router_leaves_open_files_for_its_server(file_limit: int, sessions: int) -> None:
+    assert find_max_sessions(file_limit) == sessions
 
 
 def test_open_fails_when_the_endpoint_is_taken(router: Bus) -> None:

@@ -178,3 +178,15 @@ def test_niceness_of_a_process_that_has_ended_is_no_error() -> None:
     process.wait()
 
     assert set_niceness(5, process.pid)
+
+
+def test_limit_of_open_files_is_raised_as_far_as_allowed() -> None:
+    text = (
+        "import resource; from zensim.proto.process_limits import raise_file_limit;"
+        "resource.setrlimit(resource.RLIMIT_NOFILE, (64, 512));"
+        "print(raise_file_limit(), *resource.getrlimit(resource.RLIMIT_NOFILE))"
+    )
+
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
+
+    assert done.stdout.split() == ["512", "512", "512"]
