@@ -31,6 +31,7 @@ NAMES = (
     "pools",
     "api",
     "world",
+    "world_loading",
     "sensors",
     "casting",
     "state_sensors",
