@@ -75,8 +75,12 @@ class RefusedUser(ValueError):
 
 SERVER_USER: Final = "server"
 """The server itself, which may do everything."""
-ROS_USER: Final = "ros"
-"""The user that calls of ROS 2 count as: their keys have no user."""
+ROS_USER: Final = "@ros"
+"""Stands for the users of role `ros` in calls of ROS 2, whose keys have no user."""
+STEPS_USER: Final = "@operator"
+"""Stands for operators in requests of steps that are published: only they may publish there."""
+ROLES_OF_CALLERS: Final = {ROS_USER: "ros", STEPS_USER: "operator"}
+"""No user can have these names, so that no user gets a role by its name."""
 RESERVED_USERS: Final = frozenset({SERVER_USER, "router"})
 
 SPAWNING: Final = frozenset(
@@ -139,7 +143,14 @@ ROLES: Final[dict[str, Role]] = {
         "everything but the work of agents and sensor processes",
         (
             *_WATCHING,
-            KeyGrant("P", (*_of_any_robot(CMD_VEL, IMAGE_TRIGGER), TWISTS.key("{world}"))),
+            KeyGrant(
+                "P",
+                (
+                    *_of_any_robot(CMD_VEL, IMAGE_TRIGGER),
+                    TWISTS.key("{world}"),
+                    "sim/{world}/clients/*/steps",
+                ),
+            ),
             KeyGrant("T", ("sim/{world}/alive/clients/*", "sim/{world}/bond/*")),
         ),
         READING | SPAWNING | CONTROLLING,

@@ -20,7 +20,7 @@ from zensim.proto.messages.spawn_messages import (
 )
 from zensim.proto.messages.telemetry_messages import Refusal
 from zensim.proto.network_protocols import ServiceCall
-from zensim.proto.security.roles import CONTROLLING, ROLES, ROS_USER, User
+from zensim.proto.security.roles import CONTROLLING, ROLES, ROLES_OF_CALLERS, User
 from zensim.proto.service_catalog import INFO
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.pacing.loop_stats import LoopStats
@@ -122,9 +122,9 @@ class RequestAuthorization:
         return ""
 
     def _find_user(self, name: str) -> User | None:
-        if name == ROS_USER:
-            # Calls of ROS 2 have no user; the router admits them from hosts of ROS 2 only.
-            return User(ROS_USER, "ros")
+        if (role := ROLES_OF_CALLERS.get(name)) is not None:
+            # These keys have no user; the router admits only users of this role to them.
+            return User(name, role)
         return self.users.find_user(name)
 
     def _find_ownership_fault(self, user: User, name: str) -> str:

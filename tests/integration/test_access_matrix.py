@@ -30,6 +30,7 @@ KEYS = (
     *(f"sim/{WORLD}/alive/agent/{user}" for user in ("ME", OTHER)),
     *(f"sim/{WORLD}/alive/sensors/{user}" for user in ("ME", OTHER)),
     *(f"sim/{WORLD}/sensors/{user}/reply" for user in ("ME", OTHER)),
+    *(f"sim/{WORLD}/clients/c/{topic}" for topic in ("steps", "made")),
     f"sim/{WORLD}/bond/b",
     f"sim/{WORLD}/alive/clients/c",
     "sim/elsewhere/stats",

@@ -83,6 +83,16 @@ def test_ros_calls_have_the_role_of_ros() -> None:
     assert not is_refused(authorization, ROS_USER, "get_entities", quitting)
 
 
+def test_user_gets_no_role_by_its_name() -> None:
+    authorization = an_authorization()
+    named_as_roles = {"ros": User("ros", "observer"), "operator": User("operator", "page")}
+
+    authorization.users = SimpleNamespace(find_user=named_as_roles.get)
+
+    for user in named_as_roles:
+        assert is_refused(authorization, user, "spawn_entity", SERVICES["spawn_entity"].request())
+
+
 @pytest.mark.parametrize(
     ("user", "request_", "refused"),
     [
