@@ -69,7 +69,10 @@ def list_keys(kind: type, path: str) -> list[str]:
 def test_every_option_of_up_and_serve_is_a_key() -> None:
     options = {field.name for kind in (UpOptions, ServeOptions) for field in fields(kind)}
 
-    assert options - set(KEYS_OF_OPTIONS) == {"file", "settings", "as_json", "announce"}
+    not_of_files = {"file", "settings", "as_json", "announce"}
+    # Who is admitted is decided where the program runs, never by a file that somebody sent.
+    not_of_files |= {"secure", "insecure"}
+    assert options - set(KEYS_OF_OPTIONS) == not_of_files
     assert set(KEYS_OF_OPTIONS) - options == {"verbose"}
     for key in set(KEYS_OF_OPTIONS.values()) - {"behaviours[0].do"}:
         assert find_type(ScenarioFormat, key.replace("[", ".").replace("]", "").split(".")), key

@@ -170,9 +170,11 @@ class Server:
 @contextmanager
 def serving(*arguments: str, prefix: Sequence[str] = (), endpoint: str = "") -> Iterator[Server]:
     """Run a server until the block ends."""
+    # An endpoint that a test gives may be of another host.
+    insecure = ("--insecure",) if endpoint else ()
     endpoint = endpoint or free_endpoint()
     with (
-        running("serve", "--listen", endpoint, *arguments, prefix=prefix) as process,
+        running("serve", "--listen", endpoint, *insecure, *arguments, prefix=prefix) as process,
         connected(endpoint, process) as bus,
     ):
         client = SimClient(bus, timeout_s=START_S)

@@ -4,7 +4,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -69,19 +69,41 @@ def two_hosts() -> Iterator[tuple[list[str], list[str], str]]:
 
 @pytest.mark.root
 def test_robot_is_driven_from_a_remote_host() -> None:
-    with two_hosts() as (run_in_process, there, address):
+    with two_hosts() as (here, there, address):
         endpoint = f"tcp/{address}:7447"
-        connected = ("--connect", endpoint)
-        with running("serve", "--listen", endpoint, prefix=run_in_process):
-            spawned = zensim("spawn", "box_bot", "-n", "r1", *connected, prefix=there)
-            assert spawned.returncode == 0, spawned.stderr
-            with (
-                running("agent", "r1", *connected, prefix=there),
-                running("drive", "r1", "0.3", "0", *connected, prefix=there),
-            ):
+        with running("serve", "--insecure", "--listen", endpoint, prefix=here):
+            connected = ("--connect", endpoint)
+            assert_drivable(connected, connected, there)
 
-                def has_moved() -> bool:
-                    listed = zensim("list", "--json", *connected, prefix=there)
-                    return bool(json.loads(listed.stdout)[0]["x"] > 0.2)
 
-                eventually(has_moved, 30.0, "moving")
+@pytest.mark.root
+def test_robot_is_driven_from_a_remote_host_by_tokens(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    with two_hosts() as (here, there, address):
+        listen = ("--listen", f"tls/{address}:7447", "--json")
+        with running("serve", "--secure", *listen, prefix=here) as server:
+            assert server.stdout is not None
+            tokens = json.loads(server.stdout.readline())["tokens"]
+            made = zensim("token", "create", "--role", "agent", "--robot", "r1", prefix=here)
+            agent = ("--join", made.stdout.strip())
+
+            assert_drivable(("--join", tokens["operator"]), agent, there)
+
+
+def assert_drivable(
+    operator: tuple[str, ...], agent: tuple[str, ...], there: Sequence[str]
+) -> None:
+    spawned = zensim("spawn", "box_bot", "-n", "r1", *operator, prefix=there)
+    assert spawned.returncode == 0, spawned.stderr
+    with (
+        running("agent", "r1", *agent, prefix=there),
+        running("drive", "r1", "0.3", "0", *operator, prefix=there),
+    ):
+
+        def has_moved() -> bool:
+            listed = zensim("list", "--json", *operator, prefix=there)
+            return bool(json.loads(listed.stdout)[0]["x"] > 0.2)
+
+        eventually(has_moved, 30.0, "moving")
