@@ -20,11 +20,13 @@ from tests.integration.processes import (
     free_endpoint,
     kill,
     read_json_line,
+    run_in_process,
     running,
     serving,
     zensim,
 )
 from zensim.proto.exit_codes import ExitCode
+from zensim.sim_server.security.secure_folder import open_secure_folder
 from zensim.spawner.client.sim_client import SimClient
 
 if TYPE_CHECKING:
@@ -183,6 +185,29 @@ def test_hints_name_an_address_that_clients_can_connect_to() -> None:
     hints = re.findall(r"--connect (\S+)", text)
     assert f"tcp/127.0.0.1:{port}" in hints
     assert not [hint for hint in hints if "0.0.0.0" in hint]
+
+
+def test_secured_robots_are_driven_by_agents_with_tokens_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+
+    with up("--secure", "--robots", "2", "--behaviour", "circle") as (process, ready):
+        token = f"@{tmp_path / 'zensim' / 'default' / 'operator.token'}"
+        secrets = [account.password for account in open_secure_folder("default").list_active()]
+
+        def list_driven() -> dict[str, str] | None:
+            listed = json.loads(run_in_process("list", "--json", "--join", token).stdout)
+            moved = [one for one in listed if abs(one["yaw"]) > 0.01]
+            return {one["name"]: one["agent"] for one in moved} if len(moved) > 1 else None
+
+        assert str(ready["endpoint"]).startswith("tls/")
+        assert eventually(list_driven, 30.0, "driving") == {
+            "box_bot0": "box_bot0",
+            "box_bot1": "box_bot1",
+        }
+        lines = [" ".join(psutil.Process(pid).cmdline()) for pid in children(process.pid)]
+        assert not [line for line in lines if any(secret in line for secret in secrets)]
 
 
 def test_down_ends_up_and_everything_it_started() -> None:
