@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from enum import IntEnum
 
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT
 
 
@@ -96,12 +97,12 @@ def print_failure(command: str, error: Exception) -> None:
         traceback.print_exception(error)
     text = format_failure(error)
     if not CURRENT.is_json:
-        sys.stderr.write(f"zensim {command}: {text}\n")
+        print_lines(f"zensim {command}: {text}", err=True)
         return
     code = error.code_name if isinstance(error, ServiceError) else choose_exit_code(error).name
     number = error.code if isinstance(error, ServiceError) else int(choose_exit_code(error))
     failure = {"command": command, "code": code, "number": number, "message": text}
-    sys.stderr.write(json.dumps({"error": failure}) + "\n")
+    print_lines(json.dumps({"error": failure}), err=True)
 
 
 @contextmanager

@@ -5,6 +5,8 @@ import logging
 import sys
 from collections.abc import Mapping
 
+from zensim.proto.printable_text import PrintableFormatter, print_lines
+
 LOG = logging.getLogger("zensim")
 LOG_FORMAT = "%(levelname)s %(name)s %(message)s"
 
@@ -39,7 +41,9 @@ def configure_logging(usual_level: int = logging.WARNING) -> None:
         level = max(usual_level, logging.WARNING)
     elif CURRENT.is_verbose:
         level = min(usual_level, logging.INFO)
-    logging.basicConfig(format=LOG_FORMAT, stream=sys.stderr)
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(PrintableFormatter(LOG_FORMAT))
+    logging.basicConfig(handlers=[handler])
     LOG.setLevel(level)
 
 
@@ -48,16 +52,15 @@ def print_announcement(
 ) -> None:
     """Print what a program does: a line on standard error, or facts on standard output."""
     if as_json:
-        sys.stdout.write(json.dumps(facts) + "\n")
-        sys.stdout.flush()
+        print_lines(json.dumps(facts))
     elif not CURRENT.is_quiet:
-        sys.stderr.write(f"zensim {command}: {text}\n")
+        print_lines(f"zensim {command}: {text}", err=True)
 
 
 def print_note(command: str, text: str) -> None:
     """Print a note to standard error, unless the command is quiet."""
     if not CURRENT.is_quiet:
-        sys.stderr.write(f"zensim {command}: note: {text}\n")
+        print_lines(f"zensim {command}: note: {text}", err=True)
 
 
 def print_old_spelling(command: str, old: str, new: str) -> None:

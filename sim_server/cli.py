@@ -42,6 +42,7 @@ from zensim.proto.endpoints import (
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.names import check_name
+from zensim.proto.printable_text import print_lines
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied
 from zensim.proto.verbosity import configure_logging, print_announcement
@@ -275,14 +276,14 @@ def list_tokens(folder: SecureFolder) -> dict[str, str]:
 def print_tokens(folder: SecureFolder) -> None:
     """Print the join token of each user, and how to use one."""
     users = {account.user.name: account.user for account in folder.list_active()}
-    typer.echo("Join tokens (each is a password; pass one on to one person or program only):")
+    print_lines("Join tokens (each is a password; pass one on to one person or program only):")
     for name, token in list_tokens(folder).items():
         of = "" if users[name].role == name else f" ({users[name].role})"
-        typer.echo(f"  {name + of:<12} {token}")
-    typer.echo("Use: zensim list --join TOKEN; a token for the agent of a robot:")
+        print_lines(f"  {name + of:<12} {token}")
+    print_lines("Use: zensim list --join TOKEN; a token for the agent of a robot:")
     world = folder.settings.world
     named = "" if world == "default" else f" --world-name {world}"
-    typer.echo(f"  zensim token create --role agent --robot NAME{named}")
+    print_lines(f"  zensim token create --role agent --robot NAME{named}")
 
 
 def _import_server() -> Callable[..., None]:

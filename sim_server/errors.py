@@ -1,6 +1,7 @@
 """Errors with which the server refuses requests: one root class, one class per kind."""
 
 from zensim.proto.messages.result_messages import ResultCode, SpawnCode
+from zensim.proto.printable_text import printable
 
 
 class SimError(Exception):
@@ -14,8 +15,7 @@ class SimError(Exception):
     slug = ""
 
     def __init__(self, message: str) -> None:
-        if not message.isprintable():  # messages quote input, which may be anything
-            message = "".join(letter if letter.isprintable() else "?" for letter in message)
+        message = printable(message)  # messages quote input, which may be anything
         self.fault = message
         self.message = f"{self.slug}: {message}" if self.slug else message
         super().__init__(self.message)

@@ -24,6 +24,7 @@ from zensim.deploy.robot_checks import (
 from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.proto.printable_text import print_lines
 from zensim.sim_server.physics.engine_config import (
     EngineName,
     EngineOptions,
@@ -132,7 +133,7 @@ def check(given: CheckOptions) -> None:
         done = count(1)
 
         def show(row: CheckRow) -> None:
-            typer.echo(f"{next(done)}/{total} {row.name} ({row.engine}): {row.verdict}", err=True)
+            print_lines(f"{next(done)}/{total} {row.name} ({row.engine}): {row.verdict}", err=True)
 
         rows = run_checks(
             requests,
@@ -195,8 +196,8 @@ def _choose_engines(word: str) -> list[str]:
 
 def _print_rows(rows: Sequence[CheckRow], given: CheckOptions) -> None:
     if given.as_json:
-        typer.echo(json.dumps(to_json(rows)))
+        print_lines(json.dumps(to_json(rows)))
     elif given.as_markdown:
-        typer.echo(format_markdown(rows), nl=False)
+        print_lines(format_markdown(rows), nl=False)
     else:
-        typer.echo("\n".join(format_table(rows)))
+        print_lines("\n".join(format_table(rows)))

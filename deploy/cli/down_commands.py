@@ -10,6 +10,7 @@ from zensim.deploy.local_runs import LocalRun, end_run, list_runs
 from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.printable_text import print_lines
 
 app = make_app()
 
@@ -47,9 +48,9 @@ def down(
             if not end_run(run):
                 raise StillRuns(f"process {run.process_id} at {run.endpoint} has not ended")
             if not as_json:
-                typer.echo(f"ended {_name(run)}")
+                print_lines(f"ended {_name(run)}")
     if as_json:
-        typer.echo(msgspec.json.encode(runs).decode())
+        print_lines(msgspec.json.encode(runs).decode())
 
 
 def choose_runs(runs: Sequence[LocalRun], listen: str, *, everything: bool) -> list[LocalRun]:

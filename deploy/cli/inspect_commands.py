@@ -18,6 +18,7 @@ from zensim.proto.cli_options import (
     expand_options,
 )
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.proto.printable_text import print_lines
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 from zensim.spawner.cli.world_commands import app
 
@@ -71,11 +72,11 @@ def inspect_worlds(given: InspectOptions) -> None:
     with exit_on_failure("world inspect", MissingServerExtra):
         found = _inspect(given)
     if given.as_json:
-        typer.echo(json.dumps([_to_json(one) for one in found]))
+        print_lines(json.dumps([_to_json(one) for one in found]))
     elif len(found) == 1:
-        typer.echo("\n".join(format_world(found[0])))
+        print_lines("\n".join(format_world(found[0])))
     else:
-        typer.echo("\n".join(format_table(found)))
+        print_lines("\n".join(format_table(found)))
     if any(one.fault for one in found):
         raise typer.Exit(ExitCode.FAILED)
 

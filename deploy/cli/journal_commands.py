@@ -9,6 +9,7 @@ import typer
 
 from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.printable_text import print_lines
 from zensim.sim_server.journal.sqlite_store import FILES, JournalError, open_store_read_only
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 
@@ -70,9 +71,9 @@ def journal(
             if action is JournalAction.VERIFY and contents is not None:
                 damaged = find_damaged_files(contents, folder / FILES)
         if action is JournalAction.EXPORT or as_json:
-            typer.echo(json.dumps(output, indent=None if as_json else 2))
+            print_lines(json.dumps(output, indent=None if as_json else 2))
         elif action is JournalAction.SHOW:
-            typer.echo(format_summary(summary))
+            print_lines(format_summary(summary))
         else:
             _report(action, folder, summary, damaged)
         if action is not JournalAction.SHOW and store.loss:
@@ -99,4 +100,4 @@ def _report(
             "restore them from a copy, or a server sets their entities aside"
         )
     what = "copied" if action is JournalAction.BACKUP else "intact"
-    typer.echo(f"{folder}: {what}, up to change {summary['position']}")
+    print_lines(f"{folder}: {what}, up to change {summary['position']}")

@@ -11,6 +11,7 @@ from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.model_messages import Model
+from zensim.proto.printable_text import print_lines
 from zensim.sim_server.errors import ModelError, SimError
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 from zensim.spawner.cli.spawn_arguments import (
@@ -60,10 +61,10 @@ def print_model(given: ModelOptions) -> None:
 
         elements = count_elements(parse_description(text))
         if given.as_json:
-            typer.echo(json.dumps({"written": elements._asdict(), **model_to_json(parsed)}))
+            print_lines(json.dumps({"written": elements._asdict(), **model_to_json(parsed)}))
         else:
-            typer.echo(format_model_tree(parsed))
-            typer.echo(f"written: {elements.links} links, {elements.joints} joints")
+            print_lines(format_model_tree(parsed))
+            print_lines(f"written: {elements.links} links, {elements.joints} joints")
 
 
 def _read_model(given: ModelOptions) -> tuple[str, Model]:

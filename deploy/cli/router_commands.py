@@ -10,6 +10,7 @@ from zensim.proto.bus import BusConfig, open_bus, to_zenoh_json
 from zensim.proto.cli_options import InsecureOption, JsonOption, expand_options, flag, make_app
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_exposure
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.printable_text import print_lines
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.verbosity import print_announcement
 from zensim.sim_server.security.router_process import run_secured_router
@@ -59,7 +60,7 @@ def router(
     with exit_on_failure("router"):
         check_exposure("zensim serve", config.listen, is_secure=False, is_insecure=insecure)
         if print_config:
-            typer.echo(to_zenoh_json(config))
+            print_lines(to_zenoh_json(config))
             return
         stop = StopFlag()
         with open_bus(config) as bus:

@@ -10,6 +10,7 @@ import typer
 
 from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT
 from zensim.scenario.scenario_nodes import Issue, ScenarioInvalid
 from zensim.scenario.scenario_reader import (
@@ -68,13 +69,13 @@ def check(given: ScenarioCheckOptions) -> None:
                 scenario = read_scenario(file, given.settings or ())
                 issues += _check_models(scenario) if given.models else ()
     if given.as_json:
-        typer.echo(json.dumps([_to_json(issue) for issue in issues]))
+        print_lines(json.dumps([_to_json(issue) for issue in issues]))
     for issue in () if given.as_json else issues:
-        typer.echo(str(issue))
+        print_lines(str(issue))
     if issues:
         raise typer.Exit(ExitCode.USAGE)
     if not given.as_json:
-        typer.echo(f"{len(given.files)} checked, no mistakes", err=True)
+        print_lines(f"{len(given.files)} checked, no mistakes", err=True)
 
 
 def _check_models(scenario: Scenario) -> tuple[Issue, ...]:
@@ -108,7 +109,7 @@ def _to_json(issue: Issue) -> dict[str, object]:
 def schema(*, as_json: JsonOption = False) -> None:
     """Print the JSON Schema of scenario files, for editors; with --json in one line."""
     text = format_schema()
-    typer.echo(json.dumps(json.loads(text)) if as_json else text.rstrip())
+    print_lines(json.dumps(json.loads(text)) if as_json else text.rstrip())
 
 
 @app.command(name="list")
@@ -117,7 +118,7 @@ def list_shipped(*, as_json: JsonOption = False) -> None:
     """List the shipped scenarios with their files."""
     files = {name: str(SHIPPED / name) + SUFFIXES[0] for name in list_shipped_scenarios()}
     if as_json:
-        typer.echo(json.dumps([{"name": name, "file": file} for name, file in files.items()]))
+        print_lines(json.dumps([{"name": name, "file": file} for name, file in files.items()]))
         return
     for name, file in files.items():
-        typer.echo(name if CURRENT.is_quiet else f"{name}  {file}")
+        print_lines(name if CURRENT.is_quiet else f"{name}  {file}")

@@ -15,6 +15,7 @@ from zensim.deploy.scenario_process import RunRequest, run_all
 from zensim.deploy.scenario_report import format_markdown, format_run, to_json, to_junit
 from zensim.proto.cli_options import expand_options, flag, make_app
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.proto.printable_text import print_lines
 from zensim.scenario.scenario_nodes import Issue
 from zensim.scenario.scenario_reader import (
     SUFFIXES,
@@ -116,7 +117,7 @@ def _read_all(files: Sequence[str], given: ScenarioTestOptions) -> list[Scenario
             scenarios.append(read_scenario(file, given.settings or ()))
     if issues:
         for issue in issues:
-            typer.echo(str(issue), err=True)
+            print_lines(str(issue), err=True)
         raise typer.Exit(ExitCode.USAGE)
     chosen = [one for one in scenarios if given.select in one.name]
     if not chosen:
@@ -141,7 +142,7 @@ def _show(done: list[RunReport], given: ScenarioTestOptions) -> Callable[[RunRep
     def show(run: RunReport) -> None:
         done.append(run)
         if not given.is_quiet or not run.is_passed:
-            typer.echo("\n".join(format_run(run)))
+            print_lines("\n".join(format_run(run)))
 
     return show
 
@@ -156,7 +157,7 @@ def _compare_repeats(runs: Sequence[RunReport], count: int) -> list[RunReport]:
         hashes = {run.state_hash for run in own}
         if len(hashes) > 1:
             failure = f"not deterministic: {len(own)} runs ended in {len(hashes)} states"
-            typer.echo(f"{own[0].name}: {failure}")
+            print_lines(f"{own[0].name}: {failure}")
             own = [msgspec.structs.replace(run, error=run.error or failure) for run in own]
         found += own
     return found

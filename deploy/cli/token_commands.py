@@ -12,6 +12,7 @@ import typer
 from zensim.proto.bus import BusConfig, Credentials, list_client_settings
 from zensim.proto.cli_options import JsonOption, WorldNameOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import ROLES, RefusedUser, User
 from zensim.sim_server.security.secure_folder import (
     Account,
@@ -85,7 +86,7 @@ def create(given: CreateOptions) -> None:
         account = folder.add([user], parse_ttl(given.ttl))[0]
         token = folder.make_token(account, given.host).write()
         facts = {"user": user.name, "role": user.role, "robots": robots, "token": token}
-        typer.echo(json.dumps(facts) if given.as_json else token)
+        print_lines(json.dumps(facts) if given.as_json else token)
 
 
 @app.command(
@@ -99,11 +100,11 @@ def list_users(*, world_name: WorldNameOption = "default", as_json: JsonOption =
     with exit_on_failure("token list"):
         accounts = open_secure_folder(world_name).accounts().values()
         if as_json:
-            typer.echo(json.dumps([_describe(account) for account in accounts]))
+            print_lines(json.dumps([_describe(account) for account in accounts]))
             return
         for account in accounts:
             user, robots = account.user, ", ".join(account.user.robots) or "-"
-            typer.echo(f"{user.name:<20} {user.role:<10} {robots:<20} {_format_end(account)}")
+            print_lines(f"{user.name:<20} {user.role:<10} {robots:<20} {_format_end(account)}")
 
 
 @app.command(
@@ -118,7 +119,7 @@ def revoke(
     with exit_on_failure("token revoke"):
         open_secure_folder(world_name).revoke(user)
         if as_json:
-            typer.echo(json.dumps({"user": user}))
+            print_lines(json.dumps({"user": user}))
 
 
 @app.command(
@@ -151,7 +152,7 @@ def show(
         if account is None:
             raise RefusedUser(f"user {user[:64]!r} does not exist; 'zensim token list' lists all")
         text = write_settings(folder, account, form, host)
-        typer.echo(json.dumps({"user": user, form: text}) if as_json else text)
+        print_lines(json.dumps({"user": user, form: text}) if as_json else text)
 
 
 def choose_user_name(folder: SecureFolder, role: str, robots: tuple[str, ...]) -> str:

@@ -14,7 +14,6 @@ from typing import Annotated
 
 import msgspec
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from zensim.api.local_deployment import (
@@ -57,6 +56,7 @@ from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_exposure, with_free_port
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
+from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import ROLES, User
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied, SupervisedProgram, Supervisor
@@ -71,6 +71,7 @@ from zensim.sim_server.security.secure_folder import (
     to_secure_endpoint,
 )
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
+from zensim.spawner.cli.command_session import PrintableConsole
 from zensim.spawner.cli.spawn_arguments import (
     ControllersOption,
     DriveOption,
@@ -84,7 +85,7 @@ from zensim.spawner.spawn.spawn_poses import LAYOUTS, RobotPlacement
 
 app = make_app()
 
-console = Console(stderr=True)
+console = PrintableConsole(stderr=True)
 DriverMaker = Callable[[LocalDeployment], FleetDemo | ScenarioDriver]
 MAX_AGENT_PROCESSES = 20
 """Default limit of one agent process per robot; each takes 40 MB."""
@@ -266,7 +267,7 @@ def _list_written(context: typer.Context, given: UpOptions) -> dict[str, object]
 
 def _make_scenario_driver(scenario: Scenario, deployment: LocalDeployment) -> ScenarioDriver:
     def warn(check: CheckResult) -> None:
-        typer.echo(f"check failed: {check.name}: {check.message} ({check.place})", err=True)
+        print_lines(f"check failed: {check.name}: {check.message} ({check.place})", err=True)
 
     driver = ScenarioDriver(deployment, scenario, warn)
     return driver
@@ -277,7 +278,7 @@ def _make_demo(
 ) -> FleetDemo:
     demo = make_demo(deployment, behaviour)
     if not is_quiet:
-        typer.echo(describe_demo(behaviour))
+        print_lines(describe_demo(behaviour))
     return demo
 
 
@@ -458,12 +459,12 @@ def _print_ready(deployment: LocalDeployment, names: Sequence[str], *, as_json: 
     if config.client_endpoint != (config.connect or config.endpoint) and not config.join_addresses:
         elsewhere = config.client_endpoint.replace("127.0.0.1", socket.gethostname())
         lines["elsewhere"] = f"--connect {elsewhere.replace('[::1]', socket.gethostname())}"
-    typer.echo(f"{len(names)} robots ready in {deployment.ready_s:.1f} s")
+    print_lines(f"{len(names)} robots ready in {deployment.ready_s:.1f} s")
     for word, line in lines.items():
-        typer.echo(f"  {word:<10} {line}")
+        print_lines(f"  {word:<10} {line}")
     if config.join_addresses:
         print_tokens(open_secure_folder(config.world_name))
-    typer.echo("Ctrl-C or 'zensim down' to stop.")
+    print_lines("Ctrl-C or 'zensim down' to stop.")
 
 
 def _make_client_options(config: LaunchConfig) -> str:
@@ -489,14 +490,14 @@ def _print_summary(deployment: LocalDeployment, *, as_json: bool) -> None:
     if as_json:
         _print_json(figures)
     else:
-        typer.echo(f"real-time factor {figures['real_time_factor']:.3f}", err=True)
+        print_lines(f"real-time factor {figures['real_time_factor']:.3f}", err=True)
 
 
 def _print_json(figures: object) -> None:
-    typer.echo(msgspec.json.encode(figures).decode())
+    print_lines(msgspec.json.encode(figures).decode())
     sys.stdout.flush()
 
 
 def _print_restart(program: SupervisedProgram, status: int) -> None:
     fate = "restarting it" if isfinite(program.restart_at_s) else "it is not started again"
-    typer.echo(f"zensim up: {program.name} exited with status {status}; {fate}", err=True)
+    print_lines(f"zensim up: {program.name} exited with status {status}; {fate}", err=True)

@@ -4,9 +4,8 @@ import platform
 import sys
 from importlib.metadata import PackageNotFoundError, version
 
-import typer
-
 from zensim.proto.cli_options import JsonOption, expand_options, make_app
+from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT
 from zensim.spawner.cli.command_session import print_json
 
@@ -26,10 +25,10 @@ def print_versions(*, as_json: JsonOption = False) -> None:
     if as_json:
         print_json(versions)
     elif CURRENT.is_quiet:
-        typer.echo(versions["zensim"])
+        print_lines(versions["zensim"])
     else:
         for name, found in versions.items():
-            typer.echo(f"{name:<14} {found}")
+            print_lines(f"{name:<14} {found}")
 
 
 def find_version(package: str) -> str:

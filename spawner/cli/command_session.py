@@ -3,18 +3,20 @@
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from zensim.proto.bus import BusConfig, open_bus
 from zensim.proto.cli_options import ClientOptions, ConnectionOptions
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure, list_expected_failures
 from zensim.proto.names import check_name
+from zensim.proto.printable_text import print_lines, printable_lines
 from zensim.proto.verbosity import configure_logging
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.client.topic_discovery import list_topics
@@ -86,21 +88,31 @@ EntityName = Annotated[
 ]
 
 
-progress_console = Console(stderr=True)
+class PrintableConsole(Console):
+    """A console that prints no control characters of texts."""
+
+    def render_str(self, text: str, **options: Any) -> Text:  # noqa: ANN401  as rich does
+        """Convert a text, such as the cell of a table."""
+        return super().render_str(printable_lines(text), **options)
+
+
+progress_console = PrintableConsole(stderr=True)
 """For progress bars and notes, which must not mix with data."""
-data_console = Console(soft_wrap=True, markup=False)
+data_console = PrintableConsole(soft_wrap=True, markup=False)
 
 
 def print_json(value: object) -> None:
     """Print a value as one line of JSON to standard output."""
-    typer.echo(msgspec.json.encode(value).decode())
+    print_lines(msgspec.json.encode(value).decode())
 
 
 def print_table(table: Table) -> None:
     """Print a table to standard output; not wrapped unless that is a terminal."""
     is_bounded = data_console.is_terminal
     console = (
-        data_console if is_bounded else Console(soft_wrap=True, markup=False, width=MAX_LINE_WIDTH)
+        data_console
+        if is_bounded
+        else PrintableConsole(soft_wrap=True, markup=False, width=MAX_LINE_WIDTH)
     )
     console.print(table)
 

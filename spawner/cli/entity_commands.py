@@ -27,6 +27,7 @@ from zensim.proto.exit_codes import ExitCode, choose_exit_code, exit_on_failure,
 from zensim.proto.messages.entity_messages import Bounds, BoundsType, EntityFilters
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
+from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT, print_note
 from zensim.spawner.cli.command_session import (
     EntityName,
@@ -204,7 +205,7 @@ def _print_json_rows(listing: EntityListing) -> None:
 def _print_rows(listing: EntityListing) -> None:
     if CURRENT.is_quiet:
         for row in listing.rows:
-            typer.echo(row.name)
+            print_lines(row.name)
         return
     print_table(_make_table(listing))
 
@@ -253,7 +254,7 @@ def inspect(
         return
     drive = (facts["drive"] or {}).get("kind")
     for key, value in {**facts, "drive": drive}.items():
-        typer.echo(f"{key}: {_format_value(value)}")
+        print_lines(f"{key}: {_format_value(value)}")
     print_report(model.report, data_console)
 
 
@@ -377,7 +378,7 @@ def _confirm(count: int) -> None:
     except typer.Abort:
         raise KeyboardInterrupt from None
     if not is_confirmed:
-        typer.echo("nothing was deleted", err=True)
+        print_lines("nothing was deleted", err=True)
         raise typer.Exit(ExitCode.FAILED)
 
 
@@ -392,7 +393,7 @@ def _delete_each(client: SimClient, names: Sequence[str], *, as_json: bool) -> l
         else:
             outcomes.append(DeletionOutcome(name))
             if not as_json:
-                typer.echo(f"deleted {name}")
+                print_lines(f"deleted {name}")
     if as_json:
         print_json(outcomes)
     return failures

@@ -16,6 +16,7 @@ from zensim.proto.messages.entity_messages import (
     EntityInfo,
     TagsFilter,
 )
+from zensim.proto.printable_text import print_lines, printable
 from zensim.proto.verbosity import print_old_spelling
 from zensim.spawner.cli.command_session import EntityName, open_client, print_json
 from zensim.spawner.client.sim_client import SimClient
@@ -139,6 +140,6 @@ def print_info(name: str, info: EntityInfo, *, as_json: bool) -> None:
     if as_json:
         print_json(facts)
         return
-    typer.echo(f"{name}: {facts['category']}")
-    typer.echo(f"  tags         {', '.join(info.tags) or '-'}")
-    typer.echo(f"  description  {info.description or '-'}")
+    print_lines(f"{name}: {facts['category']}")
+    print_lines(f"  tags         {printable(', '.join(info.tags)) or '-'}")
+    print_lines(f"  description  {printable(info.description) or '-'}")

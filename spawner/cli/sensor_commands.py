@@ -21,6 +21,7 @@ from zensim.proto.messages.sensor_messages import (
 )
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse
 from zensim.proto.network_protocols import Sample
+from zensim.proto.printable_text import print_lines
 from zensim.proto.sensor_libraries import find_advice
 from zensim.proto.sensor_schedule import find_true_rate_hz
 from zensim.proto.topic_catalog import SENSOR_STATS, TOPICS
@@ -82,17 +83,17 @@ def _show(command: str, server: ClientOptions, *, as_json: bool) -> None:
     print_table(_make_table(rows))
     for one in stats:
         state = "active" if one.is_active else "idle"
-        typer.echo(
+        print_lines(
             f"{one.process}: {state}, {one.messages} messages, {one.late} late, "
             f"{one.cpu_s:.1f} s CPU"
         )
         for library, fault in one.missing.items():
-            typer.echo(f"{one.process}: no {library}: {fault}; {find_advice(library)}")
+            print_lines(f"{one.process}: no {library}: {fault}; {find_advice(library)}")
     for row in rows:
         if row.fault:
-            typer.echo(f"{row.entity} {row.sensor}: {row.fault}")
+            print_lines(f"{row.entity} {row.sensor}: {row.fault}")
     if not stats and count_sensors_of_processes(models):
-        typer.echo("no sensor process; start one: 'zensim sensors run'")
+        print_lines("no sensor process; start one: 'zensim sensors run'")
 
 
 def fetch_sensor_stats(bus: Bus, world: str) -> list[SensorStats]:

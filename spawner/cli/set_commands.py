@@ -1,10 +1,10 @@
 """`zensim set`: change pose, velocity, category, tags or description of an entity."""
 
 import msgspec
-import typer
 
 from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.printable_text import print_lines
 from zensim.spawner.cli.command_session import EntityName, open_client, print_json
 from zensim.spawner.cli.info_commands import (
     NewInfoOptions,
@@ -55,6 +55,6 @@ def set_entity(
         print_json({"entity": name, **facts})
         return
     if new_state is not None:
-        typer.echo("\n".join(format_state(name, new_state)))
+        print_lines("\n".join(format_state(name, new_state)))
     if new_info is not None:
         print_info(name, new_info, as_json=False)

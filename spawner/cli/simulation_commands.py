@@ -11,6 +11,7 @@ from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, 
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import print_note, print_old_spelling
 from zensim.spawner.cli.command_session import open_client, print_json
 from zensim.spawner.cli.terminal_output import step_progress
@@ -85,7 +86,7 @@ def _set_state(client: SimClient, state: State, *, as_json: bool) -> None:
     if as_json:
         print_json({"state": name, "sim_time_s": sim_time_s})
     else:
-        typer.echo(f"{name} at {sim_time_s:.3f} s")
+        print_lines(f"{name} at {sim_time_s:.3f} s")
 
 
 @app.command()
@@ -110,7 +111,7 @@ def reset(
         print_json({"sim_time_s": info.sim_time_s, "epoch": info.epoch, "deleted": deleted})
         return
     fate = f", {deleted} entities deleted" if deleted else ""
-    typer.echo(f"reset: time {info.sim_time_s:.3f} s, epoch {info.epoch}{fate}")
+    print_lines(f"reset: time {info.sim_time_s:.3f} s, epoch {info.epoch}{fate}")
 
 
 @app.command()
@@ -129,7 +130,7 @@ def features(*, as_json: JsonOption = False, server: ClientOptions) -> None:
             }
         )
         return
-    typer.echo("\n".join(names))
+    print_lines("\n".join(names))
     print_note("features", f"spawn formats: {', '.join(reply.spawn_formats)}; {reply.custom_info}")
 
 
@@ -210,7 +211,7 @@ def _set_factor(verb: str, factor: float | None, server: ClientOptions, *, as_js
         print_json({"target_real_time_factor": target, "real_time_factor": measured})
         return
     goal = f"{target:g}" if target else "as fast as possible"
-    typer.echo(f"real-time factor {measured:.3f}, target {goal}")
+    print_lines(f"real-time factor {measured:.3f}, target {goal}")
 
 
 def _simulate_steps(verb: str, client: SimClient, steps: int) -> int:
@@ -224,7 +225,7 @@ def _simulate_steps(verb: str, client: SimClient, steps: int) -> int:
             if interrupt.completed_steps is None
             else f"canceled after {interrupt.completed_steps} of {steps} steps"
         )
-        typer.echo(f"zensim {verb}: {result}", err=True)
+        print_lines(f"zensim {verb}: {result}", err=True)
         raise
     if response.result.error_message:
         print_note(verb, response.result.error_message)
@@ -236,7 +237,7 @@ def _print_steps(client: SimClient, completed: int, *, as_json: bool) -> None:
     if as_json:
         print_json({"steps": completed, "sim_time_s": sim_time_s})
     else:
-        typer.echo(f"{completed} steps, now {sim_time_s:.3f} s")
+        print_lines(f"{completed} steps, now {sim_time_s:.3f} s")
 
 
 def _to_nanoseconds(time_s: float) -> int:

@@ -17,6 +17,7 @@ from zensim.proto.messages.spawn_messages import (
     SpawnEntityOrder,
     SpawnEntityReport,
 )
+from zensim.proto.printable_text import print_lines
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.verbosity import CURRENT, print_note
 from zensim.spawner.cli.command_session import data_console, open_client, print_json
@@ -148,10 +149,10 @@ def _print_report(report: SpawnEntityReport, given: SpawnOptions) -> None:
         print_json(report)
         return
     if CURRENT.is_quiet:
-        typer.echo(report.entity_name)
+        print_lines(report.entity_name)
         return
     verb = "would spawn" if given.dry_run else "spawned"
-    typer.echo(f"{verb} {report.entity_name} under {report.entity_namespace}/")
+    print_lines(f"{verb} {report.entity_name} under {report.entity_namespace}/")
     print_report(report.report, data_console)
 
 
@@ -159,7 +160,7 @@ def _print_warnings(report: SpawnEntityReport) -> None:
     """Print what is wrong to standard error, where a redirected table is not seen."""
     for entry in report.report:
         if entry.status in ("suspicious", "predicted"):
-            typer.echo(f"zensim spawn: warning: {entry.subject}: {entry.reason}", err=True)
+            print_lines(f"zensim spawn: warning: {entry.subject}: {entry.reason}", err=True)
 
 
 def _unpause(client: SimClient) -> None:
@@ -172,11 +173,11 @@ def _unpause(client: SimClient) -> None:
 
 def _hold_until_stopped(client: SimClient, entity: str) -> None:
     stop = StopFlag()
-    typer.echo(
+    print_lines(
         f"zensim spawn: {entity} is deleted when this command ends; Ctrl-C to exit", err=True
     )
     was_there = hold_bond(client, entity, stop)
-    typer.echo(
+    print_lines(
         f"deleted {entity}" if was_there else f"{entity} was deleted by another client", err=True
     )
 
@@ -220,12 +221,12 @@ def _print_outcomes(outcomes: list[SpawnOutcome], *, as_json: bool) -> None:
     if as_json:
         print_json(outcomes)
     elif CURRENT.is_quiet:
-        typer.echo("\n".join(one.name for one in outcomes if one.code == ResultCode.OK))
+        print_lines("\n".join(one.name for one in outcomes if one.code == ResultCode.OK))
     else:
-        typer.echo(f"spawned {len(outcomes) - len(refused)} of {len(outcomes)}")
+        print_lines(f"spawned {len(outcomes) - len(refused)} of {len(outcomes)}")
     # The others are refused only because of these.
     causes = [outcome for outcome in refused if NOT_SPAWNED_PREFIX not in outcome.message]
     for outcome in causes:
-        typer.echo(f"zensim fleet: {outcome.name}: {to_cli_words(outcome.message)}", err=True)
+        print_lines(f"zensim fleet: {outcome.name}: {to_cli_words(outcome.message)}", err=True)
     if refused:
         raise typer.Exit(ExitCode.FAILED if len(refused) == len(outcomes) else ExitCode.PARTIAL)

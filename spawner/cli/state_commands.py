@@ -20,6 +20,7 @@ from zensim.proto.messages.standard_messages import (
     Vector3,
     ns_from_time,
 )
+from zensim.proto.printable_text import print_lines
 from zensim.proto.rigid_transforms import to_rpy
 from zensim.proto.verbosity import print_old_spelling
 from zensim.spawner.cli.command_session import EntityName, open_client, print_json
@@ -125,7 +126,7 @@ def print_state(name: str, state: EntityState, *, as_json: bool) -> None:
     if as_json:
         print_json({"entity": name, **msgspec.to_builtins(state)})
     else:
-        typer.echo("\n".join(format_state(name, state)))
+        print_lines("\n".join(format_state(name, state)))
 
 
 def _merge_pose(

@@ -18,6 +18,7 @@ from rich.text import Text
 
 from zensim.proto.messages.model_messages import ReportEntry
 from zensim.proto.messages.simulation_messages import StepsProgress
+from zensim.proto.printable_text import printable
 from zensim.spawner.cli.command_session import progress_console
 
 STATUS_COLOURS = {
@@ -57,7 +58,7 @@ def _make_table(entries: Sequence[ReportEntry]) -> Table:
     table = Table(*REPORT_COLUMNS, box=None, pad_edge=False)
     for entry in entries:
         # As Text: untrusted descriptions must not be parsed as markup.
-        cells = [Text(cell) for cell in (entry.status, entry.subject, entry.reason)]
+        cells = [Text(printable(cell)) for cell in (entry.status, entry.subject, entry.reason)]
         table.add_row(*cells, style=STATUS_COLOURS[entry.status])
     return table
 

@@ -27,6 +27,7 @@ from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.proto.messages.telemetry_messages import GetModelsResponse
 from zensim.proto.network_protocols import Sample
+from zensim.proto.printable_text import print_lines
 from zensim.proto.schema import list_messages
 from zensim.proto.topic_catalog import CMD_VEL, TOPICS, TopicScope
 from zensim.proto.verbosity import print_announcement, print_note
@@ -381,10 +382,10 @@ def _print_sample(sample: Sample, *, as_json: bool) -> None:
     if as_json:
         print_json({"key": sample.key, "message": plain})
         return
-    typer.echo(f"# {sample.key}")
+    print_lines(f"# {sample.key}")
     for line in to_yaml_lines(plain):
-        typer.echo(line)
-    typer.echo("---")
+        print_lines(line)
+    print_lines("---")
 
 
 @app.command(
@@ -448,7 +449,7 @@ def _print_rate(arrivals: list[float], *, as_json: bool) -> None:
     if as_json:
         print_json(figures)
         return
-    typer.echo(
+    print_lines(
         "average rate: {rate_hz:.3f}  min: {min_s:.4f}s  max: {max_s:.4f}s  "
         "std dev: {std_s:.5f}s  window: {window}".format(**figures)
     )

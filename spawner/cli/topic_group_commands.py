@@ -32,6 +32,7 @@ from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
 from zensim.proto.messages.telemetry_messages import GetModelsResponse, WorldClock
 from zensim.proto.network_protocols import Sample
+from zensim.proto.printable_text import print_lines
 from zensim.proto.topic_catalog import CLOCK, ROBOT_TOPICS
 from zensim.proto.verbosity import CURRENT, print_note
 from zensim.spawner.cli.command_session import open_client, print_json, print_table
@@ -83,7 +84,7 @@ def list_command(
     if as_json:
         print_json(topics)
     elif CURRENT.is_quiet:
-        typer.echo("\n".join(one.key for one in topics))
+        print_lines("\n".join(one.key for one in topics))
     else:
         table = Table("topic", "type", box=None)
         for title in ("publishers", "subscriptions"):
@@ -112,11 +113,11 @@ def info_command(
     if as_json:
         print_json(found)
         return
-    typer.echo(f"Type: {found.ros_type}")
+    print_lines(f"Type: {found.ros_type}")
     for title, ends in (("Publisher", found.publishers), ("Subscription", found.subscriptions)):
-        typer.echo(f"{title} count: {len(ends)}")
+        print_lines(f"{title} count: {len(ends)}")
         for one in ends if verbose else ():
-            typer.echo(_format_endpoint(one))
+            print_lines(_format_endpoint(one))
 
 
 def _format_endpoint(one: TopicEndpoint) -> str:
@@ -176,7 +177,7 @@ def _print_bandwidth(arrivals: list[tuple[float, int]], *, as_json: bool) -> Non
     if as_json:
         print_json(figures)
         return
-    typer.echo(
+    print_lines(
         f"{figures['bytes_per_s'] / KILO:.2f} kB/s from {len(sizes)} messages; message size: mean "
         f"{figures['mean_bytes']:.0f} B, min {min(sizes)} B, max {max(sizes)} B"
     )
@@ -239,7 +240,7 @@ def _print_delays(delays: list[float], *, as_json: bool) -> None:
     if as_json:
         print_json(figures)
         return
-    typer.echo(
+    print_lines(
         "average delay: {mean_s:.3f}  min: {min_s:.3f}s  max: {max_s:.3f}s  "
         "std dev: {std_s:.5f}s  window: {window}".format(**figures)
     )

@@ -20,6 +20,7 @@ from zensim.proto.cli_options import ConnectionOptions, JsonOption, expand_optio
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, Exposed, is_loopback, is_port_taken
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
+from zensim.proto.printable_text import print_lines
 from zensim.proto.stop_signal import StopFlag
 
 app = make_app()
@@ -101,7 +102,7 @@ def view(
 
     def announce(page_port: int) -> None:
         url = make_page_url(host, page_port, token, has_tls=certificate is not None)
-        typer.echo(json.dumps({"viewer": url}) if as_json else f"viewer {url}")
+        print_lines(json.dumps({"viewer": url}) if as_json else f"viewer {url}")
         if open_page:
             webbrowser.open(url)
 

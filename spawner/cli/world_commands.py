@@ -21,6 +21,7 @@ from zensim.proto.cli_options import (
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.entity_messages import TagsFilter
 from zensim.proto.messages.world_messages import WorldResource
+from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT
 from zensim.spawner.cli.command_session import (
     complete_world_names,
@@ -78,7 +79,7 @@ def load_world(
         print_json(reply)
         return
     fate = f"{before} entities deleted; " if before else ""
-    typer.echo(f"loaded {_label_world(reply.world)}; {fate}start it with 'zensim play'")
+    print_lines(f"loaded {_label_world(reply.world)}; {fate}start it with 'zensim play'")
     print_report(reply.report, data_console)
 
 
@@ -108,7 +109,7 @@ def list_worlds(*, as_json: JsonOption = False, server: ClientOptions) -> None:
     if as_json:
         print_json(worlds)
     elif CURRENT.is_quiet:
-        typer.echo("\n".join(map(_label_world, worlds)))
+        print_lines("\n".join(map(_label_world, worlds)))
     else:
         print_table(_make_table(worlds))
 
@@ -122,7 +123,7 @@ def current_world(*, as_json: JsonOption = False, server: ClientOptions) -> None
     if as_json:
         print_json(world)
     else:
-        typer.echo(_label_world(world))
+        print_lines(_label_world(world))
 
 
 @app.command("poses")
@@ -160,7 +161,7 @@ def unload_world(*, as_json: JsonOption = False, server: ClientOptions) -> None:
     if as_json:
         print_json({"deleted": before})
     else:
-        typer.echo(f"unloaded; {before} entities deleted" if before else "unloaded")
+        print_lines(f"unloaded; {before} entities deleted" if before else "unloaded")
 
 
 def _label_world(world: WorldResource) -> str:

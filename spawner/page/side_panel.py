@@ -4,6 +4,7 @@ from html import escape
 from typing import Final, Literal, get_args
 
 from zensim.proto.messages.telemetry_messages import EntityModel
+from zensim.proto.printable_text import printable
 from zensim.spawner.page.model_visuals import Array
 from zensim.spawner.page.render_state import LastCommand, SimulationStatus, format_pose
 
@@ -27,7 +28,10 @@ def make_status_html(status: SimulationStatus) -> str:
     malformed = [("Malformed sensor messages", f"{status.malformed}")] if status.malformed else []
     return _make_table(
         [
-            ("State", f'<span style="color:{colour}">&#9679;</span> {escape(status.state)}'),
+            (
+                "State",
+                f'<span style="color:{colour}">&#9679;</span> {escape(printable(status.state))}',
+            ),
             ("Simulation time", format_clock(status.sim_time_s)),
             ("Real-time factor", f"{status.real_time_factor:.2f}"),
             ("Robots", robots),
@@ -41,7 +45,7 @@ def make_robot_html(member: EntityModel, state: Array, command: LastCommand | No
     pose, speed = format_pose(state)
     return _make_table(
         [
-            ("Namespace", escape(member.namespace)),
+            ("Namespace", escape(printable(member.namespace))),
             ("Pose", pose),
             ("Speed", speed),
             ("Command", format_command(command)),

@@ -12,6 +12,8 @@ MAX_FILE_BYTES = 1_000_000
 # Split, so that this file does not match itself.
 POSTPONED = re.compile(r"\b(?:TO" r"DO|FIX" r"ME|XX" r"X)\b")
 SKIPPED = re.compile(r"\bpytest\.(?:mark\.)?(?:sk" r"ip|xf" r"ail)")
+RAW_OUTPUT = re.compile(r"\btyper\.s?echo\(|\bsys\.std(?:out|err)\.write\(|[ =(]Console\(")
+PRINTS_OWN_TEXT = ("proto/schema.py",)
 SECRET = re.compile(
     r"-----BEGIN [A-Z ]*PRIVATE KEY-----"
     r"|\bAKIA[0-9A-Z]{16}\b"
@@ -56,6 +58,19 @@ def test_no_file_contains_todo_marks() -> None:
 
 def test_no_test_is_skipped() -> None:
     assert lines_that_match(SKIPPED) == []
+
+
+def test_commands_print_through_what_escapes_control_characters() -> None:
+    sources = [path for path in python_files() if path.relative_to(ROOT).parts[0] in PACKAGES]
+
+    found = [
+        f"{shown(path)}:{number}"
+        for path in sources
+        for number, line in enumerate(text_of(path).splitlines(), start=1)
+        if RAW_OUTPUT.search(line) and shown(path) not in PRINTS_OWN_TEXT
+    ]
+
+    assert found == []
 
 
 def test_no_file_contains_a_secret() -> None:
