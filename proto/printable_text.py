@@ -1,22 +1,15 @@
 """Text that people read: without control characters, whatever a description or a name contains."""
 
 import logging
-import re
 import sys
 from typing import Final
 
-INVISIBLE: Final = (
-    "\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
-    "\ud800-\udfff\U000e0000-\U000e007f"
-)
-"""C1 controls, invisible characters, those that change the direction of text, and surrogates."""
-CONTROL: Final = re.compile(f"[\x00-\x1f{INVISIBLE}]")
-CONTROL_IN_LINES: Final = re.compile(f"[\x00-\x08\x0b-\x1f{INVISIBLE}]")
+LAYOUT: Final = "\n\t"
 
 
 def printable(text: str) -> str:
-    r"""Write control characters as `\u001b`, also those that end a line."""
-    return text if text.isprintable() else CONTROL.sub(_escape, text)
+    r"""Write control characters, and others that are not visible, as `\u001b`; also line ends."""
+    return text if text.isprintable() else "".join(map(_escape, text))
 
 
 def printable_lines(text: str) -> str:
@@ -24,7 +17,9 @@ def printable_lines(text: str) -> str:
 
     JSON remains the same JSON.
     """
-    return text if text.isprintable() else CONTROL_IN_LINES.sub(_escape, text)
+    if text.isprintable():
+        return text
+    return "".join(one if one in LAYOUT else _escape(one) for one in text)
 
 
 def print_lines(text: object = "", *, err: bool = False, nl: bool = True) -> None:
@@ -47,7 +42,9 @@ class PrintableFormatter(logging.Formatter):
         return printable_lines(super().format(record))
 
 
-def _escape(found: "re.Match[str]") -> str:
-    units = found[0].encode("utf-16-be", "surrogatepass")
+def _escape(letter: str) -> str:
+    if letter.isprintable():
+        return letter
+    units = letter.encode("utf-16-be", "surrogatepass")
     pairs = (units[index : index + 2] for index in range(0, len(units), 2))
     return "".join(f"\\u{pair.hex()}" for pair in pairs)
