@@ -36,12 +36,22 @@ def find_public_name(name: str) -> object:
 
     Raises:
         AttributeError: It is no public name.
+        ModuleNotFoundError: It needs a package of the extra `server`, which is not installed.
     """
     if name == "__version__":
         return import_module("importlib.metadata").version("zensim")
     if (module := _MODULE_OF.get(name)) is None:
         raise AttributeError(f"module 'zensim' has no attribute {name!r}")
-    return getattr(import_module(module), name)
+    try:
+        return getattr(import_module(module), name)
+    except ModuleNotFoundError as error:
+        if (error.name or "zensim").startswith("zensim"):
+            raise
+        raise ModuleNotFoundError(
+            f"zensim.{name} needs {error.name}, which is not installed; use "
+            "pip install 'zensim[server]'",
+            name=error.name,
+        ) from error
 
 
 def list_public_names() -> list[str]:

@@ -24,6 +24,7 @@ from zensim.scenario.scenario_reader import (
     read_scenario,
 )
 from zensim.scenario.scenario_runner import RunReport
+from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 
 app = make_app()
 
@@ -83,7 +84,9 @@ def test_scenarios(given: ScenarioTestOptions) -> None:
 
     Exit status: 0 if every run passed, 1 if one did not, 2 if a file has mistakes.
     """
-    with exit_on_failure("test"):
+    with exit_on_failure("test", MissingServerExtra):
+        with server_extra():
+            from zensim.sim_server.description import strict_parsing  # noqa: F401  # for runs
         scenarios = _read_all([*_find_files(given.files)], given)
         requests = [_make_request(one, given) for one in scenarios for _ in range(given.repeat)]
         done: list[RunReport] = []

@@ -60,6 +60,7 @@ def test_help_is_shown_when_no_extra_is_installed() -> None:
         (("serve", "--listen", "tcp/127.0.0.1:0"), "server"),
         (("model", "box_bot"), "server"),
         (("check", "README.md"), "server"),
+        (("test", "first_minutes"), "server"),
         (("view",), "viewer"),
     ],
 )
@@ -71,3 +72,9 @@ def test_command_names_the_extra_when_it_is_not_installed(
     assert len(done.stderr.splitlines()) == 1
     assert f"pip install 'zensim[{extra}]'" in done.stderr
     assert done.returncode != 0
+
+
+def test_world_in_process_names_the_extra_when_it_is_not_installed() -> None:
+    done = run("import zensim\nzensim.World()")
+
+    assert "pip install 'zensim[server]'" in done.stderr.splitlines()[-1]
