@@ -5,9 +5,8 @@ import os
 import re
 import secrets
 import webbrowser
-from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -56,37 +55,33 @@ def check_page(port: int) -> None:
         )
 
 
-@app.command(
-    epilog="""Examples:
-  zensim view --open
-  zensim view --host 0.0.0.0 --port 9000 --secure --certificate page.pem --key page.key"""
-)
-@expand_options
-def view(
-    *,
-    host: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="Address to serve the page on.")
-    ] = "127.0.0.1",
+@dataclass(frozen=True, kw_only=True)
+class ViewOptions(ConnectionOptions):
+    """All options of `zensim view`."""
+
+    host: Annotated[str, typer.Option(metavar="ADDRESS", help="Address to serve the page on.")] = (
+        "127.0.0.1"
+    )
     port: Annotated[
         int,
         typer.Option(min=0, max=65535, metavar="PORT", help="TCP port of the page; 0 = any free."),
-    ] = 8080,
+    ] = 8080
     open_page: Annotated[
         bool, typer.Option("--open/--no-open", metavar="", help="Open the page in a browser.")
-    ] = False,
+    ] = False
     secure: Annotated[
         bool, _access("--secure", metavar="", help="Serve only browsers that have the token.")
-    ] = False,
+    ] = False
     insecure: Annotated[
         bool, _access("--insecure", metavar="", help="Serve everybody, also on other hosts.")
-    ] = False,
+    ] = False
     certificate: Annotated[
         Path | None,
         _access("--certificate", metavar="FILE", help="Certificate and chain of HTTPS, PEM."),
-    ] = None,
+    ] = None
     key: Annotated[
         Path | None, _access("--key", metavar="FILE", help="Private key of the certificate, PEM.")
-    ] = None,
+    ] = None
     page_token: Annotated[
         Path | None,
         _access(
@@ -94,43 +89,28 @@ def view(
             metavar="FILE",
             help="File of the token, made if it is missing, so that the page keeps its address.",
         ),
-    ] = None,
-    as_json: JsonOption = False,
-    server: ConnectionOptions,
-) -> None:
+    ] = None
+    as_json: JsonOption = False
+
+
+@app.command(
+    epilog="""Examples:
+  zensim view --open
+  zensim view --host 0.0.0.0 --port 9000 --secure --certificate page.pem --key page.key"""
+)
+@expand_options
+def view(given: ViewOptions) -> None:
     """Serve a web page that shows the world in 3D, until Ctrl-C."""
-
-    def announce(page_port: int) -> None:
-        url = make_page_url(host, page_port, token, has_tls=certificate is not None)
-        print_lines(json.dumps({"viewer": url}) if as_json else f"viewer {url}")
-        if open_page:
-            webbrowser.open(url)
-
     stop = StopFlag()
     with exit_on_failure("view", MissingViewerExtra):
-        check_name(server.world_name, "world")
+        check_name(given.world_name, "world")
         check_page_exposure(
-            host,
-            has_tls=check_certificate(certificate, key),
-            is_secure=secure,
-            is_insecure=insecure,
+            given.host,
+            has_tls=check_certificate(given.certificate, given.key),
+            is_secure=given.secure,
+            is_insecure=given.insecure,
         )
-        token = read_page_token(page_token) if secure else ""
-        files = (str(certificate or ""), str(key or ""))
-        config = BusConfig(connect=(server.connect or DEFAULT_ENDPOINT,))
-        place = PagePlace(host, port, token, files)
-        _serve_page(config, server.world_name, place, announce=announce, stop=stop)
-
-
-@dataclass(frozen=True)
-class PagePlace:
-    """Where a page is served, and for whom."""
-
-    host: str
-    port: int
-    token: str = field(repr=False)
-    tls_files: tuple[str, str]
-    """Certificate and private key; empty = HTTP."""
+        _serve_page(given, read_page_token(given.page_token) if given.secure else "", stop)
 
 
 def check_certificate(certificate: Path | None, key: Path | None) -> bool:
@@ -197,14 +177,7 @@ def make_page_url(host: str, port: int, token: str, *, has_tls: bool) -> str:
     return f"http{'s' if has_tls else ''}://{f'[{name}]' if ':' in name else name}:{port}{query}"
 
 
-def _serve_page(
-    config: BusConfig,
-    world: str,
-    place: PagePlace,
-    *,
-    announce: Callable[[int], None],
-    stop: StopFlag,
-) -> None:
+def _serve_page(given: ViewOptions, token: str, stop: StopFlag) -> None:
     try:
         from zensim.spawner.page.page_server import PageAccess
         from zensim.spawner.page.viewer_loop import Viewer
@@ -215,9 +188,17 @@ def _serve_page(
         raise MissingViewerExtra(
             f"{error.name} is not installed; use pip install 'zensim[viewer]'"
         ) from error
-    access = PageAccess(place.token, *place.tls_files)
-    with open_bus(config) as bus, closing(ViewerPage(place.host, place.port, access)) as page:
-        viewer = Viewer(bus, page, world)
-        announce(page.port)
+    access = PageAccess(token, str(given.certificate or ""), str(given.key or ""))
+    config = BusConfig(connect=(given.connect or DEFAULT_ENDPOINT,))
+    with open_bus(config) as bus, closing(ViewerPage(given.host, given.port, access)) as page:
+        viewer = Viewer(bus, page, given.world_name)
+        _announce(given, page.port, token)
         while not stop.is_set:
             viewer.tick()
+
+
+def _announce(given: ViewOptions, port: int, token: str) -> None:
+    url = make_page_url(given.host, port, token, has_tls=given.certificate is not None)
+    print_lines(json.dumps({"viewer": url}) if given.as_json else f"viewer {url}")
+    if given.open_page:
+        webbrowser.open(url)
