@@ -32,6 +32,7 @@ NAMES = (
     "api",
     "world",
     "world_loading",
+    "scenarios",
     "sensors",
     "casting",
     "state_sensors",

@@ -108,6 +108,20 @@ BROKEN: dict[str, tuple[str, list[tuple[int, int, str]]]] = {
         HEAD + "faults:\n  - {name: f, at: 1, robots: cart0, do: net_loss}\n",
         [(5, 41, "faults[0].do")],
     ),
+    "fault_of_the_server": (
+        HEAD + "faults:\n  - {name: f, at: 1, do: server_kill}\n",
+        [(5, 26, "faults[0].do")],
+    ),
+    "unknown_part_of_a_sensor_fault": (
+        HEAD
+        + "faults:\n  - {name: f, at: 1, robots: cart0, do: sensor_slow, sensor: a, "
+        + "every_nth: 1}\n",
+        [(5, 76, "faults[0].every_nth")],
+    ),
+    "rate_without_limit": (
+        HEAD + "checks:\n  - {name: c, that: rate, topic: cart0/scan}\n",
+        [(5, 5, "checks[0]")],
+    ),
     "fault_without_start": (
         HEAD + "faults:\n  - {name: f, robots: cart0, do: command_loss}\n",
         [(5, 5, "faults[0]")],

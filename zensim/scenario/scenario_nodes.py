@@ -7,6 +7,7 @@ here, by the core schema of YAML 1.2.
 import math
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 
 import msgspec
 import yaml
@@ -28,6 +29,7 @@ WORDS: Mapping[str, bool | float | None] = {
     **dict.fromkeys(("-.inf", "-.Inf", "-.INF"), -math.inf),
     **dict.fromkeys((".nan", ".NaN", ".NAN"), math.nan),
 }
+FIRST_OF_NUMBERS = frozenset("+-.0123456789")
 _INTEGER = re.compile(r"[-+]?[0-9]{1,300}")
 _BASED = re.compile(r"0(?:o[0-7]{1,300}|x[0-9a-fA-F]{1,300})")
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")
@@ -256,10 +258,13 @@ def _measure(parts: list[tuple[ScenarioNode, int, int]]) -> tuple[int, int]:
     return size, 1 + max((part[2] for part in parts), default=0)
 
 
+@lru_cache(maxsize=4096)
 def resolve_scalar(text: str) -> Scalar:
     """Resolve a plain scalar by the core schema of YAML 1.2: `no` is text, `1e3` is a number."""
     if text in WORDS:
         return WORDS[text]
+    if text[0] not in FIRST_OF_NUMBERS:
+        return text
     if _INTEGER.fullmatch(text):
         return int(text)
     if _BASED.fullmatch(text):

@@ -15,6 +15,8 @@ from zensim.scenario.scenario_nodes import Issue, Place, ScenarioNode
 MAX_LISTED = 24
 """Most words that an error lists."""
 PAIR = 2
+OUTSIDE_OF_SCENARIOS = ("net_", "server_")
+"""Beginnings of kinds of faults that chaos tests have."""
 
 _Reader = Callable[[ScenarioNode, Any, str, str], PlainValue]
 
@@ -257,6 +259,11 @@ class TypedReader:
         self.places[f"{path}.{field}"] = tag.place
         if not isinstance(tag.value, str) or tag.value not in by_tag:
             message = _tell_choices(_show(tag), [*by_tag], tag.value)
+            if str(tag.value).startswith(OUTSIDE_OF_SCENARIOS):
+                message = (
+                    f"{_show(tag)} needs root or ends the server, which has no control step then; "
+                    "use `make chaos`, or command_loss, command_delay, sensor_delay"
+                )
             self.refuse(tag.place, f"{path}.{field}", message)
             return None
         return self.read(node, by_tag[tag.value], path)
