@@ -1,6 +1,7 @@
 """Journals of real servers: killed, terminated, out of disk, and inspected."""
 
 import json
+import shutil
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -28,6 +29,7 @@ from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Point, Pose
 from zensim.proto.messages.world_messages import GetCurrentWorldRequest, LoadWorldRequest
 from zensim.proto.service_catalog import GET_CURRENT_WORLD, LOAD_WORLD, SPAWN_ENTITY
+from zensim.sim_server.journal.server_journal import ASSETS
 from zensim.sim_server.journal.sqlite_store import DATABASE
 
 SMALL_BYTES = 1 << 20
@@ -275,3 +277,19 @@ def spawned_until_refused(server: Server) -> ServiceError:
 def spawn_many(server: Server, count: int) -> None:
     for i in range(count):
         server.client.spawn(an_order(f"extra{i}"))
+
+
+def test_server_goes_on_when_its_folder_of_files_is_removed(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    robot_file = str(write_mesh_robot(tmp_path))
+    with serving_with_journal(tmp_path / "j", endpoint) as server:
+        first = server.zensim("spawn", robot_file, "--name", "m0", "-z", "0.5")
+        shutil.rmtree(tmp_path / "j" / ASSETS)
+
+        second = server.zensim("spawn", robot_file, "--name", "m1", "-x", "3", "-z", "0.5")
+
+        assert (first.returncode, second.returncode) == (0, 0), second.stderr
+        assert set(server.client.entities()) == {"m0", "m1"}
+        kill_hard(server)
+    with serving_with_journal(tmp_path / "j", endpoint) as again:
+        assert set(again.client.entities()) == {"m0", "m1"}
