@@ -13,11 +13,12 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import cached_property, partial
 from itertools import cycle
+from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Final, Literal, TypeVar, cast
 
 import msgspec
 import zenoh
-from zenoh.handlers import FifoChannel, RingChannel
+from zenoh.handlers import Callback, FifoChannel, RingChannel
 
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
@@ -117,6 +118,27 @@ class BusSubscription:
         while (sample := self._subscriber.try_recv()) is not None:
             if len(sample.payload) <= self._max_bytes:  # before it is copied
                 yield to_sample(sample)
+
+
+class BusReceiver:
+    """Subscription of a caller that waits for each message."""
+
+    def __init__(
+        self, subscriber: "zenoh.Subscriber[None]", queue: "SimpleQueue[zenoh.Sample]"
+    ) -> None:
+        self._subscriber = subscriber
+        self._queue = queue
+
+    def wait(self, timeout_s: float) -> Sample | None:
+        """Wait for the next message; None if there is none in time."""
+        try:
+            return to_sample(self._queue.get(timeout=max(0.0, timeout_s)))
+        except Empty:
+            return None
+
+    def close(self) -> None:
+        """Undeclare the subscription."""
+        self._subscriber.undeclare()
 
 
 class BusQuery:
@@ -287,6 +309,7 @@ __all__ = [
     "BusPublisher",
     "BusQuery",
     "BusQueryQueue",
+    "BusReceiver",
     "BusSubscription",
     "Credentials",
     "EndpointTaken",
@@ -508,6 +531,15 @@ class Bus:
         """
         declared = self._session.declare_subscriber(_to_key_expression(key), RingChannel(depth))
         return BusSubscription(declared, max_bytes)
+
+    def receive(self, key: str) -> BusReceiver:
+        """Subscribe to a key, for a caller that waits for each message."""
+        queue: SimpleQueue[zenoh.Sample] = SimpleQueue()
+        # Put by the thread of the session: a thread of its own would cost a switch.
+        handler = Callback(queue.put, indirect=False)
+        return BusReceiver(
+            self._session.declare_subscriber(_to_key_expression(key), handler), queue
+        )
 
     def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> BusQueryQueue:
         """Declare a queryable.

@@ -52,6 +52,24 @@ def alive_clients(world: str) -> str:
     return f"sim/{world}/alive/clients/*"
 
 
+def requested_steps(world: str, client: str) -> str:
+    """Topic on which a client requests steps, as `simulate_steps` does."""
+    return f"sim/{world}/clients/{client}/steps"
+
+
+def made_steps(world: str, client: str) -> str:
+    """Topic of the responses to the steps that a client has requested on a topic."""
+    return f"sim/{world}/clients/{client}/made"
+
+
+def parse_stepping_client(key: str) -> str:
+    """Return the client of a topic of requested steps; empty for other keys."""
+    match key.split("/"):
+        case ["sim", _, "clients", client, "steps"]:
+            return client
+    return ""
+
+
 def alive_sensors(world: str, process: str) -> str:
     """Liveliness token of a sensor process."""
     return f"sim/{world}/alive/sensors/{process}"

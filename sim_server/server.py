@@ -25,6 +25,7 @@ from zensim.sim_server.parser_process.parser_client import ParserClient
 from zensim.sim_server.ros2_node.server_node import start_server_node
 from zensim.sim_server.runtime.loop import ServerLoop, request_short_time_slice
 from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
+from zensim.sim_server.runtime.step_topics import StepTopics
 from zensim.sim_server.security.secure_folder import SecureFolder
 from zensim.sim_server.server_config import ServerConfig, WorldAlreadyServed, validate_config
 from zensim.sim_server.world_loading.world_loader import LoadedWorld, make_world_engine
@@ -127,7 +128,10 @@ def _run(
         node = start_server_node(bus, config.ros)
         cleanup.callback(node.close)
         users = SecureFolder(Path(config.secure_folder)) if config.secure_folder else None
-        inbox = BusInbox(bus, config.world, node.sources, is_secured=users is not None)
+        # Rules do not pass these topics, which name no user.
+        steps = () if users is not None else (StepTopics(bus, config.world),)
+        sources = (*node.sources, *steps)
+        inbox = BusInbox(bus, config.world, sources, is_secured=users is not None)
         publisher = BusWorldPublisher(bus, config.world, node.topics, node.on_progress)
         loop = ServerLoop(parts, inbox, publisher, clock, tracker, users)
         cleanup.callback(bus.token(keys.alive_server(config.world)).close)

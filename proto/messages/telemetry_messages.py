@@ -14,6 +14,10 @@ from zensim.proto.messages.world_messages import Scene
 StateName = Literal["stopped", "playing", "paused", "quitting", "no_world", "loading_world"]
 
 
+PROTOCOL = 1
+"""Number of the keys and messages; it changes when older clients would misread newer servers."""
+
+
 class InfoRequest(msgspec.Struct, frozen=True):
     """Get the status of the server."""
 
@@ -45,6 +49,8 @@ class Info(msgspec.Struct, frozen=True):
     seed: UInt64 = 0
     is_lockstep: bool = False
     """Whether every control step waits for the agents; steps of goals always do."""
+    protocol: UInt32 = 0
+    """`PROTOCOL` of the server; 0 = from before there were numbers."""
 
 
 class WorldClock(Clock, frozen=True):

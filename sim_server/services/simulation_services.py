@@ -49,6 +49,7 @@ def get_server_info(
     return telemetry_messages.Info(
         world=world.name,
         version=VERSION,
+        protocol=telemetry_messages.PROTOCOL,
         sim_time_s=world.clock.time_ns * 1e-9,
         steps=world.clock.steps,
         epoch=world.clock.epoch,

@@ -24,6 +24,7 @@ NAMES = (
     "killed",
     "sensors",
     "page",
+    "scripts",
     "history",
     "damage",
 )

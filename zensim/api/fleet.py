@@ -7,10 +7,11 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.api.api_errors import Error, Invalid
+from zensim.api.argument_checks import check_limits
 from zensim.api.entity_values import SpawnReport, make_html_table
 from zensim.api.robot import Robot
 from zensim.api.world_access import api_errors
-from zensim.api.world_session import RELEASED, WorldSession, check_finite
+from zensim.api.world_session import RELEASED, WorldSession
 from zensim.api.world_state import POSE, FloatArray, WorldState
 from zensim.proto.drives.array_math import ARRAY_MATH
 from zensim.proto.rigid_transforms import find_yaw
@@ -109,7 +110,7 @@ class Fleet:
                 slug="wrong_shape",
                 hint=f"give a number or ({len(self)},) for each",
             ) from error
-        check_finite("twists", twists, f"({len(self)},)")
+        check_limits("twists", twists, f"({len(self)},)")
         self._order(twists)
 
     def stop(self) -> None:

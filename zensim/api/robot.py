@@ -3,21 +3,21 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-
 from zensim.api.api_errors import Error, Invalid
+from zensim.api.argument_checks import MAX_NUMBER, check_limits, check_range, make_numbers
 from zensim.api.entity_values import RobotPose, RobotTwist, SpawnReport
 from zensim.api.path_following import PathController
 from zensim.api.topic import Topic, TopicCallback
 from zensim.api.world_access import api_errors
-from zensim.api.world_session import RELEASED, WorldSession, check_finite
+from zensim.api.world_session import RELEASED, WorldSession
 from zensim.api.world_state import POSE
 from zensim.proto.messages.drive_messages import name_drive
 from zensim.proto.messages.entity_messages import EntityState
 from zensim.proto.messages.standard_messages import JointState, Odometry
 from zensim.spawner.spawn.spawn_poses import make_pose
 
-MAX_SPEED = 1e6
+MIN_SPEED = 1e-6
+"""Along a path [m/s]."""
 
 
 class EntityHandle:
@@ -80,7 +80,8 @@ class EntityHandle:
         """Place it at rest in the world; `z` [m] stays as it is if it is not given."""
         self._session.check_open()
         height = self.pose.z if z is None else z
-        check_finite("pose", np.array([[x, y, height, yaw]]), "(x, y, z, yaw)")
+        numbers = make_numbers("pose", [[x, y, height, yaw]], "(x, y, z, yaw)")
+        check_limits("pose", numbers, "(x, y, z, yaw)")
         state = EntityState(pose=make_pose((x, y, height), (0.0, 0.0, yaw)))
         with api_errors():
             self._session.client.set_entity_state(self._name, state)
@@ -154,7 +155,10 @@ class Robot(EntityHandle):
             seconds: Drive for this simulation time, then stop; returns when it is over.
         """
         self._session.check_open()
-        twist = check_finite("twist", np.array([[v, left, w]], dtype=np.float64), "(v, left, w)")
+        twist = make_numbers("v, left and w", [[v, left, w]], "(v, left, w)")
+        if twist.shape != (1, 3):
+            raise Invalid("v, left and w are not numbers", slug="wrong_shape", hint="give numbers")
+        check_limits("twist", twist, "(v, left, w)")
         self._session.find_row(self._name)
         self._session.order((self._name,), twist)
         if seconds is not None:
@@ -179,14 +183,13 @@ class Robot(EntityHandle):
             points: x and y [m].
             speed: [m/s], > 0.
         """
-        path = np.asarray(points, dtype=np.float64)
+        path = make_numbers("points", points, "(n, 2): x and y")
         if path.ndim != 2 or path.shape[1:] != (2,) or not len(path):  # noqa: PLR2004  x and y
             raise Invalid(
                 f"points have shape {path.shape}", slug="wrong_shape", hint="give (n, 2): x and y"
             )
-        check_finite("points", path, "(n, 2)")
-        if not 0.0 < speed < MAX_SPEED:
-            raise Invalid(f"speed={speed:g} is out of range", hint="use a speed > 0 [m/s]")
+        check_limits("points", path, "(n, 2)")
+        check_range("speed", speed, MIN_SPEED, MAX_NUMBER)
         self._session.follow_path(self._name, PathController(path, speed))
 
     def topic(self, name: str) -> "Topic[Any]":

@@ -1,5 +1,6 @@
 """ServerAccess: a world on a server, by a session of its own."""
 
+import math
 import os
 import time
 import uuid
@@ -9,6 +10,7 @@ from contextlib import suppress
 import msgspec
 
 from zensim.api.api_errors import Closed, ConnectionLost, Timeout
+from zensim.api.step_channel import StepChannel
 from zensim.api.world_access import Message, TopicFeed, WorldAccess
 from zensim.api.world_state import WorldState, make_world_state
 from zensim.proto import keys
@@ -23,18 +25,27 @@ from zensim.proto.codec.message_codec import (
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.sensor_messages import SensorStats
-from zensim.proto.messages.simulation_messages import SimulateStepsRequest
+from zensim.proto.messages.simulation_messages import SimulateStepsRequest, SimulateStepsResponse
 from zensim.proto.messages.telemetry_messages import GetModelsRequest, Snapshot
-from zensim.proto.service_catalog import GET_MODELS, SIMULATE_STEPS, Request, Response, Service
+from zensim.proto.service_catalog import (
+    GET_MODELS,
+    SIMULATE_STEPS,
+    Request,
+    Response,
+    Service,
+    require_ok,
+)
 from zensim.proto.topic_catalog import SENSOR_STATS, SNAPSHOT, TWISTS
 
 POLL_S = 0.01
+FRESH_S = 0.01
+"""Wall time for which a state of a reply is taken for the newest."""
 SILENCE_S = 2.0
 """Wall time without a state after which the server is asked whether it is there."""
 GET_TIMEOUT_S = 1.0
 TOKEN_TIMEOUT_S = 2.0
 """Limit on the delay until the server has received the token of this client."""
-CALL_TIMEOUT_S = 10.0
+CALL_TIMEOUT_S, MIN_TIMEOUT_S = 10.0, 0.01
 SENSOR_TIMEOUT_S = 30.0
 """Limit on the start of a sensor process, with its libraries and meshes."""
 
@@ -100,6 +111,9 @@ class ServerAccess(WorldAccess):
         """Whether topics were used, whose messages must precede the end of a step."""
         self._states = bus.subscribe(SNAPSHOT.key(world))
         self._received_s = time.monotonic()
+        self._replied_s = -math.inf
+        """Wall time of the last state that came as a reply."""
+        self._steps: StepChannel | None = None
         self._state = make_world_state(Snapshot(0, 0, 0, 0, (), b"", b""))
         self.refresh()
 
@@ -128,22 +142,27 @@ class ServerAccess(WorldAccess):
     ) -> Response:
         """See `WorldAccess`."""
         self._require_open()
-        try:
-            response = self.bus.call(
-                service,
-                request,
-                world=world or self.world_name,
-                timeout_s=timeout_s,
-                request_id=request_id,
-            )
-        except NoServer as error:
-            self._watch()
-            raise ConnectionLost(f"the server at {self.bus.endpoint} is gone") from error
-        except TimeoutError as error:
-            self._watch()
-            raise Timeout(f"{service.name} got no reply within {timeout_s:g} s") from error
-        self._received_s = time.monotonic()
-        return response
+        deadline = time.monotonic() + timeout_s
+        while True:
+            try:
+                response = self.bus.call(
+                    service,
+                    request,
+                    world=world or self.world_name,
+                    timeout_s=max(MIN_TIMEOUT_S, deadline - time.monotonic()),
+                    request_id=request_id,
+                )
+            except NoServer as error:  # noqa: PERF203  once per wait
+                self._watch()
+                # A server that starts again may reply; a request that changes it is not repeated.
+                if service.is_mutating or time.monotonic() > deadline:
+                    raise ConnectionLost(f"the server at {self.bus.endpoint} is gone") from error
+            except TimeoutError as error:
+                self._watch()
+                raise Timeout(f"{service.name} got no reply within {timeout_s:g} s") from error
+            else:
+                self._received_s = time.monotonic()
+                return response
 
     def advance(self, steps: int, twists: TwistCommands | None, timeout_s: float) -> WorldState:
         """See `WorldAccess`."""
@@ -155,23 +174,44 @@ class ServerAccess(WorldAccess):
             wants_snapshot=True,
             is_eager=self.is_eager and not self._has_feeds,
         )
-        response = self._retry_early(
-            lambda: self.call(SIMULATE_STEPS, request, timeout_s=timeout_s)
-        )
+        response = self._request_steps(request, timeout_s)
         if response.snapshot is None:
             return self.refresh()
         return self._replace(response.snapshot)
+
+    def _request_steps(
+        self, request: SimulateStepsRequest, timeout_s: float
+    ) -> SimulateStepsResponse:
+        """Request steps by topics, except for the first ones, which take the lease."""
+        if self._steps is None:
+            response = self._retry_early(
+                lambda: self.call(SIMULATE_STEPS, request, timeout_s=timeout_s)
+            )
+            self._steps = StepChannel(self.bus, self.world_name, self._client)
+            return response
+        began_s = time.monotonic()
+        if (found := self._steps.call(request, timeout_s)) is not None:
+            return require_ok(SIMULATE_STEPS, found)
+        self._watch()
+        # The server takes it for a retry of the same request.
+        left_s = max(0.0, timeout_s - (time.monotonic() - began_s))
+        return self.call(
+            SIMULATE_STEPS, request, timeout_s=left_s, request_id=self._steps.request_id
+        )
 
     def newest(self) -> WorldState:
         """See `WorldAccess`."""
         if self._process != os.getpid() or self._is_closed:
             self._require_open()
+        now_s = time.monotonic()
+        if now_s - self._replied_s < FRESH_S:
+            return self._state
         if (sample := self._states.newest()) is not None:
-            self._received_s = time.monotonic()
+            self._received_s = now_s
             with suppress(MalformedPayload):
                 snapshot = decode(Snapshot, sample.payload, sample.encoding)
                 self._state = make_world_state(snapshot, self._state)
-        elif time.monotonic() - self._received_s > SILENCE_S:
+        elif now_s - self._received_s > SILENCE_S:
             self.refresh()
         return self._state
 
@@ -269,6 +309,9 @@ class ServerAccess(WorldAccess):
         if self._token is not None:
             self._token.close()
             self._token = None
+            if self._steps is not None:
+                self._steps.close()
+                self._steps = None
             # A name whose token has disappeared is not used again.
             self._client = f"client_{uuid.uuid4().hex[:12]}"
 
@@ -287,7 +330,8 @@ class ServerAccess(WorldAccess):
 
     def _replace(self, snapshot: Snapshot) -> WorldState:
         """Take the snapshot of a reply; states that were published before it are dropped."""
-        self._states.take()
+        self._states.newest()
+        self._received_s = self._replied_s = time.monotonic()
         self._state = make_world_state(snapshot, self._state)
         return self._state
 

@@ -2,16 +2,23 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from typing import NoReturn
 
+from zensim.api.api_errors import Unsupported
+from zensim.api.argument_checks import check_range
 from zensim.api.server_access import ServerAccess
 from zensim.api.simulation import Simulation
 from zensim.api.topic import TopicCallback
 from zensim.api.world_access import api_errors
+from zensim.api.world_page import WorldPage
 from zensim.api.world_session import STEP_TIMEOUT_S, list_robot_topics
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.topic_catalog import EVENTS, WORLD_TOPICS
 
 FULL_ROLE = "full"
+PAGE_TIMEOUT_S = 30.0
+MAX_PORT = 65_535
 
 
 class Sim(Simulation):
@@ -19,6 +26,7 @@ class Sim(Simulation):
 
     def __init__(self, access: ServerAccess) -> None:
         self._access = access
+        self._pages: list[WorldPage] = []
         super().__init__(access)
 
     @property
@@ -96,6 +104,44 @@ class Sim(Simulation):
             return topic.on(lambda event: call(event) if kind in ("", event.kind) else None, queue)
 
         return subscribe
+
+    def show(self, port: int = 0, *, timeout_s: float = PAGE_TIMEOUT_S) -> WorldPage:
+        """Serve a 3D page of the world on this host; notebooks show it where it is the last value.
+
+        Args:
+            port: TCP port; 0 = any free.
+            timeout_s: Wall time of its start.
+
+        Raises:
+            Error: It cannot be served, for example without the extra `viewer`.
+            Timeout: It was not served in time.
+        """
+        self._session.check_open()
+        check_range("port", port, 0, MAX_PORT)
+        page = WorldPage(self.endpoint, self._access.world_name, port, timeout_s)
+        self._pages.append(page)
+        return page
+
+    def record(self, file: str | Path) -> NoReturn:
+        """Record topics to an MCAP file, which this version cannot do.
+
+        Args:
+            file: Path of the file.
+
+        Raises:
+            Unsupported: Always.
+        """
+        raise Unsupported(
+            f"this version cannot record to '{str(file)[:80]}'",
+            slug="no_recordings",
+            hint="use topic(...).on(...) and write what you need",
+        )
+
+    def close(self) -> None:
+        """See `Simulation.close`."""
+        while self._pages:
+            self._pages.pop().close()
+        super().close()
 
     @contextmanager
     def temporary(self) -> Iterator["Sim"]:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.api.api_errors import Error, Invalid, SpawnRefused, Timeout
+from zensim.api.argument_checks import check_finite, check_range, check_text, make_numbers
 from zensim.api.entity_values import SpawnReport, make_html_table
 from zensim.api.fleet import Fleet
 from zensim.api.robot import EntityHandle, Robot
@@ -29,7 +30,13 @@ from zensim.api.spawning import (
     read_description,
 )
 from zensim.api.world_access import WorldAccess, api_errors
-from zensim.api.world_session import STEP_TIMEOUT_S, WorldSession, check_finite, make_not_found
+from zensim.api.world_session import (
+    MAX_RUN_S,
+    STEP_TIMEOUT_S,
+    WorldSession,
+    check_protocol,
+    make_not_found,
+)
 from zensim.proto.messages.entity_messages import CastRaysRequest
 from zensim.proto.messages.result_messages import ResultCode, ServiceError, SetSimulationStateCode
 from zensim.proto.messages.simulation_messages import State
@@ -46,6 +53,8 @@ if TYPE_CHECKING:
 Handle = TypeVar("Handle", bound=EntityHandle)
 SelfType = TypeVar("SelfType", bound="Simulation")
 RATE_TOLERANCE = 1e-6
+MAX_STEPS = 10_000_000
+"""Of one call of `step`."""
 DRIVEN_TIMEOUT_S = 10.0
 """Wall time within which an agent must drive a new robot."""
 
@@ -263,8 +272,7 @@ class Simulation:
             SteppedElsewhere: Another client steps.
         """
         self._session.check_open()
-        if count < 1:
-            raise Invalid(f"count={count} is out of range", hint="use 1 or more")
+        check_range("count", count, 1, MAX_STEPS)
         self._session.advance(count, timeout_s)
 
     def steps(self, seconds: float | None = None, rate: float | None = None) -> Iterator[float]:
@@ -280,6 +288,8 @@ class Simulation:
             Simulation time [s].
         """
         self._session.check_open()
+        if seconds is not None:
+            check_range("seconds", seconds, 0.0, MAX_RUN_S)
         count = self._count_steps(rate)
         period = count * self._session.step_ns / NANOSECONDS
         rounds = None if seconds is None else max(1, round(seconds / period))
@@ -398,7 +408,9 @@ class Simulation:
             Distances [m] (n,), infinite where nothing is hit; and the names of what is hit.
         """
         self._session.check_open()
-        starts, along = (np.atleast_2d(np.asarray(one, float)) for one in (origins, directions))
+        starts, along = (
+            np.atleast_2d(make_numbers("rays", one, "(n, 3)")) for one in (origins, directions)
+        )
         if starts.shape != along.shape or starts.shape[1:] != (3,):
             raise Invalid(
                 f"origins and directions have shapes {starts.shape} and {along.shape}",
@@ -425,6 +437,7 @@ class Simulation:
             kind: Class of its messages; that of the topic catalog if it is not given.
         """
         self._session.check_open()
+        check_text("key", key)
         return self._session.find_topic(key.removeprefix("/"), kind)
 
     def attach(
@@ -599,7 +612,9 @@ class Simulation:
 
     def _read_info(self) -> Info:
         with api_errors():
-            return self._session.client.info()
+            info = self._session.client.info()
+        check_protocol(info)
+        return info
 
     def _make_robot(self, name: str) -> Robot:
         return Robot(self._session, name)

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.api.api_errors import Invalid
+from zensim.api.argument_checks import check_range, make_numbers
 from zensim.api.entity_values import SpawnReport
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.drive_messages import Compat
@@ -35,6 +36,7 @@ SpawnPose = tuple[tuple[float, float, float | None], tuple[float, float, float]]
 """Position [m], z = None on the ground; roll, pitch, yaw [rad]."""
 AT_ORIGIN: SpawnPose = ((0.0, 0.0, None), (0.0, 0.0, 0.0))
 DEFAULT_COUNT = 10
+MAX_COUNT = 100_000
 
 
 class DescriptionKeywords(TypedDict, total=False):
@@ -230,11 +232,12 @@ def make_fleet_placements(
     names = check_name(prefix, "prefix") if prefix else derive_prefix(model)
     if poses is None:
         number = DEFAULT_COUNT if count is None else count
+        check_range("count", number, 0, MAX_COUNT)
         layout, spacing = given.get("layout", "grid"), given.get("spacing", 1.0)
         if layout not in LAYOUTS:
             raise Invalid(f"layout {layout!r} is unknown", hint=f"use {', '.join(LAYOUTS)}")
         return make_fleet_layout(names, number, layout, spacing)
-    rows = np.asarray(poses, dtype=np.float64)
+    rows = make_numbers("poses", poses, "(n, 2): x, y; or (n, 3): x, y, yaw")
     if rows.ndim != 2 or rows.shape[1] not in (2, 3) or not np.isfinite(rows).all():  # noqa: PLR2004  x y, or x y yaw
         raise Invalid(
             f"poses have shape {rows.shape}, or are not finite",

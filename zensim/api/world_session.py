@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from zensim.api.api_errors import Closed, ConnectionLost, Invalid, NotFound, Timeout
+from zensim.api.api_errors import Closed, ConnectionLost, Invalid, NotFound, Timeout, Unsupported
 from zensim.api.entity_values import RobotPose
 from zensim.api.path_following import PathController
 from zensim.api.topic import Topic, TopicDispatcher
@@ -21,9 +21,10 @@ from zensim.proto.messages.agent_messages import Claim, TwistCommands
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.sensor_messages import CameraSensor, Environment, RaySensor
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.messages.telemetry_messages import PROTOCOL, Info
 from zensim.proto.topic_catalog import CMD_VEL, JOINT_STATES, ODOM, ROBOT_TOPICS, TOPICS
 from zensim.robot_agent.topic_remapping import find_topic_keys
-from zensim.spawner.client.service_client import ServiceClient
+from zensim.spawner.client.service_client import CALL_TIMEOUT_S, ServiceClient
 
 TWIST_COLUMNS = 3
 """Forward, left [m/s], turn [rad/s]."""
@@ -147,10 +148,10 @@ class WorldSession:
             self._roster = self.read_roster()
         return self._roster
 
-    def read_roster(self) -> Roster:
+    def read_roster(self, timeout_s: float = CALL_TIMEOUT_S) -> Roster:
         """Read models, namespaces and agents of the present entities."""
         with api_errors():
-            found = self.client.models()
+            found = ServiceClient(self.access, self.access.world_name, timeout_s).models()
         entries = {
             one.entity: RosterEntry(one.entity, one.namespace, one.agent, found.models[one.model])
             for one in found.entities
@@ -214,6 +215,8 @@ class WorldSession:
         """
         self.check_open()
         state = self.state()
+        if self._roster is None:
+            self.read_roster(timeout_s)
         with self.steps_lock:
             while steps > 0:
                 count = min(steps, self._chunk_steps(state))
@@ -436,17 +439,16 @@ def list_robot_topics(entry: RosterEntry) -> dict[str, tuple[str, type[msgspec.S
     return found
 
 
-def check_finite(what: str, numbers: FloatArray, shape: str) -> FloatArray:
-    """Return numbers that are all finite.
+def check_protocol(info: Info) -> None:
+    """Check that a server uses the messages of this client.
 
     Raises:
-        Invalid: Some are not; the message names their rows.
+        Unsupported: It does not.
     """
-    if not np.isfinite(numbers).all():
-        rows = np.flatnonzero(~np.isfinite(numbers).reshape(len(numbers), -1).all(axis=1))
-        raise Invalid(
-            f"{what} is not finite in rows {rows[:5].tolist()}",
-            slug="not_finite",
-            hint=f"give numbers of shape {shape}",
+    if info.protocol != PROTOCOL:
+        raise Unsupported(
+            f"the server (zensim {info.version}) has protocol {info.protocol}, this client "
+            f"{PROTOCOL}",
+            slug="wrong_protocol",
+            hint=f"install zensim {info.version} here, or this version on the server's host",
         )
-    return numbers

@@ -4,16 +4,22 @@ import math
 import multiprocessing
 import os
 import signal
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
 
 import psutil
 import pytest
 
 import zensim
-from tests.integration.processes import eventually
+from tests.integration.processes import START_S, eventually
+from zensim.api.world_session import check_protocol
+from zensim.proto.child_process import close_pipes, make_module_command, start_process
+from zensim.proto.endpoints import with_free_port
+from zensim.proto.messages.telemetry_messages import PROTOCOL, Info
 
 SLACK_S = 2.0
 """Of wall times on a machine with other work."""
@@ -22,7 +28,7 @@ SLACK_S = 2.0
 @pytest.fixture
 def own() -> Iterator[zensim.Sim]:
     """A server that a test may end."""
-    with zensim.launch() as sim:
+    with zensim.launch(timeout_s=120.0) as sim:
         yield sim
 
 
@@ -105,7 +111,7 @@ def test_forked_child_is_refused(sim: zensim.Sim) -> None:
 
 
 def test_slow_callback_drops_and_does_not_delay() -> None:
-    with zensim.launch(rtf=1) as sim:
+    with zensim.launch(rtf=1, timeout_s=120.0) as sim:
         robot = sim.spawn("box_bot", name="r1")
         called: list[object] = []
         is_over = threading.Event()
@@ -153,3 +159,45 @@ def test_wrong_argument_is_invalid(sim: zensim.Sim, call: Callable[[zensim.Sim],
 def test_unknown_keyword_is_a_type_error(sim: zensim.Sim) -> None:
     with pytest.raises(TypeError):
         sim.spawn("box_bot", names="r1")  # type: ignore[call-arg]
+
+
+def test_server_of_another_protocol_is_refused_with_both_numbers() -> None:
+    with pytest.raises(zensim.Unsupported) as caught:
+        check_protocol(Info(version="9.9", protocol=PROTOCOL + 1))
+
+    assert caught.value.slug == "wrong_protocol"
+    assert str(PROTOCOL + 1) in caught.value.message
+    check_protocol(Info(protocol=PROTOCOL))
+
+
+def test_client_goes_on_with_a_server_that_was_killed_and_started_again() -> None:
+    endpoint = with_free_port("tcp/127.0.0.1:0")
+    with start_server(endpoint) as first, zensim.connect(endpoint, timeout_s=START_S) as sim:
+        sim.run_for(0.1)
+        first.kill()
+        first.wait()
+        with pytest.raises(zensim.ConnectionLost):
+            sim.run_for(0.1, timeout_s=2.0)
+        with start_server(endpoint):
+            began_s = time.monotonic()
+            eventually(lambda: find_slug(lambda: sim.run_for(0.1)) == "", START_S)
+            assert sim.time == pytest.approx(0.1, abs=0.01)
+            assert sim.worlds()
+            assert time.monotonic() - began_s < START_S
+
+
+@contextmanager
+def start_server(endpoint: str) -> Iterator["subprocess.Popen[bytes]"]:
+    """Run a paused server at an endpoint until the end of the block."""
+    command = make_module_command(
+        "zensim", "serve", "--listen", endpoint, "--paused", "--announce", "--ros-domain", "off"
+    )
+    server = start_process(command, stdout=subprocess.PIPE)
+    try:
+        assert server.stdout is not None
+        assert server.stdout.readline()
+        yield server
+    finally:
+        server.kill()
+        server.wait()
+        close_pipes(server)

@@ -8,14 +8,20 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.error
+import urllib.request
 
 import numpy as np
 import pytest
 
 import zensim
 from tests.integration.processes import eventually
+from zensim.api.step_channel import StepChannel
 from zensim.proto import keys
-from zensim.proto.bus import BusConfig, open_bus
+from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.simulation_messages import SimulateStepsRequest
+from zensim.proto.service_catalog import SIMULATE_STEPS
 
 STEPPER = """
 import sys, zensim
@@ -209,7 +215,7 @@ def test_simulation_and_handles_cannot_be_pickled(sim: zensim.Sim) -> None:
 
 
 def test_kill_of_a_stepping_script_returns_the_world_to_its_mode() -> None:
-    with zensim.launch(rtf=1) as own:
+    with zensim.launch(rtf=1, timeout_s=120.0) as own:
         robot = own.spawn("box_bot", name="r1")
         script = subprocess.Popen(
             [sys.executable, "-c", STEPPER, own.endpoint], stdout=subprocess.PIPE
@@ -314,3 +320,73 @@ def test_load_replaces_the_world_and_stays_paused(sim: zensim.Sim) -> None:
         assert names[0]
     finally:
         sim.load("empty")
+
+
+def test_async_iteration_gives_messages_while_another_thread_steps(sim: zensim.Sim) -> None:
+    odom = sim.spawn("box_bot", name="r1").topic("odom")
+    odom.collect()
+
+    async def read_three() -> list[float]:
+        stamps: list[float] = []
+        stepping = asyncio.create_task(asyncio.to_thread(sim.run_for, 1.0))
+        async for message in odom:
+            stamps.append(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
+            if len(stamps) == 3:
+                break
+        await stepping
+        return stamps
+
+    stamps = asyncio.run(read_three())
+
+    assert np.diff(stamps) == pytest.approx(np.diff(stamps)[0], abs=1e-6)
+    assert stamps == sorted(set(stamps))
+
+
+def test_lost_request_of_steps_is_repeated_and_counts_once() -> None:
+    with zensim.launch(timeout_s=120.0) as own, open_bus(BusConfig(connect=(own.endpoint,))) as bus:
+        name = "client_of_a_test"
+        token = bus.token(keys.alive_client("default", name))
+        request = SimulateStepsRequest(3, client=name, wants_snapshot=True)
+        eventually(lambda: is_accepted(bus, request), 10.0)
+        lost = StepChannel(bus, "elsewhere", name)
+        channel = StepChannel(bus, "default", name)
+
+        assert lost.call(request, timeout_s=0.2) is None
+        first = channel.call(request, timeout_s=10.0)
+        again = bus.call(
+            SIMULATE_STEPS, request, world="default", request_id=channel.request_id, timeout_s=10.0
+        )
+
+        assert first is not None
+        assert first.snapshot is not None
+        assert first.snapshot.step == 6
+        assert again == first
+        token.close()
+
+
+def is_accepted(bus: Bus, request: SimulateStepsRequest) -> bool:
+    """Request steps, which are refused until the server has the token."""
+    try:
+        bus.call(SIMULATE_STEPS, request, world="default", timeout_s=10.0)
+    except ServiceError:
+        return False
+    return True
+
+
+def test_recording_is_refused_with_a_way_out(sim: zensim.Sim) -> None:
+    with pytest.raises(zensim.Unsupported) as caught:
+        sim.record("run.mcap")
+
+    assert caught.value.hint
+
+
+def test_page_of_the_world_is_served_until_it_is_closed(sim: zensim.Sim) -> None:
+    page = sim.show(timeout_s=90.0)
+    try:
+        with urllib.request.urlopen(page.url, timeout=30.0) as reply:
+            assert reply.status == 200
+        assert page.url in page._repr_html_()
+    finally:
+        page.close()
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(page.url, timeout=5.0)

@@ -10,6 +10,7 @@ import pytest
 
 import zensim
 from benchmarks.api_surface import DOCUMENT, describe_surface
+from zensim.deploy.cli import VERBS
 from zensim.public_names import list_public_names
 
 HEAVY = ("zenoh", "numpy", "typer", "rich", "pybullet", "mujoco", "yourdfpy", "msgspec")
@@ -65,3 +66,53 @@ def test_error_is_pickled_with_all_it_says(name: str) -> None:
 def test_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError):
         _ = zensim.nothing_of_this_name
+
+
+METHODS = {
+    "up": "launch",
+    "down": "Sim.close",
+    "serve": "launch",
+    "agent": "Simulation.attach",
+    "spawn": "Simulation.spawn",
+    "fleet": "Simulation.spawn_fleet",
+    "list": "Simulation.entities",
+    "inspect": "EntityHandle.report",
+    "delete": "Simulation.delete",
+    "set": "EntityHandle.set_pose",
+    "pause": "Simulation.pause",
+    "play": "Simulation.play",
+    "reset": "Simulation.reset",
+    "step": "Simulation.step",
+    "run-to": "Simulation.run_to",
+    "rtf": "Sim.set_speed",
+    "world": "Simulation.load",
+    "drive": "Robot.drive",
+    "topic": "Sim.topics",
+    "echo": "Topic.read",
+    "hz": "Topic.rate",
+    "sensors": "Robot.sensors",
+    "model": "Simulation.check",
+    "version": "__version__",
+    "view": "Sim.show",
+}
+"""By verb of the command line: what does the same in Python."""
+WITHOUT_METHOD = {
+    "router": "a program of the network, not of a simulation",
+    "stop": "reset() and pause()",
+    "map": "call(GET_MAP, ...): its file is for Nav2",
+    "features": "call(GET_SIMULATOR_FEATURES, ...)",
+    "doctor": "diagnoses why nothing connects",
+    "check": "a report on a folder of robots, for terminals",
+    "test": "runs files; in Python, tests use zensim.testing",
+    "scenario": "checks and lists files",
+    "journal": "reads files of servers that have ended",
+}
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_verb_has_a_method_or_a_reason(verb: str) -> None:
+    assert (verb in METHODS) != (verb in WITHOUT_METHOD)
+    found: object = zensim
+    for name in METHODS.get(verb, "").split(".") if verb in METHODS else ():
+        found = getattr(found, name)
+    assert found is not None

@@ -1,0 +1,106 @@
+"""Every public method refuses arguments of a wrong type or range by the documented errors."""
+
+import inspect
+import math
+from collections.abc import Callable, Iterator
+from types import FunctionType
+
+import pytest
+
+import zensim
+
+WRONG: tuple[object, ...] = (
+    None,
+    object(),
+    "no such thing",
+    b"x",
+    math.nan,
+    math.inf,
+    -1.5,
+    [],
+    [1, 2, 3, 4, 5],
+    1e30,
+)
+"""Some are right for some parameters, which is no failure."""
+KINDS = {
+    "sim": zensim.World,
+    "robot": zensim.Robot,
+    "fleet": zensim.Fleet,
+    "topic": zensim.Topic,
+}
+LEFT_OUT = frozenset({"attach", "call", "close", "collect", "load", "pause", "play", "reset"})
+"""Without arguments; or they take what the caller's own code is called with later."""
+PATIENT = frozenset({"timeout_s", "within", "progress", "after"})
+"""Parameters for which an endless wait is right, or the output."""
+VALID = {
+    "model": "box_bot",
+    "name": "r1",
+    "seconds": 0.0,
+    "time": 0.0,
+    "condition": lambda: True,
+    "origins": [[0.0, 0.0, 1.0]],
+    "directions": [[1.0, 0.0, 0.0]],
+    "key": "r1/odom",
+    "names": ["r1"],
+    "x": 0.0,
+    "y": 0.0,
+    "points": [(1.0, 0.0)],
+    "topic": "odom",
+    "call": lambda _: None,
+}
+
+
+def list_parameters() -> Iterator[tuple[str, str, str]]:
+    """List kind, method and parameter of all that can be given."""
+    for kind, made in KINDS.items():
+        for name, method in inspect.getmembers(made, inspect.isfunction):
+            if name[0] != "_" and name not in LEFT_OUT:
+                yield from ((kind, name, one) for one in parameters_of(method))
+
+
+def parameters_of(method: FunctionType) -> list[str]:
+    found = list(inspect.signature(method).parameters.values())[1:]
+    named = [one for one in found if one.kind not in (one.VAR_KEYWORD, one.VAR_POSITIONAL)]
+    return [one.name for one in named if one.name not in PATIENT]
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[zensim.World]:
+    with zensim.World() as made:
+        yield made
+
+
+@pytest.fixture
+def handles(world: zensim.World) -> dict[str, object]:
+    world.reset()
+    robot = world.spawn("box_bot", name="r1")
+    fleet = world.spawn_fleet("box_bot", count=2, prefix="f", layout="row", spacing=3.0)
+    return {"sim": world, "robot": robot, "fleet": fleet, "topic": robot.topic("odom")}
+
+
+@pytest.mark.parametrize(("kind", "name", "parameter"), list(list_parameters()))
+def test_wrong_argument_is_refused(
+    handles: dict[str, object], kind: str, name: str, parameter: str
+) -> None:
+    signature = inspect.signature(getattr(KINDS[kind], name))
+    needed = {
+        one.name: VALID.get(one.name)
+        for one in list(signature.parameters.values())[1:]
+        if one.default is one.empty and one.kind is one.POSITIONAL_OR_KEYWORD
+    }
+    texts = [
+        find_refusal(getattr(handles[kind], name), needed | {parameter: wrong}) for wrong in WRONG
+    ]
+
+    assert [text for text in texts if "\n" in text] == []
+
+
+def find_refusal(method: Callable[..., object], arguments: dict[str, object]) -> str:
+    """Call a method; return the text of its error, empty without one."""
+    try:
+        found = method(**arguments)
+        if isinstance(found, Iterator):
+            next(found, None)
+    except (zensim.Error, TypeError) as error:
+        return str(error)
+    return ""
