@@ -129,12 +129,14 @@ class BusReceiver:
         self._subscriber = subscriber
         self._queue = queue
 
-    def wait(self, timeout_s: float) -> Sample | None:
-        """Wait for the next message; None if there is none in time."""
+    def wait(self, timeout_s: float) -> tuple[bytes, bytes] | None:
+        """Wait for the next message: payload and attachment; None if there is none in time."""
         try:
-            return to_sample(self._queue.get(timeout=max(0.0, timeout_s)))
+            sample = self._queue.get(timeout=max(0.0, timeout_s))
         except Empty:
             return None
+        # The texts of key and encoding would cost as much again.
+        return sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else b""
 
     def close(self) -> None:
         """Undeclare the subscription."""

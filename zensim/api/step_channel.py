@@ -10,6 +10,9 @@ from zensim.proto.messages.simulation_messages import SimulateStepsRequest, Simu
 RETRY_S = 1.0
 """Wall time after which the request is repeated as a query, since a topic may lose messages."""
 
+REPLY_ENCODING = make_encoding(SimulateStepsResponse, Format.MSGPACK)
+"""Requests are in MessagePack, and responses are in the format of their request."""
+
 
 class StepChannel:
     """The two topics of one client that steps.
@@ -41,9 +44,10 @@ class StepChannel:
         wanted = self.request_id.encode()
         self._publisher.send(encode(request, Format.MSGPACK), wanted)
         deadline = time.monotonic() + min(timeout_s, RETRY_S)
-        while (sample := self._replies.wait(deadline - time.monotonic())) is not None:
-            if sample.attachment == wanted:
-                return decode(SimulateStepsResponse, sample.payload, sample.encoding)
+        while (found := self._replies.wait(deadline - time.monotonic())) is not None:
+            payload, request_id = found
+            if request_id == wanted:
+                return decode(SimulateStepsResponse, payload, REPLY_ENCODING)
         return None
 
     def close(self) -> None:

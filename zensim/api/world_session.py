@@ -219,7 +219,7 @@ class WorldSession:
             self.read_roster(timeout_s)
         with self.steps_lock:
             while steps > 0:
-                count = min(steps, self._chunk_steps(state))
+                count = min(steps, self._chunk_steps(steps, state))
                 self._control(count * self.step_ns / NANOSECONDS)
                 self.access.is_eager = is_eager
                 with api_errors():
@@ -377,11 +377,13 @@ class WorldSession:
             time.sleep(POLL_S)
         self._dispatch_thread = None
 
-    def _chunk_steps(self, state: WorldState) -> int:
-        if self.controllers or self._paths or self.dispatcher.has_callbacks:
-            return self.control_steps - state.snapshot.step % self.control_steps
-        most = max(1, round(MAX_CHUNK_S * NANOSECONDS / self.step_ns / self.control_steps))
-        return most * self.control_steps - state.snapshot.step % self.control_steps
+    def _chunk_steps(self, steps: int, state: WorldState) -> int:
+        control_steps = self.control_steps
+        left = control_steps - state.snapshot.step % control_steps
+        if steps <= left or self.controllers or self._paths or self.dispatcher.has_callbacks:
+            return left
+        most = max(1, round(MAX_CHUNK_S * NANOSECONDS / self.step_ns / control_steps))
+        return left + (most - 1) * control_steps
 
     def _take_orders(self) -> TwistCommands | None:
         orders, self._orders = self._orders, []
