@@ -8,7 +8,12 @@ import msgspec
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, make_encoding
 from zensim.proto.messages.simulation_messages import SimulateStepsRequest, SimulateStepsResponse
-from zensim.proto.network_protocols import Publisher, Sample, TopicNetwork
+from zensim.proto.network_protocols import (
+    MAX_REQUEST_ID_BYTES,
+    Publisher,
+    Sample,
+    TopicNetwork,
+)
 from zensim.proto.service_catalog import SIMULATE_STEPS
 
 Message = TypeVar("Message", bound=msgspec.Struct)
@@ -22,13 +27,14 @@ class PublishedCall:
     """A published request of steps; the reply is published with the same request id."""
 
     name = SIMULATE_STEPS.name
+    user = ""
 
     def __init__(self, sample: Sample, topics: "StepTopics") -> None:
         self.payload = sample.payload
         self.encoding = sample.encoding
-        self.request_id = sample.attachment
+        self.request_id = sample.attachment[: MAX_REQUEST_ID_BYTES + 1]
         self.size = len(sample.payload)
-        self._client = keys.parse_stepping_client(sample.key)
+        self.client = keys.parse_stepping_client(sample.key)
         self._topics = topics
 
     def read(self, kind: type[Message]) -> Message:
@@ -38,14 +44,14 @@ class PublishedCall:
             MalformedPayload: The bytes are not that message, or not of the client of the key.
         """
         request = decode(kind, self.payload, self.encoding)
-        if not isinstance(request, SimulateStepsRequest) or request.client != self._client:
-            raise MalformedPayload(f"the request is not of client '{self._client}'")
+        if not isinstance(request, SimulateStepsRequest) or request.client != self.client:
+            raise MalformedPayload(f"the request is not of client '{self.client}'")
         return request
 
     def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
         """Publish the response."""
         del encoding, key
-        self._topics.find_publisher(self._client).send(payload, self.request_id)
+        self._topics.find_publisher(self.client).send(payload, self.request_id)
 
     def drop(self) -> None:
         """End the request without a reply."""
