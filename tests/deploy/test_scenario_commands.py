@@ -135,7 +135,7 @@ def test_code_that_hangs_or_raises_is_an_error_of_its_run(
     text = GOOD.replace(
         "do: drive, v: {uniform: [0.2, 0.3]}", "do: python, call: 'authors_trouble:Control'"
     )
-    limit = "5" if word == "timeout" else "60"
+    limit = "10" if word == "timeout" else "60"
 
     done = call("test", write(tmp_path, text, "bad"), write(tmp_path, GOOD), "--timeout", limit)
 
