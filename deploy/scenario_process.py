@@ -29,9 +29,7 @@ from zensim.scenario.scenario_reader import Scenario, read_scenario
 from zensim.scenario.scenario_runner import RunReport, ScenarioFailed, run_scenario
 
 RUN_COMMAND = make_module_command("zensim.deploy.scenario_process")
-SETTINGS_OF_UP = (
-    *("listen", "connect", "wait", "journal", "secure", "insecure", "viewer", "rtf", "lockstep"),
-)
+SETTINGS_OF_UP = ("listen", "connect", "wait", "journal", "viewer", "rtf", "lockstep")
 """Options whose keys do not count in tests."""
 
 

@@ -110,8 +110,6 @@ SAMPLES = {
     "network.connect": "tcp/127.0.0.1:7998",
     "network.wait": "5 s",
     "network.journal": "journal",
-    "network.secure": "true",
-    "network.insecure": "true",
     "network.verbose": "true",
     "ros.domain": "'5'",
     "ros.distro": "humble",

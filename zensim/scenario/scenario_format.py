@@ -103,10 +103,6 @@ class NetworkSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         None
     )
     journal: Annotated[str, described("Folder of the journal; empty = no journal.")] = ""
-    secure: Annotated[bool, described("Admit only users with roles, by certificates.")] = False
-    insecure: Annotated[
-        bool, described("Listen on other hosts' networks without `secure`, for anybody.")
-    ] = False
     verbose: Annotated[bool, described("Log at level INFO.")] = False
 
 
