@@ -105,6 +105,8 @@ WITHOUT_METHOD = {
     "check": "a report on a folder of robots, for terminals",
     "test": "runs files; in Python, tests use zensim.testing",
     "scenario": "checks and lists files",
+    "token": "for operators of secured servers, whose folder it reads",
+    "export": "writes a scenario file; scenarios are built on the API",
     "journal": "reads files of servers that have ended",
 }
 
