@@ -508,6 +508,10 @@ class Bus:
         self._sender.close()
         self._session.close()
 
+    def prepare_reply_threads(self, prepare: Callable[[], object]) -> None:
+        """Set what each thread that sends replies calls first, such as for its priority."""
+        self._sender.prepare_thread = prepare
+
     def settle_replies(self, timeout_s: float) -> None:
         """Wait until replies are sent, except to clients that have stopped reading."""
         self._sender.settle(timeout_s)

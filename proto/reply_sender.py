@@ -44,6 +44,8 @@ class ReplySender:
         """Clients with unsent replies that no thread serves."""
         self._threads = self._idle = 0
         self._is_closed = False
+        self.prepare_thread: Callable[[], object] = lambda: None
+        """Called first in each thread."""
 
     def send(self, client: str, size: int, send: Send, finish: Send) -> None:
         """Send a reply from another thread; too many unsent ones are finished without a value.
@@ -98,6 +100,7 @@ class ReplySender:
             threading.Thread(target=self._run, name="replies", daemon=True).start()
 
     def _run(self) -> None:
+        self.prepare_thread()
         while (unsent := self._take_client()) is not None:
             try:
                 unsent.queue[0][0]()

@@ -87,6 +87,7 @@ def run_server(
             )
         _freeze_garbage_collector()
         request_short_time_slice()
+        bus.prepare_reply_threads(request_short_time_slice)
         _run(config, loaded, journal, bus, should_stop, on_ready)
 
 

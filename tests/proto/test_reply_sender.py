@@ -131,3 +131,15 @@ def test_reply_that_fails_does_not_stop_later_ones(sender: ReplySender) -> None:
     sender.settle(TIMEOUT_S)
 
     assert sent == ["next"]
+
+
+def test_each_thread_is_prepared_before_it_sends() -> None:
+    sender, calls = ReplySender(max_threads=1), list[str]()
+    sender.prepare_thread = lambda: calls.append("prepared")
+    for text in ("one", "two"):
+        send_text(sender, "a", text, calls)
+
+    sender.settle(TIMEOUT_S)
+    sender.close()
+
+    assert calls == ["prepared", "one", "two"]
