@@ -129,9 +129,7 @@ def _run(
         node = start_server_node(bus, config.ros)
         cleanup.callback(node.close)
         users = SecureFolder(Path(config.secure_folder)) if config.secure_folder else None
-        # Rules do not pass these topics, which name no user.
-        steps = () if users is not None else (StepTopics(bus, config.world),)
-        sources = (*node.sources, *steps)
+        sources = (*node.sources, StepTopics(bus, config.world))
         inbox = BusInbox(bus, config.world, sources, is_secured=users is not None)
         publisher = BusWorldPublisher(bus, config.world, node.topics, node.on_progress)
         loop = ServerLoop(parts, inbox, publisher, clock, tracker, users)

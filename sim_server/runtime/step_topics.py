@@ -14,6 +14,7 @@ from zensim.proto.network_protocols import (
     Sample,
     TopicNetwork,
 )
+from zensim.proto.security.roles import STEPS_USER
 from zensim.proto.service_catalog import SIMULATE_STEPS
 
 Message = TypeVar("Message", bound=msgspec.Struct)
@@ -27,7 +28,7 @@ class PublishedCall:
     """A published request of steps; the reply is published with the same request id."""
 
     name = SIMULATE_STEPS.name
-    user = ""
+    user = STEPS_USER
 
     def __init__(self, sample: Sample, topics: "StepTopics") -> None:
         self.payload = sample.payload

@@ -163,6 +163,14 @@ def test_newcomer_needs_the_token_only(secured: Secured) -> None:
     assert_drivable(secured)
 
 
+def test_operator_steps_from_python(secured: Secured) -> None:
+    with api.connect(token=secured.token("operator")) as sim:
+        before_s = sim.time
+        sim.run_for(0.1)
+
+        assert sim.time - before_s >= 0.1 - 1e-9
+
+
 @pytest.mark.parametrize("role", ROLES)
 def test_role_is_refused_the_services_of_others(secured: Secured, role: str) -> None:
     user = "r1" if ROLES[role].has_robots else role
