@@ -22,6 +22,7 @@ from zensim.proto.service_catalog import CANCEL_STEPS, SIMULATE_STEPS
 from zensim.proto.topic_catalog import STEPS_PROGRESS
 from zensim.spawner.client.service_client import CALL_TIMEOUT_S, ServiceClient
 
+MAX_LATE_POLLS = 20
 GOAL_POLL_S = 0.005
 PROGRESS_DEPTH = 64
 CANCEL_TIMEOUT_S = 2.0
@@ -81,8 +82,8 @@ def _follow_progress(
     response: "Future[SimulateStepsResponse]",
     on_progress: OnProgress,
 ) -> None:
-    is_over = False
-    while not is_over:
+    last, late_polls = None, 0
+    while True:
         # Checked first, so that progress that arrived with the response is not lost.
         is_over = response.done()
         for sample in progress.take():
@@ -91,9 +92,14 @@ def _follow_progress(
             except MalformedPayload:
                 continue
             if status.goal_id == goal_id:
+                last = status
                 on_progress(status)
-        if not is_over:
-            time.sleep(GOAL_POLL_S)
+        # On a congested link, the response overtakes the last progress.
+        is_last = last is None or last.status != "executing" or late_polls >= MAX_LATE_POLLS
+        if is_over and is_last:
+            return
+        late_polls += is_over
+        time.sleep(GOAL_POLL_S)
 
 
 def _cancel_goal(bus: Bus, world: str, goal_id: str) -> None:

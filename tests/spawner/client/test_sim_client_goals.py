@@ -6,18 +6,21 @@ import pytest
 
 from tests.fakes import MemoryBus
 from tests.sim_server.fakes import WallTime, a_world, make_parts
+from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.simulation_messages import (
     SimulateStepsRequest,
     SimulateStepsResponse,
     StepsProgress,
 )
+from zensim.proto.network_protocols import Sample
 from zensim.sim_server.runtime.loop import ServerLoop
 from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
 from zensim.spawner.client.sim_client import OnProgress, SimClient, run_step_goal
 
 if TYPE_CHECKING:
     from zensim.proto.bus import Bus
+    from zensim.proto.messages.simulation_messages import StepsGoalStatus
     from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 
@@ -108,3 +111,38 @@ def test_speed_is_set() -> None:
     served.client.set_speed(2.5)
 
     assert served.client.info().target_real_time_factor == 2.5
+
+
+class OvertakenProgress:
+    """A bus on which the response of a goal comes before its last progress."""
+
+    def __init__(self) -> None:
+        self.batches = [["executing"], [], ["succeeded"]]
+
+    def subscribe(self, *_: object) -> "OvertakenProgress":
+        return self
+
+    def call(self, *_: object, **__: object) -> SimulateStepsResponse:
+        return SimulateStepsResponse()
+
+    def take(self) -> list[Sample]:
+        statuses = self.batches.pop(0) if self.batches else []
+        progress = [StepsProgress("g", 1, 0, cast("StepsGoalStatus", one)) for one in statuses]
+        return [Sample("", encode(one, Format.MSGPACK), "") for one in progress]
+
+    def close(self) -> None:
+        pass
+
+
+def test_goal_reports_its_last_progress_when_the_response_overtakes_it() -> None:
+    seen: list[StepsProgress] = []
+
+    run_step_goal(
+        cast("Bus", OvertakenProgress()),
+        "default",
+        SimulateStepsRequest(1, "g"),
+        on_progress=seen.append,
+        timeout_s=5.0,
+    )
+
+    assert [one.status for one in seen] == ["executing", "succeeded"]
