@@ -167,3 +167,17 @@ def test_code_of_the_author_can_be_refused(tmp_path: Path) -> None:
 
     with zensim.World() as world, pytest.raises(RuntimeError):
         run_scenario(scenario, world, allows_python=False)
+
+
+def test_looking_at_topics_does_not_change_the_run(tmp_path: Path) -> None:
+    head = HEAD.replace("box_bot,", "box_bot_lidar,")
+    text = (
+        AHEAD + "faults:\n  - {name: dies, at: 0.4, for: 0.3, do: agent_kill, agent: pool}\n"
+        "end: {at: 1}\n"
+    )
+    look = "checks:\n  - {name: c, that: rate, topic: r0/scan, above: 1, window: 0.5}\n"
+
+    blind = run(read(tmp_path, text, head)).state_hash
+
+    for _ in range(4):
+        assert run(read(tmp_path, text + look, head)).state_hash == blind

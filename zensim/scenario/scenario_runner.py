@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -13,6 +14,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from zensim.api.api_errors import Timeout
 from zensim.api.fleet import Fleet
 from zensim.api.simulation import Simulation
 from zensim.api.topic import find_stamp_ns
@@ -88,8 +90,6 @@ VALUE_KEYS = ("factor", "every_nth", "delay", "share", "deviation", "bias")
 """Keys of faults of which one is the value of a request."""
 LOW_M, HIGH_M = 0.02, 1.0
 """Heights between which the world's own entities count as walls."""
-MAX_MESSAGES = 256
-"""Messages of a topic between two control steps."""
 DEFAULT_END_S = 10.0
 """Simulated length of a run that says nothing of its end."""
 
@@ -388,16 +388,24 @@ class ScenarioRun:
         return self._make_rate_margin(check) if isinstance(check, RateCheck) else None
 
     def _make_rate_margin(self, check: RateCheck) -> Margin:
-        count = MessageCount()
+        topic, count = self.sim.topic(check.topic), MessageCount()
+        margin = make_rate_margin(check, count)
 
-        def note(message: msgspec.Struct) -> None:
-            stamp_ns = find_stamp_ns(message)
-            time_s = stamp_ns / NANOSECONDS if stamp_ns else self.sim.time
-            count.note(time_s - self._start_time)
+        def take() -> None:
+            # Not by a callback: its thread would act on a world in process between two steps.
+            with suppress(Timeout):
+                while True:
+                    stamp_ns = find_stamp_ns(topic.read(timeout_s=0.0))
+                    time_s = stamp_ns / NANOSECONDS if stamp_ns else self.sim.time
+                    count.note(time_s - self._start_time)
+
+        def take_and_judge(state: CheckedState) -> FloatArray:
+            take()
+            return margin(state)
 
         self._start_time = self.sim.time
-        self.sim.topic(check.topic).on(note, queue=MAX_MESSAGES)
-        return make_rate_margin(check, count)
+        take()
+        return take_and_judge
 
     def _find_walls(self) -> list[Wall]:
         models = self.sim.call(GET_MODELS, GetModelsRequest())
