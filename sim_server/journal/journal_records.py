@@ -92,8 +92,6 @@ class ResponseRow(msgspec.Struct, frozen=True, kw_only=True):
     request_id: bytes
     payload: bytes
     encoding: str
-    at_s: float
-    """Wall time since the Unix epoch [s]."""
 
 
 class ExcludedEntityRow(msgspec.Struct, frozen=True, kw_only=True):

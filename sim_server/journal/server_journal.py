@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -99,14 +98,12 @@ class ChangeTracker:
         position: int,
         known: Iterable[JournaledEntity] = (),
         earlier_responses: tuple[JournaledResponse, ...] = (),
-        wall_s: Callable[[], float],
     ) -> None:
         self.position = position
         """Of the newest record."""
         self.earlier_responses = earlier_responses
         self._parts = parts
         self._writer = writer
-        self._wall_s = wall_s
         self._generation = 0
         self._known = {one.entity.name: one for one in known}
         self._next_ordinal = max((one.ordinal for one in self._known.values()), default=0) + 1
@@ -206,7 +203,6 @@ class ChangeTracker:
             request_id=response.request_id,
             payload=response.payload,
             encoding=response.encoding,
-            at_s=self._wall_s(),
         )
 
     def _submit(self, record: JournalRecord) -> None:
@@ -549,7 +545,6 @@ class Journal:
             position=position,
             known=self.restored,
             earlier_responses=self.earlier_responses(),
-            wall_s=time.time,
         )
 
     def close(self) -> None:

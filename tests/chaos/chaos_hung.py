@@ -28,6 +28,7 @@ ROUNDS, ROUNDS_WHEN_SHORT = 100, 4
 TAKEOVERS, TAKEOVERS_WHEN_SHORT = 20, 1
 TAKEOVER_S = 2.0
 SEED = 17
+TIMED_OUT = "timed_out", "r1", "driver"
 SLEEP_ON_SIGNAL = """
 import signal, sys, time
 signal.signal(signal.SIGUSR1, lambda *_: time.sleep(60.0))
@@ -96,11 +97,18 @@ def _hang(server: Server, how: signal.Signals, phase: random.Random) -> tuple[fl
         hung_s = server.client.info().sim_time_s
         eventually(lambda: speed_of(server, "r1") < STANDING_M_S, 10.0, "standing")
         stopped_s = server.client.info().sim_time_s - hung_s
-        told = [decode(Event, one.payload, one.encoding) for one in events.take()]
+        told: list[tuple[str, str, str]] = []
+
+        def is_told() -> bool:
+            # A robot whose last `cmd_vel` expired first rests before the server stops it.
+            for one in events.take():
+                event = decode(Event, one.payload, one.encoding)
+                told.append((event.kind, event.entity, event.agent))
+            return TIMED_OUT in told
+
+        eventually(is_told, 10.0, "an event")
     events.close()
-    return stopped_s, [(one.kind, one.entity, one.agent) for one in told].count(
-        ("timed_out", "r1", "driver")
-    )
+    return stopped_s, told.count(TIMED_OUT)
 
 
 def _drive(server: Server, driver: Robot, further_s: float) -> None:

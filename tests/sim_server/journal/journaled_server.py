@@ -94,7 +94,6 @@ class JournaledServer:
             position=self.database.position,
             known=journal.restored,
             earlier_responses=journal.earlier_responses(),
-            wall_s=lambda: wall.now_ns() * 1e-9,
         )
         journal.prepare(self.parts)
         inbox, publisher = ScriptedInbox(), RecordingPublisher()
