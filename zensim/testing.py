@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from zensim.api.simulation import Simulation
     from zensim.api.topic import Topic
 
+SCENARIO_SUFFIX = ".scenario.yaml"
 RESULTS_FOLDER = "test-results"
 OPTIONS = frozenset({"world", "seed", "engine", "record", "step_hz", "control_hz"})
 WORLD_OPTIONS = ("world", "seed", "engine", "step_hz", "control_hz")
@@ -71,6 +72,13 @@ def pytest_configure(config: pytest.Config) -> None:
     )
 
 
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFile | None:
+    """Collect scenario files."""
+    if file_path.name.endswith(SCENARIO_SUFFIX):
+        return ScenarioFile.from_parent(parent, path=file_path)
+    return None
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
@@ -89,6 +97,7 @@ def zensim_world(request: pytest.FixtureRequest) -> Iterator[Simulation]:
 
     options = read_marker(request.node)
     with World(**{key: options[key] for key in WORLD_OPTIONS if key in options}) as world:
+        world.watch_collisions()
         yield from _watch(request.node, world)
 
 
@@ -123,6 +132,36 @@ def read_marker(node: pytest.Item) -> dict[str, Any]:
     if unknown := options.keys() - OPTIONS:
         raise ValueError(f"mark zensim has no option {sorted(unknown)}; use {sorted(OPTIONS)}")
     return options
+
+
+class ScenarioFile(pytest.File):
+    """A scenario file, which is a test."""
+
+    def collect(self) -> Iterator[ScenarioItem]:
+        """List its only test."""
+        yield ScenarioItem.from_parent(self, name=self.path.name.removesuffix(SCENARIO_SUFFIX))
+
+
+class ScenarioItem(pytest.Item):
+    """Runs a scenario in this process; fails if one of its checks does."""
+
+    def runtest(self) -> None:
+        """Run it, without a traceback where it fails."""
+        from zensim.scenario.scenario_loading import load
+        from zensim.scenario.scenario_nodes import ScenarioInvalid
+
+        try:
+            with load(self.path) as run:
+                report = run.run()
+        except ScenarioInvalid as error:
+            pytest.fail(str(error), pytrace=False)
+        failed = [one.message or one.name for one in report.checks if one.is_failure]
+        if not report.is_passed:
+            pytest.fail("\n".join([report.error, *failed]).strip(), pytrace=False)
+
+    def reportinfo(self) -> tuple[Path, None, str]:
+        """Name it."""
+        return self.path, None, f"scenario {self.name}"
 
 
 def _watch(node: pytest.Item, sim: Simulation) -> Iterator[Simulation]:

@@ -27,6 +27,27 @@ def test_is_too_far(zensim_world):
     robot = zensim_world.spawn("box_bot", name="r1")
     expect(robot).to_reach((9.0, 0.0), within=0.5)
 """
+COLLIDING = """
+from zensim.testing import expect
+
+def test_touches_nothing(zensim_world):
+    free = zensim_world.spawn("box_bot", name="free", y=2.0)
+    robot = zensim_world.spawn("box_bot", name="r1")
+    zensim_world.spawn("box_bot", name="r2", x=0.8)
+    for one in (free, robot):
+        one.drive(0.3, 0.0)
+    zensim_world.run_for(3.0)
+    expect(free).to_have_no_collision()
+    expect(robot).to_have_no_collision()
+"""
+SCENARIO = """
+zensim: 1
+robots:
+  - {name: robot, model: box_bot}
+checks:
+  - {name: there, robots: robot, that: reached, point: [POINT, 0], tolerance: 0.2, by: 1 s}
+end: {at: 1 s}
+"""
 UNKNOWN = """
 import pytest
 
@@ -67,7 +88,41 @@ def test_a_failed_test_leaves_report_and_events_and_names_them(tmp_path: Path) -
     assert report["time"] == pytest.approx(0.5, abs=0.02)
     assert "distance" in report["message"]
     assert "spawned" in {one["kind"] for one in events}
+    states = [json.loads(line) for line in (folder / "states.jsonl").read_text().splitlines()]
+    assert states[-1]["poses"].keys() == {"r1"}
+    assert states[-1]["time"] == pytest.approx(0.5, abs=0.05)
     assert "report.json" in (tmp_path / "out.xml").read_text()
+
+
+def test_a_collision_since_the_spawn_fails_and_a_drive_on_the_floor_does_not(
+    tmp_path: Path,
+) -> None:
+    done = run_pytest(tmp_path, COLLIDING)
+
+    assert done.returncode == 1, done.stdout
+    assert "'r1' to have no collision" in done.stdout
+    assert "touched 'r2'" in done.stdout
+
+
+def test_scenario_files_are_tests(tmp_path: Path) -> None:
+    (tmp_path / "good.scenario.yaml").write_text(SCENARIO.replace("POINT", "0"))
+    (tmp_path / "bad.scenario.yaml").write_text(SCENARIO.replace("POINT", "9"))
+    (tmp_path / "wrong.scenario.yaml").write_text(SCENARIO.replace("that: reached", "that: flies"))
+    command = [sys.executable, "-m", "pytest", "-p", "zensim.testing", "-p", "no:cacheprovider"]
+    done = subprocess.run(
+        [*command, "-rA", "--rootdir", str(tmp_path), str(tmp_path)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
+    )
+
+    assert done.returncode == 1, done.stdout
+    assert "1 passed" in done.stdout
+    assert "2 failed" in done.stdout
+    assert "PASSED good.scenario.yaml::good" in done.stdout
+    assert "wrong.scenario.yaml:" in done.stdout
 
 
 def test_an_unknown_option_of_the_marker_is_an_error(tmp_path: Path) -> None:

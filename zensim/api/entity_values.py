@@ -147,3 +147,14 @@ def make_html_table(head: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -
         for row in rows
     )
     return f"<table><tr>{top}</tr>{''.join(lines)}</table>"
+
+
+class Collision(NamedTuple):
+    """The first contact of a robot with something that does not carry it."""
+
+    time: float
+    """Simulation time [s]."""
+    other: str
+    """Name of the other entity."""
+    point: tuple[float, float, float]
+    """Where, in the world [m]."""

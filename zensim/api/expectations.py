@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from zensim.api.api_errors import Timeout
+from zensim.api.api_errors import Timeout, Unsupported
 from zensim.api.robot import EntityHandle
 from zensim.api.simulation import Simulation
 
@@ -60,6 +60,24 @@ class RobotExpectation:
                 f"rad/s, margin {speed - self._robot.twist.speed:.4f} m/s"
             ),
         )
+
+    def to_have_no_collision(self) -> None:
+        """Check that the robot has touched nothing but what carries it since it was spawned.
+
+        Raises:
+            AssertionError: It has.
+            Unsupported: The simulation is not a `World`, which alone has all contacts.
+        """
+        from zensim.api.in_process_world import World  # noqa: PLC0415  needs the server extra
+
+        if not isinstance(self._sim, World):
+            raise Unsupported("collisions are watched in a World only", hint="use zensim_world")
+        if (found := self._sim.find_collision(self._robot.name)) is not None:
+            x, y, z = found.point
+            raise AssertionError(
+                f"expected {self._robot.name!r} to have no collision; at {found.time:.3f} s it "
+                f"touched {found.other!r} at ({x:.3f}, {y:.3f}, {z:.3f})"
+            )
 
     def _wait(
         self, is_met: Callable[[], bool], within: float, what: str, value: Callable[[], str]

@@ -56,6 +56,7 @@ from zensim.sim_server.world_loading.world_loader import (
 from zensim.sim_server.world_loading.world_loader_process import load_world_file
 
 if TYPE_CHECKING:
+    from zensim.api.collision_watch import CollisionWatch
     from zensim.api.in_process_sensors import InProcessSensors
 
 POOL = "pool"
@@ -162,6 +163,7 @@ class InProcessServer:
         """From the first subscription to one of them on."""
         self.robots = PooledRobots(self.network, CMD_VEL_TIMEOUT_NS)
         self._telemetry = InProcessTelemetry(self.parts, self.network, self.robots)
+        self.collision_watch: CollisionWatch | None = None
         self._name = uuid4().hex
         self._users = weakref.WeakSet[InProcessSubscription]()
         """Subscriptions of the user; those of the robots are a part of the state."""
@@ -190,6 +192,8 @@ class InProcessServer:
         world = self.world
         for _ in range(steps):
             world.step()
+            if self.collision_watch is not None:
+                self.collision_watch.update()
             if world.is_control_step:
                 self._finish_control_step()
         self._telemetry.publish_events()

@@ -8,7 +8,9 @@ from typing import cast
 
 import msgspec
 
-from zensim.api.api_errors import Closed, Timeout, Unsupported
+from zensim.api.api_errors import Closed, Invalid, Timeout, Unsupported
+from zensim.api.collision_watch import CollisionWatch
+from zensim.api.entity_values import Collision
 from zensim.api.in_process_network import InProcessSubscription
 from zensim.api.in_process_server import CLIENT, POOL, InProcessServer
 from zensim.api.simulation import Simulation
@@ -220,6 +222,26 @@ class World(Simulation):
         """The state of all entities as live arrays, which may be written."""
         self._session.check_open()
         return self._access.view
+
+    def watch_collisions(self) -> None:
+        """Read the contacts of all robots after each step from now on; see `find_collision`."""
+        self._session.check_open()
+        self._server.collision_watch = CollisionWatch(self._server.world)
+
+    def find_collision(self, name: str) -> Collision | None:
+        """Find the first collision of a robot since it was spawned and is watched.
+
+        The ground is no collision, nor is anything fixed that carries the robot.
+
+        Raises:
+            Invalid: `watch_collisions` was not called.
+            NotFound: There is no entity of this name.
+        """
+        self._session.check_open()
+        if (watch := self._server.collision_watch) is None:
+            raise Invalid("collisions are not watched", hint="call watch_collisions() first")
+        self._session.find_row(name)
+        return watch.find(name)
 
     def snapshot(self) -> bytes:
         """Save the whole state: of the engine, entities, drives, odometry, sensors and orders.

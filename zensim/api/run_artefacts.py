@@ -1,13 +1,18 @@
 """What a failed test leaves behind: a report of the simulation, and its last events."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
+import numpy as np
 
 from zensim.api.api_errors import Error
 from zensim.api.simulation import Simulation
-from zensim.proto.messages.telemetry_messages import Event
+from zensim.api.world_access import Message
+from zensim.proto.messages.agent_messages import STATE_COLUMNS
+from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.messages.telemetry_messages import Event, Snapshot
 
 if TYPE_CHECKING:
     from zensim.api.topic import Topic
@@ -39,24 +44,37 @@ class FailureReport(msgspec.Struct, frozen=True):
     entities: tuple[RobotReport, ...]
 
 
+class StateRecord(msgspec.Struct, frozen=True):
+    """The poses of all entities at one time."""
+
+    time: float
+    """Simulation time [s]."""
+    step: int
+    poses: dict[str, tuple[float, ...]]
+    """x y z [m], qx qy qz qw."""
+
+
 class RunArtefacts:
-    """Follows the events of a simulation, and writes files when its test has failed."""
+    """Follows events and states of a simulation, and writes files when its test has failed."""
 
     def __init__(self, sim: Simulation) -> None:
         self._sim = sim
         self._events: Topic[Event] = sim.topic(f"sim/{sim.info.world}/events", Event)
-        self._events.collect()
+        self._states: Topic[Snapshot] = sim.topic(f"sim/{sim.info.world}/snapshot", Snapshot)
+        for topic in (self._events, self._states):
+            topic.collect()
 
     def write(self, folder: Path, *, test: str, message: str) -> tuple[Path, ...]:
-        """Write `report.json` and `events.jsonl`; return their paths."""
+        """Write `report.json`, `events.jsonl` and `states.jsonl`; return their paths."""
         folder.mkdir(parents=True, exist_ok=True)
         report, events = folder / "report.json", folder / "events.jsonl"
+        states = folder / "states.jsonl"
         report.write_bytes(
             msgspec.json.format(msgspec.json.encode(self._make_report(test, message)), indent=1)
         )
-        lines = [msgspec.json.encode(one) + b"\n" for one in self._take_events()]
-        events.write_bytes(b"".join(lines))
-        return report, events
+        events.write_bytes(_encode_lines(_take_all(self._events)))
+        states.write_bytes(_encode_lines(map(make_state_record, _take_all(self._states))))
+        return report, events, states
 
     def _make_report(self, test: str, message: str) -> FailureReport:
         sim = self._sim
@@ -73,10 +91,22 @@ class RunArtefacts:
             tuple(RobotReport(one.name, one.pose, one.twist) for one in handles),
         )
 
-    def _take_events(self) -> list[Event]:
-        found: list[Event] = []
-        try:
-            while True:
-                found.append(self._events.read(timeout_s=0.0))
-        except Error:
-            return found
+
+def make_state_record(snapshot: Snapshot) -> StateRecord:
+    """Make a line of the log of states."""
+    base = np.frombuffer(snapshot.base, dtype="<f8").reshape(-1, STATE_COLUMNS)
+    poses = dict(zip(snapshot.names, map(tuple, base[:, :7].tolist()), strict=True))
+    return StateRecord(snapshot.time_ns / NANOSECONDS, snapshot.step, poses)
+
+
+def _take_all(topic: "Topic[Message]") -> list[Message]:
+    found: list[Message] = []
+    try:
+        while True:
+            found.append(topic.read(timeout_s=0.0))
+    except Error:
+        return found
+
+
+def _encode_lines(records: Iterable[msgspec.Struct]) -> bytes:
+    return b"".join(msgspec.json.encode(one) + b"\n" for one in records)
