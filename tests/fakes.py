@@ -3,10 +3,15 @@
 import time
 from collections import deque
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, TypeVar, cast
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, cast
 
 import msgspec
 
+from zensim.api.in_process_network import (
+    InProcessNetwork,
+    InProcessPublisher,
+    InProcessSubscription,
+)
 from zensim.proto import keys
 from zensim.proto.bus import LATEST, MAX_MESSAGE_BYTES, NoServer
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
@@ -19,6 +24,10 @@ if TYPE_CHECKING:
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 MAX_PUMP_ROUNDS, MAX_PUMP_S = 100, 2.0
+
+
+def _refuse_call(service: Service[Any, Any], request: object) -> NoReturn:
+    raise NotImplementedError(f"{service.name}: {request}")
 
 
 class ManualClock:
@@ -44,7 +53,7 @@ class MemoryBus:
         self.pumps: list[Callable[[], object]] = []
         self.is_closed = False
         self.opened_sessions: list[MemoryBus] = []
-        self._subscriptions: list[MemorySubscription] = []
+        self._network = InProcessNetwork(_refuse_call)
         self._queues: list[MemoryCallQueue] = []
         self._tokens: list[MemoryToken] = []
         self._watches: list[MemoryTokenWatch] = []
@@ -65,16 +74,14 @@ class MemoryBus:
         self.opened_sessions.append(MemoryBus())
         return self.opened_sessions[-1]
 
-    def advertise(self, key: str, encoding: str) -> "MemoryPublisher":
-        return MemoryPublisher(self, key, encoding)
+    def advertise(self, key: str, encoding: str) -> InProcessPublisher:
+        return self._network.advertise(key, encoding)
 
     def subscribe(
         self, key: str, depth: int = LATEST, max_bytes: int = MAX_MESSAGE_BYTES
-    ) -> "MemorySubscription":
+    ) -> InProcessSubscription:
         del max_bytes
-        subscription = MemorySubscription(self._subscriptions, key, depth)
-        self._subscriptions.append(subscription)
-        return subscription
+        return self._network.subscribe(key, depth)
 
     def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> "MemoryCallQueue":
         del is_complete
@@ -128,7 +135,12 @@ class MemoryBus:
 
     def has_subscriber(self, key: str) -> bool:
         """Whether a key has a subscriber."""
-        return any(intersect(key, subscription.key) for subscription in self._subscriptions)
+        return bool(self._network.find_subscriptions(key))
+
+    @property
+    def subscribed_keys(self) -> list[str]:
+        """Keys of all subscriptions."""
+        return [one.key for one in self._network.subscriptions]
 
     def is_served(self, key: str) -> bool:
         """Whether a key has a queryable."""
@@ -136,9 +148,7 @@ class MemoryBus:
 
     def put(self, key: str, payload: bytes, encoding: str = "", attachment: bytes = b"") -> None:
         """Publish bytes."""
-        for subscription in self._subscriptions:
-            if intersect(key, subscription.key):
-                subscription.samples.append(Sample(key, payload, encoding, attachment))
+        self._network.advertise(key, encoding).send(payload, attachment)
 
     def put_message(self, key: str, message: msgspec.Struct, format_: Format = Format.CDR) -> None:
         """Publish a message."""
@@ -161,43 +171,6 @@ class MemoryBus:
                 pump()
             rounds += 1
         return calls
-
-
-class MemoryPublisher:
-    def __init__(self, bus: MemoryBus, key: str, encoding: str) -> None:
-        self._bus = bus
-        self.key = key
-        self.encoding = encoding
-
-    @property
-    def is_matched(self) -> bool:
-        return self._bus.has_subscriber(self.key)
-
-    def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
-        del stamp
-        self._bus.put(self.key, payload, self.encoding, attachment)
-
-    def close(self) -> None:
-        pass
-
-
-class MemorySubscription:
-    def __init__(self, owner: "list[MemorySubscription]", key: str, depth: int) -> None:
-        self._owner = owner
-        self.key = key
-        self.samples: deque[Sample] = deque(maxlen=depth)
-
-    def take(self) -> list[Sample]:
-        taken = list(self.samples)
-        self.samples.clear()
-        return taken
-
-    def newest(self) -> Sample | None:
-        taken = self.take()
-        return taken[-1] if taken else None
-
-    def close(self) -> None:
-        self._owner.remove(self)
 
 
 class MemoryCall:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import pytest
 
 from tests.fakes import MemoryBus
+from zensim.api.in_process_network import InProcessPublisher
 from zensim.proto.codec import cdr
 from zensim.proto.fleet_publisher import (
     MAX_CHECKED_AT_ONCE,
@@ -16,6 +17,7 @@ from zensim.proto.fleet_publisher import (
     TopicMember,
 )
 from zensim.proto.messages.standard_messages import Range, String
+from zensim.proto.network_protocols import Stamp
 from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_5, RELIABLE_10
 from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic
@@ -113,9 +115,16 @@ class CountingBus(MemoryBus):
         super().__init__()
         self.published_keys: list[str] = []
 
-    def put(self, key: str, payload: bytes, encoding: str = "", attachment: bytes = b"") -> None:
-        self.published_keys.append(key)
-        super().put(key, payload, encoding, attachment)
+    def advertise(self, key: str, encoding: str) -> InProcessPublisher:
+        publisher = super().advertise(key, encoding)
+        send = publisher.send
+
+        def record(payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
+            self.published_keys.append(key)
+            send(payload, attachment, stamp)
+
+        publisher.send = record  # type: ignore[method-assign]
+        return publisher
 
 
 def make_publisher(bus: MemoryBus, *names: str) -> tuple[FleetTopicPublisher, list[TopicMember]]:

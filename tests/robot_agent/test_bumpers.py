@@ -6,8 +6,9 @@ from collections.abc import Sequence
 import msgspec
 import pytest
 
-from tests.fakes import MemoryBus, MemorySubscription
+from tests.fakes import MemoryBus
 from tests.robot_agent.models import DRIVE, two_wheeler
+from zensim.api.in_process_network import InProcessSubscription
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.gazebo_messages import ContactsState
@@ -71,7 +72,7 @@ class Robots:
             ]
         )
 
-    def listen(self, key: str) -> MemorySubscription:
+    def listen(self, key: str) -> InProcessSubscription:
         subscription = self.bus.subscribe(key, 1000)
         for _ in range(5):
             self.robots.reply_to_queries()
@@ -87,7 +88,7 @@ def kind(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-def received(subscription: MemorySubscription) -> list[ContactsState]:
+def received(subscription: InProcessSubscription) -> list[ContactsState]:
     return [decode(ContactsState, one.payload, one.encoding) for one in subscription.take()]
 
 

@@ -332,8 +332,7 @@ class PyBulletEngine(Engine):
     def __init__(self, config: EngineConfig, *, awake: int = 0) -> None:
         """Connect; keep `awake` pooled bodies awake, for bodies that arrive with a velocity."""
         self._client = client = pybullet.connect(pybullet.DIRECT)
-        self._origin = BulletOrigin(self)
-        self._asleep: set[int] = set()
+        self._origin, self._asleep = BulletOrigin(self), set[int]()
         self._shapes = CollisionShapeCache(
             partial(pybullet.createCollisionShapeArray, physicsClientId=client),
             make_exact=self._take_margin,

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.fakes import MemoryBus, MemorySubscription
+from tests.fakes import MemoryBus
 from tests.proto.drives.robots_of_each_drive import DRIVES, robot_of
 from tests.robot_agent.models import DRIVE, two_wheeler
+from zensim.api.in_process_network import InProcessSubscription
 from zensim.proto.codec import cdr
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveState
@@ -202,7 +203,7 @@ class PoolOnRos:
         self.pool.publish()
 
 
-def messages(received: MemorySubscription) -> list[TFMessage]:
+def messages(received: InProcessSubscription) -> list[TFMessage]:
     return [decode(TFMessage, sample.payload, sample.encoding) for sample in received.take()]
 
 

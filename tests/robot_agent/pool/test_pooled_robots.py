@@ -403,7 +403,7 @@ def test_pool_undeclares_everything_without_robots() -> None:
     assert lost == ("r1", "r2")
     assert both.pool.newest_claim == 0
     assert not bus.is_served("**")
-    assert [one.key for one in bus._subscriptions] == ["**"]  # noqa: SLF001
+    assert bus.subscribed_keys == ["**"]
 
 
 def test_pool_declares_nothing_without_subscribers() -> None:

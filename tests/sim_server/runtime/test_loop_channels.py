@@ -2,7 +2,8 @@
 
 import pytest
 
-from tests.fakes import MemoryBus, MemoryCall, MemoryPublisher
+from tests.fakes import MemoryBus, MemoryCall
+from zensim.api.in_process_network import InProcessPublisher
 from zensim.proto import keys
 from zensim.proto.bus import BusPublisher
 from zensim.proto.codec.message_codec import decode
@@ -105,7 +106,7 @@ class CountingBus(MemoryBus):
         super().__init__()
         self.open: list[str] = []
 
-    def advertise(self, key: str, encoding: str) -> MemoryPublisher:
+    def advertise(self, key: str, encoding: str) -> InProcessPublisher:
         self.open.append(key)
         publisher = super().advertise(key, encoding)
         publisher.close = lambda: self.open.remove(key)  # type: ignore[method-assign]
@@ -184,4 +185,4 @@ def test_publisher_publishes_again_for_an_agent_that_returns() -> None:
 
 
 def test_memory_publisher_has_the_methods_of_the_bus_publisher() -> None:
-    assert {"send", "close", "is_matched"} <= set(dir(BusPublisher)) & set(dir(MemoryPublisher))
+    assert {"send", "close", "is_matched"} <= set(dir(BusPublisher)) & set(dir(InProcessPublisher))
