@@ -72,7 +72,8 @@ class RunArtefacts:
         report.write_bytes(
             msgspec.json.format(msgspec.json.encode(self._make_report(test, message)), indent=1)
         )
-        events.write_bytes(_encode_lines(_take_all(self._events)))
+        happened = _take_all(self._events)
+        events.write_bytes(_encode_lines(happened))
         states.write_bytes(_encode_lines(map(make_state_record, _take_all(self._states))))
         return report, events, states
 
