@@ -3,7 +3,8 @@
 import msgspec
 import numpy as np
 
-from tests.fakes import ManualClock, MemoryBus, MemorySubscription
+from tests.fakes import ManualClock, MemoryBus
+from zensim.api.in_process_network import InProcessSubscription
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.asset_messages import GetAssetRequest, GetAssetResponse
@@ -110,7 +111,7 @@ class SensedWorld:
         """End a process; its tokens disappear."""
         self.processes.pop(name).close()
 
-    def listen(self, key: str) -> MemorySubscription:
+    def listen(self, key: str) -> InProcessSubscription:
         """Subscribe, and let the processes become active."""
         heard = self.bus.subscribe(key, 1000)
         self.run(0.3)
@@ -172,6 +173,6 @@ class SensedWorld:
         return GetAssetResponse(data=data[request.offset :][:100], total=len(data))
 
 
-def scans_of(heard: MemorySubscription) -> list[tuple[str, LaserScan]]:
+def scans_of(heard: InProcessSubscription) -> list[tuple[str, LaserScan]]:
     """Take the scans heard: key and message."""
     return [(one.key, decode(LaserScan, one.payload, one.encoding)) for one in heard.take()]
