@@ -43,6 +43,8 @@ FRESH_S = 0.01
 SILENCE_S = 2.0
 """Wall time without a state after which the server is asked whether it is there."""
 GET_TIMEOUT_S = 1.0
+MAX_LOST_STEPS = 3
+"""Published requests that may be lost before all are queries."""
 LOST_S = 0.5
 """A repeated request that is answered sooner was lost, or its response was."""
 TOKEN_TIMEOUT_S = 2.0
@@ -116,8 +118,8 @@ class ServerAccess(WorldAccess):
         self._replied_s = -math.inf
         """Wall time of the last state that came as a reply."""
         self._steps: StepChannel | None = None
-        self._has_lost_steps = False
-        """Whether requests of steps are queries, since published ones were lost."""
+        self._lost_steps = 0
+        """Published requests of steps that were lost, one after the other."""
         self._state = make_world_state(Snapshot(0, 0, 0, 0, (), b"", b""))
         self.refresh()
 
@@ -191,11 +193,12 @@ class ServerAccess(WorldAccess):
             response = self._retry_early(
                 lambda: self.call(SIMULATE_STEPS, request, timeout_s=timeout_s)
             )
-            if not self._has_lost_steps:
+            if self._lost_steps < MAX_LOST_STEPS:
                 self._steps = StepChannel(self.bus, self.world_name, self._client)
             return response
         began_s = time.monotonic()
         if (found := self._steps.call(request, timeout_s)) is not None:
+            self._lost_steps = 0
             return require_ok(SIMULATE_STEPS, found)
         self._watch()
         return self._repeat_steps(request, began_s + timeout_s)
@@ -212,9 +215,10 @@ class ServerAccess(WorldAccess):
             timeout_s=max(MIN_TIMEOUT_S, deadline_s - began_s),
             request_id=request_id,
         )
-        if time.monotonic() - began_s < LOST_S and self._steps is not None:
-            # The server was not slow: the network does not pass these messages.
-            self._has_lost_steps = True
+        if time.monotonic() - began_s < LOST_S:
+            self._lost_steps += 1
+        if self._lost_steps >= MAX_LOST_STEPS and self._steps is not None:
+            # The network does not pass these messages, as where users have roles.
             self._steps.close()
             self._steps = None
         return response
