@@ -20,7 +20,9 @@ TEXT = (
     f"faults:\n{FAULTS}"
     "checks:\n  - {name: drops, that: rate, topic: r0/scan, below: 0.5, window: 0.5, after: f0, "
     "within: 1}\n"
-    "  - {name: steady, that: rate, topic: r1/scan, above: 8}\nend: {at: 3}\n"
+    "  - {name: steady, that: rate, topic: r1/scan, above: 8}\n"
+    "  - {name: returns, that: rate, topic: r0/scan, above: 8, window: 0.5, "
+    "from: 2.7}\nend: {at: 3}\n"
 )
 
 
@@ -38,7 +40,7 @@ def scans(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[tuple[floa
         for name, listed in found.items():
             run.sim.topic(f"{name}/scan", LaserScan).on(partial(note, listed), queue=64)
         report = run.run()
-    assert [one.verdict for one in report.checks] == ["passed", "passed"]
+    assert [one.verdict for one in report.checks] == ["passed"] * 3
     return found
 
 

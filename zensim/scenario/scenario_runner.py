@@ -153,6 +153,7 @@ class ScenarioRun:
         self.faults = FaultSchedule(scenario)
         self._command_faults = CommandFaults(scenario)
         self._acting: set[str] = set()
+        self._counts: dict[str, list[MessageCount]] = {}
         self._before: CheckedState | None = None
         self.commands = np.zeros((len(scenario.robots), 2))
         self.driven = np.zeros(len(scenario.robots), dtype=bool)
@@ -388,24 +389,30 @@ class ScenarioRun:
         return self._make_rate_margin(check) if isinstance(check, RateCheck) else None
 
     def _make_rate_margin(self, check: RateCheck) -> Margin:
-        topic, count = self.sim.topic(check.topic), MessageCount()
+        count = MessageCount()
         margin = make_rate_margin(check, count)
-
-        def take() -> None:
-            # Not by a callback: its thread would act on a world in process between two steps.
-            with suppress(Timeout):
-                while True:
-                    stamp_ns = find_stamp_ns(topic.read(timeout_s=0.0))
-                    time_s = stamp_ns / NANOSECONDS if stamp_ns else self.sim.time
-                    count.note(time_s - self._start_time)
+        self._counts.setdefault(check.topic, []).append(count)
 
         def take_and_judge(state: CheckedState) -> FloatArray:
-            take()
+            self._count_messages(check.topic)
             return margin(state)
 
         self._start_time = self.sim.time
-        take()
+        self._count_messages(check.topic)
         return take_and_judge
+
+    def _count_messages(self, key: str) -> None:
+        """Count the messages of a topic since the last call, for all checks of it.
+
+        Not by a callback: its thread would act on a world in process between two steps.
+        """
+        topic = self.sim.topic(key)
+        with suppress(Timeout):
+            while True:
+                stamp_ns = find_stamp_ns(topic.read(timeout_s=0.0))
+                time_s = stamp_ns / NANOSECONDS if stamp_ns else self.sim.time
+                for count in self._counts[key]:
+                    count.note(time_s - self._start_time)
 
     def _find_walls(self) -> list[Wall]:
         models = self.sim.call(GET_MODELS, GetModelsRequest())
