@@ -10,7 +10,12 @@ import typer
 from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.printable_text import print_lines
-from zensim.sim_server.journal.sqlite_store import FILES, JournalError, open_store_read_only
+from zensim.sim_server.journal.sqlite_store import (
+    FILES,
+    JournalError,
+    SqliteStore,
+    open_store_read_only,
+)
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 
 app = make_app()
@@ -53,23 +58,10 @@ def journal(
     """Show, verify, export or copy a server journal; the server may be running."""
     with exit_on_failure("journal", JournalError, MissingServerExtra):
         with server_extra():
-            from zensim.sim_server.journal.journal_contents import (
-                backup_journal,
-                export_journal,
-                find_damaged_files,
-                format_summary,
-                read_contents,
-                summarize_journal,
-            )
+            from zensim.sim_server.journal.journal_contents import format_summary
+
         with open_store_read_only(folder) as store:
-            contents = read_contents(store)
-            summary = summarize_journal(store, contents)
-            output = export_journal(store, contents) if action is JournalAction.EXPORT else summary
-            if action is JournalAction.BACKUP:
-                backup_journal(store, contents, _require_target(target))
-            damaged: tuple[str, ...] = ()
-            if action is JournalAction.VERIFY and contents is not None:
-                damaged = find_damaged_files(contents, folder / FILES)
+            summary, output, damaged = _read(store, action, folder, target)
         if action is JournalAction.EXPORT or as_json:
             print_lines(json.dumps(output, indent=None if as_json else 2))
         elif action is JournalAction.SHOW:
@@ -78,6 +70,29 @@ def journal(
             _report(action, folder, summary, damaged)
         if action is not JournalAction.SHOW and store.loss:
             raise JournalError(store.loss)
+
+
+def _read(
+    store: SqliteStore, action: JournalAction, folder: Path, target: Path | None
+) -> tuple[dict[str, object], dict[str, object], tuple[str, ...]]:
+    """Return summary, what `--json` prints, and the damaged files; copy the journal for BACKUP."""
+    from zensim.sim_server.journal.journal_contents import (
+        backup_journal,
+        export_journal,
+        find_damaged_files,
+        read_contents,
+        summarize_journal,
+    )
+
+    contents = read_contents(store)
+    summary = summarize_journal(store, contents)
+    if action is JournalAction.BACKUP:
+        backup_journal(store, contents, _require_target(target))
+    damaged: tuple[str, ...] = ()
+    if action is JournalAction.VERIFY and contents is not None:
+        damaged = find_damaged_files(contents, folder / FILES)
+    output = export_journal(store, contents) if action is JournalAction.EXPORT else summary
+    return summary, output, damaged
 
 
 def _require_target(target: Path | None) -> Path:
