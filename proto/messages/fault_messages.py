@@ -64,7 +64,8 @@ class TopicFault(msgspec.Struct, frozen=True):
 
     keys: tuple[str, ...] = ()
     """Of the topics, without a leading slash."""
-    kind: TopicFaultKind = "sensor_off"
+    kind: str = "sensor_off"
+    """A `TopicFaultKind`."""
     value: float = 0.0
     """As in `InjectFaultRequest`; so are `low` and `high`."""
     low: float = 0.0

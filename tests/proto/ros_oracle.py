@@ -147,7 +147,9 @@ CANCEL = {
 ZENSIM = {
     "DriveState": "uint32 epoch; uint64 step; uint64 time_ns; uint8[] claims; uint8[] base;"
     " uint8[] joint_positions; uint8[] joint_velocities; uint32 newest_claim; bool is_awaited;"
-    " uint8[] twists; uint32 order; uint8[] joint_efforts",
+    " uint8[] twists; uint32 order; uint8[] joint_efforts; TopicFault[] topic_faults",
+    "TopicFault": "string[] keys; string kind; float64 value; float64 low; float64 high;"
+    " uint64 start_ns; uint64 seed",
     "TwistCommands": "string client; string[] entities; uint8[] twists",
     "DriveCommand": "uint32 epoch; uint64 step; uint8[] claims; uint8[] targets; uint32 order;"
     " bool wants_efforts",
@@ -157,7 +159,7 @@ ZENSIM = {
     "SensorStats": "string process; bool is_active; float64 cpu_s; uint64 messages; uint64 late;"
     " zensim/SensorFigures[] sensors",
     "SceneState": "uint32 epoch; uint64 step; uint64 time_ns; uint32 roster; uint8[] poses;"
-    " uint8[] joint_positions; string[] processes; bool is_awaited",
+    " uint8[] joint_positions; string[] processes; bool is_awaited; TopicFault[] topic_faults",
     "Contacts": "uint32 epoch; uint64 step; uint64 time_ns; string[] entities;"
     " string[] collisions; uint8[] bodies; uint8[] points",
     "SimulateSteps_Request": "uint64 steps; string goal_id",
