@@ -49,6 +49,8 @@ class InProcessFeed(TopicFeed[Message]):
 class InProcessAccess(WorldAccess):
     """Operations on a world of this process; nothing waits, so timeouts have no effect."""
 
+    has_own_clock = False
+
     def __init__(self, server: InProcessServer) -> None:
         self.server = server
         self.world_name = server.world.name

@@ -34,6 +34,8 @@ class WorldAccess(ABC):
 
     world_name = "default"
     """Name of the world, in keys."""
+    has_own_clock = True
+    """Whether simulation time may advance while the caller does something else."""
     is_eager = False
     """Whether `advance` may return before the agents have published the telemetry of the last step,
     as in a loop of a controller that uses no topics."""

@@ -187,7 +187,7 @@ class WorldSession:
     @property
     def runs_by_itself(self) -> bool:
         """Whether simulation time advances without requests."""
-        return self.state().snapshot.state == "playing"
+        return self.access.has_own_clock and self.state().snapshot.state == "playing"
 
     @property
     def control_steps(self) -> int:
@@ -364,7 +364,8 @@ class WorldSession:
                     self.access.await_sensor(entry.name, sensor.name)
 
     def _start_dispatch_thread(self) -> None:
-        if self._dispatch_thread is None:
+        # A world of this thread may not be read by another one.
+        if self._dispatch_thread is None and self.access.has_own_clock:
             self._dispatch_thread = threading.Thread(target=self._dispatch_running, daemon=True)
             self._dispatch_thread.start()
 

@@ -2,12 +2,14 @@
 
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import zensim
 from zensim.api.in_process_server import InProcessServer
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
@@ -223,3 +225,16 @@ def test_a_world_in_process_loads_neither_network_nor_mesh_libraries() -> None:
     )
 
     assert done.stdout.split() == []
+
+
+def test_callbacks_of_a_world_in_process_start_no_thread() -> None:
+    with zensim.World() as world:
+        robot = world.spawn("box_bot", name="r1")
+        before = threading.active_count()
+        seen: list[Odometry] = []
+        robot.topic("odom").on(seen.append)
+        assert threading.active_count() == before
+
+        world.run_for(0.5)
+
+        assert seen
