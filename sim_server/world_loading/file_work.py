@@ -82,7 +82,7 @@ def _read_chunks(
 
 
 class FileWork(Generic[Found]):
-    """A function that reads files, in a thread of its own that nobody waits for."""
+    """A function that reads files, in a thread of its own; the caller polls `is_over`."""
 
     def __init__(self, work: Callable[[Callable[[], None]], Found]) -> None:
         """Start it.
@@ -122,7 +122,7 @@ class FileWork(Generic[Found]):
     def _run(self) -> None:
         try:
             self._found = self._work(self._note_progress)
-        except BaseException as error:  # noqa: BLE001  raised in the thread that asks
+        except BaseException as error:  # noqa: BLE001  raised again by `outcome`
             self._error = error
         self._is_done.set()
 
