@@ -13,27 +13,21 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import TypeAlias
 
-import numpy as np
-
+from benchmarks.drive_states import make_claims, make_drive_states
 from benchmarks.figures import Figure, table
 from benchmarks.machine import used_s
 from benchmarks.ten_robots import CIRCLE, ROBOTS, ROBOTS_WHEN_SHORT, SPACING_M
 from tests.fakes import MemoryBus
 from tests.integration.processes import Server, running, serving, wait_for_agents
 from tests.integration.robots import robot
-from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveState
-from zensim.robot_agent.agent_config import RateOverrides, override_rates
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 from zensim.robot_agent.robots import IndividualRobots
-from zensim.sim_server.description.builtin_models import read_builtin_model
-from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 
 __all__ = ["rows", "table"]
 
 RUNS, SECONDS = 3, 10
 STATES, STATES_WHEN_SHORT = 2000, 20
 COMMANDS_HZ = 10
-PERIOD_NS = 10_000_000
 TOPICS = ("odom", "tf", "joint_states")
 MICROSECONDS = 1e6
 MODEL = "box_bot"
@@ -73,8 +67,8 @@ def _state_figures(
 ) -> Iterator[Figure]:
     bus = MemoryBus()
     held = make(bus, 0)
-    held.add_claims(_claims(robots))
-    states = _states(robots)
+    held.add_claims(make_claims(robots))
+    states = make_drive_states(robots)
     held.advance(next(states))
     yield Figure(
         what=f"{name}: a state answered",
@@ -102,26 +96,6 @@ def _cpu_us(
         act()
         took.append((time.thread_time() - start_s) * MICROSECONDS)
     return tuple(took)
-
-
-def _claims(robots: int) -> tuple[Claim, ...]:
-    model = read_urdf(read_builtin_model(MODEL))
-    claims = [Claim(i + 1, f"r{i}", f"r{i}", model, "<robot/>") for i in range(robots)]
-    # Odometry and tf are due at every state.
-    return override_rates(claims, RateOverrides(0.0, 0.0))
-
-
-def _states(robots: int) -> Iterator[DriveState]:
-    joints = robots * len(read_urdf(read_builtin_model(MODEL)).joints)
-    draws = np.random.default_rng(1)
-    base = draws.uniform(-1.0, 1.0, (robots, STATE_COLUMNS))
-    base[:, 3:7] /= np.linalg.norm(base[:, 3:7], axis=1, keepdims=True)
-    claims = np.arange(1, robots + 1, dtype="<u4").tobytes()
-    positions = draws.uniform(-3.0, 3.0, joints).tobytes()
-    step = 0
-    while True:
-        step += 1
-        yield DriveState(0, step, step * PERIOD_NS, claims, base.tobytes(), positions, positions)
 
 
 def _run(container: str, robots: int, seconds: int) -> tuple[float, float, list[float]]:

@@ -7,23 +7,19 @@ robots in one process.
 """
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-import numpy as np
-
+from benchmarks.drive_states import make_claims, make_drive_states
 from benchmarks.figures import Figure, Limit, table
 from benchmarks.ten_robots import MILLISECONDS
 from tests.integration.processes import connected, free_endpoint, running
 from zensim.proto.bus import Bus
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
-from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveState
+from zensim.proto.messages.agent_messages import DriveState
 from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
-from zensim.robot_agent.agent_config import RateOverrides, override_rates
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 from zensim.robot_agent.robots import IndividualRobots
-from zensim.sim_server.description.builtin_models import read_builtin_model
-from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 
 __all__ = ["rows", "table"]
 
@@ -31,11 +27,9 @@ SIZES = (100, 1000)
 ROUNDS, ROUNDS_WHEN_SHORT = 60, 2
 SINGLE = 100
 """Robots with single agents."""
-PERIOD_NS = 10_000_000
 TOPICS = ("odom", "tf")
 DECLARED_IN = 400
 """Rounds until all publishers are declared."""
-MODEL = "box_bot"
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
@@ -46,15 +40,15 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             yield from _pool_figures(bus, listener, robots, rounds)
     with make_buses() as (bus, _):
         fleet = IndividualRobots(bus, 0)
-        fleet.add_claims(_claims(5 if is_short else SINGLE))
-        states = _states(5 if is_short else SINGLE)
+        fleet.add_claims(make_claims(5 if is_short else SINGLE))
+        states = make_drive_states(5 if is_short else SINGLE)
         took = measure_cpu_ms(rounds, lambda: fleet.advance(next(states)))
         yield _figure(f"{SINGLE} robots one by one: a state answered", took)
 
 
 def _pool_figures(bus: Bus, listener: Bus, robots: int, rounds: int) -> Iterator[Figure]:
-    pool, states = PooledRobots(bus, 0), _states(robots)
-    pool.add_claims(_claims(robots))
+    pool, states = PooledRobots(bus, 0), make_drive_states(robots)
+    pool.add_claims(make_claims(robots))
     commands = [
         bus.advertise(f"r{number}/cmd_vel", make_encoding(Twist, Format.CDR))
         for number in range(robots)
@@ -122,29 +116,6 @@ def make_buses() -> Iterator[tuple[Bus, Bus]]:
         connected(endpoint) as listener,
     ):
         yield bus, listener
-
-
-def _claims(robots: int) -> Sequence[Claim]:
-    model = read_urdf(read_builtin_model(MODEL))
-    claims = [
-        Claim(number + 1, f"r{number}", f"r{number}", model, "<robot/>") for number in range(robots)
-    ]
-    # Odometry and tf are due at every state.
-    return override_rates(claims, RateOverrides(0.0, 0.0))
-
-
-def _states(robots: int) -> Iterator[DriveState]:
-    joints = robots * len(read_urdf(read_builtin_model(MODEL)).joints)
-    draws = np.random.default_rng(1)
-    base = draws.uniform(-1.0, 1.0, (robots, STATE_COLUMNS))
-    base[:, 3:7] /= np.linalg.norm(base[:, 3:7], axis=1, keepdims=True)
-    claims = np.arange(1, robots + 1, dtype="<u4").tobytes()
-    positions = draws.uniform(-3.0, 3.0, joints).tobytes()
-    step = 0
-    while True:
-        step += 1
-        numbers = (base.tobytes(), positions, positions)
-        yield DriveState(0, step, step * PERIOD_NS, claims, *numbers)
 
 
 def measure_cpu_ms(

@@ -17,6 +17,7 @@ from zensim.sim_server.physics.cells.cell_executor import InProcessCellExecutor
 from zensim.sim_server.physics.cells.celled_engine import CelledEngine, CellSettings
 from zensim.sim_server.physics.engine import BodyStates, Engine, EngineRefused, FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.isolating_engine import IsolatingEngine
 from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
 from zensim.sim_server.physics.sleeping_engine import SleepingEngine
@@ -217,6 +218,14 @@ class SleepingBullet(SleepingEngine):
 PHYSICAL: tuple[MakeEngine, ...] = (PyBulletEngine, SleepingBullet, MujocoEngine)
 """Engines with forces, masses and friction."""
 
+
+class IsolatingBullet(IsolatingEngine):
+    """PyBullet whose faults are isolated."""
+
+    def __init__(self, config: EngineConfig) -> None:
+        super().__init__(PyBulletEngine(config))
+
+
 ENGINES: tuple[MakeEngine, ...] = (
     PyBulletEngine,
     SleepingBullet,
@@ -227,6 +236,11 @@ ENGINES: tuple[MakeEngine, ...] = (
     TieredFull,
     TieredAuto,
 )
+REAL_ENGINES: tuple[MakeEngine, ...] = (
+    *(make for make in ENGINES if make is not ObedientEngine),
+    IsolatingBullet,
+)
+"""Engines with contacts and efforts."""
 
 
 @contextmanager

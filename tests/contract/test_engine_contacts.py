@@ -5,13 +5,12 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from tests.engines import ENGINES, STEP_NS, MakeEngine, ObedientEngine, advance, running
+from tests.engines import REAL_ENGINES, STEP_NS, MakeEngine, advance, running
 from tests.models import a_body, a_box, a_box_bot, a_state, box_bot_at
 from zensim.proto.messages.model_messages import Inertial, Joint, Link, Model, Origin, Shape
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.engine import GROUND, Engine
 from zensim.sim_server.physics.engine_config import EngineConfig
-from zensim.sim_server.physics.isolating_engine import IsolatingEngine
 from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
 
@@ -19,17 +18,7 @@ WEIGHT_N = 9.81
 SIDE_M = 0.2
 
 
-class IsolatingBullet(IsolatingEngine):
-    """PyBullet whose faults are isolated."""
-
-    def __init__(self, config: EngineConfig) -> None:
-        super().__init__(PyBulletEngine(config))
-
-
-@pytest.fixture(
-    params=[make for make in (*ENGINES, IsolatingBullet) if make is not ObedientEngine],
-    ids=lambda make: make.name if hasattr(make, "name") else make.__name__,
-)
+@pytest.fixture(params=REAL_ENGINES, ids=lambda make: make.name)
 def engine(request: pytest.FixtureRequest) -> Iterator[Engine]:
     with running(request.param) as made:
         yield made

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tests.engines import ENGINES, STEP_NS, MakeEngine, ObedientEngine, advance, running
+from tests.engines import REAL_ENGINES, STEP_NS, MakeEngine, advance, running
 from tests.faulty_engines import FaultyEngine, make_culprit
 from tests.models import a_box, a_box_bot, a_cart, a_fork, a_state, an_arm, box_bot_at, on_ground
 from zensim.proto.messages.model_messages import Inertial, Model
@@ -23,17 +23,7 @@ GRAVITY, ARM_M, TORQUE_NM = 9.81, 0.2, 0.2
 STEERING = 3
 
 
-class IsolatingBullet(IsolatingEngine):
-    """PyBullet whose faults are isolated."""
-
-    def __init__(self, config: EngineConfig) -> None:
-        super().__init__(PyBulletEngine(config))
-
-
-@pytest.fixture(
-    params=[make for make in (*ENGINES, IsolatingBullet) if make is not ObedientEngine],
-    ids=lambda make: make.name if hasattr(make, "name") else make.__name__,
-)
+@pytest.fixture(params=REAL_ENGINES, ids=lambda make: make.name)
 def engine(request: pytest.FixtureRequest) -> Iterator[Engine]:
     with running(request.param) as made:
         yield made
