@@ -77,14 +77,14 @@ def _imu_figures(bus: Bus, listener: Bus, robots: int, rounds: int) -> Iterator[
 
     quiet = measure_cpu_ms(rounds, pool.publish, before=advance)
     yield _make_figure(f"{robots} IMUs at 200 Hz, no subscriber", quiet)
-    heard = listener.subscribe("*/imu", 8)
+    received = listener.subscribe("*/imu", 8)
     for _ in range(DECLARED_IN):
         pool.reply_to_queries()
         time.sleep(0.001)
     measured = measure_cpu_ms(rounds, pool.publish, before=advance)
     limit = Limit("median", "<=", 1.0, is_timed=True)
     yield _make_figure(f"{robots} IMUs at 200 Hz, one subscriber to all", measured, limit)
-    heard.close()
+    received.close()
 
 
 def _contact_figures(

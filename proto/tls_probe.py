@@ -1,6 +1,6 @@
 """TLS handshake with a secured server before a session opens: pin its authority, name the fault.
 
-Zenoh reports every failure as the same timeout; a handshake tells them apart at once.
+Zenoh reports every failure as the same timeout; a handshake distinguishes them at once.
 """
 
 import hashlib

@@ -71,5 +71,5 @@ class TopicFault(msgspec.Struct, frozen=True):
     low: float = 0.0
     high: float = 0.0
     start_ns: UInt64 = 0
-    """Simulation time; tells apart two faults that follow each other."""
+    """Simulation time; of two faults that follow each other, the times differ."""
     seed: UInt64 = 0

@@ -556,12 +556,12 @@ class SensorProcess:
         missing = count_due(before, last, rate_hz, roster.environment)
         if missing > 0:
             topics = self._share.topics
-            heard = [
+            received = [
                 one
                 for one in group.sensors
                 if any(map(topics.has_subscribers, list_addresses(one)))
             ]
-            self.counts.add_missing(heard, missing)
+            self.counts.add_missing(received, missing)
 
     def _find_moment(self, state: SceneState) -> SceneMoment | None:
         """Find the poses of all entities; None if they are not of a known roster."""

@@ -63,7 +63,7 @@ def stop(
 
 
 class DeletionRefused(Exception):
-    """Entities would be deleted, and nobody agreed."""
+    """Entities would be deleted, and the user did not agree."""
 
 
 def _confirm_deletion(count: int) -> None:

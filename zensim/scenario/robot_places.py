@@ -156,8 +156,8 @@ def _read_csv(text: str, file: str) -> ScenarioNode:
             continue
         place = Place(file, number, 1)
         if len(cells) != len(head):
-            told = f"{len(cells)} cells, but the head line has {len(head)}"
-            raise ScenarioInvalid((Issue(place, "", told),))
+            mistake = f"{len(cells)} cells, but the head line has {len(head)}"
+            raise ScenarioInvalid((Issue(place, "", mistake),))
         values = {
             key: ScenarioNode(place, cell.strip() if key == "name" else _to_number(cell))
             for key, cell in zip(head, cells, strict=True)

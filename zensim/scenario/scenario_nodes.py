@@ -172,8 +172,8 @@ def _describe_yaml_error(error: yaml.YAMLError, file: str) -> Issue:
     context = str(getattr(error, "context", "") or "")
     place = Place(file, mark.line + 1, mark.column + 1) if mark is not None else Place(file, 1, 1)
     advice = "; indent with spaces" if "tab" in problem or "\\t" in problem else ""
-    told = f"not valid YAML: {problem}{f' {context}' if context else ''}{advice}"
-    return Issue(place, "", " ".join(told.split()))
+    mistake = f"not valid YAML: {problem}{f' {context}' if context else ''}{advice}"
+    return Issue(place, "", " ".join(mistake.split()))
 
 
 class _Reading:

@@ -106,8 +106,8 @@ class ReferenceCheck:
         try:
             poses = self._read_poses(f"{path}.poses", group.get("poses"))
             if poses and group.get("count") not in (None, len(poses)):
-                told = f"there are {len(poses)} poses, but `count` is {group['count']}"
-                self._refuse(f"{path}.count", told)
+                mistake = f"there are {len(poses)} poses, but `count` is {group['count']}"
+                self._refuse(f"{path}.count", mistake)
             elif group.get("name"):
                 self.robots += place_group(group, index, self._seed, poses)
         except ScenarioInvalid as error:
@@ -204,8 +204,8 @@ class ReferenceCheck:
             self._require(f"{path}.checks[{index}]", name, self._list_names("checks"), "check")
             if name == entry.get("name"):
                 self._refuse(f"{path}.checks[{index}]", "a check cannot contain itself")
-        for told, at_key in _find_time_mistakes(entry):
-            self._refuse(f"{path}.{at_key}" if at_key else path, told)
+        for mistake, at_key in _find_time_mistakes(entry):
+            self._refuse(f"{path}.{at_key}" if at_key else path, mistake)
         kind = entry.get("that")
         if kind in ("distance", "speed", "rate") and "above" not in entry and "below" not in entry:
             self._refuse(path, "`above` or `below` is missing: what is the limit?")
@@ -240,10 +240,10 @@ class ReferenceCheck:
         vary = self._root.items.get("vary")
         for key, values in (vary.items if vary is not None else {}).items():
             place = vary.key_places[key] if vary is not None else self._root.place
-            for told in self._vary_mistakes(key, values):
+            for mistake in self._vary_mistakes(key, values):
                 path = f"vary.{key}"
                 self.issues.append(
-                    told if isinstance(told, Issue) else Issue(place, path, str(told))
+                    mistake if isinstance(mistake, Issue) else Issue(place, path, str(mistake))
                 )
 
     def _vary_mistakes(self, key: str, values: ScenarioNode) -> Iterator[Issue | str]:

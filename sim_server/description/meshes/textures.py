@@ -145,7 +145,7 @@ def _make_obj_material(values: dict[str, str]) -> ObjMaterial:
     image = values.get("map_Kd", "")
     # Exporters write a diffuse colour of any value beside an image.
     red, green, blue = colour if len(colour) == len(WHITE[:3]) and not image else WHITE[:3]
-    # Writers disagree on whether d or Tr is opacity; nobody draws what cannot be seen.
+    # Writers disagree on whether d or Tr is opacity; an invisible material is not drawn.
     return ObjMaterial((red, green, blue, alpha or 1.0), image)
 
 

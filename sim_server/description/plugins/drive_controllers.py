@@ -68,7 +68,7 @@ UNUSED = {
     "use_stamped_vel": "cmd_vel may be stamped or not",
     "open_loop": _FEEDBACK,
     "position_feedback": _FEEDBACK,
-    "wheels_per_side": "the names of the wheels tell their number",
+    "wheels_per_side": "the names of the wheels say their number",
     "velocity_rolling_window_size": "velocities are not averaged",
     "use_sim_time": "robots have the time of the simulation",
     "tf_frame_prefix": "frames have the prefix of the robot's namespace",
