@@ -93,6 +93,8 @@ START_TIMEOUT_S = 60.0
 TIMEOUT_MESSAGE = (
     f"parsing took more than {DEADLINE_S:g} s; make the description smaller, or try again"
 )
+RESTART_NS = 500_000_000
+"""Until a process that could not be started is tried again."""
 IDLE_POLL_NS = 250_000_000
 """Period of polling an idle process."""
 PARSER_NICENESS = 5
@@ -154,6 +156,8 @@ class ParserClient:
             return []
         self._clock.update()
         self._killed = [process for process in self._killed if process.poll() is None]
+        if self._is_missing:
+            return self._poll_without_process()
         results = self._receive()
         if (status := self._process.poll()) is not None:
             return results + self._replace_exited(status)
@@ -175,13 +179,28 @@ class ParserClient:
             process.wait()
 
     def _start(self) -> None:
+        self._current: ParseRequest | None = None
+        self._is_ready = self._is_missing = False
         self._process = FramedProcess(self._command)
         self._clock.track(self.process_id)
         if self._has_been_ready:
             set_niceness(PARSER_NICENESS, self.process_id)
-        self._current: ParseRequest | None = None
-        self._is_ready = False
         self._deadline_ns = self._clock.now_ns + round(START_TIMEOUT_S * NANOSECONDS)
+
+    def _start_again(self) -> None:
+        """Start a process, or wait until the system has files and processes for one."""
+        try:
+            self._start()
+        except OSError as error:
+            LOG.warning("parser process not started reason=%s", error)
+            self._is_missing = True
+            self._clock.track(0)
+            self._deadline_ns = self._clock.now_ns + RESTART_NS
+
+    def _poll_without_process(self) -> list[ParsedMesh | ParseResult]:
+        if self._clock.now_ns > self._deadline_ns:
+            self._start_again()
+        return self._refuse_overdue()
 
     def _kill(self) -> None:
         self._process.kill()
@@ -197,7 +216,7 @@ class ParserClient:
         current = self._current
         LOG.warning("parser process replaced reason=%s status=%s", slug, self._process.poll())
         self._kill()
-        self._start()
+        self._start_again()
         return [] if current is None else [_make_refusal(current, message, slug=slug)]
 
     def _send_next(self) -> None:

@@ -1,5 +1,6 @@
 """ParserClient with a real process: results, limits, deadlines, replacement."""
 
+import errno
 import os
 import signal
 import sys
@@ -17,11 +18,13 @@ from tests.sim_server.description.meshes.test_mesh_conversion import BOX, export
 from tests.sim_server.description.robots import a_link, a_robot
 from tests.sim_server.fakes import WallTime
 from tests.sim_server.parser_process.test_asset_store import put
+from zensim.proto.child_process import FramedProcess
 from zensim.proto.messages.asset_messages import AssetRef
-from zensim.sim_server.parser_process import parser_worker
+from zensim.sim_server.parser_process import parser_client, parser_worker
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.parser_client import (
     DEADLINE_S,
+    MAX_SLOWDOWN,
     PARSER_NICENESS,
     ParserClient,
     ParserClock,
@@ -309,3 +312,29 @@ def test_parser_session_has_a_lower_priority(parser: ParserClient) -> None:
     assert not session_share.exists() or session_share.read_text(encoding="ascii").strip().endswith(
         f"nice {PARSER_NICENESS}"
     )
+
+
+def test_parser_is_started_when_files_are_free_again(
+    store: AssetStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wall = WallTime()
+    parser = ParserClient(store, wall.now_ns)
+    eventually(lambda: not parser.poll() and parser.is_ready, WITHIN_S, "a parser")
+    process = psutil.Process(parser.process_id)
+    process.kill()
+    eventually(lambda: process.status() == psutil.STATUS_ZOMBIE, WITHIN_S, "its end")
+
+    def fail(_: object) -> FramedProcess:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(parser_client, "FramedProcess", fail)
+        parser.submit(ParseRequest(1, ROBOT))
+        # Its clock leaves out what the former process waited for a core.
+        refused = poll_for(parser, wall, MAX_SLOWDOWN * DEADLINE_S + 1.0)
+    poll_for(parser, wall, MAX_SLOWDOWN * 1.0)
+    found = parse(parser, ParseRequest(2, ROBOT))
+    parser.close()
+
+    assert [one.slug for one in refused if isinstance(one, ParseResult)] == ["reader.timeout"]
+    assert [one.slug for one in found if isinstance(one, ParseResult)] == [""]
