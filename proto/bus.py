@@ -33,7 +33,7 @@ from zensim.proto.network_protocols import (
     Stamp,
 )
 from zensim.proto.process_limits import raise_file_limit
-from zensim.proto.reply_sender import ReplySender, Send
+from zensim.proto.reply_sender import REPLY_BYTES, ReplySender, Send
 from zensim.proto.service_catalog import Request, Response, Service, require_ok
 from zensim.proto.tls_probe import ProbeFailed, fetch_authority
 
@@ -227,7 +227,7 @@ class BusQuery:
         self._send(0, self._query.drop)
 
     def _send(self, size: int, send: Send, finish: Send | None = None) -> None:
-        self._sender.send(self.client, size, send, finish or self._query.drop)
+        self._sender.send(self.client, size + REPLY_BYTES, send, finish or self._query.drop)
 
     def _finish_with(self, replies: Iterable[Callable[[], None]]) -> None:
         with self._query:
@@ -251,8 +251,10 @@ class BusQueryQueue:
         self._sender = sender
 
     def take(self) -> list[BusQuery]:
-        """Take queued queries, oldest first, `MAX_TAKEN` at most."""
+        """Take queued queries, oldest first, `MAX_TAKEN` at most; none while replies pile up."""
         calls: list[BusQuery] = []
+        if self._sender.is_full:
+            return calls
         while len(calls) < MAX_TAKEN and (query := self._queryable.try_recv()) is not None:
             calls.append(BusQuery(query, self._sender))
         return calls
@@ -786,10 +788,7 @@ def _make_router_entries(security: RouterSecurity | None) -> dict[str, object]:
 
 def _make_open_error(config: BusConfig, text: str) -> BusError:
     if "in use" in text:
-        return EndpointTaken(
-            f"another process listens at {config.listen[0]}; stop it, use --listen with another "
-            "port, or --connect to it"
-        )
+        return _make_taken_error(config.listen[0])
     if "listener" in text:
         reason = text.partition(" at /")[0]
         return BusError(f"cannot listen at {', '.join(config.listen)}: {reason}")
@@ -810,6 +809,13 @@ def _make_open_error(config: BusConfig, text: str) -> BusError:
     )
 
 
+def _make_taken_error(endpoint: str) -> EndpointTaken:
+    return EndpointTaken(
+        f"another process listens at {endpoint}; stop it, use --listen with another "
+        "port, or --connect to it"
+    )
+
+
 def _accepts_connections(endpoint: str) -> bool:
     """Whether a TCP connection to an endpoint can be opened."""
     host, _, port = endpoint.partition("?")[0].rpartition("/")[2].rpartition(":")
@@ -824,6 +830,17 @@ def _accepts_connections(endpoint: str) -> bool:
 
 OPEN_TIMEOUTS_S = (0.25, 0.25, 0.25, 0.25, 2.0)
 """Short, to find a new router soon; sometimes long, for a distant one."""
+
+
+def require_free_endpoints(config: BusConfig) -> None:
+    """Check that no other process listens where this one will.
+
+    Raises:
+        EndpointTaken: One does.
+    """
+    for endpoint in config.listen:
+        if _accepts_connections(endpoint):
+            raise _make_taken_error(endpoint)
 
 
 def open_bus_with_retry(config: BusConfig, wait_s: float) -> Bus:

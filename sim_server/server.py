@@ -14,7 +14,13 @@ import msgspec
 import numpy.ma  # noqa: F401  # else the first np.unique in the loop imports it: 60 ms
 
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, NoServer, open_bus_with_retry
+from zensim.proto.bus import (
+    Bus,
+    BusConfig,
+    NoServer,
+    open_bus_with_retry,
+    require_free_endpoints,
+)
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.service_catalog import INFO
@@ -33,7 +39,8 @@ from zensim.sim_server.world_loading.world_loader import LoadedWorld, make_world
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from zensim.sim_server.journal.server_journal import Journal
+    from zensim.sim_server.journal.server_journal import ChangeTracker, Journal
+    from zensim.sim_server.service_parts import ServerParts
 
 LOG = logging.getLogger(__name__)
 INFO_TIMEOUT_S = 2.0
@@ -77,18 +84,43 @@ def run_server(
         loaded, config = load_initial_world(config, journal)
         if journal is not None:
             journal.exclude_crashing(
-                partial(make_world_engine, config, loaded.model, str(journal.files))
+                partial(
+                    make_world_engine, _in_one_process(config), loaded.model, str(journal.files)
+                )
             )
-        bus = cleanup.enter_context(open_bus_with_retry(config.bus or BusConfig(), config.wait_s))
-        if _has_server(bus, config.world):
-            raise WorldAlreadyServed(
-                f"world '{config.world}' already has a server at {bus.endpoint}; "
-                "stop it, or use --world-name with another"
-            )
-        _freeze_garbage_collector()
-        request_short_time_slice()
-        bus.prepare_reply_threads(request_short_time_slice)
-        _run(config, loaded, journal, bus, should_stop, on_ready)
+        make = partial(_make_parts, config, loaded, journal, cleanup, should_stop)
+        if journal is not None and journal.contents is not None and _listens(config):
+            # Clients that reach a server expect replies, and a large world takes seconds.
+            require_free_endpoints(config.bus or BusConfig())
+            made = make()
+            bus = _open_network(config, cleanup)
+        else:
+            bus = _open_network(config, cleanup)
+            made = make()
+        _run(config, made, bus, should_stop, on_ready)
+
+
+def _listens(config: ServerConfig) -> bool:
+    return config.bus is not None and config.bus.mode == "router"
+
+
+def _in_one_process(config: ServerConfig) -> ServerConfig:
+    """Make no workers: what ends one must end the process that tests it."""
+    physics = msgspec.structs.replace(config.physics, workers=0)
+    return msgspec.structs.replace(config, physics=physics)
+
+
+def _open_network(config: ServerConfig, cleanup: ExitStack) -> Bus:
+    bus = cleanup.enter_context(open_bus_with_retry(config.bus or BusConfig(), config.wait_s))
+    if _has_server(bus, config.world):
+        raise WorldAlreadyServed(
+            f"world '{config.world}' already has a server at {bus.endpoint}; "
+            "stop it, or use --world-name with another"
+        )
+    _freeze_garbage_collector()
+    request_short_time_slice()
+    bus.prepare_reply_threads(request_short_time_slice)
+    return bus
 
 
 def _has_server(bus: Bus, world: str) -> bool:
@@ -104,35 +136,46 @@ def _has_server(bus: Bus, world: str) -> bool:
     return True
 
 
-def _run(
+def _make_parts(
     config: ServerConfig,
     loaded: LoadedWorld,
     journal: Journal | None,
+    cleanup: ExitStack,
+    should_stop: Callable[[], bool],
+) -> tuple[ServerParts, ChangeTracker | None]:
+    """Make the world, and what its services act on; both need no network."""
+    clock = HostClock()
+    store = AssetStore(folder=None if journal is None else journal.assets)
+    cleanup.callback(store.close)
+    parser = ParserClient(store, clock.now_ns)
+    cleanup.callback(parser.close)
+    world = make_initial_world(config, loaded, store, journal)
+    cleanup.callback(world.close)
+    parts = make_parts(config, loaded, world, parser, store=store, now_ns=clock.now_ns)
+    tracker = None if journal is None else journal.record(parts)
+    if tracker is not None:
+        cleanup.callback(tracker.close)
+    if journal is None or journal.contents is None:
+        _wait_for_parser(parser, clock, should_stop)
+    return parts, tracker
+
+
+def _run(
+    config: ServerConfig,
+    made: tuple[ServerParts, ChangeTracker | None],
     bus: Bus,
     should_stop: Callable[[], bool],
     on_ready: Callable[[Bus, ServerConfig], None],
 ) -> None:
-    clock = HostClock()
+    parts, tracker = made
     with ExitStack() as cleanup:
-        store = AssetStore(folder=None if journal is None else journal.assets)
-        cleanup.callback(store.close)
-        parser = ParserClient(store, clock.now_ns)
-        cleanup.callback(parser.close)
-        world = make_initial_world(config, loaded, store, journal)
-        cleanup.callback(world.close)
-        parts = make_parts(config, loaded, world, parser, store=store, now_ns=clock.now_ns)
-        tracker = None if journal is None else journal.record(parts)
-        if tracker is not None:
-            cleanup.callback(tracker.close)
-        if journal is None or journal.contents is None:
-            _wait_for_parser(parser, clock, should_stop)
         node = start_server_node(bus, config.ros)
         cleanup.callback(node.close)
         users = SecureFolder(Path(config.secure_folder)) if config.secure_folder else None
         sources = (*node.sources, StepTopics(bus, config.world))
         inbox = BusInbox(bus, config.world, sources, is_secured=users is not None)
         publisher = BusWorldPublisher(bus, config.world, node.topics, node.on_progress)
-        loop = ServerLoop(parts, inbox, publisher, clock, tracker, users)
+        loop = ServerLoop(parts, inbox, publisher, HostClock(), tracker, users)
         cleanup.callback(bus.token(keys.alive_server(config.world)).close)
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
         on_ready(bus, config)

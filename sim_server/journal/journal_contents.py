@@ -148,8 +148,10 @@ def make_parse_key(contents: JournalContents, row: EntityRow) -> ParseKey | None
     return ParseKey(contents.texts[row.text], *msgspec.structs.astuple(how))
 
 
-def make_spawn_request(contents: JournalContents, row: EntityRow, born_ns: int) -> ValidatedSpawn:
-    """Make the request that spawns an entity again."""
+def make_spawn_request(
+    contents: JournalContents, row: EntityRow, born_ns: int, start: FloatArray | None = None
+) -> ValidatedSpawn:
+    """Make the request that spawns an entity again, at a state row (13,)."""
     return ValidatedSpawn(
         row.name,
         row.namespace,
@@ -159,6 +161,7 @@ def make_spawn_request(contents: JournalContents, row: EntityRow, born_ns: int) 
         born_ns=born_ns,
         belongs_to_world=row.belongs_to_world,
         info=row.info,
+        start=start,
     )
 
 
@@ -169,14 +172,29 @@ class RestoreResult:
     restored: list[JournaledEntity] = field(default_factory=list)
     refused: list[ExcludedEntityRow] = field(default_factory=list)
 
+    def refuse(self, row: EntityRow, error: Exception) -> None:
+        """Set an entity aside."""
+        self.refused.append(ExcludedEntityRow(entity=row, reason=" ".join(str(error).split())))
+
 
 def restore_world(
     contents: JournalContents, world: SimulatedWorld, mesh_restorer: MeshRestorer, now_ns: int
 ) -> RestoreResult:
     """Spawn all entities with their last states, set the clock, and start a new epoch."""
     result = RestoreResult()
-    for row in contents.entities:
-        _restore_entity(contents, row, world, mesh_restorer, now_ns, result)
+    rows = [
+        row for row in contents.entities if _restore_meshes(contents, row, mesh_restorer, result)
+    ]
+    starts = [_find_state_at_rest(contents, row)[0] for row in rows]
+    # Announced together, they are divided into cells before they are made.
+    world.engine.expect(
+        [contents.models[row.model] for row in rows],
+        [(float(start[0]), float(start[1])) for start in starts],
+    )
+    for row, start in zip(rows, starts, strict=True):
+        request = make_spawn_request(contents, row, now_ns, start)
+        _restore_entity(contents, row, world, request, result)
+    world.engine.expect(())
     _set_states(contents, world, result)
     # An entity that crashes the first step must do so here, while the mark file exists.
     world.step()
@@ -196,19 +214,28 @@ def _set_states(contents: JournalContents, world: SimulatedWorld, result: Restor
             LOG.warning("state not restored name=%s reason=%s", name, error)
 
 
+def _restore_meshes(
+    contents: JournalContents, row: EntityRow, mesh_restorer: MeshRestorer, result: RestoreResult
+) -> bool:
+    try:
+        mesh_restorer.copy(contents.models[row.model])
+    except (SimError, OSError) as error:
+        result.refuse(row, error)
+        return False
+    return True
+
+
 def _restore_entity(
     contents: JournalContents,
     row: EntityRow,
     world: SimulatedWorld,
-    mesh_restorer: MeshRestorer,
-    now_ns: int,
+    request: ValidatedSpawn,
     result: RestoreResult,
 ) -> None:
     try:
-        mesh_restorer.copy(contents.models[row.model])
-        entity = world.spawn(make_spawn_request(contents, row, now_ns))
+        entity = world.spawn(request)
     except (SimError, OSError) as error:
-        result.refused.append(ExcludedEntityRow(entity=row, reason=" ".join(str(error).split())))
+        result.refuse(row, error)
     else:
         result.restored.append(
             JournaledEntity(row.ordinal, entity, row.bond, make_parse_key(contents, row))

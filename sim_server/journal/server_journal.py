@@ -6,6 +6,7 @@ import logging
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -29,6 +30,7 @@ from zensim.sim_server.journal.journal_contents import (
 from zensim.sim_server.journal.journal_records import (
     ClockRow,
     EntityChange,
+    EntityRow,
     ExcludedEntityRow,
     JournaledEntity,
     JournalRecord,
@@ -43,6 +45,7 @@ from zensim.sim_server.journal.sqlite_store import (
     raising_journal_errors,
 )
 from zensim.sim_server.journal_protocol import JournaledResponse
+from zensim.sim_server.physics.engine import EngineLost
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
 
 if TYPE_CHECKING:
@@ -419,6 +422,11 @@ MAX_CRASHES = 2
 """Crashes of a process after which an entity is excluded."""
 
 
+def ends_process(attempts: Sequence[Callable[[], None]]) -> bool:
+    """Whether attempts, run in order in a copy of this process, end it."""
+    return _find_first_crash(attempts, []) is not None
+
+
 def find_crashing(attempts: Sequence[Callable[[], None]]) -> list[int]:
     """Run attempts in order, in copies of this process; return the indices of those that crash it.
 
@@ -481,9 +489,15 @@ class Journal:
         """
         if self.contents is None or not self._mark.exists():
             return
-        LOG.warning("the last start crashed while restoring; each entity is tested in a fork first")
-        rows = self.contents.entities
-        crashing = find_crashing(_make_restore_attempts(self.contents, make_engine))
+        LOG.warning(
+            "the last start crashed while restoring; its entities are tested in a fork first"
+        )
+        rows, trial = self.contents.entities, RestoreTrial(self.contents, make_engine)
+        adding = [partial(trial.add, row) for row in rows]
+        # One step for all first: one after each entity takes the square of the time.
+        if not ends_process([*adding, trial.step]):
+            return
+        crashing = find_crashing([partial(trial.add_and_step, row) for row in rows])
         with raising_journal_errors(self.database.folder):
             commit_restore(
                 self.database,
@@ -506,6 +520,7 @@ class Journal:
         self, contents: JournalContents, world: SimulatedWorld, store: AssetStore, now_ns: int
     ) -> tuple[str, ...]:
         self._mark.touch()
+        is_crash = False
         try:
             sync_folder(self.database.folder)
             result = restore_world(contents, world, MeshRestorer(self.files, store), now_ns)
@@ -514,9 +529,13 @@ class Journal:
                 contents.clock, epoch=world.clock.epoch, steps=world.clock.steps
             )
             commit_restore(self.database, result.refused, clock)
+        except EngineLost:
+            is_crash = True  # of a process of the engine
+            raise
         finally:
-            # An exception, as of a full disk, is no crash: no entity need be tested alone.
-            self._mark.unlink()
+            # Another exception, as of a full disk, is none: no entity need be tested alone.
+            if not is_crash:
+                self._mark.unlink()
         return tuple(row.entity.name for row in result.refused)
 
     def prepare(self, parts: ServerParts) -> None:
@@ -582,17 +601,28 @@ def open_journal(folder: str) -> Journal:
     return Journal(database, contents)
 
 
-def _make_restore_attempts(
-    contents: JournalContents, make_engine: Callable[[], Engine]
-) -> list[Callable[[], None]]:
-    engines: list[Engine] = []
+class RestoreTrial:
+    """Restores entities alone, in the engine of a copy of this process."""
 
-    def attempt(index: int) -> None:
-        if not engines:
-            engines.append(make_engine())
-        spawn = make_spawn_request(contents, contents.entities[index], 0)
-        body = engines[0].add(spawn.model, spawn.base)
-        engines[0].set_at_rest(body, *contents.last_state(contents.entities[index]))
-        engines[0].step()
+    def __init__(self, contents: JournalContents, make_engine: Callable[[], Engine]) -> None:
+        self._contents = contents
+        self._make_engine = make_engine
 
-    return [lambda index=i: attempt(index) for i in range(len(contents.entities))]  # type: ignore[misc]
+    def add(self, row: EntityRow) -> None:
+        """Make the body of an entity in its last state."""
+        spawn = make_spawn_request(self._contents, row, 0)
+        body = self._engine.add(spawn.model, spawn.base)
+        self._engine.set_at_rest(body, *self._contents.last_state(row))
+
+    def step(self) -> None:
+        """Make a step."""
+        self._engine.step()
+
+    def add_and_step(self, row: EntityRow) -> None:
+        """Make the body of an entity, and a step with those made before."""
+        self.add(row)
+        self.step()
+
+    @cached_property
+    def _engine(self) -> Engine:
+        return self._make_engine()

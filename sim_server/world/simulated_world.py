@@ -325,7 +325,8 @@ class SimulatedWorld:
 
     def _add_staged(self, spawn: ValidatedSpawn) -> Entity:
         name, namespace = self.resolve_names_for(spawn)
-        body = self._add_body(spawn.model, spawn.base)
+        start = spawn.base if spawn.start is None else spawn.start
+        body = self._add_body(spawn.model, start)
         entity = Entity(
             *(name, namespace, spawn.model, body, spawn.base.copy(), spawn.description),
             born_ns=spawn.born_ns,

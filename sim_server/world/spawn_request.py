@@ -66,6 +66,8 @@ class ValidatedSpawn:
     born_ns: int = 0
     belongs_to_world: bool = False
     info: EntityInfo | None = None
+    start: FloatArray | None = None
+    """State row (13,) at which the body is made; None = `base`, which a reset restores."""
 
     def resolve_names(self, entities: EntityStore) -> tuple[str, str]:
         """Find a free name and namespace.

@@ -23,6 +23,7 @@ from zensim.proto.bus import (
     NoServer,
     find_max_sessions,
     open_bus,
+    require_free_endpoints,
 )
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.endpoints import check_endpoint, with_free_port
@@ -366,3 +367,10 @@ def test_endpoint_is_refused_when_it_is_none(endpoint: str) -> None:
 def test_port_is_chosen_when_it_is_0() -> None:
     assert not with_free_port("tcp/127.0.0.1:0").endswith(":0")
     assert with_free_port("tcp/127.0.0.1:7447") == "tcp/127.0.0.1:7447"
+
+
+def test_endpoints_are_free_until_a_router_listens(router: Bus) -> None:
+    require_free_endpoints(BusConfig(mode="router", listen=(free_endpoint(),)))
+
+    with pytest.raises(EndpointTaken, match=router.endpoint):
+        require_free_endpoints(BusConfig(mode="router", listen=(router.endpoint,)))

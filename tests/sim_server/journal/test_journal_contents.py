@@ -4,7 +4,7 @@ import errno
 import hashlib
 import json
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -42,7 +42,7 @@ from zensim.sim_server.journal.sqlite_store import (
     open_store_read_only,
 )
 from zensim.sim_server.parser_process.description_cache import ParseKey
-from zensim.sim_server.physics.engine import EngineRefused, FloatArray
+from zensim.sim_server.physics.engine import EngineLost, EngineRefused, FloatArray, Place
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.world.simulated_world import SimulatedWorld
 
@@ -265,6 +265,83 @@ def test_entity_that_crashes_is_excluded_after_a_start_that_crashed(tmp_path: Pa
     assert [row.name for row in second.contents.entities] == ["r0", "r2"]
     assert [row.entity.name for row in second.contents.aside] == ["r1"]
     second.close()
+
+
+def test_entity_that_crashes_the_step_of_all_is_excluded(tmp_path: Path) -> None:
+    server = JournaledServer(tmp_path, "r0", "r1", "r2")
+    server.tracker.record()
+    server.crash()
+
+    class CrashingStep(ObedientEngine):
+        """Ends the process when it steps with a body that was made at x = 1."""
+
+        is_fatal = False
+
+        def add(self, model: Model, base: FloatArray) -> int:
+            self.is_fatal |= base[0] == 1.0
+            return super().add(model, base)
+
+        def step(self) -> bool:
+            if self.is_fatal:
+                raise SystemExit(9)
+            return super().step()
+
+    (tmp_path / RESTORE_MARK_FILE).touch()
+    journal = open_journal(str(tmp_path))
+    journal.exclude_crashing(lambda: CrashingStep(EngineConfig(STEP_NS)))
+
+    assert journal.contents is not None
+    assert [row.name for row in journal.contents.entities] == ["r0", "r2"]
+    journal.close()
+
+
+def test_engine_knows_all_models_and_last_places_before_it_makes_bodies(tmp_path: Path) -> None:
+    server = JournaledServer(tmp_path, "r0", "r1")
+    server.world.place("r1", on_ground(7.0, 2.0))
+    server.tracker.record(is_requested=True)
+    server.crash()
+    calls: list[object] = []
+
+    class RecordingEngine(ObedientEngine):
+        def expect(self, models: Sequence[Model], places: Sequence[Place] = ()) -> None:
+            assert len(models) == len(places)
+            calls.append(list(places))
+
+        def add(self, model: Model, base: FloatArray) -> int:
+            calls.append((float(base[0]), float(base[1])))
+            return super().add(model, base)
+
+    world = SimulatedWorld(
+        RecordingEngine(EngineConfig(STEP_NS)),
+        name="default",
+        step_ns=STEP_NS,
+        control_steps=CONTROL_STEPS,
+    )
+    JournaledServer(tmp_path, world=world)
+
+    assert calls == [[(0.0, 0.0), (7.0, 2.0)], (0.0, 0.0), (7.0, 2.0), []]
+    assert world.entities.find("r1").initial[0] == 1.0
+
+
+def test_mark_file_stays_when_a_process_of_the_engine_is_lost(tmp_path: Path) -> None:
+    server = JournaledServer(tmp_path, "r0")
+    server.tracker.record()
+    server.crash()
+
+    class LostEngine(ObedientEngine):
+        def step(self) -> bool:
+            raise EngineLost("a worker ended")
+
+    world = SimulatedWorld(
+        LostEngine(EngineConfig(STEP_NS)),
+        name="default",
+        step_ns=STEP_NS,
+        control_steps=CONTROL_STEPS,
+    )
+    with pytest.raises(EngineLost):
+        JournaledServer(tmp_path, world=world)
+
+    assert (tmp_path / RESTORE_MARK_FILE).exists()
 
 
 def test_mark_file_is_removed_after_a_restore(tmp_path: Path) -> None:
