@@ -12,6 +12,10 @@ MAX_THREADS: Final = 8
 """As many clients may stop reading at once without a delay for others."""
 MAX_UNSENT_BYTES: Final = 16 << 20
 """Replies of one client that may wait to be sent; the next ones end without a value."""
+REPLY_BYTES: Final = 4096
+"""Memory of a reply that waits, besides its own bytes: its query, and what sends it."""
+MAX_UNSENT: Final = 8192
+"""Replies of all clients that may wait before no further queries are taken."""
 CLOSE_TIMEOUT_S: Final = 1.0
 LOG = logging.getLogger(__name__)
 
@@ -42,10 +46,15 @@ class ReplySender:
         self._unsent: dict[str, UnsentReplies] = {}
         self._ready: deque[UnsentReplies] = deque()
         """Clients with unsent replies that no thread serves."""
-        self._threads = self._idle = 0
+        self._threads = self._idle = self._count = 0
         self._is_closed = False
         self.prepare_thread: Callable[[], object] = lambda: None
         """Called first in each thread."""
+
+    @property
+    def is_full(self) -> bool:
+        """Whether so many replies wait that no further queries should be taken."""
+        return self._count >= MAX_UNSENT
 
     def send(self, client: str, size: int, send: Send, finish: Send) -> None:
         """Send a reply from another thread; too many unsent ones are finished without a value.
@@ -65,6 +74,7 @@ class ReplySender:
                 send, size = finish, 0
             unsent.queue.append((send, size))
             unsent.size += size
+            self._count += 1
 
     def settle(self, timeout_s: float) -> None:
         """Wait until the replies are sent, but not for clients that have stopped reading.
@@ -121,6 +131,7 @@ class ReplySender:
         with self._has_work:
             _, size = unsent.queue.popleft()
             unsent.size -= size
+            self._count -= 1
             unsent.is_stalled = False
             self._idle += 1
             if unsent.queue:

@@ -29,7 +29,12 @@ from zensim.sim_server.runtime.request_authorization import (
     UserDirectory,
 )
 from zensim.sim_server.runtime.request_dispatcher import RequestDispatcher
-from zensim.sim_server.runtime.request_queue import RequestBudget, RequestBusy, RequestQueue
+from zensim.sim_server.runtime.request_queue import (
+    REQUEST_FEE_NS,
+    RequestBudget,
+    RequestBusy,
+    RequestQueue,
+)
 from zensim.sim_server.runtime.sensor_sessions import SensorSessions
 from zensim.sim_server.runtime.world_map import WorldMap
 from zensim.sim_server.runtime.world_telemetry import WorldTelemetry
@@ -309,6 +314,8 @@ EAGER_NS, EAGER_POLL_S = 20_000_000, 0.0001
 """After a requested step, requests are polled fast for so long."""
 SETTLE_S = 0.001
 """Most time that the loop waits for replies to leave before it goes on with a step."""
+MAX_BUSY_REFUSALS = 512
+"""Refusals of excess requests in a second; more end without a value, which costs less."""
 MAX_EVENTS_PER_TURN = 128
 """Events published per turn; spawning many robots makes more than fit between two steps."""
 MAX_LAG_NS = 50_000_000
@@ -373,6 +380,8 @@ class ServerLoop:
             self._authorization,
         )
         self._budget = RequestBudget(clock.used_ns)
+        self._busy_refusals = 0
+        """In the present window of statistics."""
         self._requests = RequestQueue(self._budget)
         self._has_looked_at_all = True
         """Whether all pending requests were looked at since descriptions were parsed."""
@@ -420,18 +429,29 @@ class ServerLoop:
         try:
             self._requests.add(call)
         except RequestBusy as error:
-            self._dispatcher.refuse(call, error)
+            self._busy_refusals += 1
+            if self._busy_refusals <= MAX_BUSY_REFUSALS:
+                self._dispatcher.refuse(call, error)
+            else:
+                call.drop()
 
     def _handle_requests(self) -> None:
         while (call := self._requests.take_next()) is not None:
-            with self._budget.charge(call.client):
+            with self._budget.charge(call.client, REQUEST_FEE_NS):
                 self._dispatcher.take(call)
 
     def _reply_to_pending(self) -> None:
         has_new = self._descriptions.provider.poll()
         self._descriptions.has_new = has_new or not self._has_looked_at_all
         self._has_looked_at_all = self._dispatcher.reply_to_ready(self._budget)
-        self._inbox.settle_replies(SETTLE_S)
+        if (settle_s := self._time_to_settle_s()) > 0.0:
+            self._inbox.settle_replies(settle_s)
+
+    def _time_to_settle_s(self) -> float:
+        """Find how long to wait for replies to leave: a step that is due does not wait."""
+        if not self._waits_for_deadline:
+            return SETTLE_S
+        return min(SETTLE_S, (self._deadline_ns - self._clock.now_ns()) * 1e-9)
 
     @property
     def _waits_for_deadline(self) -> bool:
@@ -483,8 +503,10 @@ class ServerLoop:
                 self._publisher.publish(AUDIT, refusal)
         now_ns = self._clock.now_ns()
         self._publish_progress(now_ns)
-        if self._loop_stats.close_window(now_ns) and self._publisher.is_wanted(STATS):
-            self._publisher.publish(STATS, self._telemetry.stats())
+        if self._loop_stats.close_window(now_ns):
+            self._busy_refusals = 0
+            if self._publisher.is_wanted(STATS):
+                self._publisher.publish(STATS, self._telemetry.stats())
         for topic in self._telemetry.due(now_ns):
             if self._publisher.is_wanted(topic):
                 self._publisher.publish(topic, self._telemetry.message(topic))

@@ -22,6 +22,8 @@ SHARE_OF_CLIENT: Final = 0.75
 """Part of it that one client may use, so that others do not wait for the next step."""
 MIN_BUDGET_NS: Final = 250_000
 """Least time for requests between two steps, so that short steps do not starve them."""
+REQUEST_FEE_NS: Final = 50_000
+"""What a request costs the threads of the network, which share the cores with the loop."""
 SLICE_NS: Final = 2_000_000
 """Time for requests of a turn when no step is due, before other traffic is served."""
 
@@ -63,13 +65,13 @@ class RequestBudget:
         return not self.is_used_up and used_ns < self._budget_ns * SHARE_OF_CLIENT
 
     @contextmanager
-    def charge(self, client: str) -> Iterator[None]:
-        """Count the time that the block takes for a client."""
+    def charge(self, client: str, fee_ns: int = 0) -> Iterator[None]:
+        """Count the time that the block takes for a client, and a fee."""
         start_ns = self._read_used_ns()
         try:
             yield
         finally:
-            used_ns = self._read_used_ns() - start_ns
+            used_ns = self._read_used_ns() - start_ns + fee_ns
             self._used_ns += used_ns
             self._used_by_ns[client] = self._used_by_ns.get(client, 0) + used_ns
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from zensim.proto import reply_sender
 from zensim.proto.reply_sender import ReplySender
 
 TIMEOUT_S = 10.0
@@ -143,3 +144,20 @@ def test_each_thread_is_prepared_before_it_sends() -> None:
     sender.close()
 
     assert calls == ["prepared", "one", "two"]
+
+
+def test_sender_is_full_until_replies_are_sent(
+    sender: ReplySender, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reply_sender, "MAX_UNSENT", 3)
+    stalled = StalledClient(sender, "stalled")
+    sent: list[str] = []
+    send_text(sender, "stalled", "second", sent)
+    was_full = sender.is_full
+
+    send_text(sender, "stalled", "third", sent)
+
+    assert (was_full, sender.is_full) == (False, True)
+    stalled.is_reading.set()
+    sender.settle(TIMEOUT_S)
+    assert not sender.is_full

@@ -14,6 +14,7 @@ from zensim.proto.messages.spawn_messages import (
     SpawnEntityOrder,
 )
 from zensim.proto.network_protocols import MAX_REQUEST_ID_BYTES
+from zensim.sim_server.runtime.loop import MAX_BUSY_REFUSALS, SETTLE_S
 from zensim.sim_server.runtime.request_queue import MAX_WAITING
 
 COST_NS = 1_000_000
@@ -98,6 +99,7 @@ def test_loop_refuses_a_request_id_that_is_too_long() -> None:
 
 def test_loop_refuses_more_unfinished_requests_of_a_client_than_may_wait() -> None:
     server = a_server("r0")
+    server.world.clock.pause()
     provider = server.parts.descriptions.provider
     assert isinstance(provider, InlineParser)
     provider.is_slow = True
@@ -109,3 +111,34 @@ def test_loop_refuses_more_unfinished_requests_of_a_client_than_may_wait() -> No
     server.loop.serve()
 
     assert refused_slug(call) == "request.busy"
+
+
+def test_loop_ends_excess_requests_without_a_refusal_when_there_are_many(
+    server: ServerFixture,
+) -> None:
+    excess = MAX_BUSY_REFUSALS + 2
+    calls = [
+        server.request("delete_entity", DeleteEntityRequest("r9"))
+        for _ in range(MAX_WAITING + excess)
+    ]
+
+    server.loop.turn()
+
+    refused, ended = calls[MAX_WAITING:-2], calls[-2:]
+    assert {refused_slug(call) for call in refused} == {"request.busy"}
+    assert [(call.is_over, call.answers) for call in ended] == [(True, [])] * 2
+
+
+def test_loop_does_not_wait_for_replies_when_a_step_is_due(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    server = a_server("r0")
+    waits: list[float] = []
+    monkeypatch.setattr(server.inbox, "settle_replies", waits.append)
+    server.wall.ns += STEP_NS
+
+    server.loop.serve()
+    server.world.clock.pause()
+    server.loop.serve()
+
+    assert waits == [SETTLE_S]
