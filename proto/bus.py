@@ -149,6 +149,7 @@ class BusQuery:
     def __init__(self, query: zenoh.Query, sender: ReplySender) -> None:
         self._query = query
         self._sender = sender
+        self._has_replies = False
         self.key = str(query.key_expr)
         self.encoding = str(query.encoding) if query.encoding else ""
         self.size = len(query.payload or EMPTY_PAYLOAD)
@@ -212,6 +213,7 @@ class BusQuery:
         self, key: str, payload: bytes, encoding: str, attachment: bytes, stamp: Stamp
     ) -> None:
         """Send one reply of several, if the query accepts its key; `drop` finishes the query."""
+        self._has_replies = True
         reply = partial(
             self._query.reply,
             key,
@@ -224,7 +226,10 @@ class BusQuery:
 
     def drop(self) -> None:
         """Finish the query."""
-        self._send(0, self._query.drop)
+        if self._has_replies:
+            self._send(0, self._query.drop)  # after them
+        else:
+            self._sender.finish(self._query.drop)
 
     def _send(self, size: int, send: Send, finish: Send | None = None) -> None:
         self._sender.send(self.client, size + REPLY_BYTES, send, finish or self._query.drop)

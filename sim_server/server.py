@@ -23,6 +23,7 @@ from zensim.proto.bus import (
 )
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import InfoRequest
+from zensim.proto.process_limits import limit_malloc_arenas
 from zensim.proto.service_catalog import INFO
 from zensim.sim_server.initial_world import load_initial_world, make_initial_world, make_parts
 from zensim.sim_server.journal.server_journal import open_journal
@@ -77,6 +78,7 @@ def run_server(
         JournalError: The journal cannot be used.
     """
     config = msgspec.structs.replace(validate_config(config), requested=config)
+    limit_malloc_arenas()
     with ExitStack() as cleanup:
         journal = open_journal(config.journal) if config.journal else None
         if journal is not None:

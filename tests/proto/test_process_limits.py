@@ -11,7 +11,12 @@ import pytest
 
 from tests.contract.repository import ROOT
 from tests.integration.processes import eventually, kill
-from zensim.proto.process_limits import PARENT_PID_VARIABLE, die_with_supervisor, set_niceness
+from zensim.proto.process_limits import (
+    MALLOC_ARENAS,
+    PARENT_PID_VARIABLE,
+    die_with_supervisor,
+    set_niceness,
+)
 
 CHILD = """
 import os, time
@@ -190,3 +195,18 @@ def test_limit_of_open_files_is_raised_as_far_as_allowed() -> None:
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
 
     assert done.stdout.split() == ["512", "512", "512"]
+
+
+def test_threads_share_arenas_of_malloc() -> None:
+    script = (
+        "import ctypes, threading; from zensim.proto import process_limits as limits\n"
+        "limits.limit_malloc_arenas(); barrier = threading.Barrier(9); libc = ctypes.CDLL(None)\n"
+        "libc.malloc.restype = ctypes.c_void_p\n"
+        "def work(): libc.malloc(1000); barrier.wait()\n"
+        "[threading.Thread(target=work).start() for _ in range(8)]; barrier.wait()\n"
+        "libc.malloc_stats()"
+    )
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+
+    assert 1 <= done.stderr.count("Arena ") <= MALLOC_ARENAS

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Iterator
+from functools import partial
 
 import pytest
 
@@ -161,3 +162,29 @@ def test_sender_is_full_until_replies_are_sent(
     stalled.is_reading.set()
     sender.settle(TIMEOUT_S)
     assert not sender.is_full
+
+
+def test_queries_without_a_value_do_not_wait_for_replies_that_stall(sender: ReplySender) -> None:
+    stalled = StalledClient(sender, "stalled")
+    finished = threading.Event()
+
+    sender.finish(finished.set)
+
+    assert finished.wait(TIMEOUT_S)
+    stalled.is_reading.set()
+
+
+def test_sender_finishes_all_queries_before_it_closes() -> None:
+    sender, finished = ReplySender(), []
+    for number in range(1000):
+        sender.finish(partial(finished.append, number))
+    sender.finish(fail)
+    sender.finish(partial(finished.append, 1000))
+
+    sender.close(TIMEOUT_S)
+
+    assert finished == list(range(1001))
+
+
+def fail() -> None:
+    raise RuntimeError("the link is closed")
