@@ -1,5 +1,6 @@
 """Built-in models and worlds, and the text of a spawn resource."""
 
+from functools import cache
 from importlib.resources import files
 
 from zensim.proto.messages.result_messages import ResultCode, SpawnCode
@@ -38,6 +39,7 @@ def read_builtin_world(name: str) -> str:
     return _read_file(name, "world", *WORLD_FILES)
 
 
+@cache
 def _list_names(folder: str, suffix: str) -> tuple[str, ...]:
     entries = files("zensim.sim_server").joinpath(folder).iterdir()
     return tuple(
@@ -54,12 +56,12 @@ def _read_file(name: str, what: str, folder: str, suffix: str) -> str:
             code=ResultCode.NOT_FOUND,
             slug=f"library.{what}",
         )
-    return (
-        files("zensim.sim_server")
-        .joinpath(folder)
-        .joinpath(name + suffix)
-        .read_text(encoding="utf-8")
-    )
+    return _read_text(folder, name + suffix)
+
+
+@cache
+def _read_text(folder: str, file: str) -> str:
+    return files("zensim.sim_server").joinpath(folder, file).read_text(encoding="utf-8")
 
 
 BUILTIN_SCHEMES = ("model://", "zensim://")

@@ -464,11 +464,12 @@ class ServerLoop:
         self._agent_sessions.stop_silent_agents(now_ns)
         self._world.step()
         took_ns = self._clock.now_ns() - now_ns
-        self._budget.begin_step(max(took_ns, self._wall_step_ns))
+        late_ns = max(0, now_ns - self._deadline_ns)
+        self._budget.begin_step(max(took_ns, self._wall_step_ns), late_ns)
         self._loop_stats.note_step(
             simulated_ns=self._world.clock.step_ns,
             took_ns=took_ns,
-            late_ns=max(0, now_ns - self._deadline_ns),
+            late_ns=late_ns,
         )
         if self._world.is_control_step:
             # First the contacts: an agent that replies to a state has them.

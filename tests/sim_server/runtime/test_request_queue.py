@@ -7,6 +7,7 @@ import pytest
 from tests.fakes import MemoryCall
 from zensim.proto.network_protocols import ServiceCall
 from zensim.sim_server.runtime.request_queue import (
+    LATE_NS,
     MAX_CLIENTS,
     MAX_WAITING,
     MAX_WAITING_BYTES,
@@ -92,6 +93,26 @@ def test_requests_wait_for_the_next_step_when_the_budget_is_used_up() -> None:
     requests.budget.begin_step(STEP_NS)
 
     assert requests.handle_all(**dict.fromkeys("abcde", BUDGET_NS // 2)) == ["c", "d"]
+
+
+@pytest.mark.parametrize(("late_ns", "handled"), [(LATE_NS, 75), (LATE_NS + 1, 38)])
+def test_requests_get_half_as_much_while_the_loop_is_late(late_ns: int, handled: int) -> None:
+    requests = Requests()
+    for _ in range(100):
+        requests.add("a")
+
+    requests.budget.begin_step(STEP_NS, late_ns)
+
+    assert len(requests.handle_all(a=BUDGET_NS // 100)) == handled
+
+
+def test_fee_of_a_request_counts_as_its_time() -> None:
+    requests = Requests()
+
+    with requests.budget.charge("a", fee_ns=BUDGET_NS):
+        pass
+
+    assert requests.budget.is_used_up
 
 
 def test_client_of_an_expensive_request_waits_until_its_time_is_paid_and_others_do_not() -> None:
