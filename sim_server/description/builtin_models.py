@@ -61,7 +61,7 @@ def _read_file(name: str, what: str, folder: str, suffix: str) -> str:
 
 @cache
 def _read_text(folder: str, file: str) -> str:
-    return files("zensim.sim_server").joinpath(folder, file).read_text(encoding="utf-8")
+    return files("zensim.sim_server").joinpath(folder).joinpath(file).read_text(encoding="utf-8")
 
 
 BUILTIN_SCHEMES = ("model://", "zensim://")

@@ -175,7 +175,8 @@ def test_queries_without_a_value_do_not_wait_for_replies_that_stall(sender: Repl
 
 
 def test_sender_finishes_all_queries_before_it_closes() -> None:
-    sender, finished = ReplySender(), []
+    sender = ReplySender()
+    finished: list[int] = []
     for number in range(1000):
         sender.finish(partial(finished.append, number))
     sender.finish(fail)
