@@ -449,7 +449,7 @@ class RouterSecurity(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class BusConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """Session settings; defaults to loopback without scouting and gossip."""
+    """Session settings; defaults to loopback without scouting; only routers gossip."""
 
     mode: Literal["client", "peer", "router"] = "client"
     connect: tuple[str, ...] = ()
@@ -740,8 +740,12 @@ def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
         "connect/exit_on_failure": True,
         "connect/retry": {"period_init_ms": 100, "period_max_ms": 500},
         "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
+        # Peers of rmw_zenoh learn of each other by the gossip of their router only.
+        "scouting/gossip/enabled": config.mode == "router",
         "scouting/delay": 0,
+        # Else the router stamps all: in one order, in which it does not forward them, and zenoh-ext
+        # drops what is older than the last message with the same stamp id.
+        "timestamping/enabled": True,
         # Shared memory pools use 20 MB per process.
         "transport/shared_memory/enabled": False,
         "transport/link/tx/lease": config.lease_ms,

@@ -65,6 +65,7 @@ class KeyPublisher:
     def send(self, payload: bytes) -> None:
         """Publish a message."""
         self._sent += 1
+        self._was_matched = True
         self._publisher.send(payload, self.attachment(), self._find_stamp(payload))
 
     def attachment(self) -> bytes:

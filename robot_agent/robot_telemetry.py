@@ -273,8 +273,10 @@ class JointTelemetry:
         return template.payload(state.time_ns, positions + velocities + efforts)
 
 
-def make_static_publishers(factory: TopicFactory, claim: Claim) -> list[LazyTopicPublisher]:
-    """Declare the topics of a robot whose message never changes."""
+def make_static_publishers(
+    factory: TopicFactory, claim: Claim, *, has_shared: bool = True
+) -> list[LazyTopicPublisher]:
+    """Declare the topics of a robot whose message never changes; with the shared one, or not."""
     fixed = make_fixed_transforms(claim.model)
     return [
         LazyTopicPublisher(
@@ -284,6 +286,7 @@ def make_static_publishers(factory: TopicFactory, claim: Claim) -> list[LazyTopi
             is_shared=key == TF_STATIC.suffix,
         )
         for topic, key, message in list_static_messages(claim, fixed, factory.settings)
+        if has_shared or key != TF_STATIC.suffix
     ]
 
 

@@ -142,7 +142,22 @@ class CmdVelSubscriber:
 class DrivenRobot:
     """One robot: states to targets and telemetry; without a drive only telemetry."""
 
-    def __init__(self, factory: TopicFactory, claim: Claim, cmd_vel_timeout_ns: int) -> None:
+    def __init__(
+        self,
+        factory: TopicFactory,
+        claim: Claim,
+        cmd_vel_timeout_ns: int,
+        *,
+        is_pooled: bool = False,
+    ) -> None:
+        """Declare the topics.
+
+        Args:
+            factory: Declares them.
+            claim: The robot.
+            cmd_vel_timeout_ns: Simulation time for which a command is valid; 0 = for ever.
+            is_pooled: Whether a pool publishes the fixed transforms on the shared topic.
+        """
         self.entity = claim.entity
         self._factory = factory
         self.joint_count = len(claim.model.joints)
@@ -156,7 +171,7 @@ class DrivenRobot:
             sensor.make(factory, claim) for sensor in SENSOR_TYPES if sensor.is_used_by(claim.model)
         ]
         self.bumpers = BumperTelemetry(factory, claim)
-        self._static = make_static_publishers(factory, claim)
+        self._static = make_static_publishers(factory, claim, has_shared=not is_pooled)
         self._state: RobotState | None = None
         self._ordered: Twist | None = None
         self._is_motion_new = False

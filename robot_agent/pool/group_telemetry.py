@@ -20,6 +20,7 @@ from zensim.proto.rigid_transforms import multiply, normalize, rotate, rotate_ab
 from zensim.proto.ros2.ros_graph import RosNode
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 from zensim.proto.topic_catalog import JOINT_STATES, ODOM, ROBOT_TOPICS, TF, TF_STATIC, TopicSpec
+from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory
 from zensim.robot_agent import message_templates
 from zensim.robot_agent.base_controller import find_motion_rates
 from zensim.robot_agent.message_templates import list_tf_paths, list_tf_stamps
@@ -35,6 +36,7 @@ from zensim.robot_agent.robot_rows import (
     remap_ints,
 )
 from zensim.robot_agent.robot_telemetry import (
+    StaticMessage,
     list_static_messages,
     make_fixed_transforms,
     prefix_frames,
@@ -272,6 +274,7 @@ EMPTY_TRANSFORM = TransformStamped()
 COUNT_STRUCT = struct.Struct("<I")
 FIRST_OFFSET = HEADER_BYTES + COUNT_STRUCT.size
 LATER_OFFSET = len(encode(TFMessage((EMPTY_TRANSFORM,))))
+CDR_HEADER = encode(TFMessage())[:HEADER_BYTES]
 
 
 class TfMessageBatch:
@@ -626,11 +629,136 @@ class StaticValue:
         return self._payload
 
 
+class _EncodedTransforms:
+    """Transforms as bytes of a message: as the first ones of it, and as later ones."""
+
+    def __init__(self, message: TFMessage) -> None:
+        self.count = len(message.transforms)
+        self.first = encode(message)[FIRST_OFFSET:]
+        self.later = encode(TFMessage((EMPTY_TRANSFORM, *message.transforms)))[LATER_OFFSET:]
+
+
+class StaticTransformBatch:
+    """Fixed transforms of some robots, in one message on the shared topic."""
+
+    def __init__(self, factory: TopicFactory) -> None:
+        """Declare the topic."""
+        self.size = 0
+        """About that of the message [bytes]."""
+        self._robots: dict[int, _EncodedTransforms] = {}
+        self._payload: bytes | None = None
+        self._has_news = False
+        self._publisher = LazyTopicPublisher(
+            factory, TF_STATIC.root(), self.payload, is_shared=True
+        )
+
+    def __contains__(self, claim: int) -> bool:
+        return claim in self._robots
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there are no robots."""
+        return not self._robots
+
+    def add(self, claim: int, transforms: _EncodedTransforms) -> None:
+        """Add a robot; `announce` publishes the message again."""
+        self._robots[claim] = transforms
+        self.size += len(transforms.later)
+        self._payload, self._has_news = None, True
+
+    def remove(self, claim: int) -> None:
+        """Remove a robot; subscribers keep its transforms, as tf does."""
+        self.size -= len(self._robots.pop(claim).later)
+        self._payload = None
+
+    def payload(self) -> bytes | None:
+        """Write the message; None without robots."""
+        if self._payload is None and self._robots:
+            robots = tuple(self._robots.values())
+            count = COUNT_STRUCT.pack(sum(one.count for one in robots))
+            parts = (robots[0].first, *(one.later for one in robots[1:]))
+            self._payload = b"".join((CDR_HEADER, count, *parts))
+        return self._payload
+
+    def announce(self) -> None:
+        """Publish the message if it has new robots, or to new subscribers."""
+        if self._has_news:
+            self._has_news = False
+            self._publisher.publish()
+        self._publisher.announce()
+
+    def reply_to_queries(self) -> None:
+        """Reply to queries and late subscribers."""
+        self._publisher.reply_to_queries()
+
+    def close(self) -> None:
+        """Undeclare the topic."""
+        self._publisher.close()
+
+
+class SharedStaticTopic:
+    """Fixed transforms of a pool's robots on the shared topic, in few messages.
+
+    A subscriber of tf keeps a hundred messages, and a late one gets those of all pools at once.
+    """
+
+    def __init__(self, make_factory: Callable[[], TopicFactory]) -> None:
+        """Create it without robots.
+
+        Args:
+            make_factory: Makes a factory for the node that publishes the topic.
+        """
+        self._make_factory = make_factory
+        self._factory: TopicFactory | None = None
+        self._batches: list[StaticTransformBatch] = []
+
+    def add(self, claim: int, message: TFMessage) -> None:
+        """Add a robot's transforms; `announce` publishes them."""
+        transforms = _EncodedTransforms(message)
+        most = MAX_TF_MESSAGE_BYTES - len(transforms.later)
+        batch = next((one for one in self._batches if one.size <= most), None)
+        if batch is None:
+            if self._factory is None:
+                self._factory = self._make_factory()
+            batch = StaticTransformBatch(self._factory)
+            self._batches.append(batch)
+        batch.add(claim, transforms)
+
+    def remove(self, claim: int) -> None:
+        """Remove a robot, if it has such transforms."""
+        batch = next((one for one in self._batches if claim in one), None)
+        if batch is None:
+            return
+        batch.remove(claim)
+        if batch.is_empty:
+            self._batches.remove(batch)
+            batch.close()
+        if not self._batches and self._factory is not None:
+            self._factory.close()
+            self._factory = None
+
+    def announce(self) -> None:
+        """Publish what is new, and everything to new subscribers."""
+        for batch in self._batches:
+            batch.announce()
+
+    def reply_to_queries(self) -> None:
+        """Reply to queries and late subscribers."""
+        for batch in self._batches:
+            batch.reply_to_queries()
+
+
 class StaticTopics:
     """Static topics of robots; equal messages are encoded once."""
 
-    def __init__(self, find_publisher: FindPublisher, ros: RosSettings = NO_ROS) -> None:
+    def __init__(
+        self,
+        find_publisher: FindPublisher,
+        shared: SharedStaticTopic,
+        ros: RosSettings = NO_ROS,
+    ) -> None:
         self._find_publisher = find_publisher
+        self._shared = shared
         self._ros = ros
         self._fixed: dict[int, tuple[Model, TFMessage]] = {}
         self._values: dict[msgspec.Struct, StaticValue] = {}
@@ -638,18 +766,23 @@ class StaticTopics:
     def add(self, claim: Claim, node: RosNode | None = None) -> tuple[TopicMember, ...]:
         """Declare a robot's static topics; its node is in the ROS 2 graph."""
         members = []
-        for topic, key, message in list_static_messages(
-            claim, self._get_fixed_transforms(claim.model), self._ros
-        ):
-            # On the shared topic each robot has frames of its own.
-            is_own = key == TF_STATIC.suffix
-            value = StaticValue(message) if is_own else self._get_value(message)
-            members.append(TopicMember(key, value, node=node))
+        for topic, key, message in self._list_messages(claim):
+            if isinstance(message, TFMessage) and key == TF_STATIC.suffix:
+                self._shared.add(claim.claim, message)
+                continue
+            members.append(TopicMember(key, self._get_value(message), node=node))
             self._find_publisher(keys.make_pattern(key), topic).add(members[-1])
         return tuple(members)
 
-    def remove(self, members: tuple[TopicMember, ...]) -> None:
+    def add_shared(self, claim: Claim) -> None:
+        """Publish a robot's fixed transforms on the shared topic only."""
+        for _, key, message in self._list_messages(claim):
+            if isinstance(message, TFMessage) and key == TF_STATIC.suffix:
+                self._shared.add(claim.claim, message)
+
+    def remove(self, claim: int, members: tuple[TopicMember, ...]) -> None:
         """Undeclare a robot's static topics."""
+        self._shared.remove(claim)
         for member in members:
             topic = ROBOT_TOPICS[keys.last_chunk(member.key)]
             self._find_publisher(keys.make_pattern(member.key), topic).remove(member)
@@ -662,6 +795,9 @@ class StaticTopics:
         """Drop the encoded messages, when no robot is left."""
         self._fixed.clear()
         self._values.clear()
+
+    def _list_messages(self, claim: Claim) -> Iterator[StaticMessage]:
+        return list_static_messages(claim, self._get_fixed_transforms(claim.model), self._ros)
 
     def _get_fixed_transforms(self, model: Model) -> TFMessage:
         # The model is kept, so that no other gets its id.

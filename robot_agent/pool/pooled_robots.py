@@ -24,14 +24,19 @@ from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic
 from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.proto.topic_catalog import CMD_VEL, TopicSpec
-from zensim.proto.topic_endpoints import TopicSubscription, make_topic_factory
+from zensim.proto.topic_endpoints import TopicFactory, TopicSubscription, make_topic_factory
 from zensim.proto.topic_faults import TopicFaults
 from zensim.robot_agent.bumpers import ContactReport
 from zensim.robot_agent.drive_state_decoder import RobotState, is_repeated, unpack_claims
 from zensim.robot_agent.pool.group_bases import GroupBaseController
 from zensim.robot_agent.pool.group_key import GroupKey, make_group_key
 from zensim.robot_agent.pool.group_sensors import GroupSensors
-from zensim.robot_agent.pool.group_telemetry import FindPublisher, GroupTelemetry, StaticTopics
+from zensim.robot_agent.pool.group_telemetry import (
+    FindPublisher,
+    GroupTelemetry,
+    SharedStaticTopic,
+    StaticTopics,
+)
 from zensim.robot_agent.pool.pooled_bumpers import PooledBumpers
 from zensim.robot_agent.robot_rows import (
     NEW_ROW,
@@ -470,7 +475,8 @@ class PooledRobots:
         self._robots: dict[int, DrivenRobot] = {}
         self._publishers: dict[tuple[str, TopicSpec], FleetTopicPublisher] = {}
         self._faults = TopicFaults()
-        self._static_topics = StaticTopics(self._find_publisher, self._ros)
+        self._shared_static = SharedStaticTopic(self._make_static_factory)
+        self._static_topics = StaticTopics(self._find_publisher, self._shared_static, self._ros)
         self._bumpers = PooledBumpers(self._find_publisher)
         self._commands = FleetCmdVel(
             rx_session or network, timeout_ns, graph.domain if graph else None
@@ -497,8 +503,9 @@ class PooledRobots:
             else:
                 factory = make_topic_factory(self._network, self._graph, claim.namespace, NODE_NAME)
                 factory.faults = self._faults
-                robot = DrivenRobot(factory, claim, self._timeout_ns)
+                robot = DrivenRobot(factory, claim, self._timeout_ns, is_pooled=True)
                 robot.announce()
+                self._static_topics.add_shared(claim)
                 self._robots[claim.claim] = robot
         self._claims = None
         self.newest_claim = max((*self._members, *self._robots), default=0)
@@ -620,11 +627,13 @@ class PooledRobots:
             publisher.declare_some()
             publisher.announce_some()
             publisher.reply_to_queries()
+        self._shared_static.reply_to_queries()
         for robot in self._robots.values():
             robot.reply_to_queries()
 
     def announce(self) -> None:
         """Publish static topics to new subscribers."""
+        self._shared_static.announce()
         for (_, topic), publisher in self._publishers.items():
             if topic.is_latched:
                 publisher.announce()
@@ -639,10 +648,11 @@ class PooledRobots:
 
     def _release(self, claim: int) -> str:
         if (robot := self._robots.pop(claim, None)) is not None:
+            self._static_topics.remove(claim, ())
             robot.close()
             return robot.entity
         member = self._members.pop(claim)
-        self._static_topics.remove(member.static_topics)
+        self._static_topics.remove(claim, member.static_topics)
         self._bumpers.remove(claim)
         if member.group_key in self._groups:
             self._groups[member.group_key].release(member)
@@ -712,8 +722,18 @@ class PooledRobots:
         """Add the node that publishes the shared topic of a group to the ROS 2 graph."""
         if self._graph is None:
             return None
-        number = next(self._numbers)
-        return self._graph.add_node("", f"{GROUP_NODE_PREFIX}_{self._graph.zid[:8]}_{number}")
+        return self._graph.add_node("", f"{self._node_prefix}_{next(self._numbers)}")
+
+    def _make_static_factory(self) -> TopicFactory:
+        """Make a factory with the node that publishes the shared static topic."""
+        name = f"{self._node_prefix}_static"
+        factory = make_topic_factory(self._network, self._graph, "", name)
+        factory.faults = self._faults
+        return factory
+
+    @property
+    def _node_prefix(self) -> str:
+        return f"{GROUP_NODE_PREFIX}_{self._graph.zid[:8] if self._graph else ''}"
 
     def _join_ros_graph(self, namespace: str, cmd_vel: str) -> RosNode | None:
         """Add a robot to the ROS 2 graph, as a node that subscribes to commands."""

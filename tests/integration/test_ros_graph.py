@@ -108,9 +108,9 @@ def graph(session: zenoh.Session) -> list[TokenEndpoint]:
 
 def test_each_token_matches_the_grammar_and_the_other_tokens(graph: list[TokenEndpoint]) -> None:
     nodes = {one.node.name for one in graph}
-    pools = {name for name in nodes if re.fullmatch(r"/zensim_pool_[0-9a-f]{8}_1", name)}
+    pools = {name for name in nodes if re.fullmatch(r"/zensim_pool_[0-9a-f]{8}_(1|static)", name)}
 
-    assert len(pools) == 1
+    assert len(pools) == 2
     assert nodes - pools == {"/zensim", *(f"{robot}/agent" for robot in ROBOTS)}
     assert {one.node.domain for one in graph} == {0}
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,9 +13,10 @@ from tests.proto.drives.robots_of_each_drive import DRIVES, robot_of
 from tests.robot_agent.models import DRIVE, two_wheeler
 from zensim.api.in_process_network import InProcessSubscription
 from zensim.proto.codec import cdr
+from zensim.proto.codec.cdr import encode
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveState
-from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.model_messages import GroundTruth, Model
 from zensim.proto.messages.standard_messages import (
     Header,
     JointState,
@@ -29,6 +31,7 @@ from zensim.proto.messages.standard_messages import (
 from zensim.proto.ros2.rmw_attachment import read_attachment
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.topic_catalog import TF_STATIC
 from zensim.robot_agent import message_templates
 from zensim.robot_agent.odometry import BaseMotion, OdometryHeader, make_covariances
 from zensim.robot_agent.pool import group_telemetry
@@ -300,3 +303,108 @@ def test_group_without_robots_has_no_topic() -> None:
 
     assert published.bus.list_tokens(ON_TF) == []
     assert not published.bus.is_served("tf")
+
+
+STATIC_KEY = RosGraph(MemoryBus(), RosSettings()).data_key(TF_STATIC.root())
+ON_TF_STATIC = "@ros2_lv/0/*/*/*/MP/*/*/*/%tf_static/**"
+
+
+class PoolOfStatic:
+    """A pool with subscribers to the shared fixed transforms."""
+
+    def __init__(self, *models: Model) -> None:
+        self.bus = MemoryBus()
+        self.pool = PooledRobots(self.bus, 0, RosGraph(self.bus, RosSettings()))
+        self.plain = self.bus.subscribe("tf_static", 64)
+        self.ros = self.bus.subscribe(STATIC_KEY, 64)
+        self.claims = claims_of(models)
+        self.pool.add_claims(self.claims)
+        self.pool.announce()
+
+    def late(self) -> list[TFMessage]:
+        """Query as a late subscriber of rmw_zenoh does."""
+        if not self.bus.pumps:
+            self.bus.pumps.append(self.pool.reply_to_queries)
+        numbers = [token.split("/")[4] for token in self.bus.list_tokens(ON_TF_STATIC)]
+        return [
+            decode(TFMessage, one.payload, one.encoding)
+            for number in numbers
+            for one in self.bus.get(f"{STATIC_KEY}/@adv/pub/ab12/{number}/_")
+        ]
+
+
+def test_fixed_transforms_of_a_pool_are_one_message_on_plain_and_ros_keys() -> None:
+    published = PoolOfStatic(*[robot_of(DRIVES["diff"])] * 20)
+
+    (plain,), (ros,), (late,) = (
+        messages(published.plain),
+        messages(published.ros),
+        published.late(),
+    )
+
+    assert plain == ros == late
+    assert {
+        edge.child_frame_id for edge in plain.transforms if edge.header.frame_id == "world"
+    } == {f"r{number}/odom" for number in range(1, 21)}
+
+
+def test_fixed_transforms_are_those_of_robots_that_are_driven_one_by_one() -> None:
+    models = [robot_of(DRIVES["diff"]), robot_of(DRIVES["car"]), watched_robot()]
+    published = PoolOfStatic(*models)
+    bus = MemoryBus()
+    received = bus.subscribe("tf_static", 64)
+    fleet = IndividualRobots(bus, 0, RosGraph(bus, RosSettings()))
+    fleet.add_claims(published.claims)
+
+    (plain,) = published.plain.take()
+
+    expected = messages(received)
+    assert len(expected) == len(models)
+    whole = TFMessage(tuple(edge for one in expected for edge in one.transforms))
+    assert sorted(decode(TFMessage, plain.payload, plain.encoding).transforms, key=repr) == sorted(
+        whole.transforms, key=repr
+    )
+    assert plain.payload == encode(decode(TFMessage, plain.payload, plain.encoding))
+
+
+def watched_robot() -> Model:
+    """Make a robot that no group can hold."""
+    return msgspec.structs.replace(
+        robot_of(DRIVES["diff"]), ground_truths=(GroundTruth("base_link", topic="truth"),)
+    )
+
+
+def test_fixed_transforms_of_many_robots_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(group_telemetry, "MAX_TF_MESSAGE_BYTES", 1)
+    published = PoolOfStatic(*[robot_of(DRIVES["diff"])] * 3)
+
+    assert [roots(one) - {"world"} for one in published.late()] == [{"r1"}, {"r2"}, {"r3"}]
+    assert len(published.bus.list_tokens(ON_TF_STATIC)) == 3
+
+
+def test_new_robot_is_published_with_the_others_and_a_removed_one_no_more() -> None:
+    published = PoolOfStatic(*[robot_of(DRIVES["diff"])] * 2)
+    published.ros.take()
+    third = msgspec.structs.replace(published.claims[0], claim=3, entity="r3", namespace="r3")
+
+    published.pool.add_claims([third])
+    for _ in range(3):
+        published.pool.announce()
+
+    (added,) = messages(published.ros)
+    assert roots(added) == {"world", "r1", "r2", "r3"}
+    published.pool.release_all_except(a_state([*published.claims[1:], third], 1).claims)
+    published.pool.announce()
+    assert messages(published.ros) == []
+    assert [roots(one) for one in published.late()] == [{"world", "r2", "r3"}]
+
+
+def test_pool_without_robots_has_no_shared_static_topic() -> None:
+    published = PoolOfStatic(robot_of(DRIVES["diff"]))
+    (token,) = published.bus.list_tokens(ON_TF_STATIC)
+    assert "/zensim_pool_ab12_static/" in token
+
+    published.pool.release_all_except(b"")
+
+    assert published.bus.list_tokens("@ros2_lv/**") == []
+    assert not published.bus.is_served("tf_static")
