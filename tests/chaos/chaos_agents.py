@@ -11,7 +11,14 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from benchmarks.figures import Figure, Limit
-from tests.integration.processes import Server, agent_of, eventually, running, serving
+from tests.chaos.one_robot import (
+    ROBOT,
+    STANDING_M_S,
+    drive_until_moving,
+    find_speed,
+    serve_one_robot,
+)
+from tests.integration.processes import Server, agent_of, eventually, running
 from tests.integration.robots import Robot, robot
 
 if TYPE_CHECKING:
@@ -21,22 +28,20 @@ ROUNDS, ROUNDS_WHEN_SHORT = 100, 3
 TIMEOUT_S = 0.5
 """Timeout after which a robot without commands stops anyway."""
 MARGIN_S = 0.05
-MOVING_M_S, STANDING_M_S = 0.1, 0.01
 SEED = 11
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Kill agents of a driving robot."""
     phase = random.Random(SEED)
-    with serving() as server:
-        server.zensim("spawn", "box_bot", "--name", "r1")
+    with serve_one_robot() as server:
         driver: Robot | None = None
         took = []
         for _ in range(ROUNDS_WHEN_SHORT if is_short else ROUNDS):
             with ExitStack() as stack:
-                process = stack.enter_context(running("agent", "r1", "--connect", server.endpoint))
-                eventually(lambda: agent_of(server, "r1"), 30.0, "claiming")
-                driver = driver or robot(server.bus, "r1")
+                process = stack.enter_context(running("agent", ROBOT, "--connect", server.endpoint))
+                eventually(lambda: agent_of(server, ROBOT), 30.0, "claiming")
+                driver = driver or robot(server.bus, ROBOT)
                 took.append(_stop_s(server, driver, process, phase))
     yield Figure(
         what="kill of the agent to wheels at zero",
@@ -46,27 +51,12 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     )
 
 
-def speed_of(server: Server, name: str) -> float:
-    """Get the planar speed of an entity [m/s]."""
-    linear = server.client.entity_state(name).twist.linear
-    return float((linear.x**2 + linear.y**2) ** 0.5)
-
-
 def _stop_s(
     server: Server, driver: Robot, process: "subprocess.Popen[str]", phase: random.Random
 ) -> float:
-    until_s = phase.uniform(0.0, 0.3)
-
-    def is_moving() -> bool:
-        driver.command(0.3, 0.5)
-        return speed_of(server, "r1") > MOVING_M_S
-
-    eventually(is_moving, 20.0, "moving")
-    begin = server.client.info()
-    while server.client.info().sim_time_s < begin.sim_time_s + until_s:
-        driver.command(0.3, 0.5)
+    drive_until_moving(server, driver, phase.uniform(0.0, 0.3))
     process.kill()
     killed_s = server.client.info().sim_time_s
     process.wait()
-    eventually(lambda: speed_of(server, "r1") < STANDING_M_S, 10.0, "standing")
+    eventually(lambda: find_speed(server) < STANDING_M_S, 10.0, "standing")
     return server.client.info().sim_time_s - killed_s

@@ -7,11 +7,9 @@ linearizable.
 
 import random
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks.figures import Figure, Limit
@@ -47,11 +45,8 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     clients = CLIENTS_WHEN_SHORT if is_short else CLIENTS
     operations = OPERATIONS_WHEN_SHORT if is_short else OPERATIONS
     life_s = LIFE_WHEN_SHORT_S if is_short else LIFE_S
-    with tempfile.TemporaryDirectory() as folder:
-        most = KILLS_WHEN_SHORT if is_short else KILLS
-        histories, kills = _run_clients(
-            Path(folder), clients, operations, KillSchedule(life_s, most)
-        )
+    most = KILLS_WHEN_SHORT if is_short else KILLS
+    histories, kills = _run_clients(clients, operations, KillSchedule(life_s, most))
     faults = [name for name, history in histories.items() if first_fault(history) is not None]
     yield Figure(
         what="names whose history nothing explains",
@@ -75,14 +70,12 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 
 def _run_clients(
-    folder: Path, clients: int, operations: int, schedule: KillSchedule
+    clients: int, operations: int, schedule: KillSchedule
 ) -> tuple[dict[str, list[Operation]], int]:
     histories: dict[str, list[Operation]] = {name: [] for name in NAMES}
-    with run_restartable_server(folder) as (server, endpoint), ThreadPoolExecutor(clients) as pool:
-        with open_bus(BusConfig(connect=(endpoint,))) as bus:
-            SimClient(bus).wait_for_server(START_S)
-        work = [pool.submit(_client, endpoint, i, operations) for i in range(clients)]
-        kills = _kill_until(server, endpoint, schedule, lambda: all(one.done() for one in work))
+    with run_restartable_server() as (server, bus), ThreadPoolExecutor(clients) as pool:
+        work = [pool.submit(_client, bus.endpoint, i, operations) for i in range(clients)]
+        kills = _kill_until(server, bus, schedule, lambda: all(one.done() for one in work))
         for one in work:
             for name, operation in one.result():
                 histories[name].append(operation)
@@ -90,7 +83,7 @@ def _run_clients(
 
 
 def _kill_until(
-    server: RestartableServer, endpoint: str, schedule: KillSchedule, is_over: Callable[[], bool]
+    server: RestartableServer, bus: Bus, schedule: KillSchedule, is_over: Callable[[], bool]
 ) -> int:
     """Kill the server repeatedly, each time some time after its first reply."""
     moment, kills = random.Random(SEED), 0
@@ -101,8 +94,7 @@ def _kill_until(
         server.kill()
         kills += 1
         server.restart()
-        with open_bus(BusConfig(connect=(endpoint,))) as bus:
-            SimClient(bus).wait_for_server(START_S)
+        SimClient(bus).wait_for_server(START_S)
     return kills
 
 

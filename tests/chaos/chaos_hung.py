@@ -16,9 +16,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from benchmarks.figures import Figure, Limit
-from tests.chaos.chaos_agents import MARGIN_S, MOVING_M_S, STANDING_M_S, TIMEOUT_S, speed_of
-from tests.integration.processes import Server, agent_of, end, eventually, kill, running, serving
-from tests.integration.robots import Robot, robot
+from tests.chaos.chaos_agents import MARGIN_S, TIMEOUT_S
+from tests.chaos.one_robot import (
+    ROBOT,
+    STANDING_M_S,
+    drive_until_moving,
+    find_speed,
+    serve_one_robot,
+)
+from tests.integration.processes import Server, agent_of, end, eventually, kill, running
+from tests.integration.robots import robot
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.telemetry_messages import Event
@@ -28,7 +35,7 @@ ROUNDS, ROUNDS_WHEN_SHORT = 100, 4
 TAKEOVERS, TAKEOVERS_WHEN_SHORT = 20, 1
 TAKEOVER_S = 2.0
 SEED = 17
-TIMED_OUT = "timed_out", "r1", "driver"
+TIMED_OUT = "timed_out", ROBOT, "driver"
 SLEEP_ON_SIGNAL = """
 import signal, sys, time
 signal.signal(signal.SIGUSR1, lambda *_: time.sleep(60.0))
@@ -42,8 +49,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     """Hang agents of a driving robot."""
     phase = random.Random(SEED)
     rounds = ROUNDS_WHEN_SHORT if is_short else ROUNDS
-    with serving() as server:
-        server.zensim("spawn", "box_bot", "--name", "r1")
+    with serve_one_robot() as server:
         found = [_hang(server, signal_of_round(i), phase) for i in range(rounds)]
         takeovers = TAKEOVERS_WHEN_SHORT if is_short else TAKEOVERS
         took = [_take_over_s(server) for _ in range(takeovers)]
@@ -70,17 +76,17 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 @contextmanager
 def _agent(server: Server) -> Iterator["subprocess.Popen[bytes]"]:
     """Run an agent whose main thread sleeps at SIGUSR1."""
-    arguments = ("agent", "r1", "--name", "driver", "--connect", server.endpoint)
+    arguments = ("agent", ROBOT, "--name", "driver", "--connect", server.endpoint)
     process = subprocess.Popen(
         [sys.executable, "-c", SLEEP_ON_SIGNAL, *arguments], stderr=subprocess.DEVNULL
     )
     try:
-        eventually(lambda: agent_of(server, "r1") == "driver", 30.0, "claiming")
+        eventually(lambda: agent_of(server, ROBOT) == "driver", 30.0, "claiming")
         yield process
     finally:
         process.kill()
         process.wait()
-        eventually(lambda: not agent_of(server, "r1"), 30.0, "releasing")
+        eventually(lambda: not agent_of(server, ROBOT), 30.0, "releasing")
 
 
 def signal_of_round(number: int) -> signal.Signals:
@@ -92,10 +98,10 @@ def _hang(server: Server, how: signal.Signals, phase: random.Random) -> tuple[fl
     """Hang an agent; return the time until its robot rests [s], and the number of events."""
     events = server.bus.subscribe(EVENTS.key("default"), 64)
     with _agent(server) as process:
-        _drive(server, robot(server.bus, "r1"), phase.uniform(0.0, 0.3))
+        drive_until_moving(server, robot(server.bus, ROBOT), phase.uniform(0.0, 0.3))
         process.send_signal(how)
         hung_s = server.client.info().sim_time_s
-        eventually(lambda: speed_of(server, "r1") < STANDING_M_S, 10.0, "standing")
+        eventually(lambda: find_speed(server) < STANDING_M_S, 10.0, "standing")
         stopped_s = server.client.info().sim_time_s - hung_s
         told: list[tuple[str, str, str]] = []
 
@@ -111,27 +117,16 @@ def _hang(server: Server, how: signal.Signals, phase: random.Random) -> tuple[fl
     return stopped_s, told.count(TIMED_OUT)
 
 
-def _drive(server: Server, driver: Robot, further_s: float) -> None:
-    def is_moving() -> bool:
-        driver.command(0.3, 0.5)
-        return speed_of(server, "r1") > MOVING_M_S
-
-    eventually(is_moving, 20.0, "moving")
-    until_s = server.client.info().sim_time_s + further_s
-    while server.client.info().sim_time_s < until_s:
-        driver.command(0.3, 0.5)
-
-
 def _take_over_s(server: Server) -> float:
     connected = ("--connect", server.endpoint)
     with _agent(server) as process:
-        with running("agent", "r1", "--name", "second", "--wait", "60", *connected) as second:
+        with running("agent", ROBOT, "--name", "second", "--wait", "60", *connected) as second:
             token = keys.alive_agent("default", "second")
             eventually(lambda: server.bus.list_tokens(token), 30.0, "waiting")
-            _drive(server, robot(server.bus, "r1"), 0.0)
+            drive_until_moving(server, robot(server.bus, ROBOT))
             kill(process.pid, signal.SIGSTOP)
             hung_s = server.client.info().sim_time_s
-            eventually(lambda: agent_of(server, "r1") == "second", 30.0, "taking over")
+            eventually(lambda: agent_of(server, ROBOT) == "second", 30.0, "taking over")
             took_s = server.client.info().sim_time_s - hung_s
             end(second)
         return took_s

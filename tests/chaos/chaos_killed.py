@@ -6,19 +6,17 @@ and restarted. Acknowledged changes must be restored; poses and time may be 0.5 
 """
 
 import random
-import tempfile
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from benchmarks.figures import Figure, Limit
 from tests.chaos.persistence import ANSWER_S, RestartableServer, ask, run_restartable_server
 from tests.integration.processes import START_S, eventually, zensim
 from zensim.proto import service_catalog
-from zensim.proto.bus import Bus, BusConfig, BusSubscription, NoServer, open_bus
+from zensim.proto.bus import Bus, BusSubscription, NoServer
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.entity_messages import GetEntitiesRequest
 from zensim.proto.messages.spawn_messages import DeleteEntityRequest, Resource, SpawnEntityOrder
@@ -86,12 +84,9 @@ class KillCosts:
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Kill the server, start it again, and compare."""
-    with tempfile.TemporaryDirectory() as folder:
-        toll = _measure_kills(
-            Path(folder),
-            ROUNDS_WHEN_SHORT if is_short else ROUNDS,
-            ROBOTS_WHEN_SHORT if is_short else ROBOTS,
-        )
+    toll = _measure_kills(
+        ROUNDS_WHEN_SHORT if is_short else ROUNDS, ROBOTS_WHEN_SHORT if is_short else ROBOTS
+    )
     for what, count in (("spawns lost", toll.lost), ("deletes undone", toll.undone)):
         yield Figure(
             what=f"acknowledged {what}",
@@ -113,17 +108,13 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     )
 
 
-def _measure_kills(folder: Path, rounds: int, robots: int) -> KillCosts:
+def _measure_kills(rounds: int, robots: int) -> KillCosts:
     moment, toll = random.Random(SEED), KillCosts()
-    with (
-        run_restartable_server(folder) as (server, endpoint),
-        open_bus(BusConfig(connect=(endpoint,))) as bus,
-    ):
+    with run_restartable_server() as (server, bus):
         client = SimClient(bus)
-        client.wait_for_server(START_S)
         done = zensim(
             *("fleet", "box_bot", "--robots", str(robots), "--layout", "grid"),
-            *("--spacing", "2", "--connect", endpoint),
+            *("--spacing", "2", "--connect", bus.endpoint),
         )
         assert done.returncode == 0, done.stderr
         clock = bus.subscribe(CLOCK.key("default"), 4096)

@@ -34,15 +34,7 @@ from tests.integration.page_client import (
     encode_update,
     find_control,
 )
-from tests.integration.processes import (
-    START_S,
-    connected,
-    eventually,
-    free_endpoint,
-    kill,
-    read_json_line,
-    running,
-)
+from tests.integration.processes import START_S, eventually, kill, running_up
 from zensim.proto.bus import Bus
 from zensim.spawner.client.sim_client import SimClient
 
@@ -104,13 +96,10 @@ async def _read(page: AsyncConnection) -> None:
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Load a page, then kill it."""
-    endpoint = free_endpoint()
-    words = ("up", "--robots", "10", "--viewer-port", "0", "--json", "--listen", endpoint)
-    with running(*words) as process:
-        url = str(read_json_line(process)["viewer"])
-        with connected(endpoint, process) as bus:
-            yield from _load(bus, url, process.pid, is_short=is_short)
-            yield from _kill(url, process.pid, KILLS_WHEN_SHORT if is_short else KILLS)
+    with running_up("--robots", "10", "--viewer-port", "0") as (process, ready, bus):
+        url = str(ready["viewer"])
+        yield from _load(bus, url, process.pid, is_short=is_short)
+        yield from _kill(url, process.pid, KILLS_WHEN_SHORT if is_short else KILLS)
 
 
 def _load(bus: Bus, url: str, up: int, *, is_short: bool) -> Iterator[Figure]:

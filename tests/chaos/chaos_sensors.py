@@ -13,15 +13,7 @@ from itertools import pairwise
 
 from benchmarks.bench_sensors import MODEL, find_programs
 from benchmarks.figures import Figure, Limit
-from tests.integration.processes import (
-    START_S,
-    connected,
-    eventually,
-    free_endpoint,
-    kill,
-    read_json_line,
-    running,
-)
+from tests.integration.processes import START_S, eventually, kill, running_up
 from tests.integration.sensor_runs import DEPTH, record_lockstep_scans
 from zensim.proto import keys
 from zensim.proto.bus import Bus, BusSubscription
@@ -57,22 +49,17 @@ def _find_different_runs(robots: int, steps: int) -> Figure:
 
 
 def _kill(robots: int, kills: int) -> Iterator[Figure]:
-    endpoint = free_endpoint()
     count = ("--robots", str(robots), "--layout", "grid", "--agents", "pooled")
     rates = ("--odom-hz", str(ODOM_HZ), "--tf-hz", str(ODOM_HZ), "--dynamics", "auto")
-    words = ("up", "--model", MODEL, "--no-viewer", "--json", "--listen", endpoint)
-    with running(*words, *count, *rates) as process:
-        read_json_line(process)
-        with connected(endpoint, process) as bus:
-            odom = bus.subscribe(ODOM.key("*"), DEPTH)
-            scans = bus.subscribe(SCAN.key("*"), DEPTH)
-            _wait_for_all(scans, robots)
-            odom.take()
-            took_s = tuple(
-                _kill_once(bus, scans, robots, find_programs(process)["sensors"])
-                for _ in range(kills)
-            )
-            gaps_s = _find_gaps_s(odom)
+    with running_up("--model", MODEL, "--no-viewer", *count, *rates) as (process, _, bus):
+        odom = bus.subscribe(ODOM.key("*"), DEPTH)
+        scans = bus.subscribe(SCAN.key("*"), DEPTH)
+        _wait_for_all(scans, robots)
+        odom.take()
+        took_s = tuple(
+            _kill_once(bus, scans, robots, find_programs(process)["sensors"]) for _ in range(kills)
+        )
+        gaps_s = _find_gaps_s(odom)
     yield Figure(
         what=f"scans of {robots} robots again after SIGKILL",
         unit="s",

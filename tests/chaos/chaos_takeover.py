@@ -9,9 +9,15 @@ import signal
 from collections.abc import Iterator
 
 from benchmarks.figures import Figure, Limit
-from tests.chaos.chaos_agents import MOVING_M_S, STANDING_M_S, speed_of
-from tests.integration.processes import Server, agent_of, eventually, kill, running, serving
-from tests.integration.robots import Robot, robot
+from tests.chaos.one_robot import (
+    ROBOT,
+    STANDING_M_S,
+    drive_until_moving,
+    find_speed,
+    serve_one_robot,
+)
+from tests.integration.processes import Server, agent_of, eventually, kill, running
+from tests.integration.robots import robot
 
 ROUNDS, ROUNDS_WHEN_SHORT = 50, 2
 CALM_S = 0.3
@@ -22,8 +28,7 @@ WATCHED_S = 0.5
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Suspend, replace and resume agents."""
     strayed, intruded, returned = [], [], []
-    with serving() as server:
-        server.zensim("spawn", "box_bot", "--name", "r1")
+    with serve_one_robot() as server:
         for _ in range(ROUNDS_WHEN_SHORT if is_short else ROUNDS):
             first, moved, back = _round(server)
             intruded.append(float(first))
@@ -51,31 +56,23 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 def _round(server: Server) -> tuple[int, float, float]:
     connected = ("--connect", server.endpoint, "--cmd-vel-timeout", "0")
-    with running("agent", "r1", "--name", "first", *connected) as first:
-        eventually(lambda: agent_of(server, "r1") == "first", 30.0, "claiming")
-        driver = robot(server.bus, "r1")
-        _drive(server, driver)
+    with running("agent", ROBOT, "--name", "first", *connected) as first:
+        eventually(lambda: agent_of(server, ROBOT) == "first", 30.0, "claiming")
+        driver = robot(server.bus, ROBOT)
+        drive_until_moving(server, driver)
         kill(first.pid, signal.SIGSTOP)
         try:
-            with running("agent", "r1", "--name", "second", *connected):
-                eventually(lambda: agent_of(server, "r1") == "second", 30.0, "taking over")
+            with running("agent", ROBOT, "--name", "second", *connected):
+                eventually(lambda: agent_of(server, ROBOT) == "second", 30.0, "taking over")
                 _wait_until_at_rest(server)
                 kill(first.pid, signal.SIGCONT)
                 intrusions, fastest = _observe(server)
         finally:
             kill(first.pid, signal.SIGCONT)
         left_s = server.client.info().sim_time_s
-        eventually(lambda: agent_of(server, "r1") == "first", 30.0, "taking back")
-        _drive(server, driver)
+        eventually(lambda: agent_of(server, ROBOT) == "first", 30.0, "taking back")
+        drive_until_moving(server, driver)
         return intrusions, fastest, server.client.info().sim_time_s - left_s
-
-
-def _drive(server: Server, driver: Robot) -> None:
-    def is_moving() -> bool:
-        driver.command(0.3, 0.5)
-        return speed_of(server, "r1") > MOVING_M_S
-
-    eventually(is_moving, 20.0, "moving")
 
 
 def _wait_until_at_rest(server: Server) -> None:
@@ -85,7 +82,7 @@ def _wait_until_at_rest(server: Server) -> None:
     def is_calm() -> bool:
         nonlocal since_s
         now_s = server.client.info().sim_time_s
-        if speed_of(server, "r1") > STANDING_M_S / 2:
+        if find_speed(server) > STANDING_M_S / 2:
             since_s = now_s
         return now_s > since_s + CALM_S
 
@@ -95,6 +92,6 @@ def _wait_until_at_rest(server: Server) -> None:
 def _observe(server: Server) -> tuple[int, float]:
     begin_s, intrusions, fastest = server.client.info().sim_time_s, 0, 0.0
     while server.client.info().sim_time_s < begin_s + WATCHED_S:
-        intrusions += agent_of(server, "r1") != "second"
-        fastest = max(fastest, speed_of(server, "r1"))
+        intrusions += agent_of(server, ROBOT) != "second"
+        fastest = max(fastest, find_speed(server))
     return intrusions, fastest

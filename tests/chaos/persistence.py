@@ -1,15 +1,17 @@
 """A server with a journal that is killed and restarted, and clients that retry."""
 
 import signal
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tests.integration.processes import connected, free_endpoint, kill, running
+from tests.integration.processes import START_S, connected, free_endpoint, kill, running
 from zensim.proto.bus import Bus, NoServer
 from zensim.proto.service_catalog import Request, Response, Service
+from zensim.spawner.client.sim_client import SimClient
 
 if TYPE_CHECKING:
     import subprocess
@@ -66,12 +68,17 @@ class RestartableServer:
 
 
 @contextmanager
-def run_restartable_server(folder: Path) -> Iterator[tuple[RestartableServer, str]]:
-    """Run a router and a server that may be killed; yield the server and the endpoint."""
+def run_restartable_server() -> Iterator[tuple[RestartableServer, Bus]]:
+    """Run a router and a server that may be killed; yield the server and a session."""
     endpoint = free_endpoint()
-    with running("router", "--listen", endpoint) as router, connected(endpoint, router):
-        server = RestartableServer(endpoint, folder)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        running("router", "--listen", endpoint) as router,
+        connected(endpoint, router) as bus,
+    ):
+        server = RestartableServer(endpoint, Path(folder))
         try:
-            yield server, endpoint
+            SimClient(bus).wait_for_server(START_S)
+            yield server, bus
         finally:
             server.close()

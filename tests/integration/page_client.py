@@ -19,6 +19,8 @@ def connect_page(url: str, origin: str = "", cookie: str = "") -> ClientConnecti
         origin=Origin(origin or url),
         additional_headers={"Cookie": cookie} if cookie else None,
         max_size=None,
+        # A visitor that never reads would be ended by its own library.
+        ping_interval=None,
     )
 
 

@@ -199,6 +199,16 @@ def connected(endpoint: str, process: "subprocess.Popen[str] | None" = None) -> 
 
 
 @contextmanager
+def running_up(*arguments: str) -> Iterator[tuple["subprocess.Popen[str]", dict[str, object], Bus]]:
+    """Run `zensim up`; yield its process, what it says when it is ready, and a session."""
+    endpoint = free_endpoint()
+    with running("up", *arguments, "--json", "--listen", endpoint) as process:
+        ready = read_json_line(process)
+        with connected(endpoint, process) as bus:
+            yield process, ready, bus
+
+
+@contextmanager
 def running_agents(
     server: Server, *names: str, options: Sequence[str] = ()
 ) -> Iterator[dict[str, "subprocess.Popen[str]"]]:
