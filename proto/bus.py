@@ -23,7 +23,13 @@ from zenoh.handlers import Callback, FifoChannel, RingChannel
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_endpoint, with_free_port
-from zensim.proto.join_tokens import JoinToken, is_join_address, read_join_address
+from zensim.proto.join_tokens import (
+    JoinToken,
+    complete_address,
+    decode_base64,
+    is_join_address,
+    read_join_address,
+)
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.network_protocols import (
     MAX_COMMAND_BYTES,
@@ -35,7 +41,7 @@ from zensim.proto.network_protocols import (
 from zensim.proto.process_limits import raise_file_limit
 from zensim.proto.reply_sender import REPLY_BYTES, ReplySender, Send
 from zensim.proto.service_catalog import Request, Response, Service, require_ok
-from zensim.proto.tls_probe import ProbeFailed, fetch_authority
+from zensim.proto.tls_probe import ProbeFailed, fetch_authority, find_refusal
 
 if TYPE_CHECKING:
     from zenoh.handlers import Handler
@@ -155,7 +161,8 @@ class BusQuery:
         self.size = len(query.payload or EMPTY_PAYLOAD)
         source = query.source_info
         self.user = keys.parse_user(self.key)
-        self.client = self.user or ("" if source is None else str(source.source_id.zid))
+        self.session = "" if source is None else str(source.source_id.zid)
+        self.client = self.user or self.session
 
     @cached_property
     def payload(self) -> bytes:
@@ -419,7 +426,7 @@ class JoinRefused(BusError):
     def __init__(self, reason: str, message: str) -> None:
         super().__init__(message)
         self.reason = reason
-        """One word: see `ProbeFailed`; `user` for a wrong password or a revoked user."""
+        """One word: see `fetch_authority` and `find_refusal`."""
 
 
 class Credentials(msgspec.Struct, frozen=True, kw_only=True):
@@ -429,6 +436,10 @@ class Credentials(msgspec.Struct, frozen=True, kw_only=True):
     password: str
     authority: str
     """Certificate, PEM."""
+    certificate: str = ""
+    """Of the client, with its private key, PEM; empty where the server asks for none."""
+    certificate_file: str = ""
+    """File with both, which is read at each connection, so that it may be renewed."""
 
     def __repr__(self) -> str:
         """Name the user only."""
@@ -444,6 +455,8 @@ class RouterSecurity(msgspec.Struct, frozen=True, kw_only=True):
     """File."""
     passwords: str
     """File with a line `user:password` for each user."""
+    client_authority: str = ""
+    """File with the authority of client certificates; empty = clients need none."""
     access_control: dict[str, object]
     """See `zensim.proto.security.access_rules`."""
 
@@ -496,6 +509,13 @@ class Bus:
     def zid(self) -> str:
         """Session id, in hexadecimal digits."""
         return str(self._session.info.zid())
+
+    def find_peer(self, session: str) -> str:
+        """Find the address of a session that is linked to this one; empty if none is."""
+        for link in self._session.info.links():
+            if str(link.zid) == session:
+                return str(link.dst)
+        return ""
 
     def stamp(self) -> Stamp:
         """Make a timestamp of now."""
@@ -675,6 +695,8 @@ def _settle(config: BusConfig) -> BusConfig:
     if config.mode == "client" and not connect:
         connect = (DEFAULT_ENDPOINT,)
     credentials, timeout_s = config.credentials, config.open_timeout_s
+    if config.mode == "client" and credentials is None:
+        connect = tuple(map(complete_address, connect))
     if connect and is_join_address(connect[0]):
         token = read_join_address(connect[0])
         connect = (token.endpoint,)
@@ -700,7 +722,13 @@ def _join(token: JoinToken, timeout_s: float) -> Credentials:
         if error.reason == "unreachable":
             raise EndpointUnreachable(str(error)) from error
         raise JoinRefused(error.reason, str(error)) from error
-    return Credentials(user=token.user, password=token.password_text, authority=authority)
+    return Credentials(
+        user=token.user,
+        password=token.password_text,
+        authority=authority,
+        certificate=token.certificate_text,
+        certificate_file=token.file,
+    )
 
 
 def to_zenoh_json(config: BusConfig) -> str:
@@ -770,14 +798,31 @@ def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
 def _make_client_entries(credentials: Credentials | None) -> dict[str, object]:
     if credentials is None:
         return {}
-    authority = base64.b64encode(credentials.authority.encode()).decode()
     return {
-        "transport/link/tls/root_ca_certificate_base64": authority,
+        "transport/link/tls/root_ca_certificate_base64": _to_base64(credentials.authority),
         # The authority certifies one server only, whatever its address is.
         "transport/link/tls/verify_name_on_connect": False,
         "transport/auth/usrpwd/user": credentials.user,
         "transport/auth/usrpwd/password": credentials.password,
+        **_make_certificate_entries(credentials),
     }
+
+
+def _make_certificate_entries(credentials: Credentials) -> dict[str, object]:
+    if not credentials.certificate:
+        return {}
+    kind, value = "_base64", _to_base64(credentials.certificate)
+    if credentials.certificate_file:
+        kind, value = "", credentials.certificate_file
+    return {
+        f"transport/link/tls/connect_certificate{kind}": value,
+        f"transport/link/tls/connect_private_key{kind}": value,
+        "transport/link/tls/enable_mtls": True,
+    }
+
+
+def _to_base64(text: str) -> str:
+    return base64.b64encode(text.encode()).decode()
 
 
 def _make_router_entries(security: RouterSecurity | None) -> dict[str, object]:
@@ -792,6 +837,17 @@ def _make_router_entries(security: RouterSecurity | None) -> dict[str, object]:
         "transport/unicast/max_sessions": MAX_SECURED_SESSIONS,
         "transport/unicast/accept_timeout": ACCEPT_TIMEOUT_MS,
         "access_control": security.access_control,
+        **_make_client_authority_entries(security.client_authority),
+    }
+
+
+def _make_client_authority_entries(authority: str) -> dict[str, object]:
+    if not authority:
+        return {}
+    return {
+        "transport/link/tls/root_ca_certificate": authority,
+        "transport/link/tls/enable_mtls": True,
+        "transport/link/tls/close_link_on_expiration": True,
     }
 
 
@@ -802,12 +858,17 @@ def _make_open_error(config: BusConfig, text: str) -> BusError:
         reason = text.partition(" at /")[0]
         return BusError(f"cannot listen at {', '.join(config.listen)}: {reason}")
     where = ", ".join(config.connect)
-    if config.credentials is not None:
-        return JoinRefused(
-            "user",
-            f"{where} does not admit user '{config.credentials.user}': the password is wrong, or "
-            "the user was revoked or has expired; get a new token from the server's operator",
+    if (given := config.credentials) is not None:
+        refusal = find_refusal(
+            config.connect[0],
+            given.authority,
+            user=given.user,
+            password=decode_base64(given.password),
+            certificate=given.certificate,
         )
+        if refusal.reason == "unreachable":
+            return EndpointUnreachable(str(refusal))
+        return JoinRefused(refusal.reason, str(refusal))
     if any(_accepts_connections(endpoint) for endpoint in config.connect):
         return EndpointUnreachable(
             f"{where} accepts connections, but no session: the router is full, suspended or none; "

@@ -223,6 +223,14 @@ SecureOption = Annotated[
         help="Admit only users with a join token, over TLS; makes certificates and tokens.",
     ),
 ]
+ClientCertificatesOption = Annotated[
+    bool,
+    _connection(
+        "--client-certificates",
+        metavar="",
+        help="With --secure: ask clients for a certificate, too; tokens are longer.",
+    ),
+]
 InsecureOption = Annotated[
     bool,
     _connection(

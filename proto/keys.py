@@ -19,6 +19,11 @@ def services_of_users(world: str) -> str:
     return f"sim/{world}/u/*/*"
 
 
+def router_peer(world: str, session: str) -> str:
+    """Query of the address of a session; the router of a secured server replies to the server."""
+    return f"sim/{world}/router/peers/{session}"
+
+
 def parse_user(key: str) -> str:
     """Return the user of a service key; empty for other keys."""
     match key.split("/"):

@@ -70,7 +70,10 @@ class ServiceCall(Protocol):
     size: int
     """Bytes of the request as received; `payload` is empty where that is too many."""
     client: str
-    """Session that called, as it says itself; empty for clients that do not."""
+    """Session that called, as it says itself; empty for clients that do not. On a secured server
+    the user, which is true."""
+    session: str
+    """Zenoh id of that session; empty where there is none."""
 
     @property
     def payload(self) -> bytes:

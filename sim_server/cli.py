@@ -13,6 +13,7 @@ import typer
 from zensim.proto.bus import Bus, BusError
 from zensim.proto.cli_options import (
     AllowMissingOption,
+    ClientCertificatesOption,
     ClustersOption,
     EngineOption,
     EngineWorkersOption,
@@ -123,6 +124,7 @@ class ServeOptions(RosOptions):
         ),
     ] = ""
     secure: SecureOption = False
+    client_certificates: ClientCertificatesOption = False
     insecure: InsecureOption = False
     wait: Annotated[
         float,
@@ -188,6 +190,8 @@ def serve(context: typer.Context, given: ServeOptions) -> None:
             is_secure=given.secure,
             is_insecure=given.insecure,
         )
+        if given.client_certificates and not given.secure:
+            raise ValueError("--client-certificates needs --secure; add it")
         folder = _prepare_folder(given) if given.secure else None
         if folder is not None:
             bus = stack.enter_context(secured_router(folder, "serve"))
@@ -201,7 +205,12 @@ def _prepare_folder(given: ServeOptions) -> SecureFolder:
     listen = with_free_port(to_secure_endpoint(given.listen or DEFAULT_SECURE_ENDPOINT))
     with server_extra():
         return prepare_secure_folder(
-            SecureSettings(check_name(given.world_name, "world"), given.ros.domain, listen)
+            SecureSettings(
+                check_name(given.world_name, "world"),
+                given.ros.domain,
+                listen,
+                given.client_certificates,
+            )
         )
 
 
@@ -277,6 +286,8 @@ def print_tokens(folder: SecureFolder) -> None:
     """Print the join token of each user, and how to use one."""
     users = {account.user.name: account.user for account in folder.list_active()}
     print_lines("Join tokens (each is a password; pass one on to one person or program only):")
+    if folder.settings.uses_certificates:
+        print_lines("They expire after 24 h; 'zensim token show USER' makes new ones.")
     for name, token in list_tokens(folder).items():
         of = "" if users[name].role == name else f" ({users[name].role})"
         print_lines(f"  {name + of:<12} {token}")

@@ -33,6 +33,7 @@ from zensim.sim_server.ros2_node.server_node import start_server_node
 from zensim.sim_server.runtime.loop import ServerLoop, request_short_time_slice
 from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
 from zensim.sim_server.runtime.step_topics import StepTopics
+from zensim.sim_server.security.admitted_users import AdmittedUsers
 from zensim.sim_server.security.secure_folder import SecureFolder
 from zensim.sim_server.server_config import ServerConfig, WorldAlreadyServed, validate_config
 from zensim.sim_server.world_loading.world_loader import LoadedWorld, make_world_engine
@@ -173,11 +174,14 @@ def _run(
     with ExitStack() as cleanup:
         node = start_server_node(bus, config.ros)
         cleanup.callback(node.close)
-        users = SecureFolder(Path(config.secure_folder)) if config.secure_folder else None
+        users = None
+        if config.secure_folder:
+            users = AdmittedUsers(SecureFolder(Path(config.secure_folder)), bus, config.world)
         sources = (*node.sources, StepTopics(bus, config.world))
         inbox = BusInbox(bus, config.world, sources, is_secured=users is not None)
         publisher = BusWorldPublisher(bus, config.world, node.topics, node.on_progress)
         loop = ServerLoop(parts, inbox, publisher, HostClock(), tracker, users)
+        cleanup.callback(loop.close)
         cleanup.callback(bus.token(keys.alive_server(config.world)).close)
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
         on_ready(bus, config)

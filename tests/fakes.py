@@ -181,7 +181,7 @@ class MemoryCall:
         self.encoding = encoding
         self.user = keys.parse_user(key)
         self.request_id = request_id
-        self.client = ""
+        self.client = self.session = ""
         self.answers: list[Sample] = []
         self.is_over = False
 

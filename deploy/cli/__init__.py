@@ -42,6 +42,11 @@ VERBS: dict[str, Verb] = {
         "zensim.deploy.cli.token_commands",
         "Create, list, revoke and show join tokens of a secured server.",
     ),
+    "join": Verb(
+        "Programs",
+        "zensim.deploy.cli.join_commands",
+        "Keep a join token for later connections to its server.",
+    ),
     "agent": Verb(
         "Programs",
         "zensim.robot_agent.cli",

@@ -12,6 +12,7 @@ import typer
 from zensim.proto.bus import BusConfig, Credentials, list_client_settings
 from zensim.proto.cli_options import JsonOption, WorldNameOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.join_tokens import JoinToken
 from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import ROLES, RefusedUser, User
 from zensim.sim_server.security.secure_folder import (
@@ -24,7 +25,7 @@ app = make_app("token")
 
 UNITS_S: Final = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86_400.0}
 TTL_PATTERN: Final = re.compile(r"(\d{1,9})([smhd])")
-FORMS: Final = ("token", "zenoh-config", "rmw")
+FORMS: Final = ("token", "file", "zenoh-config", "rmw")
 
 HostOption = Annotated[
     str,
@@ -33,6 +34,14 @@ HostOption = Annotated[
         metavar="HOST",
         help="Name or address of this host for clients, as behind a router with NAT.",
         show_default="as the server listens",
+    ),
+]
+CertificateTtlOption = Annotated[
+    str,
+    typer.Option(
+        "--certificate-ttl",
+        metavar="TIME",
+        help="How long its certificate is valid, where the server asks for one.",
     ),
 ]
 UserArgument = Annotated[str, typer.Argument(metavar="USER", help="User, as 'list' prints it.")]
@@ -66,6 +75,7 @@ class CreateOptions:
             show_default="∞",
         ),
     ] = ""
+    certificate_ttl: CertificateTtlOption = "24h"
     host: HostOption = ""
     world_name: WorldNameOption = "default"
     as_json: JsonOption = False
@@ -83,8 +93,9 @@ def create(given: CreateOptions) -> None:
         folder = open_secure_folder(given.world_name)
         robots = tuple(given.robot or ())
         user = User(given.name or choose_user_name(folder, given.role, robots), given.role, robots)
+        certificate_s = parse_ttl(given.certificate_ttl, "--certificate-ttl")
         account = folder.add([user], parse_ttl(given.ttl))[0]
-        token = folder.make_token(account, given.host).write()
+        token = folder.make_token(account, given.host, certificate_s).write()
         facts = {"user": user.name, "role": user.role, "robots": robots, "token": token}
         print_lines(json.dumps(facts) if given.as_json else token)
 
@@ -135,10 +146,12 @@ def show(
         str,
         typer.Option(
             "--as",
-            metavar="token|zenoh-config|rmw",
-            help="The token, a session configuration of Zenoh, or the variable of rmw_zenoh.",
+            metavar="token|file|zenoh-config|rmw",
+            help="The token, a file for '--join @FILE', a session configuration of Zenoh, or the "
+            "variable of rmw_zenoh.",
         ),
     ] = "token",
+    certificate_ttl: CertificateTtlOption = "24h",
     host: HostOption = "",
     world_name: WorldNameOption = "default",
     as_json: JsonOption = False,
@@ -151,7 +164,8 @@ def show(
         account = folder.accounts().get(user)
         if account is None:
             raise RefusedUser(f"user {user[:64]!r} does not exist; 'zensim token list' lists all")
-        text = write_settings(folder, account, form, host)
+        certificate_s = parse_ttl(certificate_ttl, "--certificate-ttl")
+        text = write_settings(folder.make_token(account, host, certificate_s), form, folder)
         print_lines(json.dumps({"user": user, form: text}) if as_json else text)
 
 
@@ -162,7 +176,7 @@ def choose_user_name(folder: SecureFolder, role: str, robots: tuple[str, ...]) -
     return next(name for name in names if name not in folder.accounts())
 
 
-def parse_ttl(text: str) -> float:
+def parse_ttl(text: str, option: str = "--ttl") -> float:
     """Parse a duration such as 1h, in seconds; 0 for none.
 
     Raises:
@@ -171,17 +185,23 @@ def parse_ttl(text: str) -> float:
     if not text:
         return 0.0
     if (match := TTL_PATTERN.fullmatch(text)) is None or not int(match[1]):
-        raise ValueError(f"--ttl {text[:20]!r} is not valid; use a number with s, m, h or d, as 1h")
+        raise ValueError(
+            f"{option} {text[:20]!r} is not valid; use a number with s, m, h or d, as 1h"
+        )
     return int(match[1]) * UNITS_S[match[2]]
 
 
-def write_settings(folder: SecureFolder, account: Account, form: str, host: str) -> str:
-    """Write a token, or the same as a configuration of a Zenoh session."""
-    token = folder.make_token(account, host)
+def write_settings(token: JoinToken, form: str, folder: SecureFolder) -> str:
+    """Write a token, or the same as a file or as a configuration of a Zenoh session."""
     if form == "token":
         return token.write()
+    if form == "file":
+        return token.write_file().rstrip()
     credentials = Credentials(
-        user=token.user, password=token.password_text, authority=folder.authority
+        user=token.user,
+        password=token.password_text,
+        authority=folder.authority,
+        certificate=token.certificate_text,
     )
     settings = list_client_settings(BusConfig(connect=(token.endpoint,), credentials=credentials))
     if form == "rmw":

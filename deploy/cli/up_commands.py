@@ -301,6 +301,7 @@ def make_config(given: UpOptions) -> LaunchConfig:
         on_miss=parse_choice("--on-miss", given.on_miss, MISS_POLICIES),
         connect=given.connect,
         is_secure=given.secure,
+        uses_certificates=given.client_certificates,
         is_insecure=given.insecure,
         wait_s=given.wait,
         is_paused=given.paused,
@@ -331,6 +332,8 @@ def secure_deployment(config: LaunchConfig) -> LaunchConfig:
     listen = () if config.connect else (config.endpoint,)
     check_exposure("zensim up", listen, is_secure=config.is_secure, is_insecure=config.is_insecure)
     if not config.is_secure:
+        if config.uses_certificates:
+            raise ValueError("--client-certificates needs --secure; add it")
         return config
     if config.connect:
         raise ValueError("--secure and --connect exclude each other; give one of them")
@@ -338,7 +341,7 @@ def secure_deployment(config: LaunchConfig) -> LaunchConfig:
     config = msgspec.structs.replace(config, endpoint=endpoint)
     with server_extra():
         folder = prepare_secure_folder(
-            SecureSettings(config.world_name, config.ros.domain, endpoint)
+            SecureSettings(config.world_name, config.ros.domain, endpoint, config.uses_certificates)
         )
     users = list_users_of_programs(config)
     accounts = folder.ensure(users.values())

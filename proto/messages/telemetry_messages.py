@@ -118,6 +118,8 @@ class Refusal(msgspec.Struct, frozen=True):
     reason: str = ""
     number: UInt64 = 0
     """Of refusals since start; a gap means that some were not published."""
+    address: str = ""
+    """Of the session that the request names, as the router has it; empty if it names none."""
 
 
 class Snapshot(msgspec.Struct, frozen=True):

@@ -54,7 +54,7 @@ SHARED_RULES: Final = (
 
 
 def make_access_rules(
-    users: Iterable[User], *, world: str, domain: int | None
+    users: Iterable[User], *, world: str, domain: int | None, uses_certificates: bool = False
 ) -> dict[str, object]:
     """Make the value of `access_control` of a router that denies what no role allows.
 
@@ -62,14 +62,15 @@ def make_access_rules(
         users: All that may join.
         world: Name of the world in keys.
         domain: Of ROS 2; None = no keys of ROS 2.
+        uses_certificates: Whether each also has a certificate, with its name as common name.
     """
     rules: list[object] = list(SHARED_RULES)
-    subjects: list[object] = [{"id": SERVER_USER, "usernames": [SERVER_USER]}]
+    subjects: list[object] = [_make_subject(SERVER_USER, uses_certificates=uses_certificates)]
     policies: list[object] = [{"rules": ["everything"], "subjects": [SERVER_USER]}]
     for user in users:
         own = _make_rules(user, world, domain)
         rules += own
-        subjects.append({"id": user.name, "usernames": [user.name]})
+        subjects.append(_make_subject(user.name, uses_certificates=uses_certificates))
         ids = [*(rule["id"] for rule in own), "declarations"]
         policies.append({"rules": ids, "subjects": [user.name]})
     return {
@@ -79,6 +80,12 @@ def make_access_rules(
         "subjects": subjects,
         "policies": policies,
     }
+
+
+def _make_subject(name: str, *, uses_certificates: bool) -> dict[str, object]:
+    # All kinds that a subject has must match.
+    certified = {"cert_common_names": [name]} if uses_certificates else {}
+    return {"id": name, "usernames": [name], **certified}
 
 
 def _make_rules(user: User, world: str, domain: int | None) -> list[dict[str, object]]:

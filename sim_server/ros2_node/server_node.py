@@ -119,7 +119,7 @@ class ActionCall:
     """A call of the server's own step services by this action; see `ServiceCall`."""
 
     payload, encoding, request_id, size = b"", MSGPACK_ENCODING, b"", 0
-    client = "simulate_steps action"
+    client, session = "simulate_steps action", ""
     user = ROS_USER
 
     def __init__(
@@ -336,6 +336,7 @@ class Ros2Call:
         self.payload, self.size, self.encoding = call.payload, call.size, CDR_ENCODING_NAME
         self.request_id = NO_REQUEST_ID if attachment is None else _make_request_id(attachment)
         self.client = call.client if attachment is None else attachment.gid.hex()
+        self.session = call.session
 
     def read(self, kind: type[Message]) -> Message:
         """See `ServiceCall`; the first form that fits is used."""

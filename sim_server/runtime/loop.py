@@ -393,6 +393,11 @@ class ServerLoop:
         while not (should_stop() or self._has_quit):
             self.turn()
 
+    def close(self) -> None:
+        """End the threads of the loop."""
+        if self._authorization is not None:
+            self._authorization.close()
+
     @property
     def _has_quit(self) -> bool:
         return self._world.clock.state == State.QUITTING and not self._dispatcher.has_unsent_replies

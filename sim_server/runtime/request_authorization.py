@@ -4,8 +4,11 @@ Zenoh's access control ties the user in a key to a password; the rest only the s
 """
 
 import logging
+from collections import deque
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from threading import BoundedSemaphore
 from typing import Final, Protocol
 
 import msgspec
@@ -46,6 +49,9 @@ class UserDirectory(Protocol):
     def find_user(self, name: str) -> User | None:
         """Find a user that is admitted now."""
 
+    def find_address(self, session: str) -> str:
+        """Find the address of a session; may take a moment, and is called by another thread."""
+
 
 class EntityFinder(Protocol):
     """The entities of a world."""
@@ -64,12 +70,18 @@ class RequestAuthorization:
     now_ns: Callable[[], int]
     """Wall time."""
     loop_stats: LoopStats
-    reports: list[Refusal] = field(default_factory=list)
+    reports: deque[Refusal] = field(default_factory=deque)
     """To publish."""
     _owners: dict[str, tuple[str, int]] = field(default_factory=dict)
     """User that spawned an entity, by name, and `Entity.born_ns`."""
     _window_ns: int = 0
     _reported: int = 0
+    _thread: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "audit"))
+    """Finds addresses: a refusal takes no time of the loop."""
+    _unlocated: BoundedSemaphore = field(
+        default_factory=lambda: BoundedSemaphore(MAX_REPORTS_PER_WINDOW)
+    )
+    """Refusals that may wait for their address."""
 
     def check(self, call: ServiceCall, request: msgspec.Struct) -> None:
         """Refuse a request that its caller may not make.
@@ -102,10 +114,11 @@ class RequestAuthorization:
 
     def take_reports(self) -> list[Refusal]:
         """Take the refusals to publish."""
-        if not self.reports:
-            return []
-        taken, self.reports = self.reports, []
-        return taken
+        return [self.reports.popleft() for _ in range(len(self.reports))]
+
+    def close(self) -> None:
+        """End the thread that finds addresses."""
+        self._thread.shutdown()
 
     def _find_fault(self, call: ServiceCall, request: msgspec.Struct) -> str:
         """Say why the caller may not make the request; empty if it may."""
@@ -145,10 +158,28 @@ class RequestAuthorization:
             return
         user = self._find_user(call.user)
         role = user.role if user else ""
-        LOG.warning("refused user=%s role=%s service=%s", call.user, role, call.name[:64])
-        self.reports.append(
-            Refusal(call.user, role, call.name[:64], reason, self.loop_stats.refused)
+        refusal = Refusal(call.user, role, call.name[:64], reason, self.loop_stats.refused)
+        if call.session and self._unlocated.acquire(blocking=False):
+            self._thread.submit(self._locate, refusal, call.session)
+        else:
+            self._report(refusal)
+
+    def _locate(self, refusal: Refusal, session: str) -> None:
+        try:
+            address = self.users.find_address(session)
+        finally:
+            self._unlocated.release()
+        self._report(msgspec.structs.replace(refusal, address=address))
+
+    def _report(self, refusal: Refusal) -> None:
+        LOG.warning(
+            "refused user=%s role=%s service=%s address=%s",
+            refusal.user,
+            refusal.role,
+            refusal.service,
+            refusal.address,
         )
+        self.reports.append(refusal)
 
 
 def _describe(user: User) -> str:

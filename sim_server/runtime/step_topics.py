@@ -29,6 +29,7 @@ class PublishedCall:
 
     name = SIMULATE_STEPS.name
     user = STEPS_USER
+    session = ""
 
     def __init__(self, sample: Sample, topics: "StepTopics") -> None:
         self.payload = sample.payload

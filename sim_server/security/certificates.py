@@ -1,5 +1,6 @@
-"""Certificate authority and router certificate of one secured server: EC P-256, PEM."""
+"""Certificates of one secured server, its authority, router and clients: EC P-256, PEM."""
 
+from collections.abc import Iterable
 from datetime import datetime, timedelta, timezone
 
 import msgspec
@@ -8,11 +9,16 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+SECONDS_OF_DAY = 86_400
 VALID_DAYS = 3650
 RENEWAL_DAYS = 30
 """A router certificate that expires sooner is made anew at the next start."""
 BACKDATED = timedelta(hours=1)
 """Clocks of clients may be behind."""
+REVOKED_PASSWORDS = x509.ObjectIdentifier("2.25.212494399817416431353066206482379128533")
+"""Extension of a router's certificate: digests of revoked passwords, in an OCTET STRING."""
+OCTET_STRING = b"\x04\x82"
+"""Tag of DER, with a length in two bytes."""
 
 
 class CertifiedKey(msgspec.Struct, frozen=True):
@@ -27,7 +33,7 @@ class CertifiedKey(msgspec.Struct, frozen=True):
 
 
 def make_authority(world: str, days: int = VALID_DAYS) -> CertifiedKey:
-    """Make the authority of a world, which signs nothing but the certificates of its router."""
+    """Make the authority of a world, which signs certificates of its router and its clients."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = _make_name(f"zensim authority of {world}")
     certificate = (
@@ -38,22 +44,63 @@ def make_authority(world: str, days: int = VALID_DAYS) -> CertifiedKey:
     return _write(certificate, key)
 
 
-def make_router_certificate(authority: CertifiedKey, days: float = VALID_DAYS) -> CertifiedKey:
-    """Make the certificate of a router; the authority's follows it, for clients that pin that."""
+def make_router_certificate(
+    authority: CertifiedKey, days: float = VALID_DAYS, revoked: Iterable[bytes] = ()
+) -> CertifiedKey:
+    """Make the certificate of a router; the authority's follows it, for clients that pin that.
+
+    Args:
+        authority: That signs it.
+        days: Validity.
+        revoked: Digests of revoked passwords; see `hash_revoked_password`.
+    """
+    digests = b"".join(revoked)
+    extension = x509.UnrecognizedExtension(
+        REVOKED_PASSWORDS, OCTET_STRING + len(digests).to_bytes(2, "big") + digests
+    )
+    own = _sign(authority, "zensim router", days, ExtendedKeyUsageOID.SERVER_AUTH, extension)
+    return CertifiedKey(own.certificate + authority.certificate, own.private_key)
+
+
+def make_client_certificate(authority: CertifiedKey, user: str, valid_s: float) -> CertifiedKey:
+    """Make the certificate of a user, whose common name is the user's; no router can use it."""
+    return _sign(authority, user, valid_s / SECONDS_OF_DAY, ExtendedKeyUsageOID.CLIENT_AUTH)
+
+
+def has_revoked(certificate: bytes, digests: Iterable[bytes]) -> bool:
+    """Whether a router's certificate (PEM) lists exactly these digests of revoked passwords."""
+    try:
+        found = x509.load_pem_x509_certificate(certificate).extensions.get_extension_for_oid(
+            REVOKED_PASSWORDS
+        )
+    except x509.ExtensionNotFound:
+        return False
+    value = found.value
+    listed = value.value[4:] if isinstance(value, x509.UnrecognizedExtension) else b""
+    return listed == b"".join(digests)
+
+
+def _sign(
+    authority: CertifiedKey,
+    name: str,
+    days: float,
+    usage: x509.ObjectIdentifier,
+    *extensions: x509.ExtensionType,
+) -> CertifiedKey:
     signer = serialization.load_pem_private_key(authority.private_key, password=None)
     issuer = x509.load_pem_x509_certificate(authority.certificate)
     if not isinstance(signer, ec.EllipticCurvePrivateKey):
         raise TypeError("the key of the authority must be an elliptic curve key")
     key = ec.generate_private_key(ec.SECP256R1())
-    certificate = (
-        _begin(_make_name("zensim router"), issuer.subject, key.public_key(), days)
+    builder = (
+        _begin(_make_name(name), issuer.subject, key.public_key(), days)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(x509.SubjectAlternativeName([x509.DNSName("zensim")]), critical=False)
-        .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)
-        .sign(signer, hashes.SHA256())
+        .add_extension(x509.ExtendedKeyUsage([usage]), critical=False)
     )
-    own = _write(certificate, key)
-    return CertifiedKey(own.certificate + authority.certificate, own.private_key)
+    for extension in extensions:
+        builder = builder.add_extension(extension, critical=False)
+    return _write(builder.sign(signer, hashes.SHA256()), key)
 
 
 def is_due_for_renewal(certificate: bytes) -> bool:

@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from zensim.proto.bus import BusConfig, BusError, EndpointTaken, open_bus
+from zensim.proto import keys
+from zensim.proto.bus import Bus, BusConfig, BusError, EndpointTaken, open_bus
 from zensim.proto.endpoints import is_endpoint_taken, to_client_endpoint
 from zensim.proto.supervisor import ProgramDied, Supervisor
 from zensim.sim_server.security.secure_folder import SecureFolder
@@ -34,16 +35,20 @@ def run_secured_router(
     is_announced = False
     while not should_stop():
         admitted = folder.list_active()
-        with _reopen(folder.make_router_config(endpoint), is_first=not is_announced):
+        with _reopen(folder.make_router_config(endpoint), is_first=not is_announced) as bus:
+            queries = bus.serve(keys.router_peer(folder.settings.world, "*"))
             if not is_announced:
                 announce()
                 is_announced = True
             while not should_stop() and folder.list_active() == admitted:
+                for query in queries.take():
+                    address = bus.find_peer(keys.last_chunk(query.key))
+                    query.reply(address.encode(), "text/plain")
                 time.sleep(POLL_S)
 
 
 @contextmanager
-def _reopen(config: BusConfig, *, is_first: bool) -> Iterator[None]:
+def _reopen(config: BusConfig, *, is_first: bool) -> Iterator[Bus]:
     deadline_s = time.monotonic() + (0.0 if is_first else REOPEN_TIMEOUT_S)
     while True:
         try:
@@ -54,7 +59,7 @@ def _reopen(config: BusConfig, *, is_first: bool) -> Iterator[None]:
                 raise
             time.sleep(POLL_S)
     with bus:
-        yield
+        yield bus
 
 
 @contextmanager

@@ -19,11 +19,15 @@ import msgspec
 from zensim.proto.bus import BusConfig, Credentials, RouterSecurity
 from zensim.proto.endpoints import ENDPOINT_PATTERN, check_endpoint
 from zensim.proto.join_tokens import (
+    CERTIFICATE_LABEL,
     DEFAULT_WORLD,
+    KEY_LABEL,
     JoinToken,
     decode_base64,
     encode_base64,
+    hash_revoked_password,
     make_password,
+    read_pem,
 )
 from zensim.proto.names import check_name
 from zensim.proto.process_limits import lock_file
@@ -33,10 +37,18 @@ from zensim.proto.security.roles import ROLES, SERVER_USER, RefusedUser, User, c
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from zensim.sim_server.security.certificates import CertifiedKey
+
 FIRST_USERS: Final = tuple(name for name, role in ROLES.items() if not role.has_robots)
 """Users that a new folder has, each named as its role; agents need the names of their robots."""
 DEFAULT_SECURE_ENDPOINT: Final = "tls/127.0.0.1:7447"
 ANY_ADDRESSES: Final = frozenset({"0.0.0.0", "[::]"})
+CERTIFICATE_S: Final = 86_400.0
+"""How long the client certificate of a token is valid, from when it is printed."""
+LOCAL_CERTIFICATE_S: Final = 3650 * 86_400.0
+"""Those of programs on this host lie beside the key of the authority."""
+MAX_REVOKED: Final = 200
+"""Newest revoked passwords whose owners are told so; it bounds the router's certificate."""
 PUBLIC_TEST_ADDRESS: Final = ("192.0.2.1", 9)
 """Of a network for documentation: finds the address of the route, and sends nothing."""
 
@@ -71,6 +83,8 @@ class SecureSettings(msgspec.Struct, frozen=True):
     """Of ROS 2; None = no keys of ROS 2."""
     endpoint: str = DEFAULT_SECURE_ENDPOINT
     """That the router listens on."""
+    uses_certificates: bool = False
+    """Whether clients need a certificate beside their password."""
 
 
 def find_secure_folder(world: str) -> Path:
@@ -142,6 +156,8 @@ class SecureFolder:
                     raise RefusedUser(
                         f"user '{account.user.name}' exists; choose another --name, or revoke it"
                     )
+                if former:
+                    self._note_revoked(former)
                 accounts[account.user.name] = account
             self._write_accounts(accounts.values())
         return added
@@ -164,34 +180,60 @@ class SecureFolder:
         """
         with self._changing():
             accounts = dict(self.accounts())
-            if accounts.pop(name, None) is None:
+            if (former := accounts.pop(name, None)) is None:
                 raise RefusedUser(
                     f"user {name[:64]!r} does not exist; 'zensim token list' lists all"
                 )
+            self._note_revoked(former)
             self._write_accounts(accounts.values())
 
-    def make_token(self, account: Account, host: str = "") -> JoinToken:
-        """Make the join token of an account.
+    def list_revoked(self) -> tuple[bytes, ...]:
+        """List digests of revoked and expired passwords, oldest first."""
+        path = self.path / "revoked"
+        lines = path.read_text(encoding="ascii").split() if path.is_file() else []
+        now_s = time.time()
+        expired = [one for one in self.accounts().values() if not one.is_active(now_s)]
+        digests = [bytes.fromhex(line) for line in lines] + [_hash_password(one) for one in expired]
+        return tuple(digests[-MAX_REVOKED:])
+
+    def make_token(
+        self, account: Account, host: str = "", certificate_s: float = CERTIFICATE_S
+    ) -> JoinToken:
+        """Make the join token of an account, with a new certificate where clients need one.
 
         Args:
             account: One of this folder.
             host: Name or address for clients; empty = as the router listens.
+            certificate_s: Validity of the certificate, which also ends with the account.
         """
         settings = self.settings
         der = ssl.PEM_cert_to_DER_cert(self.authority)
-        return JoinToken(
+        token = JoinToken(
             make_public_endpoint(settings.endpoint, host),
             account.user.name,
             decode_base64(account.password),
             hashlib.sha256(der).digest(),
             settings.world,
         )
+        if not settings.uses_certificates:
+            return token
+        if account.expires_s:
+            certificate_s = min(certificate_s, account.expires_s - time.time())
+        made = self._make_client_certificate(account.user.name, certificate_s).decode()
+        return msgspec.structs.replace(
+            token,
+            certificate=read_pem(CERTIFICATE_LABEL, made),
+            private_key=read_pem(KEY_LABEL, made),
+        )
 
-    def write_token(self, account: Account, endpoint: str) -> str:
+    def write_token(
+        self, account: Account, endpoint: str, certificate_s: float = LOCAL_CERTIFICATE_S
+    ) -> str:
         """Write a token for a program on this host to a file; return its join address."""
-        token = msgspec.structs.replace(self.make_token(account), endpoint=endpoint)
+        token = self.make_token(account, certificate_s=certificate_s)
         name = f"{account.user.name}.token"
-        self._write(name, f"{token.write()}\n".encode())
+        content = msgspec.structs.replace(token, endpoint=endpoint).write_file()
+        self._write(name, content.encode())
         return f"@{self.path / name}"
 
     def make_router_config(self, endpoint: str) -> BusConfig:
@@ -202,22 +244,69 @@ class SecureFolder:
         lines.append(f"{SERVER_USER}:{self._server_password()}\n")
         self._write("passwords", "".join(lines).encode())
         rules = make_access_rules(
-            (account.user for account in accounts), world=settings.world, domain=settings.domain
+            (account.user for account in accounts),
+            world=settings.world,
+            domain=settings.domain,
+            uses_certificates=settings.uses_certificates,
         )
+        self._ensure_router_certificate()
         security = RouterSecurity(
             certificate=str(self.path / "router.pem"),
             private_key=str(self.path / "router.key"),
             passwords=str(self.path / "passwords"),
+            client_authority=str(self.path / "ca.pem") if settings.uses_certificates else "",
             access_control=rules,
         )
         return BusConfig(mode="router", listen=(endpoint,), router_security=security)
 
     def make_server_config(self, endpoint: str) -> BusConfig:
         """Configure the session of the server, a client of its router on this host."""
+        certificate = ""
+        if self.settings.uses_certificates:
+            made = self._make_client_certificate(SERVER_USER, LOCAL_CERTIFICATE_S)
+            certificate = made.decode()
         credentials = Credentials(
-            user=SERVER_USER, password=self._server_password(), authority=self.authority
+            user=SERVER_USER,
+            password=self._server_password(),
+            authority=self.authority,
+            certificate=certificate,
         )
         return BusConfig(connect=(endpoint,), credentials=credentials)
+
+    def _make_client_certificate(self, user: str, valid_s: float) -> bytes:
+        """Make certificate and private key of a user, PEM."""
+        from zensim.sim_server.security import certificates  # noqa: PLC0415  needs an extra
+
+        made = certificates.make_client_certificate(self._read_authority(), user, valid_s)
+        return made.certificate + made.private_key
+
+    def _ensure_router_certificate(self) -> None:
+        """Make the certificate of the router, unless it is valid and lists the revoked."""
+        from zensim.sim_server.security import certificates  # noqa: PLC0415  needs an extra
+
+        router, revoked = self.path / "router.pem", self.list_revoked()
+        if router.is_file():
+            former = router.read_bytes()
+            if not certificates.is_due_for_renewal(former) and certificates.has_revoked(
+                former, revoked
+            ):
+                return
+        own = certificates.make_router_certificate(self._read_authority(), revoked=revoked)
+        self._write("router.key", own.private_key)
+        self._write("router.pem", own.certificate)
+
+    def _read_authority(self) -> "CertifiedKey":
+        from zensim.sim_server.security import certificates  # noqa: PLC0415  needs an extra
+
+        return certificates.CertifiedKey(
+            (self.path / "ca.pem").read_bytes(), (self.path / "ca.key").read_bytes()
+        )
+
+    def _note_revoked(self, account: Account) -> None:
+        path = self.path / "revoked"
+        former = path.read_text(encoding="ascii").split() if path.is_file() else []
+        lines = [*former, _hash_password(account).hex()][-MAX_REVOKED:]
+        self._write("revoked", "\n".join(lines).encode())
 
     def _server_password(self) -> str:
         return (self.path / "server.password").read_text(encoding="ascii")
@@ -287,21 +376,18 @@ def prepare_secure_folder(settings: SecureSettings) -> SecureFolder:
         made = certificates.make_authority(settings.world)
         folder._write("ca.key", made.private_key)  # noqa: SLF001
         folder._write("ca.pem", made.certificate)  # noqa: SLF001
-    authority = certificates.CertifiedKey(
-        (path / "ca.pem").read_bytes(), (path / "ca.key").read_bytes()
-    )
-    router = path / "router.pem"
-    if not router.is_file() or certificates.is_due_for_renewal(router.read_bytes()):
-        own = certificates.make_router_certificate(authority)
-        folder._write("router.key", own.private_key)  # noqa: SLF001
-        folder._write("router.pem", own.certificate)  # noqa: SLF001
     if not (path / "server.password").is_file():
         folder._write("server.password", encode_base64(make_password()).encode())  # noqa: SLF001
     folder.write_settings(settings)
     if not (path / "users.json").is_file():
         folder._write_accounts(())  # noqa: SLF001
         folder.add(User(name, name) for name in FIRST_USERS)
+    folder._ensure_router_certificate()  # noqa: SLF001
     return folder
+
+
+def _hash_password(account: Account) -> bytes:
+    return hash_revoked_password(decode_base64(account.password))
 
 
 def to_secure_endpoint(endpoint: str) -> str:

@@ -22,6 +22,7 @@ CHANGED: dict[str, object] = {
     "listen": "tcp/127.0.0.1:5",
     "connect": "tcp/127.0.0.1:6",
     "secure": True,
+    "client_certificates": True,
     "insecure": True,
     "wait": 3.0,
     "world_name": "other",

@@ -94,7 +94,7 @@ class LastValueQuery:
         self.payload = b""
         self.encoding = ""
         self.request_id = b""
-        self.client = ""
+        self.client = self.session = ""
         self.user = ""
         self.size = 0
         self._replies: dict[str, Sample] = {}

@@ -105,9 +105,11 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     join_addresses: dict[str, str] = {}
     """Of a secured server: join address (`@FILE`) of each program, and of `OPERATOR`."""
     is_secure: bool = False
+    """Whether the server admits only users with a join token."""
+    uses_certificates: bool = False
+    """Whether these also need a certificate."""
     page_token: str = ""
     """File of the page's token; empty = the page needs none."""
-    """Whether the server admits only users with a join token."""
     is_insecure: bool = False
     """Whether the server may admit everybody from other hosts."""
     wait_s: float = 30.0
@@ -273,6 +275,7 @@ def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
         "--paused": config.is_paused,
         "--verbose": config.is_verbose,
         "--secure": config.is_secure,
+        "--client-certificates": config.uses_certificates,
         "--insecure": config.is_insecure,
     }
     return (

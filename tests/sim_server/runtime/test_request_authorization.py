@@ -27,6 +27,9 @@ class Directory:
     def find_user(self, name: str) -> User | None:
         return USERS.get(name)
 
+    def find_address(self, session: str) -> str:
+        return f"tls/{session}:1"
+
 
 class World:
     def __init__(self) -> None:
@@ -41,7 +44,7 @@ def an_authorization(world: World | None = None) -> RequestAuthorization:
 
 
 def a_call(user: str, service: str) -> ServiceCall:
-    return cast("ServiceCall", SimpleNamespace(user=user, name=service))
+    return cast("ServiceCall", SimpleNamespace(user=user, name=service, session=""))
 
 
 def is_refused(
@@ -175,3 +178,14 @@ def test_refusals_are_counted_and_reported_at_a_limited_rate() -> None:
     )
     assert authorization.loop_stats.refused == MAX_REPORTS_PER_WINDOW + 5
     assert authorization.take_reports() == []
+
+
+def test_report_has_the_address_of_the_session_that_the_request_names() -> None:
+    authorization = an_authorization()
+    call = cast("ServiceCall", SimpleNamespace(user="observer", name="delete_entity", session="aa"))
+
+    with pytest.raises(AccessDenied):
+        authorization.check(call, DeleteEntityRequest("r1"))
+
+    authorization.close()
+    assert [one.address for one in authorization.take_reports()] == ["tls/aa:1"]

@@ -3,11 +3,14 @@
 import time
 from pathlib import Path
 
+import msgspec
 import pytest
+from cryptography import x509
 
-from zensim.proto.join_tokens import read_join_address
+from zensim.proto.join_tokens import decode_base64, hash_revoked_password, read_join_address
 from zensim.proto.security.roles import ROLES, RefusedUser, User
 from zensim.sim_server.security.certificates import (
+    has_revoked,
     is_due_for_renewal,
     make_authority,
     make_router_certificate,
@@ -98,6 +101,39 @@ def test_revoked_and_expired_users_are_not_found(folder: SecureFolder) -> None:
     assert "soon" not in {one.user.name for one in folder.list_active()}
     with pytest.raises(RefusedUser):
         folder.revoke("r1")
+
+
+def test_router_certificate_lists_revoked_and_expired_passwords(folder: SecureFolder) -> None:
+    former = (folder.path / "router.pem").read_bytes()
+    gone = folder.add([R1])[0]
+    folder.add([User("soon", "observer")], ttl_s=1e-6)
+    folder.revoke("r1")
+
+    folder.make_router_config(SETTINGS.endpoint)
+    made = (folder.path / "router.pem").read_bytes()
+    folder.make_router_config(SETTINGS.endpoint)
+
+    assert made != former
+    assert (folder.path / "router.pem").read_bytes() == made
+    assert has_revoked(made, folder.list_revoked())
+    assert len(folder.list_revoked()) == 2
+    assert hash_revoked_password(decode_base64(gone.password)) in folder.list_revoked()
+
+
+def test_token_has_a_certificate_where_the_server_asks_for_one(folder: SecureFolder) -> None:
+    folder.write_settings(msgspec.structs.replace(SETTINGS, uses_certificates=True))
+    account = folder.add([R1], ttl_s=60.0)[0]
+
+    token = folder.make_token(account)
+
+    certificate = x509.load_der_x509_certificate(token.certificate)
+    assert certificate.subject.rfc4514_string() == "CN=r1"
+    assert certificate.not_valid_after_utc.timestamp() <= account.expires_s
+    security = folder.make_router_config(SETTINGS.endpoint).router_security
+    assert security is not None
+    assert security.client_authority == str(folder.path / "ca.pem")
+    subjects = security.access_control["subjects"]
+    assert {"id": "r1", "usernames": ["r1"], "cert_common_names": ["r1"]} in subjects  # type: ignore[operator]
 
 
 def test_change_of_another_process_is_read(folder: SecureFolder) -> None:

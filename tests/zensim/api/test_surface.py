@@ -106,6 +106,7 @@ WITHOUT_METHOD = {
     "test": "runs files; in Python, tests use zensim.testing",
     "scenario": "checks and lists files",
     "token": "for operators of secured servers, whose folder it reads",
+    "join": "keeps a token for later; in Python, connect(token=...)",
     "export": "writes a scenario file; scenarios are built on the API",
     "journal": "reads files of servers that have ended",
 }
