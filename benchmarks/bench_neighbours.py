@@ -123,16 +123,31 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     loads = SHORT_LOADS if is_short else (*LOADS, THREE + STOPPED)
     with fleet(ROBOTS_WHEN_SHORT if is_short else ROBOTS) as found:
         found.circle()
-        quiet = list(_measure(found, UNDISTURBED, is_short=is_short))
+        quiet = list(measure(found, UNDISTURBED, is_short=is_short))
         yield from quiet
-        p99_ms = next(one for one in quiet if one.what.endswith("info")).value("p99")
+        p99_ms = find_info_p99(quiet)
         for load in loads:
-            yield from _measure(found, load, is_short=is_short, p99_ms=p99_ms)
+            yield from measure(found, load, is_short=is_short, p99_ms=p99_ms)
 
 
-def _measure(
-    found: Fleet, load: str, *, is_short: bool, p99_ms: float | None = None
+def find_info_p99(quiet: Iterable[Figure]) -> float:
+    """Find the 99th percentile of `info` [ms] among the figures of an undisturbed time."""
+    return next(one for one in quiet if one.what.endswith("info")).value("p99")
+
+
+def measure(
+    found: Fleet, load: str, *, is_short: bool, p99_ms: float | None = None, address: str = ""
 ) -> Iterator[Figure]:
+    """Measure one load; with `p99_ms` of an undisturbed time, against the limits.
+
+    Args:
+        found: Robots that drive.
+        load: One of `LOADS`, behind 'three clients ' for three of them, or `UNDISTURBED`.
+        is_short: Whether it lasts some tenths of a second only.
+        p99_ms: Of `info`, undisturbed.
+        address: Of the clients that load; empty = the endpoint of the server.
+    """
+    address = address or found.server.endpoint
     load_s = LOAD_WHEN_SHORT_S if is_short else LOAD_S
     recovery_s = RECOVERY_WHEN_SHORT_S if is_short else RECOVERY_S
     witness = Witness(found)
@@ -142,7 +157,7 @@ def _measure(
         with ExitStack() as stack:
             for _ in range(0 if load == UNDISTURBED else 3 if load.startswith(THREE) else 1):
                 process = stack.enter_context(
-                    program("hostile_client", load.removeprefix(THREE), found.server.endpoint)
+                    program("hostile_client", load.removeprefix(THREE), address)
                 )
                 line_with("connected", process)
             time.sleep(load_s)

@@ -20,6 +20,8 @@ NAMES = (
     "isolation",
     "neighbours",
     "security",
+    "secured_fleet",
+    "secured_floods",
     "services",
     "journal",
     "flat_out",

@@ -18,6 +18,8 @@ from zensim.proto.process_limits import PARENT_PID_VARIABLE
 TERMINATE_TIMEOUT_S = 1.2
 """Grace period before SIGKILL; all processes must end within 2 s."""
 RESTART_DELAY_S = 0.5
+STEADY_S = 5.0
+"""A program that has run for so long is restarted at once."""
 MAX_RESTARTS = 20
 CLI_MODULE, PREPARED_START_MODULE = "zensim", "zensim.api.prepared_start"
 """Modules to run: with command-line arguments, or with JSON settings."""
@@ -39,6 +41,8 @@ class SupervisedProgram:
     module: str = CLI_MODULE
     process: "subprocess.Popen[bytes] | None" = None
     restarts: int = 0
+    started_s: float = 0.0
+    """Monotonic time of the last start."""
     restart_at_s: float = 0.0
     """Monotonic time of the next start; infinite = it is not started again."""
 
@@ -85,7 +89,9 @@ class Supervisor:
             if is_last and program.is_essential:
                 raise ProgramDied(f"{program.name} exited with status {status}")
             program.process = None
-            program.restart_at_s = math.inf if is_last else time.monotonic() + RESTART_DELAY_S
+            now_s = time.monotonic()
+            delay_s = 0.0 if now_s - program.started_s > STEADY_S else RESTART_DELAY_S
+            program.restart_at_s = math.inf if is_last else now_s + delay_s
             self.on_restart(program, status)
             program.restarts += not is_last
 
@@ -97,6 +103,7 @@ class Supervisor:
         self.programs.clear()
 
     def _start_process(self, program: SupervisedProgram) -> "subprocess.Popen[bytes]":
+        program.started_s = time.monotonic()
         return start_process(
             make_module_command(program.module, *program.arguments),
             stdout=subprocess.PIPE,

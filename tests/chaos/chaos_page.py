@@ -10,9 +10,11 @@ import json
 import os
 import random
 import signal
+import sys
 import threading
 import time
 import urllib.request
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field
@@ -45,6 +47,8 @@ MUTANTS, MUTANTS_WHEN_SHORT = 100_000, 300
 SENDERS, SENDERS_WHEN_SHORT = 40, 4
 STAY_S = (0.1, 1.5)
 """Shortest and longest visit."""
+SETTLE_S = 3.0
+"""For the scene to reach new pages."""
 KILLS, KILLS_WHEN_SHORT = 5, 1
 MEGABYTE = 1e6
 
@@ -120,8 +124,11 @@ def _load(bus: Bus, url: str, up: int, *, is_short: bool) -> Iterator[Figure]:
         lasted_s = time.monotonic() - began_s
         factor = (client.info().sim_time_s - began.sim_time_s) / lasted_s
         _press_pause(client, url, buttons)
+    sys.stderr.write(f"broken off: {Counter(visits.broken)}\n")
+    visited_mb = _find_memory_mb(page) - before_mb
     mutants = MUTANTS_WHEN_SHORT if is_short else MUTANTS
-    _send_mutants(url, buttons, mutants, SENDERS_WHEN_SHORT if is_short else SENDERS)
+    senders = SENDERS_WHEN_SHORT if is_short else SENDERS
+    mutated_mb = _send_mutants(page, url, buttons, mutants, senders)
     _press_pause(client, url, buttons)
     is_same = float(_find_page(up) == page)
     yield Figure(
@@ -144,9 +151,15 @@ def _load(bus: Bus, url: str, up: int, *, is_short: bool) -> Iterator[Figure]:
         limit=Limit("min", ">=", 1.0),
     )
     yield Figure(
-        what="memory of the page, more than before",
+        what="memory of the page after the visits, more than before",
         unit="MB",
-        samples=(_find_memory_mb(page) - before_mb,),
+        samples=(visited_mb,),
+    )
+    yield Figure(
+        what="memory of the page after the mutated messages, more than before them",
+        unit="MB",
+        samples=(mutated_mb,),
+        limit=Limit("max", "<=", 5.0),
     )
 
 
@@ -194,8 +207,12 @@ def _has_state(client: SimClient, state: str) -> bool:
     return False
 
 
-def _send_mutants(url: str, buttons: str, mutants: int, senders: int) -> None:
-    """Send mutated messages over several links, each of which is read at 60 messages a second."""
+def _send_mutants(page: int, url: str, buttons: str, mutants: int, senders: int) -> float:
+    """Send mutated messages over several links, each of which is read at 60 messages a second.
+
+    Returns:
+        Memory of the page afterwards, more than with as many links before [MB].
+    """
     chance = random.Random(2)
     originals = (encode_camera(), encode_click("/robots/0/0", 1), encode_update(buttons, value=1))
     with ExitStack() as stack:
@@ -204,10 +221,16 @@ def _send_mutants(url: str, buttons: str, mutants: int, senders: int) -> None:
             threading.Thread(target=_send_all, args=(link, _mutate(chance, originals, share)))
             for link, share in zip(links, _split(mutants, senders), strict=True)
         ]
+        for link in links:
+            link.send(encode_camera())
+            threading.Thread(target=_drain, args=(link,), daemon=True).start()
+        time.sleep(SETTLE_S)
+        before_mb = _find_memory_mb(page)
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
+        return _find_memory_mb(page) - before_mb
 
 
 def _split(total: int, parts: int) -> list[int]:
@@ -225,8 +248,6 @@ def _mutate(chance: random.Random, originals: tuple[bytes, ...], count: int) -> 
 
 
 def _send_all(link: ClientConnection, messages: list[bytes]) -> None:
-    reader = threading.Thread(target=_drain, args=(link,), daemon=True)
-    reader.start()
     for message in messages:
         link.send(message)
 

@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import time
 from collections.abc import Iterator
 
 import psutil
@@ -10,7 +11,13 @@ import pytest
 
 from tests.integration.processes import eventually, free_endpoint
 from zensim.proto.process_limits import PARENT_PID_VARIABLE
-from zensim.proto.supervisor import MAX_RESTARTS, ProgramDied, SupervisedProgram, Supervisor
+from zensim.proto.supervisor import (
+    MAX_RESTARTS,
+    STEADY_S,
+    ProgramDied,
+    SupervisedProgram,
+    Supervisor,
+)
 
 NOWHERE = "tcp/127.0.0.1:1"
 WAITING = ("spawn", "box_bot", "--wait", "600", "--connect", NOWHERE)
@@ -110,6 +117,7 @@ def test_program_is_restarted_after_a_delay(
     first = find_pid(program)
     os.kill(first, signal.SIGKILL)
     wait_for_exit(program)
+    program.started_s = time.monotonic()
 
     supervisor.watch()
     was_started_at_once = program.process is not None
@@ -119,6 +127,17 @@ def test_program_is_restarted_after_a_delay(
     assert restart_log.restarts == [("agent", -signal.SIGKILL)]
     assert program.restarts == 1
     assert find_pid(program) != first
+
+
+def test_steady_program_is_restarted_without_a_delay(supervisor: Supervisor) -> None:
+    program = supervisor.start("agent", WAITING, is_restarted=True)
+    os.kill(find_pid(program), signal.SIGKILL)
+    wait_for_exit(program)
+    program.started_s = time.monotonic() - 2 * STEADY_S
+
+    supervisor.watch()
+
+    assert program.restart_at_s <= time.monotonic()
 
 
 def test_number_of_restarts_is_limited(supervisor: Supervisor) -> None:
@@ -182,6 +201,7 @@ def test_close_during_a_restart_delay(supervisor: Supervisor) -> None:
     waiting = supervisor.start("agent", WAITING, is_restarted=True)
     os.kill(find_pid(waiting), signal.SIGKILL)
     wait_for_exit(waiting)
+    waiting.started_s = time.monotonic()
     supervisor.watch()
     other = find_pid(supervisor.start("other", WAITING))
 
