@@ -21,7 +21,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 STAMP := .venv/.setup-done
 
 .PHONY: help setup demo test browser short lint fmt types imports schemas docs site bench house chaos fuzz mutants pins \
-	ci clean packages
+	interop interop-short ci clean packages
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 18
@@ -112,6 +112,12 @@ fuzz: setup ## damaged input for every reader and for servers with each engine, 
 		$(BIN)/python -m tests.hostile.coverage_fuzz $$reader || exit 1; \
 	done
 	$(BIN)/python -m pytest -m hypothesis --hypothesis-profile=fuzz --timeout=900
+
+interop: setup ## ROS 2 peers that share no code with zensim, and rewrite docs/interop.md; needs cargo
+	$(BIN)/python -m tests.interop
+
+interop-short: setup ## a minute of them, and 15 more for the first build
+	$(BIN)/python -m tests.interop --short
 
 mutants: setup packages ## change the code in 100 places, and print the changes that no test notices
 	$(BIN)/python -m tests.mutation

@@ -32,6 +32,8 @@ class Document:
     """Help text of the short form."""
     path: Path
     head: str
+    short_names: Sequence[str] = ()
+    """Sections of the short form when none are named; all if empty."""
 
     def write(self) -> list[Section]:
         """Measure the named sections; write the page after all ran at full length."""
@@ -39,7 +41,8 @@ class Document:
         # Child processes exit with this one, even if it is killed.
         os.environ[PARENT_PID_VARIABLE] = str(os.getpid())
         load_before, sections = machine.load(), []
-        for name in arguments.names or self.names:
+        usual = self.short_names if arguments.short and self.short_names else self.names
+        for name in arguments.names or usual:
             sections.append(self.make(name, is_short=arguments.short))
             sys.stdout.write(sections[-1].text + "\n")
             sys.stdout.flush()

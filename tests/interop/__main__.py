@@ -1,0 +1,108 @@
+"""`python -m tests.interop [NAME ...] [--short]`: run ROS 2 peers that share no code with zensim.
+
+The page docs/interop.md is written only when everything ran at full length; the status is 1 when a
+figure was missed. Without cargo nothing runs; `INTEROP=require` makes that an error.
+"""
+
+import os
+import sys
+from importlib import import_module
+
+from benchmarks.benchmark_report import Section
+from benchmarks.document_command import Document
+from benchmarks.figures import Figure, missed_among, table
+from benchmarks.machine import ROOT
+from tests.interop.foreign_peers import HUMBLE, JAZZY
+from tests.interop.peer_build import (
+    BUILD_S,
+    SHORT_BUILD_S,
+    PeersMissing,
+    build_peers,
+    build_router,
+)
+
+NAMES = (
+    "talk",
+    "graph",
+    "odom",
+    "tf",
+    "late",
+    "drive",
+    "spawn",
+    "steps",
+    "humble",
+    "killed",
+    "scale",
+)
+SHORT_NAMES = ("talk", "odom", "drive", "spawn")
+"""What a short run without names measures."""
+REQUIRE = "require"
+HEAD = """# Independent ROS 2 peers
+
+`make interop` runs peers of [hiroz](https://crates.io/crates/hiroz) 0.2.0, an implementation of ROS
+2 on Zenoh in Rust that shares no code with zensim, and rewrites this page; the command below a
+heading measures that section alone. Messages of simulation_interfaces, gazebo_msgs and
+ros_gz_interfaces are generated from zensim's structs, all others are those that hiroz brings along.
+*n* is the number of samples. No process of rmw_zenoh_cpp takes part.
+"""
+
+
+def measure(name: str, *, is_short: bool) -> Section:
+    """Run the peers of one section.
+
+    The short form ignores limits that depend on the load of the machine.
+    """
+    module = import_module(f"tests.interop.interop_{name}")
+    rows: list[Figure] = list(module.rows(is_short=is_short))
+    title, _, method = str(module.__doc__).partition("\n")
+    command = f"`.venv/bin/python -m tests.interop {name}`"
+    return Section(
+        f"## {title}\n\n{command}\n\n{method.strip()}\n\n{table(rows)}",
+        missed_among(rows, is_short=is_short),
+    )
+
+
+def build(*, is_short: bool) -> None:
+    """Build what the sections need.
+
+    Raises:
+        PeersMissing: There is no cargo, or a build fails.
+    """
+    within_s = SHORT_BUILD_S if is_short else BUILD_S
+    build_peers(JAZZY, within_s=within_s)
+    if is_short:
+        return
+    build_peers(HUMBLE)
+    try:
+        build_router()
+    except PeersMissing as missing:
+        sys.stderr.write(f"interop: no zenohd ({missing}); the router of hiroz is used\n")
+
+
+DOCUMENT = Document(
+    program="tests.interop",
+    names=NAMES,
+    short_names=SHORT_NAMES,
+    make=measure,
+    short="a few seconds of the peers of jazzy, without zenohd",
+    path=ROOT / "docs" / "interop.md",
+    head=HEAD,
+)
+
+
+def run() -> int:
+    """Build and measure; return the exit status."""
+    try:
+        build(is_short="--short" in sys.argv)
+    except PeersMissing as missing:
+        is_required = os.environ.get("INTEROP") == REQUIRE
+        sys.stderr.write(f"interop: {missing}, {'failed' if is_required else 'skipped'}\n")
+        return int(is_required)
+    sections = DOCUMENT.write()
+    misses = [line for section in sections for line in section.missed]
+    sys.stdout.write("".join(f"missed: {line}\n" for line in misses) or "all figures are met\n")
+    return int(bool(misses))
+
+
+if __name__ == "__main__":
+    raise SystemExit(run())

@@ -1,0 +1,55 @@
+"""The graph
+
+A peer joins when ten robots are driven, and lists nodes, topics and services until nothing is
+missing. It compares each type hash with the one that it computes itself.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+from benchmarks.figures import Figure
+from tests.interop.acceptance import all_of, at_most, none_of
+from tests.interop.foreign_peers import Stage, list_routers, stage
+from tests.proto.ros_hashes import hash_of_service
+from zensim.proto.ros2.ros_service_catalog import ROS_SERVICES
+
+ROBOTS, ROBOTS_WHEN_SHORT = 10, 3
+COMPLETE_S = 5.0
+CANCEL_GOAL = "action_msgs::srv::dds_::CancelGoal_"
+"""hiroz 0.2.0 hashes it as if it were in a folder `action`, and without the canceled goals."""
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """List the graph of robots with an agent in one pool."""
+    robots = ROBOTS_WHEN_SHORT if is_short else ROBOTS
+    for router in list_routers(is_short=is_short):
+        with stage(router) as network:
+            names = network.spawn(robots)
+            with network.agents("--pool", "0"):
+                network.wait_until_driven(robots)
+                found = read_graph(network)
+        yield from judge_graph(router, names, found)
+
+
+def read_graph(network: Stage, *options: str) -> dict[str, Any]:
+    """List the graph once it is quiet."""
+    cancel = f"{CANCEL_GOAL}={hash_of_service('action_msgs/srv/CancelGoal')}"
+    return network.run("graph", "--hash", cancel, *options)
+
+
+def judge_graph(router: str, names: list[str], found: dict[str, Any]) -> Iterator[Figure]:
+    """Compare a graph with what robots and the server announce."""
+    nodes = {f"/{name}/agent" for name in names} | {"/zensim"}
+    missing = sorted(nodes - set(found["nodes"]))
+    wanted = {f"/{name}/{topic}" for name in names for topic in ("odom", "cmd_vel", "tf_static")}
+    wanted |= {"/tf", "/tf_static"} if names else set()
+    wanted |= {"/clock", *(one.name for one in ROS_SERVICES)}
+    absent = sorted(wanted - {one["name"] for one in found["endpoints"]})
+    equal, unequal, unknown = found["equal"], found["unequal"], found["unknown"]
+    yield none_of(f"{router}: nodes missing {missing or ''}", len(missing))
+    yield none_of(f"{router}: topics and services missing {absent or ''}", len(absent))
+    yield none_of(f"{router}: types with another hash {unequal or ''}", len(unequal))
+    yield none_of(f"{router}: types that the peer does not know {unknown or ''}", len(unknown))
+    yield all_of(f"{router}: types with an equal hash", len(equal), 1)
+    tokens = f"{router}: {found['tokens']} nodes and endpoints complete"
+    yield at_most(tokens, [found["complete_ms"] * 1e-3], COMPLETE_S, "s", is_timed=True)
