@@ -5,6 +5,11 @@ from collections.abc import Iterable
 from benchmarks.figures import Figure, Limit
 
 
+def naming(what: str, items: Iterable[str]) -> str:
+    """Add what was found to the name of a row, if there is any."""
+    return ": ".join((what, ", ".join(items))).removesuffix(": ")
+
+
 def none_of(what: str, count: float, unit: str = "") -> Figure:
     """Make a row for what must not occur."""
     return Figure(what=what, unit=unit, samples=(float(count),), limit=Limit("max", "<=", 0.0))

@@ -7,7 +7,7 @@ has, and to descriptions. It receives the root of each robot, and descriptions b
 from collections.abc import Iterator
 
 from benchmarks.figures import Figure
-from tests.interop.acceptance import all_of, at_most, none_of
+from tests.interop.acceptance import all_of, at_most, naming, none_of
 from tests.interop.foreign_peers import Stage, list_routers, stage
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.standard_messages import String
@@ -44,7 +44,7 @@ def _judge(router: str, network: Stage, names: list[str]) -> Iterator[Figure]:
     late_s = [ms * 1e-3 for ms, _ in received.values()] or [WAIT_S]
     messages = f"{router}: roots in {found['messages']} messages"
     yield all_of(messages, len(found["roots"]), len(names))
-    yield none_of(f"{router}: descriptions that differ {different or ''}", len(different))
+    yield none_of(naming(f"{router}: descriptions that differ", different), len(different))
     yield at_most(f"{router}: descriptions arrive", late_s, COMPLETE_S, "s", is_timed=True)
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from benchmarks.figures import Figure
-from tests.interop.acceptance import all_of, none_of
+from tests.interop.acceptance import all_of, naming, none_of
 from tests.interop.foreign_peers import HUMBLE, JAZZY, Stage, list_routers, stage
 
 ROBOTS, ROBOTS_WHEN_SHORT = 10, 3
@@ -49,7 +49,7 @@ def judge_topics(label: str, topics: dict[str, Any]) -> Iterator[Figure]:
     total = {name: sum(one[name] for one in topics.values()) for name in COUNTS}
     silent = sorted(name for name, one in topics.items() if not one["advanced"])
     share = 1.0 - total["missing"] / max(1, total["plain"])
-    yield none_of(f"{label}: topics without a message {silent or ''}", len(silent))
+    yield none_of(naming(f"{label}: topics without a message", silent), len(silent))
     yield all_of(f"{label}: share of {total['plain']} messages received", share, SHARE)
     for name in ("gaps", "without_attachment", "undecodable"):
         yield none_of(f"{label}: {COUNTS[name]}", total[name])

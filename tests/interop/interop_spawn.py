@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from benchmarks.figures import Figure, Limit
-from tests.interop.acceptance import all_of, at_most, none_of
+from tests.interop.acceptance import all_of, at_most, naming, none_of
 from tests.interop.foreign_peers import HUMBLE, JAZZY, list_routers, stage
 from zensim.proto.messages.result_messages import ResultCode
 
@@ -41,7 +41,7 @@ def judge_spawns(label: str, calls: int, found: dict[str, Any]) -> Iterator[Figu
     """Compare replies with calls."""
     refused = [*found["refused"], *found["failed"]]
     yield all_of(f"{label}: spawned", len(found["spawned_ms"]), calls)
-    yield none_of(f"{label}: refused or failed {refused[:3] or ''}", len(refused))
+    yield none_of(naming(f"{label}: refused or failed", refused[:3]), len(refused))
     yield none_of(f"{label}: second replies", found["extra_replies"])
     yield Figure(
         what=f"{label}: call to reply",

@@ -101,7 +101,7 @@ def test_topic_with_a_wrong_hash(network: Stage, *, is_right: bool) -> None:
         for token in tokens:
             token.undeclare()
 
-    red = [one.partition(" [")[0] for one in missed(judge_graph("planted", [], found))]
+    red = [one.partition(":")[0] for one in missed(judge_graph("planted", [], found))]
     assert red == ([] if is_right else ["types with another hash"])
 
 

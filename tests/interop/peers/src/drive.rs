@@ -78,7 +78,11 @@ impl Place {
     fn of(odom: &Odometry) -> Self {
         let (point, stamp) = (&odom.pose.pose.position, &odom.header.stamp);
         let time_s = f64::from(stamp.sec) + f64::from(stamp.nanosec) * 1e-9;
-        Self { x: point.x, y: point.y, time_s }
+        Self {
+            x: point.x,
+            y: point.y,
+            time_s,
+        }
     }
 }
 
@@ -92,9 +96,9 @@ enum Commands {
 impl Commands {
     fn new(node: &ZNode, topic: &str, stamped: bool) -> Result<Self> {
         Ok(if stamped {
-            Self::Stamped(node.create_pub(topic).build()?)
+            Self::Stamped(node.create_pub::<TwistStamped>(topic).build()?)
         } else {
-            Self::Plain(node.create_pub(topic).build()?)
+            Self::Plain(node.create_pub::<Twist>(topic).build()?)
         })
     }
 
@@ -111,9 +115,15 @@ impl Commands {
         match self {
             Self::Plain(publisher) => publisher.publish(&twist),
             Self::Stamped(publisher) => {
-                let mut stamped = TwistStamped { twist, ..Default::default() };
+                let mut stamped = TwistStamped {
+                    twist,
+                    ..Default::default()
+                };
                 let stamp = &odom.header.stamp;
-                stamped.header.stamp = Time { sec: stamp.sec, nanosec: stamp.nanosec };
+                stamped.header.stamp = Time {
+                    sec: stamp.sec,
+                    nanosec: stamp.nanosec,
+                };
                 publisher.publish(&stamped)
             }
         }

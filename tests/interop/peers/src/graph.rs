@@ -18,15 +18,15 @@ const NAME: &str = "interop_graph";
 
 #[derive(clap::Args)]
 pub struct Graph {
-    /// Number of nodes and endpoints to wait for.
-    #[arg(long)]
+    /// Number of nodes and endpoints to wait for; 0 = until the graph is quiet.
+    #[arg(long, default_value_t = 0)]
     tokens: usize,
     #[arg(long, default_value_t = 20.0)]
     within: f64,
-    /// Time without a change after which the graph is complete, if no number is given [s].
+    /// Time without a change after which the graph is quiet [s].
     #[arg(long, default_value_t = 2.0)]
     quiet: f64,
-    /// Hashes that hiroz 0.2.0 computes wrong: DDS_TYPE=HASH.
+    /// Hash of a type that hiroz 0.2.0 computes otherwise than ROS 2: DDS_TYPE=HASH.
     #[arg(long)]
     hash: Vec<String>,
     /// Print the counts only.
@@ -115,14 +115,22 @@ impl Watch {
 }
 
 fn list_nodes(graph: &RosGraph) -> BTreeSet<String> {
-    let join = |(name, namespace): (String, String)| {
-        format!("{}/{name}", namespace.trim_end_matches('/'))
-    };
-    graph.get_node_names().into_iter().map(join).filter(|one| !one.ends_with(NAME)).collect()
+    let join =
+        |(name, namespace): (String, String)| format!("{}/{name}", namespace.trim_end_matches('/'));
+    graph
+        .get_node_names()
+        .into_iter()
+        .map(join)
+        .filter(|one| !one.ends_with(NAME))
+        .collect()
 }
 
 fn count_tokens(graph: &RosGraph) -> usize {
-    let nodes = graph.get_node_names().into_iter().filter(|(name, _)| name != NAME).count();
+    let nodes = graph
+        .get_node_names()
+        .into_iter()
+        .filter(|(name, _)| name != NAME)
+        .count();
     nodes + list_endpoints(graph).len()
 }
 

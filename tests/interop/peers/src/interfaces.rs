@@ -39,7 +39,10 @@ pub fn known_hashes() -> HashMap<String, HashSet<String>> {
         for one in list(&manifest["actions"]) {
             add(dds(one, "action", "_SendGoal"), &one["send_goal_hash"]);
             add(dds(one, "action", "_GetResult"), &one["get_result_hash"]);
-            add(dds(one, "action", "_FeedbackMessage"), &one["feedback_message_hash"]);
+            add(
+                dds(one, "action", "_FeedbackMessage"),
+                &one["feedback_message_hash"],
+            );
         }
     }
     known
@@ -54,5 +57,9 @@ fn text(value: &Value) -> String {
 }
 
 fn dds(one: &Value, kind: &str, part: &str) -> String {
-    format!("{}::{kind}::dds_::{}{part}_", text(&one["package"]), text(&one["name"]))
+    format!(
+        "{}::{kind}::dds_::{}{part}_",
+        text(&one["package"]),
+        text(&one["name"])
+    )
 }

@@ -36,10 +36,18 @@ impl Late {
         let (_context, node) = network.join("interop_late")?;
         let begin = Instant::now();
         let depth = latched(self.depth);
-        let trees = node.create_sub::<TFMessage>(&self.tf_static).with_qos(depth).build()?;
+        let trees = node
+            .create_sub::<TFMessage>(&self.tf_static)
+            .with_qos(depth)
+            .build()?;
         let mut texts = Vec::new();
         for topic in &self.description {
-            texts.push((topic, node.create_sub::<Text>(topic).with_qos(latched(1)).build()?));
+            texts.push((
+                topic,
+                node.create_sub::<Text>(topic)
+                    .with_qos(latched(1))
+                    .build()?,
+            ));
         }
         let (mut roots, mut messages, mut roots_ms) = (BTreeSet::new(), 0, 0.0);
         let mut described: HashMap<&String, (f64, String)> = HashMap::new();
@@ -56,7 +64,7 @@ impl Late {
                 roots_ms = ms_since(begin);
             }
             for (topic, subscriber) in texts.iter().filter(|(_, one)| one.is_ready()) {
-                described.insert(topic, (ms_since(begin), subscriber.recv()?.data));
+                described.insert(*topic, (ms_since(begin), subscriber.recv()?.data));
             }
             if self.roots > 0 && roots.len() >= self.roots && described.len() == texts.len() {
                 break;

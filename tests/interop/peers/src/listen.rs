@@ -63,7 +63,10 @@ impl Listen {
         }
         std::thread::sleep(SETTLE);
         topics.iter_mut().for_each(Topic::drain);
-        let found: HashMap<_, _> = topics.iter().map(|one| (&one.name, one.summary())).collect();
+        let found: HashMap<_, _> = topics
+            .iter()
+            .map(|one| (&one.name, one.summary()))
+            .collect();
         print(&json!({ "topics": found }));
         Ok(())
     }
@@ -82,7 +85,10 @@ impl Received {
         self.total += 1;
         match sample.attachment().map(Attachment::try_from) {
             Some(Ok(found)) => {
-                self.numbers.entry(found.source_gid).or_default().insert(found.sequence_number);
+                self.numbers
+                    .entry(found.source_gid)
+                    .or_default()
+                    .insert(found.sequence_number);
             }
             _ => self.without_attachment += 1,
         }
@@ -91,13 +97,24 @@ impl Received {
     /// Numbers that are missing between the first and the last of each publisher.
     fn gaps(&self) -> i64 {
         let span = |one: &BTreeSet<i64>| one.last().unwrap_or(&0) - one.first().unwrap_or(&1) + 1;
-        self.numbers.values().map(|one| span(one) - one.len() as i64).sum()
+        self.numbers
+            .values()
+            .map(|one| span(one) - one.len() as i64)
+            .sum()
     }
 
     /// Samples of this one that the other has not.
     fn missing_in(&self, other: &Received) -> usize {
-        let absent = |gid, number| !other.numbers.get(gid).is_some_and(|one| one.contains(number));
-        self.numbers.iter().map(|(gid, all)| all.iter().filter(|n| absent(gid, n)).count()).sum()
+        let absent = |gid: &GidArray, number: &i64| {
+            !other
+                .numbers
+                .get(gid)
+                .is_some_and(|one| one.contains(number))
+        };
+        self.numbers
+            .iter()
+            .map(|(gid, all)| all.iter().filter(|n| absent(gid, n)).count())
+            .sum()
     }
 }
 
@@ -116,9 +133,13 @@ impl Topic {
     fn subscribe<T>(node: &ZNode, name: &str) -> Result<Self>
     where
         T: ZMessage + WithTypeInfo,
+        T::Serdes: 'static,
         for<'a> T::Serdes: ZDeserializer<Output = T, Input<'a> = &'a [u8]>,
     {
-        let subscriber = node.create_sub::<T>(name).with_qos(reliable(DEPTH)).build()?;
+        let subscriber = node
+            .create_sub::<T>(name)
+            .with_qos(reliable(DEPTH))
+            .build()?;
         let key = node.keyexpr_format().topic_key_expr(&subscriber.entity)?;
         let plain = Arc::new(Mutex::new(Received::default()));
         let counted = plain.clone();
@@ -148,7 +169,9 @@ impl Topic {
 
     /// Undeclare the plain subscriber: the other one must have received what this has.
     fn stop_counting(&mut self) -> Result<()> {
-        self.plain_subscriber.take().map_or(Ok(()), |one| one.undeclare().wait())
+        self.plain_subscriber
+            .take()
+            .map_or(Ok(()), |one| one.undeclare().wait())
     }
 
     fn summary(&self) -> Value {

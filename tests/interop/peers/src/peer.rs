@@ -43,12 +43,19 @@ pub fn print(value: &Value) {
 }
 
 pub fn reliable(depth: usize) -> QosProfile {
-    QosProfile { history: keep_last(depth), ..Default::default() }
+    QosProfile {
+        history: keep_last(depth),
+        ..Default::default()
+    }
 }
 
 pub fn latched(depth: usize) -> QosProfile {
     let durability = QosDurability::TransientLocal;
-    QosProfile { durability, history: keep_last(depth), ..Default::default() }
+    QosProfile {
+        durability,
+        history: keep_last(depth),
+        ..Default::default()
+    }
 }
 
 fn keep_last(depth: usize) -> QosHistory {

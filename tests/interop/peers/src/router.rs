@@ -18,7 +18,9 @@ pub struct Router {
 
 impl Router {
     pub async fn run(self) -> Result<()> {
-        let config = RouterConfigBuilder::new().with_listen_endpoint(&self.listen).build_config()?;
+        let config = RouterConfigBuilder::new()
+            .with_listen_endpoint(&self.listen)
+            .build_config()?;
         if self.settings {
             println!("{config}");
             return Ok(());

@@ -76,8 +76,12 @@ impl Spawn {
     async fn call_all(self, network: Network, number: usize) -> Result<Vec<Called>> {
         let (_context, node) = network.join(&format!("interop_spawn_{number}"))?;
         let newest = node.create_client::<SpawnEntity>("/spawn_entity").build()?;
-        let old = node.create_client::<v1::srv::SpawnEntity>("/spawn_entity").build()?;
-        let delete = node.create_client::<DeleteEntity>("/delete_entity").build()?;
+        let old = node
+            .create_client::<v1::srv::SpawnEntity>("/spawn_entity")
+            .build()?;
+        let delete = node
+            .create_client::<DeleteEntity>("/delete_entity")
+            .build()?;
         let mut calls = Vec::new();
         for call in (number..self.calls).step_by(self.clients) {
             let name = format!("{}_{call}", self.prefix);
@@ -106,7 +110,10 @@ impl Spawn {
     fn write_newest(&self, name: &str, number: usize) -> SpawnEntityRequest {
         let mut request = SpawnEntityRequest {
             name: name.to_string(),
-            entity_resource: Resource { uri: self.uri.clone(), ..Default::default() },
+            entity_resource: Resource {
+                uri: self.uri.clone(),
+                ..Default::default()
+            },
             ..Default::default()
         };
         let position = &mut request.initial_pose.pose.position;
@@ -136,7 +143,10 @@ impl Spawn {
         let builder = node.create_client::<S>("/spawn_entity");
         let key = (*node.keyexpr_format().topic_key_expr(builder.entity())?).clone();
         let _client = builder.build()?;
-        let unknown = Self { uri: "no_such_robot".to_string(), ..self.clone() };
+        let unknown = Self {
+            uri: "no_such_robot".to_string(),
+            ..self.clone()
+        };
         let refused = if self.v1 {
             unknown.write_v1("bad", 0).serialize()
         } else {
@@ -157,7 +167,10 @@ enum Called {
 }
 
 fn place(number: usize) -> (f64, f64) {
-    (SPACING_M * (number % ROW) as f64, SPACING_M * (number / ROW) as f64)
+    (
+        SPACING_M * (number % ROW) as f64,
+        SPACING_M * (number / ROW) as f64,
+    )
 }
 
 async fn count_replies(
@@ -179,7 +192,9 @@ async fn count_replies(
     let (mut count, mut first_ms, mut code, mut is_ours) = (0, 0.0, 0, false);
     while let Ok(reply) = replies.recv_async().await {
         count += 1;
-        let Ok(sample) = reply.into_result() else { continue };
+        let Ok(sample) = reply.into_result() else {
+            continue;
+        };
         first_ms = ms_since(begin);
         let payload = sample.payload().to_bytes();
         code = decode_code(&payload);

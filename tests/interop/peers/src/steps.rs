@@ -16,7 +16,6 @@ const ACTION: &str = "/simulate_steps";
 const CANCEL_TYPE: &str = "action_msgs::srv::dds_::CancelGoal_";
 const SERVER_WITHIN: Duration = Duration::from_secs(20);
 const RESULT_WITHIN: Duration = Duration::from_secs(60);
-const STATUS_WITHIN: Duration = Duration::from_secs(5);
 /// Steps of a goal that does not end by itself.
 const ENDLESS: u64 = 5_000_000;
 
@@ -60,7 +59,11 @@ impl Steps {
         Ok(())
     }
 
-    async fn cancel_one(&self, node: &ZNode, client: &ZActionClient<SimulateSteps>) -> Result<Value> {
+    async fn cancel_one(
+        &self,
+        node: &ZNode,
+        client: &ZActionClient<SimulateSteps>,
+    ) -> Result<Value> {
         let hash = TypeHash::from_rihs_string(&self.cancel_hash).expect("a hash");
         let info = TypeInfo::new(CANCEL_TYPE, hash);
         let canceller = node
@@ -69,21 +72,32 @@ impl Steps {
                 Some(info),
             )
             .build()?;
-        let mut goal = client.send_goal(SimulateStepsGoal { steps: ENDLESS }).await?;
+        let mut goal = client
+            .send_goal(SimulateStepsGoal { steps: ENDLESS })
+            .await?;
         let mut status = goal.status_watch().expect("not taken before");
-        let request = CancelGoalServiceRequest { goal_info: GoalInfo::new(goal.id()) };
+        let request = CancelGoalServiceRequest {
+            goal_info: GoalInfo::new(goal.id()),
+        };
         let response = canceller.call_with_timeout(&request, RESULT_WITHIN).await?;
+        let has_ended = wait_for_end(&mut status).await;
         let result = goal.result_with_timeout(RESULT_WITHIN).await?;
-        let ended = status.wait_for(GoalStatus::is_terminal);
-        let last = tokio::time::timeout(STATUS_WITHIN, ended).await.is_ok();
         Ok(json!({
             "return_code": response.return_code,
             "canceling": response.goals_canceling.len(),
             "code": result.result.result,
             "status": format!("{:?}", *status.borrow()),
-            "ended": last,
+            "ended": has_ended,
         }))
     }
+}
+
+/// Wait for the last status: the library drops what comes after the result.
+async fn wait_for_end(status: &mut tokio::sync::watch::Receiver<GoalStatus>) -> bool {
+    let ended = status.wait_for(GoalStatus::is_terminal);
+    tokio::time::timeout(RESULT_WITHIN, ended)
+        .await
+        .is_ok_and(|one| one.is_ok())
 }
 
 async fn run_one(client: ZActionClient<SimulateSteps>, steps: u64) -> Result<Value> {
@@ -94,9 +108,8 @@ async fn run_one(client: ZActionClient<SimulateSteps>, steps: u64) -> Result<Val
     };
     let mut status = goal.status_watch().expect("not taken before");
     let mut feedback = goal.feedback().expect("not taken before");
+    let has_ended = wait_for_end(&mut status).await;
     let result = goal.result_with_timeout(RESULT_WITHIN).await?;
-    let ended = status.wait_for(GoalStatus::is_terminal);
-    let has_ended = tokio::time::timeout(STATUS_WITHIN, ended).await.is_ok();
     let mut completed = Vec::new();
     while let Ok(one) = feedback.try_recv() {
         completed.push(one.completed_steps);

@@ -29,12 +29,17 @@ pub struct Talker {
 impl Talker {
     pub async fn run(self, network: &Network) -> Result<()> {
         let (context, node) = network.join(TALKER)?;
-        let publisher = node.create_pub::<Text>(TOPIC).with_qos(reliable(100)).build()?;
+        let publisher = node
+            .create_pub::<Text>(TOPIC)
+            .with_qos(reliable(100))
+            .build()?;
         let client = node.create_client::<Trigger>(SERVICE).build()?;
         let within = Duration::from_secs_f64(self.within);
         let is_matched = publisher.wait_for_subscription(1, within).await;
         for number in 0..self.count {
-            publisher.publish(&Text { data: number.to_string() })?;
+            publisher.publish(&Text {
+                data: number.to_string(),
+            })?;
             tokio::time::sleep(SEND_EVERY).await;
         }
         let request = TriggerRequest::default();
@@ -60,7 +65,10 @@ pub struct Listener {
 impl Listener {
     pub fn run(self, network: &Network) -> Result<()> {
         let (context, node) = network.join(LISTENER)?;
-        let samples = node.create_sub::<Text>(TOPIC).with_qos(reliable(100)).build()?;
+        let samples = node
+            .create_sub::<Text>(TOPIC)
+            .with_qos(reliable(100))
+            .build()?;
         let mut server = node.create_service::<Trigger>(SERVICE).build()?;
         print(&json!({ "ready": true }));
         let (mut received, mut requests, mut discovered) = (Vec::new(), 0, false);
@@ -72,7 +80,10 @@ impl Listener {
             }
             if let Some(request) = server.try_take_request()? {
                 requests += 1;
-                request.reply_blocking(&TriggerResponse { success: true, ..Default::default() })?;
+                request.reply_blocking(&TriggerResponse {
+                    success: true,
+                    ..Default::default()
+                })?;
             }
             discovered |= sees(&context, TALKER);
         }
@@ -84,5 +95,9 @@ impl Listener {
 }
 
 fn sees(context: &ZContext, name: &str) -> bool {
-    context.graph().get_node_names().iter().any(|(found, _)| found == name)
+    context
+        .graph()
+        .get_node_names()
+        .iter()
+        .any(|(found, _)| found == name)
 }
