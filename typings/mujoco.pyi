@@ -15,6 +15,7 @@ class mjtSolver:
 
 class _Option:
     solver: int
+    enableflags: int
     iterations: int
     timestep: float
 
@@ -28,6 +29,9 @@ class MjModel:
     body_invweight0: _Floats
     body_gravcomp: _Floats
     body_rootid: _Ints
+    body_treeid: _Ints
+    body_parentid: _Ints
+    tree_sleep_policy: _Ints
     body_contype: _Ints
     body_conaffinity: _Ints
     geom_bodyid: _Ints
@@ -42,6 +46,7 @@ class MjModel:
     jnt_qposadr: _Ints
     dof_jntid: _Ints
     dof_treeid: _Ints
+    dof_bodyid: _Ints
     jnt_stiffness: _Floats
     dof_frictionloss: _Floats
     dof_damping: _Floats
@@ -73,6 +78,16 @@ class MjData:
     eq_active: npt.NDArray[np.uint8]
     nbuffer: int
     dof_island: _Ints
+    tree_asleep: _Ints
+    tree_awake: _Ints
+    body_awake: _Ints
+    body_awake_ind: _Ints
+    parent_awake_ind: _Ints
+    dof_awake_ind: _Ints
+    ntree_awake: int
+    nbody_awake: int
+    nparent_awake: int
+    nv_awake: int
     efc_aref: _Floats
     efc_vel: _Floats
     efc_KBIP: _Floats

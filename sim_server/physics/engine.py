@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,8 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 Place = tuple[float, float]
 """x and y [m] of a root link."""
+SleepScope = Literal["none", "loose", "all"]
+"""Which bodies an engine can put to sleep; loose ones have neither joints nor actuators."""
 
 MIN_MASS_KG = 1e-4
 """Least mass of a moving link: engines treat mass 0 as immovable."""
@@ -156,14 +159,14 @@ class EngineCapabilities:
 
     Attributes:
         hides: `hide` and `show`.
-        sleeps: `sleep`, `wake` and `find_contacts`.
+        sleeps: `sleep`, `wake` and `find_contacts`, of which bodies.
         is_remote: Another process does the work: `skip_validation`, `find_overlaps_async` and
             `is_idle` avoid waiting for it.
         copies: A pickled state can be used in another engine, beside this one.
     """
 
     hides: bool = False
-    sleeps: bool = False
+    sleeps: SleepScope = "none"
     is_remote: bool = False
     copies: bool = False
 

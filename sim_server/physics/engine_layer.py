@@ -17,7 +17,7 @@ class EngineLayer(Engine):
 
     def __init__(self, inner: Engine) -> None:
         self._inner = inner
-        self.capabilities = replace(inner.capabilities, sleeps=False)
+        self.capabilities = replace(inner.capabilities, sleeps="none")
 
     @property
     def name(self) -> str:

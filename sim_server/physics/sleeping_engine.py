@@ -54,8 +54,11 @@ BRAKED_BODY_THRESHOLDS = SleepThresholds(3e-3, 0.015, 0.1)
 """For motors that brake wheels: solver residuals let such robots creep by 1-2 mm/s."""
 
 
-MOTIONLESS_M, MOTIONLESS_RAD = 1e-5, 1e-5
-"""Largest motion since the last check of a loose body that sleeps without delay."""
+MOTIONLESS_M, MOTIONLESS_RAD = 2e-5, 1e-5
+"""Largest motion since the last check, or its placement, of a loose body that sleeps without delay.
+
+A box sinks 0.01 mm into its contacts when Bullet simulates it first.
+"""
 MOTIONLESS_SPEED = 1e-4
 """Its largest speed [m/s and rad/s]."""
 
@@ -99,8 +102,10 @@ class SleepTracker:
         self._limits: FloatArray = np.zeros((64, 3))
         self._is_loose = np.zeros(64, dtype=np.bool_)
 
-    def add(self, body: int, model: Model, radius_m: float, step: int) -> None:
-        """Add a body."""
+    def add(
+        self, body: int, model: Model, radius_m: float, step: int, base: FloatArray | None = None
+    ) -> None:
+        """Add a body; with `base` (13,), the first check of a loose one is its placement."""
         self._make_room(body, len(model.joints))
         limits = choose_sleep_thresholds(model)
         self.state[body] = find_initial_sleep_state(model)
@@ -110,6 +115,13 @@ class SleepTracker:
         self._is_loose[body] = is_loose(model)
         self.is_driven[body] = False
         self.mark_moved(body, step)
+        if base is not None and self._is_loose[body]:
+            self.base[body] = base
+
+    def keep_awake(self, body: int) -> None:
+        """Let a body that moves never sleep."""
+        if self.state[body] == SleepState.AWAKE:
+            self.state[body] = SleepState.NEVER_SLEEPS
 
     def mark_moved(self, body: int | IntArray, step: int) -> None:
         """Restart the delay of a body, whose pose may have changed."""
@@ -219,7 +231,7 @@ LOOKAHEAD_PERIODS = 2.0
 
 def wrap_with_sleep(engine: Engine, config: EngineConfig) -> Engine:
     """Add the sleep layer to an engine that supports it."""
-    return SleepingEngine(engine, config) if engine.capabilities.sleeps else engine
+    return engine if engine.capabilities.sleeps == "none" else SleepingEngine(engine, config)
 
 
 class DeferredLoad(NamedTuple):
@@ -247,6 +259,9 @@ class SleepingEngine(EngineLayer):
     def __init__(self, engine: Engine, config: EngineConfig) -> None:
         super().__init__(engine)
         dt_s = config.step_ns * 1e-9
+        self._sleeps_loose_only = engine.capabilities.sleeps == "loose"
+        self._is_idle = False
+        """Whether all bodies sleep or never move: a step changes nothing."""
         self._reaches = ReachCache(config.mesh_folder)
         self._period_steps = max(1, round(SLEEP_CHECK_PERIOD_S / dt_s))
         self._ahead_s = LOOKAHEAD_PERIODS * self._period_steps * dt_s
@@ -275,11 +290,14 @@ class SleepingEngine(EngineLayer):
         body = self._inner.add(model, base)
         self._actuations[body] = actuation
         self._commands.forget(body)
-        self._tracker.add(body, model, radius_m, self._steps)
+        is_check = self._steps % self._period_steps == 0
+        self._tracker.add(body, model, radius_m, self._steps, base if is_check else None)
+        if self._sleeps_loose_only and not is_loose(model):
+            self._tracker.keep_awake(body)
         if self._tracker.state[body] == SleepState.FIXED:
             # Else the engine searches contacts with each sleeping body on it in each step.
             self._inner.sleep([body])
-        self._rows = None
+        self._rows, self._is_idle = None, False
         self._wake_near(body, base)
         return body
 
@@ -303,6 +321,7 @@ class SleepingEngine(EngineLayer):
 
     def show(self, bodies: Sequence[int]) -> None:
         """See `Engine.show`."""
+        self._is_idle = False
         self._inner.show(bodies)
         for body in bodies:
             self._tracker.state[body] = self._hidden.pop(body)
@@ -313,6 +332,7 @@ class SleepingEngine(EngineLayer):
 
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
+        self._is_idle = False
         self._inner.forget_removed()
         self._wake(self.asleep)
         self._steps = 0
@@ -320,7 +340,7 @@ class SleepingEngine(EngineLayer):
 
     def read(self, bodies: Sequence[int]) -> BodyStates:
         """See `Engine.read`; sleeping bodies have the state in which they fell asleep."""
-        if not self._contacts:
+        if self._sleeps_loose_only or not self._contacts:
             return self._inner.read(bodies)
         rows = self._split_rows(bodies)
         if not len(rows.asleep):
@@ -360,6 +380,9 @@ class SleepingEngine(EngineLayer):
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """See `Engine.command`; bodies with new targets wake."""
+        if self._sleeps_loose_only:  # these have no targets
+            self._inner.command(bodies, targets)
+            return
         changed = list(self._commands.take_changed(bodies, targets))
         if not changed:
             return
@@ -388,7 +411,7 @@ class SleepingEngine(EngineLayer):
 
     def step(self) -> bool:
         """See `Engine.step`."""
-        is_valid = self._inner.step()
+        is_valid = self._is_idle or self._inner.step()
         self._steps += 1
         self._waking.clear()
         deferred, self._deferred_loads = self._deferred_loads, []
@@ -397,8 +420,10 @@ class SleepingEngine(EngineLayer):
                 self._inner.apply_joint_effort(body, part, load)
             else:
                 self._inner.apply_link_wrench(body, part, load)
-        if self._steps % self._period_steps == 0 and is_valid:
+        if self._steps % self._period_steps == 0 and is_valid and not self._is_idle:
             self._update_sleepers()
+            moving = self._bodies_in(SleepState.AWAKE, SleepState.NEVER_SLEEPS)
+            self._is_idle = bool(self._contacts) and not len(moving)
         return is_valid
 
     def _update_sleepers(self) -> None:
@@ -453,7 +478,7 @@ class SleepingEngine(EngineLayer):
             self._tracker.mark_moved(np.array(woken, dtype=np.intp), self._steps)
             self._inner.wake(sorted(woken))
             self._waking.update(woken)
-            self._rows = None
+            self._rows, self._is_idle = None, False
 
     def _wake_near(self, body: int, base: FloatArray) -> None:
         if not self._contacts:
@@ -466,6 +491,7 @@ class SleepingEngine(EngineLayer):
 
     def _mark_placed(self, body: int, base: FloatArray) -> None:
         """Wake a body that is about to be moved, and its neighbours before and after."""
+        self._is_idle = False
         self._wake([body])
         if self._contacts:
             self._wake_near(body, self._inner.read([body]).base[0])
@@ -474,6 +500,7 @@ class SleepingEngine(EngineLayer):
 
     def _wake_for_load(self, body: int) -> bool:
         """Wake a body; return whether it was asleep at the last step: the next step skips it."""
+        self._is_idle = False
         self._wake([body])
         self._tracker.mark_moved(body, self._steps)
         return body in self._waking

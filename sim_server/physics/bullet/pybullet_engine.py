@@ -327,7 +327,7 @@ class PyBulletEngine(Engine):
     """Bullet's multibody dynamics, DIRECT mode, one client."""
 
     name = "pybullet"
-    capabilities = EngineCapabilities(hides=True, sleeps=True)
+    capabilities = EngineCapabilities(hides=True, sleeps="all")
 
     def __init__(self, config: EngineConfig, *, awake: int = 0) -> None:
         """Connect; keep `awake` pooled bodies awake, for bodies that arrive with a velocity."""

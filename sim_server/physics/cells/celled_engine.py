@@ -909,7 +909,7 @@ class CelledEngine(Engine):
         )
         self._measure = ReachCache(config.mesh_folder)
         self._cell_map = CellMap(cells, settings.single_cell_bodies, self._capacity)
-        self.capabilities = replace(self._cell_map.engines[0].capabilities, sleeps=False)
+        self.capabilities = replace(self._cell_map.engines[0].capabilities, sleeps="none")
         self._members = self._cell_map.members
         self._loads: list[QueuedLoad] = []
         self._body_order: tuple[int, CellBodyOrder] | None = None

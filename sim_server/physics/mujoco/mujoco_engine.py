@@ -65,6 +65,7 @@ from zensim.sim_server.physics.mujoco.slot_layout import (
 from zensim.sim_server.physics.mujoco.slot_state import (
     MAX_STATE_VALUE,
     POSITION_ERP,
+    SLEEP_FLAG,
     ActuatorTargets,
     activate_motors,
     activate_slot,
@@ -74,6 +75,7 @@ from zensim.sim_server.physics.mujoco.slot_state import (
     freeze_slot,
     is_within_limits,
     make_zero_targets,
+    set_sleeping_trees,
 )
 
 QPOS_POSE_ORDER = np.array([0, 1, 2, 4, 5, 6, 3])
@@ -540,6 +542,7 @@ class SpareArrays:
                 del self._spares[place]
                 for name in SLOT_ARRAYS:
                     getattr(model, name)[:] = getattr(compiled.model, name)
+                model.opt.enableflags = compiled.model.opt.enableflags
                 mujoco.mj_resetData(model, data)
                 return model, data
         model = copy(compiled.model)
@@ -554,7 +557,7 @@ class MujocoEngine(Engine):
     """MuJoCo with Newton's method, one MjData."""
 
     name = "mujoco"
-    capabilities = EngineCapabilities(hides=True, copies=True)
+    capabilities = EngineCapabilities(hides=True, sleeps="loose", copies=True)
 
     def __init__(self, config: EngineConfig) -> None:
         self._config = config
@@ -573,6 +576,11 @@ class MujocoEngine(Engine):
         self._archetypes, self._slots = ArchetypeCache(), SlotAllocator()
         self._announced: deque[Model] = deque()
         """Models of expected bodies, whose archetypes are not found yet."""
+        self._asleep: set[int] = set()
+        self._kept_contacts = NO_CONTACTS
+        """Of sleeping bodies, when they fell asleep."""
+        self._is_sleep_changed = False
+        """Whether MuJoCo does not know yet which bodies sleep, or where static ones are."""
         self._has_loads = False
         self._selections: dict[tuple[int, ...], BodySelection] = {}
         self._solved_motors: IndexArray | None = None
@@ -605,6 +613,7 @@ class MujocoEngine(Engine):
         mujoco.mj_setState(self._model, self._data, saved.numbers, kind)
         self._data.qacc[:] = saved.accelerations
         self._selections = {}
+        self._is_sleep_changed = bool(self._asleep)
         self._solved_motors, self._is_changed = None, True
 
     def prepare(self, model: Model) -> bool:
@@ -652,6 +661,7 @@ class MujocoEngine(Engine):
 
     def remove(self, body: int) -> None:
         """See `Engine.remove`; frees the slot."""
+        self.wake([body])
         removed = self._bodies.pop(body)
         self._diverged.discard(body)
         self._hidden.pop(body, None)
@@ -661,6 +671,7 @@ class MujocoEngine(Engine):
 
     def hide(self, body: int) -> None:
         """See `Engine.hide`."""
+        self.wake([body])
         address = self._bodies[body].address
         self._hidden[body] = self._data.qpos[address.positions]
         freeze_slot(self._model, self._data, address)
@@ -676,6 +687,37 @@ class MujocoEngine(Engine):
             self._data.qvel[body.address.velocities] = 0.0
             self._activate(body)
 
+    def sleep(self, bodies: Sequence[int]) -> None:
+        """See `Engine.sleep`; of bodies without joints. Static ones are never moved anyway."""
+        falling = [body for body in bodies if self._bodies[body].address.is_free]
+        if not falling:
+            return
+        kept = [self._kept_contacts, self.read_contacts(falling)]
+        self._kept_contacts = concatenate_contacts(kept)
+        for body in falling:
+            velocities = self._bodies[body].address.velocities
+            self._data.qvel[velocities] = self._data.qacc[velocities] = 0.0
+        self._asleep.update(falling)
+        self._is_sleep_changed = True
+
+    def wake(self, bodies: Sequence[int]) -> None:
+        """See `Engine.wake`; they move from the next step on."""
+        if self._asleep.isdisjoint(bodies):
+            return
+        self._asleep.difference_update(bodies)
+        kept = self._kept_contacts
+        is_asleep = np.isin(kept.bodies[:, 0], list(self._asleep))
+        self._kept_contacts = kept.select(np.flatnonzero(is_asleep))
+        self._is_sleep_changed = True
+
+    def find_contacts(self, body: int) -> Sequence[int]:
+        """See `Engine.find_contacts`."""
+        if not self._data.ncon:
+            return ()
+        owners = self._owners[self._data.contact.geom]
+        touching = owners[(owners == body).any(axis=1)]
+        return sorted(set(touching.ravel().tolist()) - {body, NO_INDEX})
+
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
         self._slots = SlotAllocator()
@@ -688,6 +730,7 @@ class MujocoEngine(Engine):
     def find_overlaps(self, body: int) -> Sequence[int]:
         """See `Engine.find_overlaps`."""
         model, data, owners = self._model, self._data, self._owners
+        self._wake_in_mujoco()
         mujoco.mj_kinematics(model, data)
         own = self._bodies[body].address.geometries
         near = find_near_geometries(data.geom_xpos, model.geom_rbound, own)
@@ -723,11 +766,19 @@ class MujocoEngine(Engine):
 
     def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
         """See `Engine.read_contacts`."""
+        found = self._read_last_contacts(bodies)
+        kept = self._kept_contacts
+        if not len(kept):
+            return found
+        rows = np.flatnonzero(np.isin(kept.bodies[:, 0], list(bodies)))
+        return concatenate_contacts([found, kept.select(rows)])
+
+    def _read_last_contacts(self, bodies: Sequence[int]) -> ContactPoints:
         data = self._data
         if not data.ncon:
             return NO_CONTACTS
         geometries = data.contact.geom
-        is_watched = np.isin(self._owners[geometries], list(bodies))
+        is_watched = np.isin(self._owners[geometries], list(set(bodies) - self._asleep))
         if not is_watched.any():
             return NO_CONTACTS
         points = read_contact_points(data.contact, data.efc_force)
@@ -753,6 +804,7 @@ class MujocoEngine(Engine):
 
     def set_base_state(self, body: int, base: FloatArray) -> None:
         """See `Engine.set_base_state`."""
+        self.wake([body])
         known = self._bodies[body]
         if known.archetype.is_static:
             self._set_static_pose(known, base)
@@ -837,6 +889,7 @@ class MujocoEngine(Engine):
         """See `Engine.close`."""
         _SPARES.give(self._compiled, self._model, self._data)
         self._bodies.clear()
+        self._asleep.clear()
         self._start_with(_COMPILE_CACHE.compile((), self._config))
 
     def _compile_with_one_more(self, archetype: Archetype, name: str) -> CompiledModel:
@@ -884,6 +937,7 @@ class MujocoEngine(Engine):
         self._links = np.zeros(len(self._owners), np.intp)
         self._is_changed = True
         self._solved_motors = None
+        self._is_sleep_changed = bool(self._asleep)
         self._selections = {}
         deactivate_all_slots(self._model, self._data, compiled.layout)
 
@@ -920,6 +974,7 @@ class MujocoEngine(Engine):
             root = body.address.start.bodies
             self._model.body_pos[root] = base[:3]
             self._model.body_quat[root] = base[[6, 3, 4, 5]]
+            self._is_sleep_changed |= bool(self._asleep)
 
     def _mark_diverged(self, number: int, base: FloatArray) -> None:
         """Deactivate a body whose state MuJoCo cannot simulate."""
@@ -948,8 +1003,29 @@ class MujocoEngine(Engine):
             model.jnt_qposadr[model.dof_jntid].astype(np.intp),
         )
 
+    def _wake_in_mujoco(self) -> None:
+        """Let MuJoCo compute all places until the next step, which puts bodies to sleep again."""
+        self._model.opt.enableflags &= ~SLEEP_FLAG
+        self._is_sleep_changed = bool(self._asleep)
+
+    def _update_sleep(self) -> None:
+        """Put bodies to sleep in MuJoCo, and wake others.
+
+        MuJoCo keeps the places of sleeping and static bodies, which must be computed first.
+        """
+        model, data = self._model, self._data
+        self._wake_in_mujoco()
+        if self._asleep:
+            mujoco.mj_step1(model, data)
+            roots = [self._bodies[body].address.start.bodies for body in sorted(self._asleep)]
+            set_sleeping_trees(model, data, model.body_treeid[roots].astype(np.intp))
+            model.opt.enableflags |= SLEEP_FLAG
+        self._is_sleep_changed = False
+
     def _make_constraints(self) -> None:
         """Find the contacts and make the rows; again where a contact has two frictions."""
+        if self._is_sleep_changed:
+            self._update_sleep()
         model, data, axes = self._model, self._data, self._compiled.friction_axes
         mujoco.mj_step1(model, data)
         if axes is not None and data.ncon and axes.turn_contacts(data.contact, data.xmat):

@@ -1,4 +1,4 @@
-"""Targets and activation of slots in MuJoCo's arrays; an inactive slot collides with nothing."""
+"""Targets, activation and sleep of slots in MuJoCo's arrays; inactive slots touch nothing."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -193,3 +193,75 @@ def copy_slot_states(
 
 def _join_slot_indexes(indexes: Sequence[IndexArray]) -> IndexArray:
     return np.concatenate([np.zeros(0, np.intp), *indexes])
+
+
+SLEEP_FLAG = 1 << 4
+"""`mjtEnableBit`."""
+AWAKE_TREE = -11
+"""Of `tree_asleep`: awake, and not still in any of the last ten steps."""
+NEVER_SLEEPS, MAY_SLEEP = 3, 4
+"""`mjtSleepPolicy`."""
+STATIC_BODY, SLEEPING_BODY, AWAKE_BODY = -1, 0, 1
+"""`mjtSleepState`."""
+
+
+class MjTrees(Protocol):
+    """Arrays of `mujoco.MjModel` about trees; a tree is what joints connect."""
+
+    body_treeid: MjInts
+    body_parentid: MjInts
+    dof_bodyid: MjInts
+    tree_sleep_policy: MjInts
+
+
+class MjSleepStates(Protocol):
+    """Entries of `mujoco.MjData` about sleep; of each list, the first `n..._awake` count."""
+
+    tree_asleep: MjInts
+    tree_awake: MjInts
+    body_awake: MjInts
+    body_awake_ind: MjInts
+    parent_awake_ind: MjInts
+    dof_awake_ind: MjInts
+    ntree_awake: int
+    nbody_awake: int
+    nparent_awake: int
+    nv_awake: int
+
+
+def set_sleeping_trees(model: MjTrees, data: MjSleepStates, trees: IndexArray) -> None:
+    """Let some trees sleep, each for itself, and all others be awake.
+
+    MuJoCo neither moves a sleeping tree nor makes its contacts; it wakes one that an awake tree
+    touches, or whose state or loads are set. Its own choice, ten steps below a speed, also freezes
+    a body where it turns back.
+
+    Args:
+        model: Its sleep policies are set.
+        data: What depends on positions has been computed, for static bodies too. Trees that are to
+            sleep have no velocity and no load.
+        trees: Indexes of the trees that are to sleep.
+    """
+    model.tree_sleep_policy[:] = NEVER_SLEEPS
+    model.tree_sleep_policy[trees] = MAY_SLEEP
+    data.tree_asleep[:] = AWAKE_TREE
+    data.tree_asleep[trees] = trees
+    data.tree_awake[:] = 1
+    data.tree_awake[trees] = 0
+    moving = np.where(data.tree_awake[model.body_treeid] == 1, AWAKE_BODY, SLEEPING_BODY)
+    data.body_awake[:] = np.where(model.body_treeid < 0, STATIC_BODY, moving)
+    is_stepped = data.body_awake != SLEEPING_BODY
+    has_stepped_parent = is_stepped[model.body_parentid]
+    has_stepped_parent[0] = False  # the world is its own parent
+    is_awake = data.body_awake == AWAKE_BODY
+    data.ntree_awake = len(data.tree_awake) - len(trees)
+    data.nbody_awake = _store(data.body_awake_ind, is_stepped)
+    data.nparent_awake = _store(data.parent_awake_ind, has_stepped_parent)
+    data.nv_awake = _store(data.dof_awake_ind, is_awake[model.dof_bodyid])
+
+
+def _store(indexes: MjInts, mask: npt.NDArray[np.bool_]) -> int:
+    """Write the indexes that a mask selects; return their number."""
+    found = np.flatnonzero(mask)
+    indexes[: len(found)] = found
+    return len(found)

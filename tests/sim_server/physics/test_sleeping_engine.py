@@ -63,10 +63,20 @@ def test_loose_body_that_does_not_move_at_all_is_at_rest_at_once() -> None:
     assert not is_resting_after(tracker_with(an_arm("revolute")), states)
 
 
+def test_placement_is_the_first_check_of_a_loose_body() -> None:
+    box, arm = (SleepTracker(STEPS) for _ in range(2))
+    box.add(int(ONE[0]), a_box(), 0.2, 0, a_state((1.0, 2.0, 3.0)))
+    arm.add(int(ONE[0]), an_arm("revolute"), 0.2, 0, a_state((1.0, 2.0, 3.0)))
+    states = [a_state((1.0, 2.0, 3.0))]
+
+    assert is_resting_after(box, states)
+    assert not is_resting_after(arm, states)
+
+
 @pytest.mark.parametrize(
     "second",
     [
-        a_state((2e-5, 0.0, 0.0)),
+        a_state((4e-5, 0.0, 0.0)),
         a_state(turn=(0.0, 0.0, 2e-5)),
         a_state(linear=(0.0, 0.0, 2e-4)),
     ],
@@ -386,6 +396,19 @@ def test_box_dropped_on_a_sleeping_body_lands_on_it(engine: SleepingEngine) -> N
 
     assert slept == (below,)
     assert base_of(engine, above)[2] == pytest.approx(0.3, abs=0.01)
+
+
+@pytest.mark.parametrize("steps_before", [0, 23])
+def test_body_that_hardly_falls_is_not_frozen(steps_before: int) -> None:
+    faint = EngineConfig(STEP_NS, gravity=(0.0, 0.0, -0.01), has_ground=False)
+    engine = SleepingEngine(PyBulletEngine(faint), faint)
+    advance(engine, steps_before)
+    body = engine.add(a_box(), a_state())
+
+    advance(engine, SECONDS)
+
+    assert base_of(engine, body)[2] == pytest.approx(-0.005, rel=0.02)
+    engine.close()
 
 
 @pytest.mark.parametrize("speed_mps", [0.001, 0.002, 0.01])
