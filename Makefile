@@ -108,6 +108,7 @@ chaos: setup packages ## kill, stop and starve, at full length, and rewrite docs
 fuzz: setup ## damaged input for every reader and for servers with each engine, and property tests
 	$(BIN)/python -m tests.hostile.fuzz
 	$(BIN)/python -m tests.hostile.server_fuzz
+	$(BIN)/python -m tests.hostile.message_fuzz
 	for reader in messages descriptions meshes; do \
 		$(BIN)/python -m tests.hostile.coverage_fuzz $$reader || exit 1; \
 	done

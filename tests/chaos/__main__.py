@@ -27,6 +27,7 @@ NAMES = (
     "sensors",
     "page",
     "scripts",
+    "sessions",
     "history",
     "damage",
 )

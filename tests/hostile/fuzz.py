@@ -108,7 +108,7 @@ def _bundle() -> Read:
 
     def read(chance: random.Random) -> str:
         ending = chance.choice(MESHES)
-        data = _damaged_bytes(seeds[ending], chance)
+        data = damage_bytes(seeds[ending], chance)
         try:
             if chance.random() < PLAIN:
                 _put(store, data, chance)
@@ -129,7 +129,7 @@ def _put(store: AssetStore, data: bytes, chance: random.Random) -> None:
     request = asset_messages.PutAssetRequest(sha256=name, offset=offset, total=total, data=data)
     payload = encode(request, Format.MSGPACK)
     if chance.random() < PLAIN:
-        payload = _damaged_bytes(payload, chance)
+        payload = damage_bytes(payload, chance)
     taken = decode(asset_messages.PutAssetRequest, payload, Format.MSGPACK.value)
     store.put(taken.sha256, offset=taken.offset, total=taken.total, data=taken.data)
     store.read(taken.sha256, taken.offset, len(data))
@@ -147,7 +147,7 @@ def _requests() -> Read:
         kind, payload = chance.choice(samples)
         encoding = chance.choice(("", *(format_.value for format_ in Format)))
         try:
-            decode(kind, _damaged_bytes(payload, chance), encoding)
+            decode(kind, damage_bytes(payload, chance), encoding)
         except MalformedPayload:
             return "malformed"
         return "read"
@@ -155,7 +155,8 @@ def _requests() -> Read:
     return read
 
 
-def _damaged_bytes(data: bytes, chance: random.Random) -> bytes:
+def damage_bytes(data: bytes, chance: random.Random) -> bytes:
+    """Cut, repeat, insert or replace bytes at up to four places."""
     for _ in range(chance.randint(0, 4)):
         start = chance.randint(0, len(data))
         end = min(len(data), start + chance.choice((0, 1, 4, 50)))

@@ -4,8 +4,9 @@ import json
 import shutil
 import signal
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from tests.integration.processes import (
     eventually,
     free_endpoint,
     running_agents,
+    serving,
     wait_for_agents,
     zensim,
 )
@@ -259,6 +261,83 @@ def test_full_disk_refuses_spawns_while_robots_keep_driving(tmp_path: Path) -> N
         kill_hard(server)
         with serving_with_journal(disk / "j", free_endpoint()) as again:
             assert again.client.entities() == (*saved, "after")
+
+
+def remount(folder: Path, mode: str) -> None:
+    """Make a file system read-only (`ro`) or writable (`rw`)."""
+    subprocess.run(["mount", "-o", f"remount,{mode}", str(folder)], check=True)
+
+
+def refusal_of(server: Server, act: Callable[[], object]) -> str:
+    """Return how the message of a refusal begins; the server must go on stepping."""
+    with pytest.raises(ServiceError) as caught:
+        act()
+    before = server.steps()
+    eventually(lambda: server.steps() > before, 20.0, "stepping")
+    return caught.value.message.partition(": ")[0]
+
+
+def put(server: Server, data: bytes) -> None:
+    server.client.put_asset(sha256(data).hexdigest(), offset=0, total=len(data), data=data)
+
+
+@pytest.mark.root
+def test_full_disk_of_temporary_files_refuses_uploads_only(tmp_path: Path) -> None:
+    with (
+        small_disk(tmp_path / "disk") as disk,
+        serving(prefix=("env", f"TMPDIR={disk}")) as server,
+    ):
+        ballast = disk / "ballast"
+        fill_up(ballast)
+
+        slug = refusal_of(server, lambda: put(server, bytes(100_000)))
+        server.client.spawn(an_order("r0"))
+        ballast.unlink()
+        put(server, bytes(100_000))
+
+        assert slug == "bundle.disk"
+        assert server.client.entities() == ("r0",)
+
+
+@pytest.mark.root
+def test_read_only_disk_of_temporary_files_refuses_uploads_until_it_is_writable(
+    tmp_path: Path,
+) -> None:
+    with (
+        small_disk(tmp_path / "disk") as disk,
+        serving(prefix=("env", f"TMPDIR={disk}")) as server,
+    ):
+        remount(disk, "ro")
+
+        slug = refusal_of(server, lambda: put(server, bytes(1000)))
+        server.client.spawn(an_order("r0"))
+        remount(disk, "rw")
+        put(server, bytes(1000))
+
+        assert slug == "bundle.disk"
+        assert server.client.entities() == ("r0",)
+
+
+@pytest.mark.root
+def test_journal_on_a_read_only_disk_refuses_a_start_in_one_line_and_is_shown(
+    tmp_path: Path,
+) -> None:
+    endpoint = free_endpoint()
+    with small_disk(tmp_path / "disk") as disk:
+        with serving_with_journal(disk / "j", endpoint) as server:
+            server.client.spawn(an_order("r0"))
+            kill_hard(server)
+        remount(disk, "ro")
+
+        refused = zensim("serve", "--listen", endpoint, "--journal", str(disk / "j"))
+        shown = zensim("journal", "show", str(disk / "j"))
+        remount(disk, "rw")
+
+        assert refused.returncode == 1
+        assert str(disk / "j") in last_line(refused)
+        assert (shown.returncode, "r0" in shown.stdout) == (0, True)
+        with serving_with_journal(disk / "j", endpoint) as again:
+            assert again.client.entities() == ("r0",)
 
 
 def fill_up(ballast: Path) -> None:
