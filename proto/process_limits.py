@@ -5,6 +5,7 @@ nothing, and says so.
 """
 
 import ctypes
+import mmap
 import os
 import signal
 import sys
@@ -138,6 +139,20 @@ def limit_malloc_arenas() -> bool:
     if sys.platform != "linux" or not hasattr(library, "gnu_get_libc_version"):
         return False
     return bool(library.mallopt(M_ARENA_MAX, MALLOC_ARENAS))
+
+
+def read_resident_bytes() -> int:
+    """Read the resident memory of this process; 0 where there is no /proc."""
+    try:
+        return int(STATM.read_text(encoding="ascii").split()[1]) * mmap.PAGESIZE
+    except OSError:
+        return 0
+
+
+def trim_memory() -> bool:
+    """Give free memory of malloc back to the system; return whether there was any."""
+    library = ctypes.CDLL(None)
+    return hasattr(library, "malloc_trim") and bool(library.malloc_trim(0))
 
 
 DEFAULT_FILE_LIMIT = 512

@@ -32,6 +32,7 @@ from zensim.sim_server.parser_process.parser_client import ParserClient
 from zensim.sim_server.ros2_node.server_node import start_server_node
 from zensim.sim_server.runtime.loop import ServerLoop, request_short_time_slice
 from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
+from zensim.sim_server.runtime.memory_trimmer import MemoryTrimmer
 from zensim.sim_server.runtime.step_topics import StepTopics
 from zensim.sim_server.security.admitted_users import AdmittedUsers
 from zensim.sim_server.security.secure_folder import SecureFolder
@@ -183,6 +184,9 @@ def _run(
         loop = ServerLoop(parts, inbox, publisher, HostClock(), tracker, users)
         cleanup.callback(loop.close)
         cleanup.callback(bus.token(keys.alive_server(config.world)).close)
+        trimmer = MemoryTrimmer()
+        trimmer.start()
+        cleanup.callback(trimmer.close)
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
         on_ready(bus, config)
         loop.run(should_stop)

