@@ -203,6 +203,11 @@ class TopicFactory:
         self._network = network
         self._node = node
 
+    @property
+    def node(self) -> RosNode | None:
+        """The node; None if there are no ROS 2 endpoints."""
+        return self._node
+
     def publisher(self, topic: RosTopic) -> TopicPublisher:
         """Declare a publisher of CDR messages."""
         encoding = topic.encoding

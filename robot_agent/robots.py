@@ -4,6 +4,7 @@ import logging
 import struct
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Protocol
 
 from zensim.proto.cmd_vel_decoding import decode_twist
@@ -17,6 +18,7 @@ from zensim.proto.network_protocols import (
     Sample,
     Subscription,
 )
+from zensim.proto.ros2.node_services import NodeServices
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.topic_catalog import CMD_VEL
 from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory, make_topic_factory
@@ -31,6 +33,7 @@ from zensim.robot_agent.drive_state_decoder import (
     unpack_twists,
 )
 from zensim.robot_agent.mounted_sensors import list_state_sensors
+from zensim.robot_agent.robot_parameters import list_robot_parameters
 from zensim.robot_agent.robot_telemetry import (
     JointTelemetry,
     MotionTelemetry,
@@ -291,6 +294,7 @@ class IndividualRobots:
         self._graph = graph
         self._timeout_ns = timeout_ns
         self._faults = TopicFaults()
+        self._node_services = NodeServices(network, graph.domain if graph else None)
         self._robots: dict[int, DrivenRobot] = {}
         self._claims: bytes | None = None
         self.newest_claim = 0
@@ -312,6 +316,7 @@ class IndividualRobots:
             factory.faults = self._faults
             robot = DrivenRobot(factory, claim, self._timeout_ns)
             robot.announce()
+            self._node_services.add(factory.node, partial(list_robot_parameters, claim))
             self.hold(claim.claim, robot)
 
     def hold(self, claim: int, robot: DrivenRobot) -> None:
@@ -420,6 +425,7 @@ class IndividualRobots:
 
     def reply_to_queries(self) -> None:
         """Reply to queries with the last values."""
+        self._node_services.poll()
         for robot in self._robots.values():
             robot.reply_to_queries()
 

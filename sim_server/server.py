@@ -24,6 +24,7 @@ from zensim.proto.bus import (
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.process_limits import limit_malloc_arenas
+from zensim.proto.ros2.node_services import Parameter, ParameterContent
 from zensim.proto.service_catalog import INFO
 from zensim.sim_server.initial_world import load_initial_world, make_initial_world, make_parts
 from zensim.sim_server.journal.server_journal import open_journal
@@ -127,6 +128,22 @@ def _open_network(config: ServerConfig, cleanup: ExitStack) -> Bus:
     return bus
 
 
+def list_server_parameters(config: ServerConfig) -> tuple[Parameter, ...]:
+    """List the parameters of the server's ROS 2 node."""
+    found: dict[str, ParameterContent] = {
+        "world": config.world,
+        "world_file": config.world_file,
+        "engine": config.physics.engine or "",
+        "step_hz": NANOSECONDS / config.step_ns,
+        "control_hz": config.control_hz,
+        "seed": config.seed,
+    }
+    return tuple(
+        Parameter(name, value, reason="it is an option of 'zensim serve'")
+        for name, value in found.items()
+    )
+
+
 def _has_server(bus: Bus, world: str) -> bool:
     """Whether another server serves the world; our own new router has no other server."""
     if bus.config.mode == "router":
@@ -173,7 +190,7 @@ def _run(
 ) -> None:
     parts, tracker = made
     with ExitStack() as cleanup:
-        node = start_server_node(bus, config.ros)
+        node = start_server_node(bus, config.ros, list_server_parameters(config))
         cleanup.callback(node.close)
         users = None
         if config.secure_folder:

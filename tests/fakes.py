@@ -113,6 +113,11 @@ class MemoryBus:
         answers = [answer for call in self._query(key, payload, "") for answer in call.answers]
         return list({answer.key: answer for answer in answers}.values())
 
+    def ask(self, key: str, payload: bytes, attachment: bytes) -> list[Sample]:
+        """Query as a ROS 2 client does."""
+        calls = self._query(key, payload, "", attachment)
+        return [answer for call in calls for answer in call.answers]
+
     def call(
         self,
         service: Service[Request, Response],

@@ -1,6 +1,7 @@
 """The 33-byte attachment of rmw_zenoh: sequence number, source time, gid."""
 
 import struct
+import time
 from typing import Final
 
 import msgspec
@@ -35,3 +36,15 @@ def read_attachment(raw: bytes) -> Attachment | None:
     if length != GID_BYTES:
         return None
     return Attachment(sequence_number, source_time_ns, gid)
+
+
+def answer_attachment(raw: bytes) -> bytes:
+    """Write the attachment of a response: that of its request with the time of now.
+
+    Args:
+        raw: Attachment of the request; the response has none if this is not of ROS 2.
+    """
+    request = read_attachment(raw)
+    if request is None:
+        return b""
+    return write_attachment(msgspec.structs.replace(request, source_time_ns=time.time_ns()))

@@ -1,7 +1,7 @@
 """The ROS 2 graph of one process: nodes and their endpoints, announced by liveliness tokens."""
 
 from itertools import count
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
@@ -20,6 +20,9 @@ from zensim.proto.ros2.liveliness_tokens import (
 )
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.ros2.type_hash import hash_type
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 MAX_NODES_PER_SESSION: Final = 100
 """The time to declare a token grows with the number of tokens of its session."""
@@ -45,6 +48,8 @@ class RosGraph:
         self.numbers = count()
         """Ids of nodes and endpoints."""
         self.nodes: list[RosNode] = []
+        self.kinds: dict[str, type[msgspec.Struct]] = {}
+        """Messages of the endpoints by type hash."""
         self._sessions = [GraphSession(session)]
         self._bridge = (
             session.token(liveliness_tokens.make_bridge_token(self.zid))
@@ -139,6 +144,13 @@ class RosNode:
         self._session = session
         session.nodes += 1
         self._tokens = [session.session.token(make_node_token(node))]
+        self.on_close: Callable[[], None] | None = None
+        """Called when the node leaves the graph."""
+
+    @property
+    def full_name(self) -> str:
+        """Name with namespace, as `/box_bot0/agent`."""
+        return rmw_keys.qualify_name(self._node.namespace, self._node.name)
 
     def data_key(self, topic: RosTopic) -> str:
         """Write the ROS 2 data key of a topic."""
@@ -146,12 +158,10 @@ class RosNode:
 
     def add_topic_endpoint(self, kind: EndpointKind, topic: RosTopic) -> GraphEndpoint:
         """Announce a publisher or subscription of the node."""
+        type_hash = self.graph.find_type_hash(topic)
+        self.graph.kinds[type_hash] = topic.kind
         return self.add_endpoint(
-            kind,
-            topic.key,
-            topic.ros_type,
-            type_hash=self.graph.find_type_hash(topic),
-            qos=topic.qos,
+            kind, topic.key, topic.ros_type, type_hash=type_hash, qos=topic.qos
         )
 
     def add_endpoint(
@@ -162,9 +172,12 @@ class RosNode:
         *,
         type_hash: str,
         qos: Qos = RELIABLE_10,
-        bridge_key: str = "",
+        bridge_key: str | None = "",
     ) -> GraphEndpoint:
-        """Announce an endpoint by its plain key; `bridge_key` overrides it for a bridge."""
+        """Announce an endpoint by its plain key.
+
+        `bridge_key` overrides it for a bridge; None = a bridge does not see the endpoint.
+        """
         endpoint = GraphEndpoint(
             node=self._node,
             number=next(self.graph.numbers),
@@ -175,7 +188,8 @@ class RosNode:
             qos=qos,
         )
         self._tokens.append(self._session.session.token(make_endpoint_token(endpoint)))
-        if self.graph.settings.is_bridged and ACTION_INFIX not in endpoint.name:
+        is_bridged = self.graph.settings.is_bridged and ACTION_INFIX not in endpoint.name
+        if is_bridged and bridge_key is not None:
             self._tokens.append(
                 self._session.session.token(_make_route_token(endpoint, bridge_key))
             )
@@ -193,6 +207,8 @@ class RosNode:
 
     def close(self) -> None:
         """Undeclare all tokens, that of the node last; further calls do nothing."""
+        if self.on_close is not None:
+            self.on_close()
         if self in self.graph.nodes:
             self.graph.nodes.remove(self)
             self._session.nodes -= 1

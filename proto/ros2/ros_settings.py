@@ -30,6 +30,9 @@ class RosSettings(msgspec.Struct, frozen=True, kw_only=True):
     is_bridged: bool = False
     """Whether topics and services are announced to zenoh-bridge-ros2dds."""
 
+    has_node_services: bool = True
+    """Whether each node has the parameter services of ROS 2, seven tokens a node."""
+
     def count_surplus_bytes(self, ros_type: str) -> int:
         """Count the bytes at the end of a message that the distribution does not know."""
         return 0 if self.has_hashes else SINCE_IRON.get(ros_type, 0)

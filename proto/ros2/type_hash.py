@@ -27,7 +27,7 @@ NUMBER_OF_CODE: Final = {
     "?": 15,
 }
 """Type ids of rosidl by format character of `struct`."""
-TEXT: Final = 17
+BYTE, TEXT, BOUNDED_TEXT = 16, 17, 21
 ARRAY, BOUNDED, SEQUENCE = 48, 96, 144
 """Added to a type id."""
 DUMMY_MEMBER: Final = "structure_needs_at_least_one_member"
@@ -58,20 +58,47 @@ class TypeDescription(TypedDict):
     fields: list[FieldDescription]
 
 
-@cache
-def hash_type(message_type: type[msgspec.Struct]) -> str:
-    """Compute the type hash of a message, by the class that names the ROS interface.
+class WholeDescription(TypedDict):
+    """A type and all types that it refers to, by name."""
+
+    type_description: TypeDescription
+    referenced_type_descriptions: list[TypeDescription]
+
+
+def describe_type(message_type: type[msgspec.Struct]) -> WholeDescription:
+    """Describe a message, by the class that names the ROS interface.
 
     Raises:
         TypeError: The type is not expressible in CDR.
     """
     known: dict[str, TypeDescription] = {}
-    return _hash_description(_describe(message_type, known), known)
+    return _collect_types(_describe(message_type, known), known)
+
+
+@cache
+def hash_type(message_type: type[msgspec.Struct]) -> str:
+    """Compute the type hash of a message.
+
+    Raises:
+        TypeError: See `describe_type`.
+    """
+    return _hash_description(describe_type(message_type))
 
 
 @cache
 def hash_service(request: type[msgspec.Struct], response: type[msgspec.Struct]) -> str:
     """Compute the type hash of a service, or of one service of an action.
+
+    Raises:
+        TypeError: See `describe_service`.
+    """
+    return _hash_description(describe_service(request, response))
+
+
+def describe_service(
+    request: type[msgspec.Struct], response: type[msgspec.Struct]
+) -> WholeDescription:
+    """Describe a service, or one service of an action.
 
     Raises:
         TypeError: A type is not expressible in CDR.
@@ -87,7 +114,7 @@ def hash_service(request: type[msgspec.Struct], response: type[msgspec.Struct]) 
     }
     fields = [_make_field(part, NESTED, nested) for part, nested in parts.items()]
     known[name] = TypeDescription(type_name=name, fields=fields)
-    return _hash_description(name, known)
+    return _collect_types(name, known)
 
 
 def find_service_type(request: type[msgspec.Struct]) -> str:
@@ -95,9 +122,12 @@ def find_service_type(request: type[msgspec.Struct]) -> str:
     return str(vars(find_ros_class(request))["ros_type"]).removesuffix("_Request")
 
 
-def _hash_description(name: str, known: dict[str, TypeDescription]) -> str:
+def _collect_types(name: str, known: dict[str, TypeDescription]) -> WholeDescription:
     others = [description for other, description in sorted(known.items()) if other != name]
-    whole = {"type_description": known[name], "referenced_type_descriptions": others}
+    return WholeDescription(type_description=known[name], referenced_type_descriptions=others)
+
+
+def _hash_description(whole: WholeDescription) -> str:
     return RIHS_PREFIX + hashlib.sha256(json.dumps(whole).encode()).hexdigest()
 
 
@@ -139,14 +169,20 @@ def _describe_field(
     name: str, info: inspect.Type, known: dict[str, TypeDescription]
 ) -> FieldDescription:
     bare, extra = unwrap_metadata(info)
+    bound = cast("int", extra.get("bound", 0))
     if isinstance(bare, inspect.BytesType):
-        return _make_field(name, SEQUENCE + NUMBER_OF_CODE[str(extra.get("cdr", "B"))])
+        code = NUMBER_OF_CODE[str(extra.get("cdr", "B"))]
+        return _make_field(name, SEQUENCE + (BYTE if extra.get("rosidl") == "byte" else code))
+    if isinstance(bare, inspect.StrType) and bound:
+        return _make_field(name, BOUNDED_TEXT, string_capacity=bound)
     if not isinstance(bare, inspect.VarTupleType):
         return _make_field(name, *_find_type_number(name, bare, extra, known))
     item, item_extra = unwrap_metadata(bare.item_type)
     number, nested = _find_type_number(name, item, extra | item_extra, known)
     if isinstance(length := extra.get("length"), int):
         return _make_field(name, ARRAY + number, nested, capacity=length)
+    if bound:
+        return _make_field(name, BOUNDED + number, nested, capacity=bound)
     return _make_field(name, SEQUENCE + number, nested)
 
 
@@ -165,6 +201,13 @@ def _find_type_number(
     return NUMBER_OF_CODE[str(code)], ""
 
 
-def _make_field(name: str, number: int, nested: str = "", *, capacity: int = 0) -> FieldDescription:
-    kind = FieldType(type_id=number, capacity=capacity, string_capacity=0, nested_type_name=nested)
+def _make_field(
+    name: str, number: int, nested: str = "", *, capacity: int = 0, string_capacity: int = 0
+) -> FieldDescription:
+    kind = FieldType(
+        type_id=number,
+        capacity=capacity,
+        string_capacity=string_capacity,
+        nested_type_name=nested,
+    )
     return FieldDescription(name=name, type=kind)

@@ -186,6 +186,7 @@ ROLES: Final[dict[str, Role]] = {
             *_AGENT,
             KeyGrant("PA", _of_any_robot(*_suffixes(Participant.AGENT))),
             KeyGrant("S", _of_any_robot(CMD_VEL)),
+            KeyGrant("A", ("{domain}/**/agent/*/*/*", "{domain}/zensim_pool_$*/*/*/*")),
             KeyGrant("TL", ("@ros2_lv/{domain}/**",)),
         ),
         READING | CLAIMING,
@@ -196,6 +197,7 @@ ROLES: Final[dict[str, Role]] = {
             _CALLS,
             _SERVER_TOKEN,
             KeyGrant("PA", _of_any_robot(*_suffixes(Participant.SENSORS))),
+            KeyGrant("A", ("{domain}/**/sensors/*/*/*",)),
             KeyGrant(
                 "P", ("sim/{world}/sensors/{user}/reply", "sim/{world}/sensors/{user}/figures")
             ),

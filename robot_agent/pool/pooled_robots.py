@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 
 import msgspec
@@ -20,6 +21,7 @@ from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveComm
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import TFMessage, Twist, TwistStamped, Vector3
 from zensim.proto.network_protocols import AgentNetwork, Sample
+from zensim.proto.ros2.node_services import NodeServices
 from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic
 from zensim.proto.ros2.ros_settings import NO_ROS
@@ -38,6 +40,7 @@ from zensim.robot_agent.pool.group_telemetry import (
     StaticTopics,
 )
 from zensim.robot_agent.pool.pooled_bumpers import PooledBumpers
+from zensim.robot_agent.robot_parameters import list_robot_parameters
 from zensim.robot_agent.robot_rows import (
     NEW_ROW,
     FloatArray,
@@ -470,6 +473,9 @@ class PooledRobots:
         self._graph = graph
         self._ros = graph.settings if graph else NO_ROS
         self._numbers = count(1)
+        domain = graph.domain if graph else None
+        self._robot_services = NodeServices(network, domain, f"**/{NODE_NAME}")
+        self._pool_services = NodeServices(network, domain)
         self._timeout_ns = timeout_ns
         self._members: dict[int, GroupMember] = {}
         self._robots: dict[int, DrivenRobot] = {}
@@ -478,9 +484,7 @@ class PooledRobots:
         self._shared_static = SharedStaticTopic(self._make_static_factory)
         self._static_topics = StaticTopics(self._find_publisher, self._shared_static, self._ros)
         self._bumpers = PooledBumpers(self._find_publisher)
-        self._commands = FleetCmdVel(
-            rx_session or network, timeout_ns, graph.domain if graph else None
-        )
+        self._commands = FleetCmdVel(rx_session or network, timeout_ns, domain)
         self._groups: dict[GroupKey, RobotGroup] = {}
         self._claims: bytes | None = None
         self._layout = PoolStateLayout((), ())
@@ -497,6 +501,7 @@ class PooledRobots:
                 group_key = make_group_key(claim, topic_keys)
                 member = GroupMember(claim, group_key, topic_keys)
                 member.node = self._join_ros_graph(claim.namespace, topic_keys.cmd_vel)
+                self._robot_services.add(member.node, partial(list_robot_parameters, claim))
                 member.static_topics = self._static_topics.add(claim, member.node)
                 self._bumpers.add(claim, member.node)
                 self._members[claim.claim] = member
@@ -505,6 +510,7 @@ class PooledRobots:
                 factory.faults = self._faults
                 robot = DrivenRobot(factory, claim, self._timeout_ns, is_pooled=True)
                 robot.announce()
+                self._robot_services.add(factory.node, partial(list_robot_parameters, claim))
                 self._static_topics.add_shared(claim)
                 self._robots[claim.claim] = robot
         self._claims = None
@@ -628,6 +634,8 @@ class PooledRobots:
             publisher.announce_some()
             publisher.reply_to_queries()
         self._shared_static.reply_to_queries()
+        self._robot_services.poll()
+        self._pool_services.poll()
         for robot in self._robots.values():
             robot.reply_to_queries()
 
@@ -722,13 +730,16 @@ class PooledRobots:
         """Add the node that publishes the shared topic of a group to the ROS 2 graph."""
         if self._graph is None:
             return None
-        return self._graph.add_node("", f"{self._node_prefix}_{next(self._numbers)}")
+        node = self._graph.add_node("", f"{self._node_prefix}_{next(self._numbers)}")
+        self._pool_services.add(node)
+        return node
 
     def _make_static_factory(self) -> TopicFactory:
         """Make a factory with the node that publishes the shared static topic."""
         name = f"{self._node_prefix}_static"
         factory = make_topic_factory(self._network, self._graph, "", name)
         factory.faults = self._faults
+        self._pool_services.add(factory.node)
         return factory
 
     @property

@@ -32,7 +32,8 @@ from zensim.proto.network_protocols import (
 )
 from zensim.proto.ros2 import action_messages as action
 from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_10
-from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
+from zensim.proto.ros2.node_services import NodeServices, Parameter
+from zensim.proto.ros2.rmw_attachment import Attachment, answer_attachment, read_attachment
 from zensim.proto.ros2.rmw_keys import ANY_HASH, NO_HASH, make_data_key
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic
 from zensim.proto.ros2.ros_service_catalog import (
@@ -290,9 +291,8 @@ class SimulateStepsAction:
         return encode(action.GoalStatusArray(statuses), Format.CDR)
 
     def _reply(self, query: Query, response: msgspec.Struct) -> None:
-        attachment = read_attachment(query.request_id)
-        attachment_out = b"" if attachment is None else write_attachment(_restamp(attachment))
-        query.reply(encode(response, Format.CDR), CDR_ENCODING, attachment=attachment_out)
+        attachment = answer_attachment(query.request_id)
+        query.reply(encode(response, Format.CDR), CDR_ENCODING, attachment=attachment)
 
     def _forget_oldest(self) -> None:
         over = [name for name, goal in self._goals.items() if goal.is_over]
@@ -312,10 +312,6 @@ def _decode_query(kind: type[Message], query: Query) -> Message | None:
         return None
 
 
-def _restamp(attachment: Attachment) -> Attachment:
-    return msgspec.structs.replace(attachment, source_time_ns=time.time_ns())
-
-
 LOG = logging.getLogger(__name__)
 NO_REQUEST_ID: Final = b""
 
@@ -331,7 +327,6 @@ class Ros2Call:
         self._call = call
         self._forms = forms
         self._form = forms[0]
-        self._attachment = attachment
         self.name = forms[0].service
         self.payload, self.size, self.encoding = call.payload, call.size, CDR_ENCODING_NAME
         self.request_id = NO_REQUEST_ID if attachment is None else _make_request_id(attachment)
@@ -349,9 +344,7 @@ class Ros2Call:
         """See `ServiceCall`; the attachment identifies the request for the ROS client."""
         del key
         response = self._form.encode_response(payload, encoding)
-        attachment = (
-            b"" if self._attachment is None else write_attachment(_stamp_now(self._attachment))
-        )
+        attachment = answer_attachment(self._call.request_id)
         self._call.reply(response, CDR_ENCODING_NAME, attachment=attachment)
 
     def drop(self) -> None:
@@ -415,10 +408,6 @@ def _make_request_id(attachment: Attachment) -> bytes:
     return attachment.gid + attachment.sequence_number.to_bytes(8, "little", signed=True)
 
 
-def _stamp_now(attachment: Attachment) -> Attachment:
-    return msgspec.structs.replace(attachment, source_time_ns=time.time_ns())
-
-
 def _widen_request(request: msgspec.Struct, kind: type[Message]) -> Message:
     """Extend a standard request to our type with defaults."""
     if isinstance(request, kind):
@@ -456,8 +445,28 @@ class ServerNode:
     close: Callable[[], None]
 
 
-def start_server_node(bus: ServerNetwork, settings: RosSettings) -> ServerNode:
-    """Declare the server's ROS 2 node as the settings say, or none."""
+@dataclass(frozen=True)
+class PolledNodeServices:
+    """The node's own services, which the loop polls as a source of calls."""
+
+    services: NodeServices
+
+    def take(self) -> list[ServiceCall]:
+        """Reply to requests; none of them is a call of the simulator."""
+        self.services.poll()
+        return []
+
+
+def start_server_node(
+    bus: ServerNetwork, settings: RosSettings, parameters: Sequence[Parameter] = ()
+) -> ServerNode:
+    """Declare the server's ROS 2 node as the settings say, or none.
+
+    Args:
+        bus: Session of the server.
+        settings: Of ROS 2.
+        parameters: Of the node.
+    """
     graph = RosGraph(bus, settings)
     node = graph.add_node("", NODE_NAME)
     topics = TopicFactory(bus, node, settings)
@@ -465,7 +474,13 @@ def start_server_node(bus: ServerNetwork, settings: RosSettings) -> ServerNode:
         return ServerNode((), topics, lambda _: None, graph.close)
     announce_services(node)
     steps = _make_steps_action(bus, node, topics)
-    sources: tuple[ServiceCallSource, ...] = (serve_rmw_calls(bus, node.domain), steps)
+    services = NodeServices(bus, node.domain)
+    services.add(node, partial(tuple, parameters))
+    sources: tuple[ServiceCallSource, ...] = (
+        serve_rmw_calls(bus, node.domain),
+        steps,
+        PolledNodeServices(services),
+    )
     if settings.is_bridged:
         sources = (*sources, serve_bridge_calls(bus))
     return ServerNode(sources, topics, steps.on_progress, graph.close)

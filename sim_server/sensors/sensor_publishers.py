@@ -7,6 +7,7 @@ import msgspec
 from zensim.proto import keys
 from zensim.proto.fleet_publisher import FleetTopicPublisher, RosFleetPublisher, TopicMember
 from zensim.proto.network_protocols import MAX_COMMAND_BYTES, AgentNetwork
+from zensim.proto.ros2.node_services import NodeServices
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode
 from zensim.proto.topic_catalog import IMAGE_TRIGGER, TopicSpec
 from zensim.proto.topic_endpoints import TopicFactory, TopicSubscription
@@ -67,6 +68,7 @@ class SensorTopics:
         self._publishers: dict[tuple[str, TopicSpec], FleetTopicPublisher] = {}
         self._members: dict[SensorAddress, tuple[TopicMember, FleetTopicPublisher]] = {}
         self._nodes: dict[str, RosNode] = {}
+        self._node_services = NodeServices(network, graph.domain, f"**/{NODE_NAME}")
         self._payloads = LastPayloads()
         self.faults = TopicFaults()
         self._subscriptions: dict[SensorAddress, TopicSubscription] = {}
@@ -129,10 +131,12 @@ class SensorTopics:
             while publisher.is_declaring:
                 publisher.declare_some()
             publisher.reply_to_queries()
+        self._node_services.poll()
 
     def close(self) -> None:
         """Undeclare everything."""
         self.set_addresses((), ())
+        self._node_services.close()
 
     def _make_publisher(self, pattern: str, topic: TopicSpec) -> FleetTopicPublisher:
         endpoint = topic.at(pattern)
@@ -154,6 +158,7 @@ class SensorTopics:
             node = self._graph.add_node(address.namespace, NODE_NAME)
             if node is not None:
                 self._nodes[address.namespace] = node
+                self._node_services.add(node)
         return self._nodes.get(address.namespace)
 
     def _add(self, address: SensorAddress) -> None:

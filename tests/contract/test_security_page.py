@@ -67,7 +67,8 @@ def _join_topics(keys: list[str]) -> list[str]:
     others = [key for key in keys if not key.startswith(("`**/", "`DOMAIN/**/"))]
     plain = [key for key in keys if key.startswith("`DOMAIN/**/@")]
     if not suffixes:
-        return others + plain
+        services = [key for key in keys if key.startswith("`DOMAIN/**/") and key not in plain]
+        return others + plain + services
     return [*others, *plain, f"`**/TOPIC` and the same in ROS 2: {' '.join(suffixes)}"]
 
 

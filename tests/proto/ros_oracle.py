@@ -191,6 +191,38 @@ ZENSIM = {
 }
 """Messages of zensim that are expressible in CDR."""
 
+RCL = {
+    "GetParameters_Request": "string[] names",
+    "GetParameters_Response": "rcl_interfaces/ParameterValue[] values",
+    "GetParameterTypes_Request": "string[] names",
+    "GetParameterTypes_Response": "uint8[] types",
+    "SetParameters_Request": "rcl_interfaces/Parameter[] parameters",
+    "SetParameters_Response": "rcl_interfaces/SetParametersResult[] results",
+    "SetParametersAtomically_Request": "rcl_interfaces/Parameter[] parameters",
+    "SetParametersAtomically_Response": "rcl_interfaces/SetParametersResult result",
+    "ListParameters_Request": "string[] prefixes; uint64 depth",
+    "ListParameters_Response": "rcl_interfaces/ListParametersResult result",
+    "DescribeParameters_Request": "string[] names",
+    "DescribeParameters_Response": "rcl_interfaces/ParameterDescriptor[] descriptors",
+}
+"""Parameter services of each node."""
+DESCRIPTIONS = {
+    "FieldType": "uint8 type_id; uint64 capacity; uint64 string_capacity;"
+    " string<=255 nested_type_name",
+    "Field": "string name; type_description_interfaces/FieldType type; string default_value",
+    "IndividualTypeDescription": "string<=255 type_name;"
+    " type_description_interfaces/Field[] fields",
+    "TypeDescription": "type_description_interfaces/IndividualTypeDescription type_description;"
+    " type_description_interfaces/IndividualTypeDescription[] referenced_type_descriptions",
+    "TypeSource": "string type_name; string encoding; string raw_file_contents",
+    "KeyValue": "string key; string value",
+    "GetTypeDescription_Request": "string type_name; string type_hash; bool include_type_sources",
+    "GetTypeDescription_Response": "bool successful; string failure_reason;"
+    " type_description_interfaces/TypeDescription type_description;"
+    " type_description_interfaces/TypeSource[] type_sources;"
+    " type_description_interfaces/KeyValue[] extra_information",
+}
+
 RANGE_SINCE_IRON = (
     "std_msgs/Header header; uint8 radiation_type; float32 field_of_view; float32 min_range;"
     " float32 max_range; float32 range; float32 variance"
@@ -219,6 +251,10 @@ define(
     "std_msgs/Header header; float64 vertical_position; float64 vertical_velocity;"
     " float64 vertical_reference",
 )
+for _name, _fields in RCL.items():
+    define(f"rcl_interfaces/msg/{_name}", _fields)
+for _name, _fields in DESCRIPTIONS.items():
+    define(f"type_description_interfaces/msg/{_name}", _fields)
 for _name, _fields in ZENSIM.items():
     define(f"zensim/msg/{_name}", _fields)
 
