@@ -1,4 +1,4 @@
-"""Messages that every ROS 2 node uses: parameters, type descriptions and log entries."""
+"""Messages that every ROS 2 node uses: parameters and type descriptions."""
 
 from enum import IntEnum
 from typing import Annotated, ClassVar, Final
@@ -6,8 +6,7 @@ from typing import Annotated, ClassVar, Final
 import msgspec
 from msgspec import Meta
 
-from zensim.proto.messages.scalar_types import UInt8, UInt32, UInt64
-from zensim.proto.messages.standard_messages import Time
+from zensim.proto.messages.scalar_types import UInt8, UInt64
 
 Int64 = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1, extra={"cdr": "q"})]
 ByteSequence = Annotated[bytes, Meta(extra={"cdr": "B", "rosidl": "byte"})]
@@ -290,21 +289,6 @@ class GetTypeDescriptionResponse(msgspec.Struct, frozen=True):
     type_description: WholeTypeDescription = WholeTypeDescription()
     type_sources: tuple[TypeSource, ...] = ()
     extra_information: tuple[KeyValue, ...] = ()
-
-
-class LogEntry(msgspec.Struct, frozen=True):
-    """An entry of `/rosout`. Source: rcl_interfaces/msg/Log."""
-
-    ros_type: ClassVar[str] = "rcl_interfaces/msg/Log"
-
-    stamp: Time = Time()
-    level: UInt8 = 0
-    """10 debug, 20 info, 30 warning, 40 error, 50 fatal."""
-    name: str = ""
-    msg: str = ""
-    file: str = ""
-    function: str = ""
-    line: UInt32 = 0
 
 
 PARAMETER_SERVICES: Final[dict[str, tuple[type[msgspec.Struct], type[msgspec.Struct]]]] = {

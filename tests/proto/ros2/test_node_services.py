@@ -29,7 +29,6 @@ from zensim.proto.sample_messages import make_sample_message
 
 KINDS = [
     *(kind for halves in ALL_SERVICES.values() for kind in halves),
-    messages.LogEntry,
     messages.ParameterDescriptor,
 ]
 ODOM = RosTopic("r1/odom", Odometry)
