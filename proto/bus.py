@@ -871,8 +871,8 @@ def _make_open_error(config: BusConfig, text: str) -> BusError:
         return JoinRefused(refusal.reason, str(refusal))
     if any(_accepts_connections(endpoint) for endpoint in config.connect):
         return EndpointUnreachable(
-            f"{where} accepts connections, but no session: the router is full, suspended or none; "
-            "close other sessions, or try again"
+            f"{where} accepts connections, but no session: it is secured (use --join TOKEN), full, "
+            "suspended or no router"
         )
     return EndpointUnreachable(
         f"no server listens at {where}; start one with 'zensim serve' or use --connect"
@@ -889,7 +889,7 @@ def _make_taken_error(endpoint: str) -> EndpointTaken:
 def _accepts_connections(endpoint: str) -> bool:
     """Whether a TCP connection to an endpoint can be opened."""
     host, _, port = endpoint.partition("?")[0].rpartition("/")[2].rpartition(":")
-    if not endpoint.startswith("tcp/") or not port.isdigit():
+    if not endpoint.startswith(("tcp/", "tls/")) or not port.isdigit():
         return False
     try:
         with socket.create_connection((host.strip("[]"), int(port)), PROBE_TIMEOUT_S):
