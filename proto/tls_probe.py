@@ -105,8 +105,8 @@ def find_refusal(
         )
     return ProbeFailed(
         "user",
-        f"{endpoint} does not admit user '{user}': the password is wrong; get a new token from "
-        "the server's operator",
+        f"{endpoint} does not admit user '{user}': the password is wrong, or the server is full or "
+        "too busy; try again, or get a new token from its operator",
     )
 
 

@@ -287,7 +287,7 @@ def print_tokens(folder: SecureFolder) -> None:
     users = {account.user.name: account.user for account in folder.list_active()}
     print_lines("Join tokens (each is a password; pass one on to one person or program only):")
     if folder.settings.uses_certificates:
-        print_lines("They expire after 24 h; 'zensim token show USER' makes new ones.")
+        print_lines("Their certificates end after 24 h; 'zensim token show USER' makes new ones.")
     for name, token in list_tokens(folder).items():
         of = "" if users[name].role == name else f" ({users[name].role})"
         print_lines(f"  {name + of:<12} {token}")

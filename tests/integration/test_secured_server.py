@@ -85,6 +85,7 @@ class Secured:
     process_id: int
     operator: SimClient
     users: dict[str, Bus]
+    journal: Path
 
     def token(self, user: str) -> str:
         return self.folder.make_token(self.folder.accounts()[user]).write()
@@ -97,7 +98,9 @@ def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
         settings = SecureSettings(WORLD, 0, with_free_port("tls/127.0.0.1:0"))
         folder = prepare_secure_folder(settings)
         folder.ensure(User(name, "agent", (name,)) for name in ROBOTS)
+        journal = tmp_path_factory.mktemp("journal")
         serve = ("serve", "--secure", "--listen", settings.endpoint, "--announce")
+        serve += ("--journal", str(journal))
         process = stack.enter_context(running(*serve))
         assert process.stdout is not None
         assert process.stdout.readline()
@@ -110,7 +113,7 @@ def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
         operator = SimClient(users["operator"])
         for name in ROBOTS:
             operator.spawn(make_order(name))
-        yield Secured(folder, process.pid, operator, users)
+        yield Secured(folder, process.pid, operator, users, journal)
 
 
 @pytest.fixture(scope="module")
@@ -310,6 +313,25 @@ def test_no_secret_is_in_a_command_line_or_a_foreign_file(secured: Secured) -> N
     assert len(family) > 1
     assert not [line for line in lines if any(secret in line for secret in secrets)]
     assert all(path.stat().st_mode & 0o077 == 0 for path in secured.folder.path.iterdir())
+
+
+def test_no_secret_is_printed_or_recorded(secured: Secured) -> None:
+    secrets = [account.password for account in secured.folder.accounts().values()]
+    token = secured.token("operator")
+    wrong = token.replace(secrets[0], "A" * len(secrets[0]))
+    done = [
+        run_in_process("doctor", "--join", token),
+        run_in_process("list", "--join", token, "--verbose"),
+        run_in_process("list", "--join", token[:-2]),
+        run_in_process("list", "--join", wrong),
+        run_in_process("pause", "--join", secured.token("observer")),
+        run_in_process("token", "list", "--json"),
+    ]
+    printed = "".join(one.stdout + one.stderr for one in done).encode()
+    recorded = [path.read_bytes() for path in secured.journal.rglob("*") if path.is_file()]
+
+    assert recorded
+    assert not [one for one in (printed, *recorded) for secret in secrets if secret.encode() in one]
 
 
 def find_reason(address: str) -> str:
