@@ -247,8 +247,7 @@ class NodeServices:
         """Reply to all queued requests, and announce some nodes."""
         for _ in range(min(MAX_ANNOUNCED_AT_ONCE, len(self._unannounced))):
             announce_node_services(self._unannounced.popleft())
-        queues = [one.queue for one in self._served.values() if one.queue is not None]
-        for queue in (*queues, *((self._shared,) if self._shared else ())):
+        for queue in self._list_queues():
             for query in queue.take():
                 self._reply(query)
 
@@ -258,6 +257,11 @@ class NodeServices:
             self._remove(served.node)
         if self._shared is not None:
             self._shared.close()
+
+    def _list_queues(self) -> list[QueryQueue]:
+        if self._shared is not None:
+            return [self._shared]
+        return [one.queue for one in self._served.values() if one.queue is not None]
 
     def _serve(self, name: str) -> QueryQueue:
         return self._network.serve(f"{self._domain}/{name}/*/*/*", NODE_QUERY_DEPTH)

@@ -37,6 +37,13 @@ def router(*_: object) -> Iterator[Deployment]:
 
 
 @contextmanager
+def clients_of_router(*_: object) -> Iterator[Deployment]:
+    """Run a router for ROS 2 hosts that cannot reach each other, with the documented override."""
+    with router() as (endpoint, _):
+        yield endpoint, {"mode": "client", "listen/endpoints": []}
+
+
+@contextmanager
 def serve(*_: object) -> Iterator[Deployment]:
     endpoint = free_endpoint()
     with running("serve", "--listen", endpoint, *ROBOTLESS), connected(endpoint):
@@ -75,7 +82,10 @@ def flatten(settings: dict[str, object], prefix: str = "") -> dict[str, object]:
     return found
 
 
-@pytest.fixture(scope="module", params=[router, serve, up, secured], ids=lambda one: one.__name__)
+DEPLOYMENTS = [router, clients_of_router, serve, up, secured]
+
+
+@pytest.fixture(scope="module", params=DEPLOYMENTS, ids=lambda one: one.__name__)
 def deployment(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Deployment]:
