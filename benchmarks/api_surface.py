@@ -7,11 +7,14 @@ from collections.abc import Iterator
 
 import zensim
 from benchmarks.machine import ROOT
+from zensim.api.simulation import WorldKeywords
 from zensim.api.spawning import DescriptionKeywords, FleetKeywords, SpawnKeywords, list_keywords
 from zensim.public_names import list_public_names
 
 DOCUMENT = ROOT / "docs" / "api.json"
-KEYWORDS = {one.__name__: one for one in (DescriptionKeywords, FleetKeywords, SpawnKeywords)}
+KEYWORDS = {
+    one.__name__: one for one in (DescriptionKeywords, FleetKeywords, SpawnKeywords, WorldKeywords)
+}
 OPTIONS = re.compile(r"\*\*options: 'Unpack\[(\w+)\]'")
 ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 

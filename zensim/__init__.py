@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from zensim.api.topic import Topic, TopicCallback
     from zensim.api.world_view import WorldView
     from zensim.scenario.scenario_loading import load
+    from zensim.scenario.world_export import export
 
 __all__ = [
     "Closed",
@@ -55,6 +56,7 @@ __all__ = [
     "WorldView",
     "connect",
     "deg",
+    "export",
     "launch",
     "load",
     "servers",

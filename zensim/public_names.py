@@ -26,6 +26,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "zensim.api.topic": ("Topic", "TopicCallback"),
     "zensim.api.world_view": ("WorldView",),
     "zensim.scenario.scenario_loading": ("load",),
+    "zensim.scenario.world_export": ("export",),
 }
 """By module."""
 _MODULE_OF = {name: module for module, names in MODULES.items() for name in names}

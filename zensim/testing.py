@@ -22,8 +22,11 @@ if TYPE_CHECKING:
 
 SCENARIO_SUFFIX = ".scenario.yaml"
 RESULTS_FOLDER = "test-results"
-OPTIONS = frozenset({"world", "seed", "engine", "record", "step_hz", "control_hz"})
-WORLD_OPTIONS = ("world", "seed", "engine", "step_hz", "control_hz")
+WORLD_OPTIONS = (
+    *("world", "seed", "engine", "step_hz", "control_hz"),
+    *("model_paths", "strict", "allow_missing", "clusters"),
+)
+OPTIONS = frozenset({*WORLD_OPTIONS, "record"})
 MAX_FOLDER_NAME = 120
 PHASE_KEY = pytest.StashKey[dict[str, pytest.TestReport]]()
 _current: list[Simulation] = []
@@ -68,7 +71,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Declare the marker."""
     config.addinivalue_line(
         "markers",
-        "zensim(world, seed, engine, step_hz, control_hz, record): the simulation of a test",
+        f"zensim({', '.join(WORLD_OPTIONS)}, record): the simulation of a test",
     )
 
 
@@ -178,6 +181,7 @@ def _watch(node: pytest.Item, sim: Simulation) -> Iterator[Simulation]:
         paths = artefacts.write(folder, test=node.nodeid, message=report.longreprtext[-4000:])
         for path in paths:
             node.user_properties.append((path.stem, str(path)))
+    artefacts.close()
 
 
 def _name_folder(test: str) -> str:

@@ -19,8 +19,8 @@ from zensim.proto.cli_options import (
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.verbosity import print_announcement
-from zensim.scenario.scenario_reader import SUFFIXES, name_of_file
-from zensim.scenario.world_export import export_world
+from zensim.scenario.scenario_reader import SUFFIXES
+from zensim.scenario.world_export import export
 
 app = make_app()
 
@@ -40,27 +40,20 @@ class ExportOptions:
 
 
 @app.command(
+    "export",
     epilog="""Examples:
   zensim export lab.scenario.yaml
-  zensim up lab.scenario.yaml"""
+  zensim up lab.scenario.yaml""",
 )
 @expand_options
-def export(given: ExportOptions) -> None:
+def export_running_world(given: ExportOptions) -> None:
     """Write the running world, with all that was spawned at its present pose, as a scenario."""
-    with exit_on_failure("export", Error):
-        if not given.file.name.endswith(SUFFIXES):
-            raise ValueError(f"'{given.file.name}' does not end in {SUFFIXES[0]}; add it")
-        with connect(given.connect, world=given.world_name) as sim:
-            found = export_world(sim, name_of_file(str(given.file)))
-        _refuse_existing(given, [given.file.name, *found.files])
-        found.write(given.file)
-    files = [given.file.name, *found.files]
+    with (
+        exit_on_failure("export", Error),
+        connect(given.connect, world=given.world_name) as sim,
+    ):
+        written = export(sim, given.file, overwrite=given.force)
+    files = [file.name for file in written]
     print_announcement(
         "export", f"wrote {', '.join(files)}", {"files": files}, as_json=given.as_json
     )
-
-
-def _refuse_existing(given: ExportOptions, names: list[str]) -> None:
-    exists = [name for name in names if (given.file.parent / name).exists()]
-    if exists and not given.force:
-        raise ValueError(f"{', '.join(exists)} exists; use --force, or another name")

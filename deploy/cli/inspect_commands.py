@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from errno import ENOENT
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -83,6 +84,7 @@ def inspect_worlds(given: InspectOptions) -> None:
 
 def _inspect(given: InspectOptions) -> "list[WorldInspection]":
     with server_extra():
+        from zensim.sim_server.description.builtin_models import list_builtin_worlds
         from zensim.sim_server.physics.engine_config import parse_engine_name
         from zensim.sim_server.world_loading.world_inspection import (
             InspectionRequest,
@@ -97,6 +99,11 @@ def _inspect(given: InspectOptions) -> "list[WorldInspection]":
     ]
     if not names:
         raise FileNotFoundError(f"no world file below {' '.join(given.files)}; use .world or .sdf")
+    builtin = list_builtin_worlds()
+    for name in names:
+        if name not in builtin and not Path(name).exists():
+            known = f"no such world file or built-in world ({', '.join(builtin)})"
+            raise FileNotFoundError(ENOENT, known, name)
     paths = tuple(map(str, given.model_path or ()))
     engine = parse_engine_name(given.engine)
     return [

@@ -46,10 +46,10 @@ class SensorRunOptions(RosOptions):
         typer.Option(
             min=0.0,
             metavar="SECONDS",
-            help=r"Timeout of waiting for the server at start \[s].",
+            help=r"Timeout of waiting for a server that starts later \[s].",
             rich_help_panel="Connection",
         ),
-    ] = 30.0
+    ] = 1.0
 
 
 @app.command(

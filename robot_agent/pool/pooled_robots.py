@@ -627,6 +627,11 @@ class PooledRobots:
         for robot in self._robots.values():
             robot.bumpers.publish(report)
 
+    def check_all(self) -> None:
+        """Declare all publishers that have subscribers, and check all: for a network in process."""
+        for publisher in self._publishers.values():
+            publisher.check_all()
+
     def reply_to_queries(self) -> None:
         """Reply to queries with the last values; declare some of the missing publishers."""
         for publisher in tuple(self._publishers.values()):

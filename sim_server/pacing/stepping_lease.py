@@ -1,5 +1,6 @@
 """SteppingLease: which client steps the simulation, and the mode to return to when it ends."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
@@ -23,6 +24,11 @@ class SteppingLease(Generic[Mode]):
         """Make a client with a token the holder, unless it is; keep the mode."""
         if client in self.alive and not self.holder:
             self.holder, self._former = client, mode
+
+    def revise(self, change: Callable[[Mode], Mode]) -> None:
+        """Change the mode to return to, after a request that sets it."""
+        if self._former is not None:
+            self._former = change(self._former)
 
     def end(self, client: str) -> Mode | None:
         """Forget a client whose token has disappeared; return the mode that it found, if any."""

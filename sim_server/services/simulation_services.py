@@ -1,5 +1,6 @@
 """Services that control the simulation: state, steps, speed, reset; and server information."""
 
+from dataclasses import replace
 from importlib.metadata import version
 
 import msgspec
@@ -201,6 +202,7 @@ def set_speed(
             f"to {MAX_SPEED:g}",
         )
     pacing.target_real_time_factor = factor
+    pacing.lease.revise(lambda mode: replace(mode, real_time_factor=factor))
     return simulation_messages.SetSpeedResponse()
 
 
@@ -272,6 +274,9 @@ def set_simulation_state(
 ) -> SetSimulationStateResponse:
     """Change the state: play, pause, stop or quit."""
     wanted, present = request.state.state, world.clock.state
+    if {wanted, present} <= {State.PLAYING, State.PAUSED}:
+        # Also where stepping has paused it already: this request outlasts the lease.
+        pacing.lease.revise(lambda mode: replace(mode, state=State(wanted)))
     if wanted == present:
         raise RequestRefused(
             SetSimulationStateCode.ALREADY_IN_TARGET_STATE,

@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -19,13 +20,16 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from tests.integration.processes import zensim
+from tests.integration.processes import run_in_process, zensim
 from zensim.deploy.cli import VERBS, build
 from zensim.deploy.cli.model_commands import ModelOptions
 from zensim.proto.cli_options import expand_options, make_app, parse_plain_options
+from zensim.proto.endpoints import with_free_port
 from zensim.proto.exit_codes import ExitCode
 
 RUNNER = CliRunner()
+SOON_S = 20.0
+"""Below the wait for a server that starts later, on a machine with other work."""
 HEAVY = ("pybullet", "viser", "scipy", "trimesh", "lxml", "zenoh", "numpy", "msgspec")
 SLOW = (*HEAVY, "typer", "rich", "pydantic")
 
@@ -250,6 +254,28 @@ def test_up_refuses_invalid_arguments_in_one_line(arguments: tuple[str, ...], va
     assert value in done.stderr
     assert done.stderr.count("\n") == 1
     assert done.stdout == ""
+
+
+@pytest.mark.parametrize("words", [("nowhere",), ("empty", "./nowhere.sdf")])
+def test_world_that_is_not_there_is_not_found_before_any_is_read(words: tuple[str, ...]) -> None:
+    done = run_in_process("world", "inspect", *words)
+
+    assert done.returncode == ExitCode.NOT_FOUND
+    assert done.stderr.startswith(f"zensim world inspect: {words[-1]}: ")
+    assert done.stderr.count("\n") == 1
+    assert done.stdout == ""
+
+
+def test_sensor_process_without_a_server_ends_as_soon_as_other_verbs() -> None:
+    began_s = time.monotonic()
+    endpoint = with_free_port("tcp/127.0.0.1:0")
+
+    done = zensim("sensors", "run", "--connect", endpoint)
+
+    assert done.returncode == ExitCode.UNREACHABLE
+    assert done.stderr.startswith("zensim sensors run: ")
+    assert done.stderr.count("\n") == 1
+    assert time.monotonic() - began_s < SOON_S
 
 
 def test_up_prints_the_error_of_its_server() -> None:

@@ -8,6 +8,7 @@ import pytest
 import zensim
 from zensim.scenario.model_dry_run import check_models
 from zensim.scenario.scenario_reader import read_scenario
+from zensim.scenario.scenario_runner import ScenarioFailed
 from zensim.scenario.world_export import export_world
 
 CRATE = (
@@ -103,3 +104,63 @@ def test_dry_run_finds_what_a_server_would_refuse(tmp_path: Path) -> None:
         ("faults[0].joint", 7),
         ("faults[1].link", 8),
     ]
+
+
+def test_export_writes_no_file_over_another_unless_told_so(tmp_path: Path) -> None:
+    (tmp_path / "crate.urdf").write_text(CRATE)
+    file = tmp_path / "out.scenario.yaml"
+    with zensim.World() as world:
+        world.spawn(tmp_path / "crate.urdf", "crate")
+        written = zensim.export(world, file)
+        with pytest.raises(zensim.Invalid) as refused:
+            zensim.export(world, file)
+        again = zensim.export(world, file, overwrite=True)
+        with pytest.raises(zensim.Invalid):
+            zensim.export(world, tmp_path / "out.yaml")
+
+    assert refused.value.slug == "file_exists"
+    assert written == again == (file, tmp_path / "out.model0.urdf")
+
+
+MODEL = "<sdf version='1.7'><model name='box'><static>true</static><link name='l'/></model></sdf>"
+MODEL_CONFIG = "<model><sdf version='1.7'>model.sdf</sdf></model>"
+INCLUDES = (
+    "<sdf version='1.7'><world name='w'><include><uri>model://box</uri></include>{}</world></sdf>"
+)
+
+
+def test_scenario_in_process_finds_the_models_of_its_world(tmp_path: Path) -> None:
+    (tmp_path / "models" / "box").mkdir(parents=True)
+    (tmp_path / "models" / "box" / "model.sdf").write_text(MODEL)
+    (tmp_path / "models" / "box" / "model.config").write_text(MODEL_CONFIG)
+    (tmp_path / "here.sdf").write_text(INCLUDES.format(""))
+    file = tmp_path / "a.scenario.yaml"
+    file.write_text("zensim: 1\nworld: {load: here.sdf, model_paths: [models]}\n")
+
+    with zensim.load(file) as run:
+        assert "box" in run.sim.entities
+
+
+def test_scenario_in_process_reads_its_world_as_strictly_as_it_says(tmp_path: Path) -> None:
+    missing = "<include><uri>model://nowhere</uri></include>"
+    (tmp_path / "here.sdf").write_text(INCLUDES.format(missing).replace("model://box", "model://b"))
+    file = tmp_path / "a.scenario.yaml"
+    file.write_text("zensim: 1\nworld: {load: here.sdf}\n")
+
+    with pytest.raises(zensim.Invalid):
+        zensim.load(file)
+    with zensim.load(file, ["world.allow_missing=true"]) as run:
+        assert not run.sim.entities
+    with pytest.raises(zensim.Invalid):
+        zensim.load(file, ["world.allow_missing=true", "world.strict=true"])
+
+
+def test_scenario_in_process_refuses_workers_and_takes_clusters(tmp_path: Path) -> None:
+    file = tmp_path / "a.scenario.yaml"
+    file.write_text("zensim: 1\nrobots: [{name: r, model: box_bot, count: 2}]\n")
+
+    with pytest.raises(ScenarioFailed):
+        zensim.load(file, ["engine.workers=2"])
+    with zensim.load(file, ["engine.workers=0", "engine.clusters=on"]) as run:
+        run.sim.run_for(0.1)
+        assert run.fleet.alive.all()

@@ -6,6 +6,7 @@ import time
 import weakref
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -14,6 +15,8 @@ from zensim.api.local_deployment import LaunchAgentsConfig, LaunchConfig
 from zensim.api.program_keeper import ProgramKeeper
 from zensim.api.server_access import ServerAccess
 from zensim.api.sim import Sim
+from zensim.api.simulation import WorldKeywords
+from zensim.api.spawning import check_keywords
 from zensim.api.world_access import api_errors
 from zensim.proto import keys
 from zensim.proto.bus import (
@@ -33,6 +36,9 @@ from zensim.proto.join_tokens import (
 from zensim.proto.messages.telemetry_messages import Info
 from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.spawner.client.service_client import ServiceClient
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 CONNECT_VARIABLE = "ZENSIM_CONNECT"
 DEFAULT_WORLD = "default"
@@ -94,6 +100,7 @@ def launch(  # noqa: PLR0913  options of a start, each with a default
     agents: int = 1,
     sensors: int | None = None,
     timeout_s: float = START_TIMEOUT_S,
+    **options: "Unpack[WorldKeywords]",
 ) -> Sim:
     """Start a server of our own, paused, which ends with the simulation or with this process.
 
@@ -105,13 +112,19 @@ def launch(  # noqa: PLR0913  options of a start, each with a default
         agents: Pools that drive the robots; 0 = none.
         sensors: Processes that measure lidars and cameras; None = one when a robot needs it.
         timeout_s: Wall time of the start.
+        options: model_paths, strict and others; see `WorldKeywords`.
 
     Raises:
         Error: A program ended at its start.
         Timeout: The server did not start in time.
     """
+    check_keywords(options, WorldKeywords)
     config = LaunchConfig(
         world=str(world),
+        model_paths=tuple(map(str, options.get("model_paths", ()))),
+        is_strict=options.get("strict", False),
+        allow_missing=options.get("allow_missing", False),
+        clusters=options.get("clusters", "auto"),
         endpoint=with_free_port("tcp/127.0.0.1:0"),
         real_time_factor=rtf,
         engine=engine,

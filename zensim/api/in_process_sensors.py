@@ -6,6 +6,7 @@ from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.proto.sensor_schedule import is_due
 from zensim.proto.service_catalog import GET_MODELS
+from zensim.proto.topic_faults import TopicFaults
 from zensim.sim_server.sensors.scene_roster import POSE_COLUMNS, SceneRoster
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
 from zensim.sim_server.sensors.sensor_groups import SceneMoment, list_addresses
@@ -18,17 +19,21 @@ NAME = "sensors"
 class InProcessSensors:
     """Publishes the sensors as a sensor process does: at the same steps, with the same bytes."""
 
-    def __init__(self, world: SimulatedWorld, network: InProcessNetwork) -> None:
+    def __init__(
+        self, world: SimulatedWorld, network: InProcessNetwork, faults: TopicFaults
+    ) -> None:
         """Read the entities.
 
         Args:
             world: Its sensors are measured.
             network: Of the sensors only, with the subscriptions of users.
+            faults: Of the topics, with the messages that they keep.
         """
         self._world = world
         self._network = network
         config = SensorProcessConfig(endpoint="", world=world.name, name=NAME)
         self._share = SensorShare(network, config, RosGraph(network, NO_ROS))
+        self._share.topics.faults = faults
         self._version = -1
         self._update()
 

@@ -32,6 +32,7 @@ from zensim.proto.messages.world_messages import WorldResource
 from zensim.proto.network_protocols import Sample
 from zensim.proto.service_catalog import CLAIM_SHARE, Request, Response, Service, require_ok
 from zensim.proto.topic_catalog import CONTACTS, EVENTS, MAP, TopicSpec
+from zensim.proto.topic_faults import TopicFaults
 from zensim.robot_agent.bumpers import read_contact_report
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 from zensim.sim_server.description.builtin_models import list_builtin_worlds
@@ -65,8 +66,6 @@ CLIENT = "world"
 """Name of the only client."""
 CMD_VEL_TIMEOUT_NS = 500_000_000
 """As of a pool by default: see `AgentConfig.cmd_vel_timeout_s`."""
-DECLARED_AT_ONCE = 32
-"""Publishers that `PooledRobots.reply_to_queries` declares in one call."""
 WAIT_S = 2e-4
 """Pause while a thread of the engine compiles a model."""
 
@@ -125,6 +124,8 @@ class SavedServer:
     """Of the robots."""
     queues: list[InProcessQueries]
     telemetry: SavedTelemetry
+    sensor_faults: TopicFaults
+    """Of lidars and cameras, with the messages that they keep."""
     followed: tuple[tuple[int, int], int, int]
     more: object
     """What the caller saves with it."""
@@ -161,6 +162,7 @@ class InProcessServer:
         """Of lidars and cameras, which are no part of the state; with the user's subscriptions."""
         self._sensors: InProcessSensors | None = None
         """From the first subscription to one of them on."""
+        self._sensor_faults = TopicFaults()
         self.robots = PooledRobots(self.network, CMD_VEL_TIMEOUT_NS)
         self._telemetry = InProcessTelemetry(self.parts, self.network, self.robots)
         self.collision_watch: CollisionWatch | None = None
@@ -226,6 +228,7 @@ class InProcessServer:
             subscriptions=own,
             queues=self.network.queues,
             telemetry=self._telemetry.save(),
+            sensor_faults=self._sensor_faults,
             followed=(self._followed, self._followed_orders, self._shared_roster),
             more=more,
         )
@@ -253,7 +256,7 @@ class InProcessServer:
         self.robots = saved.robots
         self._telemetry = InProcessTelemetry(self.parts, self.network, self.robots)
         self._telemetry.load(saved.telemetry)
-        self._sensors = None
+        self._sensors, self._sensor_faults = None, saved.sensor_faults
         self.sensor_network = InProcessNetwork(self.call)
         for subscription in users:
             self.sensor_network.add(subscription)
@@ -272,8 +275,8 @@ class InProcessServer:
         self.sensor_network.add(subscription)
         sensors = self._find_sensors()
         query = self.network.query(key)
-        for _ in range(2 + len(self.world.entities) // DECLARED_AT_ONCE):
-            self.robots.reply_to_queries()
+        self.robots.check_all()
+        self.robots.reply_to_queries()
         last = query.samples or self._telemetry.find_last(key)
         if sensors is not None:
             if refusal := sensors.find_refusal(key):
@@ -295,7 +298,7 @@ class InProcessServer:
         if self._sensors is None and any(map(self._is_of_a_sensor, self._users)):
             from zensim.api.in_process_sensors import InProcessSensors  # noqa: PLC0415  casters
 
-            self._sensors = InProcessSensors(self.world, self.sensor_network)
+            self._sensors = InProcessSensors(self.world, self.sensor_network, self._sensor_faults)
         return self._sensors
 
     def _is_of_a_sensor(self, subscription: InProcessSubscription) -> bool:
@@ -426,15 +429,25 @@ class InProcessTelemetry:
         self._map = WorldMap(parts, InProcessMapPublisher(self._is_wanted, self._put))
         self._messages = WorldTelemetry(parts.world, parts.pacing, parts.sensors, self._map)
         self._contacts = ContactTelemetry(parts.world, parts.store.vertices)
+        self._checked = (-1, -1)
+        """Version of the subscriptions and of the claims that the publishers of robots know."""
 
     def publish(self) -> None:
         """Publish what is due at a control step; contacts first, as a server does."""
-        self._robots.reply_to_queries()
+        self._check_publishers()
         self._publish_contacts()
         for topic in self._messages.due(self._world.clock.time_ns):
             if self._is_wanted(topic):
                 self._put(topic, self._messages.message(topic))
         self._map.poll(self._world.clock.time_ns)
+
+    def _check_publishers(self) -> None:
+        """Let robots know of changed subscriptions, all at once: no message may be missed."""
+        present = self._network.version, self._world.claims.changes
+        if self._checked != present:
+            self._checked = present
+            self._robots.check_all()
+            self._robots.reply_to_queries()
 
     def save(self) -> SavedTelemetry:
         """Take the times at which messages are due, and what contact sensors touch."""

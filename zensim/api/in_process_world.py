@@ -4,7 +4,7 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast, get_args
 
 import msgspec
 
@@ -13,7 +13,8 @@ from zensim.api.collision_watch import CollisionWatch
 from zensim.api.entity_values import Collision
 from zensim.api.in_process_network import InProcessSubscription
 from zensim.api.in_process_server import CLIENT, POOL, InProcessServer
-from zensim.api.simulation import Simulation
+from zensim.api.simulation import Simulation, WorldKeywords
+from zensim.api.spawning import check_keywords
 from zensim.api.world_access import Message, TopicFeed, WorldAccess, api_errors
 from zensim.api.world_session import SavedOrders
 from zensim.api.world_state import WorldState, make_world_state
@@ -22,8 +23,11 @@ from zensim.proto.codec.message_codec import Format, decode, encode, make_encodi
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.simulation_messages import SimulateStepsRequest
 from zensim.proto.service_catalog import SIMULATE_STEPS, Request, Response, Service
-from zensim.sim_server.physics.engine_config import EngineOptions, parse_engine_name
+from zensim.sim_server.physics.engine_config import Clustering, EngineOptions, parse_engine_name
 from zensim.sim_server.server_config import CONTROL_HZ, ServerConfig
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 NO_CLOCK_HINT = "use run_for(), step() or steps(), or zensim.launch(rtf=1) for a world that runs"
 
@@ -186,6 +190,7 @@ class World(Simulation):
         seed: int = 0,
         step_hz: float | None = None,
         control_hz: float | None = None,
+        **options: "Unpack[WorldKeywords]",
     ) -> None:
         """Load a world.
 
@@ -196,20 +201,31 @@ class World(Simulation):
             step_hz: Steps of the engine per simulated second; None = as the world's file says,
                 else 240.
             control_hz: Most control steps per simulated second; None = 100.
+            options: model_paths, strict and others; see `WorldKeywords`.
 
         Raises:
             Invalid: There is no such world, or a number is out of range.
         """
+        check_keywords(options, WorldKeywords)
+        clusters = options.get("clusters", "auto")
+        if clusters not in get_args(Clustering):
+            raise Invalid(f"clusters={clusters!r} is unknown", hint="use auto, on or off")
         with api_errors():
             config = ServerConfig(
                 world_file=str(world),
                 seed=seed,
                 step_hz=step_hz,
                 control_hz=CONTROL_HZ if control_hz is None else control_hz,
+                model_paths=tuple(map(str, options.get("model_paths", ()))),
+                is_strict=options.get("strict", False),
+                allow_missing=options.get("allow_missing", False),
                 is_paused=True,
                 real_time_factor=0.0,
                 physics=EngineOptions(
-                    engine=parse_engine_name(engine), workers=0, compiles_ahead=False
+                    engine=parse_engine_name(engine),
+                    clusters=clusters,
+                    workers=0,
+                    compiles_ahead=False,
                 ),
             )
             self._open(InProcessServer(config))

@@ -13,6 +13,7 @@ from zensim.api.world_access import Message
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import Event, Snapshot
+from zensim.proto.topic_catalog import EVENTS, SNAPSHOT
 
 if TYPE_CHECKING:
     from zensim.api.topic import Topic
@@ -59,8 +60,10 @@ class RunArtefacts:
 
     def __init__(self, sim: Simulation) -> None:
         self._sim = sim
-        self._events: Topic[Event] = sim.topic(f"sim/{sim.info.world}/events", Event)
-        self._states: Topic[Snapshot] = sim.topic(f"sim/{sim.info.world}/snapshot", Snapshot)
+        # Of its own: what a test reads of the topics of its simulation is not missing here.
+        make = sim._session.make_topic  # noqa: SLF001
+        self._events: Topic[Event] = make(EVENTS.key(sim.info.world), Event)
+        self._states: Topic[Snapshot] = make(SNAPSHOT.key(sim.info.world), Snapshot)
         for topic in (self._events, self._states):
             topic.collect()
 
@@ -76,6 +79,11 @@ class RunArtefacts:
         events.write_bytes(_encode_lines(happened))
         states.write_bytes(_encode_lines(map(make_state_record, _take_all(self._states))))
         return report, events, states
+
+    def close(self) -> None:
+        """End the subscriptions."""
+        self._events.close()
+        self._states.close()
 
     def _make_report(self, test: str, message: str) -> FailureReport:
         sim = self._sim

@@ -14,7 +14,7 @@ from zensim.api.world_access import api_errors
 from zensim.api.world_page import WorldPage
 from zensim.api.world_session import STEP_TIMEOUT_S, list_robot_topics
 from zensim.proto.messages.telemetry_messages import Event
-from zensim.proto.topic_catalog import EVENTS, WORLD_TOPICS
+from zensim.proto.topic_catalog import WORLD_TOPICS
 
 FULL_ROLE = "full"
 PAGE_TIMEOUT_S = 30.0
@@ -100,8 +100,9 @@ class Sim(Simulation):
         """
 
         def subscribe(call: Callable[[Event], object]) -> TopicCallback[Event]:
-            topic = self._session.find_topic(EVENTS.key(self._access.world_name), Event)
-            return topic.on(lambda event: call(event) if kind in ("", event.kind) else None, queue)
+            return self.events.on(
+                lambda event: call(event) if kind in ("", event.kind) else None, queue
+            )
 
         return subscribe
 

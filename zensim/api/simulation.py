@@ -4,14 +4,20 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from zensim.api.api_errors import Error, Invalid, SpawnRefused, Timeout
-from zensim.api.argument_checks import check_finite, check_range, check_text, make_numbers
+from zensim.api.argument_checks import (
+    MAX_NUMBER,
+    check_finite,
+    check_range,
+    check_text,
+    make_numbers,
+)
 from zensim.api.entity_values import SpawnReport, make_html_table
 from zensim.api.fleet import Fleet
 from zensim.api.robot import EntityHandle, Robot
@@ -38,11 +44,19 @@ from zensim.api.world_session import (
     make_not_found,
 )
 from zensim.proto.messages.entity_messages import CastRaysRequest
+from zensim.proto.messages.fault_messages import (
+    FOR_EVER,
+    BodyFaultKind,
+    InjectFaultRequest,
+    TopicFaultKind,
+)
 from zensim.proto.messages.result_messages import ResultCode, ServiceError, SetSimulationStateCode
 from zensim.proto.messages.simulation_messages import State
-from zensim.proto.messages.standard_messages import NANOSECONDS, Point, Vector3
-from zensim.proto.messages.telemetry_messages import Info
-from zensim.proto.service_catalog import Request, Response, Service
+from zensim.proto.messages.standard_messages import NANOSECONDS, Duration, Point, Vector3
+from zensim.proto.messages.telemetry_messages import Event, Info
+from zensim.proto.service_catalog import INJECT_FAULT, Request, Response, Service
+from zensim.proto.topic_catalog import EVENTS
+from zensim.sim_server.physics.engine_config import Clustering
 from zensim.spawner.spawn.spawn_client import send_files, spawn_bonded, spawn_many
 
 if TYPE_CHECKING:
@@ -53,10 +67,24 @@ if TYPE_CHECKING:
 Handle = TypeVar("Handle", bound=EntityHandle)
 SelfType = TypeVar("SelfType", bound="Simulation")
 RATE_TOLERANCE = 1e-6
+MAX_SEED = (1 << 63) - 1
 MAX_STEPS = 10_000_000
 """Of one call of `step`."""
 DRIVEN_TIMEOUT_S = 10.0
 """Wall time within which an agent must drive a new robot."""
+
+
+class WorldKeywords(TypedDict, total=False):
+    """How a world is loaded, as keyword arguments."""
+
+    model_paths: Sequence[str | Path]
+    """Folders with the models and meshes that the world file includes."""
+    strict: bool
+    """Refuse a world file with warnings."""
+    allow_missing: bool
+    """Leave out models and collisions whose file is missing."""
+    clusters: Clustering
+    """Step bodies that cannot touch in separate cells: auto (in large worlds), on or off."""
 
 
 class HandleMapping(Mapping[str, Handle]):
@@ -439,6 +467,61 @@ class Simulation:
         self._session.check_open()
         check_text("key", key)
         return self._session.find_topic(key.removeprefix("/"), kind)
+
+    def inject(  # noqa: PLR0913  the numbers of a fault, each with a default
+        self,
+        name: str,
+        kind: BodyFaultKind | TopicFaultKind,
+        part: str,
+        *,
+        value: float = 0.0,
+        low: float = 0.0,
+        high: float = 0.0,
+        seconds: float | None = None,
+        seed: int = 0,
+    ) -> None:
+        """Let a part of an entity fail from now on, for a time or until a reset.
+
+        Args:
+            name: Of the entity.
+            kind: `wheel_slip`, `wheel_jam`, `motor_weak`, `joint_lock`, `link_broken`;
+                `sensor_off`, `sensor_stuck`, `sensor_slow`, `sensor_delay`, `sensor_intermittent`,
+                `sensor_noise`, `sensor_bias` or `sensor_sector`.
+            part: The joint; the link of `link_broken`; the sensor of `sensor_…`.
+            value: Factor of friction or torque; every n-th message; delay [s]; share of lost
+                messages; standard deviation or bias in the unit of the sensor.
+            low: First blind angle of `sensor_sector` [rad].
+            high: Last blind angle of `sensor_sector` [rad].
+            seconds: Simulation time; it ends at the first control step after it.
+            seed: Of lost messages and noise.
+
+        Raises:
+            NotFound: There is no such entity or part.
+            Invalid: A number is out of range.
+            Error: The kind is unknown, or the engine cannot simulate it.
+        """
+        for what, text in (("name", name), ("kind", kind), ("part", part)):
+            check_text(what, text)
+        for what, number in (("value", value), ("low", low), ("high", high)):
+            check_range(what, number, -MAX_NUMBER, MAX_NUMBER)
+        check_range("seed", seed, 0, MAX_SEED)
+        duration = FOR_EVER
+        if seconds is not None:
+            check_range("seconds", seconds, 0.0, MAX_RUN_S)
+            duration = Duration(*divmod(round(seconds * NANOSECONDS), NANOSECONDS))
+        request = InjectFaultRequest(name, kind, part, value, low, high, duration, seed)
+        self.call(INJECT_FAULT, request)
+
+    @property
+    def events(self) -> "Topic[Event]":
+        """What happens in the world, from the first use on: spawns, claims, resets, warnings.
+
+        Iterate over it, `read()` the next one, or call a function `on` each.
+        """
+        self._session.check_open()
+        topic = self._session.find_topic(EVENTS.key(self._session.access.world_name), Event)
+        topic.collect()
+        return topic
 
     def attach(
         self, robots: Fleet, controller: Callable[[Fleet, float], npt.ArrayLike]

@@ -15,7 +15,7 @@ from zensim.api.api_errors import Closed, ConnectionLost, Invalid, NotFound, Tim
 from zensim.api.entity_values import RobotPose
 from zensim.api.path_following import PathController
 from zensim.api.topic import Topic, TopicDispatcher
-from zensim.api.world_access import WorldAccess, api_errors
+from zensim.api.world_access import Message, WorldAccess, api_errors
 from zensim.api.world_state import POSE, FloatArray, WorldState
 from zensim.proto.messages.agent_messages import Claim, TwistCommands
 from zensim.proto.messages.model_messages import Model
@@ -333,15 +333,19 @@ class WorldSession:
         if kind is None:
             kind = _find_kind(key)
         if (key, kind) not in self._topics:
-            self._topics[key, kind] = Topic(
-                self.access,
-                self.dispatcher,
-                key,
-                kind,
-                on_callback=self._start_dispatch_thread,
-                on_subscribed=lambda: self._await_sensor(key),
-            )
+            self._topics[key, kind] = self.make_topic(key, kind)
         return self._topics[key, kind]
+
+    def make_topic(self, key: str, kind: type[Message]) -> Topic[Message]:
+        """Make another subscription to a topic, which has its own unread messages."""
+        return Topic(
+            self.access,
+            self.dispatcher,
+            key,
+            kind,
+            on_callback=self._start_dispatch_thread,
+            on_subscribed=lambda: self._await_sensor(key),
+        )
 
     def find_robot_topic(self, name: str, topic: str) -> "Topic[Any]":
         """Find a topic of a robot by its name below the namespace, as `scan` or `front/scan`."""

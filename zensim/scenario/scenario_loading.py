@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from zensim.api.simulation import Simulation
 from zensim.scenario.scenario_reader import Scenario, find_scenario_file, read_scenario
-from zensim.scenario.scenario_runner import ScenarioRun
+from zensim.scenario.scenario_runner import ScenarioFailed, ScenarioRun
 
 if TYPE_CHECKING:
     from zensim.api.in_process_world import World
@@ -15,18 +15,32 @@ ENGINE_IN_PROCESS = "mujoco"
 
 
 def open_world(scenario: Scenario) -> "World":
-    """Load the world of a scenario in this process, without its robots."""
+    """Load the world of a scenario in this process, without its robots.
+
+    Raises:
+        ScenarioFailed: It needs what a world in process has not.
+        Invalid: There is no such world, or it is refused.
+    """
     # Imported here: it needs the server extra, and reading a scenario does not.
     from zensim.api.in_process_world import World  # noqa: PLC0415
 
-    engine, word = scenario.format.engine, scenario.format.world.load
-    file = scenario.find_file("world.load", word)
+    engine, world = scenario.format.engine, scenario.format.world
+    if engine.workers:
+        raise ScenarioFailed(
+            f"engine.workers is {engine.workers}, and a world in process has none; use 0 or null, "
+            "or zensim test --server"
+        )
+    file = scenario.find_file("world.load", world.load)
     return World(
-        file if file.is_file() else word,
+        file if file.is_file() else world.load,
         engine=engine.use or ENGINE_IN_PROCESS,
         seed=scenario.seed,
         step_hz=engine.step_rate,
         control_hz=engine.control_rate,
+        model_paths=[scenario.find_file("world.model_paths", one) for one in world.model_paths],
+        strict=world.strict,
+        allow_missing=world.allow_missing,
+        clusters=engine.clusters,
     )
 
 

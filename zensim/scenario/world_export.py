@@ -9,12 +9,14 @@ from pathlib import Path
 
 import msgspec
 
+from zensim.api.api_errors import Invalid
 from zensim.api.simulation import Simulation
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsRequest
 from zensim.proto.messages.world_messages import GetCurrentWorldRequest
 from zensim.proto.service_catalog import GET_CURRENT_WORLD, GET_MODELS
 from zensim.scenario.scenario_format import FORMAT_VERSION
+from zensim.scenario.scenario_reader import SUFFIXES, name_of_file
 from zensim.sim_server.description.builtin_models import list_builtin_models, read_builtin_model
 
 PLAIN_NUMBERS = 3
@@ -37,6 +39,40 @@ class WorldExport(msgspec.Struct, frozen=True):
         for name, text in self.files.items():
             (file.parent / name).write_text(text, encoding="utf-8")
         file.write_text(self.scenario, encoding="utf-8")
+
+
+def export(sim: Simulation, file: str | Path, *, overwrite: bool = False) -> tuple[Path, ...]:
+    """Write a world as a scenario file, with all that was spawned at its present pose.
+
+    `zensim.load(file)` and `zensim up FILE` start an equal world. Joints and velocities are not
+    part of it.
+
+    Args:
+        sim: On a server, or in this process.
+        file: `NAME.scenario.yaml`; descriptions that are not shipped become files beside it.
+        overwrite: Whether files that exist are replaced.
+
+    Returns:
+        The files written, the scenario first.
+
+    Raises:
+        Invalid: The name has another suffix, or a file exists.
+        OSError: A file cannot be written.
+    """
+    file = Path(file)
+    if not file.name.endswith(SUFFIXES):
+        raise Invalid(f"'{file.name}' does not end in {SUFFIXES[0]}", hint="add it")
+    found = export_world(sim, name_of_file(str(file)))
+    written = tuple(file.parent / name for name in (file.name, *found.files))
+    exist = [one.name for one in written if one.exists()]
+    if exist and not overwrite:
+        raise Invalid(
+            f"{', '.join(exist)} exists",
+            slug="file_exists",
+            hint="use another name, or overwrite=True (--force)",
+        )
+    found.write(file)
+    return written
 
 
 def export_world(sim: Simulation, stem: str) -> WorldExport:

@@ -37,3 +37,21 @@ def test_end_of_another_client_keeps_the_lease() -> None:
 
     assert lease.end("c2") is None
     assert lease.holder == "c1"
+
+
+def test_mode_to_return_to_is_the_revised_one() -> None:
+    lease = a_lease("c1")
+    lease.take("c1", "paused")
+
+    lease.revise(lambda mode: f"not {mode}")
+
+    assert lease.end("c1") == "not paused"
+
+
+def test_nothing_is_revised_without_a_holder() -> None:
+    lease = a_lease("c1")
+
+    lease.revise(lambda mode: f"not {mode}")
+    lease.take("c1", "paused")
+
+    assert lease.end("c1") == "paused"

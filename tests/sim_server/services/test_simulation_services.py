@@ -1,5 +1,6 @@
 """Step goals with progress, cancel and retry; runs to a time; speed."""
 
+from collections.abc import Callable
 from typing import TypeVar
 
 import msgspec
@@ -17,10 +18,12 @@ from zensim.proto.messages.simulation_messages import (
     ResetScope,
     RunToRequest,
     RunToResponse,
+    SetSimulationStateRequest,
     SetSpeedRequest,
     SetSpeedResponse,
     SimulateStepsRequest,
     SimulateStepsResponse,
+    SimulationState,
     State,
     StepSimulationRequest,
     StepsProgress,
@@ -329,3 +332,62 @@ def test_speed_out_of_range_is_refused(factor: float) -> None:
 
     assert read(call, SetSpeedResponse).result.result == ResultCode.OPERATION_FAILED
     assert server.parts.pacing.target_real_time_factor == 1.0
+
+
+def ask_for(server: ServerFixture, state: State) -> None:
+    request = SetSimulationStateRequest(SimulationState(state))
+    server.request("set_simulation_state", request)
+    turn(server, 1)
+
+
+def become_stepping(server: ServerFixture) -> None:
+    """Let client c1 step, which pauses a world that plays."""
+    server.inbox.clients.append(("c1", True))
+    turn(server, 1)
+    server.request("simulate_steps", SimulateStepsRequest(1, client="c1"))
+    turn(server, 2)
+
+
+def end_stepping(server: ServerFixture) -> None:
+    server.inbox.clients.append(("c1", False))
+    turn(server, 1)
+
+
+@pytest.mark.parametrize("make", [a_server, a_paused_server])
+def test_world_returns_to_its_state_when_its_client_has_gone(
+    make: Callable[[], ServerFixture],
+) -> None:
+    server = make()
+    before = server.world.clock.state
+    become_stepping(server)
+    assert server.world.clock.state == State.PAUSED
+
+    end_stepping(server)
+
+    assert server.world.clock.state == before
+
+
+@pytest.mark.parametrize(
+    ("make", "asked"), [(a_server, State.PAUSED), (a_paused_server, State.PLAYING)]
+)
+def test_state_that_is_asked_for_outlasts_the_client_that_steps(
+    make: Callable[[], ServerFixture], asked: State
+) -> None:
+    server = make()
+    become_stepping(server)
+
+    ask_for(server, asked)
+    end_stepping(server)
+
+    assert server.world.clock.state == asked
+
+
+def test_speed_that_is_asked_for_outlasts_the_client_that_steps() -> None:
+    server = a_server(factor=1.0)
+    become_stepping(server)
+
+    server.request("set_speed", SetSpeedRequest(4.0))
+    turn(server, 1)
+    end_stepping(server)
+
+    assert server.parts.pacing.target_real_time_factor == 4.0

@@ -333,6 +333,52 @@ def test_callbacks_run_while_the_caller_steps(
     assert len(stamps) == count
 
 
+def test_a_fault_acts_and_ends_by_itself(
+    simulation: zensim.Simulation, robot: zensim.Robot
+) -> None:
+    robot.drive(0.3)
+    simulation.run_for(0.5)
+
+    simulation.inject("r1", "wheel_jam", "left_wheel_joint", seconds=0.5)
+    simulation.run_for(0.4)
+    turned = robot.twist.w
+    simulation.run_for(1.5)
+
+    assert abs(turned) > 0.2
+    assert robot.twist.v == pytest.approx(0.3, abs=0.03)
+    assert abs(robot.twist.w) < 0.05
+
+
+FAULTS: dict[str, tuple[tuple[str, str, str], type[zensim.Error]]] = {
+    "entity": (("r9", "wheel_jam", "left_wheel_joint"), zensim.NotFound),
+    "part": (("r1", "wheel_jam", "wheel"), zensim.NotFound),
+    "sensor": (("r1", "sensor_off", "lidar"), zensim.NotFound),
+    "kind": (("r1", "wheel_fell_off", "left_wheel_joint"), zensim.Error),
+}
+
+
+@pytest.mark.parametrize(("words", "kind"), FAULTS.values(), ids=FAULTS)
+@pytest.mark.usefixtures("robot")
+def test_a_fault_of_what_is_not_there_is_refused(
+    simulation: zensim.Simulation, words: tuple[str, Any, str], kind: type[zensim.Error]
+) -> None:
+    with pytest.raises(kind):
+        simulation.inject(*words)
+
+
+def test_events_say_what_happened_since_their_first_use(simulation: zensim.Simulation) -> None:
+    events = simulation.events
+    simulation.spawn("box_bot", name="r7")
+    simulation.delete("r7")
+
+    found = []
+    while not found or found[-1] != ("deleted", "r7"):
+        event = events.read(timeout_s=10.0)
+        found.append((event.kind, event.entity))
+
+    assert ("spawned", "r7") in found
+
+
 def test_check_spawns_nothing(simulation: zensim.Simulation) -> None:
     report = simulation.check("box_bot")
 

@@ -94,6 +94,7 @@ METHODS = {
     "model": "Simulation.check",
     "version": "__version__",
     "view": "Sim.show",
+    "export": "export",
 }
 """By verb of the command line: what does the same in Python."""
 WITHOUT_METHOD = {
@@ -107,7 +108,6 @@ WITHOUT_METHOD = {
     "scenario": "checks and lists files",
     "token": "for operators of secured servers, whose folder it reads",
     "join": "keeps a token for later; in Python, connect(token=...)",
-    "export": "writes a scenario file; scenarios are built on the API",
     "journal": "reads files of servers that have ended",
 }
 

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from zensim import Sim, World, launch
+from zensim import Robot, Sim, World, launch
 from zensim.api.simulation import Simulation
-from zensim.proto.messages.standard_messages import LaserScan
+from zensim.proto.messages.standard_messages import LaserScan, Odometry
 
 STEPS = 150
 
@@ -91,3 +91,44 @@ def test_subscription_before_the_robot_exists_gets_its_scans() -> None:
         world.spawn("box_bot_lidar", name="r1")
         world.run_for(0.5)
         assert len(topic.latest.ranges)
+
+
+def test_callback_that_drives_gives_the_same_run_each_time() -> None:
+    hashes = set()
+    for _ in range(3):
+        with World("walls", seed=3) as world:
+            robot = world.spawn("box_bot_lidar", name="r1")
+
+            @robot.on("scan")
+            def avoid(scan: LaserScan, robot: Robot = robot) -> None:
+                robot.drive(0.3, 0.0 if np.min(scan.ranges) > 1.0 else 0.8)
+
+            world.run_for(2.0)
+            hashes.add(world.state_hash())
+
+    assert len(hashes) == 1
+
+
+def test_each_of_many_robots_publishes_from_the_step_after_its_subscription() -> None:
+    with World() as world:
+        fleet = world.spawn_fleet("box_bot", count=70)
+        stamps: dict[str, list[int]] = {fleet.names[row]: [] for row in (0, 40, 69)}
+        for name, found in stamps.items():
+
+            @world.robots[name].on("odom", queue=100)
+            def keep(odom: Odometry, found: list[int] = found) -> None:
+                found.append(odom.header.stamp.nanosec)
+
+            world.run_for(0.1)
+        for found in stamps.values():
+            found.clear()
+        late = world.robots[fleet.names[35]]
+        stamps["late"] = []
+        late.on("odom", queue=100)(lambda odom: stamps["late"].append(odom.header.stamp.nanosec))
+        stamps["late"].clear()
+
+        world.run_for(0.4)
+
+        first = stamps[fleet.names[0]]
+        assert len(first) > 2
+        assert [found[-len(first) :] for found in stamps.values()] == [first] * 4

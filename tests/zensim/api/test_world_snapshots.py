@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from zensim import Invalid, NotFound, SpawnRefused, Unsupported, World
+from zensim.proto.messages.fault_messages import TopicFaultKind
+from zensim.proto.messages.standard_messages import LaserScan
 
 
 @pytest.fixture
@@ -263,3 +265,49 @@ def test_view_with_numbers_that_are_not_finite_is_refused() -> None:
         world.view.poses[0, 0] = np.nan
         with pytest.raises(Invalid):
             world.step()
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [("sensor_stuck", 0.0), ("sensor_slow", 3.0), ("sensor_delay", 0.25), ("sensor_noise", 0.1)],
+)
+def test_faults_go_on_as_before_after_restore(kind: TopicFaultKind, value: float) -> None:
+    with World("walls", seed=3) as world:
+        robot = world.spawn("box_bot_lidar", name="r1")
+        scans: list[tuple[int, bytes]] = []
+
+        @robot.on("scan", queue=100)
+        def keep(scan: LaserScan) -> None:
+            scans.append((scan.header.stamp.nanosec, np.asarray(scan.ranges).tobytes()))
+
+        robot.drive(0.3, 0.1)
+        world.inject("r1", kind, "lidar", value=value, seconds=1.2)
+        world.inject("r1", "wheel_slip", "left_wheel_joint", value=0.05, seconds=1.0)
+        world.run_for(0.65)
+        snapshot = world.snapshot()
+        runs = []
+        for _ in range(3):
+            scans.clear()
+            world.run_for(1.2)
+            runs.append((world.state_hash(), tuple(scans)))
+            world.restore(snapshot)
+
+        assert runs[0][1]
+        assert runs[1] == runs[0]
+        assert runs[2] == runs[0]
+
+
+def test_fault_that_is_injected_after_a_snapshot_is_gone_after_restore() -> None:
+    with World() as world:
+        robot = world.spawn("box_bot", name="r1")
+        robot.drive(0.3, 0.0)
+        world.run_for(0.3)
+        snapshot = world.snapshot()
+        expected = _run(world, 200)
+        world.restore(snapshot)
+        world.inject("r1", "wheel_jam", "left_wheel_joint")
+        assert _run(world, 200) != expected
+
+        world.restore(snapshot)
+
+        assert _run(world, 200) == expected

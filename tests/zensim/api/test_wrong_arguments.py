@@ -47,6 +47,8 @@ VALID = {
     "points": [(1.0, 0.0)],
     "topic": "odom",
     "call": lambda _: None,
+    "kind": "wheel_slip",
+    "part": "left_wheel_joint",
 }
 
 
