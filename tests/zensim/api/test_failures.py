@@ -8,7 +8,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from multiprocessing.connection import Connection
 
 import psutil
@@ -16,6 +16,7 @@ import pytest
 
 import zensim
 from tests.integration.processes import START_S, eventually
+from tests.tcp_relay import TcpRelay
 from zensim.api.world_session import check_protocol
 from zensim.proto.child_process import close_pipes, make_module_command, start_process
 from zensim.proto.endpoints import with_free_port
@@ -23,6 +24,8 @@ from zensim.proto.messages.telemetry_messages import PROTOCOL, Info
 
 SLACK_S = 2.0
 """Of wall times on a machine with other work."""
+RETURN_S = 2.5 + SLACK_S
+"""Within which a world returns to its mode after its client has gone."""
 
 
 @pytest.fixture
@@ -184,6 +187,35 @@ def test_client_goes_on_with_a_server_that_was_killed_and_started_again() -> Non
             assert sim.time == pytest.approx(0.1, abs=0.01)
             assert sim.worlds()
             assert time.monotonic() - began_s < START_S
+
+
+def test_client_that_is_cut_off_gets_an_error_in_time_and_goes_on_after_that() -> None:
+    with zensim.launch(rtf=1, timeout_s=120.0) as own:
+        robot = own.spawn("box_bot", name="r1")
+        with (
+            closing(TcpRelay(int(own.endpoint.rpartition(":")[2]))) as relay,
+            zensim.connect(f"tcp/127.0.0.1:{relay.port}", timeout_s=START_S) as sim,
+        ):
+            sim.robots["r1"].drive(0.3)
+            sim.run_for(0.5)
+            sim.step(24)
+            assert own.is_paused
+
+            relay.cut()
+            began_s = time.monotonic()
+            with pytest.raises(zensim.Error) as caught:
+                sim.step(timeout_s=1.0)
+            waited_s = time.monotonic() - began_s
+            eventually(lambda: not own.is_paused, RETURN_S)
+            eventually(lambda: robot.twist.speed < 0.01, RETURN_S)
+            silent = find_slug(lambda: sim.time)
+            relay.mend()
+
+            eventually(lambda: find_slug(sim.step) == "", START_S)
+            assert sim.robots["r1"].exists
+
+    assert waited_s < 1.0 + SLACK_S
+    assert {caught.value.slug, silent} <= {"timeout", "connection_lost"}
 
 
 @contextmanager

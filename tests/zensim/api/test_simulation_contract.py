@@ -371,7 +371,7 @@ def test_events_say_what_happened_since_their_first_use(simulation: zensim.Simul
     simulation.spawn("box_bot", name="r7")
     simulation.delete("r7")
 
-    found = []
+    found: list[tuple[str, str]] = []
     while not found or found[-1] != ("deleted", "r7"):
         event = events.read(timeout_s=10.0)
         found.append((event.kind, event.entity))
