@@ -172,6 +172,12 @@ SIMULATE_STEPS = Service(
     simulation_messages.SimulateStepsResponse,
     is_mutating=True,
 )
+JOIN_LOCKSTEP = Service(
+    "join_lockstep",
+    simulation_messages.JoinLockstepRequest,
+    simulation_messages.JoinLockstepResponse,
+    is_mutating=True,
+)
 CANCEL_STEPS = Service(
     "cancel_steps",
     simulation_messages.CancelStepsRequest,

@@ -15,6 +15,7 @@ from zensim.proto.service_catalog import Response
 from zensim.sim_server.description.model_geometry import FindCorners, find_ground_clearance
 from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import IncorrectState
+from zensim.sim_server.pacing.joined_clients import JoinedClients
 from zensim.sim_server.pacing.lockstep import Lockstep
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.pacing.step_goals import StepGoals
@@ -59,8 +60,13 @@ class Pacing:
     step_goals: StepGoals = field(default_factory=StepGoals)
     lockstep: Lockstep = field(default_factory=Lockstep)
     lease: SteppingLease[StepMode] = field(default_factory=SteppingLease)
+    joined: JoinedClients = field(init=False)
     due_ns: int = 0
     """Wall time at which the next step is due."""
+
+    def __post_init__(self) -> None:
+        """Let the clients that join be awaited as agents are."""
+        self.joined = JoinedClients(self.lockstep)
 
     @property
     def is_awaited(self) -> bool:

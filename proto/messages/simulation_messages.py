@@ -7,7 +7,7 @@ import msgspec
 
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.result_messages import Result
-from zensim.proto.messages.scalar_types import UInt8, UInt16, UInt64
+from zensim.proto.messages.scalar_types import UInt8, UInt16, UInt32, UInt64
 from zensim.proto.messages.standard_messages import Time
 from zensim.proto.messages.telemetry_messages import Snapshot
 
@@ -63,6 +63,34 @@ class StepsProgress(msgspec.Struct, frozen=True):
     completed_steps: UInt64
     remaining_steps: UInt64
     status: StepsGoalStatus = "executing"
+
+
+class JoinLockstepRequest(msgspec.Struct, frozen=True):
+    """Finish a control step as a client that is awaited like an agent, and wait for the next one.
+
+    With the first request a client joins; it leaves when its liveliness token disappears.
+    """
+
+    ros_type: ClassVar[str] = "zensim/srv/JoinLockstep_Request"
+
+    client: str = ""
+    """Name of a token `sim/<world>/alive/clients/<client>`."""
+    steps: UInt32 = 0
+    """Steps between two control steps of the client; 0 = each control step."""
+    epoch: UInt32 = 0
+    """Of the control step that is finished; so is `step`."""
+    step: UInt64 = 0
+    twists: TwistCommands | None = None
+    """Orders that act in the next control step."""
+
+
+class JoinLockstepResponse(msgspec.Struct, frozen=True):
+    """Sent at the next control step of the client."""
+
+    ros_type: ClassVar[str] = "zensim/srv/JoinLockstep_Response"
+
+    result: Result = Result()
+    snapshot: Snapshot | None = None
 
 
 class CancelStepsRequest(msgspec.Struct, frozen=True):

@@ -22,6 +22,7 @@ from zensim.proto.topic_catalog import AUDIT, CONTACTS, EVENTS, STATS, STEPS_PRO
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.journal_protocol import ChangeJournal
 from zensim.sim_server.pacing.command_timeouts import CommandReceipt, CommandTimeouts
+from zensim.sim_server.pacing.joined_clients import JoinedState
 from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
 from zensim.sim_server.runtime.loop_channels import Inbox, WorldPublisher
 from zensim.sim_server.runtime.request_authorization import (
@@ -160,6 +161,13 @@ class AgentSessions:
         self._published_version = self._version
         self._published_twists = self._world.commanded_twists.changes
 
+    def wake_joined_clients(self) -> None:
+        """Wake the clients that have joined at their control steps."""
+        pacing, clock = self._pacing, self._world.clock
+        if len(pacing.joined):
+            state = JoinedState(clock.epoch, clock.steps, is_awaited=pacing.is_awaited)
+            pacing.step_goals.note_late(pacing.joined.wake(state, pacing.now_ns()))
+
     def publish_changed_claims(self) -> None:
         """Publish states to agents whose claims or epoch have changed since the last state."""
         if self._has_unsent_states and self._world.clock.state != State.PLAYING:
@@ -275,6 +283,7 @@ class AgentSessions:
             lease.alive.add(client)
             return
         self._world.commanded_twists.end_client(client)
+        self._pacing.joined.end(client)
         if (former := lease.end(client)) is None:
             return
         self._pacing.step_goals.abort(f"client {client!r} is gone")
@@ -481,6 +490,7 @@ class ServerLoop:
             self._publish_contacts()
             self._agent_sessions.publish_states()
             self._sensor_sessions.publish_state()
+            self._agent_sessions.wake_joined_clients()
 
     def _publish_contacts(self) -> None:
         wanted = [topic for topic in (CONTACTS, EVENTS) if self._publisher.is_wanted(topic)]

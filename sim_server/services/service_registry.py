@@ -147,6 +147,7 @@ SERVICE_TABLE = (
         simulation_services.simulate_steps,
         Feature.STEP_SIMULATION_ACTION,
     ),
+    make_entry(service_catalog.JOIN_LOCKSTEP, simulation_services.join_lockstep),
     make_entry(service_catalog.CANCEL_STEPS, simulation_services.cancel_steps),
     make_entry(service_catalog.RUN_TO, simulation_services.run_to),
     make_entry(service_catalog.SET_SPEED, simulation_services.set_speed),

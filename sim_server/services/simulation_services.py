@@ -30,6 +30,7 @@ from zensim.sim_server.errors import (
     SteppedByOther,
     UnsupportedFeature,
 )
+from zensim.sim_server.pacing.joined_clients import MAX_JOINED, JoinedState
 from zensim.sim_server.pacing.step_goals import StepGoal
 from zensim.sim_server.service_parts import CurrentWorld, DeferredResponse, Pacing, StepMode
 from zensim.sim_server.world.simulated_world import SimulatedWorld
@@ -116,6 +117,45 @@ def simulate_steps(
     return DeferredResponse(lambda: goal.is_over, respond)
 
 
+def join_lockstep(
+    world: SimulatedWorld, pacing: Pacing, request: simulation_messages.JoinLockstepRequest
+) -> DeferredResponse[simulation_messages.JoinLockstepResponse]:
+    """Finish the client's present control step; reply at its next one, and await it from then on.
+
+    Time does not advance from then until its next request, by the rules for agents.
+    """
+    if request.client not in pacing.lease.alive:
+        raise _make_tokenless(request.client)
+    period = request.steps or world.control_steps
+    if period % world.control_steps or period > MAX_STEPS:
+        raise RequestRefused(
+            ResultCode.OPERATION_FAILED,
+            f"steps={period} is no multiple of the {world.control_steps} steps between two control "
+            f"steps; use {world.control_steps}, {2 * world.control_steps}, …",
+        )
+    if request.client not in pacing.joined and len(pacing.joined) >= MAX_JOINED:
+        raise IncorrectState(f"{MAX_JOINED} clients have joined; try again when one has ended")
+    if request.twists is not None:
+        _order_twists(world, request.twists)
+    done = JoinedState(request.epoch, request.step)
+    joined = pacing.joined.finish(request.client, period, done)
+    wakes, factor = joined.wakes, pacing.loop_stats.real_time_factor
+
+    def respond() -> simulation_messages.JoinLockstepResponse:
+        if joined.is_gone:
+            gone = Result(ResultCode.INCORRECT_STATE, f"client {request.client!r} is gone")
+            return simulation_messages.JoinLockstepResponse(gone)
+        return simulation_messages.JoinLockstepResponse(snapshot=world.snapshot(factor))
+
+    return DeferredResponse(lambda: joined.is_gone or joined.wakes != wakes, respond)
+
+
+def _make_tokenless(client: str) -> IncorrectState:
+    return IncorrectState(
+        f"client '{client[:80]}' has no liveliness token; declare it before stepping"
+    )
+
+
 def _require_lease(pacing: Pacing, client: str = "") -> None:
     if other := pacing.lease.find_other(client):
         raise SteppedByOther(other)
@@ -126,9 +166,7 @@ def _take_lease(world: SimulatedWorld, pacing: Pacing, client: str) -> None:
     if not client:
         return
     if client not in pacing.lease.alive:
-        raise IncorrectState(
-            f"client '{client[:80]}' has no liveliness token; declare it before stepping"
-        )
+        raise _make_tokenless(client)
     mode = StepMode(world.clock.state, pacing.target_real_time_factor)
     pacing.lease.take(client, mode)
     if world.clock.state == State.PLAYING:

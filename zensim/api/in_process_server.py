@@ -30,14 +30,21 @@ from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import Event, Snapshot
 from zensim.proto.messages.world_messages import WorldResource
 from zensim.proto.network_protocols import Sample
-from zensim.proto.service_catalog import CLAIM_SHARE, Request, Response, Service, require_ok
+from zensim.proto.service_catalog import (
+    CLAIM_SHARE,
+    JOIN_LOCKSTEP,
+    Request,
+    Response,
+    Service,
+    require_ok,
+)
 from zensim.proto.topic_catalog import CONTACTS, EVENTS, MAP, TopicSpec
 from zensim.proto.topic_faults import TopicFaults
 from zensim.robot_agent.bumpers import read_contact_report
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 from zensim.sim_server.description.builtin_models import list_builtin_worlds
 from zensim.sim_server.description.world_model import WorldModel
-from zensim.sim_server.errors import SimError
+from zensim.sim_server.errors import SimError, UnsupportedFeature
 from zensim.sim_server.initial_world import load_initial_world, make_initial_world, make_parts
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.in_process_parser import InProcessParser
@@ -314,6 +321,8 @@ class InProcessServer:
         )
 
     def _handle(self, service: Service[Request, Response], request: Request) -> msgspec.Struct:
+        if service is JOIN_LOCKSTEP:
+            raise UnsupportedFeature("a world in process has one client, which makes the steps")
         # Through the codec, which refuses what a server would refuse.
         encoding = make_encoding(request, Format.MSGPACK)
         read = decode(service.request, encode(request, Format.MSGPACK), encoding)

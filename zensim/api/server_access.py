@@ -25,10 +25,15 @@ from zensim.proto.codec.message_codec import (
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.sensor_messages import SensorStats
-from zensim.proto.messages.simulation_messages import SimulateStepsRequest, SimulateStepsResponse
+from zensim.proto.messages.simulation_messages import (
+    JoinLockstepRequest,
+    SimulateStepsRequest,
+    SimulateStepsResponse,
+)
 from zensim.proto.messages.telemetry_messages import GetModelsRequest, Snapshot
 from zensim.proto.service_catalog import (
     GET_MODELS,
+    JOIN_LOCKSTEP,
     SIMULATE_STEPS,
     Request,
     Response,
@@ -120,6 +125,8 @@ class ServerAccess(WorldAccess):
         self._steps: StepChannel | None = None
         self._lost_steps = 0
         """Published requests of steps that were lost, one after the other."""
+        self._joined = (0, 0)
+        """Epoch and step of the last control step that `join` waited for."""
         self._state = make_world_state(Snapshot(0, 0, 0, 0, (), b"", b""))
         self.refresh()
 
@@ -222,6 +229,26 @@ class ServerAccess(WorldAccess):
             self._steps.close()
             self._steps = None
         return response
+
+    def join(self, steps: int, twists: TwistCommands | None, timeout_s: float) -> WorldState:
+        """Finish the control step that this returned last, and wait for the next one.
+
+        Args:
+            steps: Between two of these control steps.
+            twists: Orders that act in the next control step.
+            timeout_s: Wall time.
+
+        Raises:
+            ServiceError: It was refused.
+            Timeout: No control step came in time.
+            ConnectionLost: The server is gone.
+        """
+        self._declare()
+        request = JoinLockstepRequest(self._client, steps, *self._joined, twists)
+        response = self._retry_early(lambda: self.call(JOIN_LOCKSTEP, request, timeout_s=timeout_s))
+        state = self.refresh() if response.snapshot is None else self._replace(response.snapshot)
+        self._joined = state.order
+        return state
 
     def newest(self) -> WorldState:
         """See `WorldAccess`."""

@@ -13,6 +13,8 @@ from zensim.api.topic import TopicCallback
 from zensim.api.world_access import api_errors
 from zensim.api.world_page import WorldPage
 from zensim.api.world_session import STEP_TIMEOUT_S, list_robot_topics
+from zensim.api.world_state import WorldState
+from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.topic_catalog import WORLD_TOPICS
 
@@ -72,6 +74,43 @@ class Sim(Simulation):
             state = self._access.advance(1, None, STEP_TIMEOUT_S)
         if left := -state.snapshot.step % self._session.control_steps:
             self._session.advance(left)
+
+    @contextmanager
+    def join_lockstep(
+        self, rate: float | None = None, *, timeout_s: float = STEP_TIMEOUT_S
+    ) -> Iterator[Iterator[float]]:
+        """Control robots in a world that others step, or that plays: it awaits this program.
+
+        What is ordered in a control step acts in the next one. Where agents are awaited, in
+        lockstep and in requested steps, so is this program, with their timeout; else nothing waits.
+
+        Args:
+            rate: Of its control steps [Hz]; must divide the control rate, which is the default.
+            timeout_s: Wall time until the next control step.
+
+        Yields:
+            An iterator over its control steps: simulation time [s].
+
+        Raises:
+            Timeout: No control step came in time, as in a paused world that nobody steps.
+        """
+        self._session.check_open()
+        steps = self._count_steps(rate)
+        self._session.is_joined = True
+        try:
+            yield self._follow_steps(steps, timeout_s)
+        finally:
+            self._session.is_joined = False
+            self._session.take_orders()
+            self._access.end_lease()
+
+    def _follow_steps(self, steps: int, timeout_s: float) -> Iterator[float]:
+        def join(twists: TwistCommands | None) -> WorldState:
+            return self._access.join(steps, twists, timeout_s)
+
+        while self._session.is_joined:
+            self._session.follow(join, steps * self.step_period)
+            yield self.time
 
     def set_speed(self, factor: float) -> None:
         """Set the target real-time factor; 0 = as fast as possible, else 0.01 to 1000."""

@@ -67,7 +67,7 @@ if TYPE_CHECKING:
 Handle = TypeVar("Handle", bound=EntityHandle)
 SelfType = TypeVar("SelfType", bound="Simulation")
 RATE_TOLERANCE = 1e-6
-MAX_SEED = (1 << 63) - 1
+MAX_SEED = (1 << 64) - 1
 MAX_STEPS = 10_000_000
 """Of one call of `step`."""
 DRIVEN_TIMEOUT_S = 10.0
@@ -155,7 +155,7 @@ class Simulation:
     @property
     def is_paused(self) -> bool:
         """Whether time advances by requests only."""
-        return not self._session.runs_by_itself
+        return not self._session.is_playing
 
     @property
     def seed(self) -> int:

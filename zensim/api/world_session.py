@@ -90,6 +90,8 @@ class WorldSession:
         self._orders: list[tuple[tuple[str, ...], FloatArray]] = []
         self._dispatch_thread: threading.Thread | None = None
         self._topics: dict[tuple[str, type[msgspec.Struct]], Topic[Any]] = {}
+        self.is_joined = False
+        """Whether the world awaits this client at its control steps; see `Sim.join_lockstep`."""
         self._is_closed = False
 
     def check_open(self) -> None:
@@ -185,9 +187,14 @@ class WorldSession:
             self._orders = [_merge_orders(self._orders)]
 
     @property
-    def runs_by_itself(self) -> bool:
+    def is_playing(self) -> bool:
         """Whether simulation time advances without requests."""
         return self.access.has_own_clock and self.state().snapshot.state == "playing"
+
+    @property
+    def runs_by_itself(self) -> bool:
+        """Whether simulation time may advance while the caller does something else."""
+        return not self.is_joined and self.is_playing
 
     @property
     def control_steps(self) -> int:
@@ -214,6 +221,12 @@ class WorldSession:
             is_eager: See `WorldAccess.is_eager`.
         """
         self.check_open()
+        if self.is_joined:
+            raise Invalid(
+                "this client has joined lockstep, where others make the steps",
+                slug="joined",
+                hint="iterate over the control steps of the block",
+            )
         state = self.state()
         if self._roster is None:
             self.read_roster(timeout_s)
@@ -223,11 +236,29 @@ class WorldSession:
                 self._control(count * self.step_ns / NANOSECONDS)
                 self.access.is_eager = is_eager
                 with api_errors():
-                    state = self.access.advance(count, self._take_orders(), timeout_s)
+                    state = self.access.advance(count, self.take_orders(), timeout_s)
                 steps -= count
                 if self.dispatcher.has_callbacks:
                     self.dispatcher.dispatch()
                     self.dispatcher.raise_failure()
+        return state
+
+    def follow(
+        self, join: Callable[[TwistCommands | None], WorldState], period_s: float
+    ) -> WorldState:
+        """Finish a control step of a client that has joined, with controllers and callbacks.
+
+        Args:
+            join: Sends the orders, and waits for the next control step.
+            period_s: Between two of these control steps [s].
+        """
+        self.check_open()
+        self._control(period_s)
+        with api_errors():
+            state = join(self.take_orders())
+        if self.dispatcher.has_callbacks:
+            self.dispatcher.dispatch()
+            self.dispatcher.raise_failure()
         return state
 
     def run(self, seconds: float, timeout_s: float | None = None) -> WorldState:
@@ -390,7 +421,8 @@ class WorldSession:
         most = max(1, round(MAX_CHUNK_S * NANOSECONDS / self.step_ns / control_steps))
         return left + (most - 1) * control_steps
 
-    def _take_orders(self) -> TwistCommands | None:
+    def take_orders(self) -> TwistCommands | None:
+        """Take the orders for the next step."""
         orders, self._orders = self._orders, []
         if not orders:
             return None

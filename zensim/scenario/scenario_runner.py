@@ -23,7 +23,6 @@ from zensim.proto.messages.entity_messages import (
     GetEntityInfoRequest,
     SetEntityInfoRequest,
 )
-from zensim.proto.messages.fault_messages import InjectFaultRequest
 from zensim.proto.messages.gazebo_messages import ApplyLinkWrenchRequest
 from zensim.proto.messages.standard_messages import NANOSECONDS, Duration, Vector3, Wrench
 from zensim.proto.messages.telemetry_messages import GetModelsRequest
@@ -32,7 +31,6 @@ from zensim.proto.service_catalog import (
     GET_ENTITY_BOUNDS,
     GET_ENTITY_INFO,
     GET_MODELS,
-    INJECT_FAULT,
     SET_ENTITY_INFO,
 )
 from zensim.scenario.check_monitors import (
@@ -300,7 +298,7 @@ class ScenarioRun:
         elif isinstance(fault, Kidnap):
             self.sim.robots[robot].set_pose(fault.x, fault.y, yaw=fault.yaw)
         elif not isinstance(fault, OF_COMMANDS):
-            self.sim.call(INJECT_FAULT, make_fault_request(robot, fault, self.scenario.seed + row))
+            inject_fault(self.sim, robot, fault, self.scenario.seed + row)
 
     def _push(self, robot: str, fault: Push) -> None:
         link = fault.link or self._find_root_link(robot)
@@ -444,19 +442,19 @@ def _make_duration(fault: Fault) -> Duration:
     return Duration(*divmod(round(length * NANOSECONDS), NANOSECONDS))
 
 
-def make_fault_request(robot: str, fault: Fault, seed: int) -> InjectFaultRequest:
-    """Make the request that starts a fault of a body or a sensor."""
+def inject_fault(sim: Simulation, robot: str, fault: Fault, seed: int) -> None:
+    """Start a fault of a body or a sensor, which ends by itself."""
     parts = (getattr(fault, key, "") for key in ("joint", "link", "sensor"))
     numbers = (getattr(fault, key, None) for key in VALUE_KEYS)
-    return InjectFaultRequest(
+    sim.inject(
         robot,
-        str(type(fault).__struct_config__.tag),
+        str(type(fault).__struct_config__.tag),  # type: ignore[arg-type]  # of such a fault
         next(filter(None, parts)),
-        float(next((one for one in numbers if one is not None), 0.0)),
-        getattr(fault, "low", 0.0),
-        getattr(fault, "high", 0.0),
-        _make_duration(fault),
-        seed,
+        value=float(next((one for one in numbers if one is not None), 0.0)),
+        low=getattr(fault, "low", 0.0),
+        high=getattr(fault, "high", 0.0),
+        seconds=fault.duration,
+        seed=seed,
     )
 
 

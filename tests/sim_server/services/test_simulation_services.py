@@ -15,6 +15,8 @@ from zensim.proto.messages.result_messages import Result, ResultCode
 from zensim.proto.messages.simulation_messages import (
     CancelStepsRequest,
     CancelStepsResponse,
+    JoinLockstepRequest,
+    JoinLockstepResponse,
     ResetScope,
     RunToRequest,
     RunToResponse,
@@ -391,3 +393,82 @@ def test_speed_that_is_asked_for_outlasts_the_client_that_steps() -> None:
     end_stepping(server)
 
     assert server.parts.pacing.target_real_time_factor == 4.0
+
+
+def join(server: ServerFixture, step: int = 0, steps: int = 0) -> MemoryCall:
+    """Let client c2 finish a step and wait for its next one."""
+    return server.request("join_lockstep", JoinLockstepRequest("c2", steps, 0, step))
+
+
+def let_join(server: ServerFixture) -> None:
+    server.inbox.clients.append(("c2", True))
+    turn(server, 1)
+
+
+def test_requested_steps_await_a_client_that_has_joined_at_each_control_step() -> None:
+    server = a_paused_server()
+    let_join(server)
+    control = server.world.control_steps
+    woken = join(server)
+    steps = simulate(server, 2 * control)
+
+    turn(server, 3 * control)
+    assert read(woken, JoinLockstepResponse).snapshot is not None
+    assert server.world.clock.steps == control
+    again = join(server, control)
+    turn(server, 3 * control)
+    assert server.world.clock.steps == 2 * control
+    assert again.is_over
+    assert not steps.is_over
+    join(server, 2 * control)
+    turn(server, 2)
+
+    assert read(steps, SimulateStepsResponse).status == "succeeded"
+
+
+def test_client_that_has_joined_and_is_gone_holds_no_step_back() -> None:
+    server = a_paused_server()
+    let_join(server)
+    woken = join(server)
+    steps = simulate(server, 3 * server.world.control_steps)
+    turn(server, 2 * server.world.control_steps)
+
+    server.inbox.clients.append(("c2", False))
+    turn(server, 4 * server.world.control_steps)
+
+    assert woken.is_over
+    assert read(steps, SimulateStepsResponse).status == "succeeded"
+
+
+def test_request_of_a_client_that_is_gone_is_answered() -> None:
+    server = a_paused_server()
+    let_join(server)
+    waiting = join(server)
+    turn(server, 1)
+
+    server.inbox.clients.append(("c2", False))
+    turn(server, 2)
+
+    result = read(waiting, JoinLockstepResponse).result
+    assert result.result == ResultCode.INCORRECT_STATE
+
+
+@pytest.mark.parametrize("steps", [1, 10**8])
+def test_client_cannot_join_between_control_steps(steps: int) -> None:
+    server = a_paused_server()
+    server.world.control_steps = 3
+    let_join(server)
+    call = join(server, steps=steps)
+
+    turn(server, 1)
+
+    assert read(call, JoinLockstepResponse).result.result == ResultCode.OPERATION_FAILED
+
+
+def test_client_without_a_token_cannot_join() -> None:
+    server = a_paused_server()
+    call = join(server)
+
+    turn(server, 1)
+
+    assert read(call, JoinLockstepResponse).result.result == ResultCode.INCORRECT_STATE

@@ -7,6 +7,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 import zensim
-from tests.integration.processes import eventually
+from tests.integration.processes import START_S, eventually
 from zensim.api.step_channel import StepChannel
 from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, open_bus
@@ -390,3 +391,57 @@ def test_page_of_the_world_is_served_until_it_is_closed(sim: zensim.Sim) -> None
         page.close()
     with pytest.raises(urllib.error.URLError):
         urllib.request.urlopen(page.url, timeout=5.0)
+
+
+def follow_in_lockstep(
+    endpoint: str, is_there: threading.Event, seen: list[tuple[float, float]]
+) -> None:
+    """Drive r1 from 1 s to 2 s, as a client that has joined."""
+    with zensim.connect(endpoint, timeout_s=START_S) as other:
+        robot = other.robots["r1"]
+        is_there.set()
+        with other.join_lockstep(rate=20) as steps:
+            for now in steps:
+                seen.append((now, robot.pose.x))
+                if now >= 1.0:
+                    robot.drive(0.3, 0.2)
+                if now >= 2.0:
+                    break
+
+
+def run_with_a_joined_client(sim: zensim.Sim) -> tuple[str, list[tuple[float, float]]]:
+    sim.reset()
+    sim.spawn("box_bot", name="r1")
+    seen: list[tuple[float, float]] = []
+    is_there = threading.Event()
+    client = threading.Thread(target=follow_in_lockstep, args=(sim.endpoint, is_there, seen))
+    client.start()
+    assert is_there.wait(START_S)
+    while not seen and sim.time < 1.0:
+        sim.step()
+    sim.run_to(2.5)
+    client.join(START_S)
+    return sim.state_hash(), [one for one in seen if one[0] >= 1.0]
+
+
+def test_client_that_has_joined_is_awaited_and_gives_the_same_run_each_time(
+    sim: zensim.Sim,
+) -> None:
+    first, seen = run_with_a_joined_client(sim)
+    second, again = run_with_a_joined_client(sim)
+
+    assert first == second
+    assert seen == again
+    assert [now for now, _ in seen] == pytest.approx(np.arange(1.0, 2.01, 0.05))
+    assert seen[-1][1] > 0.2
+
+
+def test_client_that_has_joined_makes_no_steps_itself(sim: zensim.Sim) -> None:
+    with sim.join_lockstep() as steps:
+        with pytest.raises(zensim.Invalid) as refused:
+            sim.run_for(0.1)
+        assert sim.is_paused
+    sim.run_for(0.1)
+
+    assert refused.value.slug == "joined"
+    assert next(steps, None) is None
