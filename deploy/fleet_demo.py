@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Callable, Sequence
-from types import TracebackType
 from typing import Literal
 
 import numpy as np
 
+from zensim.api.closed_on_exit import ClosedOnExit
 from zensim.api.local_deployment import OPERATOR, LocalDeployment
 from zensim.api.server_access import ServerAccess
 from zensim.api.sim import Sim
@@ -36,7 +36,7 @@ RADIUS = 0.4
 """Of circles [m]; half of the side of squares."""
 
 
-class FleetDemo:
+class FleetDemo(ClosedOnExit):
     """Commands the robots in a world that runs by itself; `update` has to be called often.
 
     A robot that gets a `cmd_vel`, or an order of another client, is left to that for good.
@@ -96,19 +96,6 @@ class FleetDemo:
         """End; the robots stop."""
         self._others.close()
         self._sim.close()
-
-    def __enter__(self) -> "FleetDemo":
-        """Return the demo."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close it."""
-        self.close()
 
     def _leave_commanded(self) -> None:
         names = self._others.take()

@@ -6,6 +6,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
+
+from zensim.proto.sensor_libraries import find_library_fault
+from zensim.sim_server.scene.camera_selection import find_opengl_fault
 
 PASSING = """
 import pytest
@@ -92,6 +96,10 @@ def test_a_failed_test_leaves_report_and_events_and_names_them(tmp_path: Path) -
     assert states[-1]["poses"].keys() == {"r1"}
     assert states[-1]["time"] == pytest.approx(0.5, abs=0.05)
     assert "report.json" in (tmp_path / "out.xml").read_text()
+    if not find_opengl_fault() or not find_library_fault("embree"):
+        picture = Image.open(folder / "picture.png").convert("RGB")
+        assert picture.size == (960, 600)
+        assert len(set(picture.crop((380, 200, 580, 400)).getdata())) > 20
 
 
 def test_a_collision_since_the_spawn_fails_and_a_drive_on_the_floor_does_not(

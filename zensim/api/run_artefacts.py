@@ -11,9 +11,11 @@ from zensim.api.api_errors import Error
 from zensim.api.simulation import Simulation
 from zensim.api.world_access import Message
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
+from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import Event, Snapshot
 from zensim.proto.topic_catalog import EVENTS, SNAPSHOT
+from zensim.sim_server.scene.camera_images import CamerasUnavailable
 
 if TYPE_CHECKING:
     from zensim.api.topic import Topic
@@ -68,7 +70,10 @@ class RunArtefacts:
             topic.collect()
 
     def write(self, folder: Path, *, test: str, message: str) -> tuple[Path, ...]:
-        """Write `report.json`, `events.jsonl` and `states.jsonl`; return their paths."""
+        """Write report.json, events.jsonl, states.jsonl and picture.png; return their paths.
+
+        There is no picture where this host cannot render cameras.
+        """
         folder.mkdir(parents=True, exist_ok=True)
         report, events = folder / "report.json", folder / "events.jsonl"
         states = folder / "states.jsonl"
@@ -78,7 +83,21 @@ class RunArtefacts:
         happened = _take_all(self._events)
         events.write_bytes(_encode_lines(happened))
         states.write_bytes(_encode_lines(map(make_state_record, _take_all(self._states))))
-        return report, events, states
+        return report, events, states, *self._write_picture(folder / "picture.png")
+
+    def _write_picture(self, file: Path) -> tuple[Path, ...]:
+        """Take a picture of the end of the test, if that is possible here."""
+        try:
+            # Its libraries take a while, and are missing without the server extra.
+            from zensim.api.world_picture import take_picture  # noqa: PLC0415
+        except ImportError:
+            return ()
+        try:
+            picture = take_picture(self._sim._session.access)  # noqa: SLF001
+        except (CamerasUnavailable, Error, ServiceError):
+            return ()
+        file.write_bytes(picture)
+        return (file,)
 
     def close(self) -> None:
         """End the subscriptions."""

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 import msgspec
@@ -18,6 +17,7 @@ from zensim.api.argument_checks import (
     check_text,
     make_numbers,
 )
+from zensim.api.closed_on_exit import ClosedOnExit
 from zensim.api.entity_values import SpawnReport, make_html_table
 from zensim.api.fleet import Fleet
 from zensim.api.robot import EntityHandle, Robot
@@ -65,7 +65,6 @@ if TYPE_CHECKING:
     from zensim.api.topic import Topic
 
 Handle = TypeVar("Handle", bound=EntityHandle)
-SelfType = TypeVar("SelfType", bound="Simulation")
 RATE_TOLERANCE = 1e-6
 MAX_SEED = (1 << 64) - 1
 MAX_STEPS = 10_000_000
@@ -119,7 +118,7 @@ class HandleMapping(Mapping[str, Handle]):
         return f"<{len(self)} {self._what}s: {', '.join(self)}>"
 
 
-class Simulation:
+class Simulation(ClosedOnExit):
     """A simulated world: `World` in this process, `Sim` on a server.
 
     Properties are those of the newest state and do not wait. Methods may take a round trip. Units
@@ -588,19 +587,6 @@ class Simulation:
     def close(self) -> None:
         """Stop what this client commands, and end; may be repeated."""
         self._session.close()
-
-    def __enter__(self: SelfType) -> SelfType:
-        """Return the simulation."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close it."""
-        self.close()
 
     def __reduce__(self) -> tuple[object, ...]:
         """Refuse: a simulation belongs to its process.

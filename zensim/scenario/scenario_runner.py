@@ -7,7 +7,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, cast
 
 import msgspec
@@ -15,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.api.api_errors import Timeout
+from zensim.api.closed_on_exit import ClosedOnExit
 from zensim.api.fleet import Fleet
 from zensim.api.simulation import Simulation
 from zensim.api.topic import find_stamp_ns
@@ -124,7 +124,7 @@ class RunReport(msgspec.Struct, frozen=True):
 
 
 @dataclass
-class ScenarioRun:
+class ScenarioRun(ClosedOnExit):
     """A scenario on a simulation.
 
     Attributes:
@@ -185,19 +185,6 @@ class ScenarioRun:
         """Close the world, if it belongs to this run."""
         if self.owns_world:
             self.sim.close()
-
-    def __enter__(self) -> "ScenarioRun":
-        """Return the run."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close it."""
-        self.close()
 
     def step(self) -> CheckedState:
         """Do all that is due at the present control step, before time advances."""
