@@ -1,7 +1,8 @@
 """Scenario files
 
 Reading: CPU time of a file with 50 and with 8000 lines of behaviours. Runs: each shipped scenario
-by `zensim test`, in process; every check has to pass.
+by `zensim test`, in process; every check has to pass. Many: twenty files of ten robots that walk at
+random for ten simulated seconds, as `zensim test FOLDER --jobs 2` runs them.
 """
 
 import tempfile
@@ -10,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.figures import Figure, Limit, table
-from zensim.deploy.scenario_process import RunRequest, run_in_process
+from zensim.deploy.scenario_process import RunRequest, run_all, run_in_process
 from zensim.scenario.scenario_reader import (
     SUFFIXES,
     find_scenario_file,
@@ -24,6 +25,15 @@ HEAD = "zensim: 1\nrobots:\n  - {name: cart, model: box_bot, count: 3}\nbehaviou
 LINE = "  - {{name: b{}, robots: cart*, do: waypoints, points: [[1, 0], [2, 0]]}}\n"
 MOST_MS = {50: 10.0, 8000: 500.0}
 """Reading, by number of lines."""
+TEN_ROBOTS = """zensim: 1
+name: walk{seed}
+time: {{seed: {seed}}}
+robots: [{{name: bot, model: box_bot, count: 10, layout: {{kind: circle, radius: 3 m}}}}]
+behaviours: [{{name: walk, robots: bot*, do: random_walk, speed: 0.3}}]
+checks: [{{name: slow, robots: bot*, that: speed, below: 1}}]
+end: {{at: 10 s}}
+"""
+JOBS, MANY, MOST_S = 2, 20, 30.0
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
@@ -31,6 +41,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         for lines, most in MOST_MS.items():
             yield _measure_reading(Path(folder), lines, most, 3 if is_short else 11)
+        yield from _run_many(Path(folder), JOBS if is_short else MANY)
     for name in ["first_minutes"] if is_short else list_shipped_scenarios():
         yield from _run(name)
 
@@ -61,4 +72,23 @@ def _run(name: str) -> Iterator[Figure]:
         what=f"{name}: {run.robots} robots, simulated by wall time",
         unit="",
         samples=(run.sim_time / max(run.wall_time_s, 1e-9),),
+    )
+
+
+def _run_many(folder: Path, count: int) -> Iterator[Figure]:
+    files = [folder / f"walk{seed}{SUFFIXES[0]}" for seed in range(count)]
+    for seed, file in enumerate(files):
+        file.write_text(TEN_ROBOTS.format(seed=seed))
+    began = time.monotonic()
+    runs = run_all([RunRequest(str(file)) for file in files], jobs=JOBS, on_run=lambda _: None)
+    spent = time.monotonic() - began
+    what = f"{count} scenarios of 10 s and 10 robots, {JOBS} at once"
+    limit = Limit("max", "<=", MOST_S, is_timed=True)
+    yield Figure(what=what, unit="s", samples=(spent,), limit=limit)
+    failed = [run for run in runs if not run.is_passed]
+    yield Figure(
+        what="of them, not passed",
+        unit="",
+        samples=(float(len(failed)),),
+        limit=Limit("max", "<=", 0.0),
     )

@@ -15,8 +15,7 @@ from zensim.api.local_deployment import LaunchAgentsConfig, LaunchConfig
 from zensim.api.program_keeper import ProgramKeeper
 from zensim.api.server_access import ServerAccess
 from zensim.api.sim import Sim
-from zensim.api.simulation import WorldKeywords
-from zensim.api.spawning import check_keywords
+from zensim.api.simulation import WorldKeywords, read_world_keywords
 from zensim.api.world_access import api_errors
 from zensim.proto import keys
 from zensim.proto.bus import (
@@ -115,16 +114,11 @@ def launch(  # noqa: PLR0913  options of a start, each with a default
         options: model_paths, strict and others; see `WorldKeywords`.
 
     Raises:
-        Error: A program ended at its start.
-        Timeout: The server did not start in time.
+        Error, Timeout: A program ended at its start, or took too long.
     """
-    check_keywords(options, WorldKeywords)
     config = LaunchConfig(
         world=str(world),
-        model_paths=tuple(map(str, options.get("model_paths", ()))),
-        is_strict=options.get("strict", False),
-        allow_missing=options.get("allow_missing", False),
-        clusters=options.get("clusters", "auto"),
+        **read_world_keywords(options),
         endpoint=with_free_port("tcp/127.0.0.1:0"),
         real_time_factor=rtf,
         engine=engine,
@@ -132,8 +126,7 @@ def launch(  # noqa: PLR0913  options of a start, each with a default
         is_paused=rtf is None,
         agents=LaunchAgentsConfig(pools=agents),
         sensor_processes=sensors,
-        # Equal orders give equal results however loaded the machine is.
-        on_miss="hold" if rtf is not None else "wait",
+        on_miss="hold" if rtf is not None else "wait",  # equal results on a loaded machine
         ros=NO_ROS,
     )
     return launch_configured(config, timeout_s)

@@ -4,7 +4,7 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, cast, get_args
+from typing import TYPE_CHECKING, cast
 
 import msgspec
 
@@ -13,8 +13,7 @@ from zensim.api.collision_watch import CollisionWatch
 from zensim.api.entity_values import Collision
 from zensim.api.in_process_network import InProcessSubscription
 from zensim.api.in_process_server import CLIENT, POOL, InProcessServer
-from zensim.api.simulation import Simulation, WorldKeywords
-from zensim.api.spawning import check_keywords
+from zensim.api.simulation import Simulation, WorldKeywords, read_world_keywords
 from zensim.api.world_access import Message, TopicFeed, WorldAccess, api_errors
 from zensim.api.world_session import SavedOrders
 from zensim.api.world_state import WorldState, make_world_state
@@ -23,12 +22,13 @@ from zensim.proto.codec.message_codec import Format, decode, encode, make_encodi
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.simulation_messages import SimulateStepsRequest
 from zensim.proto.service_catalog import SIMULATE_STEPS, Request, Response, Service
-from zensim.sim_server.physics.engine_config import Clustering, EngineOptions, parse_engine_name
+from zensim.sim_server.physics.engine_config import EngineOptions, parse_engine_name
 from zensim.sim_server.server_config import CONTROL_HZ, ServerConfig
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+IN_PROCESS = EngineOptions(workers=0, compiles_ahead=False)
 NO_CLOCK_HINT = "use run_for(), step() or steps(), or zensim.launch(rtf=1) for a world that runs"
 
 
@@ -198,34 +198,26 @@ class World(Simulation):
             world: Name of a shipped world, or an SDF file.
             engine: `mujoco`, or `pybullet`.
             seed: Of the noise of sensors.
-            step_hz: Steps of the engine per simulated second; None = as the world's file says,
-                else 240.
+            step_hz: Steps per simulated second; None = of the world file, or 240.
             control_hz: Most control steps per simulated second; None = 100.
             options: model_paths, strict and others; see `WorldKeywords`.
 
         Raises:
             Invalid: There is no such world, or a number is out of range.
         """
-        check_keywords(options, WorldKeywords)
-        clusters = options.get("clusters", "auto")
-        if clusters not in get_args(Clustering):
-            raise Invalid(f"clusters={clusters!r} is unknown", hint="use auto, on or off")
+        settings = read_world_keywords(options)
+        clusters = settings.pop("clusters")
         with api_errors():
             config = ServerConfig(
                 world_file=str(world),
                 seed=seed,
                 step_hz=step_hz,
                 control_hz=CONTROL_HZ if control_hz is None else control_hz,
-                model_paths=tuple(map(str, options.get("model_paths", ()))),
-                is_strict=options.get("strict", False),
-                allow_missing=options.get("allow_missing", False),
+                **settings,
                 is_paused=True,
                 real_time_factor=0.0,
-                physics=EngineOptions(
-                    engine=parse_engine_name(engine),
-                    clusters=clusters,
-                    workers=0,
-                    compiles_ahead=False,
+                physics=msgspec.structs.replace(
+                    IN_PROCESS, engine=parse_engine_name(engine), clusters=clusters
                 ),
             )
             self._open(InProcessServer(config))

@@ -87,6 +87,9 @@ class BusFeed(TopicFeed[Message]):
 class ServerAccess(WorldAccess):
     """A world on a server."""
 
+    _joined = (0, 0)
+    """Epoch and step of the last control step that `join` waited for."""
+
     def __init__(
         self,
         bus: Bus,
@@ -125,8 +128,6 @@ class ServerAccess(WorldAccess):
         self._steps: StepChannel | None = None
         self._lost_steps = 0
         """Published requests of steps that were lost, one after the other."""
-        self._joined = (0, 0)
-        """Epoch and step of the last control step that `join` waited for."""
         self._state = make_world_state(Snapshot(0, 0, 0, 0, (), b"", b""))
         self.refresh()
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, get_args
 
 import msgspec
 import numpy as np
@@ -504,12 +504,8 @@ class Simulation(ClosedOnExit):
         for what, number in (("value", value), ("low", low), ("high", high)):
             check_range(what, number, -MAX_NUMBER, MAX_NUMBER)
         check_range("seed", seed, 0, MAX_SEED)
-        duration = FOR_EVER
-        if seconds is not None:
-            check_range("seconds", seconds, 0.0, MAX_RUN_S)
-            duration = Duration(*divmod(round(seconds * NANOSECONDS), NANOSECONDS))
-        request = InjectFaultRequest(name, kind, part, value, low, high, duration, seed)
-        self.call(INJECT_FAULT, request)
+        span = _make_duration(seconds)
+        self.call(INJECT_FAULT, InjectFaultRequest(name, kind, part, value, low, high, span, seed))
 
     @property
     def events(self) -> "Topic[Event]":
@@ -691,3 +687,30 @@ class Simulation(ClosedOnExit):
     def _make_entity(self, name: str) -> EntityHandle:
         is_robot = name in self._session.roster().robots
         return (Robot if is_robot else EntityHandle)(self._session, name)
+
+
+def _make_duration(seconds: float | None) -> Duration:
+    """Make a duration of simulated seconds; None = without end."""
+    if seconds is None:
+        return FOR_EVER
+    check_range("seconds", seconds, 0.0, MAX_RUN_S)
+    return Duration(*divmod(round(seconds * NANOSECONDS), NANOSECONDS))
+
+
+def read_world_keywords(options: WorldKeywords) -> dict[str, Any]:
+    """Read keyword arguments as fields of `LaunchConfig`, and but for `clusters` of `ServerConfig`.
+
+    Raises:
+        TypeError: One is unknown.
+        Invalid: `clusters` is not known.
+    """
+    check_keywords(options, WorldKeywords)
+    clusters = options.get("clusters", "auto")
+    if clusters not in get_args(Clustering):
+        raise Invalid(f"clusters={clusters!r} is unknown", hint="use auto, on or off")
+    return {
+        "clusters": clusters,
+        "model_paths": tuple(map(str, options.get("model_paths", ()))),
+        "is_strict": options.get("strict", False),
+        "allow_missing": options.get("allow_missing", False),
+    }
