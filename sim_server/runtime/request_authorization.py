@@ -117,8 +117,8 @@ class RequestAuthorization:
         return [self.reports.popleft() for _ in range(len(self.reports))]
 
     def close(self) -> None:
-        """End the thread that finds addresses."""
-        self._thread.shutdown()
+        """End the thread that finds addresses; refusals that wait for theirs are not reported."""
+        self._thread.shutdown(cancel_futures=True)
 
     def _find_fault(self, call: ServiceCall, request: msgspec.Struct) -> str:
         """Say why the caller may not make the request; empty if it may."""

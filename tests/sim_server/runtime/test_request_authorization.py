@@ -6,6 +6,7 @@ from typing import Any, cast
 import msgspec
 import pytest
 
+from tests.integration.processes import eventually
 from zensim.proto.messages.agent_messages import ClaimEntityRequest, ClaimShareRequest
 from zensim.proto.messages.entity_messages import SetEntityInfoRequest
 from zensim.proto.messages.result_messages import Result, ResultCode
@@ -20,6 +21,7 @@ from zensim.sim_server.runtime.request_authorization import (
     RequestAuthorization,
 )
 
+WITHIN_S = 20.0
 USERS = {role: User(role, role, ("r1",) if ROLES[role].has_robots else ()) for role in ROLES}
 
 
@@ -187,5 +189,6 @@ def test_report_has_the_address_of_the_session_that_the_request_names() -> None:
     with pytest.raises(AccessDenied):
         authorization.check(call, DeleteEntityRequest("r1"))
 
+    reports = eventually(lambda: authorization.take_reports() or None, WITHIN_S, "a report")
+    assert [one.address for one in reports] == ["tls/aa:1"]
     authorization.close()
-    assert [one.address for one in authorization.take_reports()] == ["tls/aa:1"]
