@@ -58,11 +58,11 @@ PYTEST := $(BIN)/python -m pytest -n $$(($$(getconf _NPROCESSORS_ONLN) + 1)) --d
 	--no-loadscope-reorder
 
 test: setup packages ## all tests but those of `make browser` and `make short`
-	@if [ "$$(id -u)" = 0 ]; then $(PYTEST) -m "not browser and not short_form"; \
+	@if [ "$$(id -u)" = 0 ]; then $(PYTEST) -m "not browser and not short_form and not interop"; \
 	elif ! command -v sudo >/dev/null; then \
 		echo "tests of network namespaces need root, and there is no sudo; run make test as root" >&2; \
 		exit 1; \
-	else $(PYTEST) -m "not root and not browser and not short_form" && \
+	else $(PYTEST) -m "not root and not browser and not short_form and not interop" && \
 		sudo $(BIN)/python -B -m pytest -p no:cacheprovider -m "root and not short_form"; \
 	fi
 

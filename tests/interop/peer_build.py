@@ -74,11 +74,6 @@ def build_peers(distro: str, *, within_s: float = BUILD_S) -> Path:
     return built
 
 
-def has_peers(distro: str) -> bool:
-    """Whether the cache has the peers of a distribution."""
-    return find_peers(distro).is_file()
-
-
 def find_peers(distro: str) -> Path:
     """Find the place of a build of these sources."""
     return cache_folder() / f"{BINARY}-{distro}-{_own_key()}"
@@ -108,7 +103,15 @@ def build_router(*, within_s: float = BUILD_S) -> Path:
     if not built.is_file():
         folder.mkdir(parents=True, exist_ok=True)
         target = folder / "target-zenohd"
-        wanted = ("install", "zenohd", "--version", ROUTER_VERSION, "--locked", "--no-track")
+        wanted = (
+            "install",
+            "zenohd",
+            "--version",
+            ROUTER_VERSION,
+            "--locked",
+            "--no-track",
+            "--force",
+        )
         places = ("--root", str(folder / "zenohd"), "--target-dir", str(target))
         _run((cargo, *wanted, *places), folder, within_s)
         _keep(folder / "zenohd" / "bin" / "zenohd", built)

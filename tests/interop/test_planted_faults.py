@@ -1,6 +1,5 @@
 """A fault that is planted turns exactly its figure red."""
 
-import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -16,7 +15,6 @@ from tests.interop.foreign_peers import JAZZY, PeerNetwork, Stage, stage
 from tests.interop.interop_graph import judge_graph, read_graph
 from tests.interop.interop_odom import judge_topics, listen
 from tests.interop.interop_spawn import judge_spawns
-from tests.interop.peer_build import has_peers
 from zensim.proto.codec.message_codec import Format, MalformedPayload, encode
 from zensim.proto.messages.result_messages import Result, ResultCode, SpawnCode
 from zensim.proto.messages.spawn_messages import DeleteEntityResponse, SpawnEntityResponse
@@ -26,13 +24,7 @@ from zensim.proto.ros2.rmw_keys import make_data_key
 from zensim.proto.ros2.ros_service_catalog import ROS_SERVICES, RosService
 from zensim.proto.ros2.type_hash import hash_type
 
-pytestmark = [
-    pytest.mark.short_form,
-    pytest.mark.skipif(
-        not has_peers(JAZZY) and os.environ.get("INTEROP") != "require",
-        reason="the peers are not built: make interop",
-    ),
-]
+pytestmark = pytest.mark.interop
 TOPIC = "/planted/odom"
 GID = bytes(range(16))
 EVERY_S = 0.02
