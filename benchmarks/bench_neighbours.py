@@ -159,6 +159,7 @@ def measure(
                 process = stack.enter_context(
                     program("hostile_client", load.removeprefix(THREE), address)
                 )
+                stack.callback(process.kill)  # a process that is stopped takes no other signal
                 line_with("connected", process)
             time.sleep(load_s)
 

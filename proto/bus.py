@@ -38,7 +38,7 @@ from zensim.proto.network_protocols import (
     Sample,
     Stamp,
 )
-from zensim.proto.process_limits import raise_file_limit
+from zensim.proto.process_limits import limit_unacknowledged_time, raise_file_limit
 from zensim.proto.reply_sender import REPLY_BYTES, ReplySender, Send
 from zensim.proto.service_catalog import Request, Response, Service, require_ok
 from zensim.proto.tls_probe import ProbeFailed, fetch_authority, find_refusal
@@ -348,6 +348,10 @@ BATCHES_OF_DATA: Final = 16
 scans of a hundred robots, published at once, are 150 kB; memory is allocated when it is needed."""
 LINK_TIMEOUT_US: Final = 100_000
 """A link whose queue stays full for so long under replies is closed; Zenoh's default is 5 s."""
+MOST_UNACKNOWLEDGED_MS: Final = 1800
+"""A connection whose peer takes no data for so long is reset. It is less than the lease of our
+clients: Zenoh closes a link at the end of its lease, and until the last bytes are written, which a
+stopped process never reads, nothing that is published reaches anybody through that router task."""
 MAX_QUERY_BYTES: Final = 4 << 20
 """A router ends a larger query without a reply at once; servers refuse it from 3 MiB on."""
 SIZE_LIMITS: Final = (
@@ -683,9 +687,14 @@ def open_bus(config: BusConfig) -> Bus:
     """
     settled = _settle(config)
     try:
-        return Bus(zenoh.open(_make_zenoh_config(settled)), settled)
+        bus = Bus(zenoh.open(_make_zenoh_config(settled)), settled)
     except zenoh.ZError as error:
         raise _make_open_error(settled, str(error)) from error
+    for endpoint in settled.listen:
+        _, _, port = endpoint.partition("?")[0].partition("#")[0].rpartition(":")
+        if port.isdigit():
+            limit_unacknowledged_time(int(port), MOST_UNACKNOWLEDGED_MS)
+    return bus
 
 
 def _settle(config: BusConfig) -> BusConfig:

@@ -8,6 +8,7 @@ import ctypes
 import mmap
 import os
 import signal
+import socket
 import sys
 import threading
 import time
@@ -153,6 +154,42 @@ def trim_memory() -> bool:
     """Give free memory of malloc back to the system; return whether there was any."""
     library = ctypes.CDLL(None)
     return hasattr(library, "malloc_trim") and bool(library.malloc_trim(0))
+
+
+def limit_unacknowledged_time(port: int, milliseconds: int) -> bool:
+    """Close connections to a port of this process whose peer takes no data for some time.
+
+    Returns:
+        Whether this process listens at the port, and the system can do it (Linux).
+    """
+    descriptors = Path("/proc/self/fd")
+    option = getattr(socket, "TCP_USER_TIMEOUT", None)
+    if option is None or not descriptors.is_dir():
+        return False
+    found = False
+    for entry in descriptors.iterdir():
+        if (listener := _open_listener(int(entry.name), port)) is not None:
+            with listener:  # accepted connections inherit it
+                listener.setsockopt(socket.IPPROTO_TCP, option, milliseconds)
+            found = True
+    return found
+
+
+def _open_listener(descriptor: int, port: int) -> socket.socket | None:
+    """Open a duplicate of a descriptor if it listens at a TCP port."""
+    try:
+        opened = socket.socket(fileno=os.dup(descriptor))
+    except OSError:
+        return None
+    try:
+        is_tcp = opened.family in {socket.AF_INET, socket.AF_INET6}
+        is_listening = is_tcp and opened.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
+        if is_listening and opened.getsockname()[1] == port:
+            return opened
+    except OSError:
+        pass
+    opened.close()
+    return None
 
 
 DEFAULT_FILE_LIMIT = 512

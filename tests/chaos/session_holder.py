@@ -9,7 +9,7 @@ import sys
 from zensim.proto.bus import Bus, BusConfig, BusError, open_bus
 from zensim.proto.process_limits import raise_file_limit
 
-OPEN_TIMEOUT_S = 3.0
+OPEN_TIMEOUT_S = 6.0
 
 
 def main() -> None:

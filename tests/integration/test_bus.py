@@ -374,3 +374,14 @@ def test_endpoints_are_free_until_a_router_listens(router: Bus) -> None:
 
     with pytest.raises(EndpointTaken, match=router.endpoint):
         require_free_endpoints(BusConfig(mode="router", listen=(router.endpoint,)))
+
+
+def test_router_resets_connections_that_take_no_data(monkeypatch: pytest.MonkeyPatch) -> None:
+    limits: list[tuple[int, int]] = []
+    monkeypatch.setattr(bus_module, "limit_unacknowledged_time", lambda *one: limits.append(one))
+    endpoint = free_endpoint()
+
+    with open_bus(BusConfig(mode="router", listen=(endpoint,))):
+        pass
+
+    assert limits == [(int(endpoint.rpartition(":")[2]), bus_module.MOST_UNACKNOWLEDGED_MS)]

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ from zensim.proto.process_limits import (
     MALLOC_ARENAS,
     PARENT_PID_VARIABLE,
     die_with_supervisor,
+    limit_unacknowledged_time,
     set_niceness,
 )
 
@@ -210,3 +212,16 @@ def test_threads_share_arenas_of_malloc() -> None:
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
 
     assert 1 <= done.stderr.count("Arena ") <= MALLOC_ARENAS
+
+
+def test_accepted_connections_are_reset_when_their_peer_takes_no_data() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+        is_found = limit_unacknowledged_time(port, 1500)
+        with socket.create_connection(("127.0.0.1", port)):
+            accepted, _ = listener.accept()
+            with accepted:
+                limit_ms = accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
+
+    assert (is_found, limit_ms) == (True, 1500)
+    assert not limit_unacknowledged_time(port, 1500)
