@@ -39,7 +39,7 @@ def router(*_: object) -> Iterator[Deployment]:
 @contextmanager
 def clients_of_router(*_: object) -> Iterator[Deployment]:
     """Run a router for ROS 2 hosts that cannot reach each other, with the documented override."""
-    with router() as (endpoint, _):
+    with router() as (endpoint, _overrides):
         yield endpoint, {"mode": "client", "listen/endpoints": []}
 
 

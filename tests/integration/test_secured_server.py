@@ -100,8 +100,7 @@ def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
         folder.ensure(User(name, "agent", (name,)) for name in ROBOTS)
         journal = tmp_path_factory.mktemp("journal")
         serve = ("serve", "--secure", "--listen", settings.endpoint, "--announce")
-        serve += ("--journal", str(journal))
-        process = stack.enter_context(running(*serve))
+        process = stack.enter_context(running(*serve, "--journal", str(journal)))
         assert process.stdout is not None
         assert process.stdout.readline()
         users = {
