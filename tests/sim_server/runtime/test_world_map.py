@@ -1,6 +1,9 @@
 """The topic `map`: drawn for subscribers, again after changes, and for gets."""
 
+import threading
+
 import numpy as np
+import pytest
 
 from tests.fakes import MemoryBus
 from tests.models import a_box, on_ground
@@ -15,9 +18,12 @@ from zensim.proto.messages.entity_messages import GetEntitiesRequest
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.spawn_messages import DeleteEntityResponse
 from zensim.proto.messages.standard_messages import OccupancyGrid
+from zensim.proto.messages.world_messages import GetMapResponse
 from zensim.proto.topic_endpoints import TopicFactory
+from zensim.sim_server.runtime import world_map
 from zensim.sim_server.runtime.loop_channels import BusWorldPublisher
 from zensim.sim_server.runtime.world_map import WorldMap
+from zensim.sim_server.service_parts import DeferredResponse
 
 PILLAR = a_box(is_static=True)
 FAR_M = 300.0
@@ -127,14 +133,14 @@ def test_get_of_a_map_that_cannot_be_drawn_is_refused() -> None:
 def test_late_subscribers_get_the_map_on_each_key() -> None:
     server, bus = a_server_with_pillar(), MemoryBus()
     publisher = BusWorldPublisher(bus, "w", TopicFactory(bus))
-    world_map = WorldMap(server.parts, publisher)
-    bus.pumps.append(lambda: world_map.poll(server.wall.ns))
+    drawn = WorldMap(server.parts, publisher)
+    bus.pumps.append(lambda: drawn.poll(server.wall.ns))
     found = []
     for key in ("map", "sim/w/map"):
         listener = bus.subscribe(key)
         for _ in range(5):
             server.wall.ns += 250_000_000
-            world_map.poll(server.wall.ns)
+            drawn.poll(server.wall.ns)
         sample = listener.newest()
         assert sample is not None
         found.append(decode(OccupancyGrid, sample.payload, sample.encoding))
@@ -150,3 +156,19 @@ def test_map_is_drawn_at_once_where_steps_may_wait() -> None:
 
     assert occupied_x(WorldMap(server.parts, server.publisher).draw()) == [3.0]
     assert maps_of(server)
+
+
+def test_get_during_a_drawing_has_its_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    server, is_drawn, grid = a_server_with_pillar(), threading.Event(), OccupancyGrid()
+    drawing = DeferredResponse(is_drawn.is_set, lambda: GetMapResponse(map=grid))
+    monkeypatch.setattr(world_map, "draw_map", lambda *_: drawing)
+    drawn = WorldMap(server.parts, server.publisher)
+
+    reply = drawn.message()
+    assert isinstance(reply, DeferredResponse)
+    assert not reply.is_ready()
+    is_drawn.set()
+    drawn.poll(server.wall.ns)
+
+    assert reply.is_ready()
+    assert reply.outcome() is grid

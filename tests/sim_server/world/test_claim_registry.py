@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from tests.models import a_box, a_cart, an_arm
 from tests.sim_server.world.test_entity import make_entities
 from zensim.proto.messages.model_messages import Model
+from zensim.sim_server.errors import RequestRefused
 from zensim.sim_server.world.claim_registry import ClaimedEntities, ClaimRegistry
 from zensim.sim_server.world.entity import Entity, make_entity_index
 
@@ -59,3 +60,15 @@ def test_each_claimed_entity_has_its_own_joints(kinds: list[Model], data: st.Dat
     rows = [entity.body - 100 for entity in chosen]
     assert claimed.rows.tolist() == rows
     assert marks[claimed.joints].tolist() == [row for row in rows for _ in kinds[row].joints]
+
+
+def test_agent_that_lost_all_claims_while_silent_keeps_its_next_one() -> None:
+    registry = ClaimRegistry()
+    registry.grant("a", "r0", "stop")
+    registry.note_silent("a")
+    registry.drop("r0")
+
+    registry.grant("a", "r1", "stop")
+
+    with pytest.raises(RequestRefused):
+        registry.require_free("r1", "b")
