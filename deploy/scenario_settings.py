@@ -12,8 +12,9 @@ from zensim.api.local_deployment import (
     LaunchConfig,
     choose_pool_count,
 )
+from zensim.proto.cli_options import RosTfOptions
 from zensim.proto.endpoints import with_free_port
-from zensim.proto.ros2.ros_settings import RosSettings, parse_ros_settings
+from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.scenario.scenario_format import AgentsSection
 from zensim.scenario.scenario_reader import Scenario
 
@@ -47,6 +48,8 @@ KEYS_OF_OPTIONS: Mapping[str, str] = {
     "ros_bridge": "ros.bridge",
     "tf": "ros.tf",
     "tf_root": "ros.tf_root",
+    "ros_topics": "ros.topics",
+    "ros_bridge_cmd_vel": "ros.bridge_cmd_vel",
     "viewer": "viewer.show",
     "viewer_port": "viewer.port",
     "open_page": "viewer.open",
@@ -102,7 +105,10 @@ OF_THE_DEMO: Mapping[str, str] = {
     "behaviour": "--behaviour",
 }
 """Options that describe robots without a file; with one, `--set` changes an entry by its name."""
-ROS_OPTIONS = ("ros_domain", "ros_distro", "ros_bridge", "tf", "tf_root")
+ROS_OPTIONS = (
+    *("ros_domain", "ros_distro", "ros_bridge", "tf", "tf_root"),
+    *("ros_topics", "ros_bridge_cmd_vel"),
+)
 NULL_MEANS_DEFAULT = None
 
 
@@ -181,12 +187,9 @@ def _find_ros(ros: RosSettings, scenario: Scenario, given: Given) -> RosSettings
     keys = {option: KEYS_OF_OPTIONS[option] for option in ROS_OPTIONS}
     if not any(key in scenario.places for key in keys.values()):
         return ros
-    domain, distro, is_bridged, tf, tf_root = (
-        given.get(option, find_value(scenario, key)) for option, key in keys.items()
-    )
-    return parse_ros_settings(
-        str(domain), str(distro), str(tf), str(tf_root), is_bridged=bool(is_bridged)
-    )
+    found = {option: given.get(option, find_value(scenario, key)) for option, key in keys.items()}
+    texts = {option: str(value) for option, value in found.items() if not isinstance(value, bool)}
+    return RosTfOptions(**texts, ros_bridge=bool(found["ros_bridge"])).ros
 
 
 def make_agents(scenario: Scenario, given: Given | None = None) -> LaunchAgentsConfig:

@@ -8,13 +8,15 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
+import msgspec
 import typer
 from typer.models import ArgumentInfo, OptionInfo
 
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import TOKEN_VARIABLE
-from zensim.proto.ros2.ros_settings import RosSettings, parse_ros_settings
+from zensim.proto.ros2.ros_settings import BRIDGED_COMMANDS, RosSettings, parse_ros_settings
+from zensim.proto.topic_catalog import select_ros_topics
 from zensim.proto.verbosity import print_old_spelling, set_verbosity
 
 Choice = TypeVar("Choice", bound=str)
@@ -436,6 +438,22 @@ RosBridgeOption = Annotated[
     bool,
     flag("--ros-bridge", help="Also announce to zenoh-bridge-ros2dds.", rich_help_panel="ROS 2"),
 ]
+RosTopicsOption = Annotated[
+    str,
+    _ros(
+        metavar="NAMES",
+        help="Topics of robots in ROS 2, separated by commas, such as odom,tf,scan,cmd_vel; "
+        "'parameters' stands for the parameter services. Others stay on their Zenoh keys.",
+        show_default="all",
+    ),
+]
+RosBridgeCmdVelOption = Annotated[
+    str,
+    _ros(
+        metavar="twist|twist_stamped",
+        help="Type of cmd_vel that zenoh-bridge-ros2dds sees; it routes one type a topic.",
+    ),
+]
 TfScopeOption = Annotated[
     str,
     _ros(
@@ -474,15 +492,17 @@ class RosOptions:
     ros_domain: RosDomainOption = "0"
     ros_distro: RosDistroOption = "jazzy"
     ros_bridge: RosBridgeOption = False
+    ros_topics: RosTopicsOption = ""
 
     @property
     def ros(self) -> RosSettings:
         """Settings made from the options.
 
         Raises:
-            ValueError: See `parse_ros_settings`.
+            ValueError: See `parse_ros_settings` and `select_ros_topics`.
         """
-        return parse_ros_settings(self.ros_domain, self.ros_distro, is_bridged=self.ros_bridge)
+        settings = parse_ros_settings(self.ros_domain, self.ros_distro, is_bridged=self.ros_bridge)
+        return select_ros_topics(settings, self.ros_topics)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -491,10 +511,16 @@ class RosTfOptions(RosOptions):
 
     tf: TfScopeOption = "both"
     tf_root: TfRootOption = "world"
+    ros_bridge_cmd_vel: RosBridgeCmdVelOption = "twist"
 
     @property
     def ros(self) -> RosSettings:
         """See `RosOptions`."""
-        return parse_ros_settings(
+        settings = parse_ros_settings(
             self.ros_domain, self.ros_distro, self.tf, self.tf_root, is_bridged=self.ros_bridge
         )
+        command = parse_choice(
+            "--ros-bridge-cmd-vel", self.ros_bridge_cmd_vel, tuple(BRIDGED_COMMANDS)
+        )
+        settings = msgspec.structs.replace(settings, bridge_cmd_vel=command)
+        return select_ros_topics(settings, self.ros_topics)

@@ -41,6 +41,7 @@ from zensim.proto.messages.standard_messages import (
 from zensim.proto.messages.telemetry_messages import Event, Refusal, Snapshot, Stats, WorldClock
 from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_5, RELIABLE_10, Qos
 from zensim.proto.ros2.ros_graph import RosTopic
+from zensim.proto.ros2.ros_settings import PARAMETERS, RosSettings
 
 
 class TopicScope(Enum):
@@ -112,7 +113,7 @@ class TopicSpec(msgspec.Struct, frozen=True, eq=False, kw_only=True):
 
     def at(self, key: str) -> RosTopic:
         """Describe the ROS 2 endpoint at a key, which differs from `key()` if it is remapped."""
-        return RosTopic(key, self.messages[0], self.qos)
+        return RosTopic(key, self.messages[0], self.qos, self._ros_name)
 
     def root(self) -> RosTopic:
         """Describe the ROS 2 endpoint at the root.
@@ -122,7 +123,11 @@ class TopicSpec(msgspec.Struct, frozen=True, eq=False, kw_only=True):
         """
         if self.root_message is None:
             raise ValueError(f"topic '{self.name}' is not published at the root")
-        return RosTopic(self.suffix, self.root_message, self.qos)
+        return RosTopic(self.suffix, self.root_message, self.qos, self._ros_name)
+
+    @property
+    def _ros_name(self) -> str:
+        return self.name if self.scope is TopicScope.ROBOT else ""
 
 
 CLOCK = TopicSpec(
@@ -510,3 +515,24 @@ ROBOT_TOPICS = {topic.suffix: topic for topic in TOPICS.values() if topic.scope 
 def find_topic(name: str) -> TopicSpec:
     """Find a topic by its unique name."""
     return TOPICS[name]
+
+
+def select_ros_topics(settings: RosSettings, names: str) -> RosSettings:
+    """Choose the topics of robots that are in ROS 2, by their names, separated by commas.
+
+    `tf` includes `tf_static`, and an empty text is all topics.
+
+    Raises:
+        ValueError: There is no such topic.
+    """
+    chosen = tuple(dict.fromkeys(part.strip() for part in names.split(",") if part.strip()))
+    known = [topic.name for topic in ROBOT_TOPICS.values()]
+    for name in chosen:
+        if name not in known and name != PARAMETERS:
+            raise ValueError(
+                f"--ros-topics: {name[:40]!r} is no topic of a robot; "
+                f"use {', '.join(known)} or {PARAMETERS}"
+            )
+    if TF.name in chosen and TF_STATIC.name not in chosen:
+        chosen += (TF_STATIC.name,)
+    return msgspec.structs.replace(settings, topics=chosen)

@@ -212,7 +212,7 @@ class TopicFactory:
         """Declare a publisher of CDR messages."""
         encoding = topic.encoding
         publishers = [KeyPublisher(self._network.advertise(topic.key, encoding))]
-        if (node := self._node) is None:
+        if (node := self._node) is None or not self.settings.has_topic(topic.name):
             return TopicPublisher(publishers, ())
         key, endpoint = node.data_key(topic), node.add_topic_endpoint("MP", topic)
         publisher = self._network.advertise(key, encoding)
@@ -225,11 +225,20 @@ class TopicFactory:
         return TopicPublisher(publishers, [LatchedCache(queue, publishers[1], key, encoding)])
 
     def subscription(
-        self, key: str, kinds: Sequence[type[msgspec.Struct]], depth: int, max_bytes: int
+        self,
+        key: str,
+        kinds: Sequence[type[msgspec.Struct]],
+        depth: int,
+        max_bytes: int,
+        *,
+        name: str = "",
     ) -> TopicSubscription:
-        """Subscribe to a topic of any of these types; samples name theirs in the encoding."""
+        """Subscribe to a topic of any of these types; samples name theirs in the encoding.
+
+        See `RosTopic` for `name`.
+        """
         plain = self._network.subscribe(key, depth, max_bytes)
-        if (node := self._node) is None:
+        if (node := self._node) is None or not self.settings.has_topic(name):
             return TopicSubscription(plain, ())
         ros = []
         for kind in kinds:

@@ -6,22 +6,22 @@ from typing import Final
 import msgspec
 
 from zensim.proto.messages.agent_messages import Claim
-from zensim.proto.ros2.node_services import Parameter, ParameterContent
+from zensim.proto.ros2.node_services import NodeParameter, ParameterContent
 from zensim.robot_agent.robot_frames import get_drive
 
 OF_DESCRIPTION: Final = "it is read from the robot's description; spawn the robot again"
 
 
-def list_robot_parameters(claim: Claim) -> tuple[Parameter, ...]:
+def list_robot_parameters(claim: Claim) -> tuple[NodeParameter, ...]:
     """List the parameters: `entity`, `robot_description`, and `drive.*` with units in the names."""
     drive = msgspec.to_builtins(get_drive(claim.model)) if claim.model.drive else {}
     return (
-        Parameter("entity", claim.entity, "Name in the simulation.", OF_DESCRIPTION),
-        Parameter(
+        NodeParameter("entity", claim.entity, "Name in the simulation.", OF_DESCRIPTION),
+        NodeParameter(
             "robot_description", claim.robot_description, "URDF of the robot.", OF_DESCRIPTION
         ),
         *(
-            Parameter(name, value, reason=OF_DESCRIPTION)
+            NodeParameter(name, value, reason=OF_DESCRIPTION)
             for name, value in _flatten(drive, "drive")
         ),
     )

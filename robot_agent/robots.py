@@ -181,7 +181,7 @@ class DrivenRobot:
         if claim.model.drive is not None:
             key = find_topic_keys(claim, factory.settings).cmd_vel
             subscription = factory.subscription(
-                key, CMD_VEL.messages, CMD_VEL_DEPTH, MAX_COMMAND_BYTES
+                key, CMD_VEL.messages, CMD_VEL_DEPTH, MAX_COMMAND_BYTES, name=CMD_VEL.name
             )
             self.cmd_vel = CmdVelSubscriber(subscription, cmd_vel_timeout_ns)
 

@@ -24,7 +24,7 @@ from zensim.proto.bus import (
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.process_limits import limit_malloc_arenas
-from zensim.proto.ros2.node_services import Parameter, ParameterContent
+from zensim.proto.ros2.node_services import NodeParameter, ParameterContent
 from zensim.proto.service_catalog import INFO
 from zensim.sim_server.initial_world import load_initial_world, make_initial_world, make_parts
 from zensim.sim_server.journal.server_journal import open_journal
@@ -128,7 +128,7 @@ def _open_network(config: ServerConfig, cleanup: ExitStack) -> Bus:
     return bus
 
 
-def list_server_parameters(config: ServerConfig) -> tuple[Parameter, ...]:
+def list_server_parameters(config: ServerConfig) -> tuple[NodeParameter, ...]:
     """List the parameters of the server's ROS 2 node."""
     found: dict[str, ParameterContent] = {
         "world": config.world,
@@ -139,7 +139,7 @@ def list_server_parameters(config: ServerConfig) -> tuple[Parameter, ...]:
         "seed": config.seed,
     }
     return tuple(
-        Parameter(name, value, reason="it is an option of 'zensim serve'")
+        NodeParameter(name, value, reason="it is an option of 'zensim serve'")
         for name, value in found.items()
     )
 

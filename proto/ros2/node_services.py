@@ -1,5 +1,6 @@
 """Services that each ROS 2 node has: its parameters, and descriptions of the types it uses."""
 
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -43,7 +44,7 @@ FIELD_OF_TYPE: Final = {
 }
 
 
-class Parameter(msgspec.Struct, frozen=True):
+class NodeParameter(msgspec.Struct, frozen=True):
     """A parameter of a node; none can be changed by its services."""
 
     name: str
@@ -54,14 +55,14 @@ class Parameter(msgspec.Struct, frozen=True):
     """Why it cannot be set."""
 
 
-USE_SIM_TIME: Final = Parameter(
+USE_SIM_TIME: Final = NodeParameter(
     "use_sim_time",
     value=True,
     description="Stamps are simulation time, as on /clock.",
     reason="all stamps of a simulator are simulation time",
 )
 """Parameter of every node."""
-ListParameters: TypeAlias = Callable[[], Sequence[Parameter]]
+ListParameters: TypeAlias = Callable[[], Sequence[NodeParameter]]
 
 
 def find_parameter_type(content: ParameterContent) -> ParameterType:
@@ -133,11 +134,11 @@ class ParameterServer:
         return _refuse_changes(request, known)
 
 
-def _find_value(parameter: Parameter | None) -> ParameterValue:
+def _find_value(parameter: NodeParameter | None) -> ParameterValue:
     return ParameterValue() if parameter is None else make_parameter_value(parameter.value)
 
 
-def _describe(name: str, parameter: Parameter | None) -> ParameterDescriptor:
+def _describe(name: str, parameter: NodeParameter | None) -> ParameterDescriptor:
     if parameter is None:
         return ParameterDescriptor(name)
     return ParameterDescriptor(
@@ -149,7 +150,7 @@ def _describe(name: str, parameter: Parameter | None) -> ParameterDescriptor:
     )
 
 
-def _refuse_changes(request: msgspec.Struct, known: dict[str, Parameter]) -> msgspec.Struct:
+def _refuse_changes(request: msgspec.Struct, known: dict[str, NodeParameter]) -> msgspec.Struct:
     """Refuse to set parameters, unless to the values that they have."""
     if isinstance(request, messages.SetParametersRequest):
         results = tuple(_check_change(one, known) for one in request.parameters)
@@ -161,7 +162,7 @@ def _refuse_changes(request: msgspec.Struct, known: dict[str, Parameter]) -> msg
 
 
 def _check_change(
-    wanted: messages.NamedParameter, known: dict[str, Parameter]
+    wanted: messages.NamedParameter, known: dict[str, NodeParameter]
 ) -> SetParameterResult:
     parameter = known.get(wanted.name)
     if parameter is None:
@@ -274,7 +275,7 @@ class NodeServices:
             query.drop()
             return
         response = self._find_response(served, kinds, query)
-        attachment = answer_attachment(query.request_id)
+        attachment = answer_attachment(query.request_id, time.time_ns())
         query.reply(encode(response, Format.CDR), CDR_ENCODING, attachment=attachment)
 
     def _find_response(

@@ -1,7 +1,6 @@
 """The 33-byte attachment of rmw_zenoh: sequence number, source time, gid."""
 
 import struct
-import time
 from typing import Final
 
 import msgspec
@@ -38,13 +37,14 @@ def read_attachment(raw: bytes) -> Attachment | None:
     return Attachment(sequence_number, source_time_ns, gid)
 
 
-def answer_attachment(raw: bytes) -> bytes:
-    """Write the attachment of a response: that of its request with the time of now.
+def answer_attachment(raw: bytes, time_ns: int) -> bytes:
+    """Write the attachment of a response: that of its request with another time.
 
     Args:
         raw: Attachment of the request; the response has none if this is not of ROS 2.
+        time_ns: Unix time of the response.
     """
     request = read_attachment(raw)
     if request is None:
         return b""
-    return write_attachment(msgspec.structs.replace(request, source_time_ns=time.time_ns()))
+    return write_attachment(msgspec.structs.replace(request, source_time_ns=time_ns))

@@ -117,6 +117,8 @@ class RosTopic(msgspec.Struct, frozen=True):
     key: str
     kind: type[msgspec.Struct]
     qos: Qos = RELIABLE_10
+    name: str = ""
+    """In the topic catalog, for topics of robots; see `RosSettings.has_topic`."""
 
     @property
     def is_latched(self) -> bool:
@@ -160,8 +162,14 @@ class RosNode:
         """Announce a publisher or subscription of the node."""
         type_hash = self.graph.find_type_hash(topic)
         self.graph.kinds[type_hash] = topic.kind
+        is_hidden = kind == "MS" and self.graph.settings.hides_from_bridge(topic.ros_type)
         return self.add_endpoint(
-            kind, topic.key, topic.ros_type, type_hash=type_hash, qos=topic.qos
+            kind,
+            topic.key,
+            topic.ros_type,
+            type_hash=type_hash,
+            qos=topic.qos,
+            bridge_key=None if is_hidden else "",
         )
 
     def add_endpoint(

@@ -13,6 +13,13 @@ DISTRIBUTION_WITHOUT_HASHES: Final = "humble"
 DISTRIBUTIONS: Final = ("humble", "iron", "jazzy", "kilted", "lyrical", "rolling")
 
 
+BridgedCommand = Literal["twist", "twist_stamped"]
+BRIDGED_COMMANDS: Final[dict[BridgedCommand, str]] = {
+    "twist": "geometry_msgs/msg/Twist",
+    "twist_stamped": "geometry_msgs/msg/TwistStamped",
+}
+PARAMETERS: Final = "parameters"
+"""Stands for the parameter services among the names of topics."""
 SINCE_IRON: Final = {"sensor_msgs/msg/Range": 4}
 """Bytes of the last fields of messages that humble does not have: `variance`."""
 
@@ -30,8 +37,24 @@ class RosSettings(msgspec.Struct, frozen=True, kw_only=True):
     is_bridged: bool = False
     """Whether topics and services are announced to zenoh-bridge-ros2dds."""
 
-    has_node_services: bool = True
-    """Whether each node has the parameter services of ROS 2, seven tokens a node."""
+    topics: tuple[str, ...] = ()
+    """Topics of robots that are in ROS 2, by name, and `PARAMETERS`; empty = all."""
+    bridge_cmd_vel: BridgedCommand = "twist"
+    """Type of `cmd_vel` that bridges see: they route one type a topic name."""
+
+    @property
+    def has_node_services(self) -> bool:
+        """Whether each node has the parameter services of ROS 2, seven tokens a node."""
+        return self.has_topic(PARAMETERS)
+
+    def has_topic(self, name: str) -> bool:
+        """Whether a topic of robots is in ROS 2; all others have no name here, and are."""
+        return not (name and self.topics) or name in self.topics
+
+    def hides_from_bridge(self, ros_type: str) -> bool:
+        """Whether a subscription of this type is not announced to bridges."""
+        commands = BRIDGED_COMMANDS.values()
+        return ros_type in commands and ros_type != BRIDGED_COMMANDS[self.bridge_cmd_vel]
 
     def count_surplus_bytes(self, ros_type: str) -> int:
         """Count the bytes at the end of a message that the distribution does not know."""
@@ -79,6 +102,7 @@ def to_cli_arguments(settings: RosSettings) -> tuple[str, ...]:
         *("--ros-domain", domain),
         *(() if settings.has_hashes else ("--ros-distro", DISTRIBUTION_WITHOUT_HASHES)),
         *(("--ros-bridge",) if settings.is_bridged else ()),
+        *(("--ros-topics", ",".join(settings.topics)) if settings.topics else ()),
     )
 
 

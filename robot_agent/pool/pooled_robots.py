@@ -484,7 +484,9 @@ class PooledRobots:
         self._shared_static = SharedStaticTopic(self._make_static_factory)
         self._static_topics = StaticTopics(self._find_publisher, self._shared_static, self._ros)
         self._bumpers = PooledBumpers(self._find_publisher)
-        self._commands = FleetCmdVel(rx_session or network, timeout_ns, domain)
+        self._commands = FleetCmdVel(
+            rx_session or network, timeout_ns, domain if self._ros.has_topic(CMD_VEL.name) else None
+        )
         self._groups: dict[GroupKey, RobotGroup] = {}
         self._claims: bytes | None = None
         self._layout = PoolStateLayout((), ())
@@ -729,6 +731,8 @@ class PooledRobots:
     def _make_ros_publisher(self, topic: RosTopic) -> RosFleetPublisher | None:
         if self._graph is None or self._graph.domain is None:
             return None
+        if not self._ros.has_topic(topic.name):
+            return None
         return RosFleetPublisher(self._network, self._graph, topic)
 
     def _make_group_node(self) -> RosNode | None:
@@ -754,7 +758,7 @@ class PooledRobots:
     def _join_ros_graph(self, namespace: str, cmd_vel: str) -> RosNode | None:
         """Add a robot to the ROS 2 graph, as a node that subscribes to commands."""
         node = self._graph.add_node(namespace, NODE_NAME) if self._graph else None
-        if node is not None:
+        if node is not None and self._ros.has_topic(CMD_VEL.name):
             for kind in CMD_VEL.messages:
                 node.add_topic_endpoint("MS", RosTopic(cmd_vel, kind))
         return node

@@ -32,7 +32,7 @@ from zensim.proto.network_protocols import (
 )
 from zensim.proto.ros2 import action_messages as action
 from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_10
-from zensim.proto.ros2.node_services import NodeServices, Parameter
+from zensim.proto.ros2.node_services import NodeParameter, NodeServices
 from zensim.proto.ros2.rmw_attachment import Attachment, answer_attachment, read_attachment
 from zensim.proto.ros2.rmw_keys import ANY_HASH, NO_HASH, make_data_key
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic
@@ -291,7 +291,7 @@ class SimulateStepsAction:
         return encode(action.GoalStatusArray(statuses), Format.CDR)
 
     def _reply(self, query: Query, response: msgspec.Struct) -> None:
-        attachment = answer_attachment(query.request_id)
+        attachment = answer_attachment(query.request_id, time.time_ns())
         query.reply(encode(response, Format.CDR), CDR_ENCODING, attachment=attachment)
 
     def _forget_oldest(self) -> None:
@@ -344,7 +344,7 @@ class Ros2Call:
         """See `ServiceCall`; the attachment identifies the request for the ROS client."""
         del key
         response = self._form.encode_response(payload, encoding)
-        attachment = answer_attachment(self._call.request_id)
+        attachment = answer_attachment(self._call.request_id, time.time_ns())
         self._call.reply(response, CDR_ENCODING_NAME, attachment=attachment)
 
     def drop(self) -> None:
@@ -458,7 +458,7 @@ class PolledNodeServices:
 
 
 def start_server_node(
-    bus: ServerNetwork, settings: RosSettings, parameters: Sequence[Parameter] = ()
+    bus: ServerNetwork, settings: RosSettings, parameters: Sequence[NodeParameter] = ()
 ) -> ServerNode:
     """Declare the server's ROS 2 node as the settings say, or none.
 

@@ -140,7 +140,8 @@ class SensorTopics:
 
     def _make_publisher(self, pattern: str, topic: TopicSpec) -> FleetTopicPublisher:
         endpoint = topic.at(pattern)
-        has_ros = self._graph.domain is not None
+        settings = self._graph.settings
+        has_ros = settings.domain is not None and settings.has_topic(endpoint.name)
         ros = RosFleetPublisher(self._network, self._graph, endpoint) if has_ros else None
         return FleetTopicPublisher(self._network, pattern, endpoint.kind, ros, self.faults)
 
@@ -150,7 +151,11 @@ class SensorTopics:
         for address in [one for one in wanted if one not in self._subscriptions]:
             factory = TopicFactory(self._network, self._find_node(address), self._graph.settings)
             self._subscriptions[address] = factory.subscription(
-                address.key, address.topic.messages, SUBSCRIPTION_DEPTH, MAX_COMMAND_BYTES
+                address.key,
+                address.topic.messages,
+                SUBSCRIPTION_DEPTH,
+                MAX_COMMAND_BYTES,
+                name=address.topic.name,
             )
 
     def _find_node(self, address: SensorAddress) -> RosNode | None:

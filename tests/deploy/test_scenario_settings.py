@@ -116,6 +116,8 @@ SAMPLES = {
     "ros.bridge": "true",
     "ros.tf": "global",
     "ros.tf_root": "earth",
+    "ros.topics": "'odom,tf'",
+    "ros.bridge_cmd_vel": "twist_stamped",
     "viewer.show": "false",
     "viewer.port": "9000",
     "sensors.processes": "2",

@@ -39,6 +39,7 @@ CHANGED: dict[str, object] = {
     "ros_domain": "5",
     "ros_distro": "humble",
     "ros_bridge": True,
+    "ros_topics": "odom,tf",
 }
 PRINTED_ONLY = {"as_json", "announce"}
 

@@ -114,6 +114,10 @@ class RosSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     bridge: Annotated[bool, described("Keys of zenoh-bridge-ros2dds, too.")] = False
     tf: Annotated[str, described("Where transforms are published.")] = "both"
     tf_root: Annotated[str, described("Root frame of the transforms at the root.")] = "world"
+    topics: Annotated[str, described("Topics of robots in ROS 2, by commas; empty = all.")] = ""
+    bridge_cmd_vel: Annotated[
+        str, described("Type of cmd_vel that a bridge sees: twist, twist_stamped.")
+    ] = "twist"
 
 
 class ViewerSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -15,8 +15,8 @@ from zensim.proto.ros2.liveliness_tokens import parse_endpoint_token
 from zensim.proto.ros2.node_messages import NamedParameter, ParameterType, ParameterValue
 from zensim.proto.ros2.node_services import (
     ALL_SERVICES,
+    NodeParameter,
     NodeServices,
-    Parameter,
     ParameterContent,
     make_parameter_value,
 )
@@ -32,7 +32,7 @@ KINDS = [
     messages.ParameterDescriptor,
 ]
 ODOM = RosTopic("r1/odom", Odometry)
-WIDTH = Parameter("drive.width_m", 0.4, "Between wheels.", "it is welded")
+WIDTH = NodeParameter("drive.width_m", 0.4, "Between wheels.", "it is welded")
 Response = TypeVar("Response", bound=msgspec.Struct)
 ASKED = Attachment(7, 1, bytes(range(16)))
 

@@ -1,6 +1,7 @@
 import pytest
 
 from zensim.proto.ros2.ros_settings import RosSettings, parse_ros_settings, to_cli_arguments
+from zensim.proto.topic_catalog import select_ros_topics
 
 
 def test_settings_are_parsed_from_options() -> None:
@@ -34,6 +35,28 @@ def test_settings_refuse_unknown_values(
 ) -> None:
     with pytest.raises(ValueError, match=refused):
         parse_ros_settings(domain, distribution, tf, is_bridged=False)
+
+
+def test_topics_are_selected_by_name_and_tf_has_its_fixed_part() -> None:
+    selected = select_ros_topics(RosSettings(), "odom, tf,cmd_vel")
+
+    assert selected.topics == ("odom", "tf", "cmd_vel", "tf_static")
+    assert [selected.has_topic(name) for name in ("odom", "scan", "")] == [True, False, True]
+    assert not selected.has_node_services
+    assert to_cli_arguments(selected)[-2:] == ("--ros-topics", "odom,tf,cmd_vel,tf_static")
+
+
+def test_all_topics_are_the_default() -> None:
+    assert select_ros_topics(RosSettings(), "") == RosSettings()
+    assert RosSettings().has_topic("scan")
+    assert RosSettings().has_node_services
+    assert select_ros_topics(RosSettings(), "odom,parameters").has_node_services
+
+
+@pytest.mark.parametrize("names", ["laser", "odom,clock"])
+def test_topic_that_robots_do_not_have_is_refused(names: str) -> None:
+    with pytest.raises(ValueError, match=names.rsplit(",", maxsplit=1)[-1]):
+        select_ros_topics(RosSettings(), names)
 
 
 def test_root_frame_is_read() -> None:

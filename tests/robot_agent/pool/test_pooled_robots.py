@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from tests.fakes import MemoryBus
 from tests.proto.drives.robots_of_each_drive import DRIVES, robot_of
 from tests.robot_agent.models import DRIVE, two_wheeler
+from tests.robot_agent.pool.test_group_telemetry import a_state
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode
 from zensim.proto.keys import last_chunk
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
@@ -40,6 +41,10 @@ from zensim.proto.messages.standard_messages import (
     Vector3Stamped,
 )
 from zensim.proto.network_protocols import Sample
+from zensim.proto.ros2.liveliness_tokens import parse_endpoint_token
+from zensim.proto.ros2.ros_graph import RosGraph
+from zensim.proto.ros2.ros_settings import BridgedCommand, RosSettings
+from zensim.proto.topic_catalog import select_ros_topics
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 from zensim.robot_agent.robots import IndividualRobots
 
@@ -390,6 +395,45 @@ def test_pool_announces_again_after_the_last_unsubscribe() -> None:
         for _ in range(2):
             pool.reply_to_queries()
             pool.announce()
+
+
+@pytest.mark.parametrize("make", [PooledRobots, IndividualRobots])
+def test_robots_have_the_selected_topics_in_ros_and_all_on_plain_keys(
+    make: type[PooledRobots | IndividualRobots],
+) -> None:
+    bus = MemoryBus()
+    settings = select_ros_topics(RosSettings(), "odom,cmd_vel")
+    robots = make(bus, 0, RosGraph(bus, settings))
+    claims = [Claim(1, "r1", "r1", robot_of(DRIVES["diff"]), "<robot/>")]
+    robots.add_claims(claims)
+    robots.advance(a_state(claims, 1))
+    robots.publish()
+    bus.pumps.append(robots.reply_to_queries)
+    robots.reply_to_queries()
+
+    found = [parse_endpoint_token(token) for token in bus.list_tokens("@ros2_lv/**")]
+
+    endpoints = sorted((one.kind, one.key) for one in found if one is not None)
+    assert endpoints == [("MP", "r1/odom"), ("MS", "r1/cmd_vel"), ("MS", "r1/cmd_vel")]
+    assert {last_chunk(sample.key) for sample in bus.get("r1/*")} >= {"tf", "joint_states"}
+
+
+@pytest.mark.parametrize("make", [PooledRobots, IndividualRobots])
+@pytest.mark.parametrize(
+    ("chosen", "name"), [("twist", "Twist"), ("twist_stamped", "TwistStamped")]
+)
+def test_bridge_sees_one_type_of_commands(
+    make: type[PooledRobots | IndividualRobots], chosen: BridgedCommand, name: str
+) -> None:
+    bus = MemoryBus()
+    settings = RosSettings(is_bridged=True, bridge_cmd_vel=chosen)
+    robots = make(bus, 0, RosGraph(bus, settings))
+    robots.add_claims([Claim(1, "r1", "r1", robot_of(DRIVES["diff"]), "<robot/>")])
+
+    routes = [token.split("/")[3:6] for token in bus.list_tokens("@/*/@ros2_lv/MS/**")]
+
+    assert routes == [["MS", "r1§cmd_vel", f"geometry_msgs§msg§{name}"]]
+    assert len(bus.list_tokens("@ros2_lv/0/*/*/*/MS/**")) == 2
 
 
 def test_pool_undeclares_everything_without_robots() -> None:
