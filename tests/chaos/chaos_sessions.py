@@ -112,6 +112,8 @@ def _holding(server: Server, count: int) -> Iterator[tuple[int, str]]:
         yield int(admitted), refusal.strip()
     finally:
         end(process)
+        if process.stdin is not None:
+            process.stdin.close()
 
 
 def _count_failures(server: Server, name: str) -> int:
