@@ -260,6 +260,8 @@ class SleepingEngine(EngineLayer):
         super().__init__(engine)
         dt_s = config.step_ns * 1e-9
         self._sleeps_loose_only = engine.capabilities.sleeps == "loose"
+        self._candidates: set[int] = set()
+        """Bodies that may sleep."""
         self._is_idle = False
         """Whether all bodies sleep or never move: a step changes nothing."""
         self._reaches = ReachCache(config.mesh_folder)
@@ -290,10 +292,12 @@ class SleepingEngine(EngineLayer):
         body = self._inner.add(model, base)
         self._actuations[body] = actuation
         self._commands.forget(body)
-        is_check = self._steps % self._period_steps == 0
+        is_check = not self._steps % self._period_steps
         self._tracker.add(body, model, radius_m, self._steps, base if is_check else None)
         if self._sleeps_loose_only and not is_loose(model):
             self._tracker.keep_awake(body)
+        if self._tracker.state[body] == SleepState.AWAKE:
+            self._candidates.add(body)
         if self._tracker.state[body] == SleepState.FIXED:
             # Else the engine searches contacts with each sleeping body on it in each step.
             self._inner.sleep([body])
@@ -308,6 +312,7 @@ class SleepingEngine(EngineLayer):
             self._wake_near(body, self._inner.read([body]).base[0])
         self._inner.remove(body)
         self._tracker.remove(body)
+        self._candidates.discard(body)
         self._hidden.pop(body, None)
         self._deferred_loads = [load for load in self._deferred_loads if load.body != body]
         self._waking.discard(body)
@@ -420,7 +425,8 @@ class SleepingEngine(EngineLayer):
                 self._inner.apply_joint_effort(body, part, load)
             else:
                 self._inner.apply_link_wrench(body, part, load)
-        if self._steps % self._period_steps == 0 and is_valid and not self._is_idle:
+        is_check = self._steps % self._period_steps == 0
+        if is_check and self._candidates and is_valid and not self._is_idle:
             self._update_sleepers()
             moving = self._bodies_in(SleepState.AWAKE, SleepState.NEVER_SLEEPS)
             self._is_idle = bool(self._contacts) and not len(moving)

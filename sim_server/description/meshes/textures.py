@@ -28,6 +28,7 @@ MAX_SOURCE_PIXELS = 1 << 25
 IMAGE_FORMATS = ("PNG", "JPEG", TgaImagePlugin.TgaImageFile.format, "BMP")
 PLAIN_MODES = ("RGB", "RGBA")
 JPEG_QUALITY = 85
+PNG_LEVEL = 2
 OPAQUE = 255
 
 
@@ -100,7 +101,8 @@ def _encode(image: Image.Image) -> bytes:
     if image.mode == "RGB":
         image.save(stream, "JPEG", quality=JPEG_QUALITY)
     else:
-        image.save(stream, "PNG")
+        # A third of the time of the default level, for an eighth more bytes.
+        image.save(stream, "PNG", compress_level=PNG_LEVEL)
     return stream.getvalue()
 
 
