@@ -136,10 +136,11 @@ def limit_malloc_arenas() -> bool:
 
     By default glibc has eight for each core, and an arena keeps what other threads have freed.
     """
-    library = ctypes.CDLL(None)
-    if sys.platform != "linux" or not hasattr(library, "gnu_get_libc_version"):
+    if sys.platform != "linux":
         return False
-    return bool(library.mallopt(M_ARENA_MAX, MALLOC_ARENAS))
+    library = ctypes.CDLL(None)
+    has_arenas = hasattr(library, "gnu_get_libc_version")
+    return has_arenas and bool(library.mallopt(M_ARENA_MAX, MALLOC_ARENAS))
 
 
 def read_resident_bytes() -> int:
@@ -152,6 +153,8 @@ def read_resident_bytes() -> int:
 
 def trim_memory() -> bool:
     """Give free memory of malloc back to the system; return whether there was any."""
+    if sys.platform != "linux":
+        return False
     library = ctypes.CDLL(None)
     return hasattr(library, "malloc_trim") and bool(library.malloc_trim(0))
 
