@@ -189,7 +189,7 @@ def _revoke(found: Deployment, robots: int, *, is_short: bool) -> Iterator[Figur
         folder.add([User(user, "observer")])
         _wait_for_reply(found.bus)
         time.sleep(0.0 if is_short else SETTLED_S)
-        with open_bus(BusConfig(connect=(found.token(user),))) as guest:
+        with _open_when_admitted(found.token(user)) as guest:
             poll_until(lambda guest=guest: _is_answered(guest) or None)  # type: ignore[misc]
             with closing(found.bus.subscribe(ODOM.key("*"), 100_000)) as odometry:
                 began, began_s = found.client.info(), time.perf_counter()
@@ -235,6 +235,17 @@ def _revoke(found: Deployment, robots: int, *, is_short: bool) -> Iterator[Figur
         samples=tuple(factors),
         limit=Limit("min", ">=", 0.95, **timed),
     )
+
+
+def _open_when_admitted(address: str) -> Bus:
+    """Open a session of a user that is new: the router opens again meanwhile."""
+
+    def attempt() -> Bus | None:
+        with suppress(BusError):
+            return open_bus(BusConfig(connect=(address,)))
+        return None
+
+    return poll_until(attempt, BACK_S)
 
 
 def _is_answered(bus: Bus) -> bool:
