@@ -484,9 +484,8 @@ class PooledRobots:
         self._shared_static = SharedStaticTopic(self._make_static_factory)
         self._static_topics = StaticTopics(self._find_publisher, self._shared_static, self._ros)
         self._bumpers = PooledBumpers(self._find_publisher)
-        self._commands = FleetCmdVel(
-            rx_session or network, timeout_ns, domain if self._ros.has_topic(CMD_VEL.name) else None
-        )
+        commands_domain = domain if self._ros.has_topic(CMD_VEL.name) else None
+        self._commands = FleetCmdVel(rx_session or network, timeout_ns, commands_domain)
         self._groups: dict[GroupKey, RobotGroup] = {}
         self._claims: bytes | None = None
         self._layout = PoolStateLayout((), ())
