@@ -31,6 +31,9 @@ PARAMETERS_QOS: Final = Qos(depth=1000)
 """Profile `rmw_qos_profile_parameters`."""
 MAX_ANNOUNCED_AT_ONCE: Final = 2
 """Nodes whose services are announced in one call: 14 tokens, about a millisecond."""
+MAX_NODES_WITH_SERVICES: Final = 100
+"""Nodes that join a larger process are served, but not announced: seven tokens more for each of a
+thousand robots double the time in which others learn the graph."""
 NODE_QUERY_DEPTH: Final = 1024
 SEPARATOR: Final = "."
 ParameterContent: TypeAlias = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
@@ -246,6 +249,8 @@ class NodeServices:
 
     def poll(self) -> None:
         """Reply to all queued requests, and announce some nodes."""
+        if len(self._served) > MAX_NODES_WITH_SERVICES:
+            self._unannounced.clear()
         for _ in range(min(MAX_ANNOUNCED_AT_ONCE, len(self._unannounced))):
             announce_node_services(self._unannounced.popleft())
         for queue in self._list_queues():

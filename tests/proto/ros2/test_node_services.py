@@ -11,6 +11,7 @@ from tests.proto.ros_oracle import HUMBLE, ros_bytes
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.messages.standard_messages import Odometry
 from zensim.proto.ros2 import node_messages as messages
+from zensim.proto.ros2 import node_services
 from zensim.proto.ros2.liveliness_tokens import parse_endpoint_token
 from zensim.proto.ros2.node_messages import NamedParameter, ParameterType, ParameterValue
 from zensim.proto.ros2.node_services import (
@@ -244,6 +245,22 @@ def test_unknown_type_is_refused_with_a_reason(
     response = network.call(request, messages.GetTypeDescriptionResponse)
 
     assert (response.successful, bool(response.failure_reason)) == (False, True)
+
+
+def test_nodes_that_join_a_large_fleet_are_served_and_not_announced(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(node_services, "MAX_NODES_WITH_SERVICES", 2)
+    network = Network(pattern="**/agent")
+    for name in ("r2", "r3"):
+        network.services.add(network.graph.add_node(name, "agent"))
+
+    network.services.poll()
+
+    found = [parse_endpoint_token(token) for token in network.bus.list_tokens("@ros2_lv/**")]
+    assert {one.node for one in found if one and one.kind == "SS"} == {"/r1/agent"}
+    request = encode(messages.ListParametersRequest(), Format.CDR)
+    assert len(network.ask(request, "list_parameters", "/r3/agent")) == 1
 
 
 def test_humble_has_parameters_and_no_type_descriptions() -> None:
