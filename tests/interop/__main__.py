@@ -91,7 +91,7 @@ DOCUMENT = Document(
 )
 
 
-def test_planted_faults() -> int:
+def check_planted_faults() -> int:
     """Check that figures turn red; return the exit status of pytest."""
     command = (sys.executable, "-m", "pytest", "-q", "-m", "interop", "tests/interop")
     return subprocess.run(command, cwd=ROOT, check=False).returncode
@@ -109,7 +109,7 @@ def run() -> int:
     misses = [line for section in sections for line in section.missed]
     sys.stdout.write("".join(f"missed: {line}\n" for line in misses) or "all figures are met\n")
     is_whole = all(word.startswith("-") for word in sys.argv[1:])
-    return int(bool(misses)) or (test_planted_faults() if is_whole else 0)
+    return int(bool(misses)) or (check_planted_faults() if is_whole else 0)
 
 
 if __name__ == "__main__":

@@ -98,7 +98,7 @@ def _passes(tree: Path, tests: str) -> bool:
         "-p",
         "no:cacheprovider",
         "-m",
-        "not short_form and not browser and not root",
+        "not short_form and not browser and not root and not interop",
         tests,
     )
     try:
