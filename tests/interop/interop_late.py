@@ -16,7 +16,7 @@ from zensim.proto.topic_catalog import ROBOT_DESCRIPTION
 ROBOTS, ROBOTS_WHEN_SHORT = 150, 3
 DEPTH = 100
 DESCRIBED = 5
-WAIT_S, COMPLETE_S = 10.0, 2.0
+WAIT_S, COMPLETE_S, GET_S = 30.0, 2.0, 20.0
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
@@ -44,10 +44,11 @@ def _judge(router: str, network: Stage, names: list[str]) -> Iterator[Figure]:
     late_s = [ms * 1e-3 for ms, _ in received.values()] or [WAIT_S]
     messages = f"{router}: roots in {found['messages']} messages"
     yield all_of(messages, len(found["roots"]), len(names))
+    yield Figure(what=f"{router}: roots arrive", unit="s", samples=(found["roots_ms"] * 1e-3,))
     yield none_of(naming(f"{router}: descriptions that differ", different), len(different))
     yield at_most(f"{router}: descriptions arrive", late_s, COMPLETE_S, "s", is_timed=True)
 
 
 def _read_description(network: Stage, name: str) -> str:
-    (sample,) = network.server.bus.get(ROBOT_DESCRIPTION.key(name))
+    (sample,) = network.server.bus.get(ROBOT_DESCRIPTION.key(name), timeout_s=GET_S)
     return decode(String, sample.payload, sample.encoding).data
