@@ -38,7 +38,7 @@ class Sim(Simulation):
 
     @property
     def role(self) -> str:
-        """What this client may do; servers of this version permit everything: `full`."""
+        """What this client may do: `full`; the role of a secured server's user is not read."""
         return FULL_ROLE
 
     @property
