@@ -74,6 +74,19 @@ def test_remote_server(running: zensim.Sim) -> None:
     assert "full ['r1']" in run_script("A remote server", running.endpoint)
 
 
+def test_faults_and_events() -> None:
+    assert "Event(" in run_script("Faults and events")
+
+
+def test_program_beside_another_client(running: zensim.Sim) -> None:
+    robot = running.spawn("box_bot", name="r1")
+
+    run_script("Beside another client", running.endpoint)
+
+    assert running.time > 20.0
+    assert abs(robot.pose.x) > 0.5
+
+
 def test_own_robot(tmp_path: Path) -> None:
     model = text_of(ROOT / "sim_server" / "models" / "box_bot.urdf")
     head = f'<robot xmlns:xacro="{XACRO}"><xacro:arg name="arm" default="false"/>'
