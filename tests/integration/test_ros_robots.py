@@ -114,14 +114,17 @@ def test_messages_are_received(observe: CallObserver, topic: str) -> None:
     )
 
 
-def test_late_joiner_receives_the_static_transforms_of_all_robots(observe: CallObserver) -> None:
+def test_late_joiner_receives_the_static_transforms_of_all_robots(
+    observe: CallObserver, installation: Installation
+) -> None:
     given = {"kind": TF, "within_s": DISCOVERY_S, "qos": TRANSIENT_LOCAL}
 
-    shared = observe("receive", topic="/tf_static", count=2, **given)
+    count = 1 if installation.is_pooled else 2
+    shared = observe("receive", topic="/tf_static", count=count, **given)
     own = observe("receive", topic="/r2/tf_static", count=1, **given)
 
-    roots = {message["transforms"][0]["header"]["frame_id"] for message in shared}
-    assert roots == {"r1/base_footprint", "r2/base_footprint"}
+    parents = {edge["header"]["frame_id"] for one in shared for edge in one["transforms"]}
+    assert {"r1/base_footprint", "r2/base_footprint"} <= parents
     assert own[0]["transforms"][0]["header"]["frame_id"] == "base_footprint"
 
 
