@@ -9,6 +9,7 @@ import mmap
 import os
 import signal
 import socket
+import stat
 import sys
 import threading
 import time
@@ -170,7 +171,7 @@ def limit_unacknowledged_time(port: int, milliseconds: int) -> bool:
     if option is None or not descriptors.is_dir():
         return False
     found = False
-    for entry in descriptors.iterdir():
+    for entry in list(descriptors.iterdir()):
         if (listener := _open_listener(int(entry.name), port)) is not None:
             with listener:  # accepted connections inherit it
                 listener.setsockopt(socket.IPPROTO_TCP, option, milliseconds)
@@ -181,9 +182,12 @@ def limit_unacknowledged_time(port: int, milliseconds: int) -> bool:
 def _open_listener(descriptor: int, port: int) -> socket.socket | None:
     """Open a duplicate of a descriptor if it listens at a TCP port."""
     try:
-        opened = socket.socket(fileno=os.dup(descriptor))
+        if not stat.S_ISSOCK(os.fstat(descriptor).st_mode):
+            return None
+        duplicate = os.dup(descriptor)
     except OSError:
         return None
+    opened = socket.socket(fileno=duplicate)
     try:
         is_tcp = opened.family in {socket.AF_INET, socket.AF_INET6}
         is_listening = is_tcp and opened.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)

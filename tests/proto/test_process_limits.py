@@ -225,3 +225,12 @@ def test_accepted_connections_are_reset_when_their_peer_takes_no_data() -> None:
 
     assert (is_found, limit_ms) == (True, 1500)
     assert not limit_unacknowledged_time(port, 1500)
+
+
+def test_search_for_a_listener_leaves_no_open_files() -> None:
+    before = psutil.Process().num_fds()
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        assert limit_unacknowledged_time(listener.getsockname()[1], 1500)
+
+    assert psutil.Process().num_fds() == before
