@@ -195,7 +195,7 @@ def test_switch_shows_points_on_the_wall_until_switched_off(
 
     shown.switch(label)
     shown.wait_until_unsubscribed()
-    assert not len(shown.points_of(robot))
+    eventually(lambda: not len(shown.points_of(robot)), START_S, "points removed")
 
 
 @pytest.mark.parametrize(
