@@ -84,7 +84,8 @@ def test_program_beside_another_client(running: zensim.Sim) -> None:
     run_script("Beside another client", running.endpoint)
 
     assert running.time > 20.0
-    assert abs(robot.pose.x) > 0.5
+    # Where the robot ends depends on the clients; its wheels have turned for metres.
+    assert max(map(abs, robot.joints.position)) > 10.0
 
 
 def test_own_robot(tmp_path: Path) -> None:
