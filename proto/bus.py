@@ -616,6 +616,21 @@ class Bus:
         )
         return [to_sample(reply.ok) for reply in replies if reply.ok]
 
+    def get_all(self, key: str, timeout_s: float = 1.0) -> list[Sample]:
+        """Query every queryable of a key expression, and collect all replies on any key.
+
+        A late subscriber of ROS 2 queries the caches of latched publishers so.
+        """
+        replies = self._session.get(
+            _to_key_expression(key),
+            FifoChannel(MAX_REPLIES),
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            accept_replies=zenoh.ReplyKeyExpr.ANY,
+            timeout=timeout_s,
+        )
+        return [to_sample(reply.ok) for reply in replies if reply.ok]
+
     def call(
         self,
         service: Service[Request, Response],

@@ -1,19 +1,23 @@
-"""`zensim doctor`: check endpoint, session, server, version, time, robots and sensors, in order."""
+"""`zensim doctor`: check endpoint, session, server, robots, and what ROS 2 stacks ask of one."""
 
 import re
 import socket
 from collections.abc import Iterator
 from importlib.metadata import version
-from typing import Annotated, Literal
+from typing import Annotated
 
-import msgspec
 import typer
-from rich.table import Table
-from rich.text import Text
 
 from zensim.proto import keys, service_catalog
 from zensim.proto.bus import Bus, BusConfig, BusError, JoinRefused, NoServer, open_bus
-from zensim.proto.cli_options import ConnectionOptions, JsonOption, expand_options, flag, make_app
+from zensim.proto.cli_options import (
+    ConnectionOptions,
+    JsonOption,
+    RosDomainOption,
+    expand_options,
+    flag,
+    make_app,
+)
 from zensim.proto.endpoints import (
     DEFAULT_ENDPOINT,
     ENDPOINT_PATTERN,
@@ -30,30 +34,21 @@ from zensim.proto.messages.telemetry_messages import (
     InfoRequest,
 )
 from zensim.proto.names import check_name
+from zensim.proto.ros2.rmw_keys import parse_domain
 from zensim.proto.sensor_libraries import find_advice, find_missing_libraries
-from zensim.spawner.cli.command_session import data_console, print_json
+from zensim.spawner.cli.command_session import complete_robots, data_console, print_json
+from zensim.spawner.cli.findings import Finding, choose_exit_status, make_findings_table
+from zensim.spawner.cli.ros_observation import observe_robot
+from zensim.spawner.cli.ros_requirements import RosStack, check_stack
 from zensim.spawner.cli.sensor_commands import (
     count_sensors_of_processes,
     fetch_sensor_stats,
 )
 
-FindingMark = Literal["ok", "note", "wrong"]
 CONNECT_TIMEOUT_S = 2.0
 REPLY_TIMEOUT_S = 1.0
 """Shorter than the Zenoh lease, so that a suspended server still counts as alive."""
 MAX_NAMES_SHOWN = 5
-
-
-class Finding(msgspec.Struct, frozen=True):
-    """Result of one check."""
-
-    mark: FindingMark
-    what: str
-    """Subject of the check."""
-    found: str
-    advice: str = ""
-    status: ExitCode = ExitCode.OK
-    """Exit status of the command if this finding is wrong."""
 
 
 def diagnose(endpoint: str, world: str, version: str) -> Iterator[Finding]:
@@ -82,11 +77,6 @@ def diagnose(endpoint: str, world: str, version: str) -> Iterator[Finding]:
     with bus:
         yield Finding("ok", "session", f"connected to the Zenoh network at {endpoint}")
         yield from _check_server(bus, world, version)
-
-
-def choose_exit_status(findings: list[Finding]) -> ExitCode:
-    """Choose the exit status: that of the first wrong finding."""
-    return next((one.status for one in findings if one.mark == "wrong"), ExitCode.OK)
 
 
 def _check_listener(endpoint: str) -> Finding:
@@ -253,15 +243,53 @@ def _check_own_libraries() -> Iterator[Finding]:
         yield Finding("note", "libraries", what, find_advice(library))
 
 
-MARK_STYLES: dict[FindingMark, str] = {"ok": "green", "note": "yellow", "wrong": "bold red"}
+def diagnose_robot(
+    endpoint: str, world: str, robot: str, stack: RosStack, domain: int
+) -> Iterator[Finding]:
+    """Check what a ROS 2 stack asks of a robot; the server must be reachable.
+
+    Args:
+        endpoint: Of the router or server.
+        world: Name on the network.
+        robot: Name or namespace.
+        stack: Whose needs are checked.
+        domain: ROS domain id.
+    """
+    with open_bus(BusConfig(connect=(endpoint,), open_timeout_s=CONNECT_TIMEOUT_S)) as bus:
+        models = bus.call(service_catalog.GET_MODELS, GetModelsRequest(), world=world)
+        entity = next(
+            (one for one in models.entities if robot in (one.entity, one.namespace)), None
+        )
+        if entity is None:
+            named = ", ".join(one.entity for one in models.entities[:MAX_NAMES_SHOWN]) or "none"
+            found = f"no robot '{robot}'; the world has {named}"
+            yield Finding("wrong", "robot", found, "'zensim list' lists all", ExitCode.NOT_FOUND)
+            return
+        yield from check_stack(observe_robot(bus, domain, entity, models), stack)
+
 
 app = make_app()
 
 
-@app.command()
+@app.command(
+    epilog="""Examples:
+  zensim doctor
+  zensim doctor --ros nav2 box_bot0"""
+)
 @expand_options
 def doctor(
+    robot: Annotated[
+        str,
+        typer.Argument(
+            metavar="ROBOT", help="Robot to check for --ros.", autocompletion=complete_robots
+        ),
+    ] = "",
     *,
+    ros: Annotated[
+        RosStack | None,
+        typer.Option("--ros", help="Check what a ROS 2 stack asks of the topics of ROBOT."),
+    ] = None,
+    ros_domain: RosDomainOption = "0",
     as_json: JsonOption = False,
     quiet: Annotated[bool, flag("--quiet", "-q", help="Print only what is wrong.")] = False,
     server: ConnectionOptions,
@@ -269,20 +297,25 @@ def doctor(
     """Diagnose problems: check endpoint, session, server, version, time, robots and sensors."""
     with exit_on_failure("doctor"):
         check_name(server.world_name, "world name")
+        domain = _check_arguments(robot, ros, ros_domain)
         endpoint = server.connect or DEFAULT_ENDPOINT
         findings = list(diagnose(endpoint, server.world_name, version("zensim")))
+        if ros is not None and choose_exit_status(findings) is ExitCode.OK:
+            findings += diagnose_robot(endpoint, server.world_name, robot, ros, domain)
     shown = [one for one in findings if one.mark == "wrong"] if quiet else findings
     if as_json:
         print_json(shown)
     elif shown:
-        data_console.print(_make_table(shown))
+        data_console.print(make_findings_table(shown))
     if (status := choose_exit_status(findings)) is not ExitCode.OK:
         raise typer.Exit(int(status))
 
 
-def _make_table(findings: list[Finding]) -> Table:
-    table = Table(box=None, show_header=False)
-    for one in findings:
-        advice = f"\n{one.advice}" if one.advice else ""
-        table.add_row(Text(one.mark, MARK_STYLES[one.mark]), one.what, f"{one.found}{advice}")
-    return table
+def _check_arguments(robot: str, stack: RosStack | None, domain: str) -> int:
+    """Return the ROS domain id; 0 if no stack is checked."""
+    if bool(robot) != (stack is not None):
+        raise ValueError("a robot is checked for one stack: use --ros nav2 ROBOT, or neither")
+    number = parse_domain(domain) if stack is not None else 0
+    if number is None:
+        raise ValueError("--ros-domain off has no ROS 2 topics to check; use 0 to 232")
+    return number

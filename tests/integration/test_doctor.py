@@ -14,11 +14,12 @@ from tests.integration.processes import (
     free_endpoint,
     kill,
     running,
+    running_agents,
     serving,
     without_libraries,
     zensim,
 )
-from tests.integration.sensor_runs import read_sensor_rows
+from tests.integration.sensor_runs import read_sensor_rows, running_sensors
 from zensim.proto.exit_codes import ExitCode
 
 DENY_QUERIES = {
@@ -134,3 +135,37 @@ def test_doctor_names_the_libraries_that_sensors_lack(tmp_path: Path) -> None:
     assert "sensor.no_renderer: " in report.stdout
     assert row["fault"].startswith("sensor.no_renderer: ")
     assert row["process"] == ""
+
+
+def rows_of_stack(server: Server, stack: str) -> set[str]:
+    """Check a robot for a stack; none while anything is wrong, else the rows that are right."""
+    status, found = run_doctor(server.endpoint, "--ros", stack, "r1")
+    right = {one["what"] for one in found if one["mark"] == "ok"}
+    return right if status is ExitCode.OK else set()
+
+
+def test_doctor_checks_what_ros_stacks_ask_of_a_robot_with_a_lidar() -> None:
+    with serving("--ros-domain", "0") as server:
+        server.zensim("spawn", "box_bot_lidar", "--name", "r1")
+        status, found = run_doctor(server.endpoint, "--ros", "nav2", "r1")
+        assert (status, found[-1]["what"]) == (ExitCode.FAILED, "ROS 2")
+
+        with running_agents(server, "r1"), running_sensors(server, "s1"):
+            nav2, slam, rviz = (
+                eventually(lambda stack=stack: rows_of_stack(server, stack), 60.0, stack)  # type: ignore[misc]
+                for stack in ("nav2", "slam", "rviz")
+            )
+            assert nav2 >= {"odometry", "covariances", "odom tf", "base frame", "cmd_vel"}
+            assert slam >= {"clock", "scan", "scan angles", "scan frame", "scan stamps"}
+            assert rviz >= {"description", "link frames", "fixed frame", "meshes"}
+
+            status, found = run_doctor(server.endpoint, "--ros", "nav2", "r2")
+            assert (status, found[-1]["what"]) == (ExitCode.NOT_FOUND, "robot")
+
+
+def test_doctor_refuses_a_stack_without_a_robot() -> None:
+    assert zensim("doctor", "--ros", "nav2").returncode == ExitCode.USAGE
+    assert zensim("doctor", "r1").returncode == ExitCode.USAGE
+    assert zensim("doctor", "--ros", "rviz", "r1", "--ros-domain", "off").returncode == (
+        ExitCode.USAGE
+    )
