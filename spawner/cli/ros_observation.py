@@ -7,7 +7,7 @@ from contextlib import ExitStack, closing, suppress
 
 import msgspec
 
-from zensim.proto.bus import Bus
+from zensim.proto.bus import Bus, BusSubscription
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.standard_messages import (
     Clock,
@@ -31,7 +31,13 @@ from zensim.spawner.spawn.description_xml import DescriptionError, parse_descrip
 from zensim.spawner.spawn.search_paths import FILE_SCHEME, PACKAGE_SCHEMES, collect_search_paths
 
 SHARED_TOPICS = (CLOCK.suffix, TF.suffix, TF_STATIC.suffix)
-ROS_KINDS = {kind.ros_type: kind for kind in (Clock, LaserScan, Odometry, String, TFMessage)}
+ROS_KINDS: dict[str, type[msgspec.Struct]] = {
+    Clock.ros_type: Clock,
+    LaserScan.ros_type: LaserScan,
+    Odometry.ros_type: Odometry,
+    String.ros_type: String,
+    TFMessage.ros_type: TFMessage,
+}
 """Types that the checks read."""
 MIN_OBSERVED_S, MAX_OBSERVED_S = 1.0, 5.0
 """Of wall time; the longer one while a topic has too few messages."""
@@ -109,7 +115,7 @@ def _receive_messages(
 ) -> dict[str, list[msgspec.Struct]]:
     received: dict[str, list[msgspec.Struct]] = {}
     with ExitStack() as stack:
-        subscriptions = {}
+        subscriptions: dict[str, tuple[str, BusSubscription]] = {}
         for one in endpoints:
             if one.kind != PUBLISHER or one.ros_type not in ROS_KINDS or one.key in received:
                 continue

@@ -3,7 +3,7 @@
 Sources: parameters and subscriptions of navigation2, slam_toolbox, robot_localization and rviz2.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import chain
@@ -447,9 +447,7 @@ def _index_parents(topics: RobotTopics, *suffixes: str) -> dict[str, str]:
     return _index_edges(edges)
 
 
-def _index_edges(
-    edges: "Iterator[TransformStamped] | tuple[TransformStamped, ...]",
-) -> dict[str, str]:
+def _index_edges(edges: Iterable[TransformStamped]) -> dict[str, str]:
     return {one.child_frame_id: one.header.frame_id for one in edges}
 
 
