@@ -5,7 +5,7 @@ Sources: parameters and subscriptions of navigation2, slam_toolbox, robot_locali
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
+from enum import Enum
 from itertools import chain
 from typing import Final, TypeAlias, TypeVar
 
@@ -45,7 +45,7 @@ TF_BUFFER_NS: Final = 10 * NANOSECONDS
 MAX_NAMES_SHOWN: Final = 5
 
 
-class RosStack(StrEnum):
+class RosStack(str, Enum):
     """Software whose needs are checked."""
 
     NAV2 = "nav2"
