@@ -7,7 +7,6 @@ server extra.
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 from contextlib import ExitStack
@@ -25,7 +24,6 @@ from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.drives.array_math import ARRAY_MATH
 from zensim.proto.exit_codes import format_failure, list_expected_failures
 from zensim.proto.messages.agent_messages import DriveCommand
-from zensim.proto.messages.drive_messages import SteeringDrive
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.proto.process_limits import die_with_parent
@@ -67,7 +65,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from zensim.proto.drives.measured_joints import PlanarTwist
-    from zensim.proto.messages.drive_messages import Drive
     from zensim.proto.messages.model_messages import Model, ReportEntry, Vec3
     from zensim.sim_server.parser_process.description_cache import ParseKey
     from zensim.sim_server.parser_process.parser_protocol import ParseRequest, ParseResult
@@ -81,8 +78,6 @@ REST_S = 1.0
 """Counted at the end of settling."""
 COUNTED_S = 2.0
 """Counted at the end of each drive."""
-STEERING_RAD = 0.3
-"""Of steered wheels in a turn."""
 REMARK_SUBJECTS = ("driv", "controller ")
 """How subjects of report entries begin that explain how a robot drives."""
 REMARK_STATUSES = ("suspicious", "predicted")
@@ -133,7 +128,7 @@ def _run(request: TrialRequest, cleanup: ExitStack) -> TrialResult:
         friction = GroundFriction(model, store.vertices)
         straight = trial.drive(DRIVE_S, STRAIGHT)
         trial.drive(STOP_S, STRAIGHT, share=0.0)
-        command = choose_turn(model.drive)
+        command = turn_command(model.drive)
         turn = trial.drive(DRIVE_S, command)
         result = msgspec.structs.replace(
             result,
@@ -286,14 +281,6 @@ class LockstepTrial:
                 self._world.command(
                     agent, DriveCommand(state.epoch, state.step, state.claims, targets)
                 )
-
-
-def choose_turn(drive: Drive) -> PlanarTwist[float]:
-    """Choose a command that turns a robot: on the spot, or along an arc if its wheels steer."""
-    if isinstance(drive, SteeringDrive):
-        speed = STRAIGHT[0]
-        return speed, 0.0, speed * math.tan(STEERING_RAD) / abs(drive.wheelbase_m)
-    return turn_command(drive)
 
 
 def _describe(robot: RobotCheck, model: Model, report: Sequence[ReportEntry]) -> TrialResult:

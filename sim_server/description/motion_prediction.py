@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 STRAIGHT: PlanarTwist[float] = (0.2, 0.0, 0.0)
 TURN: PlanarTwist[float] = (0.0, 0.0, 0.5)
 """Nominal commands [m/s, m/s, rad/s]."""
-STEERED_TURN: PlanarTwist[float] = (0.2, 0.0, 0.3)
-"""Of drives that cannot turn on the spot: a steering angle [rad], or a turn rate."""
+STEERING_RAD = 0.3
+"""Of steered wheels in a nominal turn, at the speed of `STRAIGHT`."""
 SETTLED_S = 1e3
 """Time after which limits of acceleration have no effect."""
 
@@ -57,9 +57,15 @@ class PredictedMotion:
 
 
 def turn_command(drive: Drive) -> PlanarTwist[float]:
-    """Choose the nominal command that turns a robot with this drive."""
-    is_steered = isinstance(drive, AckermannDrive | TricycleDrive | SteeringDrive)
-    return STEERED_TURN if is_steered else TURN
+    """Choose the nominal command that turns a robot: on the spot, or an arc if its wheels steer."""
+    speed = STRAIGHT[0]
+    match drive:
+        case AckermannDrive() | TricycleDrive():
+            return speed, 0.0, STEERING_RAD
+        case SteeringDrive():
+            return speed, 0.0, speed * math.tan(STEERING_RAD) / abs(drive.wheelbase_m)
+        case _:
+            return TURN
 
 
 def predict_motion(

@@ -923,6 +923,10 @@ MAX_VISUAL_TRIANGLES = 20_000
 """1 MB, which is sent in one message."""
 MAX_EXACT_HULL_POINTS = 128
 """With more points, the hull is that of extreme points."""
+RIM_POINTS = 32
+"""Of the rim of a wheel; even."""
+ROUND_SHARE = 0.96
+"""Least width over the largest of a round outline; a regular polygon of 12 sides has 0.966."""
 POINTS_PER_CHUNK = 1 << 11
 """Points whose products fit into the processor's cache."""
 FLAT_RATIO = 1e-4
@@ -1206,15 +1210,49 @@ def _make_hull(points: Points) -> Triangles:
 
 
 def _select_extreme_points(points: Points, count: int) -> Points:
-    """Select the farthest points in directions on a Fibonacci sphere."""
+    """Select the farthest points in directions on a Fibonacci sphere, and the rim of a wheel."""
+    rim = _find_round_rim(points)
+    directions = _make_directions(count - len(rim))
+    even = (points / np.maximum(np.ptp(points, axis=0), 1e-9)).astype(np.float32).T.copy()
+    chosen = _find_farthest(even, directions.astype(np.float32))
+    found: Points = points[np.unique(np.concatenate([chosen, rim]))]
+    return found
+
+
+def _make_directions(count: int) -> Points:
+    """Make directions (count, 3) on a Fibonacci sphere."""
     turns = np.arange(count) * np.pi * (3.0 - np.sqrt(5.0))
     z = 1.0 - 2.0 * (np.arange(count) + 0.5) / count
     ring = np.sqrt(1.0 - z * z)
-    directions = np.stack([ring * np.cos(turns), ring * np.sin(turns), z], axis=1)
-    even = (points / np.maximum(np.ptp(points, axis=0), 1e-9)).astype(np.float32).T.copy()
-    chosen = _find_farthest(even, directions.astype(np.float32))
-    found: Points = points[np.unique(chosen)]
-    return found
+    directions: Points = np.stack([ring * np.cos(turns), ring * np.sin(turns), z], axis=1)
+    return directions
+
+
+def _find_round_rim(points: Points) -> NDArray[np.int64]:
+    """Find the farthest points in the plane in which a wheel is round; none of other shapes.
+
+    A curved tread has too few of the points that are farthest in even directions.
+    """
+    rims = [rim for axis in range(3) if len(rim := _find_rim(points, axis))]
+    # A ball is round about each axis.
+    return rims[0] if len(rims) == 1 else np.zeros(0, np.int64)
+
+
+def _find_rim(points: Points, axis: int) -> NDArray[np.int64]:
+    """Find the farthest points about a coordinate axis; none if the outline is not round."""
+    across = [one for one in range(3) if one != axis]
+    least, most = sorted(np.ptp(points[:, across], axis=0).tolist())
+    if least >= ROUND_SHARE * most:
+        turns = np.arange(RIM_POINTS) * (2.0 * np.pi / RIM_POINTS)
+        directions = np.zeros((RIM_POINTS, 3))
+        directions[:, across] = np.stack([np.cos(turns), np.sin(turns)], axis=1)
+        even = ((points - points.mean(axis=0)) / max(most, 1e-9)).astype(np.float32).T.copy()
+        rim = _find_farthest(even, directions.astype(np.float32))
+        reach = (points[rim] * directions).sum(axis=1)
+        widths = reach + np.roll(reach, RIM_POINTS // 2)
+        if widths.min() >= ROUND_SHARE * widths.max():
+            return rim
+    return np.zeros(0, np.int64)
 
 
 def _find_farthest(

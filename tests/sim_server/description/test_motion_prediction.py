@@ -1,5 +1,7 @@
 """Predicted motions of each ordered drive: on level ground they are as commanded."""
 
+import math
+
 import pytest
 
 from tests.sim_server.description.plugins.driven_robots import (
@@ -18,7 +20,10 @@ from tests.sim_server.description.robots import (
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.drive_messages import SteeringDrive
 from zensim.sim_server.description.ground_friction import GroundFriction
-from zensim.sim_server.description.motion_prediction import predict_motion
+from zensim.sim_server.description.motion_prediction import (
+    predict_motion,
+    predict_nominal_motions,
+)
 
 STRAIGHT, TURN, ARC = (0.2, 0.0, 0.0), (0.0, 0.0, 0.5), (0.2, 0.0, 0.2)
 
@@ -75,3 +80,20 @@ def test_robot_that_drags_as_much_as_it_drives_is_not_predicted() -> None:
     model = read_driven(stiff, order=parse_drive_order(order))
 
     assert mentions(model.report, "predicted", "driving", "not predicted")
+
+
+def a_narrow_car(limit: float) -> str:
+    """Make a car whose steering joints turn by up to a limit [rad]."""
+    return a_car().replace('lower="-0.7" upper="0.7"', f'lower="{-limit}" upper="{limit}"')
+
+
+def test_turn_of_a_car_is_predicted_within_what_its_steering_joints_allow() -> None:
+    """0.3 rad of steering: a turn rate of 0.3 rad/s took 0.73 rad of a wheelbase of 0.6 m."""
+    _, order = ORDERED_ROBOTS["car"]
+    model = read_driven(a_narrow_car(0.5), order=parse_drive_order(order))
+
+    _, turn = predict_nominal_motions(model)
+
+    assert turn.command == pytest.approx((0.2, 0.0, 0.2 * math.tan(0.3) / 0.6))
+    assert turn.twist[2] == pytest.approx(turn.command[2], rel=0.01)
+    assert not mentions(model.report, "predicted", "driving", "turns")

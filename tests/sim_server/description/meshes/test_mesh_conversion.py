@@ -11,7 +11,15 @@ import trimesh
 from PIL import Image
 
 from tests.sim_server.description.meshes.test_textures import an_image
-from zensim.proto.messages.model_messages import Inertial, Link, Model, Shape, Texture
+from zensim.proto.messages.model_messages import (
+    Inertial,
+    Joint,
+    Link,
+    Model,
+    Origin,
+    Shape,
+    Texture,
+)
 from zensim.proto.stl import read_corners
 from zensim.sim_server.description.meshes import mesh_conversion
 from zensim.sim_server.description.meshes.mesh_conversion import (
@@ -31,6 +39,7 @@ from zensim.sim_server.description.meshes.mesh_conversion import (
     write_stl,
 )
 from zensim.sim_server.description.meshes.textures import WHITE, reduce_image
+from zensim.sim_server.description.model_geometry import find_wheel_sphere
 from zensim.sim_server.errors import ModelError
 
 BLUE = (0.0, 0.0, 1.0, 1.0)
@@ -135,6 +144,27 @@ def test_convex_hull_has_few_corners_when_the_mesh_has_many() -> None:
 
     assert len(hull.vertices) <= MAX_HULL_CORNERS
     assert trimesh.Trimesh(hull.vertices, hull.faces).volume == pytest.approx(ball.volume, rel=0.12)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("width", [0.2, 0.5, 1.0])
+def test_convex_hull_of_a_tyre_with_a_curved_tread_is_a_round_wheel(
+    axis: int, width: float
+) -> None:
+    tyre = trimesh.creation.torus(0.6, 0.4, major_sections=96, minor_sections=48)
+    points = np.roll(np.asarray(tyre.vertices) * [1.0, 1.0, width], axis + 1, axis=1)
+    hull = convex_hull(Triangles(points + np.array([0.1, 0.2, 0.3]), np.asarray(tyre.faces)))
+    joint = Joint("axle", "continuous", "base", "tyre", axis=tuple(np.eye(3)[axis].tolist()))
+
+    sphere = find_wheel_sphere(
+        Shape("mesh", (1.0, 1.0, 1.0), Origin((-0.1, -0.2, -0.3)), mesh="tyre"),
+        joint,
+        lambda _: hull.vertices.astype(np.float32),
+    )
+
+    assert len(hull.vertices) <= MAX_HULL_CORNERS
+    assert sphere is not None
+    assert sphere.size[0] == pytest.approx(1.0, rel=1e-3)
 
 
 @pytest.mark.parametrize("corner", [(0.0, 1.0, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
