@@ -21,7 +21,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 STAMP := .venv/.setup-done
 
 .PHONY: help setup demo test browser short lint fmt types imports schemas docs site bench house chaos fuzz mutants pins \
-	interop interop-short ci clean packages
+	interop interop-short interpreters ci clean packages
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 18
@@ -119,6 +119,9 @@ interop: setup ## ROS 2 peers that share no code with zensim, and rewrite docs/i
 
 interop-short: setup ## a minute of them, and 15 more for the first build
 	$(BIN)/python -m tests.interop --short
+
+interpreters: ## install and drive with each Python from 3.10 to 3.14 that is here; CI: the newest
+	sh .ci/interpreters
 
 mutants: setup packages ## change the code in 100 places, and print the changes that no test notices
 	$(BIN)/python -m tests.mutation
