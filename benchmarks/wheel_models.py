@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.model_messages import Model
+from zensim.sim_server.description.motion_prediction import turn_command
 from zensim.sim_server.description.pipeline import parse_description
 
 Point = tuple[float, float, float]
@@ -13,8 +14,8 @@ ORIGIN: Point = (0.0, 0.0, 0.0)
 LEVEL_RPY: Point = (math.pi / 2.0, 0.0, 0.0)
 """Of a cylinder whose axis is y."""
 CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
-STRAIGHT, TURN, STEER = (0.2, 0.0), (0.0, 0.5), (0.2, 0.3)
-"""Commands: vx [m/s] and wz [rad/s]; of steered drives, rim speed and angle [rad]."""
+STRAIGHT = (0.2, 0.0)
+"""First command: vx [m/s] and wz [rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +36,21 @@ class WheelRobot:
     Attributes:
         name: Unique.
         urdf: Description.
-        turn: Second command.
         order: Drive of the spawn request.
     """
 
     name: str
     urdf: str
-    turn: tuple[float, float] = TURN
     order: DriveOrder = field(default_factory=DriveOrder)
+
+    @property
+    def turn(self) -> tuple[float, float]:
+        """Second command: vx [m/s] and wz [rad/s], or an angle [rad] of steered drives."""
+        drive = self.model().drive
+        if drive is None:
+            raise ValueError(f"robot '{self.name}' has no drive")
+        speed, _, rate = turn_command(drive)
+        return speed, rate
 
     def model(self) -> Model:
         """Read the description."""
@@ -515,7 +523,7 @@ def a_car(name: str, chassis: Chassis, wheelbase: float) -> WheelRobot:
         tags += f"<{side}_steering_joint>{side}_steering_joint</{side}_steering_joint>"
     tags += "<max_steer>0.6</max_steer><max_speed>5</max_speed><update_rate>0</update_rate>"
     urdf.plugin("libgazebo_ros_ackermann_drive.so", tags)
-    return WheelRobot(name, urdf.text(), turn=STEER)
+    return WheelRobot(name, urdf.text())
 
 
 def a_tricycle(name: str, chassis: Chassis, wheelbase: float) -> WheelRobot:
@@ -544,7 +552,7 @@ def a_tricycle(name: str, chassis: Chassis, wheelbase: float) -> WheelRobot:
         f"<max_wheel_torque>{torque!r}</max_wheel_torque><update_rate>0</update_rate>"
     )
     urdf.plugin("libgazebo_ros_tricycle_drive.so", tags)
-    return WheelRobot(name, urdf.text(), turn=STEER)
+    return WheelRobot(name, urdf.text())
 
 
 def a_mover(name: str, chassis: Chassis, *, has_wheels: bool) -> WheelRobot:
