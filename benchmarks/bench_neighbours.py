@@ -153,18 +153,8 @@ def measure(
     witness = Witness(found)
     before = witness.memory()
 
-    def disturb() -> None:
-        with ExitStack() as stack:
-            for _ in range(0 if load == UNDISTURBED else 3 if load.startswith(THREE) else 1):
-                process = stack.enter_context(
-                    program("hostile_client", load.removeprefix(THREE), address)
-                )
-                stack.callback(process.kill)  # a process that is stopped takes no other signal
-                line_with("connected", process)
-            time.sleep(load_s)
-
     with witness.watching():
-        (seen,) = observe_in_turns(stats_of(found), [disturb])
+        (seen,) = observe_in_turns(stats_of(found), [partial(_disturb, load, address, load_s)])
     time.sleep(recovery_s)
     samples = {
         "factor": [one.real_time_factor for one in seen],
@@ -177,6 +167,19 @@ def measure(
     for quantity, found_samples in samples.items():
         limit = None if p99_ms is None else _limit(quantity, p99_ms)
         yield Figure(what=f"{load}: {quantity}", unit="", samples=(*found_samples,), limit=limit)
+
+
+def _disturb(load: str, address: str, load_s: float) -> None:
+    """Run the clients of a load for some time."""
+    clients = 0 if load == UNDISTURBED else 3 if load.startswith(THREE) else 1
+    with ExitStack() as stack:
+        for _ in range(clients):
+            process = stack.enter_context(
+                program("hostile_client", load.removeprefix(THREE), address)
+            )
+            stack.callback(process.kill)  # a process that is stopped takes no other signal
+            line_with("connected", process)
+        time.sleep(load_s)
 
 
 def _limit(quantity: str, p99_ms: float) -> Limit:
