@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
 from itertools import pairwise
 
 from benchmarks.figures import Figure, Limit, table
@@ -180,61 +181,72 @@ def _open_and_close(address: str) -> None:
     open_bus(BusConfig(connect=(address,))).close()
 
 
+@dataclass(frozen=True)
+class Revocation:
+    """What one revocation did to its user and to the others."""
+
+    ended_s: float
+    back_s: float
+    gap_s: float
+    jump_m: float
+    factor: float
+
+
 def _revoke(found: Deployment, robots: int, *, is_short: bool) -> Iterator[Figure]:
-    folder = found.folder
-    assert folder is not None
-    ended, back, jumps, gaps, factors = [], [], [], [], []
-    for number in range(REVOCATIONS_WHEN_SHORT if is_short else REVOCATIONS):
-        user = f"guest{number}"
-        folder.add([User(user, "observer")])
-        _wait_for_reply(found.bus)
-        time.sleep(0.0 if is_short else SETTLED_S)
-        with _open_when_admitted(found.token(user)) as guest:
-            poll_until(lambda guest=guest: _is_answered(guest) or None)  # type: ignore[misc]
-            with closing(found.bus.subscribe(ODOM.key("*"), 100_000)) as odometry:
-                began, began_s = found.client.info(), time.perf_counter()
-                folder.revoke(user)
-                poll_until(lambda guest=guest: not _is_answered(guest) or None, BACK_S)  # type: ignore[misc]
-                ended.append(time.perf_counter() - began_s)
-                _wait_for_reply(found.bus)
-                back.append(time.perf_counter() - began_s)
-                time.sleep(0.0 if is_short else SETTLED_S)
-                after = found.client.info()
-                lasted_s = time.perf_counter() - began_s
-                factors.append((after.sim_time_s - began.sim_time_s) / lasted_s)
-                found_gap, found_jump = _find_gaps(odometry.take())
-                gaps.append(found_gap)
-                jumps.append(found_jump)
-    timed = {"is_timed": True}
+    count = REVOCATIONS_WHEN_SHORT if is_short else REVOCATIONS
+    settled_s = 0.0 if is_short else SETTLED_S
+    seen = [_revoke_user(found, f"guest{number}", settled_s) for number in range(count)]
     yield Figure(
         what="revoked user: its session has ended",
         unit="s",
-        samples=tuple(ended),
-        limit=Limit("max", "<=", 5.0, **timed),
+        samples=tuple(one.ended_s for one in seen),
+        limit=Limit("max", "<=", 5.0, is_timed=True),
     )
     yield Figure(
         what="an operator's call is answered again",
         unit="s",
-        samples=tuple(back),
-        limit=Limit("max", "<=", 5.0, **timed),
+        samples=tuple(one.back_s for one in seen),
+        limit=Limit("max", "<=", 5.0, is_timed=True),
     )
     yield Figure(
         what=f"longest gap in a robot's odometry meanwhile, of {robots}",
         unit="s",
-        samples=tuple(gaps),
+        samples=tuple(one.gap_s for one in seen),
     )
     yield Figure(
         what="longest way of a robot in that gap, more than at its speed",
         unit="m",
-        samples=tuple(jumps),
+        samples=tuple(one.jump_m for one in seen),
         limit=Limit("max", "<=", 0.05),
     )
     yield Figure(
         what="real-time factor meanwhile",
         unit="",
-        samples=tuple(factors),
-        limit=Limit("min", ">=", 0.95, **timed),
+        samples=tuple(one.factor for one in seen),
+        limit=Limit("min", ">=", 0.95, is_timed=True),
     )
+
+
+def _revoke_user(found: Deployment, user: str, settled_s: float) -> Revocation:
+    folder = found.folder
+    assert folder is not None
+    folder.add([User(user, "observer")])
+    _wait_for_reply(found.bus)
+    time.sleep(settled_s)
+    with _open_when_admitted(found.token(user)) as guest:
+        poll_until(lambda: _is_answered(guest) or None)
+        with closing(found.bus.subscribe(ODOM.key("*"), 100_000)) as odometry:
+            began, began_s = found.client.info(), time.perf_counter()
+            folder.revoke(user)
+            poll_until(lambda: not _is_answered(guest) or None, BACK_S)
+            ended_s = time.perf_counter() - began_s
+            _wait_for_reply(found.bus)
+            back_s = time.perf_counter() - began_s
+            time.sleep(settled_s)
+            simulated_s = found.client.info().sim_time_s - began.sim_time_s
+            lasted_s = time.perf_counter() - began_s
+            gap_s, jump_m = _find_gaps(odometry.take())
+    return Revocation(ended_s, back_s, gap_s, jump_m, simulated_s / lasted_s)
 
 
 def _open_when_admitted(address: str) -> Bus:
