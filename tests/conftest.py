@@ -1,7 +1,9 @@
-"""Profiles of property tests for commits and `make fuzz`; handling of Ctrl-C; log level."""
+"""Profiles of property tests; handling of Ctrl-C; log level; order of files; garbage collection."""
 
+import gc
 import logging
 import signal
+from collections.abc import Generator
 
 import pytest
 from hypothesis import settings
@@ -16,6 +18,25 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 settings.register_profile("commit", deadline=None, derandomize=True)
 settings.register_profile("fuzz", deadline=None, max_examples=5000)
 settings.load_profile("commit")
+
+LONG = ("tests/integration/", "tests/zensim/", "tests/spawner/cli/", "tests/contract/test_wheel.py")
+"""Files that wait for processes: they come first, so that all workers end together."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Leave tests and modules out of garbage collection: they stay to the end."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put long files first; the order within a file stays."""
+    items.sort(key=lambda item: not item.nodeid.startswith(LONG))
 
 
 @pytest.fixture(autouse=True)

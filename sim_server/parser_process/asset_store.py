@@ -9,6 +9,7 @@ import re
 import shutil
 import tempfile
 import time
+import weakref
 from collections import OrderedDict
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -24,7 +25,7 @@ from zensim.proto.stl import read_corners
 from zensim.sim_server.errors import AssetRefused
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from hashlib import _Hash
 
     from numpy.typing import NDArray
@@ -78,7 +79,7 @@ class AssetFolder:
 
     def renew(self) -> None:
         """Make the folder again, empty."""
-        self._release()
+        self.close()
         self._hold()
 
     def open(self, name: str, flags: int) -> int:
@@ -110,8 +111,8 @@ class AssetFolder:
 
     def close(self) -> None:
         """Remove the folder."""
-        self._release()
-        shutil.rmtree(self.path, ignore_errors=True)
+        self._discard()
+        self._descriptor = None
 
     def _write(self, name: str, flags: int, data: bytes) -> None:
         with open(self.open(name, flags), "wb") as file:  # noqa: PTH123  by descriptor
@@ -123,11 +124,23 @@ class AssetFolder:
             self._descriptor = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
             with suppress(OSError):  # some file systems have no locks
                 lock_file(self._descriptor)
+        # Also when the store is dropped, and at the end of the process.
+        self._discard: Callable[[], object] = weakref.finalize(
+            self, _discard_folder, self.path, self._descriptor, os.getpid()
+        )
 
-    def _release(self) -> None:
-        if self._descriptor is not None:
-            os.close(self._descriptor)
-            self._descriptor = None
+
+def _discard_folder(path: Path, descriptor: int | None, process_id: int) -> None:
+    """Remove a folder unless another is in its place; a fork of its process leaves it alone."""
+    if os.getpid() != process_id:
+        return
+    if descriptor is None:
+        shutil.rmtree(path, ignore_errors=True)
+        return
+    with suppress(OSError):
+        if os.path.samestat(path.stat(), os.fstat(descriptor)):
+            shutil.rmtree(path, ignore_errors=True)
+    os.close(descriptor)
 
 
 def _make_temporary_folder() -> Path:

@@ -1,6 +1,7 @@
 """The files of this repository."""
 
 import subprocess
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -8,7 +9,12 @@ PACKAGES = ("deploy", "proto", "robot_agent", "sim_server", "spawner", "zensim")
 
 
 def files() -> list[Path]:
-    """List files that git tracks or would track, without deleted ones."""
+    """List files that git tracks or would track, without deleted ones, as of the first call."""
+    return list(_list_files())
+
+
+@cache
+def _list_files() -> tuple[Path, ...]:
     listing = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT,
@@ -17,7 +23,7 @@ def files() -> list[Path]:
         text=True,
     )
     paths = (ROOT / name for name in sorted(set(listing.stdout.split("\0")) - {""}))
-    return [path for path in paths if path.is_file()]
+    return tuple(path for path in paths if path.is_file())
 
 
 def text_of(path: Path) -> str:

@@ -14,6 +14,7 @@ import pytest
 import yaml
 
 from tests.contract.repository import ROOT, files, shown, text_of
+from tests.integration.processes import run_in_process
 from zensim.deploy.cli import VERBS
 
 LINK = re.compile(r"\]\((?!https?:|mailto:|#)([^)#\s]+)")
@@ -56,15 +57,28 @@ def code_of(text: str) -> list[str]:
     return FENCE.findall(text) + re.findall(r"`[^`\n]+`", FENCE.sub("", text))
 
 
+PLAIN = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
+
+
 def help_of(verb: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [Path(sys.executable).with_name("zensim"), *verb.split(), "--help"],
-        check=False,
+    """Get what `zensim VERB --help` prints, without a process for each."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in PLAIN.items():
+            patch.setenv(name, value)
+        return run_in_process(*verb.split(), "--help")
+
+
+def test_installed_command_prints_the_same_help() -> None:
+    done = subprocess.run(
+        [Path(sys.executable).with_name("zensim"), "up", "--help"],
+        check=True,
         capture_output=True,
         text=True,
         timeout=30,
-        env={**os.environ, "COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"},
+        env={**os.environ, **PLAIN},
     )
+
+    assert done.stdout == help_of("up").stdout
 
 
 @pytest.mark.parametrize("path", documents(), ids=shown)

@@ -23,7 +23,10 @@ from zensim.proto.process_limits import PARENT_PID_VARIABLE
 from zensim.spawner.client.sim_client import SimClient
 
 T = TypeVar("T")
-POLL_S = 0.005
+POLL_S, MAX_POLL_S = 0.005, 0.05
+"""First and last pause between calls: each costs the server what its start could use."""
+POLL_SHARE = 0.1
+"""Of the time waited until now."""
 SHORT = ("delete", "fleet", "list", "play", "spawn")
 START_S = 120.0
 END_S = 60.0
@@ -35,13 +38,14 @@ LEAST_PATIENCE_S = 60.0
 def eventually(call: Callable[[], T | None], within_s: float, what: str = "it") -> T:
     """Call a function until it returns neither None nor False; fail after a timeout."""
     within_s = max(within_s, LEAST_PATIENCE_S)
-    deadline = time.monotonic() + within_s
+    began = time.monotonic()
     while True:
         result = call()
         if result is not None and result is not False:
             return result
-        assert time.monotonic() < deadline, f"{what} did not happen within {within_s:g} s"
-        time.sleep(POLL_S)
+        waited = time.monotonic() - began
+        assert waited < within_s, f"{what} did not happen within {within_s:g} s"
+        time.sleep(min(max(waited * POLL_SHARE, POLL_S), MAX_POLL_S))
 
 
 def free_endpoint() -> str:

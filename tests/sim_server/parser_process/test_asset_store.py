@@ -240,3 +240,39 @@ def test_temporary_folders_of_ended_servers_are_swept(
     assert set(parent.iterdir()) == {held, new, Path(second.folder)}
     for store in (first, second):
         store.close()
+
+
+def test_folder_of_a_dropped_store_is_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    store = AssetStore()
+    folder = Path(store.folder)
+
+    del store
+
+    assert not folder.exists()
+
+
+def test_fork_leaves_the_folder_of_its_parent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    store = AssetStore()
+    folder, process_id = Path(store.folder), os.getpid()
+    monkeypatch.setattr(os, "getpid", lambda: process_id + 1)
+
+    store.close()
+
+    assert folder.exists()
+
+
+def test_store_leaves_a_folder_that_took_its_place(tmp_path: Path) -> None:
+    first = AssetStore(folder=tmp_path / "assets")
+    second = AssetStore(folder=tmp_path / "assets")
+
+    first.close()
+
+    assert Path(second.folder).is_dir()
+    second.close()
+    assert not (tmp_path / "assets").exists()
