@@ -334,8 +334,25 @@ ROS_SERVICES: Final = _list_ros_services()
 
 
 def index_by_key(domain: int) -> dict[str, tuple[RosService, ...]]:
-    """Map the keys of rmw_zenoh to services."""
-    return {key: (one,) for one in ROS_SERVICES for key in one.list_keys(domain)}
+    """Map the keys of rmw_zenoh to versions of services, the newest first.
+
+    A key with a hash has one version. One of humble, which has none, has all whose requests differ,
+    because simulation_interfaces 2 can be built there, too; that of humble is the last.
+    """
+    return {
+        key: (*_list_other_versions(one), one) if key.endswith(NO_HASH) else (one,)
+        for one in ROS_SERVICES
+        for key in one.list_keys(domain)
+    }
+
+
+def _list_other_versions(humble: RosService) -> list[RosService]:
+    return [
+        one
+        for one in ROS_SERVICES
+        if (one.name, one.ros_type) == (humble.name, humble.ros_type)
+        and one.request is not humble.request
+    ]
 
 
 def index_by_bridge_key() -> dict[str, tuple[RosService, ...]]:

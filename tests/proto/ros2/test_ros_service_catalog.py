@@ -1,5 +1,6 @@
 """Names, types and versions of ROS 2 services."""
 
+import msgspec
 import pytest
 import zenoh
 
@@ -68,9 +69,42 @@ def test_a_name_has_a_key_for_each_package_and_each_version() -> None:
 def test_humble_calls_version_1_on_keys_without_a_hash() -> None:
     key = "0/spawn_entity/simulation_interfaces::srv::dds_::SpawnEntity_/TypeHashNotSupported"
 
-    (found,) = index_by_key(0)[key]
+    found = index_by_key(0)[key]
 
-    assert found.request is ros_service_catalog.SpawnEntityRequestV1
+    assert found[-1].request is ros_service_catalog.SpawnEntityRequestV1
+
+
+@pytest.mark.parametrize(
+    ("service", "name"), [("spawn_entity", "SpawnEntity"), ("load_world", "LoadWorld")]
+)
+def test_requests_of_both_versions_have_equal_bytes(service: str, name: str) -> None:
+    """So that humble, whose keys have no hash, can have either version."""
+    key = f"0/{service}/simulation_interfaces::srv::dds_::{name}_/TypeHashNotSupported"
+    newest, oldest = index_by_key(0)[key]
+    request = encode(make_sample_message(oldest.request), Format.CDR)
+
+    read = newest.decode_request(request)
+    expected = msgspec.structs.asdict(oldest.decode_request(request))
+    assert {name: getattr(read, name) for name in expected} == expected
+
+
+def test_versions_of_a_state_differ_by_their_bytes() -> None:
+    key = "0/set_entity_state/simulation_interfaces::srv::dds_::SetEntityState_/"
+    newest, oldest = index_by_key(0)[f"{key}TypeHashNotSupported"]
+    states = SetEntityStateRequest("r1", EntityState(pose=POSE), set_pose=True)
+    older = ros_service_catalog.SetEntityStateRequestV1("r1", EntityState(pose=POSE))
+
+    assert newest.decode_request(encode(states, Format.CDR)) == states
+    with pytest.raises(MalformedPayload):
+        newest.decode_request(encode(older, Format.CDR))
+    assert oldest.request is ros_service_catalog.SetEntityStateRequestV1
+
+
+def test_hash_keys_of_every_version_are_served_in_each_distribution() -> None:
+    served = index_by_key(0)
+
+    for one in ROS_SERVICES:
+        assert served[one.list_keys(0)[0]] == (one,)
 
 
 def test_served_key_expressions_match_every_key() -> None:
