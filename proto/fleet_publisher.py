@@ -1,6 +1,7 @@
 """One topic of many robots on plain and ROS 2 keys; publishers are declared lazily."""
 
 import time
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, Generic, Protocol, TypeVar
@@ -13,7 +14,7 @@ from zensim.proto.network_protocols import AgentNetwork, Publisher, Query
 from zensim.proto.ros2.liveliness_tokens import GraphEndpoint
 from zensim.proto.ros2.rmw_attachment import ATTACHMENT_STRUCT, GID_BYTES
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic, gid_from_endpoint
-from zensim.proto.topic_endpoints import CACHE_SUFFIX, KeyPublisher
+from zensim.proto.topic_endpoints import CACHE_SUFFIX, KeyPublisher, make_cache_key
 from zensim.proto.topic_faults import TopicFaults
 
 ATTACHMENT_DTYPE: Final = np.dtype(
@@ -137,6 +138,10 @@ class TopicMember:
     was_matched: bool = False
 
 
+MAX_ANNOUNCED_CACHES: Final = 100
+"""Robots of a process whose latched topics are queried again after a cut link: a token each."""
+
+
 class RosFleetPublisher:
     """One topic of many robots on the ROS 2 keys of one pattern."""
 
@@ -156,6 +161,7 @@ class RosFleetPublisher:
         self._joined: dict[TopicMember, GraphEndpoint] = {}
         self._key_publishers: dict[TopicMember, KeyPublisher] = {}
         """Of a latched topic, whose messages do not change."""
+        self._unrepeated: deque[KeyPublisher] = deque()
         self._matched = MatchedPublishers[TopicMember]()
         self._attachments = AttachmentRows()
         self._rows: dict[TopicMember, int] = {}
@@ -183,13 +189,20 @@ class RosFleetPublisher:
         self._joined.pop(member, None)
         self._ros_keys.pop(member, None)
         if (key_publisher := self._key_publishers.pop(member, None)) is not None:
+            if key_publisher in self._unrepeated:
+                self._unrepeated.remove(key_publisher)
             key_publisher.close()
         if (row := self._rows.pop(member, None)) is not None:
             self._attachments.remove(row)
             self._matched.remove(member)
 
     def declare_some(self) -> None:
-        """Declare some endpoints; then publishers, if there are subscribers."""
+        """Declare some endpoints; then publishers, if there are subscribers.
+
+        See `KeyPublisher.repeat` for what was published before.
+        """
+        while self._unrepeated and self._unrepeated[0].repeat():
+            self._unrepeated.popleft()
         if self._unjoined:
             some, self._unjoined = (
                 self._unjoined[:MAX_ROS_DECLARED_AT_ONCE],
@@ -248,6 +261,8 @@ class RosFleetPublisher:
             return None
         if member not in self._joined:
             self._joined[member] = member.node.add_topic_endpoint("MP", self._make_topic(member))
+            if self._topic.is_latched and len(self._joined) <= MAX_ANNOUNCED_CACHES:
+                member.node.announce_cache(self._make_cache_key(self._ros_keys[member]))
         return self._joined[member]
 
     def _declare(self, member: TopicMember) -> None:
@@ -263,6 +278,7 @@ class RosFleetPublisher:
         )
         if publisher.is_matched and (payload := member.values.payload(member.row)) is not None:
             key_publisher.send(payload)
+            self._unrepeated.append(key_publisher)
 
     def _reply_with_last(self, member: TopicMember, call: Query) -> None:
         self._declare(member)
@@ -282,7 +298,7 @@ class RosFleetPublisher:
                 yield member
 
     def _make_cache_key(self, key: str) -> str:
-        return f"{key}/{CACHE_SUFFIX}/{self._graph.zid}/0/_"
+        return make_cache_key(key, self._graph.zid)
 
 
 MAX_DECLARED_AT_ONCE = 32

@@ -27,11 +27,28 @@ from zensim.proto.topic_faults import TopicFaults
 CACHE_DEPTH: Final = 64
 CACHE_SUFFIX: Final = "@adv/pub"
 """Late subscribers of transient_local topics query this suffix."""
+STAMPED_CHUNK: Final = "uhlc"
+"""Stands for a publisher whose messages are ordered by their timestamps."""
 QUERY_DEPTH: Final = 64
+REPEAT_AFTER_S: Final = 0.5
+"""Pause before a latched message is repeated; the heartbeats of rmw_zenoh have this period."""
 PayloadFactory: TypeAlias = Callable[[], bytes | None]
 """Makes the last value; None while there is none."""
 MakePayload: TypeAlias = Callable[[], msgspec.Struct | bytes | None]
 """Makes the last value, as a message or as its CDR bytes; None while there is none."""
+
+
+def make_cache_key(key: str, zid: str) -> str:
+    """Write the key of the last messages of a transient_local topic, as zenoh-ext writes it.
+
+    It is that of a queryable and of a liveliness token: subscribers query it when it appears, so
+    also after their link was cut.
+
+    Args:
+        key: ROS 2 data key.
+        zid: Session of the publisher, in hexadecimal digits, as in the timestamps of its messages.
+    """
+    return f"{key}/{CACHE_SUFFIX}/{zid}/{STAMPED_CHUNK}/_"
 
 
 class KeyPublisher:
@@ -56,6 +73,9 @@ class KeyPublisher:
         self._gid = gid_from_endpoint(endpoint) if endpoint else b""
         self._was_matched = False
         self._sent = 0
+        self._unrepeated: tuple[bytes, bytes, Stamp] | None = None
+        """Payload, attachment and timestamp of a message of a latched topic."""
+        self._repeat_s = 0.0
 
     @property
     def is_matched(self) -> bool:
@@ -66,7 +86,25 @@ class KeyPublisher:
         """Publish a message."""
         self._sent += 1
         self._was_matched = True
-        self._publisher.send(payload, self.attachment(), self._find_stamp(payload))
+        attachment, stamp = self.attachment(), self._find_stamp(payload)
+        self._publisher.send(payload, attachment, stamp)
+        if stamp is not None:
+            self._unrepeated = payload, attachment, stamp
+            self._repeat_s = time.monotonic() + REPEAT_AFTER_S
+
+    def repeat(self) -> bool:
+        """Publish the last message of a latched topic once more; whether that is done.
+
+        The network drops what a link cannot take at a time; those who have it drop it by its stamp.
+        """
+        if self._unrepeated is None:
+            return True
+        if time.monotonic() < self._repeat_s:
+            return False
+        if self._publisher.is_matched:
+            self._publisher.send(*self._unrepeated)
+        self._unrepeated = None
+        return True
 
     def attachment(self) -> bytes:
         """Write the attachment of the last message; of the first, if there was none."""
@@ -81,11 +119,12 @@ class KeyPublisher:
             call.add_reply(key, payload, encoding, self.attachment(), stamp)
 
     def publish_to_new(self, payload: PayloadFactory) -> None:
-        """Publish the value if a subscriber has appeared since the last call."""
+        """Publish the value if a subscriber has appeared since the last call; else `repeat`."""
         is_matched = self._publisher.is_matched
         if is_matched and not self._was_matched and (value := payload()) is not None:
             self.send(value)
         self._was_matched = is_matched
+        self.repeat()
 
     def close(self) -> None:
         """Undeclare the publisher."""
@@ -219,9 +258,9 @@ class TopicFactory:
         if not topic.is_latched:
             return TopicPublisher([*publishers, KeyPublisher(publisher, endpoint)], ())
         publishers.append(KeyPublisher(publisher, endpoint, self._network.stamp))
-        queue = self._network.serve(
-            f"{key}/{CACHE_SUFFIX}/{node.graph.zid}/{endpoint.number}/_", CACHE_DEPTH
-        )
+        cache_key = make_cache_key(key, node.graph.zid)
+        queue = self._network.serve(cache_key, CACHE_DEPTH)
+        node.announce_cache(cache_key)
         return TopicPublisher(publishers, [LatchedCache(queue, publishers[1], key, encoding)])
 
     def subscription(

@@ -21,6 +21,7 @@ from zensim.proto.network_protocols import AgentNetwork, Subscription
 from zensim.proto.poll_schedule import MAX_PAUSE_S, PollSchedule
 from zensim.proto.process_limits import set_niceness
 from zensim.proto.ros2.ros_graph import RosGraph
+from zensim.proto.rosout import Rosout
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
 from zensim.proto.topic_catalog import CONTACTS, DRIVE_COMMAND, DRIVE_STATE
 from zensim.proto.verbosity import configure_logging
@@ -232,6 +233,7 @@ class Agent:
         """While a contact sensor has a subscriber."""
         self._commands = network.advertise(DRIVE_COMMAND.key(world, agent), DRIVE_COMMAND.encoding)
         self._graph = RosGraph(network, config.ros)
+        self._rosout = Rosout(network, self._graph)
         self._claim_client = _make_claim_client(network, config)
         self._robots = _make_robot_set(network, config, self._graph, self._rx_session)
         self._state_order = StateOrder()
@@ -245,6 +247,7 @@ class Agent:
 
     def close(self) -> None:
         """Undeclare what is not part of the session."""
+        self._rosout.close()
         self._graph.close()
         if self._rx_session is not self._network:
             self._rx_session.close()
@@ -277,6 +280,7 @@ class Agent:
         if claims:
             self._add_claims(claims)
         self._housekeeping.poll(now_s)
+        self._rosout.poll()
         self._subscribe_to_contacts()
 
     def _subscribe_to_contacts(self) -> None:

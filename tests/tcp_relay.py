@@ -31,13 +31,21 @@ class TcpRelay:
         """Pass on again, first what was kept."""
         self._is_open.set()
 
-    def close(self) -> None:
-        """End all connections."""
-        self._is_open.set()
-        for one in (self._listener, *self._sockets):
+    def reset(self) -> None:
+        """End the present connections, with what was kept, and pass later ones on."""
+        ended, self._sockets = self._sockets, []
+        for one in ended:
             with suppress(OSError):
                 one.shutdown(socket.SHUT_RDWR)
             one.close()
+        self._is_open.set()
+
+    def close(self) -> None:
+        """End all connections."""
+        with suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self.reset()
 
     def _accept(self) -> None:
         with suppress(OSError):

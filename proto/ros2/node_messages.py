@@ -1,4 +1,4 @@
-"""Messages that every ROS 2 node uses: parameters and type descriptions."""
+"""Messages that every ROS 2 node uses: parameters, type descriptions and log lines."""
 
 from enum import IntEnum
 from typing import Annotated, ClassVar, Final
@@ -6,7 +6,8 @@ from typing import Annotated, ClassVar, Final
 import msgspec
 from msgspec import Meta
 
-from zensim.proto.messages.scalar_types import UInt8, UInt64
+from zensim.proto.messages.scalar_types import UInt8, UInt32, UInt64
+from zensim.proto.messages.standard_messages import Time
 
 Int64 = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1, extra={"cdr": "q"})]
 ByteSequence = Annotated[bytes, Meta(extra={"cdr": "B", "rosidl": "byte"})]
@@ -289,6 +290,30 @@ class GetTypeDescriptionResponse(msgspec.Struct, frozen=True):
     type_description: WholeTypeDescription = WholeTypeDescription()
     type_sources: tuple[TypeSource, ...] = ()
     extra_information: tuple[KeyValue, ...] = ()
+
+
+class LogLevel(IntEnum):
+    """Levels of log lines. Source: rcl_interfaces/msg/Log."""
+
+    WARN = 30
+    ERROR = 40
+    FATAL = 50
+
+
+class RosoutLog(msgspec.Struct, frozen=True):
+    """A line of a node's log. Source: rcl_interfaces/msg/Log."""
+
+    ros_type: ClassVar[str] = "rcl_interfaces/msg/Log"
+
+    stamp: Time = Time()
+    """Wall time, whatever `use_sim_time` is, as rcl writes it."""
+    level: UInt8 = 0
+    name: str = ""
+    """Of the logger: that of the node, with dots."""
+    msg: str = ""
+    file: str = ""
+    function: str = ""
+    line: UInt32 = 0
 
 
 PARAMETER_SERVICES: Final[dict[str, tuple[type[msgspec.Struct], type[msgspec.Struct]]]] = {

@@ -154,9 +154,18 @@ class RosNode:
         """Name with namespace, as `/box_bot0/agent`."""
         return rmw_keys.qualify_name(self._node.namespace, self._node.name)
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether the node has left the graph."""
+        return not self._tokens
+
     def data_key(self, topic: RosTopic) -> str:
         """Write the ROS 2 data key of a topic."""
         return self.graph.data_key(topic)
+
+    def announce_cache(self, key: str) -> None:
+        """Announce a queryable of last messages, which subscribers query when it appears."""
+        self._tokens.append(self._session.session.token(key))
 
     def add_topic_endpoint(self, kind: EndpointKind, topic: RosTopic) -> GraphEndpoint:
         """Announce a publisher or subscription of the node."""

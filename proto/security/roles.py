@@ -115,13 +115,29 @@ def _of_any_robot(*topics: TopicSpec) -> tuple[str, ...]:
     )
 
 
+_ROSOUT: Final = (
+    KeyGrant("P", ("rosout", "{domain}/rosout/*/*")),
+    KeyGrant("AT", ("{domain}/rosout/*/*/@adv/**",)),
+)
+"""Warnings and errors of a program in ROS 2."""
 GETTABLE: Final = tuple(topic.key("{world}") for topic in WORLD_TOPICS if topic.is_gettable)
 _CALLS: Final = KeyGrant("Q", ("sim/{world}/info", "sim/{world}/u/{user}/*"))
 _SERVER_TOKEN: Final = KeyGrant("L", ("sim/{world}/alive/server", "sim/*/alive/server"))
 _EVERY_TOPIC: Final = (
     KeyGrant("S", ("**", "{domain}/**/@adv/**")),
-    KeyGrant("Q", (*GETTABLE, *_of_any_robot(*ROBOT_TOPICS.values()))),
-    KeyGrant("L", ("sim/{world}/alive/**", "sim/{world}/sensors/**", "@ros2_lv/{domain}/**")),
+    KeyGrant(
+        "Q",
+        (*GETTABLE, *_of_any_robot(*ROBOT_TOPICS.values()), "{domain}/rosout/*/*/@adv/**"),
+    ),
+    KeyGrant(
+        "L",
+        (
+            "sim/{world}/alive/**",
+            "sim/{world}/sensors/**",
+            "@ros2_lv/{domain}/**",
+            "{domain}/**/@adv/**",
+        ),
+    ),
 )
 _WATCHING: Final = (_CALLS, _SERVER_TOKEN, *_EVERY_TOPIC)
 _AGENT: Final = (
@@ -136,6 +152,11 @@ _AGENT: Final = (
 _ROS_TOKENS_OF_ROBOT: Final = (
     "@ros2_lv/{domain}/*/*/*/*/*/{mangled}/**",
     "@ros2_lv/{domain}/*/*/*/*/*/{mangled}%$*/**",
+)
+_LATCHED_OF_ANY_ROBOT: Final = tuple(
+    f"{{domain}}/**/{topic.suffix}/*/*/@adv/**"
+    for topic in _suffixes(Participant.AGENT)
+    if topic.is_latched
 )
 
 ROLES: Final[dict[str, Role]] = {
@@ -173,8 +194,9 @@ ROLES: Final[dict[str, Role]] = {
         "claim and drive its own robots, publish their topics",
         (
             *_AGENT,
+            *_ROSOUT,
             KeyGrant("PSA", ("{robot}/**", "{domain}/{robot}/**", "{domain}/{robot}/**/@adv/**")),
-            KeyGrant("T", _ROS_TOKENS_OF_ROBOT),
+            KeyGrant("T", (*_ROS_TOKENS_OF_ROBOT, "{domain}/{robot}/**/@adv/**")),
             KeyGrant("L", ("@ros2_lv/{domain}/**",)),
         ),
         READING | CLAIMING,
@@ -184,7 +206,9 @@ ROLES: Final[dict[str, Role]] = {
         "claim and drive any robots, publish their topics and the shared `tf`",
         (
             *_AGENT,
+            *_ROSOUT,
             KeyGrant("PA", _of_any_robot(*_suffixes(Participant.AGENT))),
+            KeyGrant("T", _LATCHED_OF_ANY_ROBOT),
             KeyGrant("S", _of_any_robot(CMD_VEL)),
             KeyGrant("A", ("{domain}/**/agent/*/*/*", "{domain}/zensim_pool_$*/*/*/*")),
             KeyGrant("TL", ("@ros2_lv/{domain}/**",)),
@@ -196,6 +220,7 @@ ROLES: Final[dict[str, Role]] = {
         (
             _CALLS,
             _SERVER_TOKEN,
+            *_ROSOUT,
             KeyGrant("PA", _of_any_robot(*_suffixes(Participant.SENSORS))),
             KeyGrant("A", ("{domain}/**/sensors/*/*/*",)),
             KeyGrant(
@@ -236,7 +261,7 @@ ROLES: Final[dict[str, Role]] = {
         (
             *_WATCHING,
             KeyGrant("PSQA", ("{domain}/**", "{domain}/**/@adv/**")),
-            KeyGrant("TL", ("@ros2_lv/{domain}/**",)),
+            KeyGrant("TL", ("@ros2_lv/{domain}/**", "{domain}/**/@adv/**")),
         ),
         READING | SPAWNING,
     ),

@@ -46,6 +46,7 @@ from zensim.proto.ros2.ros_service_catalog import (
 )
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.ros2.type_hash import find_service_type, hash_service
+from zensim.proto.rosout import LogCollector, Rosout
 from zensim.proto.security.roles import ROS_USER
 from zensim.proto.service_catalog import CANCEL_STEPS, SIMULATE_STEPS
 from zensim.proto.topic_endpoints import TopicFactory, TopicPublisher
@@ -447,18 +448,23 @@ class ServerNode:
 
 @dataclass(frozen=True)
 class PolledNodeServices:
-    """The node's own services, which the loop polls as a source of calls."""
+    """The node's own services and log, which the loop polls as a source of calls."""
 
     services: NodeServices
+    rosout: Rosout
 
     def take(self) -> list[ServiceCall]:
-        """Reply to requests; none of them is a call of the simulator."""
+        """Reply to requests, and publish log lines; none of them is a call of the simulator."""
         self.services.poll()
+        self.rosout.poll()
         return []
 
 
 def start_server_node(
-    bus: ServerNetwork, settings: RosSettings, parameters: Sequence[NodeParameter] = ()
+    bus: ServerNetwork,
+    settings: RosSettings,
+    parameters: Sequence[NodeParameter] = (),
+    collector: LogCollector | None = None,
 ) -> ServerNode:
     """Declare the server's ROS 2 node as the settings say, or none.
 
@@ -466,6 +472,7 @@ def start_server_node(
         bus: Session of the server.
         settings: Of ROS 2.
         parameters: Of the node.
+        collector: With what this process has logged so far; see `Rosout`.
     """
     graph = RosGraph(bus, settings)
     node = graph.add_node("", NODE_NAME)
@@ -476,14 +483,20 @@ def start_server_node(
     steps = _make_steps_action(bus, node, topics)
     services = NodeServices(bus, node.domain)
     services.add(node, partial(tuple, parameters))
+    rosout = Rosout(bus, graph, collector)
     sources: tuple[ServiceCallSource, ...] = (
         serve_rmw_calls(bus, node.domain),
         steps,
-        PolledNodeServices(services),
+        PolledNodeServices(services, rosout),
     )
     if settings.is_bridged:
         sources = (*sources, serve_bridge_calls(bus))
-    return ServerNode(sources, topics, steps.on_progress, graph.close)
+    return ServerNode(sources, topics, steps.on_progress, partial(_close_node, rosout, graph))
+
+
+def _close_node(rosout: Rosout, graph: RosGraph) -> None:
+    rosout.close()
+    graph.close()
 
 
 def _make_steps_action(

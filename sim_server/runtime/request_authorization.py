@@ -23,6 +23,7 @@ from zensim.proto.messages.spawn_messages import (
 )
 from zensim.proto.messages.telemetry_messages import Refusal
 from zensim.proto.network_protocols import ServiceCall
+from zensim.proto.rosout import FOR_OPERATORS
 from zensim.proto.security.roles import CONTROLLING, ROLES, ROLES_OF_CALLERS, User
 from zensim.proto.service_catalog import INFO
 from zensim.sim_server.errors import SimError
@@ -178,6 +179,7 @@ class RequestAuthorization:
             refusal.role,
             refusal.service,
             refusal.address,
+            extra=FOR_OPERATORS,
         )
         self.reports.append(refusal)
 

@@ -28,6 +28,7 @@ from zensim.proto.messages.telemetry_messages import Event, GetModelsRequest
 from zensim.proto.network_protocols import AgentNetwork, Sample
 from zensim.proto.poll_schedule import PollSchedule
 from zensim.proto.ros2.ros_graph import RosGraph
+from zensim.proto.rosout import Rosout
 from zensim.proto.sensor_libraries import (
     Library,
     find_missing_libraries,
@@ -388,6 +389,7 @@ class SensorProcess:
             SENSORS_REPLY.key(world, self.name), SENSORS_REPLY.encoding
         )
         self._graph = RosGraph(network, config.ros)
+        self._rosout = Rosout(network, self._graph)
         self._share = SensorShare(network, config, self._graph)
         self._roster_client = RosterClient(network, world)
         self._stats = StatsPublisher(network, SENSOR_STATS.key(world, self.name), self.make_stats)
@@ -423,6 +425,7 @@ class SensorProcess:
     def close(self) -> None:
         """Undeclare what is not part of the session."""
         self._set_active(is_active=False)
+        self._rosout.close()
         self._share.topics.close()
         self._share.libraries.close()
         self._graph.close()
@@ -465,6 +468,7 @@ class SensorProcess:
         if roster is not None:
             self._set_roster(roster)
         self._share.topics.poll()
+        self._rosout.poll()
         if self._config.is_always_on or self._share.topics.is_wanted:
             self._wanted_s = self._now_s
         self._set_active(is_active=self._now_s - self._wanted_s < IDLE_AFTER_S)

@@ -40,6 +40,8 @@ KEYS = (
     *(f"{DOMAIN}/{robot}/cmd_vel/t/h" for robot in ("r1", "r2")),
     f"{DOMAIN}/tf/t/h",
     f"{DOMAIN}/r1/odom/t/h/@adv/pub/z",
+    f"{DOMAIN}/r1/tf_static/t/h/@adv/pub/z",
+    *("rosout", f"{DOMAIN}/rosout/t/h", f"{DOMAIN}/rosout/t/h/@adv/pub/z"),
     *(f"@ros2_lv/{DOMAIN}/z/1/2/MP/%/%{robot}/agent/n" for robot in ("r1", "r2", "r1%arm")),
     "@ros2_lv/1/z/1/2/MP/%/%r1/agent/n",
     "@/z/router",

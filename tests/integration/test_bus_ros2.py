@@ -1,6 +1,7 @@
 """Bus features for ROS 2: attachments, timestamped replies on other keys, additional sessions."""
 
 from collections.abc import Iterator
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 import pytest
@@ -8,13 +9,22 @@ import zenoh
 import zenoh.ext
 
 from tests.integration.processes import eventually, free_endpoint
+from tests.integration.rmw_sessions import open_rmw_session, subscribe_as_rmw
+from tests.tcp_relay import TcpRelay
+from zensim.proto import topic_endpoints
 from zensim.proto.bus import Bus, BusConfig, BusQuery, BusQueryQueue, open_bus
+from zensim.proto.messages.standard_messages import String
+from zensim.proto.ros2.liveliness_tokens import LATCHED
+from zensim.proto.ros2.ros_graph import RosGraph, RosTopic
+from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.topic_endpoints import TopicFactory
 
 if TYPE_CHECKING:
     from zensim.proto.network_protocols import Sample
 
 KEY = "0/r1/tf_static/tf2_msgs::msg::dds_::TFMessage_/RIHS01_e369"
 ATTACHMENT = b"a" * 33
+DESCRIPTION = RosTopic("r1/robot_description", String, LATCHED)
 
 
 @pytest.fixture
@@ -95,6 +105,43 @@ def test_late_joiner_receives_one_value_per_timestamp_on_its_key(
     ]
     assert got[0].attachment is not None
     assert got[0].attachment.to_bytes() == ATTACHMENT
+
+
+def test_returning_subscriber_gets_what_changed_while_its_link_was_cut(
+    router: Bus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The message is repeated before the link is back.
+    monkeypatch.setattr(topic_endpoints, "REPEAT_AFTER_S", 0.0)
+    value = [b"old"]
+    settings = RosSettings()
+    node = RosGraph(router, settings).add_node("r1", "agent")
+    publisher = TopicFactory(router, node, settings).publisher(DESCRIPTION)
+    relay = TcpRelay(int(router.endpoint.rpartition(":")[2]))
+    with (
+        closing(relay),
+        open_rmw_session(router.endpoint) as near,
+        open_rmw_session(f"tcp/127.0.0.1:{relay.port}") as far,
+    ):
+        readers = []
+        for session in (near, far):
+            key = str(node.data_key(DESCRIPTION)) if node else ""
+            readers.append(subscribe_as_rmw(session, key, depth=1, is_transient_local=True))
+
+        def reads(index: int, wanted: bytes) -> bool:
+            publisher.publish_to_new(lambda: value[0])
+            publisher.reply_to_late_joiners(lambda: value[0])
+            return [one.payload.to_bytes() for one in readers[index][0].queued()] == [wanted]
+
+        eventually(lambda: reads(0, b"old") and reads(1, b"old"), 10.0, "the first value")
+        relay.cut()
+        value[0] = b"new"
+        publisher.send(b"new")
+        eventually(lambda: reads(0, b"new"), 10.0, "the change near by")
+        assert reads(1, b"old")
+
+        relay.reset()
+
+        eventually(lambda: reads(1, b"new"), 20.0, "the change after the return")
 
 
 def test_reply_on_an_unrequested_key_is_omitted(router: Bus, client: zenoh.Session) -> None:

@@ -29,9 +29,17 @@ from tests.integration.ros_grammar import (
     parse_endpoints,
 )
 from tests.integration.ros_rules import check_bytes, check_topic
-from tests.integration.ros_subscriptions import DISCOVERY_S, publishers_of, receive_samples, tokens
+from tests.integration.ros_subscriptions import (
+    DISCOVERY_S,
+    publishers_of,
+    read_late_joining,
+    receive_samples,
+    tokens,
+)
 from tests.integration.test_ground_truth import P3D
 from tests.proto.ros_oracle import HUMBLE, message_name
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.ros2.node_messages import RosoutLog
 from zensim.sim_server.description.builtin_models import read_builtin_model
 
 ODOMETRY, TF, TEXT = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
@@ -47,6 +55,7 @@ ROBOTS = ("/team/r1", "/r2", "/r3")
 ACTION = "/simulate_steps/_action"
 PUBLISHED = {
     "/clock": "rosgraph_msgs/msg/Clock",
+    "/rosout": "rcl_interfaces/msg/Log",
     "/map": "nav_msgs/msg/OccupancyGrid",
     "/model_states": "gazebo_msgs/msg/ModelStates",
     "/link_states": "gazebo_msgs/msg/LinkStates",
@@ -59,8 +68,9 @@ PUBLISHED = {
 }
 LATCHED = ("tf_static", "robot_description", "status", "map")
 RELIABLE_10, TRANSIENT_LOCAL_1 = "::,10", ":1:,1"
-SILENT = f"{ACTION}/feedback"
-"""Published for goals only; see `test_ros_action`."""
+ROSOUT_QOS = ":1:,1000"
+SILENT = (f"{ACTION}/feedback", "/rosout")
+"""Published for goals only, see `test_ros_action`; and for warnings."""
 GID = bytes(range(16))
 SEQUENCE, HEADER = 41, b"\x00\x01"
 
@@ -128,7 +138,8 @@ def test_published_topics_are_the_documented_ones(graph: list[TokenEndpoint]) ->
     assert {one.name: one.ros_type for one in published} == PUBLISHED
     for one in published:
         is_latched = one.name.endswith(LATCHED)
-        assert one.qos == (TRANSIENT_LOCAL_1 if is_latched else RELIABLE_10), one
+        usual = TRANSIENT_LOCAL_1 if is_latched else RELIABLE_10
+        assert one.qos == (ROSOUT_QOS if one.name == "/rosout" else usual), one
 
 
 def test_robots_subscribe_to_commands_of_both_types(graph: list[TokenEndpoint]) -> None:
@@ -138,7 +149,7 @@ def test_robots_subscribe_to_commands_of_both_types(graph: list[TokenEndpoint]) 
     assert received == {(f"{robot}/cmd_vel", kind) for robot in ROBOTS for kind in kinds}
 
 
-@pytest.mark.parametrize("topic", [topic for topic in PUBLISHED if topic != SILENT])
+@pytest.mark.parametrize("topic", [topic for topic in PUBLISHED if topic not in SILENT])
 def test_each_topic_follows_rmw_rules_and_matches_rosbags_bytes(
     session: zenoh.Session, distribution: str, topic: str
 ) -> None:
@@ -147,6 +158,22 @@ def test_each_topic_follows_rmw_rules_and_matches_rosbags_bytes(
     check_topic(publishers_of(session, topic), samples, has_hashes=distribution != "humble")
     for received in samples:
         check_bytes(PUBLISHED[topic], received.payload)
+
+
+def test_warning_of_an_agent_reaches_a_late_subscriber_of_rosout(
+    session: zenoh.Session, distribution: str
+) -> None:
+    session.put("team/r1/cmd_vel", b"no command", encoding="application/cdr")
+    (token,) = [one for one in publishers_of(session, "/rosout") if "%team%r1" in one]
+
+    def has_arrived() -> bool:
+        samples = read_late_joining(session, "/rosout", 1)
+        check_topic([token], samples[-1:], has_hashes=distribution != "humble")
+        check_bytes("rcl_interfaces/msg/Log", samples[-1].payload)
+        log = decode(RosoutLog, samples[-1].payload)
+        return log.name == "team.r1.agent" and "r1" in log.msg
+
+    eventually(has_arrived, DISCOVERY_S, "the warning")
 
 
 def test_each_service_replies_to_unreadable_requests(

@@ -50,7 +50,7 @@ def judge_graph(router: str, names: list[str], found: dict[str, Any]) -> Iterato
     missing = sorted(nodes - set(found["nodes"]))
     wanted = {f"/{name}/{topic}" for name in names for topic in ("odom", "cmd_vel", "tf_static")}
     wanted |= {"/tf", "/tf_static"} if names else set()
-    wanted |= {"/clock", *(one.name for one in ROS_SERVICES)}
+    wanted |= {"/clock", "/rosout", *(one.name for one in ROS_SERVICES)}
     absent = sorted(wanted - {one["name"] for one in found["endpoints"]})
     equal, unequal, unknown = found["equal"], found["unequal"], found["unknown"]
     yield none_of(naming(f"{router}: nodes missing", missing), len(missing))

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import pytest
 
-from tests.fakes import MemoryBus
+from tests.fakes import ManualClock, MemoryBus
 from zensim.api.in_process_network import InProcessPublisher
 from zensim.proto.codec import cdr
 from zensim.proto.fleet_publisher import (
+    MAX_ANNOUNCED_CACHES,
     MAX_CHECKED_AT_ONCE,
     MAX_ROS_DECLARED_AT_ONCE,
     AttachmentRows,
@@ -22,6 +23,7 @@ from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_5, RELIABLE_10
 from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic
 from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.topic_endpoints import REPEAT_AFTER_S
 
 GID = bytes(range(16))
 
@@ -288,6 +290,37 @@ def test_earlier_subscriber_gets_the_latched_message() -> None:
         publisher.declare_some()
 
     assert [sample.payload for sample in received.take()] == [b"fixed"]
+
+
+def test_latched_message_of_a_robot_is_repeated_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus, clock = MemoryBus(), ManualClock()
+    monkeypatch.setattr("zensim.proto.topic_endpoints.time.monotonic", clock)
+    received = bus.subscribe(KEY.format("r1"), 8)
+    publisher, _ = make_ros_publisher(bus, "r1")
+    for _ in range(3):
+        publisher.declare_some()
+    (first,) = received.take()
+
+    clock.sleep(REPEAT_AFTER_S)
+    for _ in range(3):
+        publisher.declare_some()
+
+    assert received.take() == [first]
+
+
+def test_latched_topics_of_a_hundred_robots_have_tokens_of_their_caches() -> None:
+    bus = MemoryBus()
+    publisher, _ = make_ros_publisher(
+        bus, *(f"r{number}" for number in range(MAX_ANNOUNCED_CACHES + 1))
+    )
+    bus.pumps.append(publisher.reply_to_queries)
+
+    for _ in range(MAX_ANNOUNCED_CACHES):
+        publisher.declare_some()
+
+    found = bus.list_tokens(f"{KEY.format('*')}/@adv/pub/*/uhlc/_")
+    assert len(found) == MAX_ANNOUNCED_CACHES
+    assert [answer.key for answer in bus.get(found[1])] == [found[1].partition("/@adv/")[0]]
 
 
 @pytest.mark.parametrize(("queried", "count"), [("r1", 1), ("*", 2), ("r3", 0)])

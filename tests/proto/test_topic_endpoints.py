@@ -3,7 +3,9 @@
 from collections.abc import Callable
 from typing import cast
 
-from tests.fakes import MemoryBus
+import pytest
+
+from tests.fakes import ManualClock, MemoryBus
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.standard_messages import String, Twist, TwistStamped
 from zensim.proto.network_protocols import Stamp
@@ -12,6 +14,7 @@ from zensim.proto.ros2.rmw_attachment import read_attachment
 from zensim.proto.ros2.ros_graph import RosGraph, RosTopic
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.topic_endpoints import (
+    REPEAT_AFTER_S,
     KeyPublisher,
     LazyTopicPublisher,
     TopicFactory,
@@ -107,6 +110,38 @@ def test_value_is_published_to_the_first_subscriber_of_each_key() -> None:
     assert (len(plain.take()), len(ros.take())) == (1, 1)
 
 
+def test_latched_message_is_repeated_once_with_its_attachment(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bus, clock = MemoryBus(), ManualClock()
+    monkeypatch.setattr("zensim.proto.topic_endpoints.time.monotonic", clock)
+    ros = bus.subscribe(ROS_KEY, 8)
+    publisher = a_publisher(bus)
+    publisher.send(PAYLOAD)
+    (lost,) = ros.take()
+
+    publisher.publish_to_new(value)
+    early = ros.take()
+    clock.sleep(REPEAT_AFTER_S)
+    publisher.publish_to_new(value)
+    publisher.publish_to_new(value)
+
+    assert (early, ros.take()) == ([], [lost])
+
+
+def test_other_messages_are_not_repeated(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus, clock = MemoryBus(), ManualClock()
+    monkeypatch.setattr("zensim.proto.topic_endpoints.time.monotonic", clock)
+    ros = bus.subscribe(ROS_KEY, 8)
+    publisher = a_factory(bus).publisher(PLAIN_TOPIC)
+    publisher.send(PAYLOAD)
+
+    clock.sleep(REPEAT_AFTER_S)
+    publisher.publish_to_new(value)
+
+    assert len(ros.take()) == 1
+
+
 def late_join(
     bus: MemoryBus, publisher: TopicPublisher, payload: Callable[[], bytes | None]
 ) -> int:
@@ -121,6 +156,17 @@ def test_latched_topic_replies_to_late_joiners() -> None:
     bus = MemoryBus()
 
     assert late_join(bus, a_publisher(bus), value) == 1
+
+
+def test_latched_topic_has_a_token_at_which_returning_subscribers_find_the_value() -> None:
+    bus = MemoryBus()
+    publisher = a_publisher(bus)
+    bus.pumps.append(lambda: publisher.reply_to_late_joiners(value))
+
+    (token,) = bus.list_tokens(f"{ROS_KEY}/@adv/**")
+
+    assert token == f"{ROS_KEY}/@adv/pub/{bus.zid}/uhlc/_"
+    assert [reply.key for reply in bus.get(token)] == [ROS_KEY]
 
 
 def test_latched_topic_does_not_reply_without_a_value() -> None:

@@ -31,6 +31,7 @@ from zensim.proto.sample_messages import make_sample_message
 KINDS = [
     *(kind for halves in ALL_SERVICES.values() for kind in halves),
     messages.ParameterDescriptor,
+    messages.RosoutLog,
 ]
 ODOM = RosTopic("r1/odom", Odometry)
 WIDTH = NodeParameter("drive.width_m", 0.4, "Between wheels.", "it is welded")

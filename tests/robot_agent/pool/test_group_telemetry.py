@@ -325,12 +325,8 @@ class PoolOfStatic:
         """Query as a late subscriber of rmw_zenoh does."""
         if not self.bus.pumps:
             self.bus.pumps.append(self.pool.reply_to_queries)
-        numbers = [token.split("/")[4] for token in self.bus.list_tokens(ON_TF_STATIC)]
-        return [
-            decode(TFMessage, one.payload, one.encoding)
-            for number in numbers
-            for one in self.bus.get(f"{STATIC_KEY}/@adv/pub/ab12/{number}/_")
-        ]
+        found = self.bus.ask(f"{STATIC_KEY}/@adv/pub/ab12/uhlc/_", b"", b"")
+        return [decode(TFMessage, one.payload, one.encoding) for one in found]
 
 
 def test_fixed_transforms_of_a_pool_are_one_message_on_plain_and_ros_keys() -> None:
