@@ -70,6 +70,7 @@ from zensim.sim_server.server_config import (
     ServerConfig,
     WorldAlreadyServed,
     make_server_bus_config,
+    to_mesh_endpoint,
 )
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 
@@ -126,6 +127,14 @@ class ServeOptions(RosOptions):
     secure: SecureOption = False
     client_certificates: ClientCertificatesOption = False
     insecure: InsecureOption = False
+    mesh_http: Annotated[
+        str,
+        _connection(
+            metavar="HOST:PORT",
+            help="Offer meshes of robots by http here, and name them so in descriptions for RViz.",
+            show_default="descriptions name them as given",
+        ),
+    ] = ""
     wait: Annotated[
         float,
         _connection(min=0.0, metavar="SECONDS", help=r"Timeout of connecting to the router \[s]."),
@@ -184,9 +193,10 @@ def serve(context: typer.Context, given: ServeOptions) -> None:
     stop = StopFlag()
     with exit_on_failure("serve", MissingServerExtra, ProgramDied, BusError), ExitStack() as stack:
         config = _make_server_config(given)
+        meshes = (to_mesh_endpoint(config.mesh_http),) if config.mesh_http else ()
         check_exposure(
             "zensim serve",
-            config.bus.listen if config.bus else (),
+            (*(config.bus.listen if config.bus else ()), *meshes),
             is_secure=given.secure,
             is_insecure=given.insecure,
         )
@@ -234,6 +244,7 @@ def _make_server_config(given: ServeOptions) -> ServerConfig:
         journal=str(given.journal or ""),
         lockstep=LockstepSettings(given.lockstep, given.lockstep_timeout, on_miss),
         ros=given.ros,
+        mesh_http=given.mesh_http,
         physics=EngineOptions(
             engine=parse_engine_name(given.engine),
             clusters=parse_choice("--clusters", given.clusters, CLUSTERINGS),

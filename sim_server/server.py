@@ -25,10 +25,12 @@ from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.process_limits import limit_malloc_arenas
 from zensim.proto.ros2.node_services import NodeParameter, ParameterContent
+from zensim.proto.rosout import LogCollector
 from zensim.proto.service_catalog import INFO
 from zensim.sim_server.initial_world import load_initial_world, make_initial_world, make_parts
 from zensim.sim_server.journal.server_journal import open_journal
 from zensim.sim_server.parser_process.asset_store import AssetStore
+from zensim.sim_server.parser_process.mesh_server import MeshServer, PublishedFiles
 from zensim.sim_server.parser_process.parser_client import ParserClient
 from zensim.sim_server.ros2_node.server_node import start_server_node
 from zensim.sim_server.runtime.loop import ServerLoop, request_short_time_slice
@@ -37,7 +39,12 @@ from zensim.sim_server.runtime.memory_trimmer import MemoryTrimmer
 from zensim.sim_server.runtime.step_topics import StepTopics
 from zensim.sim_server.security.admitted_users import AdmittedUsers
 from zensim.sim_server.security.secure_folder import SecureFolder
-from zensim.sim_server.server_config import ServerConfig, WorldAlreadyServed, validate_config
+from zensim.sim_server.server_config import (
+    ConfigError,
+    ServerConfig,
+    WorldAlreadyServed,
+    validate_config,
+)
 from zensim.sim_server.world_loading.world_loader import LoadedWorld, make_world_engine
 
 if TYPE_CHECKING:
@@ -83,6 +90,10 @@ def run_server(
     config = msgspec.structs.replace(validate_config(config), requested=config)
     limit_malloc_arenas()
     with ExitStack() as cleanup:
+        collector = LogCollector()
+        if config.ros.domain is not None:
+            collector.start()
+        cleanup.callback(collector.stop)
         journal = open_journal(config.journal) if config.journal else None
         if journal is not None:
             cleanup.callback(journal.close)
@@ -102,7 +113,7 @@ def run_server(
         else:
             bus = _open_network(config, cleanup)
             made = make()
-        _run(config, made, bus, should_stop, on_ready)
+        _run(config, made, bus, collector, should_stop, on_ready)
 
 
 def _listens(config: ServerConfig) -> bool:
@@ -173,6 +184,8 @@ def _make_parts(
     world = make_initial_world(config, loaded, store, journal)
     cleanup.callback(world.close)
     parts = make_parts(config, loaded, world, parser, store=store, now_ns=clock.now_ns)
+    if config.mesh_http:
+        parts.descriptions.published = _offer_meshes(config, store, cleanup)
     tracker = None if journal is None else journal.record(parts)
     if tracker is not None:
         cleanup.callback(tracker.close)
@@ -181,16 +194,29 @@ def _make_parts(
     return parts, tracker
 
 
+def _offer_meshes(config: ServerConfig, store: AssetStore, cleanup: ExitStack) -> PublishedFiles:
+    try:
+        server = MeshServer(config.mesh_http, store.folder, has_secret=bool(config.secure_folder))
+    except OSError as error:
+        raise ConfigError(
+            f"--mesh-http {config.mesh_http} cannot be used: {error.strerror}; use another port, "
+            "or 0 for any free one"
+        ) from error
+    cleanup.callback(server.close)
+    return server.files
+
+
 def _run(
     config: ServerConfig,
     made: tuple[ServerParts, ChangeTracker | None],
     bus: Bus,
+    collector: LogCollector,
     should_stop: Callable[[], bool],
     on_ready: Callable[[Bus, ServerConfig], None],
 ) -> None:
     parts, tracker = made
     with ExitStack() as cleanup:
-        node = start_server_node(bus, config.ros, list_server_parameters(config))
+        node = start_server_node(bus, config.ros, list_server_parameters(config), collector)
         cleanup.callback(node.close)
         users = None
         if config.secure_folder:

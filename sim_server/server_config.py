@@ -1,10 +1,11 @@
 """Configuration of a server, and its validation."""
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.proto.endpoints import DEFAULT_ENDPOINT
+from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_endpoint
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.names import check_name
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
@@ -68,6 +69,8 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     wait_s: float = 30.0
     """Timeout of connecting to the router."""
     ros: RosSettings = NO_ROS
+    mesh_http: str = ""
+    """`HOST:PORT` at which meshes of descriptions are offered by http; empty = they are not."""
     secure_folder: str = ""
     """Folder with the users of a secured server; empty = everybody may do everything."""
 
@@ -111,7 +114,24 @@ def validate_config(config: ServerConfig) -> ServerConfig:
     except EngineMissing as error:
         raise ConfigError(str(error)) from error
     _check_lockstep_timeout(config.lockstep.timeout_s)
+    if config.mesh_http:
+        to_mesh_endpoint(config.mesh_http)
     return config
+
+
+def to_mesh_endpoint(address: str) -> str:
+    """Write an address of meshes as an endpoint, whose rules hold for it.
+
+    Raises:
+        ConfigError: It is not `HOST:PORT`.
+    """
+    with suppress(ValueError):
+        endpoint = check_endpoint(f"tcp/{address}")
+        if address.rpartition(":")[2].isdecimal():
+            return endpoint
+    raise ConfigError(
+        f"--mesh-http {address[:80]!r} is not valid; use HOST:PORT, as 127.0.0.1:8090"
+    )
 
 
 def _check_lockstep_timeout(timeout_s: float) -> None:

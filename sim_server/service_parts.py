@@ -1,10 +1,13 @@
 """Parts of a server that service handlers take as parameters, and deferred responses."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Generic
 
+import msgspec
+
 from zensim.proto.codec.message_codec import Format
+from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.model_messages import Quat
 from zensim.proto.messages.sensor_messages import Environment, SensorsReply
 from zensim.proto.messages.simulation_messages import State
@@ -22,6 +25,7 @@ from zensim.sim_server.pacing.step_goals import StepGoals
 from zensim.sim_server.pacing.stepping_lease import SteppingLease
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.description_cache import DescriptionProvider, list_assets
+from zensim.sim_server.parser_process.mesh_server import PublishedFiles
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.simulated_world import BuiltWorld, SimulatedWorld, WorldFactory
 from zensim.sim_server.world_loading.world_catalog import WorldCatalog
@@ -150,6 +154,22 @@ class Descriptions:
     store: AssetStore
     has_new: bool = False
     """Whether descriptions have been parsed since the last turn of the loop."""
+    published: PublishedFiles | None = None
+    """Files that are offered by http; None = none are."""
+
+    def locate_files(self, claims: Sequence[Claim]) -> tuple[Claim, ...]:
+        """Name the files of claimed robots by their URLs in the descriptions, if offered."""
+        if self.published is None:
+            return tuple(claims)
+        keys = {id(one.model): self.provider.find_parse_key(one.model) for one in claims}
+        return tuple(
+            msgspec.structs.replace(
+                one, robot_description=self.published.publish(one.robot_description, key.assets)
+            )
+            if (key := keys[id(one.model)]) is not None
+            else one
+            for one in claims
+        )
 
 
 UPSIDE_DOWN: Quat = (1.0, 0.0, 0.0, 0.0)

@@ -70,6 +70,7 @@ from zensim.sim_server.security.secure_folder import (
     prepare_secure_folder,
     to_secure_endpoint,
 )
+from zensim.sim_server.server_config import to_mesh_endpoint
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 from zensim.spawner.cli.command_session import PrintableConsole
 from zensim.spawner.cli.spawn_arguments import (
@@ -303,6 +304,7 @@ def make_config(given: UpOptions) -> LaunchConfig:
         is_secure=given.secure,
         uses_certificates=given.client_certificates,
         is_insecure=given.insecure,
+        mesh_http=given.mesh_http,
         wait_s=given.wait,
         is_paused=given.paused,
         seed=given.seed,
@@ -330,6 +332,8 @@ def secure_deployment(config: LaunchConfig) -> LaunchConfig:
         ValueError: See `to_secure_endpoint`, `RefusedUser`.
     """
     listen = () if config.connect else (config.endpoint,)
+    if config.mesh_http:
+        listen = (*listen, to_mesh_endpoint(config.mesh_http))
     check_exposure("zensim up", listen, is_secure=config.is_secure, is_insecure=config.is_insecure)
     if not config.is_secure:
         if config.uses_certificates:

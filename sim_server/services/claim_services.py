@@ -7,7 +7,12 @@ from zensim.proto.messages import agent_messages
 from zensim.proto.messages.result_messages import ClaimCode, Result
 from zensim.proto.names import InvalidName, check_name
 from zensim.sim_server.errors import IncorrectState, RequestRefused
-from zensim.sim_server.service_parts import Agents, CurrentWorld, make_environment
+from zensim.sim_server.service_parts import (
+    Agents,
+    CurrentWorld,
+    Descriptions,
+    make_environment,
+)
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.simulated_world import SimulatedWorld
 
@@ -63,6 +68,7 @@ def claim_entity(
     world: SimulatedWorld,
     agents: Agents,
     current: CurrentWorld,
+    descriptions: Descriptions,
     request: agent_messages.ClaimEntityRequest,
 ) -> agent_messages.ClaimEntityResponse:
     """Grant an agent the claim of entities, named by the agent."""
@@ -71,12 +77,12 @@ def claim_entity(
         raise RequestRefused(ClaimCode.NOT_DRIVABLE, "no entity was named; name at least one")
     granted = world.claim(agent, request.entities, request.on_release)
     agents.state_formats[agent] = Format[request.state_format.upper()]
-    grants, models, descriptions = agent_messages.make_grants(granted)
+    grants, models, texts = agent_messages.make_grants(descriptions.locate_files(granted))
     return agent_messages.ClaimEntityResponse(
         Result(),
         grants,
         models,
-        descriptions,
+        texts,
         world.clock.step_ns,
         world.control_steps,
         make_environment(world, current),
@@ -88,6 +94,7 @@ def claim_share(
     world: SimulatedWorld,
     agents: Agents,
     current: CurrentWorld,
+    descriptions: Descriptions,
     request: agent_messages.ClaimShareRequest,
 ) -> agent_messages.ClaimShareResponse:
     """Grant a pool the claims of its share of the robots."""
@@ -101,7 +108,7 @@ def claim_share(
     granted = world.claim(agent, names, request.on_release)
     return agent_messages.ClaimShareResponse(
         Result(),
-        *agent_messages.make_grants(granted),
+        *agent_messages.make_grants(descriptions.locate_files(granted)),
         world.clock.step_ns,
         world.control_steps,
         make_environment(world, current),

@@ -24,6 +24,7 @@ CHANGED: dict[str, object] = {
     "secure": True,
     "client_certificates": True,
     "insecure": True,
+    "mesh_http": "127.0.0.1:0",
     "wait": 3.0,
     "world_name": "other",
     "engine": "mujoco",

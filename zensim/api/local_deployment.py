@@ -112,6 +112,8 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     """File of the page's token; empty = the page needs none."""
     is_insecure: bool = False
     """Whether the server may admit everybody from other hosts."""
+    mesh_http: str = ""
+    """`HOST:PORT` at which the server offers meshes; empty = it does not."""
     wait_s: float = 30.0
     """Timeout of the server's connection to the router."""
     journal: str = ""
@@ -311,6 +313,7 @@ def _list_values(config: LaunchConfig) -> dict[str, object]:
         "--lockstep-timeout": config.lockstep_timeout_s,
         "--on-miss": config.on_miss,
         "--wait": config.wait_s,
+        "--mesh-http": config.mesh_http,
     }
 
 

@@ -5,17 +5,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.models import a_box, on_ground
+from tests.models import a_box, a_cart, on_ground
 from tests.sim_server.fakes import CONTROL_STEPS, a_spawn, a_world, handle_request, make_parts
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages import agent_messages
+from zensim.proto.messages.asset_messages import AssetRef
 from zensim.proto.messages.sensor_messages import Environment, SphericalCoordinates
 from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse
 from zensim.sim_server.description.world_model import EARTH_MAGNETIC_FIELD, WorldModel
 from zensim.sim_server.errors import IncorrectState, RequestRefused
+from zensim.sim_server.parser_process.description_cache import ParseKey
+from zensim.sim_server.parser_process.mesh_server import PublishedFiles
 from zensim.sim_server.service_parts import ServerParts
 from zensim.sim_server.services import claim_services
 from zensim.sim_server.services.claim_services import find_robots_to_move, split_evenly
+from zensim.sim_server.world.spawn_request import ValidatedSpawn
 
 MANY = 1 << 32
 LIMITS = st.lists(st.integers(0, 30), min_size=1, max_size=6)
@@ -231,3 +235,24 @@ def test_claims_of_a_response_share_models_and_refuse_missing_models() -> None:
     assert one.model is other.model
     with pytest.raises(MalformedPayload):
         agent_messages.expand_grants(msgspec.structs.replace(response, models=()))
+
+
+def test_claims_name_offered_files_by_url() -> None:
+    model, text = a_cart(), '<robot><mesh filename="a.stl"/></robot>'
+    parts = make_parts(a_world())
+    for name in ("r1", "r2"):
+        parts.world.spawn(ValidatedSpawn(name, "", model, on_ground(), text))
+    files = (AssetRef("a.stl", "0" * 64),)
+    parts.descriptions.provider.remember(
+        ParseKey(text, "fixed", allow_missing=False, assets=files), model
+    )
+    parts.agents.alive.add("a")
+    request = agent_messages.ClaimEntityRequest("a", ("r1", "r2"))
+
+    parts.descriptions.published = PublishedFiles("http://h:1/")
+    response = handle_request(parts, request)
+
+    assert isinstance(response, agent_messages.ClaimEntityResponse)
+    (published,) = response.robot_descriptions
+    assert published.startswith('<robot><mesh filename="http://h:1/')
+    assert published.endswith('/a.stl"/></robot>')

@@ -1,0 +1,225 @@
+"""Files of spawned descriptions by http, so that RViz on any host finds the meshes they name."""
+
+from __future__ import annotations
+
+import html
+import mimetypes
+import os
+import posixpath
+import re
+import secrets
+import socket
+import threading
+import time
+from collections import OrderedDict
+from contextlib import suppress
+from hashlib import sha256
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from socketserver import TCPServer
+from typing import TYPE_CHECKING, Final
+from urllib.parse import quote, unquote, urlsplit
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from zensim.proto.messages.asset_messages import AssetRef
+
+MAX_BUNDLES: Final = 1024
+"""Sets of files of descriptions; the least recently spawned ones are forgotten first."""
+MAX_TEXTS: Final = 64
+"""Descriptions that are kept with their URLs."""
+MAX_CONNECTIONS: Final = 32
+"""At a time; further ones are closed at once."""
+ACCEPT_PAUSE_S: Final = 0.002
+"""After each connection: whoever opens them as fast as possible must not delay steps."""
+IDLE_S: Final = 5.0
+"""After which a client that neither sends nor receives is cut off."""
+LONGEST_S: Final = 60.0
+"""For which a connection lasts at most."""
+EVERY_ADDRESS: Final = ("0.0.0.0", "::")
+BUNDLE_DIGITS: Final = 16
+URL_VALUE: Final = re.compile(r"""(?<=["'>])[^"'<>]{1,4096}(?=["'<])""")
+"""A value of an attribute or element that may be a URI."""
+TYPES: Final = {".dae": "model/vnd.collada+xml", ".stl": "model/stl", ".obj": "model/obj"}
+
+
+def to_path(uri: str) -> str:
+    """Convert a URI of a file to a path below that of its description.
+
+    Relative references of a mesh to its textures remain valid.
+    """
+    _, separator, path = uri.rpartition("://")
+    return posixpath.normpath(f"/{path if separator else uri}").lstrip("/")
+
+
+class PublishedFiles:
+    """Which files of spawned descriptions are offered, by path; threads look them up."""
+
+    def __init__(self, base_url: str) -> None:
+        """Offer nothing yet.
+
+        Args:
+            base_url: Ends with a slash.
+        """
+        self.base_url = base_url
+        self._bundles: OrderedDict[str, Mapping[str, str]] = OrderedDict()
+        self._texts: OrderedDict[tuple[str, tuple[AssetRef, ...]], str] = OrderedDict()
+
+    def publish(self, text: str, files: tuple[AssetRef, ...]) -> str:
+        """Offer the files of a description; return it with their URLs instead of their URIs."""
+        if not files:
+            return text
+        key = (text, files)
+        if key not in self._texts:
+            self._texts[key] = self._publish(text, files)
+        self._texts.move_to_end(key)
+        while len(self._texts) > MAX_TEXTS:
+            self._texts.popitem(last=False)
+        return self._texts[key]
+
+    def find(self, path: str) -> str:
+        """Find the sha256 of a file by the path of its URL below the base; empty if none is."""
+        bundle, _, file = posixpath.normpath(f"/{unquote(path)}").lstrip("/").partition("/")
+        return self._bundles.get(bundle, {}).get(file, "")
+
+    def _publish(self, text: str, files: tuple[AssetRef, ...]) -> str:
+        by_path = {to_path(one.uri): one.sha256 for one in files}
+        listed = "\n".join(f"{path} {name}" for path, name in sorted(by_path.items()))
+        bundle = sha256(listed.encode()).hexdigest()[:BUNDLE_DIGITS]
+        self._bundles[bundle] = by_path
+        while len(self._bundles) > MAX_BUNDLES:
+            self._bundles.popitem(last=False)
+        urls = {one.uri: f"{self.base_url}{bundle}/{quote(to_path(one.uri))}" for one in files}
+
+        def replace(found: re.Match[str]) -> str:
+            return urls.get(html.unescape(found[0]).strip(), found[0])
+
+        return URL_VALUE.sub(replace, text)
+
+
+class MeshServer(ThreadingHTTPServer):
+    """Serves the files of spawned descriptions, and nothing else, in threads."""
+
+    daemon_threads = True
+    request_queue_size = MAX_CONNECTIONS
+
+    def __init__(self, address: str, folder: str, *, has_secret: bool = False) -> None:
+        """Listen, and serve from now on.
+
+        Args:
+            address: `HOST:PORT`; port 0 = any free one.
+            folder: Of the files, named `<sha256>.stl`.
+            has_secret: Whether URLs contain a secret that only readers of descriptions have.
+
+        Raises:
+            OSError: The address cannot be used.
+        """
+        host, _, port = address.rpartition(":")
+        host = host.strip("[]")
+        if ":" in host:
+            self.address_family = socket.AF_INET6
+        self._folder = folder
+        self._free = threading.Semaphore(MAX_CONNECTIONS)
+        self._began_s: dict[socket.socket, float] = {}
+        super().__init__((host, int(port)), FileRequest)
+        shown = socket.gethostname() if host in EVERY_ADDRESS else host
+        shown = f"[{shown}]" if ":" in shown else shown
+        self.secret = secrets.token_urlsafe() if has_secret else ""
+        start = f"{self.secret}/" if has_secret else ""
+        self.files = PublishedFiles(f"http://{shown}:{self.server_address[1]}/{start}")
+        self._thread = threading.Thread(target=self.serve_forever, name="meshes", daemon=True)
+        self._thread.start()
+
+    def open_file(self, path: str) -> int | None:
+        """Open the file at a URL's path for reading; None if no description has it."""
+        start, separator, rest = path.lstrip("/").partition("/") if self.secret else ("", "/", path)
+        is_admitted = secrets.compare_digest(start.encode(), self.secret.encode())
+        name = self.files.find(rest) if is_admitted and separator else ""
+        if not name:
+            return None
+        with suppress(OSError):
+            return os.open(f"{self._folder}/{name}.stl", os.O_RDONLY | os.O_NOFOLLOW)
+        return None  # evicted
+
+    def count_connections(self) -> int:
+        """Count the connections that are served now."""
+        return len(self._began_s)
+
+    def server_bind(self) -> None:
+        """Bind without a look-up of the host's name, which can take seconds."""
+        TCPServer.server_bind(self)
+
+    def get_request(self) -> tuple[socket.socket, object]:
+        """Accept a connection; not too many at a time."""
+        time.sleep(ACCEPT_PAUSE_S)
+        return super().get_request()
+
+    def process_request(self, request: socket.socket, client_address: object) -> None:  # type: ignore[override]
+        """Serve a connection in a thread, or close it if there are too many."""
+        if not self._free.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        self._began_s[request] = time.monotonic()
+        super().process_request(request, client_address)
+
+    def process_request_thread(self, request: socket.socket, client_address: object) -> None:  # type: ignore[override]
+        """Serve a connection to its end."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._began_s.pop(request, None)
+            self._free.release()
+
+    def service_actions(self) -> None:
+        """End connections that last too long; called twice a second."""
+        oldest_s = time.monotonic() - LONGEST_S
+        for request, began_s in tuple(self._began_s.items()):
+            if began_s < oldest_s:
+                with suppress(OSError):
+                    request.shutdown(socket.SHUT_RDWR)
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Ignore what a client does to its connection."""
+
+    def close(self) -> None:
+        """Stop listening."""
+        self.shutdown()
+        self.server_close()
+        self._thread.join()
+
+
+class FileRequest(BaseHTTPRequestHandler):
+    """One request; the connection is closed after it."""
+
+    server: MeshServer
+    timeout = IDLE_S
+    server_version, sys_version = "zensim", ""
+
+    def do_GET(self) -> None:
+        """Send a file."""
+        self._send(has_body=True)
+
+    def do_HEAD(self) -> None:
+        """Send the length of a file."""
+        self._send(has_body=False)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Log nothing: clients decide what would be logged."""
+
+    def _send(self, *, has_body: bool) -> None:
+        path = urlsplit(self.path).path
+        if (descriptor := self.server.open_file(path)) is None:
+            self.send_error(HTTPStatus.NOT_FOUND)
+            return
+        with os.fdopen(descriptor, "rb") as file:
+            suffix = posixpath.splitext(path)[1].lower()
+            usual = mimetypes.guess_type(path)[0] or "application/octet-stream"
+            self.send_response(HTTPStatus.OK)
+            self.send_header("Content-Type", TYPES.get(suffix, usual))
+            self.send_header("Content-Length", str(os.fstat(descriptor).st_size))
+            self.send_header("X-Content-Type-Options", "nosniff")
+            self.end_headers()
+            if has_body:
+                self.wfile.flush()
+                self.connection.sendfile(file)
