@@ -466,7 +466,7 @@ class RouterSecurity(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class BusConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """Session settings; defaults to loopback without scouting; only routers gossip."""
+    """Session settings; defaults to loopback without scouting; clients do not gossip."""
 
     mode: Literal["client", "peer", "router"] = "client"
     connect: tuple[str, ...] = ()
@@ -793,7 +793,7 @@ def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
         "connect/retry": {"period_init_ms": 100, "period_max_ms": 500},
         "scouting/multicast/enabled": False,
         # Peers of rmw_zenoh learn of each other by the gossip of their router only.
-        "scouting/gossip/enabled": config.mode == "router",
+        "scouting/gossip/enabled": config.mode != "client",
         "scouting/delay": 0,
         # Else the router stamps all: in one order, in which it does not forward them, and zenoh-ext
         # drops what is older than the last message with the same stamp id.

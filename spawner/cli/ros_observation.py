@@ -4,10 +4,12 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
+from http.client import HTTPException
+from urllib.request import Request, urlopen
 
 import msgspec
 
-from zensim.proto.bus import Bus, BusSubscription
+from zensim.proto.bus import Bus, BusSubscription, open_bus
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.standard_messages import (
     Clock,
@@ -19,11 +21,12 @@ from zensim.proto.messages.standard_messages import (
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse
 from zensim.proto.network_protocols import Sample
 from zensim.proto.ros2.liveliness_tokens import (
+    NODE_KIND,
     TOKEN_SPACE,
     AnnouncedEndpoint,
     parse_endpoint_token,
 )
-from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key, mangle_name
+from zensim.proto.ros2.rmw_keys import ANY_HASH, demangle_name, make_data_key, mangle_name
 from zensim.proto.topic_catalog import CLOCK, TF, TF_STATIC
 from zensim.proto.topic_endpoints import CACHE_SUFFIX
 from zensim.spawner.cli.ros_requirements import PUBLISHER, RobotTopics
@@ -45,6 +48,10 @@ MIN_MESSAGES = 3
 POLL_S = 0.02
 QUEUE_DEPTH = 4096
 REPLY_TIMEOUT_S = 2.0
+HTTP_TIMEOUT_S = 2.0
+ANY_OWN_PORT = "tcp/127.0.0.1:0"
+PEERS_WITHIN_S = 3.0
+"""Time for a peer to find the others."""
 
 
 def observe_robot(
@@ -76,7 +83,33 @@ def observe_robot(
         publishes_odom_tf=drive is not None and drive.publish_odom_tf,
         links=links,
         meshes={uri: find_mesh_fault(uri) for uri in meshes},
+        unreachable=list_unreachable_nodes(bus, domain),
     )
+
+
+def list_unreachable_nodes(bus: Bus, domain: int) -> tuple[str, ...]:
+    """List the ROS 2 nodes that those of this host cannot reach, although a router has both.
+
+    Processes of rmw_zenoh are peers that listen on their own host, and no router passes on what
+    peers exchange. A client gets the tokens of all, a peer those that it reaches.
+    """
+    if bus.user:
+        return ()  # nodes of a secured server are clients
+    pattern = f"{TOKEN_SPACE}/{domain}/*/*/*/{NODE_KIND}/**"
+    every = set(bus.list_tokens(pattern))
+    beside = msgspec.structs.replace(bus.config, mode="peer", listen=(ANY_OWN_PORT,))
+    deadline_s = time.monotonic() + PEERS_WITHIN_S
+    with open_bus(beside) as peer:
+        while missing := every.difference(peer.list_tokens(pattern)):
+            if time.monotonic() > deadline_s:
+                break
+            time.sleep(POLL_S)
+    return tuple(sorted(_read_node_name(token) for token in missing))
+
+
+def _read_node_name(token: str) -> str:
+    namespace, name = token.split("/")[-2:]
+    return f"{demangle_name(namespace).rstrip('/')}/{demangle_name(name)}"
 
 
 def read_description(text: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -91,14 +124,22 @@ def read_description(text: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def find_mesh_fault(uri: str) -> str:
-    """Find why RViz on this host would not find a mesh; empty if it would, or loads it by http."""
+    """Find why RViz on this host would not find a mesh; empty if it would."""
     if uri.startswith(("http://", "https://")):
-        return ""
+        return _find_http_fault(uri)
     if uri.startswith(FILE_SCHEME):
         return "" if os.path.isfile(uri.removeprefix(FILE_SCHEME)) else "no such file"  # noqa: PTH113
     if not uri.startswith(PACKAGE_SCHEMES):
         return "it is neither package:// nor file://"
     return collect_search_paths((), os.environ).find(uri).reason
+
+
+def _find_http_fault(url: str) -> str:
+    try:
+        with urlopen(Request(url, method="HEAD"), timeout=HTTP_TIMEOUT_S):
+            return ""
+    except (OSError, ValueError, HTTPException) as error:
+        return f"it is not served: {error}"
 
 
 def _list_endpoints(bus: Bus, domain: int, namespace: str) -> Iterator[AnnouncedEndpoint]:

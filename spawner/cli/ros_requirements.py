@@ -68,6 +68,8 @@ class RobotTopics:
     """Of the robot description."""
     meshes: Mapping[str, str] = field(default_factory=dict)
     """URI of each mesh of the description, and why it is not found here; empty if it is."""
+    unreachable: tuple[str, ...] = ()
+    """Nodes of other hosts, which ROS 2 processes of this one do not reach."""
 
     def find_publishers(self, kind: type[msgspec.Struct]) -> tuple[AnnouncedEndpoint, ...]:
         """Find the robot's publishers of a type, by topic."""
@@ -372,8 +374,22 @@ def check_meshes(topics: RobotTopics) -> Iterator[Finding]:
         return
     uri, reason = next(iter(missing.items()))
     found = f"{len(missing)} of {len(topics.meshes)} meshes are not found on this host: {uri}"
-    advice = f"{reason}; RViz reads them from its own host: source the workspace of their package"
+    advice = (
+        f"{reason}; RViz reads them from its own host: source the workspace of their package, or "
+        "start the server with --mesh-http HOST:PORT"
+    )
     yield make_wrong("meshes", found, advice)
+
+
+def check_hosts(topics: RobotTopics) -> Iterator[Finding]:
+    """Check that the ROS 2 processes of this host reach those of all others."""
+    if not topics.unreachable:
+        yield Finding("ok", "hosts", "ROS 2 processes of this host reach all nodes")
+        return
+    count, named = len(topics.unreachable), ", ".join(topics.unreachable[:MAX_NAMES_SHOWN])
+    found = f"{count} nodes of other hosts are reached by zensim, not by peers here: {named}"
+    advice = "if ROS 2 runs here, too: ZENOH_CONFIG_OVERRIDE='mode=\"client\"' on each host"
+    yield Finding("note", "hosts", found, f"{advice}, or an rmw_zenohd on each")
 
 
 CHECKS: Final[dict[RosStack, tuple[RosCheck, ...]]] = {
@@ -387,6 +403,7 @@ CHECKS: Final[dict[RosStack, tuple[RosCheck, ...]]] = {
         check_scan_frame,
         check_scan_stamps,
         check_commands,
+        check_hosts,
     ),
     RosStack.SLAM: (
         check_clock,
@@ -396,6 +413,7 @@ CHECKS: Final[dict[RosStack, tuple[RosCheck, ...]]] = {
         check_scan_angles,
         check_scan_frame,
         check_scan_stamps,
+        check_hosts,
     ),
     RosStack.RVIZ: (
         check_clock,
@@ -403,6 +421,7 @@ CHECKS: Final[dict[RosStack, tuple[RosCheck, ...]]] = {
         check_link_frames,
         check_root_frame,
         check_meshes,
+        check_hosts,
     ),
 }
 """What each stack asks, in the order of the table."""

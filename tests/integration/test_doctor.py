@@ -19,9 +19,11 @@ from tests.integration.processes import (
     without_libraries,
     zensim,
 )
+from tests.integration.rmw_sessions import open_rmw_session
 from tests.integration.sensor_runs import read_sensor_rows, running_sensors
 from zensim.proto.exit_codes import ExitCode
 
+NODE_OF_ROS = "@ros2_lv/0/1234/0/0/NN/%/%/{}"
 DENY_QUERIES = {
     "enabled": True,
     "default_permission": "allow",
@@ -157,10 +159,25 @@ def test_doctor_checks_what_ros_stacks_ask_of_a_robot_with_a_lidar() -> None:
             )
             assert nav2 >= {"odometry", "covariances", "odom tf", "base frame", "cmd_vel"}
             assert slam >= {"clock", "scan", "scan angles", "scan frame", "scan stamps"}
-            assert rviz >= {"description", "link frames", "fixed frame", "meshes"}
+            assert rviz >= {"description", "link frames", "fixed frame", "meshes", "hosts"}
 
             status, found = run_doctor(server.endpoint, "--ros", "nav2", "r2")
             assert (status, found[-1]["what"]) == (ExitCode.NOT_FOUND, "robot")
+            # A process that listens nowhere is one of a host that cannot be reached.
+            with open_rmw_session(server.endpoint) as here:
+                own = here.liveliness().declare_token(NODE_OF_ROS.format("here"))
+                assert row_of_hosts(server) == ("ok", False)
+                with open_rmw_session(server.endpoint, {"listen/endpoints": []}) as far:
+                    far.liveliness().declare_token(NODE_OF_ROS.format("far"))
+                    eventually(lambda: row_of_hosts(server) == ("note", True), 30.0, "the row")
+                own.undeclare()
+
+
+def row_of_hosts(server: Server) -> tuple[str, bool]:
+    """Find the mark of the row of hosts, and whether it names the distant node alone."""
+    _, found = run_doctor(server.endpoint, "--ros", "nav2", "r1")
+    (row,) = [one for one in found if one["what"] == "hosts"]
+    return row["mark"], "/far" in row["found"] and "/here" not in row["found"]
 
 
 def test_doctor_refuses_a_stack_without_a_robot() -> None:

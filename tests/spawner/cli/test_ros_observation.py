@@ -22,7 +22,7 @@ def test_text_that_is_no_description_has_no_links() -> None:
     assert read_description("no xml") == ((), ())
 
 
-def test_meshes_are_found_in_packages_files_and_by_http(
+def test_meshes_are_found_in_packages_and_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     share = tmp_path / "share" / "p"
@@ -33,7 +33,8 @@ def test_meshes_are_found_in_packages_files_and_by_http(
 
     assert find_mesh_fault("package://p/a.stl") == ""
     assert find_mesh_fault(f"file://{share}/a.stl") == ""
-    assert find_mesh_fault("https://example.org/a.stl") == ""
+    assert find_mesh_fault("http://127.0.0.1:1/a.stl")
+    assert find_mesh_fault("http://[/a.stl")
     assert find_mesh_fault("package://p/b.stl")
     assert find_mesh_fault(f"file://{share}/b.stl")
     assert find_mesh_fault("meshes/a.stl")

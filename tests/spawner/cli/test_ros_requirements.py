@@ -249,6 +249,12 @@ MISSING: dict[str, tuple[RosStack, RobotTopics, str, FindingMark]] = {
         "fixed frame",
         "note",
     ),
+    "nodes out of reach": (
+        RosStack.NAV2,
+        replace(WHOLE, unreachable=("/far",)),
+        "hosts",
+        "note",
+    ),
     "mesh not here": (
         RosStack.RVIZ,
         replace(WHOLE, meshes={"package://r1/body.stl": "no such file"}),
