@@ -49,7 +49,6 @@ POLL_S = 0.02
 QUEUE_DEPTH = 4096
 REPLY_TIMEOUT_S = 2.0
 HTTP_TIMEOUT_S = 2.0
-ANY_OWN_PORT = "tcp/127.0.0.1:0"
 PEERS_WITHIN_S = 3.0
 """Time for a peer to find the others."""
 
@@ -97,7 +96,7 @@ def list_unreachable_nodes(bus: Bus, domain: int) -> tuple[str, ...]:
         return ()  # nodes of a secured server are clients
     pattern = f"{TOKEN_SPACE}/{domain}/*/*/*/{NODE_KIND}/**"
     every = set(bus.list_tokens(pattern))
-    beside = msgspec.structs.replace(bus.config, mode="peer", listen=(ANY_OWN_PORT,))
+    beside = msgspec.structs.replace(bus.config, mode="peer")
     deadline_s = time.monotonic() + PEERS_WITHIN_S
     with open_bus(beside) as peer:
         while missing := every.difference(peer.list_tokens(pattern)):

@@ -168,8 +168,9 @@ def test_doctor_checks_what_ros_stacks_ask_of_a_robot_with_a_lidar() -> None:
                 own = here.liveliness().declare_token(NODE_OF_ROS.format("here"))
                 assert row_of_hosts(server) == ("ok", False)
                 with open_rmw_session(server.endpoint, {"listen/endpoints": []}) as far:
-                    far.liveliness().declare_token(NODE_OF_ROS.format("far"))
+                    distant = far.liveliness().declare_token(NODE_OF_ROS.format("far"))
                     eventually(lambda: row_of_hosts(server) == ("note", True), 30.0, "the row")
+                    distant.undeclare()
                 own.undeclare()
 
 
