@@ -79,7 +79,8 @@ def _secured() -> Iterator[tuple[tuple[Bus, Bus], str]]:
         stack.callback(_restore, before)
         endpoint = with_free_port("tls/127.0.0.1:0")
         folder = prepare_secure_folder(SecureSettings(WORLD, 0, endpoint))
-        server = stack.enter_context(open_bus(stack.enter_context(secured_router(folder, "bench"))))
+        router = stack.enter_context(secured_router(folder, "bench"))
+        server = stack.enter_context(open_bus(router.wait()))
         token = folder.make_token(folder.accounts()["observer"]).write()
         client = stack.enter_context(open_bus(BusConfig(connect=(token,))))
         yield (server, client), token

@@ -305,6 +305,23 @@ class LivelinessWatch:
         self._subscriber.undeclare()
 
 
+class LinkWatch:
+    """Links of other sessions to this one, as they open and close."""
+
+    def __init__(self, listener: "zenoh.LinkEventsListener[Handler[zenoh.LinkEvent]]") -> None:
+        self._listener = listener
+
+    def take(self) -> list[tuple[str, str, bool]]:
+        """Take all queued changes: session, its address, and whether the link is open."""
+        changes = []
+        while (event := self._listener.try_recv()) is not None:
+            link = event.link
+            # What follows the address is not a part of a key.
+            address = str(link.dst).partition("?")[0].partition("#")[0]
+            changes.append((str(link.zid), address, event.kind == zenoh.SampleKind.PUT))
+        return changes
+
+
 def to_sample(sample: zenoh.Sample) -> Sample:
     """Convert a Zenoh sample."""
     attachment = sample.attachment
@@ -331,6 +348,7 @@ __all__ = [
     "EndpointTaken",
     "EndpointUnreachable",
     "JoinRefused",
+    "LinkWatch",
     "LivelinessToken",
     "LivelinessWatch",
     "NoServer",
@@ -402,6 +420,8 @@ PROBE_TIMEOUT_S: Final = 0.5
 JOIN_TIMEOUT_S: Final = 2.0
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
 """A query may return nothing after a reconnect (zenoh#2767): retry with the same id."""
+MAX_LINK_EVENTS: Final = 65536
+"""Links that open or close while nobody takes them."""
 MAX_REPLIES: Final = 16384
 """Queue length for the replies to a query; a ring channel loses replies when the query ends."""
 LATEST: Final = 1
@@ -444,6 +464,8 @@ class Credentials(msgspec.Struct, frozen=True, kw_only=True):
     """Of the client, with its private key, PEM; empty where the server asks for none."""
     certificate_file: str = ""
     """File with both, which is read at each connection, so that it may be renewed."""
+    world: str = ""
+    """In which the user is announced; empty for the server itself."""
 
     def __repr__(self) -> str:
         """Name the user only."""
@@ -487,6 +509,7 @@ class Bus:
     def __init__(self, session: zenoh.Session, config: BusConfig) -> None:
         self._session = session
         self._sender = ReplySender()
+        self._user_token: zenoh.LivelinessToken | None = None
         # Names this session in its requests: a server shares its time among sessions.
         self._source = zenoh.SourceInfo(session.id, 0)
         self.config = config
@@ -514,12 +537,17 @@ class Bus:
         """Session id, in hexadecimal digits."""
         return str(self._session.info.zid())
 
-    def find_peer(self, session: str) -> str:
-        """Find the address of a session that is linked to this one; empty if none is."""
-        for link in self._session.info.links():
-            if str(link.zid) == session:
-                return str(link.dst)
-        return ""
+    def watch_links(self) -> LinkWatch:
+        """Watch the links of other sessions to this one, beginning with the present ones."""
+        listener = self._session.info.declare_link_events_listener(
+            FifoChannel(MAX_LINK_EVENTS), history=True
+        )
+        return LinkWatch(listener)
+
+    def announce_user(self, world: str) -> None:
+        """Declare whose session this is, until it closes: the server of that world records it."""
+        key = keys.user_session(world, self.user, self.zid)
+        self._user_token = self._session.liveliness().declare_token(key)
 
     def stamp(self) -> Stamp:
         """Make a timestamp of now."""
@@ -537,6 +565,8 @@ class Bus:
     def close(self) -> None:
         """Send the replies that wait, and close the session and all that it declared."""
         self._sender.close()
+        if self._user_token is not None:
+            self._user_token.undeclare()
         self._session.close()
 
     def prepare_reply_threads(self, prepare: Callable[[], object]) -> None:
@@ -709,6 +739,8 @@ def open_bus(config: BusConfig) -> Bus:
         _, _, port = endpoint.partition("?")[0].partition("#")[0].rpartition(":")
         if port.isdigit():
             limit_unacknowledged_time(int(port), MOST_UNACKNOWLEDGED_MS)
+    if settled.credentials is not None and settled.credentials.world:
+        bus.announce_user(settled.credentials.world)
     return bus
 
 
@@ -752,6 +784,7 @@ def _join(token: JoinToken, timeout_s: float) -> Credentials:
         authority=authority,
         certificate=token.certificate_text,
         certificate_file=token.file,
+        world=token.world,
     )
 
 
@@ -924,6 +957,8 @@ def _accepts_connections(endpoint: str) -> bool:
 
 OPEN_TIMEOUTS_S = (0.25, 0.25, 0.25, 0.25, 2.0)
 """Short, to find a new router soon; sometimes long, for a distant one."""
+LEAST_ATTEMPT_S: Final = 0.05
+"""From one attempt to the next: a join token is refused at once where nothing listens."""
 
 
 def require_free_endpoints(config: BusConfig) -> None:
@@ -948,8 +983,10 @@ def open_bus_with_retry(config: BusConfig, wait_s: float) -> Bus:
     timeouts = cycle(OPEN_TIMEOUTS_S)
     while True:
         attempt = msgspec.structs.replace(config, open_timeout_s=next(timeouts))
+        next_s = time.monotonic() + LEAST_ATTEMPT_S
         try:
             return open_bus(attempt)
         except EndpointUnreachable:
             if time.monotonic() >= deadline_s:
                 raise
+        time.sleep(max(0.0, next_s - time.monotonic()))

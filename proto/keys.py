@@ -19,9 +19,40 @@ def services_of_users(world: str) -> str:
     return f"sim/{world}/u/*/*"
 
 
-def router_peer(world: str, session: str) -> str:
-    """Query of the address of a session; the router of a secured server replies to the server."""
-    return f"sim/{world}/router/peers/{session}"
+def router_link(world: str, session: str, address: str) -> str:
+    """Liveliness token of a session that is linked to the router of a secured server."""
+    return f"sim/{world}/router/links/{session}/{address}"
+
+
+def router_links(world: str) -> str:
+    """Liveliness tokens of all sessions that are linked to the router of a secured server."""
+    return f"sim/{world}/router/links/**"
+
+
+def parse_router_link(key: str) -> tuple[str, str]:
+    """Return session and address of a `router_link` key; empty for other keys."""
+    match key.split("/"):
+        case ["sim", _, "router", "links", session, *address]:
+            return session, "/".join(address)
+    return "", ""
+
+
+def user_session(world: str, user: str, session: str) -> str:
+    """Liveliness token of a session of a user of a secured server."""
+    return f"sim/{world}/u/{user}/session/{session}"
+
+
+def user_sessions(world: str) -> str:
+    """Liveliness tokens of the sessions of all users."""
+    return f"sim/{world}/u/*/session/*"
+
+
+def parse_user_session(key: str) -> tuple[str, str]:
+    """Return user and session of a `user_session` key; empty for other keys."""
+    match key.split("/"):
+        case ["sim", _, "u", user, "session", session]:
+            return user, session
+    return "", ""
 
 
 def parse_user(key: str) -> str:

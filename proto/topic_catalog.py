@@ -38,7 +38,7 @@ from zensim.proto.messages.standard_messages import (
     TwistStamped,
     Vector3Stamped,
 )
-from zensim.proto.messages.telemetry_messages import Event, Refusal, Snapshot, Stats, WorldClock
+from zensim.proto.messages.telemetry_messages import AuditRecord, Event, Snapshot, Stats, WorldClock
 from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_5, RELIABLE_10, Qos
 from zensim.proto.ros2.ros_graph import RosTopic
 from zensim.proto.ros2.ros_settings import PARAMETERS, RosSettings
@@ -170,11 +170,11 @@ EVENTS = TopicSpec(
 AUDIT = TopicSpec(
     name="audit",
     scope=TopicScope.WORLD,
-    messages=(Refusal,),
+    messages=(AuditRecord,),
     publisher=Participant.SERVER,
     format=Format.MSGPACK,
     is_gettable=False,
-    description="requests that a secured server refused: user, role, service, reason",
+    description="who joined, left, changed something or was refused on a secured server",
 )
 MODEL_STATES = TopicSpec(
     name="model_states",

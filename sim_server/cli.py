@@ -204,8 +204,11 @@ def serve(context: typer.Context, given: ServeOptions) -> None:
             raise ValueError("--client-certificates needs --secure; add it")
         folder = _prepare_folder(given) if given.secure else None
         if folder is not None:
-            bus = stack.enter_context(secured_router(folder, "serve"))
-            config = msgspec.structs.replace(config, bus=bus, secure_folder=str(folder.path))
+            router = stack.enter_context(secured_router(folder, "serve"))
+            _import_server()  # while the router starts
+            config = msgspec.structs.replace(
+                config, bus=router.wait(), secure_folder=str(folder.path)
+            )
         _run_server(config, stop, folder=folder, given=given)
 
 

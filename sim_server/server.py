@@ -128,7 +128,8 @@ def _in_one_process(config: ServerConfig) -> ServerConfig:
 
 def _open_network(config: ServerConfig, cleanup: ExitStack) -> Bus:
     bus = cleanup.enter_context(open_bus_with_retry(config.bus or BusConfig(), config.wait_s))
-    if _has_server(bus, config.world):
+    # A secured server has a router of its own.
+    if not config.secure_folder and _has_server(bus, config.world):
         raise WorldAlreadyServed(
             f"world '{config.world}' already has a server at {bus.endpoint}; "
             "stop it, or use --world-name with another"
@@ -221,6 +222,7 @@ def _run(
         users = None
         if config.secure_folder:
             users = AdmittedUsers(SecureFolder(Path(config.secure_folder)), bus, config.world)
+            cleanup.callback(users.close)
         sources = (*node.sources, StepTopics(bus, config.world))
         inbox = BusInbox(bus, config.world, sources, is_secured=users is not None)
         publisher = BusWorldPublisher(bus, config.world, node.topics, node.on_progress)

@@ -130,6 +130,11 @@ VERBS: dict[str, Verb] = {
     "features": Verb(
         "Diagnostics", "zensim.spawner.cli.simulation_commands", "List the features of the server."
     ),
+    "stats": Verb(
+        "Diagnostics",
+        "zensim.spawner.cli.simulation_commands",
+        "Print the counts and times of the server.",
+    ),
     "doctor": Verb(
         "Diagnostics", "zensim.spawner.cli.doctor_commands", "Diagnose connection problems."
     ),

@@ -1,7 +1,6 @@
 """`zensim router`: a Zenoh router with the settings of the one in `zensim serve`."""
 
 import time
-from functools import partial
 from typing import Annotated
 
 import typer
@@ -13,8 +12,6 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.printable_text import print_lines
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.verbosity import print_announcement
-from zensim.sim_server.security.router_process import run_secured_router
-from zensim.sim_server.security.secure_folder import open_secure_folder
 
 POLL_S = 0.05
 
@@ -46,14 +43,9 @@ def router(
         bool, flag("--print-config", help="Print the configuration for 'zenohd -c', and exit.")
     ] = False,
     insecure: InsecureOption = False,
-    secured_world: Annotated[str, typer.Option("--secured-world", hidden=True)] = "",
     as_json: JsonOption = False,
 ) -> None:
     """Start a Zenoh router, until Ctrl-C; servers and agents connect with --connect."""
-    if secured_world:
-        with exit_on_failure("router"):
-            _route_for_users(secured_world, as_json=as_json)
-        return
     config = BusConfig(
         mode="router", listen=tuple(listen or (DEFAULT_ENDPOINT,)), connect=tuple(connect or ())
     )
@@ -68,17 +60,3 @@ def router(
             print_announcement("router", f"at {', '.join(at)}", {"endpoints": at}, as_json=as_json)
             while not stop():
                 time.sleep(POLL_S)
-
-
-def _route_for_users(world: str, *, as_json: bool) -> None:
-    """Be the router of a secured server on this host, which starts this program."""
-    folder = open_secure_folder(world)
-    endpoint = folder.settings.endpoint
-    announce = partial(
-        print_announcement,
-        "router",
-        f"of the secured world '{world}' at {endpoint}",
-        {"endpoints": [endpoint]},
-        as_json=as_json,
-    )
-    run_secured_router(folder, endpoint, StopFlag(), announce)

@@ -15,6 +15,7 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import JoinToken
 from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import ROLES, RefusedUser, User
+from zensim.proto.verbosity import print_note
 from zensim.sim_server.security.secure_folder import (
     Account,
     SecureFolder,
@@ -95,6 +96,7 @@ def create(given: CreateOptions) -> None:
         user = User(given.name or choose_user_name(folder, given.role, robots), given.role, robots)
         certificate_s = parse_ttl(given.certificate_ttl, "--certificate-ttl")
         account = folder.add([user], parse_ttl(given.ttl))[0]
+        await_admission(folder, "token create")
         token = folder.make_token(account, given.host, certificate_s).write()
         facts = {"user": user.name, "role": user.role, "robots": robots, "token": token}
         print_lines(json.dumps(facts) if given.as_json else token)
@@ -128,7 +130,9 @@ def revoke(
 ) -> None:
     """Revoke a user: its sessions end now. Others are interrupted for about two seconds."""
     with exit_on_failure("token revoke"):
-        open_secure_folder(world_name).revoke(user)
+        folder = open_secure_folder(world_name)
+        folder.revoke(user)
+        await_admission(folder, "token revoke")
         if as_json:
             print_lines(json.dumps({"user": user}))
 
@@ -167,6 +171,12 @@ def show(
         certificate_s = parse_ttl(certificate_ttl, "--certificate-ttl")
         text = write_settings(folder.make_token(account, host, certificate_s), form, folder)
         print_lines(json.dumps({"user": user, form: text}) if as_json else text)
+
+
+def await_admission(folder: SecureFolder, command: str) -> None:
+    """Wait until a running router admits the users that the folder has now."""
+    if not folder.wait_until_admitted():
+        print_note(command, "the server has not admitted the change yet; try again in a moment")
 
 
 def choose_user_name(folder: SecureFolder, role: str, robots: tuple[str, ...]) -> str:

@@ -103,23 +103,35 @@ class Stats(msgspec.Struct, frozen=True):
     late_sensor_messages: UInt64 = 0
     """See `SensorsReply.late`."""
     refused: UInt64 = 0
-    """Requests that a secured server refused since start: see `Refusal`."""
+    """Requests that a secured server refused since start: see `AuditRecord`."""
+    accepted: UInt64 = 0
+    """Requests that may change something, which a secured server accepted since start."""
+    joined: UInt64 = 0
+    """Sessions that joined a secured server since start."""
 
 
-class Refusal(msgspec.Struct, frozen=True):
-    """A request that a secured server refused because of its caller."""
+class AuditRecord(msgspec.Struct, frozen=True):
+    """What a user of a secured server did, or was refused."""
 
-    ros_type: ClassVar[str] = "zensim/msg/Refusal"
+    ros_type: ClassVar[str] = "zensim/msg/AuditRecord"
 
+    action: str = ""
+    """`joined`, `left`, `accepted` (a request that may change something) or `refused`."""
     user: str = ""
-    """Empty for a request without a user."""
+    """Empty for a session that does not say whose it is, and for a request without a user."""
     role: str = ""
     service: str = ""
+    """Empty for a session that joined or left."""
+    subject: str = ""
+    """Names, texts and numbers of the request, in short."""
     reason: str = ""
-    number: UInt64 = 0
-    """Of refusals since start; a gap means that some were not published."""
+    """Of a refusal."""
     address: str = ""
     """Of the session that the request names, as the router has it; empty if it names none."""
+    count: UInt64 = 1
+    """Actions that this record stands for: all but a burst of like ones are counted only."""
+    time_ns: UInt64 = 0
+    """Wall time since the epoch."""
 
 
 class Snapshot(msgspec.Struct, frozen=True):

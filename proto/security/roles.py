@@ -122,6 +122,7 @@ _ROSOUT: Final = (
 """Warnings and errors of a program in ROS 2."""
 GETTABLE: Final = tuple(topic.key("{world}") for topic in WORLD_TOPICS if topic.is_gettable)
 _CALLS: Final = KeyGrant("Q", ("sim/{world}/info", "sim/{world}/u/{user}/*"))
+_SESSIONS: Final = KeyGrant("T", ("sim/{world}/u/{user}/session/*",))
 _SERVER_TOKEN: Final = KeyGrant("L", ("sim/{world}/alive/server", "sim/*/alive/server"))
 _EVERY_TOPIC: Final = (
     KeyGrant("S", ("**", "{domain}/**/@adv/**")),
@@ -139,9 +140,10 @@ _EVERY_TOPIC: Final = (
         ),
     ),
 )
-_WATCHING: Final = (_CALLS, _SERVER_TOKEN, *_EVERY_TOPIC)
+_WATCHING: Final = (_CALLS, _SESSIONS, _SERVER_TOKEN, *_EVERY_TOPIC)
 _AGENT: Final = (
     _CALLS,
+    _SESSIONS,
     _SERVER_TOKEN,
     KeyGrant("P", ("sim/{world}/drive/{user}/command",)),
     KeyGrant(
@@ -183,6 +185,7 @@ ROLES: Final[dict[str, Role]] = {
         "spawn entities; change and delete those that it spawned",
         (
             _CALLS,
+            _SESSIONS,
             _SERVER_TOKEN,
             KeyGrant("S", tuple(topic.key("{world}") for topic in WORLD_TOPICS)),
             KeyGrant("Q", GETTABLE),
@@ -219,6 +222,7 @@ ROLES: Final[dict[str, Role]] = {
         "measure and publish lidars and cameras of all robots",
         (
             _CALLS,
+            _SESSIONS,
             _SERVER_TOKEN,
             *_ROSOUT,
             KeyGrant("PA", _of_any_robot(*_suffixes(Participant.SENSORS))),

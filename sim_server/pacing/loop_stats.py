@@ -16,7 +16,8 @@ class LoopStats:
         self.busy_max_s = 0.0
         self.slipped_ns = 0
         self.requests = 0
-        self.refused = 0
+        self.refused = self.accepted = self.joined = 0
+        """Of a secured server: see `Stats`."""
         self._since_ns = now_ns
         self._simulated_ns = 0
         self._steps = 0

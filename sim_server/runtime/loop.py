@@ -23,12 +23,10 @@ from zensim.sim_server.errors import SimError
 from zensim.sim_server.journal_protocol import ChangeJournal
 from zensim.sim_server.pacing.command_timeouts import CommandReceipt, CommandTimeouts
 from zensim.sim_server.pacing.joined_clients import JoinedState
+from zensim.sim_server.runtime.audit_trail import AuditedUsers, AuditTrail
 from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
 from zensim.sim_server.runtime.loop_channels import Inbox, WorldPublisher
-from zensim.sim_server.runtime.request_authorization import (
-    RequestAuthorization,
-    UserDirectory,
-)
+from zensim.sim_server.runtime.request_authorization import RequestAuthorization
 from zensim.sim_server.runtime.request_dispatcher import RequestDispatcher
 from zensim.sim_server.runtime.request_queue import (
     REQUEST_FEE_NS,
@@ -345,12 +343,12 @@ class LoopClock(Protocol):
 
 
 def _make_authorization(
-    parts: ServerParts, users: UserDirectory | None
+    parts: ServerParts, users: AuditedUsers | None
 ) -> RequestAuthorization | None:
     if users is None:
         return None
-    pacing = parts.pacing
-    return RequestAuthorization(users, parts.world.entities, pacing.now_ns, pacing.loop_stats)
+    audit = AuditTrail(users, parts.pacing.loop_stats, parts.pacing.now_ns)
+    return RequestAuthorization(users, parts.world.entities, audit)
 
 
 class ServerLoop:
@@ -363,7 +361,7 @@ class ServerLoop:
         publisher: WorldPublisher,
         clock: LoopClock,
         journal: ChangeJournal | None = None,
-        users: UserDirectory | None = None,
+        users: AuditedUsers | None = None,
     ) -> None:
         self._world, self._pacing = parts.world, parts.pacing
         self._descriptions = parts.descriptions
@@ -403,9 +401,9 @@ class ServerLoop:
             self.turn()
 
     def close(self) -> None:
-        """End the threads of the loop."""
+        """Keep what the audit has not kept yet."""
         if self._authorization is not None:
-            self._authorization.close()
+            self._authorization.audit.close()
 
     @property
     def _has_quit(self) -> bool:
@@ -515,8 +513,8 @@ class ServerLoop:
             )
             self._publisher.publish(EVENTS, event)
         if self._authorization is not None:
-            for refusal in self._authorization.take_reports():
-                self._publisher.publish(AUDIT, refusal)
+            for record in self._authorization.audit.take():
+                self._publisher.publish(AUDIT, record)
         now_ns = self._clock.now_ns()
         self._publish_progress(now_ns)
         if self._loop_stats.close_window(now_ns):

@@ -204,6 +204,8 @@ class WorldTelemetry:
             sensor_messages=sum(reply.messages for reply in replies),
             late_sensor_messages=sum(reply.late for reply in replies),
             refused=loop_stats.refused,
+            accepted=loop_stats.accepted,
+            joined=loop_stats.joined,
         )
 
     def _make_snapshot(self) -> Snapshot:

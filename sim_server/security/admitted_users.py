@@ -1,17 +1,14 @@
-"""Users of a secured server as its loop asks for them, and the addresses of their sessions."""
+"""Users of a secured server as its loop asks for them, and their sessions."""
 
 import time
-from typing import Final
 
 from zensim.proto import keys
 from zensim.proto.bus import Bus
+from zensim.proto.messages.telemetry_messages import AuditRecord
 from zensim.proto.security.roles import User
+from zensim.sim_server.security.audit_file import AuditFile
 from zensim.sim_server.security.secure_folder import SecureFolder
-
-ADDRESS_TIMEOUT_S: Final = 1.0
-KEPT_S: Final = 5.0
-"""A session that connects again may have another address."""
-MAX_KEPT: Final = 1000
+from zensim.sim_server.security.user_sessions import SessionChange, UserSessions
 
 
 class AdmittedUsers:
@@ -19,24 +16,34 @@ class AdmittedUsers:
 
     def __init__(self, folder: SecureFolder, bus: Bus, world: str) -> None:
         self._folder = folder
-        self._bus = bus
-        self._world = world
-        self._addresses: dict[str, tuple[str, float]] = {}
-        """Address and wall time [s] of its query, by session."""
+        self._audit = AuditFile(folder.path)
+        self._sessions = UserSessions(bus.zid)
+        self._links = bus.watch_tokens(keys.router_links(world))
+        self._tokens = bus.watch_tokens(keys.user_sessions(world))
 
     def find_user(self, name: str) -> User | None:
         """Find a user that is admitted now."""
         return self._folder.find_user(name)
 
-    def find_address(self, session: str) -> str:
-        """Find the address of a session, as the router has it; empty if it is not linked."""
+    def find_address(self, session: str, user: str) -> str | None:
+        """See `UserSessions.find_address`."""
+        return self._sessions.find_address(session, user)
+
+    def take_changes(self) -> list[SessionChange]:
+        """Take the sessions that joined or left since the last call."""
         now_s = time.monotonic()
-        address, asked_s = self._addresses.get(session, ("", -KEPT_S))
-        if now_s - asked_s < KEPT_S:
-            return address
-        if len(self._addresses) >= MAX_KEPT:
-            self._addresses.clear()
-        replies = self._bus.get(keys.router_peer(self._world, session), ADDRESS_TIMEOUT_S)
-        address = replies[0].payload.decode(errors="replace") if replies else ""
-        self._addresses[session] = address, now_s
-        return address
+        for key, is_alive in self._tokens.take():
+            user, session = keys.parse_user_session(key)
+            self._sessions.note_user(session, user, is_alive=is_alive)
+        for key, is_alive in self._links.take():
+            session, address = keys.parse_router_link(key)
+            self._sessions.note_link(session, address, is_open=is_alive, now_s=now_s)
+        return self._sessions.take(now_s)
+
+    def keep(self, record: AuditRecord) -> None:
+        """Append a record to the file of the audit, in the folder of the server."""
+        self._audit.keep(record)
+
+    def close(self) -> None:
+        """Write the records that wait."""
+        self._audit.close()

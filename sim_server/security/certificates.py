@@ -103,10 +103,14 @@ def _sign(
     return _write(builder.sign(signer, hashes.SHA256()), key)
 
 
-def is_due_for_renewal(certificate: bytes) -> bool:
-    """Whether a certificate (PEM) expires within `RENEWAL_DAYS`."""
+def find_renewal_s(certificate: bytes) -> float:
+    """Find when a certificate (PEM) is due for renewal, `RENEWAL_DAYS` before it expires.
+
+    Returns:
+        Seconds since the epoch.
+    """
     ends = x509.load_pem_x509_certificate(certificate).not_valid_after_utc
-    return ends - datetime.now(timezone.utc) < timedelta(days=RENEWAL_DAYS)
+    return (ends - timedelta(days=RENEWAL_DAYS)).timestamp()
 
 
 def _begin(

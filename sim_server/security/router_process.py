@@ -6,19 +6,41 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, BusError, EndpointTaken, open_bus
+from zensim.proto.bus import Bus, BusConfig, BusError, EndpointTaken, LivelinessToken, open_bus
 from zensim.proto.endpoints import is_endpoint_taken, to_client_endpoint
-from zensim.proto.supervisor import ProgramDied, Supervisor
-from zensim.sim_server.security.secure_folder import SecureFolder
+from zensim.proto.printable_text import print_lines
+from zensim.proto.stop_signal import StopFlag
+from zensim.proto.supervisor import PREPARED_START_MODULE, ProgramDied, Supervisor
+from zensim.sim_server.security.secure_folder import SecureFolder, open_secure_folder
+
+if TYPE_CHECKING:
+    import subprocess
 
 LOG = logging.getLogger(__name__)
-POLL_S: Final = 0.1
+POLL_S: Final = 0.05
 WATCH_PERIOD_S: Final = 0.2
 REOPEN_TIMEOUT_S: Final = 10.0
 """A port may be in use for a moment after its router closed."""
+VERB: Final = "router"
+"""Of the program that `secured_router` starts."""
+
+
+def run_router_process(world: str) -> None:
+    """Be the router of a secured server on this host, until a signal; print where it listens.
+
+    Raises:
+        MissingFolder: There is no such server.
+        FolderInUse: See there.
+        BusError: The router cannot listen.
+    """
+    folder = open_secure_folder(world)
+    endpoint = folder.settings.endpoint
+    run_secured_router(
+        folder, endpoint, StopFlag(), lambda: print_lines(json.dumps({"endpoints": [endpoint]}))
+    )
 
 
 def run_secured_router(
@@ -31,20 +53,24 @@ def run_secured_router(
 
     Raises:
         BusError: The router cannot listen.
+        FolderInUse: See there.
     """
     is_announced = False
-    while not should_stop():
-        admitted = folder.list_active()
-        with _reopen(folder.make_router_config(endpoint), is_first=not is_announced) as bus:
-            queries = bus.serve(keys.router_peer(folder.settings.world, "*"))
-            if not is_announced:
-                announce()
-                is_announced = True
-            while not should_stop() and folder.list_active() == admitted:
-                for query in queries.take():
-                    address = bus.find_peer(keys.last_chunk(query.key))
-                    query.reply(address.encode(), "text/plain")
-                time.sleep(POLL_S)
+    with folder.routing():
+        while not should_stop():
+            folder.forget_admitted()
+            admitted = folder.list_active()
+            with _reopen(folder.make_router_config(endpoint), is_first=not is_announced) as bus:
+                if not is_announced:
+                    announce()
+                    is_announced = True
+                links = LinkTokens(bus, folder.settings.world)
+                servers = bus.watch_tokens(keys.alive_server(folder.settings.world))
+                while not should_stop() and folder.list_active() == admitted:
+                    links.poll()
+                    if any(is_alive for _, is_alive in servers.take()):
+                        folder.note_admitted(admitted)
+                    time.sleep(POLL_S)
 
 
 @contextmanager
@@ -62,9 +88,55 @@ def _reopen(config: BusConfig, *, is_first: bool) -> Iterator[Bus]:
         yield bus
 
 
+class LinkTokens:
+    """Liveliness tokens of the sessions that are linked to a router: its server watches them."""
+
+    def __init__(self, bus: Bus, world: str) -> None:
+        self._bus = bus
+        self._world = world
+        self._links = bus.watch_links()
+        self._tokens: dict[str, LivelinessToken] = {}
+        """By key."""
+
+    def poll(self) -> None:
+        """Declare the tokens of new links, and undeclare those of closed ones."""
+        for session, address, is_open in self._links.take():
+            key = keys.router_link(self._world, session, address)
+            if is_open and key not in self._tokens:
+                self._tokens[key] = self._bus.token(key)
+            elif not is_open and (token := self._tokens.pop(key, None)) is not None:
+                token.close()
+
+
+class StartedRouter:
+    """A router that starts, while its server does other work."""
+
+    def __init__(
+        self,
+        folder: SecureFolder,
+        process: "subprocess.Popen[bytes] | None",
+        on_listening: Callable[[], None],
+    ) -> None:
+        self._folder = folder
+        self._output = process.stdout if process is not None else None
+        self._on_listening = on_listening
+
+    def wait(self) -> BusConfig:
+        """Wait until it listens; return the configuration of the server's session.
+
+        Raises:
+            ProgramDied: It ended at its start.
+        """
+        line = self._output.readline() if self._output is not None else b""
+        if not line or "endpoints" not in json.loads(line):
+            raise ProgramDied("the router of the secured server ended at its start")
+        self._on_listening()
+        return self._folder.make_server_config(to_client_endpoint(self._folder.settings.endpoint))
+
+
 @contextmanager
-def secured_router(folder: SecureFolder, command: str) -> Iterator[BusConfig]:
-    """Run the router of a folder as a process; give the configuration of the server's session.
+def secured_router(folder: SecureFolder, command: str) -> Iterator[StartedRouter]:
+    """Run the router of a folder as a process.
 
     Args:
         folder: Its settings say where the router listens.
@@ -72,7 +144,6 @@ def secured_router(folder: SecureFolder, command: str) -> Iterator[BusConfig]:
 
     Raises:
         EndpointTaken: Another program listens there.
-        ProgramDied: The router ended at its start.
     """
     settings = folder.settings
     if is_endpoint_taken(settings.endpoint):
@@ -86,15 +157,14 @@ def secured_router(folder: SecureFolder, command: str) -> Iterator[BusConfig]:
         target=_keep, args=(supervisor, is_over), name="secured router", daemon=True
     )
     try:
-        words = ("router", "--secured-world", settings.world, "--json")
-        program = supervisor.start("router", words, is_restarted=True, is_essential=False)
-        assert program.process is not None
-        assert program.process.stdout is not None
-        line = program.process.stdout.readline()
-        if not line or "endpoints" not in json.loads(line):
-            raise ProgramDied("the router of the secured server ended at its start")
-        keeper.start()
-        yield folder.make_server_config(to_client_endpoint(settings.endpoint))
+        program = supervisor.start(
+            "router",
+            (VERB, json.dumps(settings.world)),
+            is_restarted=True,
+            is_essential=False,
+            module=PREPARED_START_MODULE,
+        )
+        yield StartedRouter(folder, program.process, keeper.start)
     finally:
         is_over.set()
         if keeper.is_alive():

@@ -3,6 +3,7 @@
 The folder has mode 0700 and its files 0600; each file is replaced as a whole.
 """
 
+import errno
 import hashlib
 import os
 import socket
@@ -10,7 +11,7 @@ import ssl
 import tempfile
 import time
 from collections.abc import Iterable, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -36,6 +37,7 @@ from zensim.proto.security.roles import ROLES, SERVER_USER, RefusedUser, User, c
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from contextlib import AbstractContextManager
 
     from zensim.sim_server.security.certificates import CertifiedKey
 
@@ -49,12 +51,29 @@ LOCAL_CERTIFICATE_S: Final = 3650 * 86_400.0
 """Those of programs on this host lie beside the key of the authority."""
 MAX_REVOKED: Final = 200
 """Newest revoked passwords whose owners are told so; it bounds the router's certificate."""
+LOCK_TIMEOUT_S, LOCK_POLL_S = 5.0, 0.01
+ADMISSION_TIMEOUT_S: Final = 10.0
+"""For a router to open again, and its server to be linked to it."""
 PUBLIC_TEST_ADDRESS: Final = ("192.0.2.1", 9)
 """Of a network for documentation: finds the address of the route, and sends nothing."""
 
 
+class CertificateNote(msgspec.Struct, frozen=True):
+    """What the certificate of the router says: a later start need not parse it, nor import that."""
+
+    certificate_hash: str
+    revoked_hash: str
+    """Of the digests of revoked passwords that it lists."""
+    renewal_s: float
+    """Seconds since the epoch."""
+
+
 class MissingFolder(ValueError):
     """There is no secured server of this world on this host."""
+
+
+class FolderInUse(ValueError):
+    """Another server of this world runs on this host."""
 
 
 class Account(msgspec.Struct, frozen=True):
@@ -110,6 +129,22 @@ class SecureFolder:
     def settings(self) -> SecureSettings:
         """Settings of the server that ran last."""
         return msgspec.json.decode((self.path / "settings.json").read_bytes(), type=SecureSettings)
+
+    def prepare(self, settings: SecureSettings) -> None:
+        """Make what the folder lacks, and replace its settings."""
+        if not (self.path / "ca.pem").is_file():
+            from zensim.sim_server.security import certificates  # noqa: PLC0415  needs an extra
+
+            made = certificates.make_authority(settings.world)
+            self._write("ca.key", made.private_key)
+            self._write("ca.pem", made.certificate)
+        if not (self.path / "server.password").is_file():
+            self._write("server.password", encode_base64(make_password()).encode())
+        self.write_settings(settings)
+        if not (self.path / "users.json").is_file():
+            self._write_accounts(())
+            self.add(User(name, name) for name in FIRST_USERS)
+        self._ensure_router_certificate()
 
     def write_settings(self, settings: SecureSettings) -> None:
         """Replace the settings."""
@@ -282,18 +317,36 @@ class SecureFolder:
 
     def _ensure_router_certificate(self) -> None:
         """Make the certificate of the router, unless it is valid and lists the revoked."""
+        router, revoked = self.path / "router.pem", self.list_revoked()
+        if self._is_noted(router, revoked):
+            return
         from zensim.sim_server.security import certificates  # noqa: PLC0415  needs an extra
 
-        router, revoked = self.path / "router.pem", self.list_revoked()
-        if router.is_file():
-            former = router.read_bytes()
-            if not certificates.is_due_for_renewal(former) and certificates.has_revoked(
-                former, revoked
-            ):
-                return
-        own = certificates.make_router_certificate(self._read_authority(), revoked=revoked)
-        self._write("router.key", own.private_key)
-        self._write("router.pem", own.certificate)
+        former = router.read_bytes() if router.is_file() else b""
+        if (
+            not former
+            or certificates.find_renewal_s(former) <= time.time()
+            or not certificates.has_revoked(former, revoked)
+        ):
+            own = certificates.make_router_certificate(self._read_authority(), revoked=revoked)
+            self._write("router.key", own.private_key)
+            self._write("router.pem", own.certificate)
+            former = own.certificate
+        renewal_s = certificates.find_renewal_s(former)
+        note = CertificateNote(_hash(former), _hash(b"".join(revoked)), renewal_s)
+        self._write("router.json", msgspec.json.encode(note))
+
+    def _is_noted(self, router: Path, revoked: Iterable[bytes]) -> bool:
+        """Whether this very certificate was found to list the revoked, and is not due."""
+        try:
+            note = msgspec.json.decode(
+                (self.path / "router.json").read_bytes(), type=CertificateNote
+            )
+            found = _hash(router.read_bytes()), _hash(b"".join(revoked))
+        except (FileNotFoundError, msgspec.DecodeError):
+            return False
+        is_same = found == (note.certificate_hash, note.revoked_hash)
+        return is_same and time.time() < note.renewal_s
 
     def _read_authority(self) -> "CertifiedKey":
         from zensim.sim_server.security import certificates  # noqa: PLC0415  needs an extra
@@ -315,6 +368,8 @@ class SecureFolder:
         self._write("users.json", msgspec.json.format(msgspec.json.encode(list(accounts))))
 
     def _write(self, name: str, data: bytes) -> None:
+        if _is_private_copy(self.path / name, data):
+            return
         # mkstemp makes files of mode 0600.
         descriptor, temporary = tempfile.mkstemp(dir=self.path, prefix=f".{name}.")
         with os.fdopen(descriptor, "wb") as stream:
@@ -324,25 +379,83 @@ class SecureFolder:
         Path(temporary).replace(self.path / name)
 
     @contextmanager
-    def _changing(self) -> "Iterator[None]":
-        """Let no other process change the users meanwhile."""
-        descriptor = os.open(self.path / "lock", os.O_RDWR | os.O_CREAT, 0o600)
+    def routing(self, timeout_s: float = LOCK_TIMEOUT_S) -> "Iterator[None]":
+        """Be the router of this folder meanwhile: who changes its users waits for it.
+
+        Raises:
+            FolderInUse: Another process is its router.
+        """
+        with ExitStack() as stack:
+            try:
+                stack.enter_context(self._locked("router.lock", timeout_s))
+            except BlockingIOError as error:
+                raise FolderInUse(
+                    f"world '{self.settings.world}' already has a secured server on this host; "
+                    "stop it, or use --world-name with another"
+                ) from error
+            yield
+
+    def note_admitted(self, accounts: Iterable[Account]) -> None:
+        """Note whom the router admits, for `wait_until_admitted`; its server is linked to it."""
+        self._write("admitted", _hash_accounts(accounts).encode())
+
+    def forget_admitted(self) -> None:
+        """Note that the router is about to change whom it admits."""
+        (self.path / "admitted").unlink(missing_ok=True)
+
+    def wait_until_admitted(self, timeout_s: float = ADMISSION_TIMEOUT_S) -> bool:
+        """Wait until the router, if it runs, admits just the active users; return whether so."""
+        deadline_s = time.monotonic() + timeout_s
+        while self._is_routed() and not self._is_admitted():
+            if time.monotonic() > deadline_s:
+                return False
+            time.sleep(LOCK_POLL_S)
+        return True
+
+    def _is_admitted(self) -> bool:
+        with suppress(FileNotFoundError):
+            noted = (self.path / "admitted").read_text(encoding="ascii")
+            return noted == _hash_accounts(self.list_active())
+        return False
+
+    def _is_routed(self) -> bool:
         try:
-            deadline_s = time.monotonic() + LOCK_TIMEOUT_S
-            while True:
-                try:
-                    lock_file(descriptor)
-                    break
-                except OSError:
-                    if time.monotonic() > deadline_s:
-                        raise
-                    time.sleep(LOCK_POLL_S)
+            with self._locked("router.lock", timeout_s=0.0):
+                return False
+        except BlockingIOError:
+            return True
+
+    def _changing(self) -> "AbstractContextManager[None]":
+        """Let no other process change the users meanwhile."""
+        return self._locked("lock")
+
+    @contextmanager
+    def _locked(self, name: str, timeout_s: float = LOCK_TIMEOUT_S) -> "Iterator[None]":
+        """Hold the lock of a file.
+
+        Raises:
+            BlockingIOError: Another process holds it until the timeout.
+        """
+        descriptor = os.open(self.path / name, os.O_RDWR | os.O_CREAT, 0o600)
+        try:
+            _lock(descriptor, time.monotonic() + timeout_s)
             yield
         finally:
             os.close(descriptor)
 
 
-LOCK_TIMEOUT_S, LOCK_POLL_S = 5.0, 0.01
+def _lock(descriptor: int, deadline_s: float) -> None:
+    while True:
+        try:
+            lock_file(descriptor)
+        except OSError as error:
+            if time.monotonic() >= deadline_s:
+                raise BlockingIOError(
+                    errno.EWOULDBLOCK, "another process holds the lock"
+                ) from error
+        else:
+            return
+        time.sleep(LOCK_POLL_S)
 
 
 def open_secure_folder(world: str) -> SecureFolder:
@@ -365,25 +478,34 @@ def prepare_secure_folder(settings: SecureSettings) -> SecureFolder:
 
     Raises:
         PermissionError: The folder belongs to another user.
+        FolderInUse: See there.
     """
-    from zensim.sim_server.security import certificates  # noqa: PLC0415  needs an extra
-
     path = find_secure_folder(settings.world)
     path.mkdir(mode=0o700, parents=True, exist_ok=True)
     path.chmod(0o700)
     folder = SecureFolder(path)
-    if not (path / "ca.pem").is_file():
-        made = certificates.make_authority(settings.world)
-        folder._write("ca.key", made.private_key)  # noqa: SLF001
-        folder._write("ca.pem", made.certificate)  # noqa: SLF001
-    if not (path / "server.password").is_file():
-        folder._write("server.password", encode_base64(make_password()).encode())  # noqa: SLF001
-    folder.write_settings(settings)
-    if not (path / "users.json").is_file():
-        folder._write_accounts(())  # noqa: SLF001
-        folder.add(User(name, name) for name in FIRST_USERS)
-    folder._ensure_router_certificate()  # noqa: SLF001
+    # The endpoint of a running server stays in its tokens.
+    with folder.routing():
+        folder.prepare(settings)
     return folder
+
+
+def _hash(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _hash_accounts(accounts: Iterable[Account]) -> str:
+    """Hash whom a router admits; passwords have 128 random bits."""
+    ordered = sorted(accounts, key=lambda account: account.user.name)
+    return _hash(msgspec.json.encode(ordered))
+
+
+def _is_private_copy(path: Path, data: bytes) -> bool:
+    """Whether a file has this content, and is for its owner only."""
+    try:
+        return path.stat().st_mode & 0o077 == 0 and path.read_bytes() == data
+    except FileNotFoundError:
+        return False
 
 
 def _hash_password(account: Account) -> bytes:

@@ -1,10 +1,11 @@
-"""`zensim pause`, `play`, `stop`, `reset`, `features`, `step`, `run-to` and `rtf`."""
+"""`zensim pause`, `play`, `stop`, `reset`, `features`, `stats`, `step`, `run-to` and `rtf`."""
 
 import math
 import sys
 from enum import IntEnum
 from typing import Annotated
 
+import msgspec
 import typer
 
 from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, flag, make_app
@@ -132,6 +133,30 @@ def features(*, as_json: JsonOption = False, server: ClientOptions) -> None:
         return
     print_lines("\n".join(names))
     print_note("features", f"spawn formats: {', '.join(reply.spawn_formats)}; {reply.custom_info}")
+
+
+@app.command()
+@expand_options
+def stats(*, as_json: JsonOption = False, server: ClientOptions) -> None:
+    """Print what the server has counted since its start, and its times of the last second."""
+    with open_client("stats", server) as client:
+        found = client.stats()
+    if as_json:
+        print_json(found)
+        return
+    for name, value in msgspec.structs.asdict(found).items():
+        print_lines(f"{name:<24} {_format_figure(value)}")
+
+
+def _format_figure(value: object) -> str:
+    match value:
+        case float():
+            return f"{value:.6g}"
+        case dict():
+            return ", ".join(f"{name} {_format_figure(one)}" for name, one in value.items()) or "-"
+        case tuple():
+            return ", ".join(map(str, value)) or "-"
+    return str(value)
 
 
 def _enum_name(kind: type[IntEnum], number: int) -> str:

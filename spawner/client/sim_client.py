@@ -15,11 +15,9 @@ from zensim.proto.messages.simulation_messages import (
     SimulateStepsResponse,
     StepsProgress,
 )
-from zensim.proto.messages.telemetry_messages import (
-    Info,
-)
+from zensim.proto.messages.telemetry_messages import Info, Stats
 from zensim.proto.service_catalog import CANCEL_STEPS, SIMULATE_STEPS
-from zensim.proto.topic_catalog import STEPS_PROGRESS
+from zensim.proto.topic_catalog import STATS, STEPS_PROGRESS
 from zensim.spawner.client.service_client import CALL_TIMEOUT_S, ServiceClient
 
 MAX_LATE_POLLS = 20
@@ -130,6 +128,17 @@ class SimClient(ServiceClient):
     def __init__(self, bus: Bus, world: str = "default", timeout_s: float = CALL_TIMEOUT_S) -> None:
         super().__init__(bus, world, timeout_s)
         self.bus = bus
+
+    def stats(self) -> Stats:
+        """Get the statistics of the server: counts since its start, times of the last second.
+
+        Raises:
+            NoServer: None replies.
+        """
+        key = STATS.key(self.world)
+        if not (samples := self.bus.get(key, self._timeout_s)):
+            raise NoServer(f"no server replies on {key} at {self.bus.endpoint}; check --world-name")
+        return decode(Stats, samples[0].payload, samples[0].encoding)
 
     def wait_for_server(self, timeout_s: float, on_wait: Callable[[], None] | None = None) -> Info:
         """Call `info` until a server replies.

@@ -51,7 +51,8 @@ def certified(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Certified]:
             SecureSettings(WORLD, None, endpoint, uses_certificates=True)
         )
         folder.ensure(User(name, "agent", (name,)) for name in ("r1", "r2"))
-        server = stack.enter_context(open_bus(stack.enter_context(secured_router(folder, "test"))))
+        router = stack.enter_context(secured_router(folder, "test"))
+        server = stack.enter_context(open_bus(router.wait()))
         yield Certified(folder, server)
 
 

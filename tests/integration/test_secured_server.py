@@ -23,7 +23,7 @@ from zensim.proto.bus import Bus, BusConfig, BusError, EndpointUnreachable, Join
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.endpoints import with_free_port
 from zensim.proto.join_tokens import parse_join_token
-from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand
+from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand, DriveState
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.simulation_messages import (
     SetSimulationStateRequest,
@@ -42,7 +42,7 @@ from zensim.proto.messages.standard_messages import (
     Twist,
     Vector3,
 )
-from zensim.proto.messages.telemetry_messages import Refusal
+from zensim.proto.messages.telemetry_messages import AuditRecord
 from zensim.proto.security.roles import ROLES, User
 from zensim.proto.service_catalog import (
     CLAIM_ENTITY,
@@ -51,7 +51,7 @@ from zensim.proto.service_catalog import (
     SET_SIMULATION_STATE,
     SPAWN_ENTITY,
 )
-from zensim.proto.topic_catalog import AUDIT, CMD_VEL, DRIVE_COMMAND, ODOM
+from zensim.proto.topic_catalog import AUDIT, CMD_VEL, DRIVE_COMMAND, DRIVE_STATE, ODOM, TF
 from zensim.sim_server.security import certificates
 from zensim.sim_server.security.secure_folder import (
     Account,
@@ -204,11 +204,14 @@ def test_agent_cannot_act_for_another(secured: Secured) -> None:
     mine, x = secured.users["r2"], x_of(secured, "r2")
     forged = mine.advertise(DRIVE_COMMAND.key(WORLD, "r1"), DRIVE_COMMAND.encoding)
     odometry = mine.advertise(ODOM.key("r1"), ODOM.encoding)
+    tf = mine.advertise(TF.key("r1"), TF.encoding)
     wild = mine.advertise("*/cmd_vel", CMD_VEL.encoding)
     alive = [mine.token(keys.alive_agent(WORLD, "r1")), mine.token(keys.alive_server(WORLD))]
     # A session asks its own queryables, too: this one is of another user.
     rogue = secured.users["pool"].serve(f"sim/{WORLD}/u/*/*", is_complete=False)
-    watched = secured.users["observer"].subscribe(ODOM.key("r1"), depth=1000)
+    watched = [
+        secured.users["observer"].subscribe(topic.key("r1"), depth=1000) for topic in (ODOM, TF)
+    ]
     commanded = secured.operator.info().world
 
     for claim in (("r1", ("r2",)), ("r2", ("r1",)), ("r2", ROBOTS)):
@@ -221,19 +224,49 @@ def test_agent_cannot_act_for_another(secured: Secured) -> None:
     for _ in range(50):
         forged.send(encode(stop, Format.MSGPACK))
         odometry.send(b"forged")
+        tf.send(b"forged")
         wild.send(encode(Twist(linear=Vector3(x=1.0)), Format.CDR))
     assert commanded == WORLD
 
     assert_drivable(secured)
     assert x_of(secured, "r2") == pytest.approx(x, abs=1e-3)
     assert rogue.take() == []
-    assert b"forged" not in {sample.payload for sample in watched.take()}
-    for publisher in (forged, odometry, wild):
+    received = [sample.payload for one in watched for sample in one.take()]
+    assert received
+    assert b"forged" not in received
+    for publisher in (forged, odometry, tf, wild):
         publisher.close()
     for token in alive:
         token.close()
     rogue.close()
-    watched.close()
+    for subscription in watched:
+        subscription.close()
+
+
+@pytest.mark.usefixtures("agent")
+@pytest.mark.parametrize("user", [*sorted(set(ROLES) - {"agent", "operator"}), "r2"])
+def test_no_role_stands_for_the_server_or_an_agent(secured: Secured, user: str) -> None:
+    mine, server = secured.users[user], keys.alive_server(WORLD)
+    forged = [
+        mine.advertise(topic.key(WORLD, "r1"), topic.encoding)
+        for topic in (DRIVE_STATE, DRIVE_COMMAND)
+    ]
+    tokens = [mine.token(keys.alive_agent(WORLD, "r1")), mine.token(server)]
+    rogues = [mine.serve(key, is_complete=False) for key in (f"sim/{WORLD}/u/**", f"sim/{WORLD}/*")]
+    # Another state: with a later epoch, an agent would take its server for restarted.
+    state = DriveState(9, 10**9, 10**18, b"", b"", b"", b"")
+    for _ in range(50):
+        for publisher, payload in zip(
+            forged, (state, DriveCommand(9, 10**9, b"", b"")), strict=True
+        ):
+            publisher.send(encode(payload, Format.MSGPACK))
+    assert secured.operator.info().world == WORLD
+
+    assert_drivable(secured)
+    assert [query for rogue in rogues for query in rogue.take()] == []
+    assert secured.operator.bus.list_tokens(server) == [server]
+    for declared in (*forged, *tokens, *rogues):
+        declared.close()
 
 
 def test_request_id_of_another_user_gets_no_reply_of_it(secured: Secured) -> None:
@@ -252,23 +285,86 @@ def test_request_id_of_another_user_gets_no_reply_of_it(secured: Secured) -> Non
     operator.call(DELETE_ENTITY, delete, world=WORLD)
 
 
-def test_refusal_is_published_and_counted(secured: Secured) -> None:
-    audit = secured.users["observer"].subscribe(AUDIT.key(WORLD), depth=100)
+def read_audit(secured: Secured) -> list[dict[str, object]]:
+    lines = (secured.folder.path / "audit.jsonl").read_text().splitlines()
+    return [json.loads(line) for line in lines]
 
-    def refusals() -> list[Refusal]:
+
+def test_refusal_is_published_kept_and_counted(secured: Secured) -> None:
+    audit = secured.users["observer"].subscribe(AUDIT.key(WORLD), depth=100)
+    before = secured.operator.stats()
+
+    def refusals() -> list[AuditRecord]:
         reason_of(lambda: SimClient(secured.users["recorder"]).delete("r1"))
-        taken = [decode(Refusal, one.payload, one.encoding) for one in audit.take()]
+        taken = [decode(AuditRecord, one.payload, one.encoding) for one in audit.take()]
         # Those of other users may be from before.
-        return [one for one in taken if one.user == "recorder"]
+        return [one for one in taken if one.user == "recorder" and one.subject]
 
     found = eventually(lambda: refusals() or None, WITHIN_S, "the audit")
     audit.close()
 
-    assert {(one.user, one.role, one.service) for one in found} == {
-        ("recorder", "recorder", "delete_entity")
+    assert {(one.action, one.role, one.service, one.subject) for one in found} == {
+        ("refused", "recorder", "delete_entity", "entity=r1")
     }
-    assert found[-1].number > 0
     assert all(one.address.startswith("tls/127.0.0.1:") for one in found)
+    assert secured.operator.stats().refused > before.refused
+    eventually(lambda: "recorder" in list_refused(secured), WITHIN_S, "the file")
+
+
+def list_refused(secured: Secured) -> set[object]:
+    return {one["user"] for one in read_audit(secured) if one["action"] == "refused"}
+
+
+def test_audit_has_joins_and_changes_of_each_user(secured: Secured) -> None:
+    spawner = SimClient(secured.users["spawner"])
+    before = secured.operator.stats()
+
+    spawner.spawn(msgspec.structs.replace(make_order("audited"), entity_namespace=""))
+    spawner.delete("audited")
+    former = eventually(lambda: list_addresses(secured, "joined", "page") or None, WITHIN_S)
+    open_bus(BusConfig(connect=(secured.token("page"),))).close()
+
+    def find_changes() -> set[tuple[object, ...]]:
+        return {
+            (one["action"], one["service"], str(one["subject"]).partition(" ")[0])
+            for one in read_audit(secured)
+            if (one["user"], one["role"]) == ("spawner", "spawner") and one["address"]
+        }
+
+    wanted = {
+        ("accepted", "spawn_entity", "name=audited"),
+        ("accepted", "delete_entity", "entity=audited"),
+    }
+    eventually(lambda: find_changes() >= wanted, WITHIN_S, "the changes")
+    new = eventually(
+        lambda: (list_addresses(secured, "joined", "page") - former) or None, WITHIN_S, "the join"
+    )
+    assert str(next(iter(new))).startswith("tls/127.0.0.1:")
+    eventually(lambda: new <= list_addresses(secured, "left", "page"), WITHIN_S, "the end")
+    after = secured.operator.stats()
+    assert (after.accepted >= before.accepted + 2, after.joined > 0) == (True, True)
+
+
+def list_addresses(secured: Secured, action: str, user: str) -> set[object]:
+    found = [one for one in read_audit(secured) if (one["action"], one["user"]) == (action, user)]
+    return {one["address"] for one in found}
+
+
+def test_joins_of_all_users_are_in_the_audit(secured: Secured) -> None:
+    def joined() -> set[object]:
+        return {one["user"] for one in read_audit(secured) if one["action"] == "joined"}
+
+    eventually(lambda: joined() >= set(secured.users), WITHIN_S, "the joins")
+
+
+def test_new_token_admits_at_once(secured: Secured) -> None:
+    made = run_in_process("token", "create", "--role", "observer", "--name", "newcomer")
+    listed = run_in_process("list", "--join", made.stdout.strip(), "--json")
+
+    assert (listed.returncode, listed.stderr) == (0, "")
+    assert run_in_process("token", "revoke", "newcomer").returncode == 0
+    assert find_reason(made.stdout.strip()) == "revoked"
+    eventually(lambda: is_answered(secured), WITHIN_S, "the operator's session")
 
 
 def test_joined_endpoint_needs_no_token(

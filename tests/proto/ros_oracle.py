@@ -179,8 +179,8 @@ ZENSIM = {
     "GetModels_Request": "string[] entities; bool wants_descriptions",
     "InjectFault_Request": "string entity; string kind; string part; float64 value; float64 low;"
     " float64 high; builtin_interfaces/Duration duration; uint64 seed",
-    "Refusal": "string user; string role; string service; string reason; uint64 number;"
-    " string address",
+    "AuditRecord": "string action; string user; string role; string service; string subject;"
+    " string reason; string address; uint64 count; uint64 time_ns",
     "InjectFault_Response": "simulation_interfaces/Result result",
     "MissingAssets_Request": "string[] sha256s",
     "MissingAssets_Response": "simulation_interfaces/Result result; string[] missing;"

@@ -11,7 +11,7 @@ import msgspec
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.process_limits import die_with_supervisor
 
-AGENT_VERB, SENSORS_VERB = "agent", "sensors"
+AGENT_VERB, SENSORS_VERB, ROUTER_VERB = "agent", "sensors", "router"
 
 
 def main(verb: str, settings: str) -> None:
@@ -26,8 +26,10 @@ def main(verb: str, settings: str) -> None:
             _run_agent(settings)
         elif verb == SENSORS_VERB:
             _run_sensors(settings)
+        elif verb == ROUTER_VERB:
+            _run_router(settings)
         else:
-            raise ValueError(f"verb must be '{AGENT_VERB}' or '{SENSORS_VERB}', got {verb!r}")
+            raise ValueError(f"verb must be agent, sensors or router, got {verb!r}")
 
 
 def _run_agent(settings: str) -> None:
@@ -42,6 +44,12 @@ def _run_sensors(settings: str) -> None:
     from zensim.sim_server.sensors.sensor_process import start_sensor_process  # noqa: PLC0415
 
     start_sensor_process(msgspec.json.decode(settings, type=SensorProcessConfig))
+
+
+def _run_router(settings: str) -> None:
+    from zensim.sim_server.security.router_process import run_router_process  # noqa: PLC0415
+
+    run_router_process(msgspec.json.decode(settings, type=str))
 
 
 if __name__ == "__main__":

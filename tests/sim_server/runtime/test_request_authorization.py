@@ -6,22 +6,19 @@ from typing import Any, cast
 import msgspec
 import pytest
 
-from tests.integration.processes import eventually
 from zensim.proto.messages.agent_messages import ClaimEntityRequest, ClaimShareRequest
 from zensim.proto.messages.entity_messages import SetEntityInfoRequest
 from zensim.proto.messages.result_messages import Result, ResultCode
 from zensim.proto.messages.spawn_messages import DeleteEntityRequest, SpawnEntityReport
+from zensim.proto.messages.telemetry_messages import AuditRecord
 from zensim.proto.network_protocols import ServiceCall
-from zensim.proto.security.roles import ROLES, ROS_USER, User
+from zensim.proto.security.roles import READING, ROLES, ROS_USER, User
 from zensim.proto.service_catalog import SERVICES
 from zensim.sim_server.pacing.loop_stats import LoopStats
-from zensim.sim_server.runtime.request_authorization import (
-    MAX_REPORTS_PER_WINDOW,
-    AccessDenied,
-    RequestAuthorization,
-)
+from zensim.sim_server.runtime.audit_trail import AuditTrail
+from zensim.sim_server.runtime.request_authorization import AccessDenied, RequestAuthorization
+from zensim.sim_server.security.user_sessions import SessionChange
 
-WITHIN_S = 20.0
 USERS = {role: User(role, role, ("r1",) if ROLES[role].has_robots else ()) for role in ROLES}
 
 
@@ -29,8 +26,14 @@ class Directory:
     def find_user(self, name: str) -> User | None:
         return USERS.get(name)
 
-    def find_address(self, session: str) -> str:
-        return f"tls/{session}:1"
+    def find_address(self, session: str, user: str) -> str | None:
+        return f"tls/{session}:1" if user else None
+
+    def take_changes(self) -> list[SessionChange]:
+        return []
+
+    def keep(self, record: AuditRecord) -> None:
+        pass
 
 
 class World:
@@ -42,7 +45,9 @@ class World:
 
 
 def an_authorization(world: World | None = None) -> RequestAuthorization:
-    return RequestAuthorization(Directory(), world or World(), lambda: 0, LoopStats(0))
+    users = Directory()
+    audit = AuditTrail(users, LoopStats(0), lambda: 0)
+    return RequestAuthorization(users, world or World(), audit)
 
 
 def a_call(user: str, service: str) -> ServiceCall:
@@ -166,29 +171,15 @@ def test_refused_spawn_gives_no_ownership() -> None:
     assert is_refused(authorization, "spawner", "delete_entity", DeleteEntityRequest("theirs"))
 
 
-def test_refusals_are_counted_and_reported_at_a_limited_rate() -> None:
+@pytest.mark.parametrize("role", ROLES)
+@pytest.mark.parametrize("service", sorted(set(SERVICES) - {"info"}))
+def test_audit_has_each_refusal_and_each_change(role: str, service: str) -> None:
     authorization = an_authorization()
+    request = SERVICES[service].request()
+    is_allowed = not is_refused(authorization, role, service, request)
 
-    for _ in range(MAX_REPORTS_PER_WINDOW + 5):
-        is_refused(authorization, "observer", "delete_entity", DeleteEntityRequest("r1"))
+    records = authorization.audit.take()
 
-    reports = authorization.take_reports()
-    assert len(reports) == MAX_REPORTS_PER_WINDOW
-    assert (reports[0].user, reports[0].role, reports[0].service, reports[0].number) == (
-        *("observer", "observer", "delete_entity"),
-        1,
-    )
-    assert authorization.loop_stats.refused == MAX_REPORTS_PER_WINDOW + 5
-    assert authorization.take_reports() == []
-
-
-def test_report_has_the_address_of_the_session_that_the_request_names() -> None:
-    authorization = an_authorization()
-    call = cast("ServiceCall", SimpleNamespace(user="observer", name="delete_entity", session="aa"))
-
-    with pytest.raises(AccessDenied):
-        authorization.check(call, DeleteEntityRequest("r1"))
-
-    reports = eventually(lambda: authorization.take_reports() or None, WITHIN_S, "a report")
-    assert [one.address for one in reports] == ["tls/aa:1"]
-    authorization.close()
+    action = ("accepted",) if service not in READING else ()
+    assert [one.action for one in records] == [*(action if is_allowed else ("refused",))]
+    assert all((one.user, one.role, one.service) == (role, role, service) for one in records)

@@ -1,5 +1,6 @@
 """The folder of a secured server: modes, users, tokens, certificates."""
 
+import sys
 import time
 from pathlib import Path
 
@@ -9,14 +10,17 @@ from cryptography import x509
 
 from zensim.proto.join_tokens import decode_base64, hash_revoked_password, read_join_address
 from zensim.proto.security.roles import ROLES, RefusedUser, User
+from zensim.sim_server.security import certificates
 from zensim.sim_server.security.certificates import (
+    RENEWAL_DAYS,
+    find_renewal_s,
     has_revoked,
-    is_due_for_renewal,
     make_authority,
     make_router_certificate,
 )
 from zensim.sim_server.security.secure_folder import (
     FIRST_USERS,
+    FolderInUse,
     MissingFolder,
     SecureFolder,
     SecureSettings,
@@ -192,5 +196,58 @@ def test_endpoints_are_for_tls() -> None:
 def test_certificate_is_renewed_before_it_expires() -> None:
     authority = make_authority("default")
 
-    assert is_due_for_renewal(make_router_certificate(authority, days=29).certificate)
-    assert not is_due_for_renewal(make_router_certificate(authority).certificate)
+    for days in (RENEWAL_DAYS - 1, RENEWAL_DAYS + 1):
+        made = make_router_certificate(authority, days=days).certificate
+        assert (find_renewal_s(made) <= time.time()) is (days < RENEWAL_DAYS)
+
+
+def test_later_start_parses_no_certificate(
+    folder: SecureFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    former = (folder.path / "router.pem").read_bytes()
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "zensim.sim_server.security.certificates", None)
+        patch.delattr("zensim.sim_server.security.certificates")
+        prepare_secure_folder(SETTINGS).make_router_config(SETTINGS.endpoint)
+
+    assert (folder.path / "router.pem").read_bytes() == former
+
+
+def test_router_certificate_that_is_due_or_replaced_is_made_anew(folder: SecureFolder) -> None:
+    router = folder.path / "router.pem"
+    authority = certificates.CertifiedKey(
+        (folder.path / "ca.pem").read_bytes(), (folder.path / "ca.key").read_bytes()
+    )
+    soon = make_router_certificate(authority, days=RENEWAL_DAYS - 1).certificate
+    router.write_bytes(soon)
+
+    prepare_secure_folder(SETTINGS)
+
+    assert router.read_bytes() != soon
+    assert find_renewal_s(router.read_bytes()) > time.time()
+
+
+def test_change_of_users_waits_until_the_router_admits_them(folder: SecureFolder) -> None:
+    assert folder.wait_until_admitted()
+
+    with folder.routing():
+        assert not folder.wait_until_admitted(0.0)
+        folder.note_admitted(folder.list_active())
+        assert folder.wait_until_admitted(0.0)
+        folder.add([R1])
+        assert not folder.wait_until_admitted(0.0)
+        folder.note_admitted(folder.list_active())
+        assert folder.wait_until_admitted(0.0)
+        folder.forget_admitted()
+        assert not folder.wait_until_admitted(0.0)
+
+
+def test_folder_has_one_router(folder: SecureFolder) -> None:
+    with (
+        folder.routing(),
+        pytest.raises(FolderInUse),
+        SecureFolder(folder.path).routing(timeout_s=0.0),
+    ):
+        pass
+
+    assert prepare_secure_folder(SETTINGS).settings == SETTINGS

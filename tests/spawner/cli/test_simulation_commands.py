@@ -171,6 +171,15 @@ def test_rtf_sets_and_prints_the_factor(server: Server) -> None:
     assert set_to_one.out.startswith("real-time factor ")
 
 
+def test_stats_prints_counts_and_times(server: Server) -> None:
+    lines = dict(line.split(maxsplit=1) for line in run_at(server, app, "stats").out.splitlines())
+    found = run_at(server, app, "stats", "--json").json()
+
+    assert lines.keys() == found.keys()
+    assert int(lines["requests"]) <= found["requests"]
+    assert (found["world"], found["refused"], found["joined"]) == ("default", 0, 0)
+
+
 def test_command_fails_when_nothing_listens() -> None:
     done = run(app, "step", "--connect", NOWHERE)
 

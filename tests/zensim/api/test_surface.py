@@ -102,6 +102,7 @@ WITHOUT_METHOD = {
     "stop": "reset() and pause()",
     "map": "call(GET_MAP, ...): its file is for Nav2",
     "features": "call(GET_SIMULATOR_FEATURES, ...)",
+    "stats": "topic('sim/WORLD/stats').read()",
     "doctor": "diagnoses why nothing connects",
     "check": "a report on a folder of robots, for terminals",
     "test": "runs files; in Python, tests use zensim.testing",
