@@ -248,6 +248,13 @@ def set_niceness(niceness: int, process_id: int = 0, proc: Path = Path("/proc"))
     return True
 
 
+def raise_niceness(least: int) -> bool:
+    """Set the niceness of this process unless it is as great; see `set_niceness`."""
+    if not hasattr(os, "getpriority"):
+        return True
+    return set_niceness(max(least, os.getpriority(os.PRIO_PROCESS, 0)))
+
+
 def lock_file(descriptor: int) -> None:
     """Lock an open file for this process until the descriptor is closed.
 

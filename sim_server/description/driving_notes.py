@@ -22,6 +22,7 @@ from zensim.sim_server.description.motion_prediction import (
     find_drive_targets,
     find_middle,
     is_moved_by_twist,
+    limit_position,
     make_joint_targets,
     predict_motion,
     turn_command,
@@ -243,7 +244,8 @@ def _find_cause(case: _Case, motion: PredictedMotion, column: int) -> str:
         return _describe_dragged(case.model, ground)
     share = _ratio(motion.twist[column], nominal)
     return (
-        _describe_sizes(case.model, ground, column)
+        _describe_steering_limits(case.model, motion)
+        or _describe_sizes(case.model, ground, column)
         or _describe_wheelbase(case.model, column)
         or _describe_axles(case.model, ground, share)
         or "friction of its wheels holds it"
@@ -282,6 +284,24 @@ def _describe_blocked_wheel(model: Model, link: int) -> str:
         f"its joint {joint.name!r} cannot turn, between the limits {joint.lower:.3g} and "
         f"{joint.upper:.3g} rad"
     )
+
+
+def _describe_steering_limits(model: Model, motion: PredictedMotion) -> str:
+    """Describe a steering joint that its limits keep from the angle of a command."""
+    steering = model.drive.steering_joints if model.drive else ()
+    if not steering:
+        return ""
+    joints = {joint.name: joint for joint in model.joints}
+    targets = find_drive_targets(model, motion.command)
+    for actuator, wanted in zip(model.actuators, targets, strict=True):
+        if actuator.mode != "position" or actuator.joint not in steering:
+            continue
+        if (found := limit_position(joints[actuator.joint], wanted)) != wanted:
+            return (
+                f"the limits of its steering joint {actuator.joint!r} end at {found:.3g} rad, "
+                f"and this turn takes {wanted:.3g} rad"
+            )
+    return ""
 
 
 def _describe_sizes(model: Model, ground: GroundMotion, column: int) -> str:

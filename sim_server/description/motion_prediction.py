@@ -113,7 +113,7 @@ def make_joint_targets(model: Model, numbers: tuple[float, ...]) -> JointTargets
     for actuator, number in zip(model.actuators, numbers, strict=True):
         joint = index[actuator.joint]
         if actuator.mode == "position":
-            positions[joint] = _limit(model.joints[joint], number)
+            positions[joint] = limit_position(model.joints[joint], number)
         elif actuator.joint in steering:
             positions[joint] = number * SETTLED_S
         else:
@@ -121,7 +121,7 @@ def make_joint_targets(model: Model, numbers: tuple[float, ...]) -> JointTargets
     return JointTargets(positions, speeds, efforts)
 
 
-def _limit(joint: Joint, position: float) -> float:
+def limit_position(joint: Joint, position: float) -> float:
     """Keep a position within the limits of its joint."""
     if joint.kind == "continuous" or joint.lower > joint.upper:
         return position

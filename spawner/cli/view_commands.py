@@ -20,12 +20,15 @@ from zensim.proto.endpoints import DEFAULT_ENDPOINT, Exposed, is_loopback, is_po
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
 from zensim.proto.printable_text import print_lines
+from zensim.proto.process_limits import raise_niceness
 from zensim.proto.stop_signal import StopFlag
 
 app = make_app()
 
 TOKEN_BYTES = 16
 TOKEN_PATTERN = re.compile(r"[A-Za-z0-9_-]{22,}")
+PAGE_NICENESS = 5
+"""A third of the share of others: visitors do not delay the simulation where cores are busy."""
 _access = partial(typer.Option, rich_help_panel="Access")
 VIEWER_EXTRA = ("viser", "websockets")
 ANY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "::1"}
@@ -190,6 +193,7 @@ def _serve_page(given: ViewOptions, token: str, stop: StopFlag) -> None:
         ) from error
     access = PageAccess(token, str(given.certificate or ""), str(given.key or ""))
     config = BusConfig(connect=(given.connect or DEFAULT_ENDPOINT,))
+    raise_niceness(PAGE_NICENESS)
     with open_bus(config) as bus, closing(ViewerPage(given.host, given.port, access)) as page:
         viewer = Viewer(bus, page, given.world_name)
         _announce(given, page.port, token)

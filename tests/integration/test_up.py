@@ -27,6 +27,7 @@ from tests.integration.processes import (
 )
 from zensim.proto.exit_codes import ExitCode
 from zensim.sim_server.security.secure_folder import open_secure_folder
+from zensim.spawner.cli.view_commands import PAGE_NICENESS
 from zensim.spawner.client.sim_client import SimClient
 
 if TYPE_CHECKING:
@@ -147,6 +148,7 @@ def test_world_goes_on_and_the_page_comes_back_when_the_page_dies() -> None:
         eventually(lambda: can_connect(port), 60.0, "the page at its address")
         assert second != first
         assert process.poll() is None
+        assert os.getpriority(os.PRIO_PROCESS, second) >= PAGE_NICENESS
         with connected(str(ready["endpoint"])) as bus:
             assert SimClient(bus).info().entities == 1
 

@@ -1,22 +1,28 @@
 """`python -m tests.mutation [--count N] [--seed S] [FOLDER ...]`: mutants that no test notices.
 
-Mutants are sampled from the code, each is put into a copy of the tree, and the tests that are
-nearest to its module run against it, then those of its folder, then those of its program and the
-contracts. Printed are the mutants that survive all of them. Some change nothing that matters, such
-as a greater buffer: read them. The status is 1 when more than one in ten survived.
+Mutants are sampled from the code. Each is put into a copy of the tree, and the tests that reach the
+changed line run against it: first those of the module, then those of its folder, and for what
+survives all others that run in one process. Which test reaches which line is found when first
+needed, and kept in build/mutants; so are the verdicts, and a later run goes on with what survived
+or is new. Printed are the survivors. Those that change nothing are listed, with the reason, in
+equivalent_mutants.py. The status is 1 when more than one in twenty of the others survived.
 """
 
 import argparse
+import json
+import multiprocessing
 import os
-import shutil
-import subprocess
-import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 from benchmarks.machine import ROOT
 from tests.mutation.code_mutants import CodeMutant, sample_mutants
+from tests.mutation.equivalent_mutants import EQUIVALENTS
+from tests.mutation.forked_pytest import import_libraries
+from tests.mutation.mutant_hunt import Hunter, Verdict, copy_tree
+from tests.mutation.reached_lines import LineMaps
 
 FOLDERS = (
     "proto/drives",
@@ -32,89 +38,100 @@ FOLDERS = (
     "spawner/spawn",
     "spawner/client",
 )
-CONTRACTS = ("tests/contract", "tests/zensim", "tests/integration")
-MAX_SURVIVING_SHARE = 0.1
-TIMEOUT_S = 1200.0
-NO_TESTS = 5
-"""Status of pytest when every test is left out."""
-LEFT_OUT = (".git", ".venv", "build", "dist", ".*_cache", "__pycache__", "*.egg-info")
+KEPT = ROOT / "build" / "mutants"
+MAX_SURVIVING_SHARE = 0.05
+PROCESSES = 2
+NICENESS = 19
+_HUNTER: list[Hunter] = []
+"""That of this process."""
 
 
 def main() -> int:
     """Run the tests against each mutant; return the exit status."""
     arguments = _parse()
+    os.nice(NICENESS)
     paths = [
-        path for folder in arguments.folders for path in sorted(ROOT.glob(f"{folder}/**/*.py"))
+        path.relative_to(ROOT)
+        for folder in arguments.folders
+        for path in sorted(ROOT.glob(f"{folder}/**/*.py"))
     ]
-    mutants = sample_mutants(paths, arguments.count, arguments.seed)
-    survivors = []
-    with tempfile.TemporaryDirectory(prefix="zensim-mutants-") as folder:
-        tree = Path(folder) / "tree"
-        shutil.copytree(ROOT, tree, symlinks=True, ignore=shutil.ignore_patterns(*LEFT_OUT))
-        if failing := _find_failing(tree, mutants):
-            print(f"tests fail without a mutant: {failing}; mend them first")  # noqa: T201
-            return 1
-        for number, mutant in enumerate(mutants, 1):
-            killer = kill_mutant(tree, mutant)
-            place = str(mutant).replace(f"{ROOT}/", "")
-            print(f"{number}/{len(mutants)} {killer or 'SURVIVES'}: {place}", flush=True)  # noqa: T201
-            survivors += [] if killer else [place]
-    print(f"{len(mutants) - len(survivors)} of {len(mutants)} mutants were noticed")  # noqa: T201
-    return int(len(survivors) > MAX_SURVIVING_SHARE * len(mutants))
+    mutants = sample_mutants(ROOT, paths, arguments.count, arguments.seed)
+    verdicts = {} if arguments.anew else _read_verdicts()
+    todo = [
+        mutant
+        for mutant in mutants
+        if mutant.name not in EQUIVALENTS and not verdicts.get(mutant.name, Verdict("")).killer
+    ]
+    import_libraries()
+    modules = sorted({str(mutant.path) for mutant in mutants})
+    for verdict in _hunt_all(todo, modules, is_near=arguments.near):
+        verdicts[verdict.name] = verdict
+    return _report(mutants, verdicts)
 
 
-def kill_mutant(tree: Path, mutant: CodeMutant) -> str:
-    """Run tests until one fails; return the tests that did, or "" if all passed."""
-    module = mutant.path.relative_to(ROOT)
-    place = tree / module
-    source = place.read_text("utf-8")
-    place.write_text(mutant.apply(source), "utf-8")
-    try:
-        return next((tests for tests in list_stages(tree, module) if not _passes(tree, tests)), "")
-    finally:
-        place.write_text(source, "utf-8")
+def _hunt_all(mutants: list[CodeMutant], modules: list[str], *, is_near: bool) -> Iterator[Verdict]:
+    """Hunt with the near tests, then what survives with all others; keep and print verdicts."""
+    with (
+        tempfile.TemporaryDirectory(prefix="zensim-mutants-") as folder,
+        ProcessPoolExecutor(
+            PROCESSES,
+            multiprocessing.get_context("fork"),
+            initializer=_start_hunter,
+            initargs=(folder, modules),
+        ) as pool,
+    ):
+        surviving = mutants
+        for is_wide in (False,) if is_near else (False, True):
+            runs = {pool.submit(_hunt, one, is_wide=is_wide): one for one in surviving}
+            surviving = []
+            for number, run in enumerate(as_completed(runs), 1):
+                verdict = run.result()
+                killer = verdict.killer or f"SURVIVES {verdict.tests} tests"
+                print(f"{number}/{len(runs)} {runs[run]}: {killer}", flush=True)  # noqa: T201
+                surviving += [] if verdict.killer else [runs[run]]
+                _keep(verdict)
+                yield verdict
 
 
-def list_stages(tree: Path, module: Path) -> Iterator[str]:
-    """List the tests of a module: nearest first, then of its folder, program and contracts."""
-    own = Path("tests") / module.parent / f"test_{module.stem}.py"
-    candidates = [own, *(Path("tests") / parent for parent in module.parents if parent.parts)]
-    yield from (str(path) for path in candidates if (tree / path).exists())
-    yield from CONTRACTS
+def _start_hunter(folder: str, modules: list[str]) -> None:
+    place = Path(folder) / str(os.getpid())
+    place.mkdir()
+    tree = copy_tree(ROOT, place)
+    _HUNTER.append(Hunter(tree, LineMaps(KEPT / "lines", tree, modules)))
 
 
-def _find_failing(tree: Path, mutants: list[CodeMutant]) -> str:
-    """Find tests that fail on the unchanged tree, among the nearest ones."""
-    modules = {mutant.path.relative_to(ROOT) for mutant in mutants}
-    nearest = {next(list_stages(tree, module)) for module in modules}
-    return next((tests for tests in sorted(nearest) if not _passes(tree, tests)), "")
+def _hunt(mutant: CodeMutant, *, is_wide: bool) -> Verdict:
+    return _HUNTER[0].hunt(mutant, is_wide=is_wide)
 
 
-def _passes(tree: Path, tests: str) -> bool:
-    """Whether tests pass within the time; a mutant that hangs is noticed."""
-    words = (
-        "-q",
-        "-x",
-        "-p",
-        "no:cacheprovider",
-        "-m",
-        "not short_form and not browser and not root and not interop",
-        tests,
+def _read_verdicts() -> dict[str, Verdict]:
+    file = KEPT / "verdicts.jsonl"
+    lines = file.read_text("utf-8").splitlines() if file.exists() else []
+    verdicts = (Verdict(**json.loads(line)) for line in lines)
+    return {verdict.name: verdict for verdict in verdicts}
+
+
+def _keep(verdict: Verdict) -> None:
+    KEPT.mkdir(parents=True, exist_ok=True)
+    with (KEPT / "verdicts.jsonl").open("a", encoding="utf-8") as file:
+        file.write(json.dumps(verdict.__dict__) + "\n")
+
+
+def _report(mutants: Iterable[CodeMutant], verdicts: dict[str, Verdict]) -> int:
+    """Print the survivors and the counts; return the exit status."""
+    changing = [mutant for mutant in mutants if mutant.name not in EQUIVALENTS]
+    surviving = [one for one in changing if not verdicts.get(one.name, Verdict("")).killer]
+    for mutant in surviving:
+        print(f"SURVIVES: {mutant.name} (line {mutant.line})")  # noqa: T201
+    for test in sorted({test for one in verdicts.values() for test in one.left_out}):
+        print(f"left out, fails without a mutant: {test}")  # noqa: T201
+    killed = len(changing) - len(surviving)
+    share = killed / len(changing) if changing else 1.0
+    print(  # noqa: T201
+        f"{killed} of {len(changing)} mutants that change something were noticed "
+        f"({share:.0%}, asked {1.0 - MAX_SURVIVING_SHARE:.0%})"
     )
-    try:
-        done = subprocess.run(
-            [sys.executable, "-B", "-m", "pytest", *words],
-            cwd=tree,
-            env=os.environ | {"PYTHONPATH": str(tree)},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            timeout=TIMEOUT_S,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return False
-    return done.returncode in {0, NO_TESTS}
+    return int(share < 1.0 - MAX_SURVIVING_SHARE)
 
 
 def _parse() -> argparse.Namespace:
@@ -122,6 +139,8 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("folders", nargs="*", default=FOLDERS, metavar="FOLDER")
     parser.add_argument("--count", type=int, default=100, metavar="N")
     parser.add_argument("--seed", type=int, default=1, metavar="S")
+    parser.add_argument("--near", action="store_true", help="only the tests of a module's folder")
+    parser.add_argument("--anew", action="store_true", help="forget the verdicts of earlier runs")
     return parser.parse_args()
 
 

@@ -1,11 +1,12 @@
 """Small changes of one place of a module: what a tired programmer might have written."""
 
 import ast
-import random
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import accumulate, pairwise
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from itertools import accumulate, islice, pairwise
 from pathlib import Path
 
 SWAPS: dict[type[ast.AST], tuple[str, str]] = {
@@ -34,11 +35,12 @@ class CodeMutant:
     """One changed place.
 
     Attributes:
-        path: Module.
+        path: Module, by its path in the repository.
         line: From 1.
         before: Source text of the place.
         after: What replaces it.
         start: Character offset in the file.
+        name: What stays the same when other lines of the module change.
     """
 
     path: Path
@@ -46,6 +48,7 @@ class CodeMutant:
     before: str
     after: str
     start: int
+    name: str = ""
 
     def apply(self, source: str) -> str:
         """Return the changed source of the module."""
@@ -61,17 +64,34 @@ class CodeMutant:
 
 
 def list_mutants(path: Path, source: str) -> list[CodeMutant]:
-    """List all mutants of a module that compile, in order of their place."""
+    """List all mutants of a module, in order of their place."""
     found = _Finder(path, source).find()
-    return sorted(
-        (one for one in found if _compiles(one, source)), key=lambda m: (m.start, m.after)
-    )
+    lines, seen = source.splitlines(), Counter[str]()
+    named = []
+    for one in sorted(found, key=lambda mutant: (mutant.start, mutant.after)):
+        change = " -> ".join(" ".join(text.split()) for text in (one.before, one.after))
+        name = f"{path}: {lines[one.line - 1].strip()}: {change}"
+        seen[name] += 1
+        named.append(replace(one, name=f"{name} #{seen[name]}" if seen[name] > 1 else name))
+    return named
 
 
-def sample_mutants(paths: list[Path], count: int, seed: int) -> list[CodeMutant]:
-    """Sample mutants of modules, each module in proportion to its mutants."""
-    everything = [one for path in paths for one in list_mutants(path, path.read_text("utf-8"))]
-    return random.Random(seed).sample(everything, min(count, len(everything)))
+def sample_mutants(root: Path, paths: Sequence[Path], count: int, seed: int) -> list[CodeMutant]:
+    """Sample mutants that compile, each module in proportion to its mutants.
+
+    A change of one module leaves the sample of the others as it is.
+
+    Args:
+        root: The repository.
+        paths: Modules, by their path in it.
+        count: How many at most.
+        seed: Of the choice.
+    """
+    sources = {path: (root / path).read_text("utf-8") for path in paths}
+    everything = [one for path, source in sources.items() for one in list_mutants(path, source)]
+    everything.sort(key=lambda one: sha256(f"{seed}{one.name}".encode()).digest())
+    compiled = (one for one in everything if _compiles(one, sources[one.path]))
+    return list(islice(compiled, count))
 
 
 class _Finder:
@@ -93,8 +113,8 @@ class _Finder:
                     yield from self._change_constant(node)
                 case ast.Expr(value=ast.Call()):
                     yield self._replace(node, "pass")
-                case ast.If() | ast.While():
-                    yield self._replace(node.test, f"not ({self._text(node.test)})")
+                case ast.If(test=test) | ast.While(test=test):
+                    yield from self._negate(test)
 
     def _swap(
         self, node: ast.expr, operands: Sequence[ast.expr], operators: Sequence[ast.AST]
@@ -105,6 +125,10 @@ class _Finder:
             if before and between.count(before) == 1:
                 at = self._end(left) + between.index(before)
                 yield CodeMutant(self._path, node.lineno, before, after, at)
+
+    def _negate(self, test: ast.expr) -> Iterator[CodeMutant]:
+        if self._text(test) != "TYPE_CHECKING":  # which makes no difference when it runs
+            yield self._replace(test, f"not ({self._text(test)})")
 
     def _change_constant(self, node: ast.Constant) -> Iterator[CodeMutant]:
         value = node.value

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.mutation.__main__ import FOLDERS, list_stages
+from tests.mutation.__main__ import FOLDERS
 from tests.mutation.code_mutants import CodeMutant, list_mutants, sample_mutants
-from zensim import proto
+from tests.mutation.mutant_hunt import list_stages
 
 HERE = Path("a.py")
-ROOT = Path(proto.__file__).resolve().parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize(
@@ -35,18 +35,34 @@ def test_mutant_of_another_text_is_refused() -> None:
         CodeMutant(HERE, 1, "<", "<=", 2).apply("a > b")
 
 
-def test_sample_is_the_same_for_a_seed(tmp_path: Path) -> None:
-    path = tmp_path / "a.py"
-    path.write_text("\n".join(f"x{n} = {n} + {n}" for n in range(20)))
+def test_names_of_like_mutants_differ_and_outlast_other_changes() -> None:
+    first, second = (one.name for one in list_mutants(HERE, "a < b\na < b"))
 
-    samples = [sample_mutants([path], 5, seed) for seed in (1, 1, 2)]
+    (later,) = (one for one in list_mutants(HERE, "x = y\n\na < b"))
+
+    assert first != second
+    assert later.name == first
+
+
+def test_branch_for_type_checkers_has_no_mutants() -> None:
+    assert list_mutants(HERE, "if TYPE_CHECKING:\n    import a") == []
+
+
+def test_sample_is_the_same_for_a_seed_and_compiles(tmp_path: Path) -> None:
+    (tmp_path / "a.py").write_text("\n".join(f"x{n} = {n} + {n}" for n in range(20)))
+    (tmp_path / "b.py").write_text("x = y == 1\nx = y is y")
+
+    samples = [sample_mutants(tmp_path, [HERE], 5, seed) for seed in (1, 1, 2)]
+    both = sample_mutants(tmp_path, [HERE, Path("b.py")], 1000, 1)
 
     assert samples[0] == samples[1] != samples[2]
+    assert [one for one in both if one.path == HERE][:5] == samples[0]
+    assert len(both) == 20 * 3 + 3
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_folder_has_code_and_nearest_tests(folder: str) -> None:
-    modules = list((ROOT / folder).rglob("*.py"))
-    assert modules
+    modules = [path.relative_to(ROOT) for path in (ROOT / folder).rglob("*.py")]
+    stages = [next(iter(list_stages(ROOT, module, is_wide=False))) for module in modules]
 
-    assert next(iter(list_stages(ROOT, Path(folder) / "x.py"))).startswith("tests/")
+    assert any(stage.files for stage in stages)

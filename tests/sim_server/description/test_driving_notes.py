@@ -226,3 +226,28 @@ def test_robot_drags_if_friction_takes_much_of_what_its_wheels_transmit(
 
     assert notes.drags is drags
     assert any(entry.subject == "cost" for entry in notes.entries) is drags
+
+
+def with_steering_limits(limit: float) -> Model:
+    """Limit the steering joints of a car."""
+    model = ROBOTS["car_20_kg"].model()
+    assert model.drive
+    joints = tuple(
+        msgspec.structs.replace(joint, kind="revolute", lower=-limit, upper=limit)
+        if joint.name in model.drive.steering_joints
+        else joint
+        for joint in model.joints
+    )
+    return msgspec.structs.replace(model, joints=joints)
+
+
+def test_steering_that_ends_before_the_angle_of_a_turn_is_named() -> None:
+    (reason,) = reasons(with_steering_limits(0.15))
+
+    assert reason.startswith("it turns at about 0.5")
+    assert "'left_steering_joint'" in reason
+    assert "0.15 rad" in reason
+
+
+def test_steering_that_reaches_the_angle_of_a_turn_gets_no_entry() -> None:
+    assert reasons(with_steering_limits(0.4)) == []

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.fakes import MemoryCall
+from tests.models import a_state
 from tests.sim_server.fakes import answer_of, names_in
 from tests.sim_server.journal.journaled_server import DISK_FULL, JournaledServer, read_journal
 from zensim.proto.messages.entity_messages import (
@@ -215,6 +216,31 @@ def test_states_are_recorded_periodically(server: JournaledServer) -> None:
     gaps_s = np.diff(steps) * server.world.clock.step_ns * 1e-9
     assert len(steps) > 5
     assert gaps_s.max() <= MOTION_PERIOD_S + 0.06
+
+
+def count_motions(server: JournaledServer) -> int:
+    records = [record for batch in server.disk.batches for record in batch]
+    return sum(record.motion is not None for record in records)
+
+
+@pytest.mark.parametrize(("steps", "delay_s"), [(0, 0.0), (1, 0.04)])
+def test_states_are_recorded_at_the_first_control_step_or_40_ms_late(
+    server: JournaledServer, steps: int, delay_s: float
+) -> None:
+    server.world.clock.pause()
+    server.world.clock.steps = steps
+    server.server.wall.ns += 1_000_000_000
+    server.tracker.poll()
+    due_ns = server.server.wall.ns + round((MOTION_PERIOD_S + delay_s) * 1e9)
+    server.world.place("r0", a_state((1.0, 0.0, 0.0)))
+
+    counts = []
+    for now_ns in (due_ns - 1, due_ns):
+        server.server.wall.ns = now_ns
+        server.tracker.poll()
+        counts.append(count_motions(server))
+
+    assert counts[1] == counts[0] + 1
 
 
 def test_nothing_is_written_while_nothing_changes(server: JournaledServer) -> None:

@@ -181,6 +181,22 @@ def test_loop_waits_a_limited_time_for_a_reply_when_flat_out() -> None:
     assert [step for agent, step in sent if agent == "silent"] == [9]
 
 
+def test_loop_publishes_a_state_again_20_ms_after_one_without_a_reply() -> None:
+    server = a_server("r0", factor=0.0)
+    server.inbox.agents.append(("silent", True))
+    server.request("claim_entity", ClaimEntityRequest("silent", ("r0",), "stop"))
+    server.loop.turn()
+    server.publisher.drive_states.clear()
+
+    seen = []
+    for before_s in (0.0, 0.015, 0.0, 0.0, 0.005):
+        server.wall.sleep(before_s)
+        server.loop.turn()
+        seen.append(sent_steps(server))
+
+    assert seen == [[], [], [], [], [6]]
+
+
 def test_loop_publishes_the_last_state_when_paused() -> None:
     server = a_driven_server("r0")
     for _ in range(9):

@@ -140,3 +140,11 @@ def test_replies_that_are_taken_are_not_sent() -> None:
 
     assert [waiting.position for waiting in taken] == [1, 2]
     assert answered(calls) == [False, False]
+
+
+def test_cache_holds_32_mebibytes() -> None:
+    answers, mebibyte = ResponseCache(), "x" * (1 << 20)
+
+    dropped = [len(answers.keep(a_call(b"%d" % i), an_answer(mebibyte))) for i in range(34)]
+
+    assert dropped == [0] * 32 + [1, 1]

@@ -259,6 +259,25 @@ def test_contacts_of_the_step_in_which_a_box_falls_asleep_are_read_once(
     assert len(engine.read_contacts((box,))) == 4
 
 
+def test_body_that_is_woken_falls_and_others_sleep_on() -> None:
+    engine = MujocoEngine(CONFIG)
+    woken, other = (
+        engine.add(a_box(name), box_at(x, z=1.0)) for name, x in (("a", 0.0), ("b", 5.0))
+    )
+    engine.sleep([woken, other])
+    advance(engine, SECOND // 10)
+    asleep = engine.read((woken, other)).base[:, 2]
+
+    engine.wake([woken])
+    advance(engine, SECOND // 10)
+
+    heights = engine.read((woken, other)).base[:, 2]
+    engine.close()
+    assert asleep.tolist() == [1.0, 1.0]
+    assert heights[0] == pytest.approx(1.0 - 9.81 * 0.1**2 / 2.0, abs=0.005)
+    assert heights[1] == 1.0
+
+
 def test_bodies_sleep_on_in_a_model_with_more_slots(engine: SleepingEngine) -> None:
     box = engine.add(a_box(), box_at())
     advance(engine, RESTING)

@@ -1,0 +1,3 @@
+"""Mutants of the sample that change nothing that could be noticed, by name, and why."""
+
+EQUIVALENTS: dict[str, str] = {}
