@@ -13,7 +13,7 @@ import json
 import multiprocessing
 import os
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from benchmarks.machine import ROOT
 from tests.mutation.code_mutants import CodeMutant, sample_mutants
 from tests.mutation.equivalent_mutants import EQUIVALENTS
 from tests.mutation.forked_pytest import import_libraries
-from tests.mutation.mutant_hunt import Hunter, Verdict, copy_tree
+from tests.mutation.mutant_hunt import REACHES, Hunter, Reach, Verdict, copy_tree
 from tests.mutation.reached_lines import LineMaps
 
 FOLDERS = (
@@ -64,13 +64,15 @@ def main() -> int:
     ]
     import_libraries()
     modules = sorted({str(mutant.path) for mutant in mutants})
-    for verdict in _hunt_all(todo, modules, is_near=arguments.near):
+    for verdict in _hunt_all(todo, modules, REACHES[: 1 + REACHES.index(arguments.reach)]):
         verdicts[verdict.name] = verdict
     return _report(mutants, verdicts)
 
 
-def _hunt_all(mutants: list[CodeMutant], modules: list[str], *, is_near: bool) -> Iterator[Verdict]:
-    """Hunt with the near tests, then what survives with all others; keep and print verdicts."""
+def _hunt_all(
+    mutants: list[CodeMutant], modules: list[str], reaches: Sequence[Reach]
+) -> Iterator[Verdict]:
+    """Hunt with the nearest tests, then what survives with others; keep and print verdicts."""
     with (
         tempfile.TemporaryDirectory(prefix="zensim-mutants-") as folder,
         ProcessPoolExecutor(
@@ -81,13 +83,13 @@ def _hunt_all(mutants: list[CodeMutant], modules: list[str], *, is_near: bool) -
         ) as pool,
     ):
         surviving = mutants
-        for is_wide in (False,) if is_near else (False, True):
-            runs = {pool.submit(_hunt, one, is_wide=is_wide): one for one in surviving}
+        for reach in reaches:
+            runs = {pool.submit(_hunt, one, reach): one for one in surviving}
             surviving = []
             for number, run in enumerate(as_completed(runs), 1):
                 verdict = run.result()
                 killer = verdict.killer or f"SURVIVES {verdict.tests} tests"
-                print(f"{number}/{len(runs)} {runs[run]}: {killer}", flush=True)  # noqa: T201
+                print(f"{reach} {number}/{len(runs)} {runs[run]}: {killer}", flush=True)  # noqa: T201
                 surviving += [] if verdict.killer else [runs[run]]
                 _keep(verdict)
                 yield verdict
@@ -100,8 +102,8 @@ def _start_hunter(folder: str, modules: list[str]) -> None:
     _HUNTER.append(Hunter(tree, LineMaps(KEPT / "lines", tree, modules)))
 
 
-def _hunt(mutant: CodeMutant, *, is_wide: bool) -> Verdict:
-    return _HUNTER[0].hunt(mutant, is_wide=is_wide)
+def _hunt(mutant: CodeMutant, reach: Reach) -> Verdict:
+    return _HUNTER[0].hunt(mutant, reach)
 
 
 def _read_verdicts() -> dict[str, Verdict]:
@@ -139,7 +141,7 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("folders", nargs="*", default=FOLDERS, metavar="FOLDER")
     parser.add_argument("--count", type=int, default=100, metavar="N")
     parser.add_argument("--seed", type=int, default=1, metavar="S")
-    parser.add_argument("--near", action="store_true", help="only the tests of a module's folder")
+    parser.add_argument("--reach", choices=REACHES, default="all", help="tests of which folders")
     parser.add_argument("--anew", action="store_true", help="forget the verdicts of earlier runs")
     return parser.parse_args()
 

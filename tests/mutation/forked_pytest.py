@@ -1,5 +1,6 @@
 """Runs of pytest in forked processes: libraries are imported once, the code anew for each run."""
 
+import ctypes
 import json
 import os
 import resource
@@ -29,6 +30,7 @@ OPTIONS = (
 MAX_MEMORY_BYTES = 8 << 30
 """Of address space: a mutant may append for ever."""
 POLL_S = 0.01
+PR_SET_PDEATHSIG = 1
 
 
 @dataclass
@@ -139,6 +141,7 @@ def _run_and_exit(tree: Path, choice: ChosenTests, file: Path) -> None:
 def _enter(tree: Path, *, is_bytecode_written: bool) -> None:
     """Let this process and its children import the code of a tree."""
     os.setsid()
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, hard))
     null = os.open(os.devnull, os.O_RDWR)

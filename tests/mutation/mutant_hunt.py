@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal, TypeAlias
 
 from tests.mutation.code_mutants import CodeMutant
 from tests.mutation.forked_pytest import ChosenTests, PytestRun, run_tests
@@ -21,6 +22,9 @@ WIDE = (
     "tests/zensim/api",
 )
 """Tests that run in one process, for mutants that survive those of their folder."""
+Reach: TypeAlias = Literal["module", "folder", "all"]
+REACHES: tuple[Reach, ...] = ("module", "folder", "all")
+"""Nearest tests first; the others run against what survives."""
 SPARE_S = 40.0
 SLOWER = 6.0
 """A run may take as many times as long as its tests took when their lines were recorded."""
@@ -74,15 +78,15 @@ class Hunter:
     _unsure: set[str] = field(default_factory=set)
     """Tests that failed once without a mutant."""
 
-    def hunt(self, mutant: CodeMutant, *, is_wide: bool = False) -> Verdict:
+    def hunt(self, mutant: CodeMutant, reach: Reach) -> Verdict:
         """Run tests until one fails by the mutant alone.
 
         Args:
             mutant: What to change.
-            is_wide: Whether to run the tests of other folders, instead of the near ones.
+            reach: Which tests to run.
         """
         tests, killer = set[str](), ""
-        for stage in list_stages(self.tree, mutant.path, is_wide=is_wide):
+        for stage in list_stages(self.tree, mutant.path, reach):
             found, seconds = self._find_tests(stage, mutant)
             chosen = found.difference(tests)
             tests |= chosen
@@ -102,10 +106,16 @@ class Hunter:
         return tests, seconds
 
     def _find_killer(self, mutant: CodeMutant, tests: set[str], seconds: float) -> str:
+        timeout_s = self.spare_s + SLOWER * seconds
         while left := tests - self._unsure:
-            run = self._run(mutant, left, self.spare_s + SLOWER * seconds)
-            if run.ended or not run.failed:
+            run = self._run(mutant, left, timeout_s)
+            if run.ended and not self._ends_without(left, timeout_s):
                 return run.ended
+            if run.ended:  # by the load of the machine
+                timeout_s *= SLOWER
+                continue
+            if not run.failed:
+                return ""
             killer = run.failed[0]
             if killer not in tests or self._passes_without(killer):
                 return killer
@@ -118,15 +128,21 @@ class Hunter:
         place.write_text(mutant.apply(source), "utf-8")
         os.utime(place, ns=(times.st_atime_ns, times.st_mtime_ns + MTIME_NS))
         try:
-            files = sorted({test.partition("::")[0] for test in tests})
-            return run_tests(self.tree, ChosenTests(files, tests), timeout_s)
+            return run_tests(self.tree, _choose(tests), timeout_s)
         finally:
             place.write_text(source, "utf-8")
             os.utime(place, ns=(times.st_atime_ns, times.st_mtime_ns))
 
+    def _ends_without(self, tests: set[str], timeout_s: float) -> bool:
+        return bool(run_tests(self.tree, _choose(tests), timeout_s).ended)
+
     def _passes_without(self, test: str) -> bool:
-        run = run_tests(self.tree, ChosenTests((test.partition("::")[0],), {test}), FILE_TIMEOUT_S)
+        run = run_tests(self.tree, _choose({test}), FILE_TIMEOUT_S)
         return not run.failed and not run.ended
+
+
+def _choose(tests: set[str]) -> ChosenTests:
+    return ChosenTests(sorted({test.partition("::")[0] for test in tests}), tests)
 
 
 def copy_tree(root: Path, folder: Path) -> Path:
@@ -135,19 +151,20 @@ def copy_tree(root: Path, folder: Path) -> Path:
     return Path(shutil.copytree(root, folder / "tree", symlinks=True, ignore=ignored))
 
 
-def list_stages(tree: Path, module: Path, *, is_wide: bool) -> Iterator[HuntStage]:
-    """List the test files of a module: the nearest and those of its folder, or those of others."""
+def list_stages(tree: Path, module: Path, reach: Reach) -> Iterator[HuntStage]:
+    """List the test files of a module: its own, those of its folder, or those of others."""
     folder = Path("tests") / module.parent
-    if is_wide:
+    if reach == "module":
+        own = _list_files(tree, f"{folder}/test_{module.stem}*.py")
+        yield HuntStage(own)
+        # A value that is kept is made in the first test that needs it, and checked in later ones.
+        yield HuntStage(own, is_whole=True)
+    elif reach == "folder":
+        yield HuntStage(_list_files(tree, f"{folder}/**/test_*.py"))
+    else:
         patterns = [one if one.endswith(".py") else f"{one}/**/test_*.py" for one in WIDE]
         files = [file for pattern in patterns for file in _list_files(tree, pattern)]
         yield HuntStage([file for file in files if folder not in Path(file).parents])
-        return
-    nearest = _list_files(tree, f"{folder}/test_{module.stem}*.py")
-    yield HuntStage(nearest)
-    yield HuntStage(_list_files(tree, f"{folder}/**/test_*.py"))
-    # A value that is kept is made in the first test that needs it, and checked in later ones.
-    yield HuntStage(nearest, is_whole=True)
 
 
 def _list_files(tree: Path, pattern: str) -> list[str]:

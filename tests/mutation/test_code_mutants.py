@@ -63,6 +63,6 @@ def test_sample_is_the_same_for_a_seed_and_compiles(tmp_path: Path) -> None:
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_folder_has_code_and_nearest_tests(folder: str) -> None:
     modules = [path.relative_to(ROOT) for path in (ROOT / folder).rglob("*.py")]
-    stages = [next(iter(list_stages(ROOT, module, is_wide=False))) for module in modules]
+    stages = [next(iter(list_stages(ROOT, module, "module"))) for module in modules]
 
     assert any(stage.files for stage in stages)

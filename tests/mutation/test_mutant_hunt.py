@@ -59,7 +59,7 @@ source = (tree / module).read_text()
 maps = LineMaps(tree / "lines", tree, [str(module)])
 hunters = {True: Hunter(tree, maps, spare_s=2.0), False: Hunter(tree, maps, spare_s=100.0)}
 found = {
-    one.name: hunters["x -= 1" in one.name].hunt(one).__dict__
+    one.name: hunters["x -= 1" in one.name].hunt(one, "folder").__dict__
     for one in list_mutants(module, source)
     if one.name.partition(": ")[2] in sys.argv[2:]
 }

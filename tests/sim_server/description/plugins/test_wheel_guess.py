@@ -17,7 +17,11 @@ from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.sim_server.description.joint_reduction import LumpedModel
-from zensim.sim_server.description.plugins.wheel_guess import find_wheels, suggest_drive
+from zensim.sim_server.description.plugins.wheel_guess import (
+    find_wheels,
+    find_wheels_rolling_aside,
+    suggest_drive,
+)
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 
 
@@ -114,3 +118,11 @@ def test_drive_is_suggested_for_the_wheels_on_the_ground(
 
 def test_wheels_of_casters_are_no_wheels_to_drive() -> None:
     assert [wheel.joint for wheel in find_wheels(lump(a_diff_robot(CASTER)))] == ["left", "right"]
+
+
+def test_wheels_that_roll_aside_have_axles_along_x_and_collisions() -> None:
+    aside = a_diff_robot().replace(AXIS, '<axis xyz="1 0 0"/>')
+    aside = aside.replace('rpy="1.5707963267948966 0 0"', 'rpy="0 1.5707963267948966 0"')
+
+    assert len(find_wheels_rolling_aside(lump(aside))) == 2
+    assert find_wheels_rolling_aside(lump(a_diff_robot())) == []

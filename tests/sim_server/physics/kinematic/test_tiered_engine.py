@@ -9,12 +9,16 @@ import pytest
 from tests.models import a_box, a_box_bot, a_state, an_arm, box_bot_at
 from tests.sim_server.physics.kinematic.tiered_worlds import (
     DT_S,
+    STEP_NS,
     places,
     steps,
     two_tiers,
     with_dynamics,
 )
 from zensim.proto.messages.model_messages import Dynamics
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
 
 EITHER: tuple[Dynamics, ...] = ("auto", "full")
 ALL: tuple[Dynamics, ...] = ("", "full", "kinematic", "auto")
@@ -191,3 +195,17 @@ def test_arm_on_a_fixed_post_moves_beside_kinematic_robots_only() -> None:
 
         assert engine.kinematic_count == 1
         assert engine.read((arm,)).joint_positions == pytest.approx([0.5], abs=0.01)
+
+
+def test_contacts_of_the_first_body_of_a_world_without_ground_are_read() -> None:
+    config = EngineConfig(STEP_NS, has_ground=False)
+    engine = TieredEngine(PyBulletEngine(config), config, "full")
+    table = engine.add(a_box("table", is_static=True), a_state())
+    box = engine.add(a_box(), a_state((0.0, 0.0, 0.2)))
+    steps(engine, 50)
+
+    touched = [engine.read_contacts((body,)).bodies[:, 2].tolist() for body in (table, box)]
+
+    engine.close()
+    assert set(touched[0]) == {box}
+    assert set(touched[1]) == {table}

@@ -8,6 +8,7 @@ from zensim.sim_server.physics.mujoco.slot_layout import (
     MAX_UNUSED_ARCHETYPES,
     Archetype,
     SlotAllocator,
+    SlotSizes,
     make_archetype,
     round_up_slots,
 )
@@ -112,3 +113,10 @@ def test_forgotten_bodies_get_no_slots() -> None:
     slots.forget_expected()
 
     assert slots.with_one_more(BOX) == ((BOX, 1),)
+
+
+def test_sizes_of_slots_add_up_array_by_array() -> None:
+    sizes = SlotSizes(1, 2, 3, 4, 5)
+
+    assert sizes + SlotSizes(10, 20, 30, 40, 50) == SlotSizes(11, 22, 33, 44, 55)
+    assert sizes.times(3) == SlotSizes(3, 6, 9, 12, 15)
