@@ -756,9 +756,10 @@ def _settle(config: BusConfig) -> BusConfig:
     if connect and is_join_address(connect[0]):
         token = read_join_address(connect[0])
         connect = (token.endpoint,)
+        credentials = _join(token, max(timeout_s, JOIN_TIMEOUT_S))
+    if credentials is not None:
         # A refusal is known by the timeout only: a short one would take haste for a refusal.
         timeout_s = max(timeout_s, JOIN_TIMEOUT_S)
-        credentials = _join(token, timeout_s)
     for endpoint in connect:
         check_endpoint(endpoint)
     return msgspec.structs.replace(
@@ -988,5 +989,10 @@ def open_bus_with_retry(config: BusConfig, wait_s: float) -> Bus:
             return open_bus(attempt)
         except EndpointUnreachable:
             if time.monotonic() >= deadline_s:
+                raise
+        except JoinRefused as error:
+            # Who has credentials, not a token, has them from the folder of this very router.
+            is_busy = config.credentials is not None and error.reason == "user"
+            if not is_busy or time.monotonic() >= deadline_s:
                 raise
         time.sleep(max(0.0, next_s - time.monotonic()))

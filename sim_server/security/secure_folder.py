@@ -11,7 +11,7 @@ import ssl
 import tempfile
 import time
 from collections.abc import Iterable, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -37,7 +37,6 @@ from zensim.proto.security.roles import ROLES, SERVER_USER, RefusedUser, User, c
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from contextlib import AbstractContextManager
 
     from zensim.sim_server.security.certificates import CertifiedKey
 
@@ -425,7 +424,7 @@ class SecureFolder:
         except BlockingIOError:
             return True
 
-    def _changing(self) -> "AbstractContextManager[None]":
+    def _changing(self) -> AbstractContextManager[None]:
         """Let no other process change the users meanwhile."""
         return self._locked("lock")
 

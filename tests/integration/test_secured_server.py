@@ -265,8 +265,12 @@ def test_no_role_stands_for_the_server_or_an_agent(secured: Secured, user: str) 
     assert_drivable(secured)
     assert [query for rogue in rogues for query in rogue.take()] == []
     assert secured.operator.bus.list_tokens(server) == [server]
-    for declared in (*forged, *tokens, *rogues):
-        declared.close()
+    for publisher in forged:
+        publisher.close()
+    for token in tokens:
+        token.close()
+    for rogue in rogues:
+        rogue.close()
 
 
 def test_request_id_of_another_user_gets_no_reply_of_it(secured: Secured) -> None:
