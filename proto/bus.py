@@ -370,6 +370,11 @@ MOST_UNACKNOWLEDGED_MS: Final = 1800
 """A connection whose peer takes no data for so long is reset. It is less than the lease of our
 clients: Zenoh closes a link at the end of its lease, and until the last bytes are written, which a
 stopped process never reads, nothing that is published reaches anybody through that router task."""
+CLIENT_LEASE_MS: Final = 2000
+"""Of agents, among others: another one gets their robots soon."""
+ROUTER_LEASE_MS: Final = 10_000
+"""Each side of a link waits for the lease that the other one announces. A host of ROS 2 that stalls
+for longer closes its link to us, and the calls that wait for a reply get none."""
 MAX_QUERY_BYTES: Final = 4 << 20
 """A router ends a larger query without a reply at once; servers refuse it from 3 MiB on."""
 SIZE_LIMITS: Final = (
@@ -493,8 +498,9 @@ class BusConfig(msgspec.Struct, frozen=True, kw_only=True):
     mode: Literal["client", "peer", "router"] = "client"
     connect: tuple[str, ...] = ()
     listen: tuple[str, ...] = ()
-    lease_ms: int = 2000
-    """A stopped process loses its tokens after about this time."""
+    lease_ms: int = 0
+    """Silence after which others take this session for gone, and its tokens disappear; 0 =
+    `CLIENT_LEASE_MS`, or `ROUTER_LEASE_MS` of a router."""
     max_message_bytes: int = MAX_MESSAGE_BYTES
     open_timeout_s: float = 2.0
     credentials: Credentials | None = None
@@ -834,7 +840,7 @@ def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
         "timestamping/enabled": True,
         # Shared memory pools use 20 MB per process.
         "transport/shared_memory/enabled": False,
-        "transport/link/tx/lease": config.lease_ms,
+        "transport/link/tx/lease": config.lease_ms or find_lease_ms(config.mode),
         "transport/link/rx/max_message_size": config.max_message_bytes,
         "transport/link/tx/queue/size/data": BATCHES_OF_DATA,
         "transport/link/tx/queue/congestion_control/block/wait_before_close": LINK_TIMEOUT_US,
@@ -851,6 +857,11 @@ def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
     for path, value in entries.items():
         made.insert_json5(path, json.dumps(value))
     return made
+
+
+def find_lease_ms(mode: str) -> int:
+    """Find the lease that sessions of a mode announce."""
+    return ROUTER_LEASE_MS if mode == "router" else CLIENT_LEASE_MS
 
 
 def _make_client_entries(credentials: Credentials | None) -> dict[str, object]:

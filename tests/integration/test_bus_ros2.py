@@ -1,8 +1,9 @@
 """Bus features for ROS 2: attachments, timestamped replies on other keys, additional sessions."""
 
+import json
 from collections.abc import Iterator
 from contextlib import closing
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import pytest
 import zenoh
@@ -12,7 +13,7 @@ from tests.integration.processes import eventually, free_endpoint
 from tests.integration.rmw_sessions import open_rmw_session, subscribe_as_rmw
 from tests.tcp_relay import TcpRelay
 from zensim.proto import topic_endpoints
-from zensim.proto.bus import Bus, BusConfig, BusQuery, BusQueryQueue, open_bus
+from zensim.proto.bus import Bus, BusConfig, BusQuery, BusQueryQueue, open_bus, to_zenoh_json
 from zensim.proto.messages.standard_messages import String
 from zensim.proto.ros2.liveliness_tokens import LATCHED
 from zensim.proto.ros2.ros_graph import RosGraph, RosTopic
@@ -142,6 +143,15 @@ def test_returning_subscriber_gets_what_changed_while_its_link_was_cut(
         relay.reset()
 
         eventually(lambda: reads(1, b"new"), 20.0, "the change after the return")
+
+
+@pytest.mark.parametrize(("mode", "lease_ms"), [("client", 2000), ("router", 10_000)])
+def test_hosts_of_ros_may_stall_for_longer_than_agents(
+    mode: Literal["client", "router"], lease_ms: int
+) -> None:
+    settings = json.loads(to_zenoh_json(BusConfig(mode=mode, connect=("tcp/127.0.0.1:1",))))
+
+    assert settings["transport"]["link"]["tx"]["lease"] == lease_ms
 
 
 def test_reply_on_an_unrequested_key_is_omitted(router: Bus, client: zenoh.Session) -> None:
