@@ -120,7 +120,6 @@ class MeshServer(ThreadingHTTPServer):
         if ":" in host:
             self.address_family = socket.AF_INET6
         self._folder = folder
-        self._free = threading.Semaphore(MAX_CONNECTIONS)
         self._began_s: dict[socket.socket, float] = {}
         super().__init__((host, int(port)), FileRequest)
         shown = socket.gethostname() if host in EVERY_ADDRESS else host
@@ -157,7 +156,7 @@ class MeshServer(ThreadingHTTPServer):
 
     def process_request(self, request: socket.socket, client_address: object) -> None:  # type: ignore[override]
         """Serve a connection in a thread, or close it if there are too many."""
-        if not self._free.acquire(blocking=False):
+        if self.count_connections() >= MAX_CONNECTIONS:
             self.shutdown_request(request)
             return
         self._began_s[request] = time.monotonic()
@@ -169,7 +168,6 @@ class MeshServer(ThreadingHTTPServer):
             super().process_request_thread(request, client_address)
         finally:
             self._began_s.pop(request, None)
-            self._free.release()
 
     def service_actions(self) -> None:
         """End connections that last too long; called twice a second."""
