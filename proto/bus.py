@@ -157,12 +157,22 @@ class BusQuery:
         self._sender = sender
         self._has_replies = False
         self.key = str(query.key_expr)
-        self.encoding = str(query.encoding) if query.encoding else ""
-        self.size = len(query.payload or EMPTY_PAYLOAD)
         source = query.source_info
         self.user = keys.parse_user(self.key)
         self.session = "" if source is None else str(source.source_id.zid)
         self.client = self.user or self.session
+
+    # The rest is read when it is needed: a query that is dropped unread should cost little.
+    @cached_property
+    def encoding(self) -> str:
+        """Zenoh Encoding; empty if there is none."""
+        encoding = self._query.encoding
+        return str(encoding) if encoding else ""
+
+    @cached_property
+    def size(self) -> int:
+        """Bytes of the request as received."""
+        return len(self._query.payload or EMPTY_PAYLOAD)
 
     @cached_property
     def payload(self) -> bytes:
@@ -402,6 +412,26 @@ SIZE_LIMITS: Final = (
 )
 """Messages that a router drops. A put on a wider key expression passes, and subscriptions drop it
 by its size."""
+WILDCARD_HZ: Final = 200
+NO_NAMESPACE: Final = "zensim-no-robot"
+"""Only key expressions with wildcards match keys of a namespace that no robot has."""
+WILDCARD_LIMITS: Final = (
+    {
+        "id": "wildcards",
+        "messages": ["put"],
+        "flows": ["ingress"],
+        "rules": [
+            {"key_expr": key, "freq": WILDCARD_HZ}
+            for key in (
+                f"{NO_NAMESPACE}/cmd_vel",
+                f"*/{NO_NAMESPACE}/cmd_vel/**",
+                f"sim/*/drive/{NO_NAMESPACE}/state",
+            )
+        ],
+    },
+)
+"""A put on a wildcard becomes as many messages as there are agents: from each session a router
+takes one in 5 ms."""
 QUERIES_OF_OWN_PRIORITY: Final = {
     "id": "queries",
     "messages": ["query"],
@@ -578,6 +608,10 @@ class Bus:
     def prepare_reply_threads(self, prepare: Callable[[], object]) -> None:
         """Set what each thread that sends replies calls first, such as for its priority."""
         self._sender.prepare_thread = prepare
+
+    def has_reply_backlog(self, client: str) -> bool:
+        """Whether many replies to a client wait to be sent."""
+        return self._sender.has_backlog(client)
 
     def settle_replies(self, timeout_s: float) -> None:
         """Wait until replies are sent, except to clients that have stopped reading."""
@@ -851,6 +885,7 @@ def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
         entries["transport/unicast/accept_pending"] = MAX_HANDSHAKES
         entries["low_pass_filter"] = SIZE_LIMITS
         entries["qos/network"] = [QUERIES_OF_OWN_PRIORITY]
+        entries["downsampling"] = WILDCARD_LIMITS
     entries |= _make_client_entries(config.credentials)
     entries |= _make_router_entries(config.router_security)
     made: zenoh.Config = zenoh.Config()

@@ -64,16 +64,21 @@ class Subscription(Closable, Protocol):
 class ServiceCall(Protocol):
     """A request that must be replied to or dropped, once."""
 
-    encoding: str
     user: str
     """Who calls a secured server; empty on others."""
-    size: int
-    """Bytes of the request as received; `payload` is empty where that is too many."""
     client: str
     """Session that called, as it says itself; empty for clients that do not. On a secured server
     the user, which is true."""
     session: str
     """Zenoh id of that session; empty where there is none."""
+
+    @property
+    def encoding(self) -> str:
+        """Zenoh Encoding of the request; empty if there is none."""
+
+    @property
+    def size(self) -> int:
+        """Bytes of the request as received; `payload` is empty where that is too many."""
 
     @property
     def payload(self) -> bytes:
@@ -219,6 +224,9 @@ class ViewerNetwork(SubscribingNetwork, WatchingNetwork, CallingNetwork, Protoco
 
 class ServerNetwork(TopicNetwork, WatchingNetwork, TokenSession, Protocol):
     """Network for the server."""
+
+    def has_reply_backlog(self, client: str) -> bool:
+        """Whether many replies to a client wait to be sent."""
 
     def settle_replies(self, timeout_s: float) -> None:
         """Wait until replies are sent, except to clients that have stopped reading."""

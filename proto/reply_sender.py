@@ -1,6 +1,7 @@
 """Threads that send replies: a client that stops reading delays its own replies only."""
 
 import logging
+import math
 import threading
 import time
 from collections import deque
@@ -16,8 +17,14 @@ REPLY_BYTES: Final = 4096
 """Memory of a reply that waits, besides its own bytes: its query, and what sends it."""
 MAX_UNSENT: Final = 8192
 """Replies of all clients that may wait before no further queries are taken."""
+MAX_BACKLOG: Final = 64
+"""Replies of one client that may wait before its further requests wait, too."""
 MAX_UNFINISHED: Final = 1024
 """The same for queries without a value."""
+MAX_LEFT_TO_THREAD: Final = 64
+"""Queries without a value beyond these are finished by the caller, unless the thread is blocked."""
+BLOCKED_S: Final = 0.02
+"""A thread that works on one query for so long is blocked by a client that stopped reading."""
 CLOSE_TIMEOUT_S: Final = 1.0
 LOG = logging.getLogger(__name__)
 
@@ -53,6 +60,8 @@ class ReplySender:
         self._finishes: deque[Send] = deque()
         self._has_finishes = threading.Event()
         self._finisher: threading.Thread | None = None
+        self._finishing_since_s = math.inf
+        """When the thread began with the query that it finishes; infinite if there is none."""
         self.prepare_thread: Callable[[], object] = lambda: None
         """Called first in each thread."""
 
@@ -81,12 +90,23 @@ class ReplySender:
             unsent.size += size
             self._count += 1
 
+    def has_backlog(self, client: str) -> bool:
+        """Whether many replies to a client wait to be sent."""
+        unsent = self._unsent.get(client)
+        return unsent is not None and len(unsent.queue) >= MAX_BACKLOG
+
     def finish(self, finish: Send) -> None:
-        """Finish a query without a value from another thread, at a fraction of the cost of `send`.
+        """Finish a query without a value, at a fraction of the cost of `send`.
+
+        A thread does it, which a client that has stopped reading may block. At many a second the
+        caller does it while the thread is not blocked: the threads would wait for each other.
 
         Args:
             finish: Finishes the query; may block.
         """
+        if len(self._finishes) >= MAX_LEFT_TO_THREAD and not self._is_finisher_blocked:
+            _finish(finish)
+            return
         self._finishes.append(finish)
         if not self._has_finishes.is_set():
             self._has_finishes.set()
@@ -95,6 +115,10 @@ class ReplySender:
                     target=self._run_finishes, name="finishes", daemon=True
                 )
                 self._finisher.start()
+
+    @property
+    def _is_finisher_blocked(self) -> bool:
+        return time.monotonic() - self._finishing_since_s > BLOCKED_S
 
     def settle(self, timeout_s: float) -> None:
         """Wait until the replies are sent, but not for clients that have stopped reading.
@@ -142,14 +166,14 @@ class ReplySender:
             self._note_sent(unsent)
 
     def _run_finishes(self) -> None:
+        self.prepare_thread()
         while not self._is_closed or self._finishes:
             self._has_finishes.wait()
             self._has_finishes.clear()
             while self._finishes:
-                try:
-                    self._finishes.popleft()()
-                except Exception:  # noqa: PERF203  else all later ones would wait for ever
-                    LOG.exception("query not finished")
+                self._finishing_since_s = time.monotonic()
+                _finish(self._finishes.popleft())
+            self._finishing_since_s = math.inf
 
     def _take_client(self) -> UnsentReplies | None:
         with self._has_work:
@@ -172,3 +196,10 @@ class ReplySender:
             else:
                 del self._unsent[unsent.client]
             self._has_sent.notify_all()
+
+
+def _finish(finish: Send) -> None:
+    try:
+        finish()
+    except Exception:  # else all later ones would wait for ever
+        LOG.exception("query not finished")

@@ -97,6 +97,8 @@ class CmdVelSubscriber:
         """
         self.malformed = 0
         """Number of malformed messages since the start."""
+        self.is_disturbed = False
+        """Whether the last messages that came had malformed ones among them."""
         self._reported = 0
         self._fault = ""
         self._subscription = subscription
@@ -111,11 +113,13 @@ class CmdVelSubscriber:
 
     def at(self, time_ns: int, ordered: Twist | None = None) -> Twist:
         """Find the command at a simulation time; an ordered one replaces those received."""
+        malformed = self.malformed
         for sample in reversed(self._subscription.take()):
             twist = self._decode(sample)
             if twist is not None:
                 self.twist, self._received_ns = twist, time_ns
                 break
+        self.is_disturbed = self.malformed != malformed
         if ordered is not None:
             self.twist, self._received_ns = ordered, time_ns
         if self._timeout_ns and time_ns - self._received_ns > self._timeout_ns:
@@ -221,6 +225,9 @@ class DrivenRobot:
     def revise(self) -> bool:
         """Apply a command that came after the last state; return whether there was one."""
         if self.cmd_vel is None or self._state is None or self._ordered is not None:
+            return False
+        # Malformed messages cost as much as valid ones: a flood of them is read at states only.
+        if self.cmd_vel.is_disturbed:
             return False
         before = self.cmd_vel.twist
         twist = self.cmd_vel.at(self._state.time_ns)

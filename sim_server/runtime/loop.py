@@ -389,7 +389,7 @@ class ServerLoop:
         self._budget = RequestBudget(clock.used_ns)
         self._busy_refusals = 0
         """In the present window of statistics."""
-        self._requests = RequestQueue(self._budget)
+        self._requests = RequestQueue(self._budget, inbox.has_reply_backlog)
         self._has_looked_at_all = True
         """Whether all pending requests were looked at since descriptions were parsed."""
         self._sensor_sessions = SensorSessions(parts, inbox, publisher)
@@ -438,6 +438,10 @@ class ServerLoop:
         self._agent_sessions.publish_ordered_twists()
 
     def _queue(self, call: ServiceCall) -> None:
+        is_flood = self._busy_refusals >= MAX_BUSY_REFUSALS
+        if is_flood and not self._requests.has_room(call.client):
+            call.drop()  # unread
+            return
         try:
             self._requests.add(call)
         except RequestBusy as error:
@@ -534,7 +538,7 @@ class ServerLoop:
             # A client that steps sends its next request soon.
             is_stepped = now_ns - self._stepped_ns < EAGER_NS
             self._deadline_ns = now_ns
-            if not self._requests:
+            if self._requests.is_idle:
                 self._clock.sleep(EAGER_POLL_S if is_stepped else IDLE_POLL_S)
         elif now_ns >= self._deadline_ns:
             self.tick(now_ns)

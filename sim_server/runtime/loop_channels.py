@@ -31,6 +31,8 @@ from zensim.proto.topic_endpoints import KeyPublisher, LazyTopicPublisher, Topic
 COMMAND_DEPTH = 8192
 REPLY_DEPTH = 256
 TWISTS_DEPTH = 1024
+CALLS_DEPTH = 1024
+"""Requests that wait to be taken. Each may keep a buffer of 64 KiB, in which it was received."""
 
 
 class Inbox(Protocol):
@@ -63,6 +65,9 @@ class Inbox(Protocol):
     def take_twists(self) -> list[Sample]:
         """Take the orders of twists received."""
 
+    def has_reply_backlog(self, client: str) -> bool:
+        """Whether many replies to a client wait to be sent."""
+
     def settle_replies(self, timeout_s: float) -> None:
         """Wait until replies are sent, except to clients that have stopped reading."""
 
@@ -89,8 +94,9 @@ class BusInbox:
         self._sensor_replies = network.subscribe(SENSORS_REPLY.key(world, "*"), REPLY_DEPTH)
         self._clients = network.watch_tokens(keys.alive_clients(world))
         self._twists = network.subscribe(TWISTS.key(world), TWISTS_DEPTH, MAX_FLEET_COMMAND_BYTES)
-        self._calls = network.serve(keys.services(world))
-        self._user_calls = network.serve(keys.services_of_users(world)) if is_secured else None
+        self._calls = network.serve(keys.services(world), CALLS_DEPTH)
+        user_services = keys.services_of_users(world)
+        self._user_calls = network.serve(user_services, CALLS_DEPTH) if is_secured else None
         self._others = others
 
     def take_calls(self) -> list[ServiceCall]:
@@ -135,6 +141,10 @@ class BusInbox:
     def take_twists(self) -> list[Sample]:
         """See `Inbox`."""
         return self._twists.take()
+
+    def has_reply_backlog(self, client: str) -> bool:
+        """See `Inbox`."""
+        return self._network.has_reply_backlog(client)
 
     def settle_replies(self, timeout_s: float) -> None:
         """See `Inbox`."""

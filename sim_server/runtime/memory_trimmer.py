@@ -9,7 +9,7 @@ from zensim.proto.process_limits import read_resident_bytes, trim_memory
 EXCESS_BYTES: Final = 24 << 20
 """Memory above that at the start from which trimming may be worth its time."""
 WORTH_BYTES: Final = 4 << 20
-PERIOD_S: Final = 4.0
+PERIOD_S: Final = 2.0
 MAX_PERIOD_S: Final = 512.0
 
 

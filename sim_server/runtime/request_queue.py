@@ -113,12 +113,24 @@ class WaitingRequests:
 class RequestQueue:
     """Waiting requests of all clients; each client's are in order."""
 
-    def __init__(self, budget: RequestBudget) -> None:
+    def __init__(
+        self, budget: RequestBudget, has_reply_backlog: Callable[[str], bool] = lambda _: False
+    ) -> None:
+        """Create an empty queue.
+
+        Args:
+            budget: Time for requests.
+            has_reply_backlog: Tells whether a client has so many unsent replies that its requests
+                wait.
+        """
         self._budget = budget
+        self._has_reply_backlog = has_reply_backlog
         self._clients: OrderedDict[str, WaitingRequests] = OrderedDict()
 
-    def __bool__(self) -> bool:
-        return bool(self._clients)
+    @property
+    def is_idle(self) -> bool:
+        """Whether no request waits, but those of clients whose replies are not sent."""
+        return all(map(self._has_reply_backlog, self._clients))
 
     def add(self, call: ServiceCall) -> None:
         """Append a request.
@@ -144,10 +156,15 @@ class RequestQueue:
         waiting.calls.append(call)
         waiting.size += call.size
 
+    def has_room(self, client: str) -> bool:
+        """Whether another request of a client may wait, if it is not too large."""
+        waiting = self._clients.get(client)
+        return waiting is None or len(waiting.calls) < MAX_WAITING
+
     def take_next(self) -> ServiceCall | None:
         """Take the next request that may run now; clients take turns."""
         for client in self._clients:
-            if self._budget.may_run(client):
+            if self._budget.may_run(client) and not self._has_reply_backlog(client):
                 return self._take_from(client)
         return None
 

@@ -2,6 +2,7 @@
 
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ from zensim.proto.bus import (
     MAX_QUERY_BYTES,
     MAX_REQUEST_BYTES,
     MAX_TAKEN,
+    WILDCARD_HZ,
     Bus,
     BusConfig,
     EndpointTaken,
@@ -221,6 +223,25 @@ def test_commands_above_the_limit_are_dropped_however_they_are_addressed(
     samples = eventually(lambda: received.take() or None, 5.0, "coming")
 
     assert [len(sample.payload) for sample in samples] == [MAX_COMMAND_BYTES - 1]
+
+
+def test_router_limits_the_rate_of_commands_to_all_robots_only(router: Bus, client: Bus) -> None:
+    received = router.subscribe("r1/cmd_vel", 4 * WILDCARD_HZ)
+    to_all, to_one = (client.advertise(key, "text/plain") for key in ("*/cmd_vel", "r1/cmd_vel"))
+    samples: list[Sample] = []
+
+    def all_of_one() -> bool:
+        samples.extend(received.take())
+        return sum(one.payload == b"one" for one in samples) == WILDCARD_HZ
+
+    began_s = time.monotonic()
+    for publisher, text in ((to_all, b"all"), (to_one, b"one")):
+        for _ in range(WILDCARD_HZ):
+            publisher.send(text)
+    eventually(all_of_one, 5.0, "coming")
+
+    passed = len(samples) - WILDCARD_HZ
+    assert 1 <= passed <= 1 + (time.monotonic() - began_s) * WILDCARD_HZ
 
 
 def test_request_names_its_session(router: Bus, client: Bus) -> None:

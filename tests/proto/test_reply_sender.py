@@ -164,6 +164,22 @@ def test_sender_is_full_until_replies_are_sent(
     assert not sender.is_full
 
 
+def test_client_has_a_backlog_until_its_replies_are_sent(
+    sender: ReplySender, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reply_sender, "MAX_BACKLOG", 2)
+    stalled = StalledClient(sender, "stalled")
+    before = sender.has_backlog("stalled")
+
+    send_text(sender, "stalled", "second", [])
+
+    assert (before, sender.has_backlog("stalled")) == (False, True)
+    assert not sender.has_backlog("other")
+    stalled.is_reading.set()
+    sender.settle(TIMEOUT_S)
+    assert not sender.has_backlog("stalled")
+
+
 def test_queries_without_a_value_do_not_wait_for_replies_that_stall(sender: ReplySender) -> None:
     stalled = StalledClient(sender, "stalled")
     finished = threading.Event()
@@ -184,7 +200,35 @@ def test_sender_finishes_all_queries_before_it_closes() -> None:
 
     sender.close(TIMEOUT_S)
 
-    assert finished == list(range(1001))
+    assert sorted(finished) == list(range(1001))
+
+
+def test_caller_finishes_many_queries_itself_unless_the_thread_is_blocked(
+    sender: ReplySender, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reply_sender, "MAX_LEFT_TO_THREAD", 2)
+    monkeypatch.setattr(reply_sender, "BLOCKED_S", TIMEOUT_S)
+    is_reading, is_finishing = threading.Event(), threading.Event()
+    finished_by: list[int] = []
+
+    def wait_until_read() -> None:
+        is_finishing.set()
+        assert is_reading.wait(TIMEOUT_S)
+
+    def note_thread() -> None:
+        finished_by.append(threading.get_ident())
+
+    sender.finish(wait_until_read)
+    assert is_finishing.wait(TIMEOUT_S)
+    for _ in range(3):
+        sender.finish(note_thread)
+    monkeypatch.setattr(reply_sender, "BLOCKED_S", 0.0)
+    sender.finish(note_thread)
+
+    assert finished_by == [threading.get_ident()]
+    is_reading.set()
+    sender.close(TIMEOUT_S)
+    assert len(finished_by) == 4
 
 
 def fail() -> None:

@@ -411,3 +411,16 @@ def test_robot_undeclares_everything_when_closed(model: Model) -> None:
 
     assert not bus.is_served("r1/*")
     assert not bus.has_subscriber("r1/*")
+
+
+def test_robots_read_commands_at_states_only_while_malformed_ones_come() -> None:
+    bus = MemoryBus()
+    robots = make_robots(bus, 1)
+    bus.put("r1/cmd_vel", b"garbage")
+    robots.advance(a_state(1))
+    bus.put_message("r1/cmd_vel", Twist(Vector3(0.1)))
+
+    assert robots.revise() is None
+    assert targets_of(robots.advance(a_state(2))) == pytest.approx((1.0, 1.0))
+    bus.put_message("r1/cmd_vel", Twist(Vector3(0.2)))
+    assert robots.revise() is not None

@@ -140,6 +140,8 @@ class ScriptedInbox:
     sensor_replies: list[Sample] = field(default_factory=list)
     clients: list[tuple[str, bool]] = field(default_factory=list)
     twists: list[Sample] = field(default_factory=list)
+    backlogged: set[str] = field(default_factory=set)
+    """Clients with many unsent replies."""
 
     def take_calls(self) -> list[ServiceCall]:
         taken, self.calls = self.calls, []
@@ -176,6 +178,9 @@ class ScriptedInbox:
     def take_bonds(self) -> list[tuple[str, bool]]:
         taken, self.bonds = self.bonds, []
         return taken
+
+    def has_reply_backlog(self, client: str) -> bool:
+        return client in self.backlogged
 
     def settle_replies(self, timeout_s: float) -> None:
         pass

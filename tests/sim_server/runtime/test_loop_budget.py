@@ -142,3 +142,20 @@ def test_loop_does_not_wait_for_replies_when_a_step_is_due(
     server.loop.serve()
 
     assert waits == [SETTLE_S]
+
+
+def test_paused_loop_sleeps_while_the_only_waiting_client_does_not_read(
+    server: ServerFixture,
+) -> None:
+    server.world.clock.pause()
+    call = server.request("get_entities", GetEntitiesRequest())
+    server.inbox.backlogged.add(call.client)
+    began_ns = server.wall.ns
+
+    server.loop.turn()
+
+    assert not call.is_over
+    assert server.wall.ns > began_ns
+    server.inbox.backlogged.clear()
+    server.loop.turn()
+    assert call.is_over

@@ -36,7 +36,8 @@ class Requests:
     def __init__(self) -> None:
         self.thread = Thread()
         self.budget = RequestBudget(self.thread.read)
-        self.queue = RequestQueue(self.budget)
+        self.backlogged: set[str] = set()
+        self.queue = RequestQueue(self.budget, self.backlogged.__contains__)
         self.budget.begin_step(STEP_NS)
 
     def add(self, client: str, name: str = "info", size: int = 0) -> None:
@@ -70,7 +71,20 @@ def test_order_of_a_client_is_kept() -> None:
     taken = [requests.queue.take_next() for _ in range(3)]
 
     assert [call.name for call in taken if call is not None] == ["first", "second", "third"]
-    assert not requests.queue
+    assert requests.queue.is_idle
+
+
+def test_client_whose_replies_are_not_sent_waits_alone() -> None:
+    requests = Requests()
+    for client in "aab":
+        requests.add(client)
+    requests.backlogged.add("a")
+
+    assert requests.handle_all(a=1, b=1) == ["b"]
+    assert requests.queue.is_idle
+    requests.backlogged.clear()
+    assert not requests.queue.is_idle
+    assert requests.handle_all(a=1) == ["a", "a"]
 
 
 def test_no_client_uses_the_budget_up_alone() -> None:
