@@ -446,17 +446,24 @@ class ServerNode:
     close: Callable[[], None]
 
 
-@dataclass(frozen=True)
+ROSOUT_PERIOD_S: Final = 0.02
+
+
+@dataclass
 class PolledNodeServices:
     """The node's own services and log, which the loop polls as a source of calls."""
 
     services: NodeServices
     rosout: Rosout
+    _rosout_due_s: float = 0.0
 
     def take(self) -> list[ServiceCall]:
         """Reply to requests, and publish log lines; none of them is a call of the simulator."""
         self.services.poll()
-        self.rosout.poll()
+        # The loop turns at each step, which can take less than 0.1 ms.
+        if (now_s := time.monotonic()) >= self._rosout_due_s:
+            self._rosout_due_s = now_s + ROSOUT_PERIOD_S
+            self.rosout.poll()
         return []
 
 
