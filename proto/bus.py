@@ -399,7 +399,10 @@ SIZE_LIMITS: Final = (
         "id": "commands",
         "messages": ["put"],
         "flows": ["ingress"],
-        "key_exprs": ["**/cmd_vel", "**/cmd_vel/**"],
+        "key_exprs": [
+            *("**/cmd_vel", "**/cmd_vel/**"),
+            *("**/joint_commands", "**/joint_commands/**"),
+        ],
         "size_limit": MAX_COMMAND_BYTES,
     },
     {

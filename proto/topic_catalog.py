@@ -20,6 +20,7 @@ from zensim.proto.messages.standard_messages import (
     Clock,
     CompressedImage,
     Empty,
+    Float64MultiArray,
     FluidPressure,
     Image,
     Imu,
@@ -299,6 +300,25 @@ CMD_VEL = TopicSpec(
     subscriber=Participant.AGENT,
     is_gettable=False,
     description="velocity command",
+)
+JOINT_COMMANDS = TopicSpec(
+    name="joint_commands",
+    scope=TopicScope.ROBOT,
+    messages=(JointState, Float64MultiArray),
+    publisher=Participant.USER,
+    subscriber=Participant.AGENT,
+    is_gettable=False,
+    description="positions, velocities or efforts that joints are to have",
+)
+CONTROLLER_COMMANDS = TopicSpec(
+    name="controller_commands",
+    suffix="commands",
+    scope=TopicScope.ROBOT,
+    messages=(Float64MultiArray,),
+    publisher=Participant.USER,
+    subscriber=Participant.AGENT,
+    is_gettable=False,
+    description="the same for the joints of one controller, below its name",
 )
 ODOM = TopicSpec(
     name="odom",

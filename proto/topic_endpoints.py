@@ -17,7 +17,8 @@ from zensim.proto.network_protocols import (
     Subscription,
     TopicNetwork,
 )
-from zensim.proto.ros2.liveliness_tokens import GraphEndpoint
+from zensim.proto.ros2.action_messages import ActionKind, GoalStatusArray
+from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_10, GraphEndpoint
 from zensim.proto.ros2.rmw_attachment import Attachment, write_attachment
 from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key, parse_data_key
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic, gid_from_endpoint
@@ -287,7 +288,7 @@ class TopicFactory:
             ros.append(self._network.subscribe(ros_key, depth, max_bytes))
         return TopicSubscription(plain, ros)
 
-    def serve(self, key: str, depth: int, *, is_complete: bool = True) -> QueryQueue:
+    def serve(self, key: str, depth: int = QUERY_DEPTH, *, is_complete: bool = True) -> QueryQueue:
         """Declare a queryable on a plain key."""
         return self._network.serve(key, depth, is_complete=is_complete)
 
@@ -358,6 +359,26 @@ class LazyTopicPublisher:
     def _payload(self) -> bytes | None:
         value = self._value()
         return encode(value, Format.CDR) if isinstance(value, msgspec.Struct) else value
+
+
+def advertise_action(
+    topics: TopicFactory, name: str, kind: ActionKind
+) -> dict[str, TopicPublisher]:
+    """Declare the topics of an action, feedback and the latched status, by name.
+
+    Args:
+        topics: Of the node.
+        name: Of the action, without a leading slash.
+        kind: Its messages.
+    """
+    return {
+        topic: topics.publisher(
+            RosTopic(
+                topic.strip("/"), message, LATCHED if message is GoalStatusArray else RELIABLE_10
+            )
+        )
+        for topic, message in kind.list_topics(name).items()
+    }
 
 
 def make_topic_factory(

@@ -52,9 +52,9 @@ class BaseController:
 
     def __init__(self, model: Model) -> None:
         drive = get_drive(model)
-        self._rest_targets = (0.0,) * model.target_count
+        self._rest_targets = (0.0,) * sum(one.width for one in model.drive_actuators)
         self.targets: tuple[float, ...] = self._rest_targets
-        """Targets of `Model.actuators`, in order."""
+        """Targets of `Model.drive_actuators`, in order."""
         self.motion = BaseMotion()
         """As of the last odometry."""
         self._base_in_root = find_base_frame(model).pose_in_root
@@ -66,7 +66,7 @@ class BaseController:
         # Without its own rate a motion is due with the drive.
         self._odometry_limiter = make_rate_limiter(find_motion_rates(drive)[0])
         index = {joint.name: place for place, joint in enumerate(model.joints)}
-        self._measured = tuple(index[one.joint] for one in model.actuators if one.joint)
+        self._measured = tuple(index[one.joint] for one in model.drive_actuators if one.joint)
         self._encoder: EncoderOdometry | None = None
         self._encoder_wheels = (0, 0)
         if (pair := drive.encoder) is not None:

@@ -116,8 +116,11 @@ class MovingJoint:
 
 
 def list_published_joints(model: Model) -> tuple[int, ...]:
-    """List the joints in joint states: those of the model's publisher, else all that move."""
-    names = model.joint_state.joints if model.joint_state else None
+    """List the joints in joint states: of the model's publisher and controllers, else all."""
+    names = None
+    if model.joint_state is not None:
+        controlled = (name for one in model.joint_controllers for name in one.joints)
+        names = {*model.joint_state.joints, *controlled}
     return tuple(
         index
         for index, joint in enumerate(model.joints)

@@ -32,6 +32,7 @@ from zensim.robot_agent.drive_state_decoder import (
     unpack_claims,
     unpack_twists,
 )
+from zensim.robot_agent.joint_control import make_joint_control
 from zensim.robot_agent.mounted_sensors import list_state_sensors
 from zensim.robot_agent.robot_parameters import list_robot_parameters
 from zensim.robot_agent.robot_telemetry import (
@@ -172,6 +173,7 @@ class DrivenRobot:
         self.cmd_vel: CmdVelSubscriber | None = None
         """None without a drive."""
         self._base = BaseController(claim.model)
+        self.joints = make_joint_control(factory, claim, cmd_vel_timeout_ns)
         self._motion = MotionTelemetry(factory, claim)
         self._joints = JointTelemetry(factory, claim)
         self._sensors = [
@@ -192,6 +194,8 @@ class DrivenRobot:
     def reset(self) -> None:
         """Start again at a reset of the world; time may have gone back."""
         self._base.reset()
+        if self.joints is not None:
+            self.joints.reset()
         self._motion.reset()
         self._joints.reset()
         for sensor in self._sensors:
@@ -210,12 +214,16 @@ class DrivenRobot:
         twist = self.cmd_vel.at(state.time_ns, ordered) if self.cmd_vel else ZERO_TWIST
         self._state, self._ordered = state, ordered
         self._is_motion_new = self._base.update(state, twist)
-        return self._base.targets
+        if self.joints is not None:
+            self.joints.update(state.time_ns, lambda: (state.positions, state.velocities))
+        return self.targets
 
     @property
     def targets(self) -> tuple[float, ...]:
         """Targets of `Model.actuators`, as of the last state."""
-        return self._base.targets
+        if self.joints is None:
+            return self._base.targets
+        return self._base.targets + self.joints.targets
 
     @property
     def wants_efforts(self) -> bool:
@@ -265,6 +273,8 @@ class DrivenRobot:
             publisher.close()
         if self.cmd_vel is not None:
             self.cmd_vel.close()
+        if self.joints is not None:
+            self.joints.close()
         self._factory.close()
 
     def _list_publishers(self) -> list[LazyTopicPublisher]:
@@ -282,6 +292,8 @@ def log_malformed_commands(robots: Iterable[DrivenRobot]) -> None:
     for robot in robots:
         if robot.cmd_vel and (report := robot.cmd_vel.take_malformed_report()):
             LOG.warning("cmd_vel entity=%s %s", robot.entity, report)
+        if robot.joints and (report := robot.joints.take_malformed_report()):
+            LOG.warning("joint_commands entity=%s %s", robot.entity, report)
 
 
 class IndividualRobots:

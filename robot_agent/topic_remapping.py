@@ -7,7 +7,7 @@ from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.drive_messages import DriveSettings, RosBlock
 from zensim.proto.names import InvalidName, check_namespace
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
-from zensim.proto.topic_catalog import CMD_VEL, JOINT_STATES, ODOM, TF
+from zensim.proto.topic_catalog import CMD_VEL, JOINT_COMMANDS, JOINT_STATES, ODOM, TF
 from zensim.robot_agent.mounted_sensors import list_sensor_keys
 from zensim.robot_agent.robot_frames import (
     DEFAULT_JOINT_STATE_PUBLISHER,
@@ -27,6 +27,7 @@ class RobotTopicKeys(msgspec.Struct, frozen=True):
     odom: str = ""
     tf: str = ""
     joint_states: str = ""
+    joint_commands: str = ""
     shared_tf: str = ""
     """The same for all robots."""
     sensors: tuple[str, ...] = ()
@@ -45,6 +46,9 @@ def find_topic_keys(claim: Claim, ros: RosSettings = NO_ROS) -> RobotTopicKeys:
         odom=resolve_odom_key(namespace, drive) if drive.publish_odom else "",
         tf=tf if has_tf and ros.has_namespaced_tf else "",
         joint_states=joint_states if list_published_joints(model) else "",
+        joint_commands=keys.robot(namespace, JOINT_COMMANDS.suffix)
+        if model.joint_controllers
+        else "",
         shared_tf=TF.suffix if has_tf and ros.has_global_tf else "",
         sensors=list_sensor_keys(model, namespace),
     )

@@ -2,6 +2,7 @@
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -9,6 +10,7 @@ from zensim.proto.messages.drive_messages import DiffDrive, PlanarMove, Tricycle
 from zensim.proto.messages.model_messages import (
     Inertial,
     Joint,
+    JointController,
     JointKind,
     Link,
     Model,
@@ -157,3 +159,14 @@ def a_fork(*, effort: float = 5.0) -> Model:
         steering_effort_nm=effort,
     )
     return Model("fork", links, joints, drive=drive, is_static=True)
+
+
+def a_controlled_arm(
+    *, effort: float = 20.0, velocity: float = 1.0, kind: JointKind = "revolute"
+) -> Model:
+    """The arm of `an_arm` with a motor; its moment of gravity at 0 is 1.962 N m about +y."""
+    arm = an_arm(kind, damping=0.01)
+    joint = msgspec.structs.replace(arm.joints[0], effort=effort, velocity=velocity)
+    return msgspec.structs.replace(
+        arm, joints=(joint,), joint_controllers=(JointController("c", ("swing",)),)
+    )

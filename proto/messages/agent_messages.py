@@ -46,6 +46,8 @@ class Claim(msgspec.Struct, frozen=True):
     """State at spawn; `STATE_COLUMNS` numbers."""
     environment: Environment = Environment()
     """That of the response."""
+    joint_targets: tuple[float, ...] = ()
+    """Newest targets of the actuators of mode `joint`; empty = never commanded."""
 
 
 class Grant(msgspec.Struct, frozen=True):
@@ -59,6 +61,8 @@ class Grant(msgspec.Struct, frozen=True):
     robot_description: UInt32
     """Index into `robot_descriptions` of the response."""
     spawn_state: tuple[float, ...] = ()
+    joint_targets: tuple[float, ...] = ()
+    """As in `Claim`."""
 
 
 class ClaimEntityResponse(msgspec.Struct, frozen=True):
@@ -141,6 +145,7 @@ def make_grants(
             shared.model(one.model),
             shared.text(one.robot_description),
             one.spawn_state,
+            one.joint_targets,
         )
         for one in claims
     )
@@ -164,6 +169,7 @@ def expand_grants(response: ClaimEntityResponse) -> tuple[Claim, ...]:
                 texts[one.robot_description],
                 one.spawn_state,
                 response.environment,
+                one.joint_targets,
             )
             for one in response.grants
         )

@@ -1,15 +1,28 @@
 """Drive parameters of a description, and the actuators of drive commands."""
 
+from enum import IntEnum
 from typing import Literal
 
 import msgspec
 
 OdometrySource = Literal["encoder", "world"]
-ActuatorMode = Literal["velocity", "position", "twist"]
+ActuatorMode = Literal["velocity", "position", "twist", "joint"]
 Compat = Literal["fixed", "gazebo11"]
 """Corrected behaviour, or that of Gazebo 11 with its documented errors."""
 PAIR_SIZE = 2
 """Wheels of a pair."""
+TARGETS_OF_MODE = {"twist": 3, "joint": 2}
+"""Number of targets of an actuator; 1 of other modes."""
+
+
+class JointTargetKind(IntEnum):
+    """What the motor of a joint does; the first of the two targets of a `joint` actuator."""
+
+    FREE = 0
+    """Nothing: the joint has its friction, damping and spring."""
+    POSITION = 1
+    VELOCITY = 2
+    EFFORT = 3
 
 
 class RosBlock(msgspec.Struct, frozen=True):
@@ -25,19 +38,20 @@ class Actuator(msgspec.Struct, frozen=True):
     """One actuator of a drive command.
 
     `velocity` [rad/s] and `position` [rad] have one target, for `joint`; `twist` has three, for the
-    root link: vx, vy [m/s] forward and left, wz [rad/s].
+    root link: vx, vy [m/s] forward and left, wz [rad/s]. `joint` has two: a `JointTargetKind`, and
+    a position [rad or m], velocity [rad/s or m/s] or effort [N m or N] of that kind.
     """
 
     mode: ActuatorMode
     joint: str = ""
     """Empty for a twist."""
     effort: float = 0.0
-    """Maximum motor torque [N m]; not used for a twist."""
+    """Maximum motor torque [N m]; not used for a twist; 0 of a `joint` = unlimited."""
 
     @property
     def width(self) -> int:
         """Number of targets."""
-        return 3 if self.mode == "twist" else 1
+        return TARGETS_OF_MODE.get(self.mode, 1)
 
 
 class WheelPair(msgspec.Struct, frozen=True):

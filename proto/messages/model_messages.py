@@ -29,6 +29,7 @@ __all__ = [
     "GroundTruth",
     "Inertial",
     "Joint",
+    "JointController",
     "JointKind",
     "JointStatePublisher",
     "Light",
@@ -38,6 +39,7 @@ __all__ = [
     "Model",
     "Origin",
     "Parameter",
+    "PositionTolerance",
     "Quat",
     "ReportEntry",
     "ReportStatus",
@@ -226,6 +228,8 @@ class Joint(msgspec.Struct, frozen=True):
 
 
 CommandKind = Literal["velocity", "position", "effort"]
+DEFAULT_STOPPED_VELOCITY = 0.01
+"""Of joints at the end of a trajectory [rad/s or m/s]."""
 
 
 class CommandInterface(msgspec.Struct, frozen=True):
@@ -239,6 +243,38 @@ class CommandInterface(msgspec.Struct, frozen=True):
     lower: float | None = None
     """[rad/s, rad or N m; m/s, m or N for sliding joints]; None = unbounded."""
     upper: float | None = None
+    initial: float | None = None
+    """Position at spawn, to which its controller moves it; None = 0."""
+
+
+class PositionTolerance(msgspec.Struct, frozen=True):
+    """Allowed errors of a position [rad or m] along a trajectory and at its end; 0 = any."""
+
+    joint: str
+    path: float = 0.0
+    goal: float = 0.0
+
+
+class JointController(msgspec.Struct, frozen=True):
+    """Joints that are commanded together. Source: ros2_controllers."""
+
+    name: str
+    joints: tuple[str, ...]
+    interface: CommandKind = "position"
+    """Of the numbers on its `commands` topic."""
+    follows_trajectories: bool = True
+    """Whether it has the action `follow_joint_trajectory`; else the topic `commands`."""
+    holds: bool = False
+    """Whether its joints are held from the start on; else they are free until a command."""
+    tolerances: tuple[PositionTolerance, ...] = ()
+    goal_time_s: float = 0.0
+    """Time after the end of a trajectory to reach its goal; 0 = unlimited."""
+    stopped_velocity: float = DEFAULT_STOPPED_VELOCITY
+    """Greatest velocity of a joint at the goal [rad/s or m/s]; 0 = any."""
+    allows_partial_goals: bool = False
+    """Whether a goal may leave out joints, which then stay."""
+    allows_moving_end: bool = False
+    """Whether the last point of a trajectory may have velocities."""
 
 
 class Frame(msgspec.Struct, frozen=True):
@@ -331,6 +367,8 @@ class Model(msgspec.Struct, frozen=True):
     """As described; a drive uses joints without them, too."""
     drags: bool = False
     """Whether friction takes much of what its driven wheels can transmit, by the prediction."""
+    joint_controllers: tuple[JointController, ...] = ()
+    """Their joints have actuators of mode `joint`."""
 
     @property
     def mass_kg(self) -> float:
@@ -339,8 +377,21 @@ class Model(msgspec.Struct, frozen=True):
 
     @property
     def actuators(self) -> tuple[Actuator, ...]:
-        """Actuators of a drive command, in order."""
+        """Actuators of a drive command, in order: those of the drive, then controlled joints."""
+        return self.drive_actuators + self.joint_actuators
+
+    @property
+    def drive_actuators(self) -> tuple[Actuator, ...]:
+        """Actuators of the drive, in order."""
         return self.drive.actuators if self.drive else ()
+
+    @property
+    def joint_actuators(self) -> tuple[Actuator, ...]:
+        """Actuators of the joints of controllers, in the order of `joints`."""
+        if not self.joint_controllers:
+            return ()
+        names = {name for one in self.joint_controllers for name in one.joints}
+        return tuple(Actuator("joint", j.name, j.effort) for j in self.joints if j.name in names)
 
     @property
     def target_count(self) -> int:

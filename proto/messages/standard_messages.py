@@ -56,6 +56,12 @@ def time_from_ns(time_ns: int) -> Time:
     return Time(sec, nanosec)
 
 
+def duration_from_ns(time_ns: int) -> Duration:
+    """Split a span of simulation time [ns] into the ROS pair."""
+    sec, nanosec = divmod(time_ns, NANOSECONDS)
+    return Duration(sec, nanosec)
+
+
 def ns_from_time(time: Time | Duration) -> int:
     """Join the ROS pair into simulation time [ns]; a span may be negative."""
     return time.sec * NANOSECONDS + time.nanosec
@@ -289,6 +295,35 @@ class String(msgspec.Struct, frozen=True):
     ros_type: ClassVar[str] = "std_msgs/msg/String"
 
     data: str = ""
+
+
+class MultiArrayDimension(msgspec.Struct, frozen=True):
+    """One dimension of an array. Source: std_msgs/msg/MultiArrayDimension."""
+
+    ros_type: ClassVar[str] = "std_msgs/msg/MultiArrayDimension"
+
+    label: str = ""
+    size: UInt32 = 0
+    stride: UInt32 = 0
+    """Numbers from here on, in all further dimensions."""
+
+
+class MultiArrayLayout(msgspec.Struct, frozen=True):
+    """Dimensions of an array, the outermost first. Source: std_msgs/msg/MultiArrayLayout."""
+
+    ros_type: ClassVar[str] = "std_msgs/msg/MultiArrayLayout"
+
+    dim: tuple[MultiArrayDimension, ...] = ()
+    data_offset: UInt32 = 0
+
+
+class Float64MultiArray(msgspec.Struct, frozen=True):
+    """Numbers without units. Source: std_msgs/msg/Float64MultiArray."""
+
+    ros_type: ClassVar[str] = "std_msgs/msg/Float64MultiArray"
+
+    layout: MultiArrayLayout = MultiArrayLayout()
+    data: tuple[float, ...] = ()
 
 
 class LaserScan(msgspec.Struct, frozen=True):

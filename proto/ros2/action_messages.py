@@ -1,7 +1,7 @@
-"""Messages, services and topics that rosidl generates for the action SimulateSteps."""
+"""Messages of actions, and those that rosidl generates for the action SimulateSteps."""
 
 from enum import IntEnum
-from typing import Annotated, ClassVar, Final
+from typing import Annotated, ClassVar, Final, TypeAlias
 
 import msgspec
 from msgspec import Meta
@@ -11,12 +11,6 @@ from zensim.proto.messages.scalar_types import Int8, UInt8, UInt64
 from zensim.proto.messages.standard_messages import Time
 
 ACTION_NAME: Final = "simulate_steps"
-ACTION_TYPE: Final = "simulation_interfaces/action/SimulateSteps"
-ACTION_ROOT: Final = f"/{ACTION_NAME}/_action"
-SEND_GOAL_SERVICE, CANCEL_GOAL_SERVICE, GET_RESULT_SERVICE = (
-    f"{ACTION_ROOT}/{name}" for name in ("send_goal", "cancel_goal", "get_result")
-)
-FEEDBACK_TOPIC, STATUS_TOPIC = f"{ACTION_ROOT}/feedback", f"{ACTION_ROOT}/status"
 NO_GOAL_ID: Final = (0,) * 16
 Bytes16 = Annotated[
     tuple[UInt8, ...], Meta(min_length=16, max_length=16, extra={"cdr": "B", "length": 16})
@@ -164,14 +158,43 @@ class CancelGoalResponse(msgspec.Struct, frozen=True):
     goals_canceling: tuple[GoalInfo, ...] = ()
 
 
-ACTION_SERVICES: Final[dict[str, tuple[type[msgspec.Struct], type[msgspec.Struct]]]] = {
-    SEND_GOAL_SERVICE: (SendGoalRequest, SendGoalResponse),
-    CANCEL_GOAL_SERVICE: (CancelGoalRequest, CancelGoalResponse),
-    GET_RESULT_SERVICE: (GetResultRequest, GetResultResponse),
-}
-"""Requests and responses by name."""
-ACTION_TOPICS: Final[dict[str, type[msgspec.Struct]]] = {
-    FEEDBACK_TOPIC: FeedbackMessage,
-    STATUS_TOPIC: GoalStatusArray,
-}
+ServiceTypes: TypeAlias = tuple[type[msgspec.Struct], type[msgspec.Struct]]
+"""Request and response."""
+
+
+class ActionKind(msgspec.Struct, frozen=True):
+    """The messages that rosidl generates for an action."""
+
+    ros_type: str
+    """`pkg/action/Name`."""
+    send_goal: ServiceTypes
+    get_result: ServiceTypes
+    feedback: type[msgspec.Struct]
+
+    def list_services(self, name: str) -> dict[str, ServiceTypes]:
+        """List requests and responses of an action by the names of its services."""
+        root = f"/{name}/_action"
+        return {
+            f"{root}/send_goal": self.send_goal,
+            f"{root}/cancel_goal": (CancelGoalRequest, CancelGoalResponse),
+            f"{root}/get_result": self.get_result,
+        }
+
+    def list_topics(self, name: str) -> dict[str, type[msgspec.Struct]]:
+        """List the messages of an action by the names of its topics: feedback, then status."""
+        root = f"/{name}/_action"
+        return {f"{root}/feedback": self.feedback, f"{root}/status": GoalStatusArray}
+
+
+SIMULATE_STEPS_ACTION: Final = ActionKind(
+    "simulation_interfaces/action/SimulateSteps",
+    (SendGoalRequest, SendGoalResponse),
+    (GetResultRequest, GetResultResponse),
+    FeedbackMessage,
+)
+ACTION_SERVICES: Final = SIMULATE_STEPS_ACTION.list_services(ACTION_NAME)
+"""Requests and responses of SimulateSteps by name."""
+ACTION_TOPICS: Final = SIMULATE_STEPS_ACTION.list_topics(ACTION_NAME)
 """Messages by name."""
+SEND_GOAL_SERVICE, CANCEL_GOAL_SERVICE, GET_RESULT_SERVICE = ACTION_SERVICES
+FEEDBACK_TOPIC, STATUS_TOPIC = ACTION_TOPICS

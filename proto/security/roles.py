@@ -11,13 +11,16 @@ import msgspec
 
 from zensim.proto import service_catalog as catalog
 from zensim.proto.names import check_name, check_namespace
+from zensim.proto.ros2.trajectory_messages import TRAJECTORY_ACTION
 from zensim.proto.service_catalog import SERVICES
 from zensim.proto.topic_catalog import (
     CLOCK,
     CMD_VEL,
     CONTACTS,
+    CONTROLLER_COMMANDS,
     EVENTS,
     IMAGE_TRIGGER,
+    JOINT_COMMANDS,
     ROBOT_TOPICS,
     SCENE_STATE,
     TWISTS,
@@ -160,6 +163,11 @@ _LATCHED_OF_ANY_ROBOT: Final = tuple(
     for topic in _suffixes(Participant.AGENT)
     if topic.is_latched
 )
+_TRAJECTORY_ACTIONS: Final = (
+    f"**/{TRAJECTORY_ACTION}/_action/*",
+    f"{{domain}}/**/{TRAJECTORY_ACTION}/_action/*/*/*",
+    f"{{domain}}/**/{TRAJECTORY_ACTION}/_action/*/*/*/@adv/**",
+)
 
 ROLES: Final[dict[str, Role]] = {
     "operator": Role(
@@ -169,7 +177,7 @@ ROLES: Final[dict[str, Role]] = {
             KeyGrant(
                 "P",
                 (
-                    *_of_any_robot(CMD_VEL, IMAGE_TRIGGER),
+                    *_of_any_robot(CMD_VEL, JOINT_COMMANDS, CONTROLLER_COMMANDS, IMAGE_TRIGGER),
                     TWISTS.key("{world}"),
                     "sim/{world}/clients/*/steps",
                 ),
@@ -212,7 +220,8 @@ ROLES: Final[dict[str, Role]] = {
             *_ROSOUT,
             KeyGrant("PA", _of_any_robot(*_suffixes(Participant.AGENT))),
             KeyGrant("T", _LATCHED_OF_ANY_ROBOT),
-            KeyGrant("S", _of_any_robot(CMD_VEL)),
+            KeyGrant("S", _of_any_robot(CMD_VEL, JOINT_COMMANDS, CONTROLLER_COMMANDS)),
+            KeyGrant("PAT", _TRAJECTORY_ACTIONS),
             KeyGrant("A", ("{domain}/**/agent/*/*/*", "{domain}/zensim_pool_$*/*/*/*")),
             KeyGrant("TL", ("@ros2_lv/{domain}/**",)),
         ),

@@ -173,7 +173,7 @@ class GroupBaseController:
     def __init__(self, group_key: GroupKey) -> None:
         drive = group_key.drive
         self.targets = np.zeros((0, group_key.target_count))
-        """Targets of `Model.actuators`, a row per robot."""
+        """Targets of `Model.drive_actuators`, a row per robot."""
         self.motions = np.zeros((0, MOTION_COLUMNS))
         """As of each row's last odometry."""
         self._group_key = group_key

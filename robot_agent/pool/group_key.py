@@ -26,6 +26,7 @@ class GroupKey(msgspec.Struct, frozen=True):
     base_in_root: Origin
     joint_count: int
     target_count: int
+    """Of the drive."""
     measured: tuple[int, ...]
     """Joints of the actuators."""
     encoder: tuple[int, int] | None
@@ -43,6 +44,8 @@ class GroupKey(msgspec.Struct, frozen=True):
     """Those that agents simulate."""
     environment: Environment = Environment()
     """What these sensors know of the world."""
+    joint_target_count: int = 0
+    """Of controlled joints."""
 
 
 def make_group_key(claim: Claim, topic_keys: RobotTopicKeys) -> GroupKey:
@@ -57,8 +60,8 @@ def make_group_key(claim: Claim, topic_keys: RobotTopicKeys) -> GroupKey:
         drive=_strip_names(drive),
         base_in_root=find_base_frame(model).pose_in_root,
         joint_count=len(model.joints),
-        target_count=model.target_count,
-        measured=tuple(index[one.joint] for one in model.actuators if one.joint),
+        target_count=sum(one.width for one in model.drive_actuators),
+        measured=tuple(index[one.joint] for one in model.drive_actuators if one.joint),
         encoder=(index[pair.left_joint], index[pair.right_joint]) if pair else None,
         moving=moving,
         published=list_published_joints(model),
@@ -67,6 +70,7 @@ def make_group_key(claim: Claim, topic_keys: RobotTopicKeys) -> GroupKey:
         patterns=_make_patterns(topic_keys),
         sensors=mount_sensors(model),
         environment=claim.environment,
+        joint_target_count=sum(one.width for one in model.joint_actuators),
     )
 
 

@@ -30,6 +30,7 @@ from zensim.proto.topic_endpoints import TopicFactory, TopicSubscription, make_t
 from zensim.proto.topic_faults import TopicFaults
 from zensim.robot_agent.bumpers import ContactReport
 from zensim.robot_agent.drive_state_decoder import RobotState, is_repeated, unpack_claims
+from zensim.robot_agent.joint_control import JointControl, make_joint_control
 from zensim.robot_agent.pool.group_bases import GroupBaseController
 from zensim.robot_agent.pool.group_key import GroupKey, make_group_key
 from zensim.robot_agent.pool.group_sensors import GroupSensors
@@ -226,6 +227,8 @@ class GroupMember:
     """Its transforms on the shared topic."""
     node: RosNode | None = None
     """In the ROS 2 graph."""
+    joints: JointControl | None = None
+    """None without controlled joints."""
 
 
 @dataclass(frozen=True)
@@ -252,7 +255,9 @@ class GroupSlots:
     joints: IntArray
     """(n, joint_count)."""
     targets: IntArray
-    """(n, target_count)."""
+    """Of the drive, (n, target_count)."""
+    joint_targets: IntArray
+    """Of controlled joints, (n, joint_target_count)."""
 
 
 @dataclass(frozen=True)
@@ -275,12 +280,17 @@ class RobotGroup:
         self._sensors = GroupSensors(group_key, find_publisher)
         self._topics = self._telemetry.topics + self._sensors.topics
         self._slots: GroupSlots | None = None
+        self._jointed: list[tuple[int, JointControl]] = []
+        """Rows of robots with controlled joints."""
         self._due: _DueTelemetry | None = None
 
     def remap(self, members: Sequence[GroupMember], slots: GroupSlots) -> None:
         """Set the robots, one per row, and their indices in the pool."""
         before = np.array([member.row for member in members], dtype=np.int64)
         self._slots, self._due = slots, None
+        self._jointed = [
+            (row, one.joints) for row, one in enumerate(members) if one.joints is not None
+        ]
         self._bases.remap(before)
         for row, member in enumerate(members):
             member.row = row
@@ -308,6 +318,9 @@ class RobotGroup:
         )
         rows = self._bases.update(own, state.twists[slots.places])
         targets[slots.targets] = self._bases.targets
+        for row, control in self._jointed:
+            numbers = control.update(state.time_ns, partial(_list_joints, own, row))
+            targets[slots.joint_targets[row]] = numbers
         self._due = _DueTelemetry(rows, own)
 
     def repeat(self, twists: FloatArray, targets: FloatArray) -> None:
@@ -315,6 +328,8 @@ class RobotGroup:
         if (slots := self._slots) is not None:
             self._bases.revise(twists[slots.places])
             targets[slots.targets] = self._bases.targets
+            for row, control in self._jointed:
+                targets[slots.joint_targets[row]] = control.targets
 
     def publish(self) -> None:
         """Publish what is due at the last state."""
@@ -384,14 +399,20 @@ class PoolStateLayout:
         """Count of numbers in a command."""
         return int(self._targets[-1])
 
-    def find_group_slots(self, places: Sequence[int]) -> GroupSlots:
-        """Find the indices of robots with equal counts of joints and targets."""
+    def find_group_slots(self, places: Sequence[int], target_count: int) -> GroupSlots:
+        """Find the indices of robots with equal counts of joints and targets.
+
+        Args:
+            places: Of the robots.
+            target_count: Targets of the drive of each, which are the first.
+        """
         at = np.array(places, dtype=np.int64)
         joints, targets = self._joints, self._targets
         return GroupSlots(
             at,
             joints[at, None] + np.arange(joints[at[0] + 1] - joints[at[0]]),
-            targets[at, None] + np.arange(targets[at[0] + 1] - targets[at[0]]),
+            targets[at, None] + np.arange(target_count),
+            targets[at, None] + np.arange(target_count, targets[at[0] + 1] - targets[at[0]]),
         )
 
     def find_slices(self, place: int) -> tuple[slice, slice]:
@@ -504,6 +525,8 @@ class PooledRobots:
                 member.node = self._join_ros_graph(claim.namespace, topic_keys.cmd_vel)
                 self._robot_services.add(member.node, partial(list_robot_parameters, claim))
                 member.static_topics = self._static_topics.add(claim, member.node)
+                factory = TopicFactory(self._network, member.node, self._ros)
+                member.joints = make_joint_control(factory, claim, self._timeout_ns)
                 self._bumpers.add(claim, member.node)
                 self._members[claim.claim] = member
             else:
@@ -550,6 +573,9 @@ class PooledRobots:
         self._commands.reset()
         for group in self._groups.values():
             group.reset()
+        for member in self._members.values():
+            if member.joints is not None:
+                member.joints.reset()
         self._bumpers.reset()
         for robot in self._robots.values():
             robot.reset()
@@ -658,6 +684,9 @@ class PooledRobots:
         """Log malformed commands."""
         for key, report in self._commands.take_malformed_reports():
             LOG.warning("cmd_vel key=%s %s", key, report)
+        for member in self._members.values():
+            if member.joints and (report := member.joints.take_malformed_report()):
+                LOG.warning("joint_commands entity=%s %s", member.claim.entity, report)
         log_malformed_commands(self._robots.values())
 
     def _release(self, claim: int) -> str:
@@ -670,6 +699,8 @@ class PooledRobots:
         self._bumpers.remove(claim)
         if member.group_key in self._groups:
             self._groups[member.group_key].release(member)
+        if member.joints is not None:
+            member.joints.close()
         if member.node is not None:
             member.node.close()
         return member.claim.entity
@@ -703,7 +734,8 @@ class PooledRobots:
         group = self._groups.get(key) or RobotGroup(
             key, self._find_publisher, self._make_group_node()
         )
-        group.remap(members, self._layout.find_group_slots([member.place for member in members]))
+        places = [member.place for member in members]
+        group.remap(members, self._layout.find_group_slots(places, key.target_count))
         return group
 
     def _make_layout(self, order: Sequence[int]) -> PoolStateLayout:
@@ -711,7 +743,7 @@ class PooledRobots:
         for one in order:
             if (member := self._members.get(one)) is not None:
                 joints.append(member.group_key.joint_count)
-                targets.append(member.group_key.target_count)
+                targets.append(member.group_key.target_count + member.group_key.joint_target_count)
             else:
                 joints.append(self._robots[one].joint_count)
                 targets.append(self._robots[one].target_count)
@@ -767,6 +799,11 @@ def _can_be_grouped(model: Model) -> bool:
     return model.drive is not None and not any(
         one.is_used_by(model) for one in SENSOR_TYPES if not one.has_groups
     )
+
+
+def _list_joints(state: StateRows, row: int) -> tuple[list[float], list[float]]:
+    """List positions and velocities of the joints of a row."""
+    return state.positions[row].tolist(), state.velocities[row].tolist()
 
 
 def _extract_state(single: _SingleRobot, read: PoolDriveState) -> RobotState:

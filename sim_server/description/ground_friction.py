@@ -129,7 +129,7 @@ class GroundFriction:
         self.model = model
         self.rest = RestSolver(model, corners)
         self._rests: dict[bytes, RestPose] = {}
-        modes = {actuator.joint: actuator.mode for actuator in model.actuators}
+        modes = {actuator.joint: actuator.mode for actuator in model.drive_actuators}
         found = [modes.get(joint.name) for joint in model.joints]
         self._driven = {i for i, mode in enumerate(found) if mode == "velocity"}
         self._is_passive = [

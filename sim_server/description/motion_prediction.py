@@ -82,7 +82,7 @@ def predict_motion(
 
 def is_moved_by_twist(model: Model) -> bool:
     """Whether the twist is applied to the body, whatever its wheels do."""
-    return any(actuator.mode == "twist" for actuator in model.actuators)
+    return any(actuator.mode == "twist" for actuator in model.drive_actuators)
 
 
 def find_drive_targets(model: Model, command: PlanarTwist[float]) -> tuple[float, ...]:
@@ -94,7 +94,7 @@ def find_drive_targets(model: Model, command: PlanarTwist[float]) -> tuple[float
     if model.drive is None:
         raise ValueError(f"model '{model.name}' has no drive; use a model with a drive")
     drive = make_drive_kinematics(model.drive, FLOAT_MATH)
-    zeros = [0.0 for actuator in model.actuators if actuator.joint]
+    zeros = [0.0 for actuator in model.drive_actuators if actuator.joint]
     targets, _ = drive.find_targets(
         command,
         measured=MeasuredJoints(zeros, zeros),
@@ -110,7 +110,7 @@ def make_joint_targets(model: Model, numbers: tuple[float, ...]) -> JointTargets
     steering = model.drive.steering_joints if model.drive else ()
     positions = np.zeros(len(model.joints))
     speeds, efforts = {}, {}
-    for actuator, number in zip(model.actuators, numbers, strict=True):
+    for actuator, number in zip(model.drive_actuators, numbers, strict=True):
         joint = index[actuator.joint]
         if actuator.mode == "position":
             positions[joint] = limit_position(model.joints[joint], number)

@@ -26,6 +26,7 @@ from zensim.sim_server.description.model_geometry import (
     falls_without_end,
 )
 from zensim.sim_server.description.plugins.drive_selection import select_drive
+from zensim.sim_server.description.plugins.joint_controllers import add_joint_controllers
 from zensim.sim_server.description.plugins.sensor_reader import complete_sensors
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.strict_parsing import find_root_tag
@@ -155,6 +156,9 @@ def _add_drive(read: ModelWithMeshes, controllers: Sequence[str], order: DriveOr
     model, report = read.model, ParseReport()
     lumped = LumpedModel(model.links, model.joints, model.frames, find_corners)
     driven = select_drive(model, lumped, controllers=controllers, order=order, report=report)
+    driven = add_joint_controllers(
+        driven, controllers, report, has_free_wheels=order.kind == "none"
+    )
     return msgspec.structs.replace(driven, report=(*driven.report, *report.entries()))
 
 

@@ -438,7 +438,7 @@ def _list_free_joints(
     model: Model, tree: LinkTree, support: SupportPoints, frames: LinkFrames
 ) -> list[int]:
     """List the joints of suspensions: nothing drives them, and they carry supports."""
-    driven = {actuator.joint for actuator in model.actuators}
+    driven = {actuator.joint for actuator in model.drive_actuators}
     carrying = {joint for link in set(support.link.tolist()) for joint in tree.ancestors(link)}
     leaves = {i for i in range(len(model.joints)) if i + 1 not in tree.parents}
     found = []

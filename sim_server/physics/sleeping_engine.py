@@ -393,10 +393,7 @@ class SleepingEngine(EngineLayer):
             return
         self._inner.command(bodies, targets)
         for body, own in changed:
-            actuation = self._actuations[body]
-            at = actuation.twist
-            twist = [] if at is None else own[at : at + 3]
-            self._tracker.is_driven[body] = any(actuation.speeds.select(own)) or any(twist)
+            self._tracker.is_driven[body] = self._actuations[body].is_driven(own)
             self._tracker.mark_moved(body, self._steps)
         self._wake([body for body, _ in changed])
 

@@ -130,7 +130,8 @@ def _find_share(world: SimulatedWorld, limits: Mapping[str, int], agent: str) ->
     robots = {
         entity.name: entity
         for entity in world.entities
-        if entity.model.drive is not None and not world.divergence_guard.is_frozen(entity.name)
+        if (entity.model.drive is not None or entity.model.joint_controllers)
+        and not world.divergence_guard.is_frozen(entity.name)
     }
     silent = {pool for pool in limits if pool in world.claims.silent and pool != agent}
     running = {pool: limit for pool, limit in limits.items() if pool not in silent}

@@ -31,6 +31,8 @@ class ClaimedEntities:
     joints: IntArray
     bodies: tuple[int, ...]
     target_count: int
+    joint_targets: tuple[tuple[str, slice], ...] = ()
+    """Entities with controlled joints, and where their targets are; empty for most agents."""
 
     def to_drive_state(
         self, now: tuple[int, int, int], states: BodyStates, efforts: FloatArray | None
@@ -211,7 +213,18 @@ def _select_claimed(
         joints=np.concatenate(joints).astype(np.intp) if joints else np.zeros(0, dtype=np.intp),
         bodies=tuple(entity.body for entity, _ in members),
         target_count=sum(entity.model.target_count for entity, _ in members),
+        joint_targets=tuple(_find_joint_targets(members)),
     )
+
+
+def _find_joint_targets(
+    members: Sequence[tuple[Entity, ClaimRecord]],
+) -> Iterator[tuple[str, slice]]:
+    end = 0
+    for entity, _ in members:
+        start, end = end, end + entity.model.target_count
+        if entity.model.joint_controllers:
+            yield entity.name, slice(start, end)
 
 
 def _decode_targets(claimed: ClaimedEntities, command: DriveCommand) -> FloatArray | None:

@@ -194,7 +194,9 @@ def make_frozen_model(model: Model, positions: FloatArray) -> Model:
         _fix_joint(joint, position)
         for joint, position in zip(model.joints, positions.tolist(), strict=True)
     )
-    return msgspec.structs.replace(model, joints=joints, drive=None, is_static=True, dynamics="")
+    return msgspec.structs.replace(
+        model, joints=joints, drive=None, joint_controllers=(), is_static=True, dynamics=""
+    )
 
 
 def make_bare_model(model: Model) -> Model:
@@ -243,6 +245,8 @@ class SimulatedWorld:
         self.ready_s: dict[str, float] = {}
         """Time from spawn to the first command of its agent, by name of entity."""
         self._recorded_changes: dict[str, int] = {}
+        self._joint_targets: dict[str, FloatArray] = {}
+        """Newest targets of entities with controlled joints."""
         self._scene_layouts: tuple[EntityIndex, dict[bool, SceneLayout]] | None = None
         self._states: BodyStates | None = None
         self._states_step = 0
@@ -386,6 +390,7 @@ class SimulatedWorld:
         self.applied_forces.forget(name)
         self.injected_faults.forget(name)
         self.commanded_twists.forget(name)
+        self._joint_targets.pop(name, None)
         self.engine.remove(entity.body)
         self.entities.remove(name)
         self.ready_s.pop(name, None)
@@ -538,7 +543,13 @@ class SimulatedWorld:
         positions = self.engine.read(bodies).joint_positions
         ends = np.cumsum([len(entity.model.joints) for entity in entities])
         parts = zip(entities, np.split(positions, ends[:-1]), strict=True)
-        targets = [make_stop_targets(entity.model, part) for entity, part in parts]
+        targets = [
+            make_stop_targets(entity.model, part, self._joint_targets.get(entity.name))
+            for entity, part in parts
+        ]
+        for entity, own in zip(entities, targets, strict=True):
+            if entity.name in self._joint_targets:
+                self._joint_targets[entity.name] = own
         self.engine.command(bodies, np.concatenate(targets))
 
     def command(self, agent: str, command: DriveCommand) -> bool:
@@ -567,6 +578,8 @@ class SimulatedWorld:
         for agent, targets in self.claims.take_targets():
             if (claimed := self.claimed_by_agent().get(agent)) is not None:
                 self.engine.command(claimed.bodies, targets)
+                for name, own in claimed.joint_targets:
+                    self._joint_targets[name] = targets[own]
         self.applied_forces.apply(self.engine, self.entities.by_name, self.clock.time_ns)
         is_valid = self.engine.step()
         self.clock.steps += 1
@@ -594,6 +607,7 @@ class SimulatedWorld:
             self.clock.steps = 0
         self.clock.epoch += 1
         self.claims.forget_targets()
+        self._joint_targets.clear()
         self.applied_forces.forget_all()
         self.commanded_twists.clear()
         self._states = None
@@ -706,6 +720,7 @@ class SimulatedWorld:
             self.clock.add_event("deleted", entity=name)
         self.engine.close()
         self.claims.forget_targets()
+        self._joint_targets.clear()
         self.applied_forces.forget_all()
         self.injected_faults.forget_all()
         self.commanded_twists.clear()
@@ -816,7 +831,16 @@ class SimulatedWorld:
             entity.model,
             entity.description,
             tuple(entity.initial.tolist()),
+            joint_targets=self._list_joint_targets(entity),
         )
+
+    def _list_joint_targets(self, entity: Entity) -> tuple[float, ...]:
+        """List the newest targets of its controlled joints, the last ones of its actuators."""
+        targets = self._joint_targets.get(entity.name)
+        if targets is None:
+            return ()
+        driven = sum(actuator.width for actuator in entity.model.drive_actuators)
+        return tuple(targets[driven:].tolist())
 
     def _drop_cached_states(self) -> None:
         """Note that entities or bodies have changed."""

@@ -1,7 +1,7 @@
 """Interface definitions; fields are separated by semicolons, requests and responses by dashes.
 
-Source: simulation_interfaces 1.x and 2.1, gazebo_msgs, std_srvs, action_msgs. Hashes are the
-published ones. For the action, goal, result and feedback replace their wrapper types.
+Source: simulation_interfaces 1.x and 2.1, gazebo_msgs, std_srvs, action_msgs, control_msgs. Hashes
+are the published ones. For actions, goal, result and feedback replace their wrapper types.
 """
 
 SPAWN_V1 = "simulation_interfaces/srv/SpawnEntity@1"
@@ -33,6 +33,24 @@ INTERFACES = {
     "---int8 status; simulation_interfaces/Result result",
     "simulation_interfaces/action/SimulateSteps_FeedbackMessage": ""
     "unique_identifier_msgs/UUID goal_id; uint64 completed_steps; uint64 remaining_steps",
+    "control_msgs/action/FollowJointTrajectory_SendGoal": "unique_identifier_msgs/UUID goal_id;"
+    " trajectory_msgs/JointTrajectory trajectory;"
+    " trajectory_msgs/MultiDOFJointTrajectory multi_dof_trajectory;"
+    " control_msgs/JointTolerance[] path_tolerance;"
+    " control_msgs/JointComponentTolerance[] component_path_tolerance;"
+    " control_msgs/JointTolerance[] goal_tolerance;"
+    " control_msgs/JointComponentTolerance[] component_goal_tolerance;"
+    " builtin_interfaces/Duration goal_time_tolerance"
+    "---bool accepted; builtin_interfaces/Time stamp",
+    "control_msgs/action/FollowJointTrajectory_GetResult": "unique_identifier_msgs/UUID goal_id"
+    "---int8 status; int32 error_code; string error_string",
+    "control_msgs/action/FollowJointTrajectory_FeedbackMessage": ""
+    "unique_identifier_msgs/UUID goal_id; std_msgs/Header header; string[] joint_names;"
+    " trajectory_msgs/JointTrajectoryPoint desired; trajectory_msgs/JointTrajectoryPoint actual;"
+    " trajectory_msgs/JointTrajectoryPoint error; string[] multi_dof_joint_names;"
+    " trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_desired;"
+    " trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_actual;"
+    " trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error",
     "action_msgs/srv/CancelGoal": "action_msgs/GoalInfo goal_info"
     "---int8 return_code; action_msgs/GoalInfo[] goals_canceling",
     "std_srvs/srv/Empty": "uint8 structure_needs_at_least_one_member"

@@ -13,8 +13,9 @@ from msgspec import inspect
 
 from zensim.proto.codec.cdr_layout import find_ros_class, unwrap_metadata
 from zensim.proto.codec.message_codec import Format, supports_format
-from zensim.proto.ros2.action_messages import ACTION_SERVICES, ACTION_TOPICS
+from zensim.proto.ros2.action_messages import SIMULATE_STEPS_ACTION
 from zensim.proto.ros2.ros_service_catalog import OWN_TYPE_PREFIX, ROS_SERVICES, V1_SERVICES
+from zensim.proto.ros2.trajectory_messages import FOLLOW_JOINT_TRAJECTORY
 from zensim.proto.topic_catalog import TOPICS, TopicScope
 
 Struct = type[msgspec.Struct]
@@ -77,9 +78,8 @@ def list_topic_messages() -> Iterator[Struct]:
 
 def list_action_messages() -> Iterator[Struct]:
     """List the messages of all actions."""
-    for pair in ACTION_SERVICES.values():
-        yield from pair
-    yield from ACTION_TOPICS.values()
+    for kind in (SIMULATE_STEPS_ACTION, FOLLOW_JOINT_TRAJECTORY):
+        yield from (*kind.send_goal, *kind.get_result, kind.feedback)
 
 
 def write_packages(folder: Path, types: Iterable[Struct]) -> None:

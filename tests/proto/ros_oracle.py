@@ -224,6 +224,36 @@ DESCRIPTIONS = {
     " type_description_interfaces/KeyValue[] extra_information",
 }
 
+TRAJECTORY = {
+    "msg/JointTolerance": "string name; float64 position; float64 velocity; float64 acceleration",
+    "msg/JointComponentTolerance": "string joint_name; uint16 component; float64 position;"
+    " float64 velocity; float64 acceleration",
+    "action/FollowJointTrajectory_Goal": "trajectory_msgs/JointTrajectory trajectory;"
+    " trajectory_msgs/MultiDOFJointTrajectory multi_dof_trajectory;"
+    " control_msgs/JointTolerance[] path_tolerance;"
+    " control_msgs/JointComponentTolerance[] component_path_tolerance;"
+    " control_msgs/JointTolerance[] goal_tolerance;"
+    " control_msgs/JointComponentTolerance[] component_goal_tolerance;"
+    " builtin_interfaces/Duration goal_time_tolerance",
+    "action/FollowJointTrajectory_Result": "int32 error_code; string error_string",
+    "action/FollowJointTrajectory_Feedback": "std_msgs/Header header; string[] joint_names;"
+    " trajectory_msgs/JointTrajectoryPoint desired; trajectory_msgs/JointTrajectoryPoint actual;"
+    " trajectory_msgs/JointTrajectoryPoint error; string[] multi_dof_joint_names;"
+    " trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_desired;"
+    " trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_actual;"
+    " trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error",
+    "action/FollowJointTrajectory_SendGoal_Request": "unique_identifier_msgs/UUID goal_id;"
+    " control_msgs/action/FollowJointTrajectory_Goal goal",
+    "action/FollowJointTrajectory_SendGoal_Response": "bool accepted;"
+    " builtin_interfaces/Time stamp",
+    "action/FollowJointTrajectory_GetResult_Request": "unique_identifier_msgs/UUID goal_id",
+    "action/FollowJointTrajectory_GetResult_Response": "int8 status;"
+    " control_msgs/action/FollowJointTrajectory_Result result",
+    "action/FollowJointTrajectory_FeedbackMessage": "unique_identifier_msgs/UUID goal_id;"
+    " control_msgs/action/FollowJointTrajectory_Feedback feedback",
+}
+"""Of control_msgs, as in humble and jazzy."""
+
 RANGE_SINCE_IRON = (
     "std_msgs/Header header; uint8 radiation_type; float32 field_of_view; float32 min_range;"
     " float32 max_range; float32 range; float32 variance"
@@ -254,6 +284,8 @@ define(
 )
 for _name, _fields in RCL.items():
     define(f"rcl_interfaces/msg/{_name}", _fields)
+for _name, _fields in TRAJECTORY.items():
+    define(f"control_msgs/{_name}", _fields)
 for _name, _fields in DESCRIPTIONS.items():
     define(f"type_description_interfaces/msg/{_name}", _fields)
 for _name, _fields in ZENSIM.items():

@@ -22,7 +22,14 @@ from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.sensor_messages import CameraSensor, Environment, RaySensor
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import PROTOCOL, Info
-from zensim.proto.topic_catalog import CMD_VEL, JOINT_STATES, ODOM, ROBOT_TOPICS, TOPICS
+from zensim.proto.topic_catalog import (
+    CMD_VEL,
+    JOINT_COMMANDS,
+    JOINT_STATES,
+    ODOM,
+    ROBOT_TOPICS,
+    TOPICS,
+)
 from zensim.robot_agent.topic_remapping import find_topic_keys
 from zensim.spawner.client.service_client import CALL_TIMEOUT_S, ServiceClient
 
@@ -460,14 +467,15 @@ def _find_kind(key: str) -> type[msgspec.Struct]:
 def list_robot_topics(entry: RosterEntry) -> dict[str, tuple[str, type[msgspec.Struct]]]:
     """List the topics of a robot by name: key and class of messages."""
     found: dict[str, tuple[str, type[msgspec.Struct]]] = {}
-    if entry.model.drive is not None:
+    if entry.model.drive is not None or entry.model.joint_controllers:
         keys = find_topic_keys(Claim(0, entry.name, entry.namespace, entry.model))
         found |= {
             topic.name: (key, topic.messages[0])
             for topic, key in (
-                (CMD_VEL, keys.cmd_vel),
+                (CMD_VEL, keys.cmd_vel if entry.model.drive is not None else ""),
                 (ODOM, keys.odom),
                 (JOINT_STATES, keys.joint_states),
+                (JOINT_COMMANDS, keys.joint_commands),
             )
             if key
         }

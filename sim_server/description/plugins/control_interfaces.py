@@ -56,6 +56,7 @@ def _read_control(joint: Element, report: ParseReport) -> Iterable[CommandInterf
                 kind,
                 _read_bound(joint, command, "min", report),
                 _read_bound(joint, command, "max", report),
+                _read_initial(joint, report),
             )
 
 
@@ -73,6 +74,13 @@ def _name(joint: Element) -> str:
 
 def _find_kind(word: str) -> CommandKind | None:
     return next((kind for kind in COMMAND_KINDS if word.startswith(kind)), None)
+
+
+def _read_initial(joint: Element, report: ParseReport) -> float | None:
+    """Read the position at spawn, of the state interface."""
+    states = (tag for tag in joint.findall("state_interface") if tag.get("name") == "position")
+    found = (_read_bound(joint, state, "initial_value", report) for state in states)
+    return next((number for number in found if number is not None), None)
 
 
 def _read_bound(joint: Element, command: Element, name: str, report: ParseReport) -> float | None:

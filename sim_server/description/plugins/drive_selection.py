@@ -43,6 +43,7 @@ from zensim.sim_server.description.plugins.drive_plugin import (
     measure_wheels,
     rolls_backward,
 )
+from zensim.sim_server.description.plugins.joint_controllers import is_joint_controller
 from zensim.sim_server.description.plugins.plugin_registry import summarize_drive
 from zensim.sim_server.description.plugins.plugin_tags import PluginTags, WrittenTags
 from zensim.sim_server.description.plugins.wheel_guess import (
@@ -152,7 +153,7 @@ def _read_controlled(
             report.suspicious(subject, "a second drive; the first is used")
         elif any(kind in controller.type for kind in JOINT_STATE_CONTROLLERS):
             publisher = publisher or _make_publisher(controller, lumped, report)
-        else:
+        elif not is_joint_controller(controller):
             report.ignored(subject, f"{controller.type[:80]!r} does not drive the robot")
     return msgspec.structs.replace(model, drive=drive or model.drive, joint_state=publisher)
 

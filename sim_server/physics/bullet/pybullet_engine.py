@@ -17,9 +17,10 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from zensim.proto.messages.drive_messages import JointTargetKind
 from zensim.proto.messages.model_messages import ZERO, Model
 from zensim.proto.se3 import conjugate, multiply, rotate
-from zensim.sim_server.physics.actuation import impose_planar_twists
+from zensim.sim_server.physics.actuation import JointMotor, impose_planar_twists
 from zensim.sim_server.physics.blueprint import (
     Blueprint,
     BlueprintCache,
@@ -258,6 +259,8 @@ ACTIVATION_AWAKE = (pybullet.ACTIVATION_STATE_WAKE_UP, pybullet.ACTIVATION_STATE
 COLLIDE_WITH_NOTHING, COLLIDE_WITH_ALL = (0, 0), (1, -1)  # group, mask
 ORIGIN_STATE: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
 
+LEAST_FRICTION = 1e-9
+"""Of a controlled joint: a motor without force keeps the effort that it last exerted."""
 CARRIER_TORQUE_NM = 1e6
 """Greatest torque of motors that hold carriers of wheels."""
 OVERLAP_M = 0.001  # depth from which bodies overlap instead of touching
@@ -323,6 +326,23 @@ def _load_bullet(client: int, state: bytes) -> None:
             pybullet.restoreState(fileName=str(file), physicsClientId=client)
 
 
+def _make_motor_arguments(motor: JointMotor, kind: int, number: float) -> dict[str, Any]:
+    """Make the arguments of setJointMotorControl2; a joint that is free has its friction only."""
+    if kind == JointTargetKind.POSITION:
+        return {
+            "controlMode": pybullet.POSITION_CONTROL,
+            "targetPosition": number,
+            "force": motor.effort,
+            "maxVelocity": motor.velocity,
+        }
+    is_driven = kind == JointTargetKind.VELOCITY
+    return {
+        "controlMode": pybullet.VELOCITY_CONTROL,
+        "targetVelocity": number if is_driven else 0.0,
+        "force": motor.effort if is_driven else max(motor.friction, LEAST_FRICTION),
+    }
+
+
 class PyBulletEngine(Engine):
     """Bullet's multibody dynamics, DIRECT mode, one client."""
 
@@ -356,6 +376,8 @@ class PyBulletEngine(Engine):
         self._springs: dict[int, JointSprings] = {}
         self._spring_table: SpringTable | None = None
         self._pending_velocities: dict[int, tuple[FloatArray, FloatArray]] = {}
+        self._joint_efforts: dict[int, list[tuple[int, float]]] = {}
+        """By body: joints that are commanded by effort, and their efforts."""
         self._gravity = config.gravity
         self._dt_s = dt_s = config.step_ns * 1e-9
         self._com_frames = ComFrames()
@@ -438,6 +460,7 @@ class PyBulletEngine(Engine):
         known = self._bodies.pop(body)
         for table in (self._twists, self._loads, self._pending_velocities):
             table.pop(body, None)
+        self._joint_efforts.pop(body, None)
         self._forget_springs(body)
         if self._pool.has_room_for(known) and self._is_finite(body):
             self._park(body, known)
@@ -530,7 +553,19 @@ class PyBulletEngine(Engine):
     def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
         """See `Engine.read_joint_efforts`; friction and springs of joints are motors, too."""
         jointed = self._list_joints(bodies)
-        return read_motor_efforts(jointed, self._client, pybullet.getJointStates)
+        efforts = read_motor_efforts(jointed, self._client, pybullet.getJointStates)
+        return self._add_joint_efforts(efforts, jointed) if self._joint_efforts else efforts
+
+    def _add_joint_efforts(
+        self, efforts: FloatArray, jointed: Sequence[tuple[int, Sequence[int]]]
+    ) -> FloatArray:
+        """Add commanded efforts, which are none of Bullet's motors."""
+        start = 0
+        for body, joints in jointed:
+            for joint, effort in self._joint_efforts.get(body, ()):
+                efforts[start + joints.index(joint)] += effort
+            start += len(joints)
+        return efforts
 
     def _list_joints(self, bodies: Sequence[int]) -> list[tuple[int, Sequence[int]]]:
         return [(body, found) for body in bodies if (found := self._bodies[body].joints)]
@@ -572,10 +607,7 @@ class PyBulletEngine(Engine):
 
     def apply_joint_effort(self, body: int, joint: int, effort: float) -> None:
         """See `Engine.apply_joint_effort`."""
-        number = self._bodies[body].joints[joint]
-        pybullet.setJointMotorControl2(
-            body, number, pybullet.TORQUE_CONTROL, force=effort, physicsClientId=self._client
-        )
+        self._apply_effort(body, self._bodies[body].joints[joint], effort)
 
     def step(self) -> bool:
         """See `Engine.step`; a diverged body makes the state of the ground it touches invalid."""
@@ -584,6 +616,9 @@ class PyBulletEngine(Engine):
         self._apply_loads()
         if self._springs:
             self._apply_springs()
+        for body, efforts in self._joint_efforts.items():
+            for joint, effort in efforts:
+                self._apply_effort(body, joint, effort)
         pybullet.stepSimulation(physicsClientId=self._client)
         self._set_activation(self._pool.after_step(), ACTIVATION_ASLEEP)
         self._apply_pending_velocities()
@@ -617,6 +652,7 @@ class PyBulletEngine(Engine):
         """Remove a body that could not be completed, and its constraints with it."""
         for table in (self._bodies, self._twists, self._loads):
             table.pop(body, None)
+        self._joint_efforts.pop(body, None)
         self._forget_springs(body)
         self._resisting.discard(body)
         self._remove_body(body)
@@ -704,6 +740,31 @@ class PyBulletEngine(Engine):
         self._set_rolling_resistance(body, is_held=not any(speeds.select(targets)))
         if actuation.twist is not None:
             self._twists[body] = targets[actuation.twist : actuation.twist + 3]
+        if actuation.joint_motors:
+            self._set_joint_motors(body, targets)
+
+    def _set_joint_motors(self, body: int, targets: list[float]) -> None:
+        """Set the motors of controlled joints; those with an effort get it in each step."""
+        efforts = []
+        for motor in self._bodies[body].actuation.joint_motors:
+            kind, number = motor.find_target(targets)
+            if kind == JointTargetKind.EFFORT:
+                efforts.append((motor.joint, max(-motor.effort, min(number, motor.effort))))
+            pybullet.setJointMotorControl2(
+                body,
+                motor.joint,
+                **_make_motor_arguments(motor, kind, number),
+                physicsClientId=self._client,
+            )
+        if efforts:
+            self._joint_efforts[body] = efforts
+        else:
+            self._joint_efforts.pop(body, None)
+
+    def _apply_effort(self, body: int, joint: int, effort: float) -> None:
+        pybullet.setJointMotorControl2(
+            body, joint, pybullet.TORQUE_CONTROL, force=effort, physicsClientId=self._client
+        )
 
     def _set_rolling_resistance(self, body: int, *, is_held: bool) -> None:
         """Enable rolling friction of the wheels while a body stands, disable it when it drives."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from zensim.proto.messages.drive_messages import JointTargetKind
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.kinematic.collision_limits import STOPPING_GAP_M, DiscMotions
 from zensim.sim_server.physics.kinematic.planar_vehicle import PlanarVehicle
@@ -263,6 +264,9 @@ class KinematicRobots:
 
     def propose_motions(self) -> tuple[FloatArray, FloatArray]:
         """Advance motors by a step; compute root twists and displacements (3, n) of `rows`."""
+        for group in self._groups.values():
+            if group.vehicle.moved and len(group.rows):
+                self._move_joints(group)
         twists = [self._driven(group) for group in self._groups.values() if len(group.rows)]
         found = twists[0] if len(twists) == 1 else np.concatenate([NO_TWISTS, *twists], axis=1)
         return found, integrate_arcs(self._table.headings(self._at), found, self._dt_s)
@@ -285,6 +289,24 @@ class KinematicRobots:
         rolling = [wheel.joint for wheel in vehicle.wheels[len(vehicle.driven.joints) :]]
         self.velocities[group.joints[:, rolling]] = compute_rolling_speeds(vehicle, twists, angles)
         return twists
+
+    def _move_joints(self, group: VehicleGroup) -> None:
+        """Advance controlled joints; without dynamics, an effort moves none."""
+        moved, positions = group.vehicle.moved, self.positions.numbers
+        joints = group.joints[:, [one.joint for one in moved]]
+        places = [one.place for one in moved]
+        kinds = self.targets.numbers[group.targets[:, places]]
+        numbers = self.targets.numbers[group.targets[:, [place + 1 for place in places]]]
+        now = positions[joints]
+        most = np.array([one.velocity for one in moved]) * self._dt_s
+        found = np.where(kinds == JointTargetKind.POSITION, ramp_towards(now, numbers, most), now)
+        turned = now + np.clip(numbers * self._dt_s, -most, most)
+        found = np.where(kinds == JointTargetKind.VELOCITY, turned, found)
+        lower = np.minimum(now, [one.lower for one in moved])
+        upper = np.maximum(now, [one.upper for one in moved])
+        found = np.clip(found, lower, upper)
+        self.velocities[joints] = (found - now) / self._dt_s
+        positions[joints] = found
 
     def _steer(self, group: VehicleGroup) -> None:
         """Advance the steering joints at their maximum speed."""

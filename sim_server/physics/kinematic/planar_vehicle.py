@@ -19,7 +19,7 @@ from zensim.sim_server.description.motion_prediction import (
     find_drive_targets,
     predict_nominal_motions,
 )
-from zensim.sim_server.physics.actuation import make_actuation
+from zensim.sim_server.physics.actuation import JointMotor, make_actuation
 from zensim.sim_server.physics.engine import EngineRefused, FloatArray
 from zensim.sim_server.scene.footprints import Footprint, MeshTriangles, measure_footprint
 
@@ -81,6 +81,24 @@ class VehicleMotors:
 
 
 @dataclass(frozen=True)
+class MovedJoint:
+    """A controlled joint that no wheel is on: nothing but its target moves it.
+
+    Attributes:
+        place: Index of its `JointTargetKind` in a command; its number follows.
+        joint: Its index.
+        velocity: Greatest one [rad/s or m/s].
+        lower, upper: Limits of its position [rad or m].
+    """
+
+    place: int
+    joint: int
+    velocity: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
 class PlanarVehicle:
     """Wheels, motors and limits of a robot in the plane; equal for robots of equal build.
 
@@ -99,6 +117,7 @@ class PlanarVehicle:
         max_lateral_accel: Without sliding or tipping [m/s^2].
         can_tip: Whether its wheels could tip it over.
         steering_rad_s: Maximum speed of each motor of `steered`.
+        moved: Motors of controlled joints.
     """
 
     width: int
@@ -115,6 +134,7 @@ class PlanarVehicle:
     max_lateral_accel: float
     can_tip: bool
     steering_rad_s: tuple[float, ...]
+    moved: tuple[MovedJoint, ...] = ()
 
 
 def make_planar_vehicle(
@@ -179,6 +199,10 @@ class _VehicleGeometry:
                 self.model.joints[joint].velocity or DEFAULT_STEERING_RAD_S
                 for joint in plan.angles.joints
             ),
+            moved=tuple(
+                _make_moved_joint(motor, self.model.joints[motor.joint])
+                for motor in plan.joint_motors
+            ),
         )
 
     def _effort(self) -> float:
@@ -190,6 +214,12 @@ class _VehicleGeometry:
             if actuator.mode == "velocity" and self.index[actuator.joint] in radius
         ]
         return sum(forces) / max(self.model.mass_kg, MIN_LENGTH_M)
+
+
+def _make_moved_joint(motor: JointMotor, joint: Joint) -> MovedJoint:
+    has_limits = joint.kind != "continuous" and joint.lower <= joint.upper
+    lower, upper = (joint.lower, joint.upper) if has_limits else (-math.inf, math.inf)
+    return MovedJoint(motor.column, motor.joint, motor.velocity, lower, upper)
 
 
 def _make_motors(pairs: list[tuple[int, int]]) -> VehicleMotors:

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from zensim.proto.messages.drive_messages import JointTargetKind
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.se3 import conjugate, rotate
 from zensim.sim_server.physics.actuation import Actuation, impose_planar_twists, make_actuation
@@ -75,6 +76,7 @@ from zensim.sim_server.physics.mujoco.slot_state import (
     freeze_slot,
     is_within_limits,
     make_zero_targets,
+    set_joint_motor,
     set_sleeping_trees,
 )
 
@@ -158,6 +160,8 @@ class TargetScatter:
     Attributes:
         speeds, speed_columns: Indexes in qvel, and of their values in the targets.
         angles, angle_columns: Likewise.
+        joints, joint_columns, joint_efforts: Likewise of the kinds of controlled joints, which
+            their numbers follow; and their greatest efforts.
         roots, root_columns: (t,) and (t, 3) likewise, of roots with a planar twist.
     """
 
@@ -165,18 +169,34 @@ class TargetScatter:
     speed_columns: IndexArray
     angles: IndexArray
     angle_columns: IndexArray
+    joints: IndexArray
+    joint_columns: IndexArray
+    joint_efforts: FloatArray
     roots: IndexArray
     root_columns: IndexArray
 
     def apply(self, stored: ActuatorTargets, targets: FloatArray) -> bool:
-        """Store targets; return whether a twist is imposed on a root that had none."""
+        """Store targets; return whether motors change their mode, or a root gets a twist."""
         stored.speeds[self.speeds] = targets[self.speed_columns]
         stored.angles[self.angles] = targets[self.angle_columns]
+        is_new = self._store_joints(stored, targets) if len(self.joints) else False
         if not len(self.roots):
-            return False
+            return is_new
         stored.twists[self.roots[:, None] + np.arange(3)] = targets[self.root_columns]
-        is_new = not stored.is_twist_imposed[self.roots].all()
+        is_new |= not stored.is_twist_imposed[self.roots].all()
         stored.is_twist_imposed[self.roots] = True
+        return is_new
+
+    def _store_joints(self, stored: ActuatorTargets, targets: FloatArray) -> bool:
+        """Store the targets of controlled joints; return whether a kind has changed."""
+        joints, most = self.joints, self.joint_efforts
+        kinds, numbers = targets[self.joint_columns], targets[self.joint_columns + 1]
+        is_new = bool((stored.kinds[joints] != kinds).any())
+        stored.kinds[joints] = kinds
+        stored.angles[joints] = np.where(kinds == JointTargetKind.POSITION, numbers, 0.0)
+        stored.speeds[joints] = np.where(kinds == JointTargetKind.VELOCITY, numbers, 0.0)
+        pushed = np.where(kinds == JointTargetKind.EFFORT, numbers, 0.0)
+        stored.efforts[joints] = np.clip(pushed, -most, most)
         return is_new
 
 
@@ -184,6 +204,8 @@ def make_target_scatter(bodies: Iterable[tuple[SlotAddress, Actuation]]) -> Targ
     """Find the indexes for the targets of a sequence of bodies."""
     speeds: list[tuple[int, int]] = []
     angles: list[tuple[int, int]] = []
+    joints: list[tuple[int, int]] = []
+    efforts: list[float] = []
     roots: list[tuple[int, int]] = []
     first = 0
     for address, actuation in bodies:
@@ -191,14 +213,20 @@ def make_target_scatter(bodies: Iterable[tuple[SlotAddress, Actuation]]) -> Targ
             for joint, column in zip(motors.joints, motors.columns, strict=True):
                 if (index := address.joint_velocity(joint)) != NO_INDEX:
                     pairs.append((index, first + column))
+        for motor in actuation.joint_motors:
+            if (index := address.joint_velocity(motor.joint)) != NO_INDEX:
+                joints.append((index, first + motor.column))
+                efforts.append(motor.effort)
         if actuation.twist is not None and address.is_free:
             roots.append((address.start.velocities, first + actuation.twist))
         first += actuation.width
-    (speed, speed_column), (angle, angle_column), (root, root_column) = (
-        np.array(pairs, np.intp).reshape(-1, 2).T for pairs in (speeds, angles, roots)
+    speed, angle, joint, root = (
+        np.array(pairs, np.intp).reshape(-1, 2).T for pairs in (speeds, angles, joints, roots)
     )
+    root_columns = root[1][:, None] + np.arange(3)
     return TargetScatter(
-        speed, speed_column, angle, angle_column, root, root_column[:, None] + np.arange(3)
+        *(speed[0], speed[1], angle[0], angle[1]),
+        *(joint[0], joint[1], np.array(efforts), root[0], root_columns),
     )
 
 
@@ -374,6 +402,7 @@ class StepInputs:
     Attributes:
         motors: Indexes in qvel of degrees of freedom with friction, in the order of MuJoCo's rows.
         position_motors, position_qpos: Which of them hold an angle, and their indexes in qpos.
+        pushed: Indexes in qvel of controlled joints that get an effort.
         twisted_roots: Roots with a planar twist.
         link_forces: Gravity compensation and damping.
     """
@@ -381,6 +410,7 @@ class StepInputs:
     motors: IndexArray
     position_motors: IndexArray
     position_qpos: IndexArray
+    pushed: IndexArray
     twisted_roots: StateGather
     link_forces: LinkForceArrays
 
@@ -388,8 +418,13 @@ class StepInputs:
         """Find the target speed of each motor in this step; 0 for joints with friction only."""
         speeds = targets.speeds[self.motors]
         if len(self.position_motors):
-            errors = targets.angles[self.motors[self.position_motors]] - qpos[self.position_qpos]
-            speeds[self.position_motors] = POSITION_ERP / dt_s * errors
+            held = self.motors[self.position_motors]
+            wanted = POSITION_ERP / dt_s * (targets.angles[held] - qpos[self.position_qpos])
+            most = targets.velocities[held]
+            if most.any():
+                most[most == 0.0] = np.inf
+                wanted = np.clip(wanted, -most, most)
+            speeds[self.position_motors] = wanted
         return speeds
 
     def impose_twists(self, targets: ActuatorTargets, qpos: FloatArray, qvel: FloatArray) -> None:
@@ -427,6 +462,7 @@ def make_step_inputs(
         motors,
         position_motors,
         qpos_indexes[motors[position_motors]],
+        np.flatnonzero(targets.kinds == JointTargetKind.EFFORT),
         make_state_gather(
             [address for address in free if targets.is_twist_imposed[address.start.velocities]]
         ),
@@ -762,6 +798,8 @@ class MujocoEngine(Engine):
         data = self._data
         efforts = data.qfrc_spring.copy()
         efforts[motors] += data.efc_force[data.ne : data.ne + data.nf]
+        if self._targets.efforts.any():
+            efforts += self._targets.efforts
         return gather.gather_joints(efforts, gather.velocities)
 
     def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
@@ -845,7 +883,19 @@ class MujocoEngine(Engine):
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """See `Engine.command`."""
         if self._selection(bodies).scatter.apply(self._targets, targets):
+            for body in bodies:
+                self._set_joint_motors(body)
             self._is_changed = True
+
+    def _set_joint_motors(self, number: int) -> None:
+        """Set the motors of the controlled joints of an active body as their kinds say."""
+        body = self._bodies[number]
+        if not body.actuation.joint_motors or not self._is_active(number):
+            return
+        for motor in body.actuation.joint_motors:
+            if (index := body.address.joint_velocity(motor.joint)) != NO_INDEX:
+                friction = float(self._compiled.model.dof_frictionloss[index])
+                set_joint_motor(self._model, self._targets, index, motor, friction)
 
     def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
         """See `Engine.apply_link_wrench`."""
@@ -871,8 +921,7 @@ class MujocoEngine(Engine):
         self._solved_motors = inputs.motors
         if len(inputs.link_forces):
             inputs.link_forces.apply(data, model.body_rootid)
-        if len(inputs.motors):
-            self._apply_motor_speeds()
+        self._drive_motors(inputs)
         if data.ncon:
             self._solve_contacts()
         else:
@@ -955,6 +1004,8 @@ class MujocoEngine(Engine):
         self._targets = copy_slot_states(
             (model, data, old), (self._model, self._data, new), (targets, self._model.nv)
         )
+        for number in self._bodies:
+            self._set_joint_motors(number)
 
     def _activate(self, body: MujocoBody) -> None:
         """Activate the slot and the motors of a body."""
@@ -1089,6 +1140,14 @@ class MujocoEngine(Engine):
                 data.qvel[address.velocities] = solved[1][address.velocities]
                 data.qacc[address.velocities] = solved[2][address.velocities]
         return positions, velocities
+
+    def _drive_motors(self, inputs: StepInputs) -> None:
+        """Apply the targets of motors to this step."""
+        if len(inputs.motors):
+            self._apply_motor_speeds()
+        if len(inputs.pushed):
+            self._data.qfrc_applied[inputs.pushed] += self._targets.efforts[inputs.pushed]
+            self._has_loads = True
 
     def _apply_motor_speeds(self) -> None:
         """Set the target speed of each motor.

@@ -7,7 +7,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from zensim.sim_server.physics.actuation import Actuation
+from zensim.proto.messages.drive_messages import JointTargetKind
+from zensim.sim_server.physics.actuation import MAX_EFFORT, Actuation, JointMotor
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.mujoco.mjcf import ModelLayout
 from zensim.sim_server.physics.mujoco.slot_layout import NO_INDEX, IndexArray, SlotAddress
@@ -26,6 +27,9 @@ class ActuatorTargets:
         is_position: Whether it is a position motor.
         twists: vx, vy and wz at the first three of a root with a planar twist.
         is_twist_imposed: At the first of a root: whether its twist is imposed.
+        kinds: `JointTargetKind` of a controlled joint; 0 of others.
+        efforts: Of a controlled joint [N m or N].
+        velocities: Greatest speed towards an angle; 0 = unlimited.
     """
 
     speeds: FloatArray
@@ -33,6 +37,9 @@ class ActuatorTargets:
     is_position: npt.NDArray[np.bool_]
     twists: FloatArray
     is_twist_imposed: npt.NDArray[np.bool_]
+    kinds: FloatArray
+    efforts: FloatArray
+    velocities: FloatArray
 
     def remap(self, old: IndexArray, new: IndexArray, count: int) -> "ActuatorTargets":
         """Copy entries to the indexes of another model with `count` degrees of freedom."""
@@ -55,10 +62,10 @@ def make_zero_targets(count: int) -> ActuatorTargets:
         np.zeros(count, dtype=np.bool_),
         np.zeros(count),
         np.zeros(count, dtype=np.bool_),
+        *(np.zeros(count) for _ in range(3)),
     )
 
 
-MAX_EFFORT = 1e12
 EMPTY_SLOT_DEPTH_M = 1e4
 """Depth of empty slots below the world."""
 MAX_STATE_VALUE = 1e9
@@ -119,6 +126,25 @@ def activate_motors(
             if (index := address.joint_velocity(joint)) != NO_INDEX:
                 model.dof_frictionloss[index] = min(effort, MAX_EFFORT)
                 targets.is_position[index] = is_position
+
+
+def set_joint_motor(
+    model: MjModelArrays, targets: ActuatorTargets, index: int, motor: JointMotor, friction: float
+) -> None:
+    """Set the motor of a controlled joint as the kind of its target says.
+
+    Args:
+        model: Its friction is that of the motor.
+        targets: With the kind.
+        index: Of the degree of freedom.
+        motor: Of the joint.
+        friction: Of the joint.
+    """
+    kind = targets.kinds[index]
+    is_moved = kind in (JointTargetKind.POSITION, JointTargetKind.VELOCITY)
+    model.dof_frictionloss[index] = min(motor.effort, MAX_EFFORT) if is_moved else friction
+    targets.is_position[index] = kind == JointTargetKind.POSITION
+    targets.velocities[index] = motor.velocity
 
 
 def deactivate_all_slots(model: MjModelArrays, data: MjDataArrays, layout: ModelLayout) -> None:

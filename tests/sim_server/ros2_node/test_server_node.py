@@ -17,13 +17,13 @@ from zensim.proto.messages.simulation_messages import (
 )
 from zensim.proto.messages.standard_messages import Time, ns_from_time
 from zensim.proto.ros2 import action_messages as action
-from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
-from zensim.sim_server.ros2_node.server_node import (
+from zensim.proto.ros2.action_server import (
     CDR_ENCODING,
     MAX_FINISHED_ACTION_GOALS,
     MAX_RESULT_QUERIES,
-    SimulateStepsAction,
 )
+from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
+from zensim.sim_server.ros2_node.server_node import SimulateStepsAction
 
 Answer = TypeVar("Answer", bound=msgspec.Struct)
 FIRST = action.GoalId(tuple(range(1, 17)))

@@ -233,12 +233,12 @@ def test_joint_state_broadcaster_gives_joint_states() -> None:
 
 
 def test_other_controllers_are_reported_and_drive_nothing() -> None:
-    arm = a_controller("joint_trajectory_controller/JointTrajectoryController", "joints: [left]")
+    gripper = a_controller("position_controllers/GripperActionController", "joint: left")
 
-    model = read_driven(a_diff_robot(), arm)
+    model = read_driven(a_diff_robot(), gripper)
 
     assert model.drive is None
-    assert mentions(model.report, "ignored", "'base'", "JointTrajectoryController")
+    assert mentions(model.report, "ignored", "'base'", "GripperActionController")
 
 
 MECANUM = "mecanum_drive_controller/MecanumDriveController"
