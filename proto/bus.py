@@ -754,14 +754,17 @@ class Bus:
                     return to_sample(reply.ok)
                 raise TimeoutError(f"no reply from {key} within {timeout_s:g} s")
             time.sleep(pause_s)
-        if self.user:
-            raise NoServer(
-                f"no server replies on {key} at {self.endpoint}; check --world-name, and that it "
-                "runs"
-            )
-        raise NoServer(
-            f"no server replies on {key} at {self.endpoint}; start one with 'zensim serve'"
-        )
+        raise NoServer(self._explain_absence(key))
+
+    def _explain_absence(self, key: str) -> str:
+        given = self.config.credentials
+        if given is not None and not self._session.info.routers_zid():
+            # The link was there: perhaps the user was revoked meanwhile.
+            return str(_find_refusal(self.endpoint, given))
+        what_to_do = "check --world-name, and that it runs"
+        if given is None:
+            what_to_do = "start one with 'zensim serve'"
+        return f"no server replies on {key} at {self.endpoint}; {what_to_do}"
 
 
 def open_bus(config: BusConfig) -> Bus:
@@ -966,13 +969,7 @@ def _make_open_error(config: BusConfig, text: str) -> BusError:
         return BusError(f"cannot listen at {', '.join(config.listen)}: {reason}")
     where = ", ".join(config.connect)
     if (given := config.credentials) is not None:
-        refusal = find_refusal(
-            config.connect[0],
-            given.authority,
-            user=given.user,
-            password=decode_base64(given.password),
-            certificate=given.certificate,
-        )
+        refusal = _find_refusal(config.connect[0], given)
         if refusal.reason == "unreachable":
             return EndpointUnreachable(str(refusal))
         return JoinRefused(refusal.reason, str(refusal))
@@ -983,6 +980,16 @@ def _make_open_error(config: BusConfig, text: str) -> BusError:
         )
     return EndpointUnreachable(
         f"no server listens at {where}; start one with 'zensim serve' or use --connect"
+    )
+
+
+def _find_refusal(endpoint: str, given: Credentials) -> ProbeFailed:
+    return find_refusal(
+        endpoint,
+        given.authority,
+        user=given.user,
+        password=decode_base64(given.password),
+        certificate=given.certificate,
     )
 
 

@@ -19,7 +19,15 @@ import zensim as api
 from tests.integration.processes import eventually, run_in_process, running
 from tests.integration.processes import zensim as run_zensim
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, BusError, EndpointUnreachable, JoinRefused, open_bus
+from zensim.proto.bus import (
+    Bus,
+    BusConfig,
+    BusError,
+    EndpointUnreachable,
+    JoinRefused,
+    NoServer,
+    open_bus,
+)
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.endpoints import with_free_port
 from zensim.proto.join_tokens import parse_join_token
@@ -557,6 +565,8 @@ def test_revoked_user_is_out_and_the_others_are_back(secured: Secured) -> None:
 
     assert revoked.returncode == 0, revoked.stderr
     eventually(lambda: find_reason(token) == "revoked", WITHIN_S, "the refusal")
+    with pytest.raises(NoServer, match="revoked"):
+        SimClient(secured.users["recorder"]).info()
     eventually(lambda: is_answered(secured), WITHIN_S, "the operator's session")
     assert x_of(secured, "r2") == pytest.approx(pose, abs=1e-3)
     eventually(lambda: secured.operator.entity_model("r1").agent == "r1", WITHIN_S, "the agent")
