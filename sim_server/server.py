@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import logging
-import sys
 import time
 from contextlib import ExitStack
 from functools import partial
@@ -56,7 +55,6 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger(__name__)
 INFO_TIMEOUT_S = 2.0
-SWITCH_INTERVAL_S = 0.001
 PARSER_START_TIMEOUT_S, PARSER_POLL_S = 30.0, 0.005
 
 
@@ -138,8 +136,6 @@ def _open_network(config: ServerConfig, cleanup: ExitStack) -> Bus:
         )
     _freeze_garbage_collector()
     request_short_time_slice()
-    # Else a loop that is late delays the threads that send replies by 5 ms each time.
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
     bus.prepare_reply_threads(request_short_time_slice)
     return bus
 
