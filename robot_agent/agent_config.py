@@ -1,6 +1,7 @@
 """Configuration of an agent process, and overrides of odometry and tf rates."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import msgspec
 
@@ -17,16 +18,34 @@ class RateOverrides(msgspec.Struct, frozen=True):
     """None = as described, else with odometry."""
 
 
-def override_rates(claims: Sequence[Claim], rates: RateOverrides) -> tuple[Claim, ...]:
-    """Set the rates of the models of claims; claims that share a model still share it."""
-    if rates == RateOverrides():
-        return tuple(claims)
-    models = {id(claim.model): _override_model_rates(claim.model, rates) for claim in claims}
-    return tuple(msgspec.structs.replace(claim, model=models[id(claim.model)]) for claim in claims)
+AS_DESCRIBED = RateOverrides()
+
+
+def override_rates(
+    claims: Sequence[Claim],
+    rates: RateOverrides,
+    by_entity: Mapping[str, RateOverrides] = MappingProxyType({}),
+) -> tuple[Claim, ...]:
+    """Set the rates of the models of claims; claims that share a model and rates still share it.
+
+    Args:
+        claims: Of an agent.
+        rates: Of all entities but those of `by_entity`.
+        by_entity: Rates of entities that have their own, by name.
+    """
+    models: dict[tuple[int, RateOverrides], Model] = {}
+    found = []
+    for claim in claims:
+        own = by_entity.get(claim.entity, rates)
+        if (key := (id(claim.model), own)) not in models:
+            models[key] = _override_model_rates(claim.model, own)
+        is_same = models[key] is claim.model
+        found.append(claim if is_same else msgspec.structs.replace(claim, model=models[key]))
+    return tuple(found)
 
 
 def _override_model_rates(model: Model, rates: RateOverrides) -> Model:
-    if (drive := model.drive) is None:
+    if (drive := model.drive) is None or rates == AS_DESCRIBED:
         return model
     odom_hz = drive.odometry_rate_hz if rates.odom_hz is None else rates.odom_hz
     tf_hz = drive.tf_rate_hz if rates.tf_hz is None else rates.tf_hz

@@ -56,6 +56,19 @@ def test_claims_that_share_a_model_still_share_it() -> None:
     assert find_motion_rates(one.model.drive) == (5.0, None, None)
 
 
+def test_entities_with_rates_of_their_own_share_a_model_among_equal_ones() -> None:
+    model = two_wheeler()
+    claims = [a_claim(number, f"r{number}", model) for number in range(4)]
+    own = {"r1": RateOverrides(5.0), "r3": RateOverrides(5.0)}
+
+    found = override_rates(claims, RateOverrides(), own)
+
+    assert found[0].model is found[2].model is model
+    assert found[1].model is found[3].model
+    assert found[1].model.drive is not None
+    assert find_motion_rates(found[1].model.drive) == (5.0, None, None)
+
+
 def test_robot_without_a_drive_is_left_as_it_is() -> None:
     claim = a_claim(model=two_wheeler(None))
 

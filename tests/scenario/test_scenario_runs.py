@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import zensim
+from zensim.scenario.scenario_loading import load, open_world
 from zensim.scenario.scenario_reader import Scenario, read_scenario
 from zensim.scenario.scenario_runner import RunReport, ScenarioRun, find_end, run_scenario
 
@@ -68,6 +69,21 @@ def test_equal_runs_end_in_equal_states(tmp_path: Path) -> None:
 
     assert first.state_hash == second.state_hash
     assert first.state_hash != third.state_hash
+
+
+def test_agents_of_the_file_set_the_rates_of_their_robots_in_process(tmp_path: Path) -> None:
+    text = "agents:\n  - {name: slow, drives: r0, odom_rate: 5 Hz}\n"
+    received: dict[str, list[object]] = {"r0": [], "r1": []}
+
+    with open_world(read(tmp_path, text)) as world:
+        run = load(tmp_path / "run.scenario.yaml", sim=world)
+        for name, messages in received.items():
+            world.topic(f"{name}/odom").on(messages.append, queue=100)
+        world.run_for(2.0)
+        run.close()
+
+    assert len(received["r0"]) == 10
+    assert len(received["r1"]) > 50
 
 
 def test_end_comes_when_the_goal_is_reached(tmp_path: Path) -> None:

@@ -3,10 +3,11 @@
 import os
 import time
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from uuid import uuid4
 
@@ -39,6 +40,7 @@ from zensim.proto.service_catalog import (
 )
 from zensim.proto.topic_catalog import CONTACTS, EVENTS, MAP, TopicSpec
 from zensim.proto.topic_faults import TopicFaults
+from zensim.robot_agent.agent_config import AS_DESCRIBED, RateOverrides, override_rates
 from zensim.robot_agent.bumpers import read_contact_report
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 from zensim.sim_server.description.builtin_models import list_builtin_worlds
@@ -72,6 +74,7 @@ CLIENT = "world"
 """Name of the only client."""
 CMD_VEL_TIMEOUT_NS = 500_000_000
 """As of a pool by default: see `AgentConfig.cmd_vel_timeout_s`."""
+NO_RATES: Mapping[str, RateOverrides] = MappingProxyType({})
 WAIT_S = 2e-4
 """Pause while a thread of the engine compiles a model."""
 
@@ -137,12 +140,17 @@ class InProcessServer:
     It does what a paused server in lockstep with one pool does, with the same bits.
     """
 
-    def __init__(self, config: ServerConfig) -> None:
+    def __init__(self, config: ServerConfig, rates: Mapping[str, RateOverrides] = NO_RATES) -> None:
         """Load the world.
+
+        Args:
+            config: Of the server.
+            rates: Of odometry and tf, by name of the robot; others have those of their model.
 
         Raises:
             ConfigError: The configuration is not valid, or there is no such world.
         """
+        self.rates = rates
         config = msgspec.structs.replace(validate_config(config), requested=config)
         self._cleanup = ExitStack()
         self.close = weakref.finalize(self, self._cleanup.close)
@@ -370,7 +378,8 @@ class InProcessServer:
         while is_more:
             response = self._handlers.handle(ClaimShareRequest(POOL))
             assert isinstance(response, CLAIM_SHARE.response)
-            self.robots.add_claims(expand_grants(response))
+            claims = expand_grants(response)
+            self.robots.add_claims(override_rates(claims, AS_DESCRIBED, self.rates))
             is_more = response.is_more
 
     @property

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -12,7 +12,7 @@ from zensim.api.api_errors import Closed, Invalid, Timeout, Unsupported
 from zensim.api.collision_watch import CollisionWatch
 from zensim.api.entity_values import Collision
 from zensim.api.in_process_network import InProcessSubscription
-from zensim.api.in_process_server import CLIENT, POOL, InProcessServer
+from zensim.api.in_process_server import CLIENT, NO_RATES, POOL, InProcessServer
 from zensim.api.simulation import Simulation, WorldKeywords, read_world_keywords
 from zensim.api.world_access import Message, TopicFeed, WorldAccess, api_errors
 from zensim.api.world_session import SavedOrders
@@ -22,6 +22,7 @@ from zensim.proto.codec.message_codec import Format, decode, encode, make_encodi
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.simulation_messages import SimulateStepsRequest
 from zensim.proto.service_catalog import SIMULATE_STEPS, Request, Response, Service
+from zensim.robot_agent.agent_config import RateOverrides
 from zensim.sim_server.physics.engine_config import EngineOptions, parse_engine_name
 from zensim.sim_server.server_config import CONTROL_HZ, ServerConfig
 
@@ -190,6 +191,7 @@ class World(Simulation):
         seed: int = 0,
         step_hz: float | None = None,
         control_hz: float | None = None,
+        rates: Mapping[str, RateOverrides] = NO_RATES,
         **options: "Unpack[WorldKeywords]",
     ) -> None:
         """Load a world.
@@ -200,6 +202,7 @@ class World(Simulation):
             seed: Of the noise of sensors.
             step_hz: Steps per simulated second; None = of the world file, or 240.
             control_hz: Most control steps per simulated second; None = 100.
+            rates: Of odometry and tf, by name of the robot; others have those of their description.
             options: model_paths, strict and others; see `WorldKeywords`.
 
         Raises:
@@ -220,7 +223,7 @@ class World(Simulation):
                     IN_PROCESS, engine=parse_engine_name(engine), clusters=clusters
                 ),
             )
-            self._open(InProcessServer(config))
+            self._open(InProcessServer(config, rates))
 
     def _open(self, server: InProcessServer) -> None:
         self._server = server
@@ -295,7 +298,7 @@ class World(Simulation):
             )
         config = self._server.config.requested or self._server.config
         other = World.__new__(World)
-        other._open(InProcessServer(config))  # noqa: SLF001
+        other._open(InProcessServer(config, self._server.rates))  # noqa: SLF001
         other.restore(self.snapshot())
         return other
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zensim.api.simulation import Simulation
+from zensim.robot_agent.agent_config import RateOverrides
 from zensim.scenario.scenario_reader import Scenario, find_scenario_file, read_scenario
 from zensim.scenario.scenario_runner import ScenarioFailed, ScenarioRun
 
@@ -41,7 +42,17 @@ def open_world(scenario: Scenario) -> "World":
         strict=world.strict,
         allow_missing=world.allow_missing,
         clusters=engine.clusters,
+        rates=find_agent_rates(scenario),
     )
+
+
+def find_agent_rates(scenario: Scenario) -> dict[str, RateOverrides]:
+    """Find the rates of odometry and tf that `agents` sets, by robot; the first that names it."""
+    rates: dict[str, RateOverrides] = {}
+    for entry in scenario.format.agents if scenario.robots else ():
+        for name in scenario.select(entry.drives):
+            rates.setdefault(name, RateOverrides(entry.odom_rate, entry.tf_rate))
+    return rates
 
 
 def load(
