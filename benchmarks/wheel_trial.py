@@ -1,23 +1,23 @@
 """One robot in a world of its own in this process: it stands, drives straight, stops and turns."""
 
-from contextlib import ExitStack
 from dataclasses import dataclass
 
 from benchmarks.wheel_models import STRAIGHT, WheelRobot
 from zensim.deploy.robot_trial import (
+    AT_REST,
     DRIVE_S,
+    NAME,
     SETTLE_S,
     STOP_S,
-    LockstepTrial,
     RestMeasurement,
-    make_trial_world,
+    drive_robot,
     measure_rest,
     measure_twist,
-    spawn_on_ground,
+    open_trial_world,
 )
-from zensim.proto.messages.model_messages import Vec3
-from zensim.sim_server.parser_process.asset_store import AssetStore
-from zensim.sim_server.physics.engine_config import EngineOptions, parse_engine_name
+from zensim.proto.messages.model_messages import Dynamics, Vec3
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
+from zensim.proto.service_catalog import SPAWN_ENTITY
 
 KINEMATIC = "kinematic"
 
@@ -35,28 +35,28 @@ def run_trial(robot: WheelRobot, engine: str) -> Trial:
     """Drive a robot in an engine: `pybullet`, `mujoco` or `kinematic`.
 
     Raises:
-        EngineRefused: The engine cannot simulate it.
+        SpawnRefused: The engine cannot simulate it.
     """
-    with ExitStack() as cleanup:
-        store = AssetStore()
-        cleanup.callback(store.close)
-        world = make_trial_world(_choose_options(engine), store)
-        cleanup.callback(world.close)
-        spawn_on_ground(world, store, robot.model(), robot.urdf)
-        trial = LockstepTrial(world)
+    dynamics: Dynamics = "kinematic" if engine == KINEMATIC else "full"
+    with open_trial_world("pybullet" if engine == KINEMATIC else engine) as world:
+        world.call(
+            SPAWN_ENTITY,
+            SpawnEntityOrder(
+                name=NAME,
+                entity_resource=Resource(resource_string=robot.urdf),
+                snap_to_ground=True,
+                drive=robot.order,
+                dynamics=dynamics,
+            ),
+        )
+        spawned, period_s = world.robots[NAME], world.control_period
         straight, turn = ((linear, 0.0, angular) for linear, angular in (STRAIGHT, robot.turn))
-        rest = trial.drive(SETTLE_S, straight, share=0.0)
-        ahead = trial.drive(DRIVE_S, straight)
-        trial.drive(STOP_S, straight, share=0.0)
-        turning = trial.drive(DRIVE_S, turn)
+        rest = drive_robot(world, spawned, SETTLE_S, AT_REST)
+        ahead = drive_robot(world, spawned, DRIVE_S, straight)
+        drive_robot(world, spawned, STOP_S, AT_REST)
+        turning = drive_robot(world, spawned, DRIVE_S, turn)
     return Trial(
-        measure_rest(rest, trial.control_s),
-        measure_twist(ahead, trial.control_s),
-        measure_twist(turning, trial.control_s),
+        measure_rest(rest, period_s),
+        measure_twist(ahead, period_s),
+        measure_twist(turning, period_s),
     )
-
-
-def _choose_options(engine: str) -> EngineOptions:
-    if engine == KINEMATIC:
-        return EngineOptions(engine="pybullet", dynamics="kinematic")
-    return EngineOptions(engine=parse_engine_name(engine))

@@ -1,7 +1,7 @@
 """A robot in a world of its own, without a network: spawn, settle, drive straight, stop, turn.
 
-`python -m zensim.deploy.robot_trial`: a `TrialRequest` on stdin, a `TrialResult` on stdout. World,
-spawn handler and drive controller are those of server and agent, in lockstep. It needs the
+`python -m zensim.deploy.robot_trial`: a `TrialRequest` on stdin, a `TrialResult` on stdout. The
+world is a `zensim.World`, which has the services and drives of a server in lockstep. It needs the
 server extra.
 """
 
@@ -9,27 +9,25 @@ from __future__ import annotations
 
 import os
 import sys
-from contextlib import ExitStack
+from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 
+from zensim.api.api_errors import Error, Timeout
+from zensim.api.in_process_server import open_shared_store
+from zensim.api.in_process_world import World
 from zensim.deploy.robot_checks import DrivenPart, RobotCheck, TrialRequest, TrialResult
 from zensim.proto.child_process import STDERR, reserve_stdout
 from zensim.proto.cli_options import parse_choice
-from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.drives.array_math import ARRAY_MATH
 from zensim.proto.exit_codes import format_failure, list_expected_failures
-from zensim.proto.messages.agent_messages import DriveCommand
-from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
-from zensim.proto.messages.standard_messages import Twist, Vector3
+from zensim.proto.messages.telemetry_messages import GetModelsRequest
 from zensim.proto.process_limits import die_with_parent
 from zensim.proto.rigid_transforms import find_yaw
-from zensim.robot_agent.base_controller import BaseController
-from zensim.robot_agent.drive_state_decoder import DriveStateLayout
+from zensim.proto.service_catalog import GET_MODELS
 from zensim.sim_server.description.ground_friction import GroundFriction
 from zensim.sim_server.description.motion_prediction import (
     STRAIGHT,
@@ -39,41 +37,25 @@ from zensim.sim_server.description.motion_prediction import (
     predict_motion,
     turn_command,
 )
-from zensim.sim_server.description.pipeline import is_sdf, parse_description
+from zensim.sim_server.description.pipeline import is_sdf
 from zensim.sim_server.description.urdf.independent_reading import find_reading_differences
-from zensim.sim_server.description.world_model import WorldModel
-from zensim.sim_server.errors import SimError
-from zensim.sim_server.initial_world import load_initial_world, make_initial_world
-from zensim.sim_server.pacing.loop_stats import LoopStats
-from zensim.sim_server.parser_process.asset_store import AssetStore
-from zensim.sim_server.physics.engine_config import EngineOptions, parse_engine_name
-from zensim.sim_server.server_config import ServerConfig, validate_config
-from zensim.sim_server.service_parts import (
-    Bonds,
-    CurrentWorld,
-    Descriptions,
-    Pacing,
-    Spawning,
-)
-from zensim.sim_server.services.spawn_services import spawn_entity
+from zensim.sim_server.world.simulated_world import FROZEN_BY_FAULT, FROZEN_MESSAGE
 from zensim.spawner.cli.spawn_arguments import COMPATS
-from zensim.spawner.spawn.description_sources import parse_xacro_arguments, read_model_argument
-from zensim.spawner.spawn.search_paths import collect_search_paths
-from zensim.spawner.spawn.spawn_client import SpawnPayload, make_payload
+from zensim.spawner.spawn.description_sources import parse_xacro_arguments
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
+    from zensim.api.robot import Robot
+    from zensim.api.topic import Topic
     from zensim.proto.drives.measured_joints import PlanarTwist
     from zensim.proto.messages.model_messages import Model, ReportEntry, Vec3
-    from zensim.sim_server.parser_process.description_cache import ParseKey
-    from zensim.sim_server.parser_process.parser_protocol import ParseRequest, ParseResult
+    from zensim.proto.messages.telemetry_messages import Event
     from zensim.sim_server.physics.engine import FloatArray
-    from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 NAME = "robot"
-AGENT = "check"
 SETTLE_S, DRIVE_S, STOP_S = 2.0, 4.0, 1.0
+AT_REST: PlanarTwist[float] = (0.0, 0.0, 0.0)
 REST_S = 1.0
 """Counted at the end of settling."""
 COUNTED_S = 2.0
@@ -97,80 +79,85 @@ def main() -> None:
 def run_trial(request: TrialRequest) -> TrialResult:
     """Read, spawn and drive one robot; an error of any kind is a result."""
     try:
-        with ExitStack() as cleanup:
-            return _run(request, cleanup)
-    except SimError as error:
-        return TrialResult(error=str(error))
+        with open_trial_world(request.engine) as world:
+            return _run(request, world)
+    except Error as error:
+        return TrialResult(error=f"{error.slug}: {error}")
     except list_expected_failures() as error:
         return TrialResult(error=format_failure(error))
     except Exception as error:  # noqa: BLE001  # one robot must not end the checks of others
         return TrialResult(error=f"{type(error).__name__}: {error}", is_fault=True)
 
 
-def _run(request: TrialRequest, cleanup: ExitStack) -> TrialResult:
-    store = AssetStore()
-    cleanup.callback(store.close)
-    payload, model = _read_model(request, store)
-    world = make_trial_world(EngineOptions(engine=parse_engine_name(request.engine)), store)
-    cleanup.callback(world.close)
-    report = spawn_on_ground(world, store, model, payload.text)
-    trial = LockstepTrial(world)
-    rest = trial.drive(SETTLE_S, STRAIGHT, share=0.0)
-    result = _describe(request.robot, model, (*model.report, *report))
+def open_trial_world(engine: str) -> World:
+    """Make a world for one robot: ground, no cells.
+
+    Raises:
+        Invalid: The engine is unknown, or is not installed.
+    """
+    return World(engine=engine, clusters="off")
+
+
+def _run(request: TrialRequest, world: World) -> TrialResult:
+    events = world.events
+    robot, model, text = _spawn(request, world)
+    rest = drive_robot(world, robot, SETTLE_S, AT_REST)
+    result = _describe(request.robot, model, robot.report.entries)
+    at_rest = measure_rest(rest, world.control_period)
     result = msgspec.structs.replace(
-        result, remarks=(*result.remarks, *_compare_readings(payload.text, model))
-    )
-    at_rest = measure_rest(rest, trial.control_s)
-    result = msgspec.structs.replace(
-        result, tilt_rad=at_rest.tilt_rad, creep_m_s=at_rest.creep_m_s, shift=at_rest.shift
+        result,
+        remarks=(*result.remarks, *_compare_readings(text, model)),
+        tilt_rad=at_rest.tilt_rad,
+        creep_m_s=at_rest.creep_m_s,
+        shift=at_rest.shift,
     )
     if model.drive is not None:
-        friction = GroundFriction(model, store.vertices)
-        straight = trial.drive(DRIVE_S, STRAIGHT)
-        trial.drive(STOP_S, STRAIGHT, share=0.0)
+        friction = GroundFriction(model, open_shared_store(os.getpid()).vertices)
+        straight = drive_robot(world, robot, DRIVE_S, STRAIGHT)
+        drive_robot(world, robot, STOP_S, AT_REST)
         command = turn_command(model.drive)
-        turn = trial.drive(DRIVE_S, command)
+        turn = drive_robot(world, robot, DRIVE_S, command)
         result = msgspec.structs.replace(
             result,
-            straight=_make_part(trial, straight, STRAIGHT, friction),
-            turn=_make_part(trial, turn, command, friction),
+            straight=_make_part(model, _measure(world, straight), STRAIGHT, friction),
+            turn=_make_part(model, _measure(world, turn), command, friction),
         )
+    failures = _list_failures(events)
     return msgspec.structs.replace(
         result,
-        has_diverged=world.divergence_guard.is_frozen(NAME),
-        remarks=(*result.remarks, *_list_failures(world)),
+        has_diverged=any(one.startswith((FROZEN_MESSAGE, FROZEN_BY_FAULT)) for one in failures),
+        remarks=(*result.remarks, *failures),
     )
 
 
-def _list_failures(world: SimulatedWorld) -> list[str]:
+def _list_failures(events: Topic[Event]) -> list[str]:
     """List the warnings on the robot, such as why it was put at rest or frozen."""
-    return [event.message for event in world.clock.take_events() if event.kind == "warning"]
+    found = []
+    with suppress(Timeout):
+        while True:
+            event = events.read(timeout_s=0.0)
+            if event.kind == "warning":
+                found.append(event.message)
+    return found
 
 
-def _read_model(request: TrialRequest, store: AssetStore) -> tuple[SpawnPayload, Model]:
-    """Read the description as `zensim spawn` and the server's parser process do."""
+def _spawn(request: TrialRequest, world: World) -> tuple[Robot, Model, str]:
+    """Spawn the robot of a request; return it, its model, and the text that was parsed."""
     robot = request.robot
-    paths = collect_search_paths([Path(one) for one in robot.package_paths], os.environ)
-    arguments = parse_xacro_arguments(robot.xacro_args)
-    description = read_model_argument(robot.path, arguments, paths)
-    payload = make_payload(
-        description,
-        paths,
-        allow_missing=request.allow_missing,
-        controllers=[Path(one) for one in robot.controllers],
-    )
-    files = {file.sha256: file.path.read_bytes() for file in payload.bundle.files}
-    parsed = parse_description(
-        payload.text,
-        assets={ref.uri: (ref.sha256, files[ref.sha256]) for ref in payload.bundle.refs},
-        allow_missing=request.allow_missing,
+    spawned = world.spawn(
+        robot.path,
+        NAME,
+        xacro_args=parse_xacro_arguments(robot.xacro_args),
+        package_paths=robot.package_paths,
+        controllers=robot.controllers,
+        drive=robot.drive,
+        dynamics=request.dynamics,
         compat=parse_choice("--compat", request.compat, COMPATS),
-        controllers=payload.controllers.texts,
-        drive=parse_drive_order(robot.drive),
+        allow_missing=request.allow_missing,
     )
-    for sha256, data in parsed.meshes.items():
-        store.add(sha256, data)
-    return payload, msgspec.structs.replace(parsed.model, dynamics=request.dynamics)
+    found = world.call(GET_MODELS, GetModelsRequest((NAME,), wants_descriptions=True))
+    entity = found.entities[0]
+    return spawned, found.models[entity.model], found.descriptions[entity.description]
 
 
 def _compare_readings(text: str, model: Model) -> tuple[str, ...]:
@@ -180,107 +167,25 @@ def _compare_readings(text: str, model: Model) -> tuple[str, ...]:
     return find_reading_differences(text, model)
 
 
-def make_trial_world(options: EngineOptions, store: AssetStore) -> SimulatedWorld:
-    """Make a world for one robot: ground, no cells and no workers."""
-    physics = msgspec.structs.replace(options, clusters="off", workers=0)
-    config = validate_config(ServerConfig(physics=physics))
-    loaded, config = load_initial_world(config, None)
-    return make_initial_world(config, loaded, store)
+def drive_robot(
+    world: World, robot: Robot, duration_s: float, command: PlanarTwist[float]
+) -> FloatArray:
+    """Drive for a time; return poses of the root link (n, 7), one per control step.
+
+    Args:
+        world: Of the robot.
+        robot: With or without a drive.
+        duration_s: Simulation time.
+        command: Forward and left speed [m/s], turn [rad/s].
+    """
+    x, y, yaw = command
+    if robot.report.drive:
+        robot.drive(x, yaw, left=y)
+    return np.array([robot.pose for _ in world.steps(seconds=duration_s)])
 
 
-@dataclass(frozen=True)
-class ParsedDescription:
-    """A provider of one model that is parsed."""
-
-    parsed: Model
-    text: str
-
-    def is_parsed(self, order: SpawnEntityOrder) -> bool:  # noqa: ARG002
-        """See `DescriptionProvider`."""
-        return True
-
-    def model(self, order: SpawnEntityOrder) -> tuple[Model, str]:  # noqa: ARG002
-        """See `DescriptionProvider`."""
-        return self.parsed, self.text
-
-    def poll(self) -> bool:
-        """See `DescriptionProvider`."""
-        return False
-
-    def find_parse_key(self, model: Model) -> ParseKey | None:  # noqa: ARG002
-        """See `DescriptionProvider`."""
-        return None
-
-    def remember(self, key: ParseKey, model: Model) -> None:
-        """See `DescriptionProvider`."""
-
-    def parse(self, request: ParseRequest, on_parsed: Callable[[ParseResult], None]) -> None:
-        """See `DescriptionProvider`."""
-
-
-def spawn_on_ground(
-    world: SimulatedWorld, store: AssetStore, model: Model, text: str
-) -> tuple[ReportEntry, ...]:
-    """Spawn a model, read from a text, on the ground with the server's handler."""
-    while not world.prepare(model):
-        pass
-    spawning = Spawning(
-        world,
-        Descriptions(ParsedDescription(model, text), store),
-        Bonds(world),
-        Pacing(lambda: 0, LoopStats(0)),
-        CurrentWorld(WorldModel("empty")),
-    )
-    order = SpawnEntityOrder(
-        NAME, entity_resource=Resource(resource_string=text), snap_to_ground=True
-    )
-    return spawn_entity(spawning, order).report
-
-
-class LockstepTrial:
-    """The only robot of a world and its drive controller, stepped together."""
-
-    def __init__(self, world: SimulatedWorld) -> None:
-        self._world = world
-        self.model = world.entities.find(NAME).model
-        self._controller: BaseController | None = None
-        if self.model.drive is not None:
-            world.claim(AGENT, (NAME,), "stop")
-            self._controller = BaseController(self.model)
-        self._layout = DriveStateLayout([len(self.model.joints)])
-        self.control_s = world.clock.step_ns * world.control_steps * 1e-9
-
-    def drive(
-        self, duration_s: float, command: PlanarTwist[float], share: float = 1.0
-    ) -> FloatArray:
-        """Drive for a time; return root states (n, 13), one per control step.
-
-        Args:
-            duration_s: Simulation time.
-            command: Forward and left speed [m/s], turn [rad/s].
-            share: Of the command; 0 = stop.
-        """
-        x, y, yaw = (share * one for one in command)
-        twist = Twist(Vector3(x, y), Vector3(0.0, 0.0, yaw))
-        rows = []
-        for _ in range(round(duration_s / self.control_s)):
-            rows.append(self._world.state_of(NAME).copy())
-            self._command(twist)
-            for _ in range(self._world.control_steps):
-                self._world.step()
-        return np.array(rows)
-
-    def _command(self, twist: Twist) -> None:
-        if self._controller is None:
-            return
-        for agent, state in self._world.drive_states():
-            # Without claims when the robot was frozen.
-            for own in self._layout.split(state) if state.claims else ():
-                self._controller.update(own, twist)
-                targets = np.array(self._controller.targets).tobytes()
-                self._world.command(
-                    agent, DriveCommand(state.epoch, state.step, state.claims, targets)
-                )
+def _measure(world: World, rows: FloatArray) -> Vec3:
+    return measure_twist(rows, world.control_period)
 
 
 def _describe(robot: RobotCheck, model: Model, report: Sequence[ReportEntry]) -> TrialResult:
@@ -332,10 +237,8 @@ def measure_rest(rows: FloatArray, control_s: float) -> RestMeasurement:
 
 
 def _make_part(
-    trial: LockstepTrial, rows: FloatArray, command: PlanarTwist[float], friction: GroundFriction
+    model: Model, measured: Vec3, command: PlanarTwist[float], friction: GroundFriction
 ) -> DrivenPart:
-    model = trial.model
-    measured = measure_twist(rows, trial.control_s)
     nominal, predicted = command, None
     if not is_moved_by_twist(model):
         nominal = find_nominal_twist(model, find_drive_targets(model, command))
@@ -359,7 +262,7 @@ def measure_twist(rows: FloatArray, control_s: float) -> Vec3:
     """Measure the mean twist of the root link along its path: vx, vy [m/s], wz [rad/s].
 
     Args:
-        rows: Root states (n, 13), one per control step; the last `COUNTED_S` count.
+        rows: Poses of the root link (n, 7), one per control step; the last `COUNTED_S` count.
         control_s: Time between rows.
     """
     rows = rows[-round(COUNTED_S / control_s) - 1 :]
