@@ -3,7 +3,7 @@
 import hashlib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -91,6 +91,10 @@ class Draw(msgspec.Struct, frozen=True):
         return self.values[min(int(first * len(self.values)), len(self.values) - 1)]
 
 
+MAY_HAVE_DRAWS = (dict, list, Draw)
+"""Classes of the values of a file that are, or contain, draws."""
+
+
 def make_uniforms(seed: int, *key: str) -> tuple[float, float]:
     """Make two numbers in [0, 1) of the stream that a seed and a key name."""
     text = "\0".join((str(seed), *key)).encode()
@@ -110,16 +114,23 @@ def resolve_draws(value: PlainValue, seed: int, path: str, robot: str = "") -> P
     """
     if isinstance(value, Draw):
         return value.draw(seed, path, robot)
-    if isinstance(value, Mapping):
-        return {key: resolve_draws(one, seed, f"{path}.{key}", robot) for key, one in value.items()}
-    if isinstance(value, Sequence) and not isinstance(value, str):
+    if isinstance(value, dict):
+        return {
+            key: resolve_draws(one, seed, f"{path}.{key}", robot)
+            if isinstance(one, MAY_HAVE_DRAWS)
+            else one
+            for key, one in value.items()
+        }
+    if isinstance(value, list):
         return [
             resolve_draws(one, seed, _extend_path(path, one, index), robot)
+            if isinstance(one, MAY_HAVE_DRAWS)
+            else one
             for index, one in enumerate(value)
         ]
     return value
 
 
 def _extend_path(path: str, entry: PlainValue, index: int) -> str:
-    name = entry.get("name") if isinstance(entry, Mapping) else None
+    name = entry.get("name") if isinstance(entry, dict) else None
     return f"{path}.{name}" if name else f"{path}[{index}]"

@@ -52,6 +52,7 @@ def matches(pattern: str, name: str) -> bool:
     )
 
 
+@cache
 def _list_ranges(pattern: str) -> list[tuple[int, int]]:
     found = (match.groups() for match in _PART.finditer(pattern))
     return [(int(low), int(high)) for low, high in found if low is not None]

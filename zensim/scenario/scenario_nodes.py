@@ -16,8 +16,9 @@ MAX_BYTES = 4_000_000
 MAX_NODES = 200_000
 """Nodes of a file, counted after aliases."""
 MAX_DEPTH = 30
+TEXT_TAG = "tag:yaml.org,2002:str"
 DEFAULT_TAGS = {
-    yaml.ScalarNode: "tag:yaml.org,2002:str",
+    yaml.ScalarNode: TEXT_TAG,
     yaml.SequenceNode: "tag:yaml.org,2002:seq",
     yaml.MappingNode: "tag:yaml.org,2002:map",
 }
@@ -34,7 +35,7 @@ _INTEGER = re.compile(r"[-+]?[0-9]{1,300}")
 _BASED = re.compile(r"0(?:o[0-7]{1,300}|x[0-9a-fA-F]{1,300})")
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")
 _INDENT = re.compile(r"^[ \-?:]*", re.MULTILINE)
-_BRACKET = re.compile(r"[][{}]")
+_NO_BRACKETS = re.compile(r"[^][{}]+")
 
 Scalar = str | int | float | bool | None
 
@@ -101,9 +102,17 @@ class ScenarioNode(msgspec.Struct, frozen=True):
 
 
 class _PlainLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """Composes every plain scalar as text."""
+    """Composes every plain scalar as text; finds tags by the kind of a node alone."""
 
-    yaml_implicit_resolvers: Mapping[str, object] = {}
+    def resolve(self, kind: type[yaml.Node], _value: object, _implicit: object) -> str:
+        """Find the tag of a node that names none."""
+        return DEFAULT_TAGS[kind]
+
+    def descend_resolver(self, _node: object, _index: object) -> None:
+        """Do nothing: no tag depends on a path."""
+
+    def ascend_resolver(self) -> None:
+        """Do nothing, likewise."""
 
 
 def read_nodes(text: str, file: str) -> ScenarioNode:
@@ -141,9 +150,12 @@ def _check_size(text: str, file: str) -> None:
 def _bound_depth(text: str) -> int:
     """Bound the depth from above: brackets that are open at once, and columns of indentation."""
     depth = most = 0
-    for match in _BRACKET.finditer(text):
-        depth += 1 if match.group() in "[{" else -1
-        most = max(most, depth)
+    for bracket in _NO_BRACKETS.sub("", text):
+        if bracket in "]}":
+            depth -= 1
+        else:
+            depth += 1
+            most = max(most, depth)
     indent = max((len(match.group()) for match in _INDENT.finditer(text)), default=0)
     return most + indent
 
@@ -195,47 +207,60 @@ class _Reading:
         return converted
 
     def _convert(self, node: yaml.Node) -> tuple[ScenarioNode, int, int]:
+        """Convert a node; return its size and height, too."""
+        if isinstance(node, yaml.ScalarNode):
+            if node.tag != TEXT_TAG:
+                self._check_tag(node)
+            # Quoted text and blocks of text are text.
+            value = node.value if node.style else resolve_scalar(node.value)
+            mark = node.start_mark
+            place = Place(self._file, mark.line + 1, mark.column + 1)
+            return ScenarioNode(place, value), 1, 1
         key = id(node)
         if key in self._done:
             return self._done[key]
-        place = self._place(node)
         if key in self._open:
             self._refuse(node, "", "an alias contains itself")
-            return ScenarioNode(place, None), 1, 1
-        if node.tag != DEFAULT_TAGS[type(node)]:
-            self._refuse(node, "", f"the tag `{node.tag}` is not allowed; remove it")
+            return ScenarioNode(self._place(node), None), 1, 1
+        self._check_tag(node)
         self._open.add(key)
         try:
-            found = self._convert_content(node, place)
+            if isinstance(node, yaml.MappingNode):
+                found = self._convert_map(node)
+            else:
+                assert isinstance(node, yaml.SequenceNode)
+                found = self._convert_list(node)
         finally:
             self._open.discard(key)
         self._done[key] = found
         return found
 
-    def _convert_content(self, node: yaml.Node, place: Place) -> tuple[ScenarioNode, int, int]:
-        if isinstance(node, yaml.MappingNode):
-            return self._convert_map(node, place)
-        if isinstance(node, yaml.SequenceNode):
-            parts = [self._convert(one) for one in node.value]
-            value = [part[0] for part in parts]
-            return ScenarioNode(place, value), *_measure(parts)
-        text = node.value if isinstance(node, yaml.ScalarNode) else ""
-        # Quoted text and blocks of text are text.
-        is_plain = not node.style
-        return ScenarioNode(place, resolve_scalar(text) if is_plain else text), 1, 1
+    def _check_tag(self, node: yaml.Node) -> None:
+        if node.tag != DEFAULT_TAGS[type(node)]:
+            self._refuse(node, "", f"the tag `{node.tag}` is not allowed; remove it")
 
-    def _convert_map(self, node: yaml.MappingNode, place: Place) -> tuple[ScenarioNode, int, int]:
+    def _convert_list(self, node: yaml.SequenceNode) -> tuple[ScenarioNode, int, int]:
+        values, size, height = [], 1, 0
+        for one in node.value:
+            value, inner, depth = self._convert(one)
+            values.append(value)
+            size += inner
+            height = max(height, depth)
+        return ScenarioNode(self._place(node), values), size, height + 1
+
+    def _convert_map(self, node: yaml.MappingNode) -> tuple[ScenarioNode, int, int]:
         values: dict[str, ScenarioNode] = {}
         places: dict[str, Place] = {}
-        parts = []
+        size, height = 1, 0
         for key_node, value_node in node.value:
             key = self._read_key(key_node)
             if key in places:
                 self._refuse(key_node, key, f"the key `{key}` is given twice; first {places[key]}")
-            part = self._convert(value_node)
-            parts.append(part)
-            places[key], values[key] = self._place(key_node), part[0]
-        return ScenarioNode(place, values, places), *_measure(parts)
+            places[key] = self._place(key_node)
+            values[key], inner, depth = self._convert(value_node)
+            size += inner
+            height = max(height, depth)
+        return ScenarioNode(self._place(node), values, places), size, height + 1
 
     def _read_key(self, node: yaml.Node) -> str:
         if not isinstance(node, yaml.ScalarNode):
@@ -246,16 +271,11 @@ class _Reading:
         return str(node.value)
 
     def _place(self, node: yaml.Node) -> Place:
-        return Place(self._file, node.start_mark.line + 1, node.start_mark.column + 1)
+        mark = node.start_mark
+        return Place(self._file, mark.line + 1, mark.column + 1)
 
     def _refuse(self, node: yaml.Node, path: str, message: str) -> None:
         self.issues.append(Issue(self._place(node), path, message))
-
-
-def _measure(parts: list[tuple[ScenarioNode, int, int]]) -> tuple[int, int]:
-    """Find the size and the height of a collection."""
-    size = 1 + sum(part[1] for part in parts)
-    return size, 1 + max((part[2] for part in parts), default=0)
 
 
 @lru_cache(maxsize=4096)

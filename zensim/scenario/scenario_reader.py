@@ -154,7 +154,7 @@ def _read(file: str, settings: Sequence[str]) -> Scenario:
     issues = [*reader.issues, *check.issues]
     if issues:
         raise ScenarioInvalid(_sort_issues(issues))
-    resolved = resolve_draws(plain, seed, "run")
+    resolved = resolve_draws(plain, seed, "run") if reader.has_draws else plain
     return Scenario(
         file, msgspec.convert(resolved, ScenarioFormat), tuple(check.robots), plain, reader.places
     )

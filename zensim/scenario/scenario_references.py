@@ -1,7 +1,7 @@
 """Checks across the keys of a scenario: names, selectors, files, and values that must agree."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from string import Formatter
 from typing import Any
@@ -40,6 +40,9 @@ class ReferenceCheck:
         self._places = places
         self._seed = seed
         self._names: list[str] = []
+        self._listed: dict[tuple[str, ...], dict[str, None]] = {}
+        self._valid: set[str] = set()
+        """Selectors that select something."""
 
     def run(self) -> None:
         """Check everything; mistakes are added to `issues`."""
@@ -75,13 +78,16 @@ class ReferenceCheck:
             if isinstance(entry, Mapping):
                 yield index, entry
 
-    def _list_names(self, *sections: str) -> list[str]:
-        return [
-            str(entry["name"])
-            for section in sections
-            for _, entry in self._list_entries(section)
-            if entry.get("name")
-        ]
+    def _list_names(self, *sections: str) -> Collection[str]:
+        """List the names of entries, in the order of the file; found once."""
+        if (found := self._listed.get(sections)) is None:
+            found = self._listed[sections] = dict.fromkeys(
+                str(entry["name"])
+                for section in sections
+                for _, entry in self._list_entries(section)
+                if entry.get("name")
+            )
+        return found
 
     def _resolve(self, path: str, word: str) -> Path:
         """Find a file that a value names, from the folder of the file with the value."""
@@ -151,18 +157,22 @@ class ReferenceCheck:
                         self._refuse(path, f"the name `{entry['name']}` is given twice")
                     seen.add(str(entry.get("name")))
 
-    def _check_selector(self, path: str, selector: PlainValue) -> list[str]:
+    def _check_selector(self, path: str, selector: PlainValue) -> None:
         if selector is None or (isinstance(selector, list) and None in selector):
-            return []
+            return
+        if isinstance(selector, str) and selector in self._valid:
+            return
         if selector == "*" and path not in self._places:
-            return self._names
+            return
         try:
-            return select_robots(selector, self._names)
+            select_robots(selector, self._names)
         except SelectorInvalid as error:
             self._refuse(path, str(error))
-            return []
+            return
+        if isinstance(selector, str):
+            self._valid.add(selector)
 
-    def _require(self, path: str, word: object, known: Sequence[str], what: str) -> None:
+    def _require(self, path: str, word: object, known: Collection[str], what: str) -> None:
         if word and word not in known:
             listed = ", ".join(known) or "there are none"
             self._refuse(path, f"there is no {what} `{word}`; known: {listed}")
@@ -189,7 +199,7 @@ class ReferenceCheck:
             self._refuse(path, "`at` or `when` is missing: when does it start?")
         for index, name in enumerate((entry.get("when") or {}).get("near") or ()):
             self._require(f"{path}.when.near[{index}]", name, self._names, "robot")
-        agents = self._list_names("agents") or ["pool"]
+        agents = self._list_names("agents") or ("pool",)
         self._require(f"{path}.agent", entry.get("agent"), agents, "agent")
         every, length = entry.get("every"), entry.get("for")
         is_fixed = isinstance(every, float) and not isinstance(length, Draw)

@@ -5,7 +5,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 from msgspec import inspect
 
@@ -28,6 +28,10 @@ class TypedReader:
         self.issues: list[Issue] = []
         self.places: dict[str, Place] = {}
         """Place of every key path that was read."""
+        self.has_draws = False
+        """Whether a value is a draw."""
+        self._unions: dict[int, tuple[inspect.UnionType, _UnionPlan]] = {}
+        """By identity, with the type, which stays as long as this does."""
         self._readers: Mapping[type, _Reader] = {
             inspect.AnyType: self._read_any,
             inspect.NoneType: self._read_none,
@@ -53,8 +57,10 @@ class TypedReader:
             path: Its key path.
             unit: SI unit of its numbers; empty = without one.
         """
-        if isinstance(kind, inspect.Metadata):
-            return self.read(node, kind.type, path, (kind.extra or {}).get("unit", unit))
+        while type(kind) is inspect.Metadata:
+            if kind.extra:
+                unit = kind.extra.get("unit", unit)
+            kind = kind.type
         self.places[path] = node.place
         return self._readers[type(kind)](node, kind, path, unit)
 
@@ -127,6 +133,8 @@ class TypedReader:
         path: str,
         number: PlainValue,
     ) -> PlainValue:
+        if kind.ge is kind.gt is kind.le is None:
+            return number
         limits = []
         if kind.ge is not None and number < kind.ge:
             limits.append(f">= {kind.ge:g}")
@@ -162,6 +170,7 @@ class TypedReader:
             return None
         if None in values:
             return None
+        self.has_draws = True
         return Draw(word, tuple(values))
 
     def _read_choice(
@@ -231,27 +240,30 @@ class TypedReader:
             else:
                 message = _tell_choices(f"unknown key `{key}`", [*fields], key, is_key=True)
                 self.refuse(node.key_places[key], dot + key, message)
-        for key, field in fields.items():
-            if field.required and key not in node.value:
+        for key in _list_required(kind.cls):
+            if key not in node.value:
                 self.refuse(node.place, dot + key, f"the key `{key}` is missing")
         return found
 
     def _read_union(
         self, node: ScenarioNode, kind: inspect.UnionType, path: str, unit: str
     ) -> PlainValue:
-        parts = [_strip(one) for one in kind.types]
-        if node.value is None and any(isinstance(one, inspect.NoneType) for one in parts):
+        if (found := self._unions.get(id(kind))) is None:
+            found = self._unions[id(kind)] = kind, _plan_union(kind)
+        _, plan = found
+        if node.value is None and plan.has_null:
             return None
-        structs = [one for one in parts if isinstance(one, inspect.StructType)]
-        if len(structs) > 1 and structs[0].tag_field is not None:
-            return self._read_tagged(node, structs, path)
-        return self.read(node, _choose_part(node, parts), path, unit)
+        if plan.by_tag is not None:
+            return self._read_tagged(node, plan.by_tag, plan.tag_field, path)
+        return self.read(node, plan.choose(node), path, unit)
 
     def _read_tagged(
-        self, node: ScenarioNode, structs: Sequence[inspect.StructType], path: str
+        self,
+        node: ScenarioNode,
+        by_tag: Mapping[str, inspect.StructType],
+        field: str,
+        path: str,
     ) -> PlainValue:
-        field = structs[0].tag_field or ""
-        by_tag = {str(one.tag): one for one in structs}
         if not isinstance(node.value, dict) or field not in node.value:
             self.refuse(node.place, path, f"the key `{field}` is missing; one of {_join(by_tag)}")
             return None
@@ -269,10 +281,52 @@ class TypedReader:
         return self.read(node, by_tag[tag.value], path)
 
 
+class _UnionPlan(NamedTuple):
+    """How the values of a union are told apart."""
+
+    has_null: bool
+    by_tag: Mapping[str, inspect.StructType] | None
+    """Structs by their tag, if they have one."""
+    tag_field: str
+    of_list: inspect.Type
+    of_map: inspect.Type
+    of_scalar: inspect.Type
+
+    def choose(self, node: ScenarioNode) -> inspect.Type:
+        """Choose the type that has the form of a node, else the first one."""
+        if isinstance(node.value, list):
+            return self.of_list
+        return self.of_map if isinstance(node.value, dict) else self.of_scalar
+
+
+def _plan_union(kind: inspect.UnionType) -> _UnionPlan:
+    parts = [_strip(one) for one in kind.types]
+    some = [one for one in parts if not isinstance(one, inspect.NoneType)]
+    structs = [one for one in some if isinstance(one, inspect.StructType)]
+    is_tagged = len(structs) > 1 and structs[0].tag_field is not None
+
+    def choose(*kinds: type[inspect.Type]) -> inspect.Type:
+        return next((one for one in some if isinstance(one, kinds)), some[0])
+
+    return _UnionPlan(
+        has_null=len(some) < len(parts),
+        by_tag={str(one.tag): one for one in structs} if is_tagged else None,
+        tag_field=(structs[0].tag_field or "") if is_tagged else "",
+        of_list=choose(inspect.VarTupleType, inspect.ListType, inspect.TupleType),
+        of_map=choose(inspect.StructType, inspect.DictType),
+        of_scalar=choose(inspect.StrType, inspect.LiteralType),
+    )
+
+
 @cache
 def _index_fields(cls: type) -> dict[str, inspect.Field]:
     kind = inspect.type_info(cls)
     return {field.encode_name: field for field in kind.fields}  # type: ignore[attr-defined]
+
+
+@cache
+def _list_required(cls: type) -> tuple[str, ...]:
+    return tuple(name for name, field in _index_fields(cls).items() if field.required)
 
 
 def _strip(kind: inspect.Type) -> inspect.Type:
@@ -281,18 +335,9 @@ def _strip(kind: inspect.Type) -> inspect.Type:
     return kind.type if is_plain else kind  # type: ignore[attr-defined]
 
 
-def _choose_part(node: ScenarioNode, parts: Sequence[inspect.Type]) -> inspect.Type:
-    """Choose the type of a union that has the form of the node, else its first."""
-    wanted: tuple[type, ...] = (inspect.StrType, inspect.LiteralType)
-    if isinstance(node.value, list):
-        wanted = (inspect.VarTupleType, inspect.ListType, inspect.TupleType)
-    elif isinstance(node.value, dict):
-        wanted = (inspect.StructType, inspect.DictType)
-    some = [one for one in parts if not isinstance(one, inspect.NoneType)]
-    return next((one for one in some if isinstance(one, wanted)), some[0])
-
-
 def _find_number(node: ScenarioNode, unit: str) -> float | None:
+    if type(node.value) is float:
+        return node.value
     if isinstance(node.value, str) and unit:
         return parse_quantity(node.value, unit)
     if isinstance(node.value, bool) or not isinstance(node.value, int | float):
