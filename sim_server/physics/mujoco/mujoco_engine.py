@@ -7,7 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from itertools import count
 from typing import Generic, Protocol, TypeVar
 
@@ -532,6 +532,12 @@ class CompiledModel:
     layout: ModelLayout
     friction_axes: FrictionAxes | None
 
+    @cached_property
+    def idle(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """The model and data of engines that are closed."""
+        model = copy(self.model)
+        return model, mujoco.MjData(model)
+
 
 SLOT_ARRAYS = (
     *("body_pos", "body_quat", "body_gravcomp", "body_contype", "body_conaffinity"),
@@ -596,6 +602,7 @@ class MujocoEngine(Engine):
     capabilities = EngineCapabilities(hides=True, sleeps="loose", copies=True)
 
     def __init__(self, config: EngineConfig) -> None:
+        self._is_closed = False
         self._config = config
         self._dt_s = config.step_ns * 1e-9
         self._blueprints = BlueprintCache(
@@ -936,10 +943,14 @@ class MujocoEngine(Engine):
 
     def close(self) -> None:
         """See `Engine.close`."""
+        if self._is_closed:
+            return
+        self._is_closed = True
         _SPARES.give(self._compiled, self._model, self._data)
         self._bodies.clear()
         self._asleep.clear()
-        self._start_with(_COMPILE_CACHE.compile((), self._config))
+        compiled = _COMPILE_CACHE.compile((), self._config)
+        self._start_with(compiled, compiled.idle)
 
     def _compile_with_one_more(self, archetype: Archetype, name: str) -> CompiledModel:
         counts = self._slots.with_one_more(archetype)
@@ -977,10 +988,14 @@ class MujocoEngine(Engine):
             check_mesh_files(blueprint.name, blueprint.parts, self._config.mesh_folder)
         return archetype
 
-    def _start_with(self, compiled: CompiledModel) -> None:
-        """Use a model, all slots inactive."""
+    def _start_with(
+        self,
+        compiled: CompiledModel,
+        arrays: tuple[mujoco.MjModel, mujoco.MjData] | None = None,
+    ) -> None:
+        """Use a model, all slots inactive; None = model and data of its own."""
         self._compiled = compiled
-        self._model, self._data = _SPARES.take(compiled)
+        self._model, self._data = _SPARES.take(compiled) if arrays is None else arrays
         self._targets = make_zero_targets(self._model.nv)
         self._owners = np.full(len(self._model.geom_contype), NO_INDEX, np.intp)
         self._links = np.zeros(len(self._owners), np.intp)
