@@ -1,11 +1,19 @@
-"""The process that runs one scenario: a request on stdin, its report on stdout."""
+"""Processes that run scenarios: requests on stdin, their reports on stdout, as frames.
 
-import os
-import sys
+A process imports everything once, and runs each scenario in a copy of itself: no run can change
+the next one, and none waits for imports.
+"""
+
+import threading
+import time
 import traceback
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import partial
+from importlib import import_module
 from pathlib import Path
+from queue import SimpleQueue
 
 import msgspec
 
@@ -15,10 +23,15 @@ from zensim.api.local_deployment import LaunchConfig
 from zensim.api.simulation import Simulation
 from zensim.deploy.scenario_settings import add_scenario
 from zensim.proto.child_process import (
-    SINGLE_THREADED,
+    CAN_COPY,
+    STDIN,
+    FramedProcess,
+    encode_frame,
     make_module_command,
+    read_frame,
     reserve_stdout,
-    run_process,
+    run_in_copy,
+    write_frame,
 )
 from zensim.proto.endpoints import with_free_port
 from zensim.proto.process_limits import die_with_parent
@@ -29,6 +42,9 @@ from zensim.scenario.scenario_reader import Scenario, read_scenario
 from zensim.scenario.scenario_runner import RunReport, ScenarioFailed, run_scenario
 
 RUN_COMMAND = make_module_command("zensim.deploy.scenario_process")
+POLL_S = 0.005
+START_TIMEOUT_S = 60.0
+"""Wall time of the imports, which does not count as time of a run."""
 SETTINGS_OF_UP = ("listen", "connect", "wait", "journal", "viewer", "rtf", "lockstep")
 """Options whose keys do not count in tests."""
 
@@ -108,20 +124,77 @@ def _make_failed_report(scenario: Scenario, request: RunRequest, error: str) -> 
     )
 
 
+class CopyOutcome(msgspec.Struct, frozen=True):
+    """How the copy ended that ran a scenario."""
+
+    status: int
+    """Exit status, negative for a signal."""
+    report: bytes
+    """A `RunReport`; empty if the status is not 0."""
+
+
+class ScenarioWorker:
+    """A process that runs scenarios, one at a time; it is killed at a timeout, and replaced."""
+
+    def __init__(self) -> None:
+        self._process: FramedProcess | None = None
+        self._is_stopped = threading.Event()
+
+    def run(self, request: RunRequest) -> RunReport:
+        """Run a scenario; whatever happens to the process is part of the report."""
+        if self._process is None or self._process.poll() is not None:
+            self._process = FramedProcess(RUN_COMMAND, stderr=None)
+            self._await_frame(self._process, time.monotonic() + START_TIMEOUT_S)
+        self._process.send([encode_frame(msgspec.msgpack.encode(request))])
+        found = self._await_frame(self._process, time.monotonic() + request.timeout_s)
+        if found is None or not CAN_COPY:
+            self.close()
+        return _read_outcome(request, found)
+
+    def stop(self) -> None:
+        """Let the present run end at once, from another thread; close the worker after that."""
+        self._is_stopped.set()
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+    def _await_frame(self, process: FramedProcess, deadline_s: float) -> bytes | int | None:
+        """Wait for a frame; return the exit status if the process ends, None at the deadline."""
+        while time.monotonic() < deadline_s:
+            status = process.poll()
+            process.flush()
+            if frames := process.receive():
+                return frames[0]
+            if status is not None:
+                return status
+            if self._is_stopped.wait(POLL_S):
+                break
+        return None
+
+
+def _read_outcome(request: RunRequest, found: bytes | int | None) -> RunReport:
+    failure = f"timeout: not over after {request.timeout_s:g} s of wall time"
+    if isinstance(found, bytes):
+        outcome = msgspec.msgpack.decode(found, type=CopyOutcome)
+        if not outcome.status:
+            return msgspec.msgpack.decode(outcome.report, type=RunReport)
+        found = outcome.status
+    if found is not None:
+        failure = f"its process ended with status {found}"
+    return _make_failed_report(read_scenario(request.file, request.settings), request, failure)
+
+
 def run_in_process(request: RunRequest) -> RunReport:
     """Run a scenario in a process of its own, which is killed at the timeout."""
-    outcome = run_process(
-        RUN_COMMAND,
-        msgspec.msgpack.encode(request),
-        timeout_s=request.timeout_s,
-        environment=SINGLE_THREADED,
-    )
-    if not outcome.is_out_of_time and not outcome.status:
-        return msgspec.msgpack.decode(outcome.output, type=RunReport)
-    failure = f"its process ended with status {outcome.status}"
-    if outcome.is_out_of_time:
-        failure = f"timeout: not over after {request.timeout_s:g} s of wall time"
-    return _make_failed_report(read_scenario(request.file, request.settings), request, failure)
+    worker = ScenarioWorker()
+    try:
+        return worker.run(request)
+    finally:
+        worker.close()
 
 
 def run_all(
@@ -134,26 +207,58 @@ def run_all(
         jobs: Number at once.
         on_run: Called in order, as soon as possible.
     """
+    workers = [ScenarioWorker() for _ in range(min(jobs, len(requests)))]
+    free: SimpleQueue[ScenarioWorker] = SimpleQueue()
+    for worker in workers:
+        free.put(worker)
+
+    def run(request: RunRequest) -> RunReport:
+        worker = free.get()
+        try:
+            return worker.run(request)
+        finally:
+            free.put(worker)
+
     runs = []
-    with ThreadPoolExecutor(jobs) as pool:
-        outcomes = [pool.submit(run_in_process, one) for one in requests]
+    with ThreadPoolExecutor(max(1, len(workers))) as pool:
+        outcomes = [pool.submit(run, one) for one in requests]
         try:
             for outcome in outcomes:
                 runs.append(outcome.result())
                 on_run(runs[-1])
         finally:
+            for worker in workers:
+                worker.stop()
             pool.shutdown(cancel_futures=True)
+            for worker in workers:
+                worker.close()
     return runs
 
 
 def main() -> None:
-    """Run the scenario of the request on stdin."""
+    """Run the scenarios of the requests on stdin."""
     die_with_parent()
     replies = reserve_stdout()
-    request = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=RunRequest)
-    report = run_request(request)
-    with os.fdopen(replies, "wb") as stream:
-        stream.write(msgspec.msgpack.encode(report))
+    _import_libraries()
+    write_frame(replies, b"")
+    while (frame := read_frame(STDIN)) is not None:
+        request = msgspec.msgpack.decode(frame, type=RunRequest)
+        outcome = run_in_copy(partial(_run_encoded, request))
+        write_frame(replies, msgspec.msgpack.encode(CopyOutcome(*outcome)))
+        if not CAN_COPY:
+            return
+
+
+def _run_encoded(request: RunRequest) -> bytes:
+    return msgspec.msgpack.encode(run_request(request))
+
+
+def _import_libraries() -> None:
+    """Import what a world in process needs, before the copies are made."""
+    # What is missing is reported by the run that needs it.
+    with suppress(ImportError):
+        import_module("zensim.api.in_process_world")
+        import_module("zensim.sim_server.physics.mujoco.mujoco_engine")
 
 
 if __name__ == "__main__":

@@ -10,7 +10,12 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple, NoReturn
 
-from zensim.proto.process_limits import KILLED_STATUS, OUT_OF_CPU_TIME_STATUS, SIGKILL
+from zensim.proto.process_limits import (
+    KILLED_STATUS,
+    OUT_OF_CPU_TIME_STATUS,
+    SIGKILL,
+    die_with_parent,
+)
 
 FRAME_LENGTH = struct.Struct("<Q")
 """Precedes the bytes of each frame."""
@@ -21,6 +26,8 @@ SINGLE_THREADED = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 STDIN, STDOUT, STDERR = 0, 1, 2
 END_POLL_S = 0.01
 FORK_REPORT = struct.Struct("<I")
+CAN_COPY = sys.platform == "linux"
+"""Whether a process can be copied with libraries of the system in it; macOS and Windows cannot."""
 
 
 def make_module_command(module: str, *arguments: str) -> tuple[str, ...]:
@@ -120,12 +127,13 @@ def close_pipes(process: "subprocess.Popen[bytes]") -> None:
 class FramedProcess:
     """A child process that exchanges frames over stdin and stdout; no call blocks."""
 
-    def __init__(self, command: Sequence[str]) -> None:
+    def __init__(self, command: Sequence[str], *, stderr: int | None = subprocess.DEVNULL) -> None:
+        """Start it; arguments as of `start_process`."""
         self._process = start_process(
             command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
+            stderr=stderr,
             environment=SINGLE_THREADED,
         )
         assert self._process.stdin is not None
@@ -243,6 +251,31 @@ def _read_exactly(stream: int, length: int) -> bytes | None:
         parts.append(part)
         length -= len(part)
     return b"".join(parts)
+
+
+def run_in_copy(task: Callable[[], bytes]) -> ProcessOutcome:
+    """Run a task in a copy of this process, which ends with it and changes nothing in it.
+
+    Where `CAN_COPY` is False it runs in this process.
+
+    Raises:
+        SystemExit: In the copy, when the task is over: its exit handlers run.
+    """
+    if not CAN_COPY:
+        return ProcessOutcome(0, task())
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(reader)
+        die_with_parent()
+        output = task()
+        with os.fdopen(writer, "wb") as stream:
+            stream.write(output)
+        raise SystemExit
+    os.close(writer)
+    with os.fdopen(reader, "rb") as stream:
+        output = stream.read()
+    return ProcessOutcome(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), output)
 
 
 def run_in_fork(
