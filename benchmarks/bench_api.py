@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -30,6 +31,7 @@ BARE, IMPORT = "pass", "import zensim"
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure import, start, properties, commands and the loop of a controller."""
     yield _import_cost(3 if is_short else 20)
+    yield _plugin_cost(3 if is_short else 20)
     repeats = 1 if is_short else REPEATS
     yield _figure("launch to a driven robot", "s", 3.0, [_launch() for _ in range(repeats)])
     with zensim.launch() as sim:
@@ -51,13 +53,26 @@ def _import_cost(runs: int) -> Figure:
     return _figure("import zensim", "ms", 20.0, [1e3 * (one - bare) for one in spent[IMPORT]])
 
 
+def _plugin_cost(runs: int) -> Figure:
+    with TemporaryDirectory() as folder:
+        command = "import pytest; pytest.main(['-q', '-p', 'no:cacheprovider', {}])"
+        without = command.format(f"'-p', 'no:zensim.testing', {folder!r}")
+        spent = {
+            code: [_run_python(code) for _ in range(runs)]
+            for code in (without, command.format(repr(folder)))
+        }
+    bare = min(spent.pop(without))
+    samples = [1e3 * (one - bare) for found in spent.values() for one in found]
+    return _figure("start of pytest with the plug-in", "ms", 20.0, samples)
+
+
 def _run_python(code: str) -> float:
     """Find the CPU time of an interpreter that runs a line."""
     report = f"{code}\nimport time; print(time.process_time())"
     done = subprocess.run(
         [sys.executable, "-c", report], capture_output=True, text=True, check=True, timeout=60
     )
-    return float(done.stdout)
+    return float(done.stdout.split()[-1])
 
 
 def _launch() -> float:

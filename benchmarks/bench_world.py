@@ -3,6 +3,8 @@
 `zensim.World` with MuJoCo and box_bot, 240 Hz, a control step each 3 steps. CPU time.
 "Engine alone" makes the same steps in the same run without drives, odometry and services, as the
 floor. A further world is made, gets its robots and makes one control step after another was made.
+The loop of a controller orders a twist for each of ten robots at each control step. Restoring puts
+ten robots back that have driven since, into the world that the snapshot is of.
 """
 
 import gc
@@ -11,6 +13,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+
+import numpy as np
 
 import zensim
 from benchmarks.figures import Figure, Limit, table
@@ -43,6 +47,9 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         limit=Limit("max", "<=", 0.0),
     )
     yield from _further_worlds(3 if is_short else 40)
+    yield _figure("a world of 10 robots for 1 simulated s", "s", 0.3, _time_tests())
+    yield from _snapshots(3 if is_short else 100)
+    yield _loop_overhead(20 if is_short else 200)
     for robots, most in MOST_MS.items():
         yield from _control_steps(robots, most, 20 if is_short else 200)
 
@@ -74,6 +81,52 @@ def _further_worlds(count: int) -> Iterator[Figure]:
     yield _figure("memory of a further world of 10 robots", "MiB", 1.5, [used])
     for world in (first, *worlds):
         world.close()
+
+
+def _time_tests() -> list[float]:
+    """Find the CPU time of what a test does that uses `zensim_world` [s]."""
+
+    def run() -> None:
+        with _make_world(10) as world:
+            world.run_for(1.0)
+
+    return [1e-3 * spent for spent in _time(run, 1)]
+
+
+def _snapshots(count: int) -> Iterator[Figure]:
+    with _make_world(10) as world:
+        world.fleet(list(world.robots)).drive(0.3, 0.4)
+        world.run_for(1.0)
+        saved = world.snapshot()
+        taken, restored = [], []
+        for _ in range(count):
+            world.step(3)
+            began = time.process_time()
+            world.snapshot()
+            between = time.process_time()
+            world.restore(saved)
+            restored.append(1e3 * (time.process_time() - between))
+            taken.append(1e3 * (between - began))
+    yield Figure(what="snapshot of 10 robots", unit="ms", samples=tuple(taken))
+    yield _figure("restore of 10 robots", "ms", 1.0, restored)
+
+
+def _loop_overhead(count: int) -> Figure:
+    """Compare the loop of a controller with steps of the same length."""
+    samples = []
+    with _make_world(10) as world:
+        fleet, turns = world.fleet(list(world.robots)), np.linspace(0.1, 0.5, 10)
+        fleet.drive(0.3, turns)
+        world.run_for(1.0)
+        for _ in range(5):
+            began = time.process_time()
+            world.step(3 * count)
+            between = time.process_time()
+            for _ in world.steps(seconds=count * world.control_period):
+                fleet.drive(0.3, turns)
+            looped = time.process_time() - between
+            samples.append(100.0 * (looped / (between - began) - 1.0))
+    return _figure("steps() with 10 commands, beyond step(n)", "%", 10.0, samples)
 
 
 def _make_world(robots: int) -> zensim.World:

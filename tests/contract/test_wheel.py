@@ -13,6 +13,7 @@ import pytest
 
 from tests.contract.repository import ROOT
 from tests.integration.processes import free_endpoint
+from tests.zensim.api.test_scripts import SCRIPTS
 
 DATA = {
     "zensim/py.typed",
@@ -114,6 +115,13 @@ def test_world_of_the_wheel_runs_robots(python: Path) -> None:
     up = ("up", "--robots", "2", "--duration", "1", "--no-viewer", "--listen", free_endpoint())
 
     done = run(python, "-m", "zensim", *up)
+
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("title", ["Hello robot", "Snapshots"])
+def test_program_of_the_documents_runs_on_the_wheel(python: Path, title: str) -> None:
+    done = run(python, "-c", SCRIPTS[title])
 
     assert done.returncode == 0, done.stderr
 

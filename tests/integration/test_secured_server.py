@@ -171,6 +171,38 @@ def test_newcomer_needs_the_token_only(secured: Secured) -> None:
     assert_drivable(secured)
 
 
+@pytest.mark.parametrize("role", ["operator", "observer", "spawner"])
+def test_python_client_reads_its_role(secured: Secured, role: str) -> None:
+    with api.connect(token=secured.token(role)) as sim:
+        found = sim.role
+
+    assert found == role
+
+
+def test_python_client_is_denied_what_the_router_drops_without_a_reply(secured: Secured) -> None:
+    refusals = []
+    with api.connect(token=secured.token("observer")) as sim:
+        robot = sim.robots["r1"]
+        for call in (
+            lambda: robot.drive(0.1),
+            lambda: robot.topic("cmd_vel").put(Twist()),
+            lambda: sim.run_for(0.1) if sim.is_paused else sim.step(),
+            sim.pause,
+            lambda: sim.spawn("box_bot", x=9.0),
+            lambda: sim.spawn("box_bot", x=9.0, bond=True),
+        ):
+            with pytest.raises(api.Denied) as denied:
+                call()
+            refusals.append(denied.value.slug)
+
+    assert set(refusals) == {DENIED}
+
+
+def test_agent_is_told_that_its_role_cannot_use_the_api(secured: Secured) -> None:
+    with pytest.raises(api.Denied):
+        api.connect(token=secured.token("r1"))
+
+
 def test_operator_steps_from_python(secured: Secured) -> None:
     with api.connect(token=secured.token("operator")) as sim:
         before_s = sim.time

@@ -10,7 +10,7 @@ from zensim.proto.messages.agent_messages import ClaimEntityRequest, ClaimShareR
 from zensim.proto.messages.entity_messages import SetEntityInfoRequest
 from zensim.proto.messages.result_messages import Result, ResultCode
 from zensim.proto.messages.spawn_messages import DeleteEntityRequest, SpawnEntityReport
-from zensim.proto.messages.telemetry_messages import AuditRecord
+from zensim.proto.messages.telemetry_messages import AuditRecord, Info
 from zensim.proto.network_protocols import ServiceCall
 from zensim.proto.security.roles import READING, ROLES, ROS_USER, User
 from zensim.proto.service_catalog import SERVICES
@@ -83,6 +83,19 @@ def test_unknown_user_may_ask_for_info_only(user: str) -> None:
 
     assert is_refused(authorization, user, "get_entities", SERVICES["get_entities"].request())
     assert not is_refused(authorization, user, "info", SERVICES["info"].request())
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_info_has_the_role_of_its_caller(role: str) -> None:
+    found = an_authorization().add_role(a_call(role, "info"), Info(version="1"))
+
+    assert found == Info(version="1", role=role)
+
+
+def test_info_has_no_role_for_an_unknown_user() -> None:
+    found = an_authorization().add_role(a_call("nobody", "info"), Info())
+
+    assert found == Info()
 
 
 def test_ros_calls_have_the_role_of_ros() -> None:

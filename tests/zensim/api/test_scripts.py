@@ -78,6 +78,16 @@ def test_faults_and_events() -> None:
     assert "Event(" in run_script("Faults and events")
 
 
+def test_snapshots_repeat_the_start() -> None:
+    lines = run_script("Snapshots").splitlines()
+
+    assert [line.split()[0] for line in lines] == ["0.1", "0.2", "0.3"]
+
+
+def test_copy_goes_on_alone() -> None:
+    assert run_script("Copies and live arrays") == "False\n"
+
+
 def test_program_beside_another_client(running: zensim.Sim) -> None:
     robot = running.spawn("box_bot", name="r1")
 

@@ -2,7 +2,10 @@
 
 import inspect
 import math
+import os
 import pickle
+import signal
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -247,6 +250,21 @@ def test_time_moves_only_by_steps(simulation: zensim.Simulation, robot: zensim.R
     simulation.run_to(1.0)
 
     assert simulation.time == pytest.approx(1.0, abs=simulation.step_period)
+
+
+def test_an_interrupted_run_can_go_on(simulation: zensim.Simulation, robot: zensim.Robot) -> None:
+    robot.drive(0.2)
+    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        simulation.run_for(1e5)
+    timer.join()
+    before = simulation.time
+
+    simulation.run_for(0.5)
+
+    assert simulation.time >= before + 0.5 - simulation.step_period
+    assert robot.twist.v == pytest.approx(0.2, abs=0.05)
 
 
 def test_an_order_holds_until_stop(simulation: zensim.Simulation, robot: zensim.Robot) -> None:
