@@ -51,6 +51,8 @@ class Info(msgspec.Struct, frozen=True):
     """Whether every control step waits for the agents; steps of goals always do."""
     protocol: UInt32 = 0
     """`PROTOCOL` of the server; 0 = from before there were numbers."""
+    role: str = ""
+    """Of the caller; empty if the server is not secured, or does not admit its user."""
 
 
 class WorldClock(Clock, frozen=True):

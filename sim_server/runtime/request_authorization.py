@@ -17,6 +17,7 @@ from zensim.proto.messages.spawn_messages import (
     SpawnEntitiesResponse,
     SpawnEntityReport,
 )
+from zensim.proto.messages.telemetry_messages import Info
 from zensim.proto.network_protocols import ServiceCall
 from zensim.proto.security.roles import CONTROLLING, READING, ROLES, ROLES_OF_CALLERS, User
 from zensim.proto.service_catalog import INFO
@@ -89,6 +90,13 @@ class RequestAuthorization:
             self._owners = {
                 name: owner for name, owner in self._owners.items() if name in self.entities.by_name
             }
+
+    def add_role(self, call: ServiceCall, response: msgspec.Struct) -> msgspec.Struct:
+        """Add the role of its caller to a response that reports it."""
+        if not isinstance(response, Info):
+            return response
+        user = self._find_user(call.user)
+        return msgspec.structs.replace(response, role=user.role if user else "")
 
     def _find_fault(self, user: User | None, call: ServiceCall, request: msgspec.Struct) -> str:
         """Say why the caller may not make the request; empty if it may."""

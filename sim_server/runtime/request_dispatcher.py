@@ -321,6 +321,7 @@ class RequestDispatcher:
 
     def _reply(self, call: ServiceCall, response: msgspec.Struct) -> None:
         if self._authorization is not None:
+            response = self._authorization.add_role(call, response)
             self._authorization.note_response(call, response)
         cached = _encode_response(call, response)
         forgotten = self._responses.keep(call, cached)

@@ -7,6 +7,8 @@ from zensim.proto.messages.result_messages import ResultCode, ServiceError
 SLUG = re.compile(r"([a-z0-9_]+(?:\.[a-z0-9_]+)*): ")
 SPAWN_SERVICES = frozenset({"spawn_entity", "spawn_entities"})
 STEPPED_ELSEWHERE = "stepped_elsewhere"
+ACCESS_DENIED = "access.denied"
+"""What a secured server says to a user whose role does not permit a request."""
 
 
 class Error(Exception):
@@ -79,7 +81,7 @@ class ConnectionLost(Error, ConnectionError):
 class Denied(Error, PermissionError):
     """The role of the token does not permit this."""
 
-    slug = "denied"
+    slug = ACCESS_DENIED
 
 
 class SpawnRefused(Error):
@@ -124,6 +126,8 @@ def to_api_error(refusal: ServiceError) -> Error:
 def _choose_kind(refusal: ServiceError, slug: str) -> type[Error]:
     if slug == STEPPED_ELSEWHERE:
         return SteppedElsewhere
+    if slug == ACCESS_DENIED:
+        return Denied
     if refusal.service in SPAWN_SERVICES:
         return SpawnRefused
     by_code = {

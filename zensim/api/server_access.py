@@ -9,7 +9,7 @@ from contextlib import suppress
 
 import msgspec
 
-from zensim.api.api_errors import Closed, ConnectionLost, Timeout
+from zensim.api.api_errors import Closed, ConnectionLost, Denied, Timeout
 from zensim.api.step_channel import StepChannel
 from zensim.api.world_access import Message, TopicFeed, WorldAccess
 from zensim.api.world_state import WorldState, make_world_state
@@ -30,9 +30,11 @@ from zensim.proto.messages.simulation_messages import (
     SimulateStepsRequest,
     SimulateStepsResponse,
 )
-from zensim.proto.messages.telemetry_messages import GetModelsRequest, Snapshot
+from zensim.proto.messages.telemetry_messages import GetModelsRequest, InfoRequest, Snapshot
+from zensim.proto.security.roles import ROLES, Operation, User, list_keys
 from zensim.proto.service_catalog import (
     GET_MODELS,
+    INFO,
     JOIN_LOCKSTEP,
     SIMULATE_STEPS,
     Request,
@@ -57,6 +59,14 @@ TOKEN_TIMEOUT_S = 2.0
 CALL_TIMEOUT_S, MIN_TIMEOUT_S = 10.0, 0.01
 SENSOR_TIMEOUT_S = 30.0
 """Limit on the start of a sensor process, with its libraries and meshes."""
+
+
+DOES = {
+    Operation.PUBLISH: "publish on",
+    Operation.SUBSCRIBE: "subscribe to",
+    Operation.QUERY: "query",
+    Operation.DECLARE_TOKEN: "declare the token",
+}
 
 
 class BusFeed(TopicFeed[Message]):
@@ -87,6 +97,8 @@ class BusFeed(TopicFeed[Message]):
 class ServerAccess(WorldAccess):
     """A world on a server."""
 
+    role = ""
+    """Of this client's user, once it is known; empty if the server is not secured."""
     _joined = (0, 0)
     """Epoch and step of the last control step that `join` waited for."""
 
@@ -129,7 +141,18 @@ class ServerAccess(WorldAccess):
         self._lost_steps = 0
         """Published requests of steps that were lost, one after the other."""
         self._state = make_world_state(Snapshot(0, 0, 0, 0, (), b"", b""))
-        self.refresh()
+        self._read_first_state()
+
+    def _read_first_state(self) -> None:
+        try:
+            self.refresh()
+        except ConnectionLost:
+            with suppress(NoServer, TimeoutError, ServiceError):
+                self.role = self.bus.call(
+                    INFO, InfoRequest(), world=self.world_name, timeout_s=GET_TIMEOUT_S
+                ).role
+            self._require_role(Operation.QUERY, SNAPSHOT.key(self.world_name))
+            raise
 
     @property
     def client(self) -> str:
@@ -286,6 +309,7 @@ class ServerAccess(WorldAccess):
     def subscribe(self, key: str, kind: type[Message], depth: int) -> TopicFeed[Message]:
         """See `WorldAccess`."""
         self._require_open()
+        self._require_role(Operation.SUBSCRIBE, key)
         self._has_feeds = True
         subscription = self.bus.subscribe(key, depth)
         first = []
@@ -299,6 +323,7 @@ class ServerAccess(WorldAccess):
         self._require_open()
         form = Format.MSGPACK if key.startswith("sim/") else Format.CDR
         if key not in self._publishers:
+            self._require_role(Operation.PUBLISH, key)
             self._publishers[key] = self.bus.advertise(key, make_encoding(type(message), form))
         self._publishers[key].send(encode(message, form))
 
@@ -353,6 +378,7 @@ class ServerAccess(WorldAccess):
         self._require_open()
         if self._bond is None:
             name = f"bond_{uuid.uuid4().hex[:16]}"
+            self._require_role(Operation.DECLARE_TOKEN, keys.bond(self.world_name, name))
             self._bond = name, self.bus.token(keys.bond(self.world_name, name))
         return self._bond[0]
 
@@ -390,7 +416,27 @@ class ServerAccess(WorldAccess):
     def _declare(self) -> None:
         self._require_open()
         if self._token is None:
-            self._token = self.bus.token(keys.alive_client(self.world_name, self._client))
+            key = keys.alive_client(self.world_name, self._client)
+            self._require_role(Operation.DECLARE_TOKEN, key)
+            self._token = self.bus.token(key)
+
+    def _require_role(self, operation: Operation, key: str) -> None:
+        """Refuse what the router of a secured server drops without a reply.
+
+        Raises:
+            Denied: The role does not permit it.
+        """
+        role = ROLES.get(self.role)
+        if role is None:
+            return
+        user = User(self.bus.user, self.role)
+        granted = list_keys(user, operation, world=self.world_name, domain=None)
+        is_of_a_robot = role.has_robots and not key.startswith("sim/")
+        if not is_of_a_robot and not any(keys.intersect(one, key) for one in granted):
+            raise Denied(
+                f"role '{self.role}' of user '{user.name}' may not {DOES[operation]} {key}",
+                hint="use a token of another role: 'zensim token create --role operator'",
+            )
 
     def _retry_early(self, call: Callable[[], Response]) -> Response:
         """Repeat a call while the server has not received the token of this client."""

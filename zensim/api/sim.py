@@ -30,6 +30,7 @@ class Sim(Simulation):
         self._access = access
         self._pages: list[WorldPage] = []
         super().__init__(access)
+        access.role = self._info.role
 
     @property
     def endpoint(self) -> str:
@@ -38,8 +39,8 @@ class Sim(Simulation):
 
     @property
     def role(self) -> str:
-        """What this client may do: `full`; the role of a secured server's user is not read."""
-        return FULL_ROLE
+        """Role of this client's user on a secured server, as `operator`; `full` on others."""
+        return self._access.role or FULL_ROLE
 
     @property
     def rtf(self) -> float:
