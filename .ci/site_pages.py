@@ -62,7 +62,7 @@ these names; CDR has the fields in this order.
 API_HEAD = """# The API, name by name
 
 Every public name of `zensim`, with its signature. [Python](python.md) shows how to use them, and
-says what holds for all: units, errors, threads.
+[rules and errors](python_rules.md) says what holds for all: units, errors, threads.
 
 """
 SCENARIO_HEAD = """# Keys of scenario files
