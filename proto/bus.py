@@ -606,6 +606,7 @@ class Bus:
         self._sender.close()
         if self._user_token is not None:
             self._user_token.undeclare()
+            self._user_token = None
         self._session.close()
 
     def prepare_reply_threads(self, prepare: Callable[[], object]) -> None:

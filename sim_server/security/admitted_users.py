@@ -5,7 +5,7 @@ import time
 from zensim.proto import keys
 from zensim.proto.bus import Bus
 from zensim.proto.messages.telemetry_messages import AuditRecord
-from zensim.proto.security.roles import User
+from zensim.proto.security.roles import ROLES_OF_CALLERS, User
 from zensim.sim_server.security.audit_file import AuditFile
 from zensim.sim_server.security.secure_folder import SecureFolder
 from zensim.sim_server.security.user_sessions import SessionChange, UserSessions
@@ -27,7 +27,8 @@ class AdmittedUsers:
 
     def find_address(self, session: str, user: str) -> str | None:
         """See `UserSessions.find_address`."""
-        return self._sessions.find_address(session, user)
+        # Calls of ROS 2 have a name that stands for all users of a role.
+        return self._sessions.find_address(session, "" if user in ROLES_OF_CALLERS else user)
 
     def take_changes(self) -> list[SessionChange]:
         """Take the sessions that joined or left since the last call."""

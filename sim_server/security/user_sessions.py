@@ -80,12 +80,16 @@ class UserSessions:
     def find_address(self, session: str, user: str) -> str | None:
         """Find where a session is linked from.
 
+        Args:
+            session: Zenoh id, as a request names it.
+            user: Who made the request; empty if that is not known.
+
         Returns:
             Empty if it is of another user; None if it is not known, or not yet.
         """
         if (link := self._links.get(session)) is None:
             return None
-        return link.address if link.user in ("", user) else ""
+        return link.address if not user or link.user in ("", user) else ""
 
     def _close(self, session: str, link: _Link) -> None:
         if not link.is_reported:

@@ -366,7 +366,9 @@ def test_audit_has_joins_and_changes_of_each_user(secured: Secured) -> None:
     spawner.spawn(msgspec.structs.replace(make_order("audited"), entity_namespace=""))
     spawner.delete("audited")
     former = eventually(lambda: list_addresses(secured, "joined", "page") or None, WITHIN_S)
-    open_bus(BusConfig(connect=(secured.token("page"),))).close()
+    page = open_bus(BusConfig(connect=(secured.token("page"),)))
+    page.close()
+    page.close()
 
     def find_changes() -> set[tuple[object, ...]]:
         return {

@@ -80,6 +80,7 @@ def test_session_of_another_user_gives_no_address() -> None:
 
     assert sessions.find_address("s", "anna") == ADDRESS
     assert sessions.find_address("s", "eve") == ""
+    assert sessions.find_address("s", "") == ADDRESS
     assert sessions.find_address("other", "eve") is None
 
 
