@@ -123,7 +123,12 @@ def test_all_files_are_checked_before_the_first_run(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("body", "word"),
-    [("while True: pass", "timeout"), ("raise ArithmeticError('no')", "authors_trouble.py:5")],
+    [
+        # A loop would hang as well, and take a core.
+        ("__import__('threading').Event().wait()", "timeout"),
+        ("raise ArithmeticError('no')", "authors_trouble.py:5"),
+    ],
+    ids=["hangs", "raises"],
 )
 def test_code_that_hangs_or_raises_is_an_error_of_its_run(
     body: str, word: str, tmp_path: Path
@@ -135,9 +140,13 @@ def test_code_that_hangs_or_raises_is_an_error_of_its_run(
     text = GOOD.replace(
         "do: drive, v: {uniform: [0.2, 0.3]}", "do: python, call: 'authors_trouble:Control'"
     )
-    limit = "10" if word == "timeout" else "60"
+    files = (write(tmp_path, text, "bad"), write(tmp_path, GOOD))
 
-    done = call("test", write(tmp_path, text, "bad"), write(tmp_path, GOOD), "--timeout", limit)
+    # The good run, too, has to end in time, on a machine with other work.
+    for limit in ("5", "25", "125"):
+        done = call("test", *files, "--timeout", limit)
+        if "a: passed" in done.stdout:
+            break
 
     assert done.exit_code == ExitCode.FAILED
     assert word in done.stdout

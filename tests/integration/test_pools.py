@@ -7,6 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import psutil
+import pytest
 
 from tests.integration.processes import (
     Server,
@@ -19,6 +20,7 @@ from tests.integration.processes import (
 )
 from tests.integration.robots import robot
 from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.simulation_messages import ResetScope, State
 from zensim.proto.messages.standard_messages import Odometry
 
 if TYPE_CHECKING:
@@ -31,6 +33,19 @@ MOVING_M_S = 0.05
 STOP_STEPS = 120
 """0.5 s at 240 Hz."""
 SOON_S = 20.0
+
+
+@pytest.fixture(scope="module")
+def playing() -> "Iterator[Server]":
+    with serving() as found:
+        yield found
+
+
+@pytest.fixture
+def server(playing: Server) -> Server:
+    """The server of all tests, without robots and agents."""
+    playing.client.reset(ResetScope.ALL)
+    return playing
 
 
 @contextmanager
@@ -65,8 +80,10 @@ def speed(server: Server, name: str) -> float:
     return abs(twist.linear.x) + abs(twist.linear.y)
 
 
-def test_pools_share_robots_evenly_as_robots_and_pools_come_and_go() -> None:
-    with serving() as server, pools(server, "p", "q"):
+def test_pools_share_robots_evenly_as_robots_and_pools_come_and_go(
+    server: Server,
+) -> None:
+    with pools(server, "p", "q"):
         spawn(server)
         wait_for_shares(server, 4, 3)
 
@@ -78,8 +95,10 @@ def test_pools_share_robots_evenly_as_robots_and_pools_come_and_go() -> None:
         wait_for_shares(server, 2, 1)
 
 
-def test_robots_of_a_killed_pool_stop_and_move_to_the_other() -> None:
-    with serving() as server, pools(server, "p", "q") as processes:
+def test_robots_of_a_killed_pool_stop_and_move_to_the_other(
+    server: Server,
+) -> None:
+    with pools(server, "p", "q") as processes:
         spawn(server)
         wait_for_shares(server, 4, 3)
         drivers = {name: robot(server.bus, name) for name in NAMES}
@@ -102,11 +121,8 @@ def test_robots_of_a_killed_pool_stop_and_move_to_the_other() -> None:
         eventually(all_move, SOON_S, "moving again")
 
 
-def test_pool_releases_a_robot_to_the_agent_that_names_it() -> None:
-    with (
-        serving() as server,
-        running("agent", "box_bot3", "--name", "own", "--connect", server.endpoint),
-    ):
+def test_pool_releases_a_robot_to_the_agent_that_names_it(server: Server) -> None:
+    with running("agent", "box_bot3", "--name", "own", "--connect", server.endpoint):
         spawn(server)
         eventually(lambda: agent_of(server, "box_bot3") == "own", SOON_S, "claiming")
         with pools(server, "p"):
@@ -115,19 +131,18 @@ def test_pool_releases_a_robot_to_the_agent_that_names_it() -> None:
             assert agent_of(server, "box_bot3") == "own"
 
 
-def test_pool_drives_no_more_than_its_limit() -> None:
-    with (
-        serving() as server,
-        running("agent", "--pool", "2", "--connect", server.endpoint),
-    ):
+def test_pool_drives_no_more_than_its_limit(server: Server) -> None:
+    with running("agent", "--pool", "2", "--connect", server.endpoint):
         spawn(server)
         wait_for_shares(server, 2)
         with pools(server, "q"):
             wait_for_shares(server, ROBOTS - 2, 2)
 
 
-def test_late_joiners_discover_the_robots_of_every_pool() -> None:
-    with serving() as server, pools(server, "p", "q"):
+def test_late_joiners_discover_the_robots_of_every_pool(
+    server: Server,
+) -> None:
+    with pools(server, "p", "q"):
         spawn(server)
         wait_for_shares(server, 4, 3)
         listener = server.bus.subscribe("*/tf_static", 100)
@@ -155,10 +170,13 @@ def _are_told(server: Server, every: list[str]) -> bool:
 def test_pool_publishes_odometry_at_the_given_rate() -> None:
     rates = ("--odom-hz", "20", "--tf-hz", "10")
     with (
-        serving("--rtf", "0", "--lockstep") as server,
+        # As fast as possible would take the core that the agent starts on.
+        serving("--rtf", "0", "--lockstep", "--paused") as server,
         running("agent", "--pool", "0", *rates, "--connect", server.endpoint),
     ):
         spawn(server)
+        wait_for_shares(server, ROBOTS)
+        server.client.set_simulation_state(State.PLAYING)
         received = robot(server.bus, NAMES[0])
         begin = received.now()
         found: list[Odometry] = []
@@ -179,7 +197,7 @@ def _seconds(odom: Odometry) -> float:
 
 
 def test_pool_continues_in_lockstep_when_another_joins_and_dies() -> None:
-    options = ("--lockstep", "--on-miss", "wait", "--rtf", "0")
+    options = ("--lockstep", "--on-miss", "wait", "--rtf", "8")
     with serving(*options) as server, pools(server, "p"):
         spawn(server)
         wait_for_shares(server, ROBOTS)

@@ -1,5 +1,6 @@
 """Worlds and states over the network: load, unload, stop and quit with running robots."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -43,45 +44,57 @@ def drives(server: Server, name: str) -> None:
     eventually(is_moving, 10.0, "moving")
 
 
-def test_agent_waits_and_claims_again_when_its_world_is_replaced() -> None:
-    with serving() as server:
+@pytest.fixture(scope="module")
+def shared() -> Iterator[Server]:
+    with serving() as found:
+        yield found
+
+
+@pytest.fixture
+def server(shared: Server) -> Server:
+    """The server of all tests that leave it running, with a new empty world that plays."""
+    shared.client.load_world("empty")
+    shared.client.set_simulation_state(State.PLAYING)
+    return shared
+
+
+def test_agent_waits_and_claims_again_when_its_world_is_replaced(server: Server) -> None:
+    server.zensim("spawn", "box_bot", "--name", "r1")
+    with running_agents(server, "r1"):
+        drives(server, "r1")
+        before = server.client.info()
+
+        report = server.client.load_world("walls")
+
+        after = server.client.info()
+        assert (report.world.name, after.world_model, after.state) == (
+            *("walls", "walls"),
+            "stopped",
+        )
+        assert (after.epoch, after.steps) == (before.epoch + 1, 0)
+        assert server.client.entities() == ("outer_walls", "inner_walls")
+        assert server.client.current_world().world_resource.uri == "walls"
+        server.client.set_simulation_state(State.PLAYING)
         server.zensim("spawn", "box_bot", "--name", "r1")
-        with running_agents(server, "r1"):
-            drives(server, "r1")
-            before = server.client.info()
-
-            report = server.client.load_world("walls")
-
-            after = server.client.info()
-            assert (report.world.name, after.world_model, after.state) == (
-                *("walls", "walls"),
-                "stopped",
-            )
-            assert (after.epoch, after.steps) == (before.epoch + 1, 0)
-            assert server.client.entities() == ("outer_walls", "inner_walls")
-            assert server.client.current_world().world_resource.uri == "walls"
-            server.client.set_simulation_state(State.PLAYING)
-            server.zensim("spawn", "box_bot", "--name", "r1")
-            eventually(lambda: agent_of(server, "r1"), 10.0, "claiming again")
-            drives(server, "r1")
+        eventually(lambda: agent_of(server, "r1"), 10.0, "claiming again")
+        drives(server, "r1")
 
 
-def test_world_keeps_running_when_another_cannot_be_loaded() -> None:
-    with serving() as server:
-        server.zensim("spawn", "box_bot", "--name", "r1")
-        hostile = "<!DOCTYPE a [<!ENTITY b 'c'>]><sdf/>"
-        for text, code in (
-            (hostile, LoadWorldCode.RESOURCE_PARSE_ERROR),
-            (sdf("<include><uri>file:///etc/passwd</uri></include>"), LoadWorldCode.MISSING_ASSETS),
-        ):
-            with pytest.raises(ServiceError) as refused:
-                server.client.load_world(text=text)
-            assert code_of(refused) == code
+def test_world_keeps_running_when_another_cannot_be_loaded(server: Server) -> None:
+    server.zensim("spawn", "box_bot", "--name", "r1")
+    hostile = "<!DOCTYPE a [<!ENTITY b 'c'>]><sdf/>"
+    for text, code in (
+        (hostile, LoadWorldCode.RESOURCE_PARSE_ERROR),
+        (sdf("<include><uri>file:///etc/passwd</uri></include>"), LoadWorldCode.MISSING_ASSETS),
+    ):
+        with pytest.raises(ServiceError) as refused:
+            server.client.load_world(text=text)
+        assert code_of(refused) == code
 
-        assert server.client.entities() == ("r1",)
-        assert server.client.simulation_state() == State.PLAYING
-        steps = server.steps()
-        eventually(lambda: server.steps() > steps, 5.0, "stepping on")
+    assert server.client.entities() == ("r1",)
+    assert server.client.simulation_state() == State.PLAYING
+    steps = server.steps()
+    eventually(lambda: server.steps() > steps, 5.0, "stepping on")
 
 
 def test_worlds_of_the_operator_are_listed_and_loaded_and_no_other_file(tmp_path: Path) -> None:
@@ -107,35 +120,33 @@ def test_worlds_of_the_operator_are_listed_and_loaded_and_no_other_file(tmp_path
             assert code_of(refused) == ResultCode.NOT_FOUND
 
 
-def test_server_without_a_world_refuses_what_needs_one() -> None:
-    with serving() as server:
-        server.client.unload_world()
+def test_server_without_a_world_refuses_what_needs_one(server: Server) -> None:
+    server.client.unload_world()
 
-        assert server.client.simulation_state() == State.NO_WORLD
-        assert server.zensim("spawn", "box_bot", "--name", "r1").returncode != 0
-        with pytest.raises(ServiceError) as refused:
-            server.client.step(1)
-        assert code_of(refused) == ResultCode.INCORRECT_STATE
-        with pytest.raises(ServiceError) as refused:
-            server.client.current_world()
-        assert code_of(refused) == GetCurrentWorldCode.NO_WORLD_LOADED
-        assert server.steps() == 0
-        server.client.load_world("empty")
-        assert server.zensim("spawn", "box_bot", "--name", "r1").returncode == 0
+    assert server.client.simulation_state() == State.NO_WORLD
+    assert server.zensim("spawn", "box_bot", "--name", "r1").returncode != 0
+    with pytest.raises(ServiceError) as refused:
+        server.client.step(1)
+    assert code_of(refused) == ResultCode.INCORRECT_STATE
+    with pytest.raises(ServiceError) as refused:
+        server.client.current_world()
+    assert code_of(refused) == GetCurrentWorldCode.NO_WORLD_LOADED
+    assert server.steps() == 0
+    server.client.load_world("empty")
+    assert server.zensim("spawn", "box_bot", "--name", "r1").returncode == 0
 
 
-def test_stopped_world_is_reset_and_plays_again() -> None:
-    with serving() as server:
-        server.zensim("spawn", "box_bot", "--name", "r1")
-        server.client.set_simulation_state(State.STOPPED)
+def test_stopped_world_is_reset_and_plays_again(server: Server) -> None:
+    server.zensim("spawn", "box_bot", "--name", "r1")
+    server.client.set_simulation_state(State.STOPPED)
 
-        assert (server.steps(), server.client.entities()) == (0, ())
-        with pytest.raises(ServiceError) as refused:
-            server.client.set_simulation_state(State.NO_WORLD)
-        assert code_of(refused) == SetSimulationStateCode.INCORRECT_TRANSITION
+    assert (server.steps(), server.client.entities()) == (0, ())
+    with pytest.raises(ServiceError) as refused:
+        server.client.set_simulation_state(State.NO_WORLD)
+    assert code_of(refused) == SetSimulationStateCode.INCORRECT_TRANSITION
 
-        server.client.set_simulation_state(State.PLAYING)
-        eventually(lambda: server.steps() > 0, 5.0, "playing")
+    server.client.set_simulation_state(State.PLAYING)
+    eventually(lambda: server.steps() > 0, 5.0, "playing")
 
 
 def test_server_quits_after_its_reply() -> None:

@@ -25,9 +25,9 @@ RESOLUTION_M = 0.05
 ON_WALL, BESIDE_WALL, AT_PILLAR = (2.0, 1.5), (1.0, 1.5), (0.0, 5.0)
 
 
-@pytest.fixture
-def server(tmp_path: Path) -> Iterator[Server]:
-    world = tmp_path / "yard.sdf"
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    world = tmp_path_factory.mktemp("world") / "yard.sdf"
     world.write_text(WORLD)
     with serving("--world", str(world), "--ros-domain", "0") as found:
         yield found

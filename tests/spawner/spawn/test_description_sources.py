@@ -1,5 +1,6 @@
 """Descriptions from files, streams, models and topics; xacro."""
 
+import sys
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -11,6 +12,7 @@ from tests.spawner.packages import make_package
 from zensim.proto.codec.message_codec import Format
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.standard_messages import String
+from zensim.spawner.spawn import description_sources
 from zensim.spawner.spawn.description_sources import (
     RobotDescription,
     expand_substitution_args,
@@ -117,9 +119,19 @@ def test_invalid_xacro_is_refused_in_one_line(tmp_path: Path, text: str) -> None
     assert "\n" not in str(caught.value)
 
 
+WITHIN_2_S = """
+import zensim.spawner.spawn.xacro_process as program
+program.LIMITS = program.LIMITS._replace(total_cpu_s=2)
+program.main()
+"""
+
+
 @pytest.mark.parametrize("text", ["7 ** 10 ** 9", "'a' * 10 ** 10"], ids=["time", "memory"])
-def test_expensive_xacro_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
+def test_expensive_xacro_is_refused_in_one_line(
+    tmp_path: Path, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = make_xacro(tmp_path, HEAD + f'<link name="${{{text}}}"/></robot>')
+    monkeypatch.setattr(description_sources, "XACRO_COMMAND", (sys.executable, "-c", WITHIN_2_S))
 
     with pytest.raises(DescriptionError, match="more than") as caught:
         expand_xacro(file.read_text(), file, {}, collect_search_paths((), {}))
