@@ -25,6 +25,7 @@ PASSED = (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
 MARKS = "not short_form and not browser and not root and not interop"
 OPTIONS = (
     *("-q", "--tb=no", "-m", MARKS, "-p", "no:cacheprovider", "-p", "no:faulthandler"),
+    *("--timeout", "120"),
     *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # of plugins that are imported
 )
 MAX_MEMORY_BYTES = 8 << 30
@@ -59,12 +60,14 @@ class ChosenTests:
         tests: Those to run of them; all if None.
         measured: Modules whose lines are recorded, by their path in the tree.
         is_ended_by_failure: Whether the first failure ends the run.
+        left_out: Tests, or whole files, that do not run.
     """
 
     files: Sequence[str]
     tests: Collection[str] | None = None
     measured: Sequence[str] = ()
     is_ended_by_failure: bool = True
+    left_out: frozenset[str] = frozenset()
 
 
 def import_libraries() -> None:
@@ -96,12 +99,16 @@ class _Recorder:
 
     def __init__(self, choice: ChosenTests, coverage: Coverage | None) -> None:
         self.run = PytestRun()
-        self._chosen = None if choice.tests is None else frozenset(choice.tests)
+        self._choice = choice
         self._coverage = coverage
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        if self._chosen is not None:
-            items[:] = [item for item in items if item.nodeid in self._chosen]
+        tests, left_out = self._choice.tests, self._choice.left_out
+        items[:] = [
+            item
+            for item in items
+            if item.nodeid not in left_out and (tests is None or item.nodeid in tests)
+        ]
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         if self._coverage is not None:
@@ -121,10 +128,14 @@ class _Recorder:
 def _run_and_exit(tree: Path, choice: ChosenTests, file: Path) -> None:
     """Run pytest in this forked process, and end it without what its parent would do at exit."""
     try:
-        _enter(tree, is_bytecode_written=bool(choice.measured))
+        _enter(tree)
         coverage = _measure(tree, choice.measured)
         recorder = _Recorder(choice, coverage)
-        words = [*OPTIONS, *(["-x"] if choice.is_ended_by_failure else ()), *choice.files]
+        words = [
+            *OPTIONS,
+            *(["-x"] if choice.is_ended_by_failure else ()),
+            *choice.files,
+        ]
         status = pytest.main(words, plugins=[recorder])
         if status not in PASSED and not recorder.run.failed:
             recorder.run.failed.append(f"pytest: status {int(status)}")
@@ -138,7 +149,7 @@ def _run_and_exit(tree: Path, choice: ChosenTests, file: Path) -> None:
         os._exit(0)
 
 
-def _enter(tree: Path, *, is_bytecode_written: bool) -> None:
+def _enter(tree: Path) -> None:
     """Let this process and its children import the code of a tree."""
     os.setsid()
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
@@ -149,9 +160,6 @@ def _enter(tree: Path, *, is_bytecode_written: bool) -> None:
         os.dup2(null, descriptor)
     os.chdir(tree)
     os.environ["PYTHONPATH"] = str(tree)
-    sys.dont_write_bytecode = not is_bytecode_written
-    if not is_bytecode_written:
-        os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
     for name in [name for name in sys.modules if name.partition(".")[0] in OWN_PACKAGES]:
         del sys.modules[name]
     sys.modules["__main__"] = types.ModuleType("__main__")  # child processes would import ours

@@ -3,7 +3,8 @@
 import os
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -28,8 +29,8 @@ REACHES: tuple[Reach, ...] = ("module", "folder", "all")
 SPARE_S = 40.0
 SLOWER = 6.0
 """A run may take as many times as long as its tests took when their lines were recorded."""
-MTIME_NS = 10_000_000_000
-"""By which a changed module is newer: its kept bytecode has the time of the unchanged one."""
+DELAY_NS = 10_000_000_000
+"""By which a changed module is newer than the one before: kept bytecode is known by its time."""
 
 
 @dataclass(frozen=True)
@@ -49,19 +50,6 @@ class Verdict:
     left_out: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class HuntStage:
-    """Test files that run together.
-
-    Attributes:
-        files: By their path in the tree.
-        is_whole: Whether all their tests run, not only those that reach the line.
-    """
-
-    files: list[str]
-    is_whole: bool = False
-
-
 @dataclass
 class Hunter:
     """Puts mutants into a tree of its own.
@@ -77,72 +65,70 @@ class Hunter:
     spare_s: float = SPARE_S
     _unsure: set[str] = field(default_factory=set)
     """Tests that failed once without a mutant."""
+    _delays_ns: Iterator[int] = field(default_factory=lambda: count(DELAY_NS, DELAY_NS))
 
     def hunt(self, mutant: CodeMutant, reach: Reach) -> Verdict:
         """Run tests until one fails by the mutant alone.
 
         Args:
             mutant: What to change.
-            reach: Which tests to run.
+            reach: Which tests to run; of other files than the module's own, those that reach it.
         """
-        tests, killer = set[str](), ""
-        for stage in list_stages(self.tree, mutant.path, reach):
-            found, seconds = self._find_tests(stage, mutant)
-            chosen = found.difference(tests)
-            tests |= chosen
-            if killer := self._find_killer(mutant, chosen, seconds):
-                break
+        files = list_files(self.tree, mutant.path, reach)
+        if reach == "module":
+            choice, timeout_s = ChosenTests(files), FILE_TIMEOUT_S
+        else:
+            choice, timeout_s = self._find_tests(files, mutant)
+        killer, ran = self._find_killer(mutant, choice, timeout_s)
         left_out = sorted({*self.maps.failing, *self._unsure})
-        return Verdict(mutant.name, killer, len(tests), tuple(left_out))
+        return Verdict(mutant.name, killer, ran, tuple(left_out))
 
-    def _find_tests(self, stage: HuntStage, mutant: CodeMutant) -> tuple[set[str], float]:
-        """Find the tests of a stage, and how long they take [s]."""
+    def _find_tests(self, files: list[str], mutant: CodeMutant) -> tuple[ChosenTests, float]:
+        """Find the tests that reach a mutant, and the time [s] after which they are killed."""
         module, tests, seconds = str(mutant.path), set[str](), 0.0
-        for file in stage.files:
+        for file in files:
             found = self.maps.find(file, module)
-            chosen = found.tests if stage.is_whole else found.find_tests(module, mutant.line)
-            tests.update(chosen)
-            seconds += sum(found.seconds.get(test, 0.0) for test in chosen)
-        return tests, seconds
+            reached = found.find_tests(module, mutant.line)
+            tests.update(reached)
+            seconds += sum(found.seconds.get(test, 0.0) for test in reached)
+        files = sorted({test.partition("::")[0] for test in tests})
+        return ChosenTests(files, tests), self.spare_s + SLOWER * seconds
 
-    def _find_killer(self, mutant: CodeMutant, tests: set[str], seconds: float) -> str:
-        timeout_s = self.spare_s + SLOWER * seconds
-        while left := tests - self._unsure:
-            run = self._run(mutant, left, timeout_s)
-            if run.ended and not self._ends_without(left, timeout_s):
-                return run.ended
+    def _find_killer(
+        self, mutant: CodeMutant, choice: ChosenTests, timeout_s: float
+    ) -> tuple[str, int]:
+        """Find a test that fails by a mutant, or how else it ends the run; and how many ran."""
+        while choice.files:
+            run = self._run(mutant, choice, timeout_s)
+            if run.ended and not run_tests(self.tree, choice, timeout_s).ended:
+                return run.ended, 0
             if run.ended:  # by the load of the machine
                 timeout_s *= SLOWER
                 continue
-            if not run.failed:
-                return ""
-            killer = run.failed[0]
-            if killer not in tests or self._passes_without(killer):
-                return killer
+            killer = run.failed[0] if run.failed else ""
+            if not killer or self._passes_without(killer):
+                return killer, len(run.seconds)
             self._unsure.add(killer)
-        return ""
+            files = [file for file in choice.files if file not in self._unsure]
+            choice = replace(choice, files=files, left_out=frozenset(self._unsure))
+        return "", 0
 
-    def _run(self, mutant: CodeMutant, tests: set[str], timeout_s: float) -> PytestRun:
+    def _run(self, mutant: CodeMutant, choice: ChosenTests, timeout_s: float) -> PytestRun:
         place = self.tree / mutant.path
         source, times = place.read_text("utf-8"), place.stat()
         place.write_text(mutant.apply(source), "utf-8")
-        os.utime(place, ns=(times.st_atime_ns, times.st_mtime_ns + MTIME_NS))
+        os.utime(place, ns=(times.st_atime_ns, times.st_mtime_ns + next(self._delays_ns)))
         try:
-            return run_tests(self.tree, _choose(tests), timeout_s)
+            return run_tests(self.tree, choice, timeout_s)
         finally:
             place.write_text(source, "utf-8")
             os.utime(place, ns=(times.st_atime_ns, times.st_mtime_ns))
 
-    def _ends_without(self, tests: set[str], timeout_s: float) -> bool:
-        return bool(run_tests(self.tree, _choose(tests), timeout_s).ended)
-
-    def _passes_without(self, test: str) -> bool:
-        run = run_tests(self.tree, _choose({test}), FILE_TIMEOUT_S)
+    def _passes_without(self, killer: str) -> bool:
+        file, _, test = killer.partition("::")
+        choice = ChosenTests((file,), {killer} if test else None)
+        run = run_tests(self.tree, choice, FILE_TIMEOUT_S)
         return not run.failed and not run.ended
-
-
-def _choose(tests: set[str]) -> ChosenTests:
-    return ChosenTests(sorted({test.partition("::")[0] for test in tests}), tests)
 
 
 def copy_tree(root: Path, folder: Path) -> Path:
@@ -151,20 +137,16 @@ def copy_tree(root: Path, folder: Path) -> Path:
     return Path(shutil.copytree(root, folder / "tree", symlinks=True, ignore=ignored))
 
 
-def list_stages(tree: Path, module: Path, reach: Reach) -> Iterator[HuntStage]:
+def list_files(tree: Path, module: Path, reach: Reach) -> list[str]:
     """List the test files of a module: its own, those of its folder, or those of others."""
     folder = Path("tests") / module.parent
     if reach == "module":
-        own = _list_files(tree, f"{folder}/test_{module.stem}*.py")
-        yield HuntStage(own)
-        # A value that is kept is made in the first test that needs it, and checked in later ones.
-        yield HuntStage(own, is_whole=True)
-    elif reach == "folder":
-        yield HuntStage(_list_files(tree, f"{folder}/**/test_*.py"))
-    else:
-        patterns = [one if one.endswith(".py") else f"{one}/**/test_*.py" for one in WIDE]
-        files = [file for pattern in patterns for file in _list_files(tree, pattern)]
-        yield HuntStage([file for file in files if folder not in Path(file).parents])
+        return _list_files(tree, f"{folder}/test_{module.stem}*.py")
+    if reach == "folder":
+        return _list_files(tree, f"{folder}/**/test_*.py")
+    patterns = [one if one.endswith(".py") else f"{one}/**/test_*.py" for one in WIDE]
+    files = [file for pattern in patterns for file in _list_files(tree, pattern)]
+    return [file for file in files if folder not in Path(file).parents]
 
 
 def _list_files(tree: Path, pattern: str) -> list[str]:

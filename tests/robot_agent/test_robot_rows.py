@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zensim.proto.rate_limiter import RateLimiter
-from zensim.robot_agent.robot_rows import GroupRateLimiter
+from zensim.robot_agent.robot_rows import GroupRateLimiter, remap_floats
 
 RATES = [0.0, 7.0, 30.0, 50.0, 80.0, 100.0]
 STEPS = st.lists(st.sampled_from([0, 4_166_667, 12_500_000, 10_000_000, 1]), max_size=60)
@@ -49,3 +49,10 @@ def test_rows_keep_their_openings_when_remapped() -> None:
 
     assert limiters.open(50_000_000)[0].tolist() == [0]
     assert limiters.open(100_000_000)[0].tolist() == [1]
+
+
+def test_rows_that_stay_keep_their_values_and_new_ones_are_zero() -> None:
+    column, before = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([1, -1, 0], dtype=np.int64)
+
+    assert remap_floats(column, before).tolist() == [[3.0, 4.0], [0.0, 0.0], [1.0, 2.0]]
+    assert remap_floats(column, before, 7.0)[1].tolist() == [7.0, 7.0]

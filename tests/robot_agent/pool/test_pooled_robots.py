@@ -418,6 +418,26 @@ def test_robots_have_the_selected_topics_in_ros_and_all_on_plain_keys(
     assert {last_chunk(sample.key) for sample in bus.get("r1/*")} >= {"tf", "joint_states"}
 
 
+def test_every_node_of_a_pool_has_parameter_services() -> None:
+    bus = MemoryBus()
+    pool = PooledRobots(bus, 0, RosGraph(bus, RosSettings()))
+    claims = [Claim(1, "r1", "r1", robot_of(DRIVES["diff"]), "<robot/>")]
+    pool.add_claims(claims)
+    pool.advance(a_state(claims, 1))
+    pool.publish()
+    for _ in range(10):
+        pool.announce()
+        pool.reply_to_queries()
+
+    tokens = map(parse_endpoint_token, bus.list_tokens("@ros2_lv/**"))
+    endpoints = [one for one in tokens if one is not None]
+    publishing = {one.node for one in endpoints if one.kind == "MP"}
+    serving = {one.node for one in endpoints if one.key.endswith("/get_parameters")}
+
+    assert any(node.endswith("_static") for node in publishing)
+    assert publishing <= serving
+
+
 @pytest.mark.parametrize("make", [PooledRobots, IndividualRobots])
 @pytest.mark.parametrize(
     ("chosen", "name"), [("twist", "Twist"), ("twist_stamped", "TwistStamped")]

@@ -136,3 +136,20 @@ def test_soft_foot_carries_less() -> None:
 
     assert found.get((0.1, 0.1), 0.0) < 0.01 * GRAVITY
     assert found[(0.1, -0.1)] == pytest.approx(GRAVITY / 2.0, rel=0.01)
+
+
+def test_mesh_rests_on_its_scaled_corners() -> None:
+    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+    crate = Shape("mesh", (0.3, 0.2, 0.1), mesh="crate")
+    model = Model("crate", (Link("base", Inertial(1.0, (0.0, 0.0, 0.0), MOMENTS), (crate,)),))
+
+    rest = RestSolver(model, lambda _: corners).solve(np.zeros(0))
+
+    assert rest.is_stable
+    assert sorted(np.round(rest.points[:, :2], 3).tolist()) == [
+        [-0.3, -0.2],
+        [-0.3, 0.2],
+        [0.3, -0.2],
+        [0.3, 0.2],
+    ]
+    assert rest.loads == pytest.approx([GRAVITY / 4.0] * 4, rel=1e-3)

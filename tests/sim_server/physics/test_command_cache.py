@@ -80,3 +80,12 @@ def test_index_cache_is_bounded() -> None:
 def test_no_bodies_have_no_changes() -> None:
     assert changes(make_cache(), ()) == []
     assert changes(make_cache(), (1,)) == []
+
+
+def test_last_targets_are_found_and_zeros_of_bodies_that_have_none() -> None:
+    cache = make_cache()
+    changes(cache, (0,), 1.0, 2.0)
+
+    assert cache.find(0, 2) == [1.0, 2.0]
+    assert cache.find(2, 1) == [0.0]
+    assert cache.find(100, 3) == [0.0, 0.0, 0.0]
