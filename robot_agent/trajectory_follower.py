@@ -207,9 +207,8 @@ def _make_feedback(active: _ActiveGoal, progress: _Progress) -> TrajectoryFeedba
         TrajectoryFeedback(
             Header(time_from_ns(progress.time_ns)),
             active.trajectory.joints,
-            *(
-                one.to_message(elapsed_ns)
-                for one in (progress.desired, progress.actual, progress.errors)
-            ),
+            progress.desired.to_message(elapsed_ns),
+            progress.actual.to_message(elapsed_ns),
+            progress.errors.to_message(elapsed_ns),
         ),
     )

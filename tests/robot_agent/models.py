@@ -3,12 +3,16 @@
 import struct
 from collections.abc import Sequence
 
+import msgspec
+
 from zensim.proto.messages.agent_messages import Claim, DriveState
 from zensim.proto.messages.drive_messages import DiffDrive, Drive, WheelPair
 from zensim.proto.messages.model_messages import (
     IDENTITY,
+    CommandInterface,
     Frame,
     Joint,
+    JointController,
     JointStatePublisher,
     Link,
     Model,
@@ -28,6 +32,10 @@ CAMERA = Frame("camera", "base_link", Origin((0.2, 0.0, 0.1)))
 WHEELS = (
     Joint("left_joint", "continuous", "base_link", "left_wheel", axis=(0.0, 1.0, 0.0)),
     Joint("right_joint", "continuous", "base_link", "right_wheel", axis=(0.0, 1.0, 0.0)),
+)
+ARM = tuple(
+    Joint(name, "revolute", parent, child, lower=-1.0, upper=1.0, effort=9.0, velocity=2.0)
+    for name, parent, child in (("lift", "base_link", "upper"), ("wrist", "upper", "lower"))
 )
 AT_REST = (0.0, 0.0, 0.1, *IDENTITY, *(0.0,) * 6)
 
@@ -76,3 +84,14 @@ def a_state(
 
 def _packed(numbers: Sequence[float]) -> bytes:
     return struct.pack(f"<{len(numbers)}d", *numbers)
+
+
+def an_arm_bot(
+    *controllers: JointController, interfaces: tuple[CommandInterface, ...] = ()
+) -> Model:
+    """A two-wheeler with the joints `lift` and `wrist`, of the controller `arm` by default."""
+    return msgspec.structs.replace(
+        two_wheeler(joints=(*WHEELS, *ARM)),
+        joint_controllers=controllers or (JointController("arm", ("lift", "wrist")),),
+        command_interfaces=interfaces,
+    )

@@ -6,11 +6,10 @@ import msgspec
 import pytest
 
 from tests.fakes import MemoryBus
-from tests.robot_agent.models import DRIVE, WHEELS, a_claim, a_state, two_wheeler
+from tests.robot_agent.models import a_claim, a_state, an_arm_bot
 from zensim.proto.messages.drive_messages import JointTargetKind
 from zensim.proto.messages.model_messages import (
     CommandInterface,
-    Joint,
     JointController,
     Model,
 )
@@ -25,27 +24,14 @@ from zensim.robot_agent.robots import IndividualRobots
 
 TIMEOUT_NS = NANOSECONDS // 2
 FREE, POSITION, VELOCITY, EFFORT = (float(kind) for kind in JointTargetKind)
-ARM = tuple(
-    Joint(name, "revolute", parent, child, lower=-1.0, upper=1.0, effort=9.0, velocity=2.0)
-    for name, parent, child in (("lift", "base_link", "upper"), ("wrist", "upper", "lower"))
-)
 ARM_CONTROLLER = JointController("arm", ("lift", "wrist"))
-
-
-def a_model(*controllers: JointController, interfaces: tuple[CommandInterface, ...] = ()) -> Model:
-    model = two_wheeler(DRIVE, joints=(*WHEELS, *ARM))
-    return msgspec.structs.replace(
-        model,
-        joint_controllers=controllers or (ARM_CONTROLLER,),
-        command_interfaces=interfaces,
-    )
 
 
 @dataclass
 class Arm:
     """A robot's joints."""
 
-    model: Model = field(default_factory=a_model)
+    model: Model = field(default_factory=an_arm_bot)
     joint_targets: tuple[float, ...] = ()
     bus: MemoryBus = field(default_factory=MemoryBus)
     time_ns: int = NANOSECONDS
@@ -89,7 +75,7 @@ def test_numbers_without_names_are_of_the_first_controller() -> None:
 
 def test_controller_that_forwards_numbers_has_a_topic_of_its_own() -> None:
     arm = Arm(
-        a_model(
+        an_arm_bot(
             ARM_CONTROLLER,
             JointController("pushes", ("wrist",), "effort", follows_trajectories=False),
         )
@@ -109,7 +95,7 @@ def test_commands_are_limited() -> None:
 @pytest.mark.parametrize("kind", ["velocity", "effort"])
 def test_velocity_and_effort_end_when_they_are_not_repeated(kind: str) -> None:
     arm = Arm()
-    message = JointState(name=("lift",), **{kind: (0.5,)})
+    message = msgspec.structs.replace(JointState(name=("lift",)), **{kind: (0.5,)})
     number = {"velocity": VELOCITY, "effort": EFFORT}[kind]
     arm.put(message)
     arm.run(0.4)
@@ -156,7 +142,7 @@ def test_held_joints_go_to_their_initial_position() -> None:
     held = JointController("arm", ("lift", "wrist"), holds=True)
     interfaces = (CommandInterface("wrist", "position", initial=0.4),)
 
-    assert Arm(a_model(held, interfaces=interfaces)).step() == (POSITION, 0.0, POSITION, 0.4)
+    assert Arm(an_arm_bot(held, interfaces=interfaces)).step() == (POSITION, 0.0, POSITION, 0.4)
 
 
 def test_joints_go_on_as_the_agent_before_has_left_them() -> None:
@@ -178,7 +164,7 @@ def test_reset_frees_the_joints() -> None:
 def test_robot_sends_the_targets_of_its_joints_after_those_of_its_drive() -> None:
     bus = MemoryBus()
     robots = IndividualRobots(bus, 0)
-    robots.add_claims([a_claim(model=a_model())])
+    robots.add_claims([a_claim(model=an_arm_bot())])
     bus.put_message("r1/joint_commands", JointState(name=("wrist",), position=(0.5,)))
 
     command = robots.advance(a_state(1, positions=(0.0,) * 4, velocities=(0.0,) * 4))

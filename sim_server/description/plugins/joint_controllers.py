@@ -66,8 +66,6 @@ def add_joint_controllers(
         report: Gets what they command.
         has_free_wheels: Whether wheels are left to the default controller: a drive is not wanted.
     """
-    if model.is_static:
-        return model
     free = _list_free_joints(model)
     found = list(_read_controllers(files, free, report))[:MAX_CONTROLLERS] if files else []
     if not found:
@@ -157,7 +155,10 @@ def _read_interface(tags: PluginTags, kind: str) -> CommandKind:
     forward = _find_forward_type(kind)
     given = FORWARD_TYPES[forward] if forward else None
     named = tags.text("interface_name", "position")
-    return given or next((one for one in INTERFACES if one == named), "position")
+    if given is not None:
+        return given
+    found: CommandKind | None = next((one for one in INTERFACES if one == named), None)
+    return found or "position"
 
 
 def _find_forward_type(kind: str) -> str | None:

@@ -377,7 +377,6 @@ class PyBulletEngine(Engine):
         self._spring_table: SpringTable | None = None
         self._pending_velocities: dict[int, tuple[FloatArray, FloatArray]] = {}
         self._joint_efforts: dict[int, list[tuple[int, float]]] = {}
-        """By body: joints that are commanded by effort, and their efforts."""
         self._gravity = config.gravity
         self._dt_s = dt_s = config.step_ns * 1e-9
         self._com_frames = ComFrames()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tests.fakes import MemoryBus
 from tests.proto.drives.robots_of_each_drive import DRIVES, robot_of
-from tests.robot_agent.models import DRIVE, two_wheeler
+from tests.robot_agent.models import DRIVE, an_arm_bot, two_wheeler
 from tests.robot_agent.pool.test_group_telemetry import a_state
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode
 from zensim.proto.keys import last_chunk
@@ -493,3 +493,41 @@ def test_state_that_does_not_fit_is_malformed(part: str) -> None:
 
     with pytest.raises(MalformedPayload):
         both.pool.advance(bad)
+
+
+def test_pool_commands_joints_as_individual_robots_do() -> None:
+    """With robots without joints beside them, while robots come, go and are driven."""
+    rng, both = np.random.default_rng(11), Both()
+    arm = an_arm_bot()
+    both.take(two_wheeler(DRIVE), arm, arm, msgspec.structs.replace(arm, drive=None))
+    names = ("lift", "wrist", "left_joint")
+    for step in range(40):
+        if step == 15:
+            both.take(arm, two_wheeler(DRIVE))
+        claims = both.claims if step < 30 else both.claims[2:]
+        for claim in claims:
+            if rng.random() < 0.3:
+                kind = ("position", "velocity", "effort")[rng.integers(3)]
+                numbers = tuple(rng.uniform(-2.0, 2.0, 3).tolist())
+                message = msgspec.structs.replace(JointState(name=names), **{kind: numbers})
+                for bus in both.buses:
+                    bus.put_message(f"{claim.namespace}/joint_commands", message)
+                both.command(a_twist(rng), Format.CDR, claim)
+        both.step(rng, 12_500_000, claims)
+    both.pool.log_malformed()
+    both.pool.reset()
+    both.individual.reset()
+    both.step(rng, 12_500_000, both.claims[2:])
+
+
+def test_robot_of_a_pool_goes_on_with_the_joints_that_another_agent_has_left() -> None:
+    both = Both()
+    targets = (1.0, 0.7, 2.0, 0.0)
+    claim = Claim(1, "r1", "r1", an_arm_bot(), "<robot/>", joint_targets=targets)
+    for one in (both.pool, both.individual):
+        one.add_claims([claim])
+    state = both.state(np.random.default_rng(1), [claim])
+
+    found, expected = both.pool.advance(state), both.individual.advance(state)
+
+    assert targets_of(found)[2:] == targets_of(expected)[2:] == targets

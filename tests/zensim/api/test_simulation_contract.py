@@ -7,14 +7,17 @@ import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import zensim
+from zensim.proto.messages.standard_messages import JointState
 
 NAN, INF = math.nan, math.inf
+EXAMPLES = Path(__file__).parents[3] / "examples"
 
 
 @pytest.fixture(scope="module")
@@ -474,3 +477,14 @@ def test_a_closed_world_refuses() -> None:
     for act in (lambda: world.time, lambda: robot.pose, world.step, world.state_hash):
         with pytest.raises(zensim.Closed):
             act()
+
+
+def test_joints_of_an_arm_go_where_they_are_commanded(simulation: zensim.Simulation) -> None:
+    arm = simulation.spawn(EXAMPLES / "arm" / "arm_bot.urdf", name="arm")
+    wanted = JointState(name=("shoulder", "elbow"), position=(0.4, -0.6))
+
+    arm.topic("joint_commands").put(wanted)
+    simulation.run_for(2.0)
+
+    found = dict(zip(arm.joints.name, arm.joints.position, strict=True))
+    assert (found["shoulder"], found["elbow"]) == pytest.approx((0.4, -0.6), abs=0.01)

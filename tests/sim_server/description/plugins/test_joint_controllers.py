@@ -135,3 +135,12 @@ def test_example_has_an_arm_and_a_gripper() -> None:
 
     assert [one.name for one in model.joint_controllers] == ["arm_controller", "gripper_controller"]
     assert [one.status for one in model.report if one.status in ("unknown", "suspicious")] == []
+
+
+def test_arm_that_is_fixed_to_the_world_has_a_controller() -> None:
+    arm = a_link("world") + a_link("post") + a_joint("mount", ("world", "post"), "fixed")
+
+    model = read_driven(f"<robot name='arm'>{arm}{a_moving('lift', 'post')}</robot>")
+
+    assert model.is_static
+    assert only(model).joints == ("lift",)
