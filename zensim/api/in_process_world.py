@@ -202,14 +202,14 @@ class World(Simulation):
             seed: Of the noise of sensors.
             step_hz: Steps per simulated second; None = of the world file, or 240.
             control_hz: Most control steps per simulated second; None = 100.
-            rates: Of odometry and tf, by name of the robot; others have those of their description.
-            options: model_paths, strict and others; see `WorldKeywords`.
+            rates: Of odometry and tf, by name of the robot; else those of its description.
+            options: See `WorldKeywords`.
 
         Raises:
             Invalid: There is no such world, or a number is out of range.
         """
         settings = read_world_keywords(options)
-        clusters = settings.pop("clusters")
+        physics = msgspec.structs.replace(IN_PROCESS, clusters=settings.pop("clusters"))
         with api_errors():
             config = ServerConfig(
                 world_file=str(world),
@@ -219,9 +219,7 @@ class World(Simulation):
                 **settings,
                 is_paused=True,
                 real_time_factor=0.0,
-                physics=msgspec.structs.replace(
-                    IN_PROCESS, engine=parse_engine_name(engine), clusters=clusters
-                ),
+                physics=msgspec.structs.replace(physics, engine=parse_engine_name(engine)),
             )
             self._open(InProcessServer(config, rates))
 

@@ -120,12 +120,12 @@ class ArrayBlock:
         self._block += bytes(-len(self._block) % ALIGNMENT)
         return place
 
-    def save(self) -> "SavedArrays":
+    def save(self) -> SavedArrays:
         """Take all as objects that can be pickled."""
         return list(self._kinds), self._which, self._starts, self._block
 
 
-def load_arrays(saved: "SavedArrays") -> list[AnyArray]:
+def load_arrays(saved: SavedArrays) -> list[AnyArray]:
     """Make the arrays of a block again."""
     kinds, which, starts, block = saved
     arrays = []

@@ -108,12 +108,6 @@ class _PlainLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: igno
         """Find the tag of a node that names none."""
         return DEFAULT_TAGS[kind]
 
-    def descend_resolver(self, _node: object, _index: object) -> None:
-        """Do nothing: no tag depends on a path."""
-
-    def ascend_resolver(self) -> None:
-        """Do nothing, likewise."""
-
 
 def read_nodes(text: str, file: str) -> ScenarioNode:
     """Compose the nodes of a YAML text.
