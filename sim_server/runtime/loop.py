@@ -323,6 +323,8 @@ SETTLE_S = 0.001
 """Most time that the loop waits for replies to leave before it goes on with a step."""
 MAX_BUSY_REFUSALS = 512
 """Refusals of excess requests in a second; more end without a value, which costs less."""
+MAX_TURN_REFUSALS = 64
+"""The same in a turn, so that a thousand requests at once do not delay a step."""
 MAX_EVENTS_PER_TURN = 128
 """Events published per turn; spawning many robots makes more than fit between two steps."""
 MAX_LAG_NS = 50_000_000
@@ -426,8 +428,9 @@ class ServerLoop:
         """Handle liveliness changes, drive commands and requests."""
         self._pacing.due_ns = self._deadline_ns
         # Calls are taken before tokens and handled after them: an agent declares its token first.
+        refusals_left = min(MAX_TURN_REFUSALS, MAX_BUSY_REFUSALS - self._busy_refusals)
         for call in self._inbox.take_calls():
-            self._queue(call)
+            refusals_left -= self._queue(call, may_refuse=refusals_left > 0)
         self._agent_sessions.serve()
         self._sensor_sessions.serve()
         if not self._waits_for_deadline:
@@ -437,19 +440,21 @@ class ServerLoop:
         self._agent_sessions.publish_changed_claims()
         self._agent_sessions.publish_ordered_twists()
 
-    def _queue(self, call: ServiceCall) -> None:
-        is_flood = self._busy_refusals >= MAX_BUSY_REFUSALS
-        if is_flood and not self._requests.has_room(call.client):
+    def _queue(self, call: ServiceCall, *, may_refuse: bool) -> bool:
+        """Let a request wait, refuse it or end it without a value; return whether it is refused."""
+        if not may_refuse and not self._requests.has_room(call.client):
             call.drop()  # unread
-            return
+            return False
         try:
             self._requests.add(call)
         except RequestBusy as error:
-            self._busy_refusals += 1
-            if self._busy_refusals <= MAX_BUSY_REFUSALS:
-                self._dispatcher.refuse(call, error)
-            else:
+            if not may_refuse:
                 call.drop()
+                return False
+            self._busy_refusals += 1
+            self._dispatcher.refuse(call, error)
+            return True
+        return False
 
     def _handle_requests(self) -> None:
         while (call := self._requests.take_next()) is not None:

@@ -14,7 +14,8 @@ from zensim.proto.messages.spawn_messages import (
     SpawnEntityOrder,
 )
 from zensim.proto.network_protocols import MAX_REQUEST_ID_BYTES
-from zensim.sim_server.runtime.loop import MAX_BUSY_REFUSALS, SETTLE_S
+from zensim.sim_server.runtime import loop
+from zensim.sim_server.runtime.loop import MAX_TURN_REFUSALS, SETTLE_S
 from zensim.sim_server.runtime.request_queue import MAX_WAITING
 
 COST_NS = 1_000_000
@@ -116,7 +117,7 @@ def test_loop_refuses_more_unfinished_requests_of_a_client_than_may_wait() -> No
 def test_loop_ends_excess_requests_without_a_refusal_when_there_are_many(
     server: ServerFixture,
 ) -> None:
-    excess = MAX_BUSY_REFUSALS + 2
+    excess = MAX_TURN_REFUSALS + 2
     calls = [
         server.request("delete_entity", DeleteEntityRequest("r9"))
         for _ in range(MAX_WAITING + excess)
@@ -127,6 +128,23 @@ def test_loop_ends_excess_requests_without_a_refusal_when_there_are_many(
     refused, ended = calls[MAX_WAITING:-2], calls[-2:]
     assert {refused_slug(call) for call in refused} == {"request.busy"}
     assert [(call.is_over, call.answers) for call in ended] == [(True, [])] * 2
+
+
+def test_loop_refuses_no_more_than_its_share_in_a_second(
+    server: ServerFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loop, "MAX_BUSY_REFUSALS", 3)
+    server.inbox.backlogged.add("")
+    for _ in range(MAX_WAITING):
+        server.request("delete_entity", DeleteEntityRequest("r9"))
+    refused = 0
+    for _ in range(4):
+        calls = [server.request("delete_entity", DeleteEntityRequest("r9")) for _ in range(2)]
+        server.loop.turn()
+        assert all(call.is_over for call in calls)
+        refused += sum(bool(call.answers) for call in calls)
+
+    assert refused == 3
 
 
 def test_loop_does_not_wait_for_replies_when_a_step_is_due(
