@@ -26,6 +26,8 @@ from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_
 from zensim.sim_server.ros2_node.server_node import SimulateStepsAction
 
 Answer = TypeVar("Answer", bound=msgspec.Struct)
+SEND_GOAL_SERVICE, CANCEL_GOAL_SERVICE, GET_RESULT_SERVICE = action.ACTION_SERVICES
+FEEDBACK_TOPIC, STATUS_TOPIC = action.ACTION_TOPICS
 FIRST = action.GoalId(tuple(range(1, 17)))
 SECOND = action.GoalId(tuple(range(101, 117)))
 GID = bytes(16)
@@ -75,15 +77,15 @@ class ActionFixture:
 
     def begin(self, goal_id: action.GoalId, steps: int) -> MemoryCall:
         return self.request(
-            action.SEND_GOAL_SERVICE, action.SendGoalRequest(goal_id, action.StepsGoal(steps))
+            SEND_GOAL_SERVICE, action.SendGoalRequest(goal_id, action.StepsGoal(steps))
         )
 
     def result(self, goal_id: action.GoalId) -> MemoryCall:
-        return self.request(action.GET_RESULT_SERVICE, action.GetResultRequest(goal_id))
+        return self.request(GET_RESULT_SERVICE, action.GetResultRequest(goal_id))
 
     def cancel(self, goal_id: action.GoalId, stamp: Time = Time()) -> MemoryCall:  # noqa: B008
         info = action.GoalInfo(goal_id, stamp)
-        return self.request(action.CANCEL_GOAL_SERVICE, action.CancelGoalRequest(info))
+        return self.request(CANCEL_GOAL_SERVICE, action.CancelGoalRequest(info))
 
     def turn(self, turns: int = 1) -> None:
         for _ in range(turns):
@@ -95,9 +97,7 @@ class ActionFixture:
                     self.action.on_progress(message)
 
     def statuses(self) -> list[int]:
-        sent = decode(
-            action.GoalStatusArray, self.tellers[action.STATUS_TOPIC].payloads[-1], CDR_ENCODING
-        )
+        sent = decode(action.GoalStatusArray, self.tellers[STATUS_TOPIC].payloads[-1], CDR_ENCODING)
         return [one.status for one in sent.status_list]
 
 
@@ -150,7 +150,7 @@ def test_feedback_has_completed_and_remaining_steps() -> None:
 
     fixture.turn(20)
 
-    payloads = fixture.tellers[action.FEEDBACK_TOPIC].payloads
+    payloads = fixture.tellers[FEEDBACK_TOPIC].payloads
     sent = [decode(action.FeedbackMessage, payload, CDR_ENCODING) for payload in payloads]
     assert {one.goal_id for one in sent} == {FIRST}
     assert sent[-1].feedback == action.StepsFeedback(7, 0)
@@ -158,12 +158,12 @@ def test_feedback_has_completed_and_remaining_steps() -> None:
 
 def test_feedback_is_not_encoded_without_a_subscriber() -> None:
     fixture = ActionFixture()
-    fixture.tellers[action.FEEDBACK_TOPIC].is_matched = False
+    fixture.tellers[FEEDBACK_TOPIC].is_matched = False
     fixture.begin(FIRST, 7)
 
     fixture.turn(20)
 
-    assert fixture.tellers[action.FEEDBACK_TOPIC].payloads == []
+    assert fixture.tellers[FEEDBACK_TOPIC].payloads == []
 
 
 def test_goal_is_not_accepted_while_playing() -> None:
@@ -213,9 +213,7 @@ def test_late_subscriber_gets_the_status_of_all_goals() -> None:
 
     fixture.turn(3)
 
-    sent = decode(
-        action.GoalStatusArray, fixture.tellers[action.STATUS_TOPIC].latched, CDR_ENCODING
-    )
+    sent = decode(action.GoalStatusArray, fixture.tellers[STATUS_TOPIC].latched, CDR_ENCODING)
     assert [one.goal_info.goal_id for one in sent.status_list] == [FIRST]
 
 
