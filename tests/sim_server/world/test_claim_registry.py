@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from tests.models import a_box, a_cart, an_arm
 from tests.sim_server.world.test_entity import make_entities
+from zensim.proto.messages.agent_messages import DriveCommand
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.errors import RequestRefused
 from zensim.sim_server.world.claim_registry import ClaimedEntities, ClaimRegistry
@@ -72,3 +73,10 @@ def test_agent_that_lost_all_claims_while_silent_keeps_its_next_one() -> None:
 
     with pytest.raises(RequestRefused):
         registry.require_free("r1", "b")
+
+
+def test_command_of_an_agent_without_claims_is_dropped() -> None:
+    registry = ClaimRegistry()
+
+    assert not registry.command("a", None, DriveCommand(0, 0, b"", b""))
+    assert (registry.taken, registry.dropped) == (0, 1)

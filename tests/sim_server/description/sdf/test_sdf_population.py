@@ -3,10 +3,12 @@
 import itertools
 import math
 
+import numpy as np
 import pytest
 
 from tests.sim_server.description.sdf_robots import a_link
 from zensim.proto.messages.model_messages import Vec3
+from zensim.sim_server.description.sdf.sdf_population import _find_cluster_centres
 from zensim.sim_server.description.sdf.sdf_world import read_world
 from zensim.sim_server.errors import ModelError
 
@@ -75,3 +77,12 @@ def test_wrong_population_is_refused(population: str) -> None:
         places(population)
 
     assert caught.value.slug == "sdf.population"
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_cluster_of_one_point_has_its_centre_there(seed: int) -> None:
+    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [10.0, 0.0, 0.0]])
+
+    centres = _find_cluster_centres(points, 2, np.random.default_rng(seed))
+
+    assert sorted(centres[:, 0].tolist()) == [0.5, 10.0]

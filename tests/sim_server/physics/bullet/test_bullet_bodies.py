@@ -7,13 +7,14 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import pybullet
 import pytest
 
 from benchmarks.wheel_models import list_robots
 from tests.engines import PHYSICAL, STEP_NS, advance, running
 from tests.models import a_box_bot, a_state, an_arm
 from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_robot, an_inertial
-from tests.sim_server.physics.bullet_probe import dynamics_of
+from tests.sim_server.physics.bullet_probe import client_of, dynamics_of
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.joint_reduction import MAX_JOINTS
 from zensim.sim_server.description.pipeline import parse_description
@@ -252,3 +253,18 @@ def test_body_starts_with_the_twist_that_it_is_given(engine: Engine) -> None:
     body = engine.add(model, start)
 
     assert engine.read([body]).base[0] == pytest.approx(start, abs=1e-9)
+
+
+def test_removed_body_with_gears_is_not_kept_for_the_next_one() -> None:
+    engine = PyBulletEngine(EngineConfig(STEP_NS))
+    gripper, arm = a_gripper('<mimic joint="j1"/>'), an_arm("revolute")
+
+    counts = []
+    for model in (gripper, arm):
+        body = engine.add(model, a_state((0.0, 0.0, 2.0)))
+        before = pybullet.getNumBodies(physicsClientId=client_of(engine))
+        engine.remove(body)
+        counts.append(before - pybullet.getNumBodies(physicsClientId=client_of(engine)))
+
+    engine.close()
+    assert counts == [1, 0]

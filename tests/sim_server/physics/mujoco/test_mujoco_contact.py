@@ -1,6 +1,8 @@
 """Frictions, priorities, and correction of sliding contacts."""
 
 from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -12,10 +14,12 @@ from zensim.sim_server.physics.mujoco.mujoco_contact import (
     RIGID_IMPEDANCE,
     FrictionRows,
     LiftIteration,
+    MjPlacedContacts,
     find_sliding_rows,
     make_contact_parameters,
     make_geom_friction,
     predict_lifts,
+    read_contact_points,
 )
 
 
@@ -150,3 +154,21 @@ def test_links_of_a_robot_have_equally_compliant_contacts(inverse_mass: float) -
 @pytest.mark.parametrize("friction", [10.0, 20.0, 1e5])
 def test_friction_is_at_most_10(friction: float) -> None:
     assert make_geom_friction(friction, is_static=False).friction == 10.0
+
+
+def test_contacts_have_place_normal_depth_and_force() -> None:
+    frame = np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0])
+    contacts = SimpleNamespace(
+        dist=np.array([-0.01, 0.002]),
+        frame=np.array([frame, frame]),
+        pos=np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]),
+        efc_address=np.array([0, -1]),
+        dim=np.array([3, 3]),
+    )
+
+    found = read_contact_points(cast("MjPlacedContacts", contacts), np.array([10.0, 2.0, -1.0]))
+
+    assert found.tolist() == [
+        [1.0, 2.0, 3.0, 0.0, 0.0, 1.0, 0.01, 2.0, -1.0, 10.0],
+        [4.0, 5.0, 6.0, 0.0, 0.0, 1.0, -0.002, 0.0, 0.0, 0.0],
+    ]

@@ -119,4 +119,5 @@ def test_sizes_of_slots_add_up_array_by_array() -> None:
     sizes = SlotSizes(1, 2, 3, 4, 5)
 
     assert sizes + SlotSizes(10, 20, 30, 40, 50) == SlotSizes(11, 22, 33, 44, 55)
+    assert sizes + SlotSizes() == sizes
     assert sizes.times(3) == SlotSizes(3, 6, 9, 12, 15)
