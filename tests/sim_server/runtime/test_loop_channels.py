@@ -6,11 +6,13 @@ from tests.fakes import MemoryBus, MemoryCall
 from zensim.api.in_process_network import InProcessPublisher
 from zensim.proto import keys
 from zensim.proto.bus import BusPublisher
-from zensim.proto.codec.message_codec import decode
+from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.messages.agent_messages import DriveState
 from zensim.proto.network_protocols import ServiceCall
+from zensim.proto.ros2.ros_graph import RosGraph, RosSettings
 from zensim.proto.sample_messages import make_sample_message
-from zensim.proto.topic_catalog import DRIVE_COMMAND, DRIVE_STATE, WORLD_TOPICS, TopicSpec
+from zensim.proto.topic_catalog import CLOCK, DRIVE_COMMAND, DRIVE_STATE, WORLD_TOPICS, TopicSpec
+from zensim.proto.topic_endpoints import make_topic_factory
 from zensim.sim_server.runtime.loop_channels import COMMAND_DEPTH, BusInbox, BusWorldPublisher
 
 
@@ -128,6 +130,19 @@ def test_publisher_publishes_each_world_topic_on_its_key(topic: TopicSpec) -> No
     (sample,) = listener.take()
     assert sample.encoding == "application/msgpack"
     assert decode(type(message), sample.payload, sample.encoding) == message
+
+
+def test_publisher_publishes_root_topics_of_ros_2_in_cdr() -> None:
+    bus = MemoryBus()
+    graph = RosGraph(bus, RosSettings())
+    publisher = BusWorldPublisher(bus, "w", make_topic_factory(bus, graph, "", "server"))
+    subscription = bus.subscribe(graph.data_key(CLOCK.root()))
+    message = make_sample_message(CLOCK.messages[0])
+
+    publisher.publish(CLOCK, message)
+
+    (sample,) = subscription.take()
+    assert sample.payload == encode(message, Format.CDR)
 
 
 @pytest.mark.parametrize("topic", WORLD_TOPICS, ids=TOPIC_NAMES)

@@ -349,6 +349,22 @@ def test_kind_of_camera_depends_on_type_and_plugin(kind: str, plugin: str, shows
     assert settings_of(CameraSensor, text).kind == shows
 
 
+@pytest.mark.parametrize(
+    ("width", "height", "is_read"),
+    [(1, 1, True), (0, 9, False), (9, 0, False), (4000, 4000, True), (40_000, 40_000, False)],
+)
+def test_camera_has_at_least_one_pixel_and_not_too_many(
+    width: int, height: int, *, is_read: bool
+) -> None:
+    inside = f"<camera><image><width>{width}</width><height>{height}</height></image></camera>"
+
+    model = a_model_with(a_sensor("camera", inside))
+
+    found = [one.settings for one in model.sensors]
+    sizes = [(one.width, one.height) for one in found if isinstance(one, CameraSensor)]
+    assert sizes == ([(width, height)] if is_read else [])
+
+
 def test_wide_angle_camera_shows_what_a_pinhole_can() -> None:
     inside = "<camera><horizontal_fov>6.283</horizontal_fov></camera>"
 
