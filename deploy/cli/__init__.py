@@ -127,6 +127,16 @@ VERBS: dict[str, Verb] = {
     "hz": Verb(
         "Topics", "zensim.spawner.cli.topic_commands", "Measure the message rate of a topic."
     ),
+    "record": Verb(
+        "Recordings",
+        "zensim.recording.cli.record_commands",
+        "Record topics to MCAP files.",
+    ),
+    "bag": Verb(
+        "Recordings",
+        "zensim.recording.cli.bag_commands",
+        "Inspect and recover recordings.",
+    ),
     "features": Verb(
         "Diagnostics", "zensim.spawner.cli.simulation_commands", "List the features of the server."
     ),

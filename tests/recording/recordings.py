@@ -1,0 +1,61 @@
+"""Small recordings for tests, and what readers that are not ours find in them."""
+
+from pathlib import Path
+
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from zensim.proto.codec.message_codec import Format, encode
+from zensim.proto.messages.standard_messages import (
+    Clock,
+    Header,
+    Odometry,
+    String,
+    Time,
+)
+from zensim.recording.mcap_records import Attachment, Channel, Schema
+from zensim.recording.mcap_writer import McapWriter
+from zensim.recording.message_definitions import write_definition
+from zensim.recording.output_file import OutputFile
+
+KINDS = (Odometry, String, Clock)
+
+
+def define_topics(writer: McapWriter, robots: int = 1) -> list[int]:
+    """Define an odometry topic for each robot, and `/events`; return their channels."""
+    for number, kind in enumerate(KINDS, 1):
+        text = write_definition(kind).encode()
+        writer.define(Schema(number, kind.ros_type, "ros2msg", text))
+    topics = [(1, f"/r{number}/odom") for number in range(robots)] + [(2, "/events")]
+    for number, (schema, topic) in enumerate(topics, 1):
+        writer.define(Channel(number, schema, topic, "cdr", {}))
+    return list(range(1, robots + 1))
+
+
+def write_recording(path: Path, messages: int, *, robots: int = 3, is_closed: bool = True) -> None:
+    """Write odometry at 50 Hz with chunks of about a hundred messages."""
+    output = OutputFile(path)
+    writer = McapWriter(output)
+    channels = define_topics(writer, robots)
+    for number in range(messages):
+        time_ns = number * 20_000_000
+        stamp = Time(time_ns // 1_000_000_000, time_ns % 1_000_000_000)
+        payload = encode(Odometry(Header(stamp, f"odom_{number}")), Format.CDR)
+        writer.write_message(channels[number % robots], time_ns, time_ns + 7, payload)
+        if number % 100 == 99:
+            writer.flush()
+    writer.attach(Attachment("world.sdf", "text/xml", b"<sdf/>"))
+    writer.flush()
+    if is_closed:
+        writer.close()
+    output.close()
+
+
+def count_by_rosbags(path: Path) -> dict[str, int]:
+    """Read all messages with rosbags; count them by topic."""
+    counts: dict[str, int] = {}
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        for connection, _, raw in reader.messages():
+            reader.deserialize(raw, connection.msgtype)
+            counts[connection.topic] = counts.get(connection.topic, 0) + 1
+    return counts

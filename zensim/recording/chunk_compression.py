@@ -1,0 +1,77 @@
+"""Compression of the chunks of a recording: Zstandard, as Python 3.14 and its backport have it."""
+
+import sys
+from collections.abc import Iterator
+from typing import Final
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+LEVEL: Final = 1
+"""As fast as LZ4, and a third smaller; the default level takes up to 1.7 times the time."""
+PIECE_BYTES: Final = 1 << 20
+
+
+class DamagedChunk(ValueError):
+    """The bytes of a chunk are not what was written."""
+
+
+def compress(content: bytes | bytearray) -> bytes:
+    """Compress the records of a chunk."""
+    return zstd.compress(content, LEVEL)
+
+
+def decompress(compressed: bytes, compression: str, size: int) -> bytes:
+    """Decompress the records of a chunk that has this size [bytes].
+
+    Raises:
+        DamagedChunk: It has another size, or is damaged.
+        ValueError: The compression is not supported.
+    """
+    if not compression:
+        return compressed
+    if compression != "zstd":
+        raise ValueError(
+            f"chunks are compressed by {compression[:20]!r}; convert the file by "
+            "'mcap compress --compression zstd'"
+        )
+    try:
+        content = zstd.ZstdDecompressor().decompress(compressed, size + 1)
+    except zstd.ZstdError as error:
+        raise DamagedChunk(str(error)) from error
+    if len(content) != size:
+        raise DamagedChunk(f"the chunk has not {size} bytes")
+    return content
+
+
+class CompressedLog:
+    """Bytes that are appended, kept compressed, and read once from the start.
+
+    The index of a recording of hours has a hundred megabytes.
+    """
+
+    def __init__(self) -> None:
+        self._compressor = zstd.ZstdCompressor(LEVEL)
+        self._pieces: list[bytes] = []
+        self.size = 0
+        """Bytes that were appended."""
+
+    def append(self, content: bytes) -> None:
+        """Append."""
+        self.size += len(content)
+        self._pieces.append(self._compressor.compress(content))
+
+    def read(self) -> Iterator[bytes]:
+        """Read all bytes in pieces; nothing can be appended then."""
+        self._pieces.append(self._compressor.flush())
+        decompressor = zstd.ZstdDecompressor()
+        for piece in self._pieces:
+            while piece or not (decompressor.eof or decompressor.needs_input):
+                found = decompressor.decompress(piece, PIECE_BYTES)
+                piece = b""  # noqa: PLW2901  the decompressor keeps the rest
+                if found:
+                    yield found
+                if decompressor.eof or decompressor.needs_input:
+                    break

@@ -1,0 +1,363 @@
+"""`zensim record`: write the topics of a world to MCAP files, with the options of rosbag2."""
+
+import signal
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, get_args
+
+import msgspec
+import typer
+
+from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.cli_options import (
+    ConnectionOptions,
+    JsonOption,
+    RosDomainOption,
+    expand_options,
+    flag,
+    make_app,
+    parse_choice,
+)
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.messages.telemetry_messages import EventKind, InfoRequest
+from zensim.proto.names import check_name
+from zensim.proto.printable_text import print_lines
+from zensim.proto.ros2.rmw_keys import parse_domain
+from zensim.proto.service_catalog import INFO
+from zensim.proto.stop_signal import StopFlag
+from zensim.proto.verbosity import CURRENT, print_note
+from zensim.recording.recorder import Recorder, RecorderSettings, TimeBase
+from zensim.recording.recording_parts import PartSettings
+from zensim.recording.recording_session import (
+    REPORT_PERIOD_S,
+    TAKE_PERIOD_S,
+    RecordingFigures,
+    RecordingSession,
+    SessionSettings,
+)
+from zensim.recording.topic_selection import TopicFilter, TopicSelection
+from zensim.recording.world_files import WorldFiles
+
+app = make_app()
+
+MEBI = 1 << 20
+UNITS = {"": 1, "k": 1000, "m": 1000**2, "g": 1000**3, "ki": 1024, "mi": MEBI, "gi": 1024**3}
+TIME_BASES: tuple[TimeBase, ...] = get_args(TimeBase)
+STORAGES = ("mcap",)
+OPEN_TIMEOUT_S = 2.0
+SNAPSHOT_S = 30.0
+MAX_NAMES_SHOWN = 5
+
+_topics = {"rich_help_panel": "Topics"}
+_files = {"rich_help_panel": "Files"}
+_snapshots = {"rich_help_panel": "Snapshots"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordOptions(ConnectionOptions):
+    """All options of `zensim record`."""
+
+    topics: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[TOPIC]...",
+            help="Topics, such as r1/odom or '*/odom'; '*' is one part of a name, '**' any number.",
+        ),
+    ] = None
+    all_topics: Annotated[
+        bool,
+        flag("--all", "-a", help="All topics of robots, and clock, events, stats, map.", **_topics),
+    ] = False
+    regex: Annotated[
+        str,
+        typer.Option(
+            "--regex",
+            "-e",
+            metavar="EXPRESSION",
+            help="Topics whose name has a match, such as '^/r[0-9]+/odom$'.",
+            **_topics,
+        ),
+    ] = ""
+    exclude_regex: Annotated[
+        str,
+        typer.Option(metavar="EXPRESSION", help="Leave out topics with a match.", **_topics),
+    ] = ""
+    exclude_topics: Annotated[
+        list[str] | None,
+        typer.Option(metavar="TOPIC", help="Leave out a topic; repeatable.", **_topics),
+    ] = None
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FOLDER|FILE.mcap",
+            help="New folder with metadata.yaml as of rosbag2, or one file.",
+            show_default="zensim_ and the time of day",
+            **_files,
+        ),
+    ] = None
+    storage: Annotated[
+        str, typer.Option("--storage", "-s", metavar="mcap", help="Format of files.", **_files)
+    ] = "mcap"
+    max_bag_size: Annotated[
+        str,
+        typer.Option(
+            "--max-bag-size",
+            "-b",
+            metavar="BYTES",
+            help="Begin a new file at this size, such as 500MB; 0 = never.",
+            **_files,
+        ),
+    ] = "0"
+    max_bag_duration: Annotated[
+        float,
+        typer.Option(
+            "--max-bag-duration",
+            "-d",
+            min=0.0,
+            metavar="SECONDS",
+            help=r"Begin a new file after this log time \[s]; 0 = never.",
+            **_files,
+        ),
+    ] = 0.0
+    max_cache_size: Annotated[
+        str,
+        typer.Option(
+            metavar="BYTES",
+            help="Memory for messages that wait for the disk, or for the snapshot.",
+            **_files,
+        ),
+    ] = "100MiB"
+    min_free: Annotated[
+        str,
+        typer.Option(
+            metavar="BYTES", help="End the recording before the disk has less than this.", **_files
+        ),
+    ] = "256MiB"
+    sync: Annotated[
+        bool, flag("--sync", help="Wait until the disk has each chunk, for power losses.", **_files)
+    ] = False
+    duration: Annotated[
+        float,
+        typer.Option(metavar="SECONDS", help=r"End after this wall time \[s]; 0 = at Ctrl-C."),
+    ] = 0.0
+    log_time: Annotated[
+        str,
+        typer.Option(
+            metavar="simulation|wall",
+            help="Times by which players pace: stamps of messages, or when they were received.",
+        ),
+    ] = "simulation"
+    use_sim_time: Annotated[
+        bool, flag("--use-sim-time", help="Same as --log-time simulation, the default.")
+    ] = False
+    snapshot_mode: Annotated[
+        bool,
+        flag(
+            "--snapshot-mode",
+            "--snapshot",
+            help="Keep messages in memory, and write them at SIGUSR1 or --snapshot-on.",
+            **_snapshots,
+        ),
+    ] = False
+    snapshot_duration: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            metavar="SECONDS",
+            help=r"Log time that is kept \[s]; 0 = as much as fits.",
+            show_default="30",
+            **_snapshots,
+        ),
+    ] = None
+    snapshot_on: Annotated[
+        str,
+        typer.Option(
+            metavar="EVENTS",
+            help="Kinds of events at which the snapshot is written, such as touched,warning.",
+            **_snapshots,
+        ),
+    ] = ""
+    ros_domain: RosDomainOption = "0"
+    as_json: JsonOption = False
+
+
+@app.command(
+    epilog="""Examples:
+  zensim record --all --output run.mcap
+  zensim record '*/odom' '*/scan' --output run --max-bag-size 500MB
+  zensim record --all --snapshot-mode --snapshot-duration 20 --snapshot-on touched"""
+)
+@expand_options
+def record(given: RecordOptions) -> None:
+    """Record topics to MCAP files, until Ctrl-C or for a duration."""
+    with exit_on_failure("record"):
+        parse_choice("--storage", given.storage, STORAGES)
+        chosen = TopicFilter(make_selection(given))
+        settings = make_session_settings(given)
+        recorder_settings = RecorderSettings(
+            world=check_name(given.world_name, "world name"),
+            domain=parse_domain(given.ros_domain),
+            time_base=parse_choice("--log-time", given.log_time, TIME_BASES),
+        )
+        stop = StopFlag(is_armed=False)
+        connect = (given.connect,) if given.connect else ()
+        config = BusConfig(connect=connect, open_timeout_s=OPEN_TIMEOUT_S)
+        with open_bus(config) as bus:
+            stop.arm()
+            program = RecordProgram(bus, chosen, recorder_settings, settings)
+            failure = program.run(stop, given.duration)
+        program.print_end(as_json=given.as_json)
+        if failure is not None:
+            raise failure
+
+
+def make_selection(given: RecordOptions) -> TopicSelection:
+    """Make the selection of the options."""
+    return TopicSelection(
+        topics=tuple(given.topics or ()),
+        wants_all=given.all_topics,
+        regex=given.regex,
+        exclude_regex=given.exclude_regex,
+        exclude_topics=tuple(given.exclude_topics or ()),
+    )
+
+
+def make_session_settings(given: RecordOptions) -> SessionSettings:
+    """Make the settings of the options.
+
+    Raises:
+        ValueError: A size or a kind of event is not valid.
+    """
+    kinds = tuple(filter(None, (one.strip() for one in given.snapshot_on.split(","))))
+    for kind in kinds:
+        parse_choice("--snapshot-on", kind, get_args(EventKind))
+    if (kinds or given.snapshot_duration is not None) and not given.snapshot_mode:
+        raise ValueError("--snapshot-on and --snapshot-duration need --snapshot-mode; add it")
+    kept_s = SNAPSHOT_S if given.snapshot_duration is None else given.snapshot_duration
+    output = given.output or Path(datetime.now().strftime("zensim_%Y_%m_%d-%H_%M_%S"))
+    return SessionSettings(
+        parts=PartSettings(
+            path=output,
+            max_bytes=parse_size("--max-bag-size", given.max_bag_size),
+            max_duration_ns=round(given.max_bag_duration * NANOSECONDS),
+            min_free_bytes=parse_size("--min-free", given.min_free),
+            is_synchronous=given.sync,
+        ),
+        max_cache_bytes=parse_size("--max-cache-size", given.max_cache_size),
+        is_snapshot=given.snapshot_mode,
+        snapshot_ns=round(kept_s * NANOSECONDS),
+        snapshot_on=frozenset(kinds),
+    )
+
+
+def parse_size(option: str, text: str) -> int:
+    """Read a number of bytes, such as `500MB`, `64MiB` or `1048576`.
+
+    Raises:
+        ValueError: It is not one.
+    """
+    word = text.strip().lower().removesuffix("b")
+    digits = word.rstrip("kmgi")
+    unit = UNITS.get(word[len(digits) :])
+    try:
+        number = float(digits)
+    except ValueError:
+        number = -1.0
+    if unit is None or not 0 <= number < 1e18:  # noqa: PLR2004
+        raise ValueError(f"{option} {text[:40]!r} is not a size; use bytes, or 500MB, or 64MiB")
+    return round(number * unit)
+
+
+class RecordProgram:
+    """The loop of `zensim record`."""
+
+    def __init__(
+        self,
+        bus: Bus,
+        chosen: TopicFilter,
+        recorder_settings: RecorderSettings,
+        settings: SessionSettings,
+    ) -> None:
+        """Subscribe, and create the first file.
+
+        Raises:
+            OSError: It exists, or cannot be created.
+            BusError: No server of the world replies.
+        """
+        self._bus = bus
+        self._settings = recorder_settings
+        self._path = settings.parts.path
+        self._info = bus.call(INFO, InfoRequest(), world=recorder_settings.world)
+        self._session = RecordingSession(settings)
+        self._recorder = Recorder(bus, chosen, recorder_settings, self._session)
+        self._files = WorldFiles(bus, recorder_settings.world, self._session.attach)
+        self._wants_snapshot = False
+        self._figures: RecordingFigures | None = None
+        if (user_signal := getattr(signal, "SIGUSR1", None)) is not None:
+            signal.signal(user_signal, self._ask_for_snapshot)
+
+    def run(self, should_stop: Callable[[], bool], duration_s: float) -> OSError | None:
+        """Record until told to stop, or for a duration [s]; return what ended it before."""
+        began_s = time.monotonic()
+        report_at_s = began_s + REPORT_PERIOD_S
+        session, recorder = self._session, self._recorder
+        with closing(recorder):
+            while not should_stop() and session.failure is None:
+                now_s = time.monotonic()
+                recorder.take()
+                if self._wants_snapshot:
+                    self._wants_snapshot = False
+                    print_note("record", f"{session.write_snapshot()} messages in the snapshot")
+                if now_s >= report_at_s:
+                    report_at_s = now_s + REPORT_PERIOD_S
+                    self._report()
+                    self._files.attach_new(has_arrivals=recorder.take_arrivals())
+                if duration_s and now_s - began_s >= duration_s:
+                    break
+                time.sleep(TAKE_PERIOD_S)
+            recorder.take()
+            self._figures = session.close(recorder, self._info, self._settings.time_base)
+        return session.failure
+
+    def print_end(self, *, as_json: bool) -> None:
+        """Print what was recorded."""
+        figures = self._figures
+        if figures is None:
+            return
+        if as_json:
+            print_lines(encode_figures(figures, self._path))
+            return
+        print_lines(f"{self._path}: {format_figures(figures)}", err=True)
+        if self._recorder.unknown_topics:
+            names = ", ".join(self._recorder.unknown_topics[:MAX_NAMES_SHOWN])
+            print_note("record", f"topics of unknown types are left out: {names}")
+
+    def _report(self) -> None:
+        if not CURRENT.is_quiet:
+            print_lines(format_figures(self._session.read_figures(self._recorder)), err=True)
+
+    def _ask_for_snapshot(self, _number: int, _frame: object) -> None:
+        self._wants_snapshot = True
+
+
+def format_figures(figures: RecordingFigures) -> str:
+    """Write the counts in one line."""
+    lost = f"{figures.lost} lost"
+    if figures.overflows:
+        lost += f", and some {figures.overflows} times before they were counted"
+    return (
+        f"{figures.duration_s:.0f} s: {figures.messages} messages, {figures.bytes / 1e6:.1f} MB, "
+        f"{figures.topics} topics, {lost}"
+    )
+
+
+def encode_figures(figures: RecordingFigures, path: Path) -> str:
+    """Write the counts as JSON."""
+    return msgspec.json.encode({"path": str(path), **msgspec.to_builtins(figures)}).decode()

@@ -1,0 +1,260 @@
+"""Reads the records of an MCAP file in turn, also of one that was never closed or is damaged."""
+
+import re
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import BinaryIO, Final, TypeAlias
+
+import msgspec
+
+from zensim.recording.chunk_compression import DamagedChunk, decompress
+from zensim.recording.mcap_records import (
+    MAGIC,
+    MESSAGE_FIELDS_BYTES,
+    MESSAGE_HEAD,
+    RECORD_HEAD,
+    Attachment,
+    Channel,
+    Chunk,
+    MalformedRecord,
+    Metadata,
+    Opcode,
+    Schema,
+    read_attachment,
+    read_channel,
+    read_chunk,
+    read_metadata,
+    read_schema,
+)
+
+WINDOW_BYTES: Final = 1 << 20
+CHUNK_PATTERN: Final = re.compile(
+    rb"\x06.{36}(?:\x04\x00\x00\x00zstd|\x03\x00\x00\x00lz4|\x00\x00\x00\x00).{8}", re.DOTALL
+)
+"""Start of a chunk: opcode, length, times, size, checksum, compression, length of the content."""
+CHUNK_START_BYTES: Final = 53
+MAX_RECORD_BYTES: Final = 1 << 30
+LIMITS_OF_OPCODE: Final = {Opcode.HEADER: 1 << 16, Opcode.SCHEMA: 1 << 20, Opcode.CHANNEL: 1 << 20}
+"""Longer ones are damaged."""
+ENDS: Final = (Opcode.DATA_END, Opcode.FOOTER)
+OPCODES: Final = frozenset(Opcode)
+
+ScannedMessage = tuple[int, int, int, bytes]
+"""Channel, log time [ns], publish time [ns], payload."""
+
+
+class OpenChunk(msgspec.Struct, frozen=True):
+    """A chunk whose content has the right checksum."""
+
+    chunk: Chunk
+    records: bytes
+
+
+class LooseMessage(msgspec.Struct, frozen=True):
+    """A message that is in no chunk."""
+
+    message: ScannedMessage
+
+
+Scanned: TypeAlias = OpenChunk | Schema | Channel | Attachment | Metadata | LooseMessage
+
+
+class ScanReport(msgspec.Struct):
+    """What was found besides records."""
+
+    is_closed: bool = False
+    """Whether the end of the data was found."""
+    damaged: int = 0
+    """Number of places where bytes were skipped."""
+    skipped_bytes: int = 0
+    cut_bytes: int = 0
+    """Of the last record, which is not whole."""
+
+
+def scan_file(path: Path, report: ScanReport) -> Iterator[Scanned]:
+    """Read the records up to the end of the data; skip what is damaged.
+
+    Args:
+        path: File.
+        report: Is completed.
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: It is not an MCAP file, or its compression is not supported.
+    """
+    with path.open("rb") as stream:
+        if stream.read(len(MAGIC)) != MAGIC:
+            raise ValueError(f"{path} is not an MCAP file")
+        yield from _Scan(stream, path.stat().st_size, report).run()
+
+
+class _Scan:
+    """Position in a file."""
+
+    def __init__(self, stream: BinaryIO, size: int, report: ScanReport) -> None:
+        self._stream = stream
+        self._size = size
+        self._report = report
+
+    def run(self) -> Iterator[Scanned]:
+        at = len(MAGIC)
+        while at < self._size:
+            opcode, length = self._read_head(at)
+            end = at + RECORD_HEAD.size + length
+            if opcode in ENDS and self._is_start(at):
+                self._report.is_closed = True
+                return
+            if opcode is None or end > self._size:
+                found, is_good = None, False
+            else:
+                found, is_good = self._read_record(opcode, at + RECORD_HEAD.size, length)
+            follows = end <= self._size and self._is_start(end)
+            if is_good and (follows or isinstance(found, OpenChunk)):
+                if found is not None:
+                    yield found
+                at = end if follows else self._find_chunk(end)
+            elif opcode is not None and follows:
+                self._skip(end - at)
+                at = end
+            else:
+                at = self._find_chunk(at)
+
+    def _read_head(self, at: int) -> tuple[Opcode | None, int]:
+        """Read opcode and length; no opcode where there is no record."""
+        self._stream.seek(at)
+        head = self._stream.read(RECORD_HEAD.size)
+        if len(head) < RECORD_HEAD.size or head[0] not in OPCODES:
+            return None, 0
+        code, length = RECORD_HEAD.unpack(head)
+        opcode = Opcode(code)
+        is_possible = length <= LIMITS_OF_OPCODE.get(opcode, MAX_RECORD_BYTES)
+        return (opcode, length) if is_possible else (None, 0)
+
+    def _is_start(self, at: int) -> bool:
+        """Whether a record may begin here, or the file ends."""
+        if at == self._size:
+            return True
+        opcode, length = self._read_head(at)
+        end = at + RECORD_HEAD.size + length
+        if opcode is None:
+            return self._size - at < RECORD_HEAD.size
+        if opcode is Opcode.CHUNK:
+            return self._has_lengths(at, length)
+        if opcode in ENDS:
+            return length in (4, 20)
+        # The last record of a file that was never closed may be cut.
+        return end <= self._size or length <= WINDOW_BYTES
+
+    def _has_lengths(self, at: int, length: int) -> bool:
+        """Whether the lengths in the start of a chunk agree."""
+        self._stream.seek(at)
+        start = self._stream.read(CHUNK_START_BYTES)
+        found = CHUNK_PATTERN.match(start)
+        if found is None:
+            return len(start) < CHUNK_START_BYTES
+        (content,) = struct.unpack("<Q", start[found.end() - 8 : found.end()])
+        return length == found.end() - RECORD_HEAD.size + content
+
+    def _read_record(self, opcode: Opcode, at: int, length: int) -> tuple[Scanned | None, bool]:
+        """Read a record; say whether it is undamaged, as far as that can be known."""
+        if opcode is Opcode.CHUNK and not self._has_lengths(at - RECORD_HEAD.size, length):
+            return None, False
+        if opcode is Opcode.MESSAGE_INDEX:
+            return None, True
+        self._stream.seek(at)
+        body = self._stream.read(length)
+        try:
+            return _parse_record(opcode, body), True
+        except (MalformedRecord, DamagedChunk):
+            return None, False
+
+    def _find_chunk(self, at: int) -> int:
+        """Find the next chunk whose lengths agree; the end of the file if there is none."""
+        start = at + 1
+        while start < self._size:
+            self._stream.seek(start)
+            window = self._stream.read(WINDOW_BYTES + CHUNK_START_BYTES)
+            for found in re.finditer(rb"(?=\x06)", window[:WINDOW_BYTES]):
+                place = start + found.start()
+                match = CHUNK_PATTERN.match(window, found.start())
+                if match is not None and self._is_start(place):
+                    self._skip(place - at)
+                    return place
+            start += WINDOW_BYTES
+        self._report.cut_bytes += self._size - at
+        return self._size
+
+    def _skip(self, count: int) -> None:
+        self._report.damaged += 1
+        self._report.skipped_bytes += count
+
+
+def _parse_record(opcode: Opcode, body: bytes) -> Scanned | None:
+    parse = PARSERS.get(opcode)
+    return parse(body) if parse is not None else None
+
+
+def _open_chunk(body: bytes) -> OpenChunk:
+    chunk = read_chunk(body)
+    records = decompress(chunk.content, chunk.compression, chunk.size)
+    if chunk.crc and chunk.crc != zlib.crc32(records):
+        raise DamagedChunk("the checksum of a chunk is wrong")
+    return OpenChunk(chunk, records)
+
+
+def _read_message(body: bytes) -> ScannedMessage:
+    if len(body) < MESSAGE_FIELDS_BYTES:
+        raise MalformedRecord("a message is cut")
+    channel, _, log_ns, publish_ns = struct.unpack_from("<HIQQ", body)
+    return channel, log_ns, publish_ns, body[MESSAGE_FIELDS_BYTES:]
+
+
+PARSERS: Final[dict[Opcode, Callable[[bytes], Scanned]]] = {
+    Opcode.CHUNK: _open_chunk,
+    Opcode.SCHEMA: read_schema,
+    Opcode.CHANNEL: read_channel,
+    Opcode.ATTACHMENT: read_attachment,
+    Opcode.METADATA: read_metadata,
+    Opcode.MESSAGE: lambda body: LooseMessage(_read_message(body)),
+}
+
+
+def read_definitions(records: bytes) -> Iterator[Schema | Channel]:
+    """Read the schemas and channels in a chunk."""
+    for opcode, start, end in _walk(records):
+        if opcode == Opcode.SCHEMA:
+            yield read_schema(records[start:end])
+        elif opcode == Opcode.CHANNEL:
+            yield read_channel(records[start:end])
+
+
+def read_messages(records: bytes) -> Iterator[tuple[int, ScannedMessage]]:
+    """Read the messages in a chunk, each with its offset there."""
+    for opcode, start, end in _walk(records):
+        if opcode == Opcode.MESSAGE:
+            yield start - RECORD_HEAD.size, _read_message(records[start:end])
+
+
+def index_messages(records: bytes) -> Iterator[tuple[int, int, int]]:
+    """List channel, log time [ns] and offset of the messages in a chunk."""
+    unpack, end = MESSAGE_HEAD.unpack_from, len(records) - MESSAGE_HEAD.size
+    at = 0
+    for opcode, start, _ in _walk(records):
+        at = start - RECORD_HEAD.size
+        if opcode == Opcode.MESSAGE and at <= end:
+            _, _, channel, _, log_ns, _ = unpack(records, at)
+            yield channel, log_ns, at
+
+
+def _walk(records: bytes) -> Iterator[tuple[int, int, int]]:
+    """Walk over records: opcode, start and end of each body."""
+    unpack, head, at = RECORD_HEAD.unpack_from, RECORD_HEAD.size, 0
+    while at + head <= len(records):
+        opcode, length = unpack(records, at)
+        start = at + head
+        at = start + length
+        if at > len(records):
+            return
+        yield opcode, start, at

@@ -1,0 +1,94 @@
+"""A file that is appended to in whole pieces, with disk space in reserve for its end."""
+
+import errno
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+RESERVE_STEP_BYTES: Final = 1 << 20
+
+
+class OutputFile:
+    """A file to which each write appends all bytes, or none."""
+
+    def __init__(self, path: Path, *, is_synchronous: bool = False) -> None:
+        """Create the file.
+
+        Args:
+            path: Must not exist.
+            is_synchronous: Whether each write waits until the disk has the bytes.
+
+        Raises:
+            OSError: It exists, or cannot be created.
+        """
+        self.path = path
+        self.position = 0
+        self._is_synchronous = is_synchronous
+        self._reserve_path = path.with_name(f".{path.name}.reserve")
+        self._reserve_bytes = 0
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+
+    def write(self, content: bytes) -> None:
+        """Append all bytes, or none.
+
+        Raises:
+            OSError: None were appended, such as where the disk is full.
+        """
+        left = memoryview(content)
+        try:
+            while left:
+                # A disk that is nearly full takes a part without an error.
+                left = left[os.write(self._descriptor, left) :]
+            if self._is_synchronous:
+                os.fdatasync(self._descriptor)
+        except OSError:
+            self._cut()
+            raise
+        self.position += len(content)
+
+    def reserve(self, count: int) -> None:
+        """Keep at least this number of bytes of the disk until `release`.
+
+        Raises:
+            OSError: The disk is full.
+        """
+        wanted = -(-count // RESERVE_STEP_BYTES) * RESERVE_STEP_BYTES
+        if wanted <= self._reserve_bytes:
+            return
+        descriptor = os.open(self._reserve_path, os.O_WRONLY | os.O_CREAT, 0o600)
+        try:
+            _allocate(descriptor, wanted)
+        finally:
+            os.close(descriptor)
+        self._reserve_bytes = wanted
+
+    def release(self) -> None:
+        """Free what is reserved."""
+        with suppress(FileNotFoundError):
+            self._reserve_path.unlink()
+        self._reserve_bytes = 0
+
+    def close(self) -> None:
+        """Free what is reserved, and close the file."""
+        self.release()
+        os.close(self._descriptor)
+
+    def _cut(self) -> None:
+        os.ftruncate(self._descriptor, self.position)
+        os.lseek(self._descriptor, self.position, os.SEEK_SET)
+
+
+def _allocate(descriptor: int, count: int) -> None:
+    if hasattr(os, "posix_fallocate"):
+        try:
+            os.posix_fallocate(descriptor, 0, count)
+        except OSError as error:
+            if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL):
+                raise
+        else:
+            return
+    os.lseek(descriptor, 0, os.SEEK_SET)
+    left = count
+    while left > 0:
+        left -= os.write(descriptor, bytes(min(left, RESERVE_STEP_BYTES)))

@@ -1,0 +1,182 @@
+"""Samples of the network as messages of a recording: topic, type, QoS, CDR bytes."""
+
+from collections.abc import Callable
+from typing import Final
+
+import msgspec
+
+from zensim.proto.cmd_vel_decoding import MIN_STAMPED_BYTES
+from zensim.proto.codec.cdr_layout import find_ros_class
+from zensim.proto.codec.message_codec import (
+    Format,
+    MalformedPayload,
+    decode,
+    detect_format,
+    encode,
+    parse_schema_name,
+    supports_format,
+)
+from zensim.proto.messages.standard_messages import Clock, String, Twist, TwistStamped
+from zensim.proto.network_protocols import Sample
+from zensim.proto.ros2.liveliness_tokens import (
+    RELIABLE_10,
+    RMW_DURABILITY,
+    RMW_HISTORY,
+    RMW_LIVELINESS,
+    RMW_RELIABILITY,
+    Qos,
+)
+from zensim.proto.ros2.type_hash import hash_type
+from zensim.proto.schema import list_messages
+from zensim.proto.topic_catalog import CLOCK, CMD_VEL, MAP
+from zensim.recording.message_times import StampReader, make_stamp_reader
+from zensim.recording.topic_selection import CLOCK_TOPIC, ROSTER_TOPICS, find_robot_topic
+
+ToCdr = Callable[[Sample], bytes]
+SPAN_PARTS: Final = (9223372036, 854775807)
+"""Seconds and nanoseconds of an infinite time, as rmw writes it."""
+
+
+class RecordedTopic(msgspec.Struct, frozen=True, eq=False):
+    """A topic of a recording."""
+
+    name: str
+    kind: type[msgspec.Struct]
+    qos: Qos
+    read_stamp: StampReader
+    to_cdr: ToCdr
+    is_latched: bool = False
+
+    @property
+    def ros_type(self) -> str:
+        """`pkg/msg/Name`."""
+        return str(vars(find_ros_class(self.kind))["ros_type"])
+
+    def metadata(self) -> dict[str, str]:
+        """Write what ROS 2 keeps with a channel: QoS and type hash."""
+        return {
+            "offered_qos_profiles": write_qos_profiles(self.qos),
+            "topic_type_hash": hash_type(self.kind),
+        }
+
+
+RecordedMessage = tuple[RecordedTopic, int, int, bytes]
+"""Topic, log time [ns], publish time [ns], CDR."""
+
+
+def write_qos_profiles(qos: Qos) -> str:
+    """Write a profile as YAML with the numbers of rmw; Humble reads nothing else."""
+    span = f"\n    sec: {SPAN_PARTS[0]}\n    nsec: {SPAN_PARTS[1]}"
+    return (
+        f"- history: {RMW_HISTORY[qos.history]}\n"
+        f"  depth: {qos.depth}\n"
+        f"  reliability: {RMW_RELIABILITY[qos.reliability]}\n"
+        f"  durability: {RMW_DURABILITY[qos.durability]}\n"
+        f"  deadline:{span}\n"
+        f"  lifespan:{span}\n"
+        f"  liveliness: {RMW_LIVELINESS[qos.liveliness]}\n"
+        f"  liveliness_lease_duration:{span}\n"
+        "  avoid_ros_namespace_conventions: false"
+    )
+
+
+def _list_kinds() -> dict[str, type[msgspec.Struct]]:
+    return {
+        kind.ros_type: kind
+        for kind in list_messages().values()
+        if hasattr(kind, "ros_type") and supports_format(kind, Format.CDR)
+    }
+
+
+KIND_OF_TYPE: Final = _list_kinds()
+
+
+def make_clock_topic() -> RecordedTopic:
+    """Make the topic `/clock`."""
+    return RecordedTopic(CLOCK_TOPIC, Clock, CLOCK.qos, make_stamp_reader(Clock), _encode_clock)
+
+
+def make_topic(sample: Sample, world: str) -> RecordedTopic | None:
+    """Make the topic of a sample; None if its type is not known.
+
+    Args:
+        sample: With a plain key.
+        world: Name of the world.
+    """
+    name = f"/{sample.key}"
+    for spec in ROSTER_TOPICS:
+        if sample.key == spec.key(world):
+            convert = _make_text_writer(spec.messages[0])
+            return RecordedTopic(name, String, spec.qos, make_stamp_reader(String), convert)
+    if (kind := _find_kind(sample)) is None:
+        return None
+    known = MAP if sample.key == MAP.suffix else find_robot_topic(sample.key)
+    qos = known.qos if known is not None else RELIABLE_10
+    is_latched = known is not None and known.is_latched
+    convert = _make_cdr_writer(kind)
+    return RecordedTopic(name, kind, qos, make_stamp_reader(kind), convert, is_latched)
+
+
+def _find_kind(sample: Sample) -> type[msgspec.Struct] | None:
+    if schema := parse_schema_name(sample.encoding):
+        return KIND_OF_TYPE.get(schema)
+    spec = find_robot_topic(sample.key)
+    if spec is CMD_VEL and detect_format(sample.payload, sample.encoding) is Format.CDR:
+        return TwistStamped if len(sample.payload) >= MIN_STAMPED_BYTES else Twist
+    return spec.messages[0] if spec is not None else None
+
+
+def _make_cdr_writer(kind: type[msgspec.Struct]) -> ToCdr:
+    def to_cdr(sample: Sample) -> bytes:
+        if sample.payload[:1] == b"\0":
+            return sample.payload
+        return encode(decode(kind, sample.payload, sample.encoding), Format.CDR)
+
+    return to_cdr
+
+
+def _make_text_writer(kind: type[msgspec.Struct]) -> ToCdr:
+    """Write messages that are not CDR as JSON in a text: a bag has one serialization."""
+
+    def to_cdr(sample: Sample) -> bytes:
+        message = decode(kind, sample.payload, sample.encoding)
+        return encode(String(msgspec.json.encode(message).decode()), Format.CDR)
+
+    return to_cdr
+
+
+def _encode_clock(sample: Sample) -> bytes:
+    return encode(Clock(decode(Clock, sample.payload, sample.encoding).clock), Format.CDR)
+
+
+class TopicTable:
+    """The topic of each key and encoding; looked up for each message."""
+
+    def __init__(self, world: str, accepts: Callable[[str], bool]) -> None:
+        self._world = world
+        self._accepts = accepts
+        self._topics: dict[tuple[str, str], RecordedTopic | None] = {}
+        self._kinds: dict[str, type[msgspec.Struct]] = {}
+        self.unknown: set[str] = set()
+        """Topics that are left out, since their type is not known, or is another than before."""
+
+    def find(self, sample: Sample) -> RecordedTopic | None:
+        """Find the topic of a sample with a plain key; None if it is not recorded."""
+        key = sample.key, sample.encoding
+        try:
+            return self._topics[key]
+        except KeyError:
+            found = self._topics[key] = self._make(sample)
+            return found
+
+    def _make(self, sample: Sample) -> RecordedTopic | None:
+        if not self._accepts(f"/{sample.key}"):
+            return None
+        try:
+            topic = make_topic(sample, self._world)
+        except MalformedPayload:
+            topic = None
+        if topic is not None and self._kinds.setdefault(topic.name, topic.kind) is topic.kind:
+            return topic
+        self.unknown.add(f"/{sample.key}")
+        return None

@@ -1,0 +1,165 @@
+"""A recording from its start to its end: recorder, ring, files, and what is said of them."""
+
+import json
+import time
+from collections.abc import Sequence
+from typing import Final
+
+import msgspec
+
+from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.messages.telemetry_messages import Event, Info
+from zensim.recording.mcap_records import Attachment, Metadata
+from zensim.recording.recorded_topics import RecordedMessage
+from zensim.recording.recorder import Recorder, TimeBase
+from zensim.recording.recording_parts import PartSettings, RecordingParts
+from zensim.recording.snapshot_ring import SnapshotRing
+from zensim.recording.write_queue import NewPart, WriteQueue
+
+TAKE_PERIOD_S: Final = 0.01
+REPORT_PERIOD_S: Final = 1.0
+
+
+class SessionSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """How messages are kept."""
+
+    parts: PartSettings
+    max_cache_bytes: int
+    """Of the messages that wait for the disk, or that the ring of `--snapshot-mode` keeps."""
+    is_snapshot: bool = False
+    """Whether messages are kept in memory, and written on demand only."""
+    snapshot_ns: int = 0
+    """Log time that the ring keeps; 0 = as much as fits."""
+    snapshot_on: frozenset[str] = frozenset()
+    """Kinds of events at which it is written."""
+
+
+class RecordingFigures(msgspec.Struct, frozen=True, kw_only=True):
+    """Counts of a recording so far."""
+
+    duration_s: float
+    """Wall time."""
+    messages: int
+    """In the files."""
+    bytes: int
+    topics: int
+    lost: int
+    """Received, and not written: the disk was too slow, or full."""
+    overflows: int
+    """How often messages came faster than they were taken; each time some were lost."""
+    malformed: int
+
+
+class RecordingSession:
+    """Takes what the recorder hands over to the ring or to the thread that writes."""
+
+    def __init__(self, settings: SessionSettings) -> None:
+        """Create the first file.
+
+        Raises:
+            OSError: It exists, or cannot be created.
+        """
+        self._settings = settings
+        self._parts = RecordingParts(settings.parts)
+        self._queue = WriteQueue(self._parts, settings.max_cache_bytes)
+        self._ring = SnapshotRing(settings.snapshot_ns, settings.max_cache_bytes)
+        self._wants_snapshot = False
+        self._snapshots = 0
+        self._began_s = time.monotonic()
+        self._handed_over = 0
+
+    @property
+    def failure(self) -> OSError | None:
+        """Why nothing more is written."""
+        return self._queue.failure
+
+    def put(self, batch: Sequence[RecordedMessage]) -> None:
+        """Keep or write messages."""
+        if not self._settings.is_snapshot:
+            self._queue.put(batch)
+            return
+        for message in batch:
+            self._ring.add(message)
+        if self._wants_snapshot:
+            self.write_snapshot()
+
+    def start_part(self, log_ns: int, publish_ns: int) -> None:
+        """Begin a new file, as time was reset."""
+        if self._settings.is_snapshot:
+            self._ring.take()  # readers would mix two runs
+        else:
+            self._queue.order(NewPart(log_ns, publish_ns))
+
+    def note_event(self, event: Event) -> None:
+        """Write the ring after an event that asks for it."""
+        self._wants_snapshot |= event.kind in self._settings.snapshot_on
+
+    def write_snapshot(self) -> int:
+        """Write the ring to a file of its own; return the number of messages."""
+        self._wants_snapshot = False
+        messages = self._ring.take()
+        if messages:
+            if self._snapshots:
+                self._queue.order(NewPart(*messages[0][1:3]))
+            self._snapshots += 1
+            self._queue.put(messages)
+        return len(messages)
+
+    def attach(self, attachment: Attachment) -> None:
+        """Write a file into the recording."""
+        self._queue.order(attachment)
+
+    def read_figures(self, recorder: Recorder) -> RecordingFigures:
+        """Read the counts."""
+        parts = self._parts
+        return RecordingFigures(
+            duration_s=round(time.monotonic() - self._began_s, 3),
+            messages=parts.written,
+            bytes=parts.written_bytes,
+            topics=parts.topics,
+            lost=self._queue.dropped,
+            overflows=recorder.overflows,
+            malformed=recorder.malformed,
+        )
+
+    def close(self, recorder: Recorder, info: Info, time_base: TimeBase) -> RecordingFigures:
+        """Write what waits, and the facts of the recording.
+
+        Raises:
+            OSError: The disk is full; what was written is readable all the same.
+        """
+        self._queue.stop()
+        lost = self._queue.dropped
+        failed = self.failure
+        figures = self.read_figures(recorder)
+        facts = {
+            **msgspec.to_builtins(info, builtin_types=()),
+            **msgspec.to_builtins(figures),
+        }
+        try:
+            self._parts.close(
+                make_metadata(info, time_base),
+                Attachment("zensim.json", "application/json", json.dumps(facts).encode()),
+            )
+        except OSError as error:
+            failed = failed or error
+        return msgspec.structs.replace(
+            self.read_figures(recorder),
+            lost=lost + self._parts.offered - self._parts.written,
+        )
+
+
+def make_metadata(info: Info, time_base: TimeBase) -> Metadata:
+    """Describe world and time of a recording."""
+    simulation_ns = round(info.sim_time_s * NANOSECONDS)
+    texts = {
+        "world": info.world,
+        "world_model": info.world_model,
+        "engine": info.engine,
+        "seed": str(info.seed),
+        "version": info.version,
+        "step_ns": str(info.step_ns),
+        "time_base": time_base,
+        "wall_time_of_simulation_time_0_ns": str(time.time_ns() - simulation_ns),
+    }
+    return Metadata("zensim", texts)

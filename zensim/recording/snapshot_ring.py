@@ -1,0 +1,52 @@
+"""The messages of the last seconds, kept in memory until they are written."""
+
+from collections import deque
+
+from zensim.recording.recorded_topics import RecordedMessage, RecordedTopic
+
+
+class SnapshotRing:
+    """Messages of a span of log time, and the last one of each latched topic."""
+
+    def __init__(self, span_ns: int, max_bytes: int) -> None:
+        """Create an empty ring.
+
+        Args:
+            span_ns: Of log time; 0 = no limit.
+            max_bytes: Of payloads; the oldest are removed.
+        """
+        self._span_ns = span_ns
+        self._max_bytes = max_bytes
+        self._messages: deque[RecordedMessage] = deque()
+        self._latched: dict[RecordedTopic, RecordedMessage] = {}
+        self._bytes = 0
+
+    def add(self, message: RecordedMessage) -> None:
+        """Add a message, and remove those that are too old."""
+        topic, log_ns, _, payload = message
+        if topic.is_latched:
+            self._latched[topic] = message
+            return
+        self._messages.append(message)
+        self._bytes += len(payload)
+        while self._messages and self._is_too_much(log_ns):
+            self._bytes -= len(self._messages.popleft()[3])
+
+    def take(self) -> list[RecordedMessage]:
+        """Remove all messages, and return them after the latched ones, which remain."""
+        messages = list(self._messages)
+        self._messages.clear()
+        self._bytes = 0
+        if not messages:
+            return []
+        first_ns, publish_ns = messages[0][1:3]
+        latched = [
+            (topic, first_ns, publish_ns, payload)
+            for topic, _, _, payload in self._latched.values()
+        ]
+        return [*latched, *messages]
+
+    def _is_too_much(self, newest_ns: int) -> bool:
+        if self._bytes > self._max_bytes:
+            return True
+        return bool(self._span_ns) and self._messages[0][1] < newest_ns - self._span_ns

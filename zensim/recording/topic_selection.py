@@ -1,0 +1,169 @@
+"""Which topics are recorded, and the key expressions to subscribe to for them."""
+
+import re
+from collections.abc import Iterable
+from typing import Final
+
+import msgspec
+
+from zensim.proto import keys
+from zensim.proto.ros2.liveliness_tokens import AnnouncedEndpoint
+from zensim.proto.topic_catalog import (
+    CLOCK,
+    EVENTS,
+    MAP,
+    ROBOT_TOPICS,
+    STATS,
+    Participant,
+    TopicSpec,
+)
+
+CLOCK_TOPIC: Final = f"/{CLOCK.suffix}"
+ANY_ROS_TYPE: Final = "*/*"
+"""Type and type hash at the end of the keys of ROS 2."""
+PUBLISHER: Final = "MP"
+ROSTER_TOPICS: Final = (EVENTS, STATS)
+"""Of the world, recorded as texts with JSON."""
+
+
+class TopicSelection(msgspec.Struct, frozen=True, kw_only=True):
+    """Options that choose topics; names are those of ROS 2, with wildcards of Zenoh."""
+
+    topics: tuple[str, ...] = ()
+    """`/r1/odom`, `/*/odom`, `/**/scan`; the first slash may be left out."""
+    wants_all: bool = False
+    regex: str = ""
+    """Topics whose name has a match anywhere."""
+    exclude_regex: str = ""
+    exclude_topics: tuple[str, ...] = ()
+
+
+class TopicFilter:
+    """Decides by name."""
+
+    def __init__(self, selection: TopicSelection) -> None:
+        """Compile the expressions.
+
+        Raises:
+            ValueError: Nothing is selected, or an expression is not valid.
+        """
+        if not (selection.topics or selection.wants_all or selection.regex):
+            raise ValueError("no topics are selected; name some, or use --all or --regex")
+        self._topics = tuple(one.strip("/") for one in selection.topics)
+        self._wants_all = selection.wants_all
+        self._regex = _compile("--regex", selection.regex)
+        self._excluded = _compile("--exclude-regex", selection.exclude_regex)
+        self._excluded_topics = tuple(one.strip("/") for one in selection.exclude_topics)
+        self._is_broad = selection.wants_all or bool(selection.regex)
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """The key expressions that were named."""
+        return self._topics
+
+    @property
+    def is_broad(self) -> bool:
+        """Whether topics are chosen among all."""
+        return self._is_broad
+
+    def accepts(self, topic: str) -> bool:
+        """Whether a topic is recorded, by its name with the first slash."""
+        key = topic.strip("/")
+        if self._excluded is not None and self._excluded.search(topic):
+            return False
+        if any(keys.intersect(one, key) for one in self._excluded_topics):
+            return False
+        if self._wants_all or any(keys.intersect(one, key) for one in self._topics):
+            return True
+        return self._regex is not None and self._regex.search(topic) is not None
+
+
+def _compile(option: str, expression: str) -> "re.Pattern[str] | None":
+    if not expression:
+        return None
+    try:
+        return re.compile(expression)
+    except re.error as error:
+        raise ValueError(f"{option} {expression[:60]!r} is not valid: {error}") from error
+
+
+def list_keys(chosen: TopicFilter, world: str, domain: int | None) -> list[str]:
+    """List the key expressions of the selected topics, without the clock.
+
+    They do not overlap, as a message would arrive once for each.
+
+    Args:
+        chosen: See there.
+        world: Name of the world.
+        domain: Of ROS 2; None = only plain keys.
+    """
+    listed = dict.fromkeys(
+        key for topic in chosen.topics for key in _list_keys_of_topic(topic, world, domain)
+    )
+    if chosen.is_broad:
+        listed.update(dict.fromkeys(_list_all_keys(world, domain)))
+        named = [f"/{one.key(world)}" for one in ROSTER_TOPICS]
+        listed.update(
+            (one.strip("/"), None) for one in (*named, f"/{MAP.suffix}") if chosen.accepts(one)
+        )
+    return _drop_covered(listed)
+
+
+def _list_keys_of_topic(topic: str, world: str, domain: int | None) -> list[str]:
+    if topic == CLOCK.suffix:
+        return []
+    spec = find_robot_topic(topic)
+    is_ours = spec is not None and spec.publisher is not Participant.USER
+    if is_ours or topic in [one.key(world) for one in ROSTER_TOPICS] or domain is None:
+        return [topic]
+    return [topic, f"{domain}/{topic}/{ANY_ROS_TYPE}"]
+
+
+def _list_all_keys(world: str, domain: int | None) -> list[str]:
+    return [
+        key for suffix in ROBOT_TOPICS for key in _list_keys_of_topic(f"**/{suffix}", world, domain)
+    ]
+
+
+def _drop_covered(expressions: Iterable[str]) -> list[str]:
+    """Leave out `**/depth/image_raw`, as `**/image_raw` covers it."""
+    listed = list(expressions)
+    return [
+        one for one in listed if not any(other != one and _covers(other, one) for other in listed)
+    ]
+
+
+def _covers(wide: str, narrow: str) -> bool:
+    if not wide.startswith("**/"):
+        return False
+    rest = wide.removeprefix("**/")
+    is_same_end = narrow == rest or narrow.endswith(f"/{rest}")
+    return "*" not in rest and is_same_end
+
+
+def find_robot_topic(key: str) -> TopicSpec | None:
+    """Find the topic of robots that a key ends with, the longest suffix first."""
+    parts = key.split("/")
+    for start in range(max(0, len(parts) - 3), len(parts)):
+        if (found := ROBOT_TOPICS.get("/".join(parts[start:]))) is not None:
+            return found
+    return None
+
+
+def list_ros_keys(
+    chosen: TopicFilter, announced: Iterable[AnnouncedEndpoint], known: list[str], domain: int
+) -> list[str]:
+    """List the keys of announced publishers that the known key expressions do not cover.
+
+    They are those of ROS 2 nodes, and topics that a description gives another name.
+    """
+    found = {}
+    for one in announced:
+        if one.kind != PUBLISHER or one.key == CLOCK.suffix or find_robot_topic(one.key):
+            continue
+        if not chosen.accepts(f"/{one.key}"):
+            continue
+        key = f"{domain}/{one.key}/{ANY_ROS_TYPE}"
+        if not any(keys.intersect(other, key) or keys.intersect(other, one.key) for other in known):
+            found[key] = None
+    return list(found)

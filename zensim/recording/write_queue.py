@@ -1,0 +1,90 @@
+"""A thread that writes a recording, so that a slow disk delays no message; counts what it drops."""
+
+import threading
+import time
+from collections.abc import Sequence
+from queue import SimpleQueue
+from typing import Final, NamedTuple
+
+from zensim.recording.mcap_records import Attachment
+from zensim.recording.recorded_topics import RecordedMessage
+from zensim.recording.recording_parts import RecordingParts
+
+IDLE_S: Final = 0.01
+
+
+class NewPart(NamedTuple):
+    """Order to begin the next file, with these times [ns]."""
+
+    log_ns: int
+    publish_ns: int
+
+
+Batch = Sequence[RecordedMessage]
+Order = Batch | Attachment | NewPart
+
+
+class WriteQueue:
+    """Messages that wait for the disk."""
+
+    def __init__(self, parts: RecordingParts, max_bytes: int) -> None:
+        """Start the thread.
+
+        Args:
+            parts: Used by the thread only, until `stop` returns.
+            max_bytes: Of the messages that wait; more are dropped.
+        """
+        self._parts = parts
+        self._max_bytes = max_bytes
+        self._orders: SimpleQueue[Order | None] = SimpleQueue()
+        self._put_bytes = self._taken_bytes = 0
+        self.dropped = 0
+        """Messages for which there was no room."""
+        self.failure: OSError | None = None
+        """What ended the recording."""
+        self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
+        self._thread.start()
+
+    def put(self, batch: Batch) -> None:
+        """Hand over messages; drop them if too many wait."""
+        if not batch:
+            return
+        size = sum(len(message[3]) for message in batch)
+        if self._put_bytes - self._taken_bytes + size > self._max_bytes:
+            self.dropped += len(batch)
+            return
+        self._put_bytes += size
+        self._orders.put(batch)
+
+    def order(self, order: Attachment | NewPart) -> None:
+        """Hand over another order."""
+        self._orders.put(order)
+
+    def stop(self) -> None:
+        """Write what waits, and end the thread."""
+        self._orders.put(None)
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            while (order := self._take()) is not None:
+                self._obey(order)
+        except OSError as error:
+            self.failure = error
+
+    def _take(self) -> Order | None:
+        while self._orders.empty():
+            time.sleep(IDLE_S)
+            self._parts.flush_if_due(time.monotonic())
+        return self._orders.get()
+
+    def _obey(self, order: Order) -> None:
+        if isinstance(order, Attachment):
+            self._parts.attach(order)
+        elif isinstance(order, NewPart):
+            self._parts.start_part(order.log_ns, order.publish_ns)
+        else:
+            for message in order:
+                self._parts.write(message)
+            self._taken_bytes += sum(len(message[3]) for message in order)
+        self._parts.flush_if_due(time.monotonic())
