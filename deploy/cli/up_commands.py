@@ -8,8 +8,10 @@ import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
+from errno import EEXIST
 from functools import partial
 from math import isfinite
+from pathlib import Path
 from typing import Annotated
 
 import msgspec
@@ -18,6 +20,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from zensim.api.local_deployment import (
     OPERATOR,
+    RECORDER,
     VIEWER,
     LaunchAgentsConfig,
     LaunchConfig,
@@ -157,6 +160,14 @@ class UpOptions(RosTfOptions, ServeOptions):
             show_default="1, from the first robot that has one",
         ),
     ] = None
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            "--record",
+            metavar="FOLDER|FILE.mcap",
+            help="Record all topics there, as 'zensim record --all' does.",
+        ),
+    ] = None
     behaviour: Annotated[
         str,
         typer.Option(
@@ -200,6 +211,7 @@ def up(context: typer.Context, given: UpOptions) -> None:
         plan = _make_plan(context, given)
         if plan.config.has_viewer:
             check_page(plan.config.viewer_port)
+        require_no_recording(plan.config)
         plan = replace(plan, config=secure_deployment(plan.config))
         _launch_and_run(plan, began_s, given.duration, as_json=given.as_json)
 
@@ -318,10 +330,21 @@ def make_config(given: UpOptions) -> LaunchConfig:
         ros=given.ros,
         agents=_choose_agents(given.agents, given.robots, given.odom_hz, given.tf_hz),
         sensor_processes=given.sensors,
+        recording=str(given.record or ""),
         has_viewer=given.viewer,
         viewer_port=given.viewer_port,
         is_verbose=CURRENT.is_verbose,
     )
+
+
+def require_no_recording(config: LaunchConfig) -> None:
+    """Check that a recording would not write over another.
+
+    Raises:
+        FileExistsError: It would.
+    """
+    if config.recording and Path(config.recording).exists():
+        raise FileExistsError(EEXIST, "--record exists; give another name", config.recording)
 
 
 def secure_deployment(config: LaunchConfig) -> LaunchConfig:
@@ -361,6 +384,8 @@ def secure_deployment(config: LaunchConfig) -> LaunchConfig:
 def list_users_of_programs(config: LaunchConfig) -> dict[str, User]:
     """List the users of the programs of a secured deployment, by program."""
     users = {OPERATOR: User("operator", "operator"), VIEWER: User("page", "page")}
+    if config.recording:
+        users[RECORDER] = User("recorder", "recorder")
     for number, program in enumerate(make_sensor_starts(config), 1):
         users[program] = User("sensors" if number == 1 else f"sensors_{number}", "sensors")
     for number, (program, start) in enumerate(make_agent_starts(config).items(), 1):

@@ -2,12 +2,13 @@
 
 from pathlib import Path
 
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.standard_messages import (
-    Clock,
     Header,
     Odometry,
     String,
@@ -18,14 +19,14 @@ from zensim.recording.mcap_writer import McapWriter
 from zensim.recording.message_definitions import write_definition
 from zensim.recording.output_file import OutputFile
 
-KINDS = (Odometry, String, Clock)
+KINDS = (Odometry, String)
 
 
 def define_topics(writer: McapWriter, robots: int = 1) -> list[int]:
     """Define an odometry topic for each robot, and `/events`; return their channels."""
     for number, kind in enumerate(KINDS, 1):
         text = write_definition(kind).encode()
-        writer.define(Schema(number, kind.ros_type, "ros2msg", text))
+        writer.define(Schema(number, str(vars(kind)["ros_type"]), "ros2msg", text))
     topics = [(1, f"/r{number}/odom") for number in range(robots)] + [(2, "/events")]
     for number, (schema, topic) in enumerate(topics, 1):
         writer.define(Channel(number, schema, topic, "cdr", {}))
@@ -52,10 +53,23 @@ def write_recording(path: Path, messages: int, *, robots: int = 3, is_closed: bo
 
 
 def count_by_rosbags(path: Path) -> dict[str, int]:
-    """Read all messages with rosbags; count them by topic."""
+    """Count the messages of each topic with rosbags."""
     counts: dict[str, int] = {}
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-        for connection, _, raw in reader.messages():
-            reader.deserialize(raw, connection.msgtype)
+        for connection, _, _ in reader.messages():
             counts[connection.topic] = counts.get(connection.topic, 0) + 1
+    return counts
+
+
+def count_by_mcap(path: Path) -> dict[str, int]:
+    """Read all messages with mcap and mcap-ros2-support, and check all checksums."""
+    counts: dict[str, int] = {}
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for _, channel, _, _ in reader.iter_decoded_messages():
+            counts[channel.topic] = counts.get(channel.topic, 0) + 1
+        summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == sum(counts.values())
     return counts

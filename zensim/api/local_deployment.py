@@ -36,8 +36,9 @@ START_TIMEOUT_S = 30.0
 AGENT_WAIT_S = 3.0 * START_TIMEOUT_S
 """Longer than all timeouts here, so that the launcher reports the failure, not an agent."""
 ODOM_DEPTH = 65536
-OPERATOR, VIEWER = "operator", "viewer"
-"""Programs that have addresses of their own: the one that starts the others, and the page."""
+OPERATOR, VIEWER, RECORDER = "operator", "viewer", "recorder"
+"""Programs that have addresses of their own: the one that starts the others, the page, and the one
+that records."""
 POLL_S = 0.01
 EVENTS_DEPTH = 256
 ARRIVALS = ("spawned", "loaded")
@@ -129,6 +130,8 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     ros: RosSettings = RosSettings()
     has_viewer: bool = False
     viewer_port: int = 0
+    recording: str = ""
+    """File or folder of a recording of all topics; empty = none."""
     is_verbose: bool = False
     """Whether the server logs at level INFO."""
 
@@ -425,6 +428,8 @@ def _wait_until_ready(
     config = deployment.config
     odom = deployment.bus.subscribe(ODOM.key("*"), ODOM_DEPTH)
     deployment.client.wait_for_server(START_TIMEOUT_S, deployment.supervisor.watch)
+    if config.recording:
+        _start_recorder(deployment)
     outcomes = spawn_fleet(
         deployment.client,
         config.model,
@@ -484,6 +489,21 @@ def _poll(deployment: LocalDeployment, deadline: float, failure: str) -> None:
     if time.monotonic() > deadline:
         raise LaunchFailed(f"{failure} after {START_TIMEOUT_S:g} s")
     time.sleep(POLL_S)
+
+
+def _start_recorder(deployment: LocalDeployment) -> None:
+    config = deployment.config
+    domain = "off" if config.ros.domain is None else str(config.ros.domain)
+    deployment.supervisor.start(
+        RECORDER,
+        (
+            *("record", "--all", "--quiet", "--output", config.recording),
+            *("--connect", config.address_of(RECORDER), "--world-name", config.world_name),
+            *("--ros-domain", domain),
+        ),
+        # The world goes on without it, and it would not write over its files.
+        is_essential=False,
+    )
 
 
 def _start_viewer(deployment: LocalDeployment) -> SupervisedProgram:

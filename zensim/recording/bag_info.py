@@ -16,6 +16,7 @@ from zensim.recording.mcap_records import (
     RECORD_HEAD,
     STATISTICS,
     TIMES,
+    Attachment,
     Channel,
     FieldReader,
     MalformedRecord,
@@ -25,7 +26,6 @@ from zensim.recording.mcap_records import (
     read_schema,
 )
 from zensim.recording.mcap_scan import (
-    Attachment,
     LooseMessage,
     OpenChunk,
     ScanReport,

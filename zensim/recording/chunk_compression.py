@@ -20,7 +20,8 @@ class DamagedChunk(ValueError):
 
 def compress(content: bytes | bytearray) -> bytes:
     """Compress the records of a chunk."""
-    return zstd.compress(content, LEVEL)
+    compressed: bytes = zstd.compress(content, LEVEL)
+    return compressed
 
 
 def decompress(compressed: bytes, compression: str, size: int) -> bytes:
@@ -38,7 +39,7 @@ def decompress(compressed: bytes, compression: str, size: int) -> bytes:
             "'mcap compress --compression zstd'"
         )
     try:
-        content = zstd.ZstdDecompressor().decompress(compressed, size + 1)
+        content: bytes = zstd.ZstdDecompressor().decompress(compressed, size + 1)
     except zstd.ZstdError as error:
         raise DamagedChunk(str(error)) from error
     if len(content) != size:

@@ -246,12 +246,12 @@ def read_chunk(body: bytes) -> Chunk:
         MalformedRecord: See there.
     """
     fields = FieldReader(body)
-    *numbers, name_length = fields.numbers(CHUNK_HEAD)
+    start_ns, end_ns, size, crc, name_length = fields.numbers(CHUNK_HEAD)
     name = fields.take(name_length)
     content = fields.take(*fields.numbers(LONG_LENGTH))
     if not (fields.is_at_end and name.isascii()):
         raise MalformedRecord("a chunk does not end with its content")
-    return Chunk(*numbers, name.decode(), content)
+    return Chunk(start_ns, end_ns, size, crc, name.decode(), content)
 
 
 def read_attachment(body: bytes) -> Attachment:

@@ -155,7 +155,7 @@ class _Scan:
         if found is None:
             return len(start) < CHUNK_START_BYTES
         (content,) = struct.unpack("<Q", start[found.end() - 8 : found.end()])
-        return length == found.end() - RECORD_HEAD.size + content
+        return bool(length == found.end() - RECORD_HEAD.size + content)
 
     def _read_record(self, opcode: Opcode, at: int, length: int) -> tuple[Scanned | None, bool]:
         """Read a record; say whether it is undamaged, as far as that can be known."""

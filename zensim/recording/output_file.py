@@ -9,6 +9,11 @@ from typing import Final
 RESERVE_STEP_BYTES: Final = 1 << 20
 
 
+def find_reserve(path: Path) -> Path:
+    """Find the file whose space is kept for the end of a file; it is left by `kill -9`."""
+    return path.with_name(f".{path.name}.reserve")
+
+
 class OutputFile:
     """A file to which each write appends all bytes, or none."""
 
@@ -25,7 +30,7 @@ class OutputFile:
         self.path = path
         self.position = 0
         self._is_synchronous = is_synchronous
-        self._reserve_path = path.with_name(f".{path.name}.reserve")
+        self._reserve_path = find_reserve(path)
         self._reserve_bytes = 0
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
 

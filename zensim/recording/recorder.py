@@ -1,7 +1,7 @@
 """Takes the messages of a world from the network, gives them times, and hands them over."""
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import Final, Literal, Protocol
 
@@ -40,7 +40,7 @@ TimeBase = Literal["simulation", "wall"]
 class MessageSink(Protocol):
     """Where messages go."""
 
-    def put(self, batch: Sequence[RecordedMessage]) -> None:
+    def put(self, batch: list[RecordedMessage]) -> None:
         """Take messages over, in the order of their arrival."""
 
     def start_part(self, log_ns: int, publish_ns: int) -> None:
@@ -191,7 +191,8 @@ class Recorder:
         batch: list[RecordedMessage] = []
         for key in self._keys:
             if key.rsplit("/", 1)[-1] in LATCHED_SUFFIXES:
-                found = self._bus.get(key, LATCHED_TIMEOUT_S)
+                # A service that the key expression covers replies, too.
+                found = [one for one in self._bus.get(key, LATCHED_TIMEOUT_S) if is_of_robot(one)]
                 self._convert(found, time.time_ns(), batch)
         self._hand_over(batch)
 
@@ -208,3 +209,8 @@ class Recorder:
     def _subscribe(self, key: str) -> tuple[BusSubscription, bool]:
         """Subscribe; say whether it is a key of ROS 2."""
         return self._bus.subscribe(key, RING_DEPTH), key.endswith(f"/{ANY_ROS_TYPE}")
+
+
+def is_of_robot(sample: Sample) -> bool:
+    """Whether a reply is from a topic of a robot, or of the root."""
+    return not sample.key.startswith("sim/") and "*" not in sample.key

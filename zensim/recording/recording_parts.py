@@ -7,6 +7,7 @@ from typing import Final
 import msgspec
 
 from zensim.recording.bag_metadata import PartFacts, write_bag_metadata
+from zensim.recording.latched_messages import LatchedMessages
 from zensim.recording.mcap_records import Attachment, Channel, Metadata, Schema
 from zensim.recording.mcap_writer import McapWriter
 from zensim.recording.message_definitions import write_definition
@@ -93,9 +94,10 @@ class RecordingParts:
             raise FileExistsError(f"{settings.path} exists; give another --output")
         self._number = 0
         self._done: list[PartFacts] = []
-        self._latched: dict[RecordedTopic, bytes] = {}
+        self._latched = LatchedMessages()
         self._flush_at_s = 0.0
         self._bytes = 0
+        self._is_closed = False
         self.offered = 0
         """Messages that were to be written."""
         self._part = self._open()
@@ -103,12 +105,13 @@ class RecordingParts:
     @property
     def written(self) -> int:
         """Messages in all files."""
-        return self._part.writer.messages + sum(one.messages for one in self._done)
+        done = sum(one.messages for one in self._done)
+        return done if self._is_closed else done + self._part.writer.messages
 
     @property
     def written_bytes(self) -> int:
         """Bytes of all files."""
-        return self._bytes + self._part.output.position
+        return self._bytes if self._is_closed else self._bytes + self._part.output.position
 
     @property
     def topics(self) -> int:
@@ -122,10 +125,8 @@ class RecordingParts:
             OSError: The disk is full, or cannot be written.
         """
         topic, log_ns, publish_ns, payload = message
-        if topic.is_latched:
-            if self._latched.get(topic) == payload:
-                return
-            self._latched[topic] = payload
+        if topic.is_latched and not self._latched.add(topic, payload):
+            return
         part = self._part
         if part.start_ns is None:
             part.start_ns = log_ns
@@ -154,7 +155,7 @@ class RecordingParts:
         self._close_part()
         self._part = following
         self._part.start_ns = log_ns
-        for topic, payload in self._latched.items():
+        for topic, _, _, payload in self._latched.list_at(log_ns, publish_ns):
             self.offered += 1
             channel = self._part.find_channel(topic)
             self._part.writer.write_message(channel, log_ns, publish_ns, payload)
@@ -194,6 +195,7 @@ class RecordingParts:
                 self._part.writer.add_metadata(facts)
             finally:
                 self._close_part()
+                self._is_closed = True
 
     def _close_part(self) -> None:
         part = self._part

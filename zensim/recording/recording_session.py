@@ -1,8 +1,6 @@
 """A recording from its start to its end: recorder, ring, files, and what is said of them."""
 
-import json
 import time
-from collections.abc import Sequence
 from typing import Final
 
 import msgspec
@@ -18,6 +16,7 @@ from zensim.recording.write_queue import NewPart, WriteQueue
 
 TAKE_PERIOD_S: Final = 0.01
 REPORT_PERIOD_S: Final = 1.0
+FACTS_FILE: Final = "zensim.json"
 
 
 class SessionSettings(msgspec.Struct, frozen=True, kw_only=True):
@@ -32,6 +31,15 @@ class SessionSettings(msgspec.Struct, frozen=True, kw_only=True):
     """Log time that the ring keeps; 0 = as much as fits."""
     snapshot_on: frozenset[str] = frozenset()
     """Kinds of events at which it is written."""
+
+
+class RecordingStart(msgspec.Struct, frozen=True, kw_only=True):
+    """The world when a recording began."""
+
+    info: Info
+    wall_ns: int
+    """Time of day [ns]."""
+    time_base: TimeBase
 
 
 class RecordingFigures(msgspec.Struct, frozen=True, kw_only=True):
@@ -65,15 +73,15 @@ class RecordingSession:
         self._ring = SnapshotRing(settings.snapshot_ns, settings.max_cache_bytes)
         self._wants_snapshot = False
         self._snapshots = 0
+        self._close_failure: OSError | None = None
         self._began_s = time.monotonic()
-        self._handed_over = 0
 
     @property
     def failure(self) -> OSError | None:
-        """Why nothing more is written."""
-        return self._queue.failure
+        """What ended the recording, such as a full disk; what was written before is readable."""
+        return self._queue.failure or self._close_failure
 
-    def put(self, batch: Sequence[RecordedMessage]) -> None:
+    def put(self, batch: list[RecordedMessage]) -> None:
         """Keep or write messages."""
         if not self._settings.is_snapshot:
             self._queue.put(batch)
@@ -117,41 +125,31 @@ class RecordingSession:
             messages=parts.written,
             bytes=parts.written_bytes,
             topics=parts.topics,
-            lost=self._queue.dropped,
+            lost=self._queue.lost,
             overflows=recorder.overflows,
             malformed=recorder.malformed,
         )
 
-    def close(self, recorder: Recorder, info: Info, time_base: TimeBase) -> RecordingFigures:
-        """Write what waits, and the facts of the recording.
-
-        Raises:
-            OSError: The disk is full; what was written is readable all the same.
-        """
+    def close(self, recorder: Recorder, start: RecordingStart) -> RecordingFigures:
+        """Write what waits, and the facts of the recording; see `failure` afterwards."""
         self._queue.stop()
-        lost = self._queue.dropped
-        failed = self.failure
-        figures = self.read_figures(recorder)
-        facts = {
-            **msgspec.to_builtins(info, builtin_types=()),
-            **msgspec.to_builtins(figures),
-        }
+        facts = {"start": start, "recorded": self.read_figures(recorder)}
+        content = msgspec.json.encode(facts)
         try:
             self._parts.close(
-                make_metadata(info, time_base),
-                Attachment("zensim.json", "application/json", json.dumps(facts).encode()),
+                make_metadata(start), Attachment(FACTS_FILE, "application/json", content)
             )
         except OSError as error:
-            failed = failed or error
+            self._close_failure = error
         return msgspec.structs.replace(
             self.read_figures(recorder),
-            lost=lost + self._parts.offered - self._parts.written,
+            lost=self._queue.lost + self._parts.offered - self._parts.written,
         )
 
 
-def make_metadata(info: Info, time_base: TimeBase) -> Metadata:
+def make_metadata(start: RecordingStart) -> Metadata:
     """Describe world and time of a recording."""
-    simulation_ns = round(info.sim_time_s * NANOSECONDS)
+    info = start.info
     texts = {
         "world": info.world,
         "world_model": info.world_model,
@@ -159,7 +157,8 @@ def make_metadata(info: Info, time_base: TimeBase) -> Metadata:
         "seed": str(info.seed),
         "version": info.version,
         "step_ns": str(info.step_ns),
-        "time_base": time_base,
-        "wall_time_of_simulation_time_0_ns": str(time.time_ns() - simulation_ns),
+        "time_base": start.time_base,
+        "start_wall_time_ns": str(start.wall_ns),
+        "start_simulation_time_ns": str(round(info.sim_time_s * NANOSECONDS)),
     }
     return Metadata("zensim", texts)

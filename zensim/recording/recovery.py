@@ -24,7 +24,7 @@ from zensim.recording.mcap_scan import (
     scan_file,
 )
 from zensim.recording.mcap_writer import ChunkIndex, McapWriter
-from zensim.recording.output_file import OutputFile
+from zensim.recording.output_file import OutputFile, find_reserve
 
 
 class RecoveryResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -46,6 +46,8 @@ class RecoveryResult(msgspec.Struct, frozen=True, kw_only=True):
 def recover_file(source: Path, target: Path) -> RecoveryResult:
     """Copy all whole records, without compressing them again, and write index and summary.
 
+    The space that the source kept for its end is freed.
+
     Raises:
         OSError: A file cannot be read or written, or the target exists.
         ValueError: The source is not an MCAP file, or its compression is not supported.
@@ -63,6 +65,7 @@ def recover_file(source: Path, target: Path) -> RecoveryResult:
         recovery.finish()
     finally:
         output.close()
+    find_reserve(source).unlink(missing_ok=True)
     return RecoveryResult(
         file=str(target),
         messages=recovery.writer.messages,

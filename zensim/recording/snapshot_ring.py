@@ -2,7 +2,8 @@
 
 from collections import deque
 
-from zensim.recording.recorded_topics import RecordedMessage, RecordedTopic
+from zensim.recording.latched_messages import LatchedMessages
+from zensim.recording.recorded_topics import RecordedMessage
 
 
 class SnapshotRing:
@@ -18,14 +19,14 @@ class SnapshotRing:
         self._span_ns = span_ns
         self._max_bytes = max_bytes
         self._messages: deque[RecordedMessage] = deque()
-        self._latched: dict[RecordedTopic, RecordedMessage] = {}
+        self._latched = LatchedMessages()
         self._bytes = 0
 
     def add(self, message: RecordedMessage) -> None:
         """Add a message, and remove those that are too old."""
         topic, log_ns, _, payload = message
         if topic.is_latched:
-            self._latched[topic] = message
+            self._latched.add(topic, payload)
             return
         self._messages.append(message)
         self._bytes += len(payload)
@@ -40,11 +41,7 @@ class SnapshotRing:
         if not messages:
             return []
         first_ns, publish_ns = messages[0][1:3]
-        latched = [
-            (topic, first_ns, publish_ns, payload)
-            for topic, _, _, payload in self._latched.values()
-        ]
-        return [*latched, *messages]
+        return [*self._latched.list_at(first_ns, publish_ns), *messages]
 
     def _is_too_much(self, newest_ns: int) -> bool:
         if self._bytes > self._max_bytes:

@@ -157,13 +157,20 @@ def list_ros_keys(
 
     They are those of ROS 2 nodes, and topics that a description gives another name.
     """
-    found = {}
+    found: dict[str, None] = {}
     for one in announced:
         if one.kind != PUBLISHER or one.key == CLOCK.suffix or find_robot_topic(one.key):
             continue
         if not chosen.accepts(f"/{one.key}"):
             continue
         key = f"{domain}/{one.key}/{ANY_ROS_TYPE}"
-        if not any(keys.intersect(other, key) or keys.intersect(other, one.key) for other in known):
+        if not any(keys.intersect(_to_plain_key(other), one.key) for other in known):
             found[key] = None
     return list(found)
+
+
+def _to_plain_key(expression: str) -> str:
+    """Remove domain and type of a key expression of ROS 2."""
+    if not expression.endswith(f"/{ANY_ROS_TYPE}"):
+        return expression
+    return expression.removesuffix(f"/{ANY_ROS_TYPE}").partition("/")[2]

@@ -2,7 +2,6 @@
 
 import threading
 import time
-from collections.abc import Sequence
 from queue import SimpleQueue
 from typing import Final, NamedTuple
 
@@ -20,7 +19,7 @@ class NewPart(NamedTuple):
     publish_ns: int
 
 
-Batch = Sequence[RecordedMessage]
+Batch = list[RecordedMessage]
 Order = Batch | Attachment | NewPart
 
 
@@ -38,10 +37,11 @@ class WriteQueue:
         self._max_bytes = max_bytes
         self._orders: SimpleQueue[Order | None] = SimpleQueue()
         self._put_bytes = self._taken_bytes = 0
-        self.dropped = 0
-        """Messages for which there was no room."""
+        self.lost = 0
+        """Messages for which there was no room, or that came after the failure."""
         self.failure: OSError | None = None
         """What ended the recording."""
+        self._left = 0
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()
 
@@ -51,7 +51,7 @@ class WriteQueue:
             return
         size = sum(len(message[3]) for message in batch)
         if self._put_bytes - self._taken_bytes + size > self._max_bytes:
-            self.dropped += len(batch)
+            self.lost += len(batch)
             return
         self._put_bytes += size
         self._orders.put(batch)
@@ -64,6 +64,9 @@ class WriteQueue:
         """Write what waits, and end the thread."""
         self._orders.put(None)
         self._thread.join()
+        while not self._orders.empty():
+            left = self._orders.get()
+            self.lost += len(left) if isinstance(left, list) else 0
 
     def _run(self) -> None:
         try:
@@ -71,6 +74,7 @@ class WriteQueue:
                 self._obey(order)
         except OSError as error:
             self.failure = error
+            self.lost += self._left
 
     def _take(self) -> Order | None:
         while self._orders.empty():
@@ -84,7 +88,9 @@ class WriteQueue:
         elif isinstance(order, NewPart):
             self._parts.start_part(order.log_ns, order.publish_ns)
         else:
+            self._left = len(order)
             for message in order:
+                self._left -= 1
                 self._parts.write(message)
             self._taken_bytes += sum(len(message[3]) for message in order)
         self._parts.flush_if_due(time.monotonic())

@@ -38,6 +38,7 @@ from zensim.recording.recording_session import (
     TAKE_PERIOD_S,
     RecordingFigures,
     RecordingSession,
+    RecordingStart,
     SessionSettings,
 )
 from zensim.recording.topic_selection import TopicFilter, TopicSelection
@@ -215,7 +216,8 @@ def record(given: RecordOptions) -> None:
             failure = program.run(stop, given.duration)
         program.print_end(as_json=given.as_json)
         if failure is not None:
-            raise failure
+            reason = f"{failure.strerror or failure}; what was recorded before is readable"
+            raise OSError(failure.errno, reason, str(settings.parts.path)) from failure
 
 
 def make_selection(given: RecordOptions) -> TopicSelection:
@@ -292,9 +294,12 @@ class RecordProgram:
             BusError: No server of the world replies.
         """
         self._bus = bus
-        self._settings = recorder_settings
         self._path = settings.parts.path
-        self._info = bus.call(INFO, InfoRequest(), world=recorder_settings.world)
+        self._start = RecordingStart(
+            info=bus.call(INFO, InfoRequest(), world=recorder_settings.world),
+            wall_ns=time.time_ns(),
+            time_base=recorder_settings.time_base,
+        )
         self._session = RecordingSession(settings)
         self._recorder = Recorder(bus, chosen, recorder_settings, self._session)
         self._files = WorldFiles(bus, recorder_settings.world, self._session.attach)
@@ -323,7 +328,7 @@ class RecordProgram:
                     break
                 time.sleep(TAKE_PERIOD_S)
             recorder.take()
-            self._figures = session.close(recorder, self._info, self._settings.time_base)
+            self._figures = session.close(recorder, self._start)
         return session.failure
 
     def print_end(self, *, as_json: bool) -> None:

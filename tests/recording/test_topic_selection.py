@@ -1,0 +1,89 @@
+"""Selected topics: names, wildcards, expressions, and the keys that are subscribed."""
+
+import pytest
+
+from zensim.proto import keys
+from zensim.proto.ros2.liveliness_tokens import AnnouncedEndpoint, Qos
+from zensim.proto.topic_catalog import ROBOT_TOPICS
+from zensim.recording.topic_selection import (
+    TopicFilter,
+    TopicSelection,
+    find_robot_topic,
+    list_keys,
+    list_ros_keys,
+)
+
+ALL = TopicSelection(wants_all=True)
+
+
+@pytest.mark.parametrize(
+    ("selection", "accepted", "refused"),
+    [
+        (TopicSelection(topics=("r1/odom",)), "/r1/odom", "/r2/odom"),
+        (TopicSelection(topics=("/*/odom",)), "/r2/odom", "/lab/r2/odom"),
+        (TopicSelection(topics=("**/odom",)), "/lab/r2/odom", "/r2/tf"),
+        (TopicSelection(regex="^/r[0-9]+/scan"), "/r12/scan", "/cart/scan"),
+        (TopicSelection(wants_all=True, exclude_regex="/tf$"), "/r1/odom", "/r1/tf"),
+        (TopicSelection(wants_all=True, exclude_topics=("/r1/*",)), "/r2/tf", "/r1/tf"),
+    ],
+)
+def test_filter_decides_by_name(selection: TopicSelection, accepted: str, refused: str) -> None:
+    chosen = TopicFilter(selection)
+
+    assert chosen.accepts(accepted)
+    assert not chosen.accepts(refused)
+
+
+@pytest.mark.parametrize(
+    ("selection", "said"),
+    [(TopicSelection(), "--all"), (TopicSelection(regex="("), "--regex")],
+)
+def test_filter_refuses_nothing_and_invalid_expressions(
+    selection: TopicSelection, said: str
+) -> None:
+    with pytest.raises(ValueError, match=said):
+        TopicFilter(selection)
+
+
+def test_keys_of_all_topics_cover_each_topic_of_a_robot_once() -> None:
+    listed = list_keys(TopicFilter(ALL), "default", 0)
+
+    for suffix in ROBOT_TOPICS:
+        assert sum(keys.intersect(one, f"r1/{suffix}") for one in listed) == 1
+
+
+def test_commands_are_subscribed_on_keys_of_ros_2_too() -> None:
+    key = "7/r1/cmd_vel/geometry_msgs::msg::dds_::Twist_/RIHS01_0"
+
+    for selection in (ALL, TopicSelection(topics=("r1/cmd_vel",))):
+        with_ros = list_keys(TopicFilter(selection), "default", 7)
+        without = list_keys(TopicFilter(selection), "default", None)
+        assert any(keys.intersect(one, key) for one in with_ros)
+        assert not any(keys.intersect(one, key) for one in without)
+
+
+def test_events_and_stats_of_the_world_belong_to_all_topics() -> None:
+    listed = list_keys(TopicFilter(ALL), "lab", 0)
+
+    assert {"sim/lab/events", "sim/lab/stats", "map"} <= set(listed)
+    assert not any(keys.intersect(one, "sim/lab/snapshot") for one in listed)
+
+
+def test_topics_of_other_nodes_are_found_by_their_announcement() -> None:
+    chosen = TopicFilter(ALL)
+    known = list_keys(chosen, "default", 0)
+    announced = [
+        AnnouncedEndpoint("MP", "r1/odom", "/r1/agent", "nav_msgs/msg/Odometry", Qos()),
+        AnnouncedEndpoint("MP", "r1/odometry", "/r1/agent", "nav_msgs/msg/Odometry", Qos()),
+        AnnouncedEndpoint("MS", "chatter", "/listener", "std_msgs/msg/String", Qos()),
+    ]
+
+    assert list_ros_keys(chosen, announced, known, 0) == ["0/r1/odometry/*/*"]
+
+
+def test_topic_of_a_robot_is_the_longest_suffix() -> None:
+    found = find_robot_topic("lab/r1/image_raw/compressed")
+
+    assert found is not None
+    assert found.name == "image_compressed"
+    assert find_robot_topic("r1/plan") is None
