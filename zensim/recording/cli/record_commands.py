@@ -30,7 +30,7 @@ from zensim.proto.printable_text import print_lines
 from zensim.proto.ros2.rmw_keys import parse_domain
 from zensim.proto.service_catalog import INFO
 from zensim.proto.stop_signal import StopFlag
-from zensim.proto.verbosity import CURRENT, print_note
+from zensim.proto.verbosity import CURRENT, print_announcement, print_note
 from zensim.recording.recorder import Recorder, RecorderSettings, TimeBase
 from zensim.recording.recording_parts import PartSettings
 from zensim.recording.recording_session import (
@@ -213,6 +213,10 @@ def record(given: RecordOptions) -> None:
         with open_bus(config) as bus:
             stop.arm()
             program = RecordProgram(bus, chosen, recorder_settings, settings)
+            path = str(settings.parts.path)
+            print_announcement(
+                "record", f"recording to {path}", {"recording": path}, as_json=given.as_json
+            )
             failure = program.run(stop, given.duration)
         program.print_end(as_json=given.as_json)
         if failure is not None:

@@ -1,0 +1,174 @@
+"""`zensim record` beside a running world, and what independent readers find in its files."""
+
+import json
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from rosbags.highlevel import AnyReader
+
+import zensim as api
+from tests.integration.processes import eventually, kill, read_json_line, running
+from tests.integration.processes import zensim as run_zensim
+from tests.recording.recordings import count_by_mcap, count_by_rosbags
+from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.exit_codes import ExitCode
+
+if TYPE_CHECKING:
+    import subprocess
+
+LEAST = 20
+"""Messages of a topic until a test goes on."""
+WITHIN_S = 30.0
+
+
+@pytest.fixture(scope="module")
+def sim() -> Iterator[api.Sim]:
+    with api.launch(engine="mujoco") as sim:
+        sim.spawn("box_bot", name="r1")
+        sim.play()
+        yield sim
+
+
+@pytest.fixture
+def bus(sim: api.Sim) -> Iterator[Bus]:
+    with open_bus(BusConfig(connect=(sim.endpoint,))) as bus:
+        yield bus
+
+
+def end_recording(process: "subprocess.Popen[str]") -> dict[str, object]:
+    """End a recorder as Ctrl-C does; return what it says."""
+    process.send_signal(signal.SIGINT)
+    figures = read_json_line(process)
+    assert process.wait(WITHIN_S) == ExitCode.OK
+    return figures
+
+
+def wait_for_messages(bus: Bus, key: str, count: int) -> list[bytes]:
+    """Wait until this number of messages was published on a key."""
+    subscription = bus.subscribe(key, 65536)
+    payloads: list[bytes] = []
+
+    def has_enough() -> bool:
+        payloads.extend(one.payload for one in subscription.take())
+        return len(payloads) >= count
+
+    eventually(has_enough, WITHIN_S, f"{count} messages on {key}")
+    subscription.close()
+    return payloads
+
+
+def test_recording_has_the_bytes_of_the_network_and_of_robots_that_appear(
+    sim: api.Sim, bus: Bus, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.mcap"
+    with running(
+        "record", "--all", "-o", str(path), "--connect", sim.endpoint, "--json"
+    ) as process:
+        read_json_line(process)
+        payloads = wait_for_messages(bus, "r1/odom", LEAST)
+        robot = sim.spawn("box_bot", name="r2")
+        wait_for_messages(bus, "r2/odom", LEAST)
+        robot.delete()
+        wait_for_messages(bus, "r1/odom", LEAST)
+        figures = end_recording(process)
+
+    counts = count_by_mcap(path)
+    assert counts == count_by_rosbags(path)
+    assert figures["messages"] == sum(counts.values())
+    assert (figures["lost"], figures["overflows"], figures["malformed"]) == (0, 0, 0)
+    assert counts["/r2/odom"] >= LEAST
+    assert {"/clock", "/sim/default/events", "/r1/tf_static", "/r2/robot_description"} <= set(
+        counts
+    )
+    with AnyReader([path]) as reader:
+        odometry = [one for one in reader.connections if one.topic == "/r1/odom"]
+        recorded = {raw for _, _, raw in reader.messages(connections=odometry)}
+        texts = [one for one in reader.connections if one.topic == "/sim/default/events"]
+        events = [
+            json.loads(reader.deserialize(raw, one.msgtype).data)
+            for one, _, raw in reader.messages(connections=texts)
+        ]
+    assert set(payloads) <= recorded
+    assert ("spawned", "r2") in [(one["kind"], one["entity"]) for one in events]
+
+
+def test_killed_recording_is_read_and_recovered(sim: api.Sim, tmp_path: Path) -> None:
+    path, target = tmp_path / "run.mcap", tmp_path / "whole.mcap"
+    with running("record", "*/odom", "-o", str(path), "--connect", sim.endpoint) as process:
+        eventually(lambda: path.exists() and path.stat().st_size > 20_000, WITHIN_S, "a chunk")
+        kill(process.pid, signal.SIGKILL)
+        process.wait()
+
+    info = run_zensim("bag", "info", str(path), "--json")
+    recovered = run_zensim("bag", "recover", str(path), "-o", str(target), "--json")
+
+    assert "never closed" in info.stderr
+    messages = json.loads(info.stdout)["messages"]
+    assert messages == json.loads(recovered.stdout)["messages"] > 0
+    assert sum(count_by_rosbags(target).values()) == messages
+
+
+def test_reset_begins_a_file_and_a_snapshot_is_written_on_an_event(
+    sim: api.Sim, bus: Bus, tmp_path: Path
+) -> None:
+    folder, snapshot = tmp_path / "run", tmp_path / "last.mcap"
+    options = ("--connect", sim.endpoint, "--json")
+    ring = ("--snapshot-mode", "--snapshot-on", "spawned")
+    with (
+        running("record", "-e", "/odom$|^/clock$", "-o", str(folder), *options) as process,
+        running("record", "/r1/odom", "-o", str(snapshot), *ring, *options) as ringing,
+    ):
+        read_json_line(process)
+        read_json_line(ringing)
+        wait_for_messages(bus, "r1/odom", LEAST)
+        sim.spawn("box_bot", name="r3")
+        wait_for_messages(bus, "r3/odom", LEAST)
+        sim.reset()
+        wait_for_messages(bus, "r1/odom", LEAST)
+        end_recording(process)
+        figures = end_recording(ringing)
+
+    assert sorted(one.name for one in folder.iterdir()) == [
+        "metadata.yaml",
+        "run_0.mcap",
+        "run_1.mcap",
+    ]
+    assert set(count_by_mcap(folder / "run_1.mcap")) >= {"/r1/odom", "/clock"}
+    assert figures["messages"] == sum(count_by_mcap(snapshot).values()) >= LEAST
+
+
+def test_recording_says_what_is_wrong(sim: api.Sim, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.touch()
+    at = ("--connect", sim.endpoint)
+
+    nothing = run_zensim("record", *at)
+    exists = run_zensim("record", "-a", "-o", str(path), *at)
+    storage = run_zensim("record", "-a", "-s", "sqlite3", *at)
+
+    assert nothing.returncode == ExitCode.USAGE
+    assert exists.returncode == ExitCode.FAILED
+    assert storage.returncode == ExitCode.USAGE
+    assert "mcap" in storage.stderr
+
+
+def test_secured_deployment_is_recorded_by_a_user_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("XDG_RUNTIME_DIR", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME"):
+        monkeypatch.setenv(name, str(tmp_path))
+    path = tmp_path / "run.mcap"
+    options = ("--robots", "1", "--secure", "--engine", "mujoco", "--no-viewer", "--sensors", "0")
+    with running(
+        "up", *options, "--record", str(path), "--json", "--listen", "tls/127.0.0.1:0"
+    ) as up:
+        read_json_line(up)
+        eventually(lambda: path.exists() and path.stat().st_size > 20_000, WITHIN_S, "a chunk")
+        up.send_signal(signal.SIGINT)
+        up.wait(WITHIN_S)
+
+    counts = count_by_rosbags(path)
+    assert {"/box_bot0/odom", "/clock", "/box_bot0/tf_static"} <= set(counts)
