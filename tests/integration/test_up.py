@@ -26,6 +26,7 @@ from tests.integration.processes import (
     zensim,
 )
 from zensim.proto.exit_codes import ExitCode
+from zensim.recording.bag_info import read_info
 from zensim.sim_server.security.secure_folder import open_secure_folder
 from zensim.spawner.cli.view_commands import PAGE_NICENESS
 from zensim.spawner.client.sim_client import SimClient
@@ -189,12 +190,14 @@ def test_hints_name_an_address_that_clients_can_connect_to() -> None:
     assert not [hint for hint in hints if "0.0.0.0" in hint]
 
 
-def test_secured_robots_are_driven_by_agents_with_tokens_of_their_own(
+def test_secured_robots_are_driven_and_recorded_by_programs_with_tokens_of_their_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
 
-    with up("--secure", "--robots", "2", "--behaviour", "circle") as (process, ready):
+    recording = tmp_path / "run.mcap"
+    options = ("--robots", "2", "--behaviour", "circle", "--record", str(recording))
+    with up("--secure", *options) as (process, ready):
         token = f"@{tmp_path / 'zensim' / 'default' / 'operator.token'}"
         secrets = [account.password for account in open_secure_folder("default").list_active()]
 
@@ -210,6 +213,10 @@ def test_secured_robots_are_driven_by_agents_with_tokens_of_their_own(
         }
         lines = [" ".join(psutil.Process(pid).cmdline()) for pid in children(process.pid)]
         assert not [line for line in lines if any(secret in line for secret in secrets)]
+        process.send_signal(signal.SIGINT)
+        wait_for_exit(process)
+    topics = {one.name for one in read_info(recording).topics if one.messages}
+    assert {"/box_bot0/odom", "/box_bot1/tf_static", "/clock"} <= topics
 
 
 def test_down_ends_up_and_everything_it_started() -> None:
