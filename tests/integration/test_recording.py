@@ -88,7 +88,7 @@ def test_recording_has_the_bytes_of_the_network_and_of_robots_that_appear(
         recorded = {raw for _, _, raw in reader.messages(connections=odometry)}
         texts = [one for one in reader.connections if one.topic == "/sim/default/events"]
         events = [
-            json.loads(reader.deserialize(raw, one.msgtype).data)
+            json.loads(vars(reader.deserialize(raw, one.msgtype))["data"])
             for one, _, raw in reader.messages(connections=texts)
         ]
     assert set(payloads) <= recorded

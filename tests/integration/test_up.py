@@ -213,6 +213,9 @@ def test_secured_robots_are_driven_and_recorded_by_programs_with_tokens_of_their
         }
         lines = [" ".join(psutil.Process(pid).cmdline()) for pid in children(process.pid)]
         assert not [line for line in lines if any(secret in line for secret in secrets)]
+        eventually(
+            lambda: recording.exists() and recording.stat().st_size > 20_000, 30.0, "recording"
+        )
         process.send_signal(signal.SIGINT)
         wait_for_exit(process)
     topics = {one.name for one in read_info(recording).topics if one.messages}

@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -22,6 +23,7 @@ SHA256: Final = re.compile("[0-9a-f]{64}")
 FAILURES: Final = (BusError, ServiceError, TimeoutError, MalformedPayload)
 TIMEOUT_S: Final = 2.0
 """Messages wait meanwhile, and would be lost after some seconds."""
+MESHES_S: Final = 0.1
 WORLD_FILE: Final = "world.sdf"
 
 
@@ -36,7 +38,7 @@ class WorldFiles:
         self._meshes: list[str] = []
 
     def attach_new(self, *, has_arrivals: bool) -> None:
-        """Attach the files of new entities, and one more mesh of those that were found.
+        """Attach the files of new entities; meshes for a short while, and the rest at later calls.
 
         Args:
             has_arrivals: Whether entities were spawned, or a world was loaded.
@@ -44,14 +46,10 @@ class WorldFiles:
         if has_arrivals:
             with suppress(*FAILURES):
                 self._attach_texts()
-        if self._meshes:
+        deadline_s = time.monotonic() + MESHES_S
+        while self._meshes and time.monotonic() < deadline_s:
             with suppress(*FAILURES):
                 self._attach_mesh(self._meshes.pop())
-
-    def attach_rest(self) -> None:
-        """Attach all meshes that were found; call it at the end."""
-        while self._meshes:
-            self.attach_new(has_arrivals=False)
 
     def _attach_texts(self) -> None:
         call, world = self._bus.call, self._world

@@ -101,6 +101,8 @@ def recover_command(
 def format_result(result: RecoveryResult) -> str:
     """Write in one line what was recovered."""
     text = f"{result.file}: {result.messages} messages in {result.chunks} chunks"
+    if not result.was_closed:
+        text += "; the recording was never closed"
     if result.damaged:
         text += f"; {result.skipped_bytes} damaged bytes skipped in {result.damaged} places"
     if result.cut_bytes:

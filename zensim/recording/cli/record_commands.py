@@ -205,7 +205,7 @@ def record(given: RecordOptions) -> None:
         recorder_settings = RecorderSettings(
             world=check_name(given.world_name, "world name"),
             domain=parse_domain(given.ros_domain),
-            time_base=parse_choice("--log-time", given.log_time, TIME_BASES),
+            time_base=choose_time_base(given),
         )
         stop = StopFlag(is_armed=False)
         connect = (given.connect,) if given.connect else ()
@@ -222,6 +222,18 @@ def record(given: RecordOptions) -> None:
         if failure is not None:
             reason = f"{failure.strerror or failure}; what was recorded before is readable"
             raise OSError(failure.errno, reason, str(settings.parts.path)) from failure
+
+
+def choose_time_base(given: RecordOptions) -> TimeBase:
+    """Choose the clock of log times.
+
+    Raises:
+        ValueError: It is not known, or two are given.
+    """
+    chosen = parse_choice("--log-time", given.log_time, TIME_BASES)
+    if given.use_sim_time and chosen == "wall":
+        raise ValueError("--use-sim-time and --log-time wall exclude each other; give one of them")
+    return chosen
 
 
 def make_selection(given: RecordOptions) -> TopicSelection:
@@ -314,6 +326,7 @@ class RecordProgram:
 
     def run(self, should_stop: Callable[[], bool], duration_s: float) -> OSError | None:
         """Record until told to stop, or for a duration [s]; return what ended it before."""
+        self._files.attach_new(has_arrivals=self._recorder.take_arrivals())
         began_s = time.monotonic()
         report_at_s = began_s + REPORT_PERIOD_S
         session, recorder = self._session, self._recorder
