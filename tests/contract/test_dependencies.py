@@ -33,6 +33,8 @@ def outside_imports(path: Path) -> set[str]:
     ours = {
         *PACKAGES,
         "benchmarks",
+        # Part of Python since 3.14.
+        "compression",
         "tests",
         "typing_extensions",
         "zensim",

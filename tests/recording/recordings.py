@@ -14,7 +14,7 @@ from zensim.proto.messages.standard_messages import (
     String,
     Time,
 )
-from zensim.recording.mcap_records import Attachment, Channel, Schema
+from zensim.recording.mcap_records import AttachedFile, Channel, Schema
 from zensim.recording.mcap_writer import McapWriter
 from zensim.recording.message_definitions import write_definition
 from zensim.recording.output_file import OutputFile
@@ -45,7 +45,7 @@ def write_recording(path: Path, messages: int, *, robots: int = 3, is_closed: bo
         writer.write_message(channels[number % robots], time_ns, time_ns + 7, payload)
         if number % 100 == 99:
             writer.flush()
-    writer.attach(Attachment("world.sdf", "text/xml", b"<sdf/>"))
+    writer.attach(AttachedFile("world.sdf", "text/xml", b"<sdf/>"))
     writer.flush()
     if is_closed:
         writer.close()

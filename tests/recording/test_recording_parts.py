@@ -10,7 +10,7 @@ from tests.recording.recordings import count_by_mcap
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.standard_messages import Odometry, TFMessage
 from zensim.proto.network_protocols import Sample
-from zensim.recording.mcap_records import Attachment, Metadata
+from zensim.recording.mcap_records import AttachedFile, Metadata
 from zensim.recording.recorded_topics import RecordedMessage, RecordedTopic, TopicTable
 from zensim.recording.recording_parts import DiskFull, PartSettings, RecordingParts
 from zensim.recording.snapshot_ring import SnapshotRing
@@ -18,7 +18,7 @@ from zensim.recording.write_queue import WriteQueue
 
 SECOND = 1_000_000_000
 ODOMETRY = encode(Odometry(), Format.CDR)
-FACTS = Attachment("zensim.json", "application/json", b"{}")
+FACTS = AttachedFile("zensim.json", "application/json", b"{}")
 
 
 def make_topic(key: str, kind: type[msgspec.Struct]) -> RecordedTopic:

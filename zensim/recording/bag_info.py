@@ -16,7 +16,7 @@ from zensim.recording.mcap_records import (
     RECORD_HEAD,
     STATISTICS,
     TIMES,
-    Attachment,
+    AttachedFile,
     Channel,
     FieldReader,
     MalformedRecord,
@@ -208,7 +208,7 @@ def _count(file: Path) -> Summary:
             summary.schemas.setdefault(one.number, one)
         elif isinstance(one, Channel):
             summary.channels.setdefault(one.number, one)
-        elif isinstance(one, Attachment):
+        elif isinstance(one, AttachedFile):
             summary.attachments.append(one.name)
         elif isinstance(one, LooseMessage):
             _count_message(summary, *one.message[:2])

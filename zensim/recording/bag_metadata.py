@@ -1,10 +1,10 @@
 """`metadata.yaml` of a recording, as rosbag2 reads it."""
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Final
 
 import msgspec
-import yaml
 
 VERSION: Final = 5
 """The newest that Humble reads; newer distributions read it, too."""
@@ -48,7 +48,8 @@ def write_bag_metadata(parts: Sequence[PartFacts]) -> str:
         "relative_file_paths": [part.file for part in parts],
         "files": [_describe_file(part) for part in parts],
     }
-    return yaml.safe_dump({"rosbag2_bagfile_information": content}, sort_keys=False)
+    # JSON is YAML.
+    return json.dumps({"rosbag2_bagfile_information": content}, indent=1) + "\n"
 
 
 def _describe_topic(topic: tuple[str, str, str], count: int) -> dict[str, object]:

@@ -86,7 +86,7 @@ class Chunk(msgspec.Struct, frozen=True):
     content: bytes
 
 
-class Attachment(msgspec.Struct, frozen=True):
+class AttachedFile(msgspec.Struct, frozen=True):
     """A file in a recording."""
 
     name: str
@@ -153,7 +153,7 @@ def write_chunk(chunk: Chunk) -> bytes:
     return write_record(Opcode.CHUNK, body)
 
 
-def write_attachment(attachment: Attachment) -> bytes:
+def write_attachment(attachment: AttachedFile) -> bytes:
     """Write an attachment."""
     body = b"".join(
         (
@@ -254,7 +254,7 @@ def read_chunk(body: bytes) -> Chunk:
     return Chunk(start_ns, end_ns, size, crc, name.decode(), content)
 
 
-def read_attachment(body: bytes) -> Attachment:
+def read_attachment(body: bytes) -> AttachedFile:
     """Read an attachment, and check its content.
 
     Raises:
@@ -267,7 +267,7 @@ def read_attachment(body: bytes) -> Attachment:
     (crc,) = fields.numbers(LENGTH)
     if crc and crc != zlib.crc32(body[: -LENGTH.size]):
         raise MalformedRecord(f"attachment {name[:40]!r} is damaged")
-    return Attachment(name, media_type, content, log_ns, create_ns)
+    return AttachedFile(name, media_type, content, log_ns, create_ns)
 
 
 def read_metadata(body: bytes) -> Metadata:

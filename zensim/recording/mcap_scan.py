@@ -15,7 +15,7 @@ from zensim.recording.mcap_records import (
     MESSAGE_FIELDS_BYTES,
     MESSAGE_HEAD,
     RECORD_HEAD,
-    Attachment,
+    AttachedFile,
     Channel,
     Chunk,
     MalformedRecord,
@@ -58,7 +58,7 @@ class LooseMessage(msgspec.Struct, frozen=True):
     message: ScannedMessage
 
 
-Scanned: TypeAlias = OpenChunk | Schema | Channel | Attachment | Metadata | LooseMessage
+Scanned: TypeAlias = OpenChunk | Schema | Channel | AttachedFile | Metadata | LooseMessage
 
 
 class ScanReport(msgspec.Struct):

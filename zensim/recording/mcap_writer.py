@@ -18,7 +18,7 @@ from zensim.recording.mcap_records import (
     RECORD_HEAD,
     STATISTICS,
     TIMES,
-    Attachment,
+    AttachedFile,
     Channel,
     Chunk,
     Metadata,
@@ -188,7 +188,7 @@ class McapWriter:
         lengths = len(record), at - start - len(record)
         self._chunk_indexes.append(_write_chunk_index(chunk, start, lengths, offsets))
 
-    def attach(self, attachment: Attachment) -> None:
+    def attach(self, attachment: AttachedFile) -> None:
         """Write a file into the recording.
 
         Raises:

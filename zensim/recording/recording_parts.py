@@ -8,7 +8,7 @@ import msgspec
 
 from zensim.recording.bag_metadata import PartFacts, write_bag_metadata
 from zensim.recording.latched_messages import LatchedMessages
-from zensim.recording.mcap_records import Attachment, Channel, Metadata, Schema
+from zensim.recording.mcap_records import AttachedFile, Channel, Metadata, Schema
 from zensim.recording.mcap_writer import McapWriter
 from zensim.recording.message_definitions import write_definition
 from zensim.recording.output_file import OutputFile
@@ -172,7 +172,7 @@ class RecordingParts:
             self._part.writer.flush()
             self._part.output.reserve(self._part.writer.summary_bytes)
 
-    def attach(self, attachment: Attachment) -> None:
+    def attach(self, attachment: AttachedFile) -> None:
         """Write a file into the recording.
 
         Raises:
@@ -180,7 +180,7 @@ class RecordingParts:
         """
         self._part.writer.attach(attachment)
 
-    def close(self, facts: Metadata, attachment: Attachment) -> None:
+    def close(self, facts: Metadata, attachment: AttachedFile) -> None:
         """Close the last file, with facts on the recording.
 
         Raises:

@@ -7,7 +7,7 @@ import msgspec
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import Event, Info
-from zensim.recording.mcap_records import Attachment, Metadata
+from zensim.recording.mcap_records import AttachedFile, Metadata
 from zensim.recording.recorded_topics import RecordedMessage
 from zensim.recording.recorder import Recorder, TimeBase
 from zensim.recording.recording_parts import PartSettings, RecordingParts
@@ -113,7 +113,7 @@ class RecordingSession:
             self._queue.put(messages)
         return len(messages)
 
-    def attach(self, attachment: Attachment) -> None:
+    def attach(self, attachment: AttachedFile) -> None:
         """Write a file into the recording."""
         self._queue.order(attachment)
 
@@ -137,7 +137,7 @@ class RecordingSession:
         content = msgspec.json.encode(facts)
         try:
             self._parts.close(
-                make_metadata(start), Attachment(FACTS_FILE, "application/json", content)
+                make_metadata(start), AttachedFile(FACTS_FILE, "application/json", content)
             )
         except OSError as error:
             self._close_failure = error

@@ -5,7 +5,7 @@ from pathlib import Path
 import msgspec
 
 from zensim.recording.mcap_records import (
-    Attachment,
+    AttachedFile,
     Channel,
     Chunk,
     MalformedRecord,
@@ -95,7 +95,7 @@ class _Recovery:
             self._add_chunk(one)
         elif isinstance(one, LooseMessage):
             self._add_message(one.message)
-        elif isinstance(one, Attachment):
+        elif isinstance(one, AttachedFile):
             self.writer.attach(one)
         elif isinstance(one, Metadata):
             self.writer.add_metadata(one)

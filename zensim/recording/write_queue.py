@@ -5,7 +5,7 @@ import time
 from queue import SimpleQueue
 from typing import Final, NamedTuple
 
-from zensim.recording.mcap_records import Attachment
+from zensim.recording.mcap_records import AttachedFile
 from zensim.recording.recorded_topics import RecordedMessage
 from zensim.recording.recording_parts import RecordingParts
 
@@ -20,7 +20,7 @@ class NewPart(NamedTuple):
 
 
 Batch = list[RecordedMessage]
-Order = Batch | Attachment | NewPart
+Order = Batch | AttachedFile | NewPart
 
 
 class WriteQueue:
@@ -56,7 +56,7 @@ class WriteQueue:
         self._put_bytes += size
         self._orders.put(batch)
 
-    def order(self, order: Attachment | NewPart) -> None:
+    def order(self, order: AttachedFile | NewPart) -> None:
         """Hand over another order."""
         self._orders.put(order)
 
@@ -83,7 +83,7 @@ class WriteQueue:
         return self._orders.get()
 
     def _obey(self, order: Order) -> None:
-        if isinstance(order, Attachment):
+        if isinstance(order, AttachedFile):
             self._parts.attach(order)
         elif isinstance(order, NewPart):
             self._parts.start_part(order.log_ns, order.publish_ns)

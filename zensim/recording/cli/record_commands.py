@@ -31,6 +31,7 @@ from zensim.proto.ros2.rmw_keys import parse_domain
 from zensim.proto.service_catalog import INFO
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.verbosity import CURRENT, print_announcement, print_note
+from zensim.recording.entity_files import EntityFiles
 from zensim.recording.recorder import Recorder, RecorderSettings, TimeBase
 from zensim.recording.recording_parts import PartSettings
 from zensim.recording.recording_session import (
@@ -42,7 +43,6 @@ from zensim.recording.recording_session import (
     SessionSettings,
 )
 from zensim.recording.topic_selection import TopicFilter, TopicSelection
-from zensim.recording.world_files import WorldFiles
 
 app = make_app()
 
@@ -318,7 +318,7 @@ class RecordProgram:
         )
         self._session = RecordingSession(settings)
         self._recorder = Recorder(bus, chosen, recorder_settings, self._session)
-        self._files = WorldFiles(bus, recorder_settings.world, self._session.attach)
+        self._files = EntityFiles(bus, recorder_settings.world, self._session.attach)
         self._wants_snapshot = False
         self._figures: RecordingFigures | None = None
         if (user_signal := getattr(signal, "SIGUSR1", None)) is not None:

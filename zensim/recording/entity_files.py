@@ -17,7 +17,7 @@ from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.telemetry_messages import GetModelsRequest
 from zensim.proto.messages.world_messages import GetCurrentWorldRequest, WorldResource
 from zensim.proto.service_catalog import GET_ASSET, GET_CURRENT_WORLD, GET_MODELS
-from zensim.recording.mcap_records import Attachment
+from zensim.recording.mcap_records import AttachedFile
 
 SHA256: Final = re.compile("[0-9a-f]{64}")
 FAILURES: Final = (BusError, ServiceError, TimeoutError, MalformedPayload)
@@ -27,10 +27,10 @@ MESHES_S: Final = 0.1
 WORLD_FILE: Final = "world.sdf"
 
 
-class WorldFiles:
+class EntityFiles:
     """Attaches each file once; a server that does not reply is asked again at the next arrival."""
 
-    def __init__(self, bus: Bus, world: str, attach: Callable[[Attachment], None]) -> None:
+    def __init__(self, bus: Bus, world: str, attach: Callable[[AttachedFile], None]) -> None:
         self._bus = bus
         self._world = world
         self._attach = attach
@@ -84,7 +84,7 @@ class WorldFiles:
         digest = f"{name} {hashlib.sha256(content).hexdigest()}"
         if digest not in self._known:
             self._known.add(digest)
-            self._attach(Attachment(name, media_type, content))
+            self._attach(AttachedFile(name, media_type, content))
 
 
 def read_world_file(world: WorldResource) -> str:
