@@ -5,6 +5,7 @@ both points have velocities, quintic where both have accelerations, too.
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -104,12 +105,11 @@ class Trajectory:
             start: Where they were when the trajectory began.
             time_ns: Simulation time, not before that.
         """
-        before = start
-        for waypoint in self.waypoints:
-            if time_ns < waypoint.time_ns:
-                return interpolate(before, waypoint, time_ns)
-            before = waypoint
-        return _rest_at(before.state)
+        place = bisect_right(self.waypoints, time_ns, key=lambda waypoint: waypoint.time_ns)
+        if place == len(self.waypoints):
+            return _rest_at(self.waypoints[-1].state)
+        before = self.waypoints[place - 1] if place else start
+        return interpolate(before, self.waypoints[place], time_ns)
 
 
 def _rest_at(state: JointsState) -> JointsState:

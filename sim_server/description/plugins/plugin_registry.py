@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 MAX_PLUGINS = 100
 _ROS_CONTROL = "its controllers are read from the files of the request (--controllers FILE)"
 _NOT_SIMULATED = "not simulated"
+_COMMANDED = "its joint is commanded on joint_commands, or by a trajectory of its controller"
 _NO_SENSOR_PLUGIN = "sensors need no plug-in"
 UNUSED_PLUGINS = {
     "gazebo_ros_control": _ROS_CONTROL,
@@ -48,6 +49,9 @@ UNUSED_PLUGINS = {
     "ign_ros2_control": _ROS_CONTROL,
     "gazebo_ros_ft_sensor": _NOT_SIMULATED,
     "gazebo_ros_joint_pose_trajectory": _NOT_SIMULATED,
+    "joint-position-controller-system": _COMMANDED,
+    "joint-trajectory-controller-system": _COMMANDED,
+    "joint-controller-system": _COMMANDED,
     "tracked-vehicle-system": _NOT_SIMULATED,
     "track-controller-system": _NOT_SIMULATED,
     "odometry-publisher-system": "the drive publishes odometry",

@@ -144,3 +144,16 @@ def test_arm_that_is_fixed_to_the_world_has_a_controller() -> None:
 
     assert model.is_static
     assert only(model).joints == ("lift",)
+
+
+@pytest.mark.parametrize("name", ["position-controller", "controller", "trajectory-controller"])
+def test_plugin_of_gazebo_that_commands_a_joint_is_known_and_its_joint_is_commanded(
+    name: str,
+) -> None:
+    plugin = f"""<gazebo><plugin filename="gz-sim-joint-{name}-system" name="p">
+<joint_name>lift</joint_name></plugin></gazebo>"""
+
+    model = read_driven(a_diff_robot(PLUGIN, ARM, plugin))
+
+    assert mentions(model.report, "ignored", "joint_commands")
+    assert only(model).joints == ("lift", "wrist")
