@@ -38,11 +38,21 @@ def run_script(title: str, endpoint: str = "", folder: Path = ROOT) -> str:
     return done.stdout
 
 
-@pytest.fixture
-def running() -> Iterator[zensim.Sim]:
-    """A server that runs by itself."""
-    with zensim.launch("walls", rtf=0) as sim:
+@pytest.fixture(scope="module")
+def launched() -> Iterator[zensim.Sim]:
+    """A paused server as fast as possible: it would take a core beside other tests."""
+    with zensim.launch("walls", rtf=0, timeout_s=120.0) as sim:
+        sim.pause()
         yield sim
+
+
+@pytest.fixture
+def running(launched: zensim.Sim) -> Iterator[zensim.Sim]:
+    """The server, reset, which runs by itself."""
+    launched.reset()
+    launched.play()
+    yield launched
+    launched.pause()
 
 
 def test_hello_robot() -> None:
