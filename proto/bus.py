@@ -364,6 +364,7 @@ __all__ = [
     "NoServer",
     "RouterSecurity",
     "list_client_settings",
+    "log_handshakes",
     "open_bus",
     "to_zenoh_json",
 ]
@@ -1013,6 +1014,15 @@ def _accepts_connections(endpoint: str) -> bool:
         return False
 
 
+def log_handshakes() -> None:
+    """Print how each session joins this process, a router, to standard output; RUST_LOG adds more.
+
+    Zenoh reports the reason of a refusal in its log only.
+    """
+    zenoh.init_log_from_env_or(HANDSHAKES)
+
+
+HANDSHAKES: Final = "off,zenoh_transport::unicast::establishment::accept=debug,zenoh_link_tls=debug"
 OPEN_TIMEOUTS_S = (0.25, 0.25, 0.25, 0.25, 2.0)
 """Short, to find a new router soon; sometimes long, for a distant one."""
 LEAST_ATTEMPT_S: Final = 0.05

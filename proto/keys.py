@@ -37,6 +37,11 @@ def parse_router_link(key: str) -> tuple[str, str]:
     return "", ""
 
 
+def router_refusals(world: str) -> str:
+    """Topic on which the router of a secured server says which joins it refused."""
+    return f"sim/{world}/router/refusals"
+
+
 def user_session(world: str, user: str, session: str) -> str:
     """Liveliness token of a session of a user of a secured server."""
     return f"sim/{world}/u/{user}/session/{session}"

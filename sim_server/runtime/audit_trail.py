@@ -32,7 +32,7 @@ MAX_KINDS: Final = 4096
 MAX_SUBJECT: Final = 200
 MAX_WORD: Final = 64
 MAX_NAMES: Final = 4
-JOINED, LEFT, ACCEPTED, REFUSED = "joined", "left", "accepted", "refused"
+JOINED, ACCEPTED, REFUSED = "joined", "accepted", "refused"
 
 
 class AuditedUsers(Protocol):
@@ -45,7 +45,7 @@ class AuditedUsers(Protocol):
         """Find the address of a session of a user; None if it is not known, or not yet."""
 
     def take_changes(self) -> list[SessionChange]:
-        """Take the sessions that joined or left."""
+        """Take the sessions that joined, left or were refused."""
 
     def keep(self, record: AuditRecord) -> None:
         """Keep a record; returns at once."""
@@ -143,15 +143,16 @@ class AuditTrail:
         self._take_ready()
 
     def _note_session(self, change: SessionChange) -> None:
-        if change.is_joined:
-            self._loop_stats.joined += 1
+        self._loop_stats.joined += change.action == JOINED
+        self._loop_stats.refused += change.action == REFUSED
         user = self._users.find_user(change.user)
-        kind = _Kind(JOINED if change.is_joined else LEFT, change.user, "")
+        kind = _Kind(change.action, change.user, "")
         record = AuditRecord(
             action=kind.action,
             user=change.user,
             role=user.role if user is not None else "",
             address=change.address,
+            reason=change.reason,
         )
         if self._may_record(kind, record, ""):
             self._locate(record, "")

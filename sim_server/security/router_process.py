@@ -2,19 +2,34 @@
 
 import json
 import logging
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Final
 
+import msgspec
+
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, BusError, EndpointTaken, LivelinessToken, open_bus
+from zensim.proto.bus import (
+    Bus,
+    BusConfig,
+    BusError,
+    EndpointTaken,
+    LivelinessToken,
+    log_handshakes,
+    open_bus,
+)
+from zensim.proto.child_process import STDOUT
 from zensim.proto.endpoints import is_endpoint_taken, to_client_endpoint
 from zensim.proto.printable_text import print_lines
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import PREPARED_START_MODULE, ProgramDied, Supervisor
+from zensim.sim_server.security.join_log import JoinLog
 from zensim.sim_server.security.secure_folder import SecureFolder, open_secure_folder
+from zensim.sim_server.security.user_sessions import SessionChange
 
 if TYPE_CHECKING:
     import subprocess
@@ -24,6 +39,7 @@ POLL_S: Final = 0.05
 WATCH_PERIOD_S: Final = 0.2
 REOPEN_TIMEOUT_S: Final = 10.0
 """A port may be in use for a moment after its router closed."""
+JSON_ENCODING: Final = "application/json"
 VERB: Final = "router"
 """Of the program that `secured_router` starts."""
 
@@ -38,9 +54,13 @@ def run_router_process(world: str) -> None:
     """
     folder = open_secure_folder(world)
     endpoint = folder.settings.endpoint
-    run_secured_router(
-        folder, endpoint, StopFlag(), lambda: print_lines(json.dumps({"endpoints": [endpoint]}))
-    )
+    handshakes = HandshakeReader()
+
+    def announce() -> None:
+        print_lines(json.dumps({"endpoints": [endpoint]}))
+        handshakes.start()
+
+    run_secured_router(folder, endpoint, StopFlag(), announce, handshakes.take)
 
 
 def run_secured_router(
@@ -48,8 +68,16 @@ def run_secured_router(
     endpoint: str,
     should_stop: Callable[[], bool],
     announce: Callable[[], None],
+    take_refusals: Callable[[], list[SessionChange]],
 ) -> None:
     """Route until `should_stop`; a change of the users restarts the router and ends all links.
+
+    Args:
+        folder: Of the users that it admits.
+        endpoint: To listen on.
+        should_stop: Asked every `POLL_S`.
+        announce: Called once, when it listens.
+        take_refusals: Takes the joins that it refused.
 
     Raises:
         BusError: The router cannot listen.
@@ -64,10 +92,10 @@ def run_secured_router(
                 if not is_announced:
                     announce()
                     is_announced = True
-                links = LinkTokens(bus, folder.settings.world)
+                reports = RouterReports(bus, folder.settings.world)
                 servers = bus.watch_tokens(keys.alive_server(folder.settings.world))
                 while not should_stop() and folder.list_active() == admitted:
-                    links.poll()
+                    reports.poll(take_refusals())
                     if any(is_alive for _, is_alive in servers.take()):
                         folder.note_admitted(admitted)
                     time.sleep(POLL_S)
@@ -88,18 +116,49 @@ def _reopen(config: BusConfig, *, is_first: bool) -> Iterator[Bus]:
         yield bus
 
 
-class LinkTokens:
-    """Liveliness tokens of the sessions that are linked to a router: its server watches them."""
+class HandshakeReader:
+    """Takes over standard output, to which Zenoh writes its log, and reads it in a thread."""
+
+    def __init__(self) -> None:
+        self._refused: SimpleQueue[SessionChange] = SimpleQueue()
+
+    def start(self) -> None:
+        """Begin; nothing else can be printed from now on."""
+        reading, writing = os.pipe()
+        os.dup2(writing, STDOUT)
+        os.close(writing)
+        log_handshakes()
+        threading.Thread(target=self._run, args=(reading,), name="log", daemon=True).start()
+
+    def take(self) -> list[SessionChange]:
+        """Take the joins that were refused since the last call."""
+        return [self._refused.get() for _ in range(self._refused.qsize())]
+
+    def _run(self, reading: int) -> None:
+        log = JoinLog()
+        with os.fdopen(reading, errors="replace") as lines:
+            for line in lines:
+                if (refused := log.read(line)) is not None:
+                    self._refused.put(refused)
+                elif "RUST_LOG" in os.environ:
+                    print_lines(line, err=True, nl=False)
+
+
+class RouterReports:
+    """What a router says to its server: a liveliness token for each link, and refused joins."""
 
     def __init__(self, bus: Bus, world: str) -> None:
         self._bus = bus
         self._world = world
         self._links = bus.watch_links()
+        self._refusals = bus.advertise(keys.router_refusals(world), JSON_ENCODING)
         self._tokens: dict[str, LivelinessToken] = {}
         """By key."""
 
-    def poll(self) -> None:
-        """Declare the tokens of new links, and undeclare those of closed ones."""
+    def poll(self, refused: list[SessionChange]) -> None:
+        """Declare the tokens of new links, undeclare those of closed ones, publish refusals."""
+        for one in refused:
+            self._refusals.send(msgspec.json.encode(one))
         for session, address, is_open in self._links.take():
             key = keys.router_link(self._world, session, address)
             if is_open and key not in self._tokens:

@@ -1,7 +1,7 @@
 """Sessions with a secured server: whose they are, where they are linked from, when they end."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import msgspec
 
@@ -11,13 +11,15 @@ MAX_WAITING: Final = 1024
 """Sessions with a user whose links are not known yet; clients may declare any number of tokens."""
 
 
-class SessionChange(msgspec.Struct, frozen=True):
-    """A session that joined or left."""
+class SessionChange(msgspec.Struct, frozen=True, kw_only=True):
+    """A session that joined, left or was refused."""
 
-    is_joined: bool
-    user: str
-    """Empty for a client that declares no token of its session."""
+    action: Literal["joined", "left", "refused"]
+    user: str = ""
+    """Empty for a client that declares no token of its session, and for a refused one."""
     address: str
+    reason: str = ""
+    """Of a refusal."""
 
 
 @dataclass
@@ -94,10 +96,10 @@ class UserSessions:
     def _close(self, session: str, link: _Link) -> None:
         if not link.is_reported:
             self._report(session, link)
-        self._changes.append(SessionChange(is_joined=False, user=link.user, address=link.address))
+        self._changes.append(SessionChange(action="left", user=link.user, address=link.address))
         del self._links[session]
 
     def _report(self, session: str, link: _Link) -> None:
         link.is_reported = True
         self._unreported.pop(session, None)
-        self._changes.append(SessionChange(is_joined=True, user=link.user, address=link.address))
+        self._changes.append(SessionChange(action="joined", user=link.user, address=link.address))

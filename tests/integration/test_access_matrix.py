@@ -29,6 +29,7 @@ KEYS = (
     *(f"sim/{WORLD}/drive/{user}/state" for user in ("ME", OTHER, "*")),
     *(f"sim/{WORLD}/u/{user}/session/s" for user in ("ME", OTHER)),
     f"sim/{WORLD}/router/links/s/tls/a:1",
+    f"sim/{WORLD}/router/refusals",
     f"sim/{WORLD}/alive/server",
     *(f"sim/{WORLD}/alive/agent/{user}" for user in ("ME", OTHER)),
     *(f"sim/{WORLD}/alive/sensors/{user}" for user in ("ME", OTHER)),

@@ -359,6 +359,20 @@ def list_refused(secured: Secured) -> set[object]:
     return {one["user"] for one in read_audit(secured) if one["action"] == "refused"}
 
 
+def test_join_with_a_wrong_password_is_in_the_audit(secured: Secured) -> None:
+    token = parse_join_token(secured.token("operator"))
+    before = secured.operator.stats()
+
+    assert find_reason(msgspec.structs.replace(token, password=bytes(16)).write()) == "user"
+
+    def refusals() -> list[dict[str, object]]:
+        return [one for one in read_audit(secured) if one["reason"] == "wrong password"]
+
+    found = eventually(lambda: refusals() or None, WITHIN_S, "the refusal")
+    assert str(found[0]["address"]).startswith("tls/127.0.0.1")
+    assert secured.operator.stats().refused > before.refused
+
+
 def test_audit_has_joins_and_changes_of_each_user(secured: Secured) -> None:
     spawner = SimClient(secured.users["spawner"])
     before = secured.operator.stats()

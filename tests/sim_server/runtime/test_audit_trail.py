@@ -145,18 +145,21 @@ def test_record_waits_a_moment_for_its_address(trail: Trail) -> None:
 
 def test_sessions_are_recorded_and_counted(trail: Trail) -> None:
     for user in ("anna", ""):
-        for is_joined in (True, False):
-            trail.users.changes.append(
-                SessionChange(is_joined=is_joined, user=user, address="tls/a:1")
-            )
+        trail.users.changes += [
+            SessionChange(action="joined", user=user, address="tls/a:1"),
+            SessionChange(action="left", user=user, address="tls/a:1"),
+        ]
+    trail.users.changes.append(SessionChange(action="refused", address="", reason="password"))
 
     assert [(one.action, one.user, one.role, one.address) for one in trail.take()] == [
         ("joined", "anna", "operator", "tls/a:1"),
         ("left", "anna", "operator", "tls/a:1"),
         ("joined", "", "", "tls/a:1"),
         ("left", "", "", "tls/a:1"),
+        ("refused", "", "", ""),
     ]
-    assert trail.stats.joined == 2
+    assert (trail.stats.joined, trail.stats.refused) == (2, 1)
+    assert trail.users.kept[-1].reason == "password"
 
 
 def test_closing_keeps_what_waits(trail: Trail) -> None:

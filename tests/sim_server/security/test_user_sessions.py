@@ -10,8 +10,8 @@ from zensim.sim_server.security.user_sessions import (
 )
 
 ADDRESS = "tls/10.0.0.1:7"
-JOINED = SessionChange(is_joined=True, user="anna", address=ADDRESS)
-LEFT = SessionChange(is_joined=False, user="anna", address=ADDRESS)
+JOINED = SessionChange(action="joined", user="anna", address=ADDRESS)
+LEFT = SessionChange(action="left", user="anna", address=ADDRESS)
 
 
 def link(sessions: UserSessions, session: str = "s", *, is_open: bool = True) -> None:
@@ -46,7 +46,7 @@ def test_session_that_names_no_user_joins_without_one() -> None:
     assert sessions.take(UNNAMED_AFTER_S / 2) == []
     found = sessions.take(UNNAMED_AFTER_S)
 
-    assert found == [SessionChange(is_joined=True, user="", address=ADDRESS)]
+    assert found == [SessionChange(action="joined", user="", address=ADDRESS)]
     assert sessions.find_address("s", "anna") == ADDRESS
 
 
