@@ -25,8 +25,8 @@ from zensim.recording.topic_selection import (
     list_ros_keys,
 )
 
-RING_DEPTH: Final = 65_536
-"""Messages of one key expression between two takes."""
+RING_DEPTH: Final = 32_768
+"""Messages of one key expression between two takes; a longer queue takes more memory."""
 EVENTS_DEPTH: Final = 1024
 CLOCK_TIMEOUT_S: Final = 2.0
 LATCHED_TIMEOUT_S: Final = 0.5
