@@ -221,3 +221,9 @@ def test_parser_refuses_tags_when_they_nest_beyond_what_xml_allows() -> None:
 
     with pytest.raises(ModelError):
         parse_xml(text, root_tag="robot", slug="urdf")
+
+
+def test_number_has_at_most_400_characters() -> None:
+    assert read(f"0.{'0' * 397}1", 1) == (0.0,)
+    with pytest.raises(ModelError):
+        read(f"0.{'0' * 398}1", 1)

@@ -9,7 +9,8 @@ from zensim.proto.bus import BusPublisher
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.messages.agent_messages import DriveState
 from zensim.proto.network_protocols import ServiceCall
-from zensim.proto.ros2.ros_graph import RosGraph, RosSettings
+from zensim.proto.ros2.ros_graph import RosGraph
+from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.sample_messages import make_sample_message
 from zensim.proto.topic_catalog import CLOCK, DRIVE_COMMAND, DRIVE_STATE, WORLD_TOPICS, TopicSpec
 from zensim.proto.topic_endpoints import make_topic_factory

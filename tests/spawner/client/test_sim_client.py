@@ -130,3 +130,13 @@ def test_client_calls_its_own_world_only() -> None:
 
     with pytest.raises(NoServer, match="sim/other/info"):
         other.info()
+
+
+@pytest.mark.parametrize(("late_ns", "steps"), [(-1, 4), (0, 4), (1, 5)])
+def test_steps_are_counted_until_the_first_at_or_after_a_time(late_ns: int, steps: int) -> None:
+    served = ServedWorld("r0")
+    served.world.clock.pause()
+    info = served.client.info()
+    now_ns = round(info.sim_time_s * 1e9)
+
+    assert served.client.steps_until(now_ns + 4 * info.step_ns + late_ns) == steps

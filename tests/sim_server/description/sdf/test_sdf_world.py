@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from tests.sim_server.description.robots import mentions, subjects
-from tests.sim_server.description.sdf_robots import a_link, a_pose
+from tests.sim_server.description.sdf_robots import a_joint, a_link, a_pose
 from zensim.proto.messages.entity_messages import Bounds, BoundsType
 from zensim.proto.messages.model_messages import Light, Origin
 from zensim.proto.messages.result_messages import SpawnCode
@@ -442,6 +442,16 @@ def test_links_that_no_joint_connects_are_separate_entities() -> None:
     assert (first.name, first.origin.position) == ("outer", (1.0, 0.0, 0.0))
     assert (second.name, second.origin.position) == ("outer__b", (1.0, 3.0, 0.0))
     assert [link.name for link in second.model.links] == ["b"]
+
+
+def test_joints_inside_of_separate_entities_are_not_reported() -> None:
+    links = a_link("a") + a_link("arm") + a_link("b")
+
+    world = read_world(a_world(a_nested(links + a_joint("j", ("a", "arm")))))
+
+    reports = (*world.report, *(entry for one in world.models for entry in one.model.report))
+    assert len(world.models) == 2
+    assert not [one for one in subjects(reports, "suspicious") if "joint" in one]
 
 
 def test_pose_of_a_model_is_relative_to_another_model() -> None:
