@@ -1,3 +1,22 @@
 """Mutants of the sample that change nothing that could be noticed, by name, and why."""
 
-EQUIVALENTS: dict[str, str] = {}
+EQUIVALENTS = {
+    "sim_server/physics/mujoco/slot_state.py: MAX_EFFORT = 1e12: 1e12 -> (1e12 + 1)": (
+        "a brake of 1e12 N m holds whatever one of 1e12 + 1 N m does"
+    ),
+    "sim_server/description/driving_notes.py: "
+    "if is_fast and is_slow and abs(speed - rate) < SAME_RATIO:: < -> <=": (
+        "predicted ratios do not differ by exactly SAME_RATIO"
+    ),
+    "sim_server/description/driving_notes.py: "
+    "if abs(drift) > DRIFT_RAD_S and abs(speed) > STANDS_SHARE:: > -> >= #2": (
+        "no predicted ratio is exactly STANDS_SHARE"
+    ),
+    "sim_server/physics/mujoco/mujoco_engine.py: if square <= MAX_SPEED_CHANGE**2 or "
+    "np.abs(change).max() <= MAX_SPEED_CHANGE:: <= -> <": (
+        "the other comparison is true where the squares are equal"
+    ),
+    "robot_agent/robot_frames.py: class FrameEdge(msgspec.Struct, frozen=True):: True -> False": (
+        "nothing assigns to an edge; mypy refuses it"
+    ),
+}
