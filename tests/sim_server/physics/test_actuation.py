@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.models import a_box, a_cart, a_fork, a_puck
+from tests.models import a_box, a_cart, a_controlled_arm, a_fork, a_puck
 from zensim.proto.se3 import from_rpy
 from zensim.sim_server.physics.actuation import (
     impose_planar_twists,
@@ -80,3 +80,31 @@ def test_imposed_twist_is_that_of_the_root(twist: tuple[float, ...], heading: fl
     assert root[1] == pytest.approx(
         math.sin(heading) * twist[0] + math.cos(heading) * twist[1], abs=1e-9
     )
+
+
+@pytest.mark.parametrize(
+    ("last", "stopped"),
+    [
+        ((0.0, 0.0), (0.0, 0.0)),
+        ((1.0, 0.4), (1.0, 0.4)),
+        ((2.0, 0.4), (2.0, 0.0)),
+        ((3.0, 0.4), (3.0, 0.0)),
+    ],
+    ids=["free", "position", "velocity", "effort"],
+)
+def test_stopped_joint_holds_its_position_and_ends_velocity_and_effort(
+    last: tuple[float, float], stopped: tuple[float, float]
+) -> None:
+    found = make_stop_targets(a_controlled_arm(), np.zeros(1), np.array(last))
+
+    assert tuple(found) == stopped
+
+
+def test_joint_is_free_after_a_stop_without_targets() -> None:
+    assert make_stop_targets(a_controlled_arm(), np.zeros(1)).tolist() == [0.0, 0.0]
+
+
+def test_motor_of_a_joint_without_limits_is_as_strong_as_any() -> None:
+    (motor,) = make_actuation(a_controlled_arm(effort=0.0, velocity=0.0)).joint_motors
+
+    assert min(motor.effort, motor.velocity) > 1e6

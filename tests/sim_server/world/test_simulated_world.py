@@ -10,7 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.engines import STEP_NS, MakeEngine, ObedientEngine, TieredAuto, running
-from tests.models import a_box, a_cart, a_fork, a_puck, a_state, an_arm, on_ground
+from tests.models import (
+    a_box,
+    a_cart,
+    a_controlled_arm,
+    a_fork,
+    a_puck,
+    a_state,
+    an_arm,
+    on_ground,
+)
 from tests.sim_server.fakes import (
     CONTROL_STEPS,
     a_command,
@@ -1084,3 +1093,26 @@ def _fastest(world: SimulatedWorld) -> float:
 def _advance(world: SimulatedWorld, steps: int) -> None:
     for _ in range(steps):
         world.step()
+
+
+@pytest.mark.parametrize("make", [PyBulletEngine, MujocoEngine], ids=lambda make: make.name)
+def test_joint_stays_when_its_agent_ends_and_the_next_one_goes_on_with_it(make: MakeEngine) -> None:
+    with running(make) as engine:
+        world = SimulatedWorld(engine, name="w", step_ns=STEP_NS, control_steps=CONTROL_STEPS)
+        world.spawn(a_spawn("r0", model=a_controlled_arm(), base=a_state((0.0, 0.0, 0.0))))
+        (first,) = world.claim("a", ("r0",), "stop")
+        world.command("a", a_command(world, "a", 1.0, -0.3))
+        for _ in range(240):
+            world.step()
+
+        world.release("a")
+        for _ in range(240):
+            world.step()
+        place = float(world.states().joint_positions[0])
+        (second,) = world.claim("b", ("r0",), "stop")
+        world.reset(ResetScope.STATE)
+        (third,) = world.claim("b", ("r0",), "stop")
+
+    assert place == pytest.approx(-0.3, abs=0.01)
+    targets = [one.joint_targets for one in (first, second, third)]
+    assert targets == [(), (1.0, -0.3), ()]
