@@ -17,7 +17,8 @@ ROBOTS, ROBOTS_WHEN_SHORT = 1000, 5
 ROUNDS, POOLS, HZ = 3, 2, 1.0
 TOKENS_OF_ROBOT = 8
 """Of a box_bot: its node, and seven endpoints; fewer than a hundred of a pool have more."""
-COMPLETE_S, DRIVEN_S, WAIT_S = 5.0, 300.0, 60.0
+ALL_TOKENS = "@ros2_lv/0/**"
+COMPLETE_S, DRIVEN_S, WAIT_S, LISTED_S = 5.0, 300.0, 60.0, 5.0
 SERVER = ("--dynamics", "auto", "--step-hz", "100")
 
 
@@ -43,12 +44,12 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 def _count_tokens(network: Stage, robots: int) -> int:
     """Count nodes and endpoints when there are enough and their number is stable."""
+    counts = [0]
 
     def count() -> int | None:
-        limits = ("--brief", "--quiet", "3", "--within", f"{WAIT_S:g}")
-        found = network.run("graph", *limits, within_s=WAIT_S)
-        tokens = int(found["tokens"])
-        return tokens if tokens >= robots * TOKENS_OF_ROBOT else None
+        counts.append(len(network.server.bus.list_tokens(ALL_TOKENS, LISTED_S)))
+        is_stable = counts[-1] == counts[-2] >= robots * TOKENS_OF_ROBOT
+        return counts[-1] if is_stable else None
 
     return eventually(count, DRIVEN_S, "announcing")
 
