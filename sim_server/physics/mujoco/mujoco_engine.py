@@ -563,7 +563,8 @@ class SavedState:
     arrays: tuple[FloatArray, ...]
 
 
-MAX_SPARES, MAX_SPARE_BYTES = 4, 1 << 22
+MAX_SPARES, MAX_SPARE_BYTES = 8, 1 << 22
+"""A world that gets ten robots one by one grows through five sizes, which the next one uses."""
 
 
 class SpareArrays:
