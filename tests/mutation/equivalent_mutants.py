@@ -16,6 +16,16 @@ EQUIVALENTS = {
     "np.abs(change).max() <= MAX_SPEED_CHANGE:: <= -> <": (
         "the other comparison is true where the squares are equal"
     ),
+    "sim_server/physics/bullet/pybullet_engine.py: "
+    "ORIGIN_STATE: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6): 1.0 -> (1.0 + 1)": (
+        "Bullet normalizes the rotation"
+    ),
+    "sim_server/physics/bullet/pybullet_engine.py: self._origin.changes += 1: 1 -> (1 + 1)": (
+        "counts of changes are compared for equality only"
+    ),
+    "sim_server/description/strict_parsing.py: no_network=True,: True -> False": (
+        "nothing is loaded: there are no DTDs and no entities"
+    ),
     "robot_agent/robot_frames.py: class FrameEdge(msgspec.Struct, frozen=True):: True -> False": (
         "nothing assigns to an edge; mypy refuses it"
     ),

@@ -293,3 +293,15 @@ def test_missing_mesh_is_refused(engine: Engine) -> None:
 
     with pytest.raises(EngineRefused, match="gone"):
         engine.add(body, a_state())
+
+
+def test_place_and_rotation_that_are_set_are_read() -> None:
+    engine = MujocoEngine(CONFIG)
+    body = engine.add(a_box(), a_state())
+    state = a_state((1.0, 2.0, 3.0), turn=(0.1, 0.2, 0.3))
+
+    engine.set_base_state(body, state)
+    found = engine.read([body]).base[0]
+
+    engine.close()
+    assert found == pytest.approx(state)
