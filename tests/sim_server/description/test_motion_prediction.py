@@ -2,8 +2,10 @@
 
 import math
 
+import msgspec
 import pytest
 
+from tests.models import an_arm
 from tests.sim_server.description.plugins.driven_robots import (
     BALLS,
     ORDERED_ROBOTS,
@@ -21,6 +23,7 @@ from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.drive_messages import SteeringDrive
 from zensim.sim_server.description.ground_friction import GroundFriction
 from zensim.sim_server.description.motion_prediction import (
+    limit_position,
     predict_motion,
     predict_nominal_motions,
 )
@@ -97,3 +100,22 @@ def test_turn_of_a_car_is_predicted_within_what_its_steering_joints_allow() -> N
     assert turn.command == pytest.approx((0.2, 0.0, 0.2 * math.tan(0.3) / 0.6))
     assert turn.twist[2] == pytest.approx(turn.command[2], rel=0.01)
     assert not mentions(model.report, "predicted", "driving", "turns")
+
+
+@pytest.mark.parametrize(
+    ("kind", "lower", "upper", "found"),
+    [
+        ("revolute", -0.5, 0.4, 0.4),
+        ("revolute", 0.1, 0.1, 0.1),
+        ("revolute", 1.0, -1.0, 5.0),
+        ("continuous", -0.5, 0.4, 5.0),
+    ],
+)
+def test_position_is_kept_within_limits_unless_there_are_none(
+    kind: str, lower: float, upper: float, found: float
+) -> None:
+    joint = msgspec.structs.replace(
+        an_arm("revolute").joints[0], kind=kind, lower=lower, upper=upper
+    )
+
+    assert limit_position(joint, 5.0) == found
