@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from tests.fakes import ManualClock, MemoryBus
 from tests.robot_agent.fake_server import AGENT, WORLD, FakeServer
 from tests.robot_agent.models import DRIVE, a_claim, a_state, two_wheeler
+from tests.robot_agent.test_bumpers import a_touchy_robot
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode
 from zensim.proto.messages.agent_messages import DriveState
@@ -18,7 +19,7 @@ from zensim.proto.messages.model_messages import DiffDrive
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
-from zensim.proto.topic_catalog import DRIVE_STATE
+from zensim.proto.topic_catalog import CONTACTS, DRIVE_STATE
 from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.agent import (
     MAX_WINDOW_S,
@@ -448,6 +449,21 @@ def test_agent_claims_again_when_the_server_was_restarted() -> None:
     scene.server.come_up()
     scene.poll()
     assert scene.drive_to(0, 2) == [(0.0, 0.0)]
+
+
+def test_agent_counts_malformed_contacts_and_drives_on() -> None:
+    scene = Scene("r1")
+    scene.server.entities["r1"] = a_touchy_robot()
+    bumper = scene.bus.subscribe("r1/hull/bumper_states")
+    for _ in range(100):
+        scene.poll()
+    before = scene.drive_to(0)
+
+    scene.bus.put(CONTACTS.key(WORLD), b"garbage")
+
+    assert scene.drive_to(1) == before == [(0.0, 0.0)]
+    assert scene.agent.malformed == 1
+    bumper.close()
 
 
 def test_agent_ignores_a_malformed_state(caplog: pytest.LogCaptureFixture) -> None:
