@@ -70,7 +70,12 @@ def _run_python(code: str) -> float:
     """Find the CPU time of an interpreter that runs a line."""
     report = f"{code}\nimport time; print(time.process_time())"
     done = subprocess.run(
-        [sys.executable, "-c", report], capture_output=True, text=True, check=True, timeout=60
+        [sys.executable, "-c", report],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
     )
     return float(done.stdout.split()[-1])
 
