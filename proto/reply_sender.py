@@ -1,7 +1,6 @@
 """Threads that send replies: a client that stops reading delays its own replies only."""
 
 import logging
-import math
 import threading
 import time
 from collections import deque
@@ -19,12 +18,8 @@ MAX_UNSENT: Final = 8192
 """Replies of all clients that may wait before no further queries are taken."""
 MAX_BACKLOG: Final = 64
 """Replies of one client that may wait before its further requests wait, too."""
-MAX_UNFINISHED: Final = 1024
-"""The same for queries without a value."""
-MAX_LEFT_TO_THREAD: Final = 64
-"""Queries without a value beyond these are finished by the caller, unless the thread is blocked."""
-BLOCKED_S: Final = 0.02
-"""A thread that works on one query for so long is blocked by a client that stopped reading."""
+MAX_UNFINISHED: Final = 256
+"""The same for queries without a value; each keeps the 64 KiB in which it was received."""
 CLOSE_TIMEOUT_S: Final = 1.0
 LOG = logging.getLogger(__name__)
 
@@ -60,8 +55,6 @@ class ReplySender:
         self._finishes: deque[Send] = deque()
         self._has_finishes = threading.Event()
         self._finisher: threading.Thread | None = None
-        self._finishing_since_s = math.inf
-        """When the thread began with the query that it finishes; infinite if there is none."""
         self.prepare_thread: Callable[[], object] = lambda: None
         """Called first in each thread."""
 
@@ -96,17 +89,11 @@ class ReplySender:
         return unsent is not None and len(unsent.queue) >= MAX_BACKLOG
 
     def finish(self, finish: Send) -> None:
-        """Finish a query without a value, at a fraction of the cost of `send`.
-
-        A thread does it, which a client that has stopped reading may block. At many a second the
-        caller does it while the thread is not blocked: the threads would wait for each other.
+        """Finish a query without a value from another thread, at a fraction of the cost of `send`.
 
         Args:
             finish: Finishes the query; may block.
         """
-        if len(self._finishes) >= MAX_LEFT_TO_THREAD and not self._is_finisher_blocked:
-            _finish(finish)
-            return
         self._finishes.append(finish)
         if not self._has_finishes.is_set():
             self._has_finishes.set()
@@ -115,10 +102,6 @@ class ReplySender:
                     target=self._run_finishes, name="finishes", daemon=True
                 )
                 self._finisher.start()
-
-    @property
-    def _is_finisher_blocked(self) -> bool:
-        return time.monotonic() - self._finishing_since_s > BLOCKED_S
 
     def settle(self, timeout_s: float) -> None:
         """Wait until the replies are sent, but not for clients that have stopped reading.
@@ -171,9 +154,7 @@ class ReplySender:
             self._has_finishes.wait()
             self._has_finishes.clear()
             while self._finishes:
-                self._finishing_since_s = time.monotonic()
                 _finish(self._finishes.popleft())
-            self._finishing_since_s = math.inf
 
     def _take_client(self) -> UnsentReplies | None:
         with self._has_work:

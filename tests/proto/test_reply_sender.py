@@ -200,35 +200,7 @@ def test_sender_finishes_all_queries_before_it_closes() -> None:
 
     sender.close(TIMEOUT_S)
 
-    assert sorted(finished) == list(range(1001))
-
-
-def test_caller_finishes_many_queries_itself_unless_the_thread_is_blocked(
-    sender: ReplySender, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(reply_sender, "MAX_LEFT_TO_THREAD", 2)
-    monkeypatch.setattr(reply_sender, "BLOCKED_S", TIMEOUT_S)
-    is_reading, is_finishing = threading.Event(), threading.Event()
-    finished_by: list[int] = []
-
-    def wait_until_read() -> None:
-        is_finishing.set()
-        assert is_reading.wait(TIMEOUT_S)
-
-    def note_thread() -> None:
-        finished_by.append(threading.get_ident())
-
-    sender.finish(wait_until_read)
-    assert is_finishing.wait(TIMEOUT_S)
-    for _ in range(3):
-        sender.finish(note_thread)
-    monkeypatch.setattr(reply_sender, "BLOCKED_S", 0.0)
-    sender.finish(note_thread)
-
-    assert finished_by == [threading.get_ident()]
-    is_reading.set()
-    sender.close(TIMEOUT_S)
-    assert len(finished_by) == 4
+    assert finished == list(range(1001))
 
 
 def fail() -> None:
