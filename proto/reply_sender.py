@@ -18,7 +18,7 @@ MAX_UNSENT: Final = 8192
 """Replies of all clients that may wait before no further queries are taken."""
 MAX_BACKLOG: Final = 64
 """Replies of one client that may wait before its further requests wait, too."""
-MAX_UNFINISHED: Final = 256
+MAX_UNFINISHED: Final = 1024
 """The same for queries without a value; each keeps the 64 KiB in which it was received."""
 CLOSE_TIMEOUT_S: Final = 1.0
 LOG = logging.getLogger(__name__)

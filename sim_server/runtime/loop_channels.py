@@ -31,7 +31,7 @@ from zensim.proto.topic_endpoints import KeyPublisher, LazyTopicPublisher, Topic
 COMMAND_DEPTH = 8192
 REPLY_DEPTH = 256
 TWISTS_DEPTH = 1024
-CALLS_DEPTH = 1024
+CALLS_DEPTH = 4096
 """Requests that wait to be taken. Each may keep a buffer of 64 KiB, in which it was received."""
 
 
