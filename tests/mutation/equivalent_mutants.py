@@ -26,6 +26,15 @@ EQUIVALENTS = {
     "sim_server/description/strict_parsing.py: no_network=True,: True -> False": (
         "nothing is loaded: there are no DTDs and no entities"
     ),
+    "sim_server/physics/kinematic/kinematic_robots.py: "
+    "self._has_offset_discs = False: False -> True": "it is set before there is a robot",
+    "sim_server/description/plugins/joint_controllers.py: model: Model, files: Sequence[str], "
+    "report: ParseReport, *, has_free_wheels: bool = False: False -> True": (
+        "the only caller gives it"
+    ),
+    "robot_agent/joint_trajectory.py: @dataclass(frozen=True): True -> False": (
+        "nothing assigns to a goal or a state; mypy refuses it"
+    ),
     "robot_agent/robot_frames.py: class FrameEdge(msgspec.Struct, frozen=True):: True -> False": (
         "nothing assigns to an edge; mypy refuses it"
     ),

@@ -38,14 +38,14 @@ class ReachedLines:
         return sorted(self.seconds.keys() - set(self.failing))
 
     def find_tests(self, module: str, line: int) -> list[str]:
-        """Find the tests that reach a line, or the module if its import alone reaches the line."""
+        """Find the tests that reach a line; all that reach the module for a line of its import."""
         lines = self.lines.get(module, {})
         reached = max((one for one in lines if one <= line), default=None)
         if reached is None:
             return []
         tests = {test for test in lines[reached] if test}
         if "" in lines[reached] and not tests:
-            tests = {test for found in lines.values() for test in found if test}
+            tests = {test for found in lines.values() for test in found if test} or set(self.tests)
         return sorted(tests.difference(self.failing))
 
 
