@@ -4,7 +4,8 @@ Ten robots drive circles at 240 Hz while one other client loads the server, with
 and without a name; three of them where the table says so. Real-time factor and latest step are
 those of each second. `info` is called by a client of its own at random moments. The gap is the
 longest time without odometry of one robot at 80 Hz. Memory is that of the server's process, above
-that before the load, at its most and 5 s after the load.
+that before the load, at its most and 5 s after the load. Floors are the same loads on a router that
+the simulation does not use: what their client and its router take of this machine alone.
 """
 
 import random
@@ -15,6 +16,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from itertools import pairwise
 
+import msgspec
 import psutil
 
 from benchmarks.figures import Figure, Limit, Statistic, written
@@ -32,6 +34,7 @@ from benchmarks.ten_robots import (
     stats_of,
 )
 from benchmarks.timing import quantile
+from tests.integration.processes import free_endpoint
 from zensim.proto.bus import Bus, BusSubscription, NoServer
 from zensim.proto.topic_catalog import ODOM
 from zensim.spawner.client.sim_client import SimClient
@@ -43,6 +46,13 @@ RECOVERY_S, RECOVERY_WHEN_SHORT_S = 5.0, 0.1
 SHORT_LOADS = ("64 get_entities in flight", "stopped with 2000 unread get_models")
 THREE = "three clients "
 STOPPED = "stopped with 2000 unread get_models"
+FLOOR = "floor: "
+FLOORS = (
+    "10,000 get_entities a second, unread",
+    "10,000 malformed twists a second to all",
+    "2000 sessions",
+)
+"""Loads that are measured on another router, too."""
 UNDISTURBED = "undisturbed"
 LONGEST_PAUSE_S = 0.02
 SEED = 17
@@ -128,6 +138,17 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         p99_ms = find_info_p99(quiet)
         for load in loads:
             yield from measure(found, load, is_short=is_short, p99_ms=p99_ms)
+        yield from measure_floors(found, is_short=is_short)
+
+
+def measure_floors(found: Fleet, *, is_short: bool) -> Iterator[Figure]:
+    """Measure loads on a router that the simulation does not use."""
+    endpoint = free_endpoint()
+    with program("idle_router", endpoint) as process:
+        line_with("listening", process)
+        for load in FLOORS[:1] if is_short else FLOORS:
+            for figure in measure(found, load, is_short=is_short, address=endpoint):
+                yield msgspec.structs.replace(figure, what=FLOOR + figure.what)
 
 
 def find_info_p99(quiet: Iterable[Figure]) -> float:

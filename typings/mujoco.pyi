@@ -9,6 +9,9 @@ import numpy.typing as npt
 _Floats = npt.NDArray[np.float64]
 _Ints = npt.NDArray[np.int32]
 
+class mjtJoint:
+    mjJNT_FREE: mjtJoint
+
 class mjtSolver:
     mjSOL_CG: mjtSolver
     def __int__(self) -> int: ...
@@ -44,6 +47,7 @@ class MjModel:
     geom_solref: _Floats
     geom_solimp: _Floats
     jnt_qposadr: _Ints
+    jnt_type: _Ints
     dof_jntid: _Ints
     dof_treeid: _Ints
     dof_bodyid: _Ints
