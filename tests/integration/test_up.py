@@ -61,8 +61,8 @@ def wait_for_exit(process: "subprocess.Popen[str]") -> int:
     return process.returncode
 
 
-def find_child(process: "subprocess.Popen[str]", verb: str) -> int:
-    """Find the process id of the program that runs a verb; 0 if there is none."""
+def find_child(process: "subprocess.Popen[str]", verb: str) -> int | None:
+    """Find the process id of the program that runs a verb."""
     for pid in children(process.pid):
         try:
             words = psutil.Process(pid).cmdline()
@@ -70,7 +70,7 @@ def find_child(process: "subprocess.Popen[str]", verb: str) -> int:
             continue
         if verb in words:
             return pid
-    return 0
+    return None
 
 
 def test_second_up_at_an_endpoint_fails_and_leaves_the_first_world_alone() -> None:

@@ -100,13 +100,15 @@ def test_error_names_its_exception(program: Program) -> None:
     assert (log.level, log.msg) == (LogLevel.ERROR, "request failed: ValueError: no such body")
 
 
-def test_text_is_short_and_printable(program: Program) -> None:
-    LOG.critical("\x1b[2J %s \ud800", "x" * 2 * MAX_TEXT)
+def test_text_is_short_and_printable(program: Program, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Workers of pytest cannot send a captured log with a lone surrogate.
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
+    LOG.critical("\x1b[2J \ud800 %s", "x" * 2 * MAX_TEXT)
 
     (log,) = program.read()
 
     assert log.level == LogLevel.FATAL
-    assert log.msg.startswith("\\u001b[2J xx")
+    assert log.msg.startswith("\\u001b[2J \\ud800 xx")
     assert len(log.msg) < MAX_TEXT + 16
 
 

@@ -110,6 +110,8 @@ WITHOUT_METHOD = {
     "token": "for operators of secured servers, whose folder it reads",
     "join": "keeps a token for later; in Python, connect(token=...)",
     "journal": "reads files of servers that have ended",
+    "record": "a program beside the simulation, as `zensim up --record` starts it",
+    "bag": "reads files, which rosbags and mcap read in Python",
 }
 
 
