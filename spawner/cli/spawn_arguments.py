@@ -208,9 +208,9 @@ class EntityOptions:
         float | None,
         _pose("-z", help=r"Position along z \[m].", show_default="on the ground"),
     ] = None
-    roll: Annotated[float, _pose("-R", help=r"Roll \[rad].")] = 0.0
-    pitch: Annotated[float, _pose("-P", help=r"Pitch \[rad].")] = 0.0
-    yaw: Annotated[float, _pose("-Y", help=r"Yaw \[rad].")] = 0.0
+    roll: Annotated[float, _pose("-R", "--roll", help=r"Roll \[rad].")] = 0.0
+    pitch: Annotated[float, _pose("-P", "--pitch", help=r"Pitch \[rad].")] = 0.0
+    yaw: Annotated[float, _pose("-Y", "--yaw", help=r"Yaw \[rad].")] = 0.0
     frame: Annotated[
         str,
         _pose(

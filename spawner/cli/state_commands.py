@@ -68,9 +68,9 @@ class NewStateOptions:
     x: Annotated[float | None, _pose("-x", help=r"Position along x \[m].")] = None
     y: Annotated[float | None, _pose("-y", help=r"Position along y \[m].")] = None
     z: Annotated[float | None, _pose("-z", help=r"Position along z \[m].")] = None
-    roll: Annotated[float | None, _pose("-R", help=r"Roll \[rad].")] = None
-    pitch: Annotated[float | None, _pose("-P", help=r"Pitch \[rad].")] = None
-    yaw: Annotated[float | None, _pose("-Y", help=r"Yaw \[rad].")] = None
+    roll: Annotated[float | None, _pose("-R", "--roll", help=r"Roll \[rad].")] = None
+    pitch: Annotated[float | None, _pose("-P", "--pitch", help=r"Pitch \[rad].")] = None
+    yaw: Annotated[float | None, _pose("-Y", "--yaw", help=r"Yaw \[rad].")] = None
     linear: Annotated[
         Vector | None, _pose("--linear", metavar="X Y Z", help=r"Linear velocity \[m/s].")
     ] = None

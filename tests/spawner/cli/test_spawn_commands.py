@@ -51,7 +51,7 @@ def test_spawn_uses_the_given_height(server: Server) -> None:
 
 
 def test_spawn_uses_the_given_angles(server: Server) -> None:
-    run_at(server, app, "spawn", "box_bot", "-n", "r1", "-R", "0.1", "-P", "0.2", "-Y", "0.3")
+    run_at(server, app, "spawn", "box_bot", "-n", "r1", "-R", "0.1", "-P", "0.2", "--yaw", "0.3")
 
     q = server.client.entity_state("r1").pose.orientation
     expected = make_pose((0.0, 0.0, 0.0), (0.1, 0.2, 0.3)).orientation
