@@ -32,6 +32,7 @@ from tests.sim_server.physics.bullet_probe import (
     next_shape,
     touching,
 )
+from zensim.api.world_snapshots import read_snapshot, write_snapshot
 from zensim.proto.messages.model_messages import (
     Inertial,
     Joint,
@@ -506,3 +507,23 @@ def test_awake_pooled_body_is_reused_with_a_velocity() -> None:
             found = engine.read([body]).base[0]
             assert found[0] == pytest.approx(5.0 * x + 0.5 * STEP_NS * 1e-9, abs=2e-4)
             assert found[7] == pytest.approx(0.5, rel=0.02)
+
+
+def test_body_that_slept_when_a_state_was_taken_sleeps_when_it_is_restored() -> None:
+    with running(PyBulletEngine) as engine:
+        box = engine.add(a_box(), a_state((0.0, 0.0, 3.0)))
+        engine.sleep([box])
+        advance(engine, 5)
+        height = engine.read((box,)).base[0, 2]
+        saved = write_snapshot(engine.name, engine, {}, "")
+        engine.wake([box])
+        advance(engine, 5)
+        assert engine.read((box,)).base[0, 2] < height - 0.001
+
+        restored = read_snapshot(engine.name, saved, {}, "")
+        assert isinstance(restored, PyBulletEngine)
+        restored.resume()
+        advance(restored, 50)
+
+        # Bullet lets a body fall for one more step before it sleeps.
+        assert restored.read((box,)).base[0, 2] == pytest.approx(height, abs=0.001)
