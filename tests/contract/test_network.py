@@ -1,7 +1,7 @@
 """What stands in for a network session behaves as one over loopback."""
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 
 import pytest
@@ -89,6 +89,21 @@ def pair(request: pytest.FixtureRequest, router: Bus) -> Iterator[Pair]:
 def caller(request: pytest.FixtureRequest, router: Bus) -> Iterator[Pair]:
     with paired(request.param, router) as made:
         yield made
+
+
+def query_until_served(
+    pair: Pair, key: str, serve: Callable[[], None], served: Sequence[object]
+) -> list[Sample]:
+    """Query until something is served: a query before the queryable ends without a reply."""
+    found: list[Sample] = []
+
+    def is_served() -> bool:
+        if not served:
+            found.extend(pair.query(key, serve))
+        return bool(served)
+
+    pair.wait(is_served, "a served query")
+    return found
 
 
 def take_all(pair: Pair, subscription: Subscription, count: int) -> list[Sample]:
@@ -198,7 +213,7 @@ def test_a_query_gets_the_replies(
             asked.append(seen)
             reply(query)
 
-    found = pair.query("a/b", serve)
+    found = query_until_served(pair, "a/b", serve, asked)
 
     assert asked == [("a/b", "b", True, False)]
     assert [(one.key, one.payload, one.encoding, one.attachment) for one in found] == expected
@@ -206,14 +221,16 @@ def test_a_query_gets_the_replies(
 
 def test_a_query_of_several_values_ends_when_it_is_dropped(pair: Pair) -> None:
     queue = pair.far.serve("a/*", 9)
+    asked: list[str] = []
 
     def serve() -> None:
         for query in queue.take():
+            asked.append(query.key)
             for number in range(2):
                 query.add_reply(f"a/{number}", b"x", "", b"", pair.far.stamp())
             query.drop()
 
-    found = pair.query("a/*", serve)
+    found = query_until_served(pair, "a/*", serve, asked)
 
     assert sorted(one.key for one in found) == ["a/0", "a/1"]
 

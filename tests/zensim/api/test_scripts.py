@@ -100,8 +100,10 @@ def test_copy_goes_on_alone() -> None:
 
 def test_program_beside_another_client(running: zensim.Sim) -> None:
     robot = running.spawn("box_bot", name="r1")
+    running.set_speed(8.0)  # nothing waits for the program, whose commands time out
 
     run_script("Beside another client", running.endpoint)
+    running.set_speed(0.0)
 
     assert running.time > 20.0
     # Where the robot ends depends on the clients; its wheels have turned for metres.
