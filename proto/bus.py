@@ -460,7 +460,7 @@ JOIN_TIMEOUT_S: Final = 2.0
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
 """A query may return nothing after a reconnect (zenoh#2767): retry with the same id."""
 MAX_LINK_EVENTS: Final = 65536
-"""Links that open or close while nobody takes them."""
+"""Links that opened or closed, and were not taken yet."""
 MAX_REPLIES: Final = 16384
 """Queue length for the replies to a query; a ring channel loses replies when the query ends."""
 LATEST: Final = 1

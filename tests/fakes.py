@@ -2,8 +2,9 @@
 
 import time
 from collections import deque
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, cast
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any, NoReturn, TypeVar, cast
 
 import msgspec
 
@@ -18,9 +19,6 @@ from zensim.proto.codec.message_codec import Format, decode, encode, make_encodi
 from zensim.proto.keys import intersect
 from zensim.proto.network_protocols import Sample, Stamp
 from zensim.proto.service_catalog import Request, Response, Service, require_ok
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 MAX_PUMP_ROUNDS, MAX_PUMP_S = 100, 2.0
@@ -268,3 +266,32 @@ class MemoryTokenWatch:
 
     def close(self) -> None:
         self._owner.remove(self)
+
+
+@dataclass
+class CallList:
+    """A queue of calls that a test fills."""
+
+    calls: list[MemoryCall] = field(default_factory=list)
+
+    def take(self) -> list[MemoryCall]:
+        """Take all calls."""
+        taken, self.calls = self.calls, []
+        return taken
+
+
+@dataclass
+class PublishedPayloads:
+    """A publisher with a subscriber, which keeps what was published."""
+
+    is_matched: bool = True
+    payloads: list[bytes] = field(default_factory=list)
+    latched: bytes = b""
+
+    def send(self, payload: bytes) -> None:
+        """Publish."""
+        self.payloads.append(payload)
+
+    def reply_to_late_joiners(self, payload: Callable[[], bytes]) -> None:
+        """Keep what a late subscriber would receive."""
+        self.latched = payload()

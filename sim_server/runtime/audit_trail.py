@@ -27,7 +27,7 @@ REFILL_NS: Final = 5_000_000_000
 """After a burst, wall time from one record of this kind to the next."""
 POLL_NS: Final = 20_000_000
 LOCATE_NS: Final = 500_000_000
-"""A router may tell of a session after the session's first request."""
+"""A router may report a session after the session's first request."""
 MAX_KINDS: Final = 4096
 MAX_SUBJECT: Final = 200
 MAX_WORD: Final = 64

@@ -120,7 +120,7 @@ class RequestQueue:
 
         Args:
             budget: Time for requests.
-            has_reply_backlog: Tells whether a client has so many unsent replies that its requests
+            has_reply_backlog: Whether a client has so many unsent replies that its requests
                 wait.
         """
         self._budget = budget

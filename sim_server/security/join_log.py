@@ -1,4 +1,4 @@
-"""Joins that a router refuses, read from the log of Zenoh: nothing else tells of them."""
+"""Joins that a router refuses, read from the log of Zenoh, the only place that has them."""
 
 import re
 from collections import deque

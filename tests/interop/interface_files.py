@@ -17,6 +17,7 @@ from zensim.proto.ros2.action_messages import SIMULATE_STEPS_ACTION
 from zensim.proto.ros2.ros_service_catalog import OWN_TYPE_PREFIX, ROS_SERVICES, V1_SERVICES
 from zensim.proto.ros2.trajectory_messages import FOLLOW_JOINT_TRAJECTORY
 from zensim.proto.topic_catalog import TOPICS, TopicScope
+from zensim.recording.message_definitions import NAME_OF_CODE
 
 Struct = type[msgspec.Struct]
 BUNDLED = (
@@ -36,20 +37,6 @@ BUNDLED = (
     "unique_identifier_msgs",
 )
 """Packages of hiroz-codegen 0.2.0 that the peers use."""
-PRIMITIVES = {
-    "b": "int8",
-    "B": "uint8",
-    "h": "int16",
-    "H": "uint16",
-    "i": "int32",
-    "I": "uint32",
-    "q": "int64",
-    "Q": "uint64",
-    "f": "float32",
-    "d": "float64",
-    "?": "bool",
-}
-"""ROS names by format character of `struct`."""
 PARTS = {"srv": ("_Request", "_Response"), "action": ("_Goal", "_Result", "_Feedback")}
 """Endings of the messages of a service or action, in the order of its file."""
 
@@ -111,7 +98,7 @@ def _define(message_type: Struct, definitions: dict[str, str]) -> str:
 def _write_type(info: inspect.Type, definitions: dict[str, str]) -> str:
     bare, extra = unwrap_metadata(info)
     if isinstance(bare, inspect.BytesType):
-        return f"{PRIMITIVES[str(extra.get('cdr', 'B'))]}[]"
+        return f"{NAME_OF_CODE[str(extra.get('cdr', 'B'))]}[]"
     if not isinstance(bare, inspect.VarTupleType):
         return _write_item(bare, extra, definitions)
     item, item_extra = unwrap_metadata(bare.item_type)
@@ -127,7 +114,7 @@ def _write_item(info: inspect.Type, extra: dict[str, object], definitions: dict[
         return "string"
     if isinstance(info, inspect.BoolType):
         return "bool"
-    return PRIMITIVES[str(extra.get("cdr", "d"))]
+    return NAME_OF_CODE[str(extra.get("cdr", "d"))]
 
 
 def _join_parts(definitions: dict[str, str]) -> dict[str, str]:

@@ -1,13 +1,12 @@
 """The action FollowJointTrajectory of one controller: goals, feedback, cancel, results."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from typing import TypeVar
 
 import msgspec
 import pytest
 
-from tests.fakes import MemoryCall
+from tests.fakes import CallList, MemoryCall, PublishedPayloads
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.messages.model_messages import JointController, PositionTolerance
 from zensim.proto.messages.standard_messages import NANOSECONDS, Duration
@@ -44,33 +43,12 @@ JOINTS = ("a", "b")
 STEP_NS = NANOSECONDS // 100
 
 
-@dataclass
-class ListQueue:
-    calls: list[MemoryCall] = field(default_factory=list)
-
-    def take(self) -> list[MemoryCall]:
-        taken, self.calls = self.calls, []
-        return taken
-
-
-@dataclass
-class Told:
-    is_matched: bool = True
-    payloads: list[bytes] = field(default_factory=list)
-
-    def send(self, payload: bytes) -> None:
-        self.payloads.append(payload)
-
-    def reply_to_late_joiners(self, payload: Callable[[], bytes]) -> None:
-        del payload
-
-
 class ArmFixture:
     """A controller of two joints, which go to their positions at once unless they are stuck."""
 
     def __init__(self, controller: JointController | None = None) -> None:
-        self.queues = [ListQueue() for _ in range(3)]
-        self.feedback, self.status = Told(), Told()
+        self.queues = [CallList() for _ in range(3)]
+        self.feedback, self.status = PublishedPayloads(), PublishedPayloads()
         goals = ActionGoals(FOLLOW_JOINT_TRAJECTORY, self.queues, (self.feedback, self.status))
         self.follower = TrajectoryFollower(
             controller or JointController("arm", JOINTS), goals, frozenset()

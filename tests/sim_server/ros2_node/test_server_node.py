@@ -1,12 +1,10 @@
 """The action SimulateSteps: acceptance, feedback, cancel, result."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import TypeVar
 
 import msgspec
 
-from tests.fakes import MemoryCall
+from tests.fakes import CallList, MemoryCall, PublishedPayloads
 from tests.sim_server.fakes import ServerFixture, a_server
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.messages.result_messages import ResultCode
@@ -33,28 +31,6 @@ SECOND = action.GoalId(tuple(range(101, 117)))
 GID = bytes(16)
 
 
-@dataclass
-class ListQueue:
-    calls: list[MemoryCall] = field(default_factory=list)
-
-    def take(self) -> list[MemoryCall]:
-        taken, self.calls = self.calls, []
-        return taken
-
-
-@dataclass
-class Told:
-    is_matched: bool = True
-    payloads: list[bytes] = field(default_factory=list)
-    latched: bytes = b""
-
-    def send(self, payload: bytes) -> None:
-        self.payloads.append(payload)
-
-    def reply_to_late_joiners(self, payload: Callable[[], bytes]) -> None:
-        self.latched = payload()
-
-
 class ActionFixture:
     """A loop with the action as a source of calls."""
 
@@ -62,9 +38,9 @@ class ActionFixture:
         self.server: ServerFixture = a_server()
         if is_paused:
             self.server.world.clock.pause()
-        self.queues = {name: ListQueue() for name in action.ACTION_SERVICES}
-        self.tellers = {name: Told() for name in action.ACTION_TOPICS}
-        self.action = SimulateStepsAction(self.queues, self.tellers)
+        self.queues = {name: CallList() for name in action.ACTION_SERVICES}
+        self.publishers = {name: PublishedPayloads() for name in action.ACTION_TOPICS}
+        self.action = SimulateStepsAction(self.queues, self.publishers)
 
     def request(self, name: str, request: msgspec.Struct) -> MemoryCall:
         return self.send(name, encode(request, Format.CDR))
@@ -97,7 +73,9 @@ class ActionFixture:
                     self.action.on_progress(message)
 
     def statuses(self) -> list[int]:
-        sent = decode(action.GoalStatusArray, self.tellers[STATUS_TOPIC].payloads[-1], CDR_ENCODING)
+        sent = decode(
+            action.GoalStatusArray, self.publishers[STATUS_TOPIC].payloads[-1], CDR_ENCODING
+        )
         return [one.status for one in sent.status_list]
 
 
@@ -150,7 +128,7 @@ def test_feedback_has_completed_and_remaining_steps() -> None:
 
     fixture.turn(20)
 
-    payloads = fixture.tellers[FEEDBACK_TOPIC].payloads
+    payloads = fixture.publishers[FEEDBACK_TOPIC].payloads
     sent = [decode(action.FeedbackMessage, payload, CDR_ENCODING) for payload in payloads]
     assert {one.goal_id for one in sent} == {FIRST}
     assert sent[-1].feedback == action.StepsFeedback(7, 0)
@@ -158,12 +136,12 @@ def test_feedback_has_completed_and_remaining_steps() -> None:
 
 def test_feedback_is_not_encoded_without_a_subscriber() -> None:
     fixture = ActionFixture()
-    fixture.tellers[FEEDBACK_TOPIC].is_matched = False
+    fixture.publishers[FEEDBACK_TOPIC].is_matched = False
     fixture.begin(FIRST, 7)
 
     fixture.turn(20)
 
-    assert fixture.tellers[FEEDBACK_TOPIC].payloads == []
+    assert fixture.publishers[FEEDBACK_TOPIC].payloads == []
 
 
 def test_goal_is_not_accepted_while_playing() -> None:
@@ -213,7 +191,7 @@ def test_late_subscriber_gets_the_status_of_all_goals() -> None:
 
     fixture.turn(3)
 
-    sent = decode(action.GoalStatusArray, fixture.tellers[STATUS_TOPIC].latched, CDR_ENCODING)
+    sent = decode(action.GoalStatusArray, fixture.publishers[STATUS_TOPIC].latched, CDR_ENCODING)
     assert [one.goal_info.goal_id for one in sent.status_list] == [FIRST]
 
 
