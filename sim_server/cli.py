@@ -105,6 +105,10 @@ class ServeOptions(RosOptions):
             envvar="ZENSIM_JOURNAL",
         ),
     ] = None
+    input_log: Annotated[
+        bool,
+        flag("--input-log", help="Keep all inputs from the start for 'zensim record' and 'resim'."),
+    ] = False
     as_json: JsonOption = False
     announce: Annotated[bool, flag("--announce", hidden=True)] = False
     """For a program that starts the server: print as JSON what is served, and failures as text."""
@@ -245,6 +249,7 @@ def _make_server_config(given: ServeOptions) -> ServerConfig:
         allow_missing=given.allow_missing,
         wait_s=given.wait,
         journal=str(given.journal or ""),
+        keeps_inputs=given.input_log,
         lockstep=LockstepSettings(given.lockstep, given.lockstep_timeout, on_miss),
         ros=given.ros,
         mesh_http=given.mesh_http,

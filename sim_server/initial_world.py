@@ -14,6 +14,7 @@ from zensim.sim_server.journal.sqlite_store import JournalError
 from zensim.sim_server.pacing.lockstep import Lockstep
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.parser_process.description_cache import DescriptionCache
+from zensim.sim_server.physics.logged_engine import LoggedEngine
 from zensim.sim_server.server_config import fill_pace
 from zensim.sim_server.service_parts import (
     CurrentWorld,
@@ -37,13 +38,22 @@ from zensim.sim_server.world_loading.world_loader import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from zensim.sim_server.description.world_model import WorldModel
     from zensim.sim_server.journal.journal_contents import JournalContents
     from zensim.sim_server.journal.server_journal import Journal
     from zensim.sim_server.parser_process.asset_store import AssetStore
     from zensim.sim_server.parser_process.description_cache import Parser
+    from zensim.sim_server.physics.engine import Engine
     from zensim.sim_server.server_config import ServerConfig
 
 LOG = logging.getLogger(__name__)
+
+
+def make_logged_engine(config: ServerConfig, model: WorldModel, mesh_folder: str) -> Engine:
+    """Create the engine of a world, and note what changes it; see `make_world_engine`."""
+    return LoggedEngine(make_world_engine(config, model, mesh_folder))
+
+
 STEP_HZ_TOLERANCE = 1e-6
 
 
@@ -109,7 +119,8 @@ def make_initial_world(
     """Make the world of a new server, or restore that of its journal."""
     for name, data in loaded.meshes.items():
         store.pin(name, data)
-    engine = make_world_engine(config, loaded.model, store.folder)
+    make_engine = make_logged_engine if config.keeps_inputs else make_world_engine
+    engine = make_engine(config, loaded.model, store.folder)
     world = SimulatedWorld(
         engine, name=config.world, step_ns=config.step_ns, control_steps=config.control_steps
     )
@@ -141,11 +152,13 @@ def make_parts(
         store: Of the parser and the engine.
         now_ns: Wall time.
     """
+    # A log of inputs begins with the first call of an engine, long before its world is used.
+    make_engine = make_world_engine if config.bus is None else make_logged_engine
     catalog = WorldCatalog([*map(Path, config.model_paths)], find_start_file(config.world_file))
     resource = catalog.find_start_world(config.world_file, loaded.model.name)
     return make_server_parts(
         world,
-        CurrentWorld(loaded.model, resource, config.seed),
+        CurrentWorld(loaded.model, resource, config.seed, config.physics),
         Pacing(
             now_ns,
             LoopStats(now_ns()),
@@ -154,5 +167,5 @@ def make_parts(
         ),
         Descriptions(DescriptionCache(parser, store, world.prepare, now_ns), store),
         catalog=catalog,
-        factory=make_world_factory(config, partial(make_world_engine, mesh_folder=store.folder)),
+        factory=make_world_factory(config, partial(make_engine, mesh_folder=store.folder)),
     )

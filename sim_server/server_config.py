@@ -66,6 +66,8 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The configuration before the world file completed it."""
     journal: str = ""
     """Folder of the journal; empty = no journal."""
+    keeps_inputs: bool = False
+    """Whether the input log begins with the server, and is kept until it has a subscriber."""
     wait_s: float = 30.0
     """Timeout of connecting to the router."""
     ros: RosSettings = NO_ROS

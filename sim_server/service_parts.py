@@ -8,9 +8,10 @@ import msgspec
 
 from zensim.proto.codec.message_codec import Format
 from zensim.proto.messages.agent_messages import Claim
-from zensim.proto.messages.model_messages import Quat
+from zensim.proto.messages.model_messages import Model, Quat
 from zensim.proto.messages.sensor_messages import Environment, SensorsReply
 from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.telemetry_messages import ModelFiles
 from zensim.proto.messages.world_messages import WorldResource
 from zensim.proto.rigid_transforms import multiply
 from zensim.proto.sensor_libraries import Library
@@ -26,6 +27,7 @@ from zensim.sim_server.pacing.stepping_lease import SteppingLease
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.description_cache import DescriptionProvider, list_assets
 from zensim.sim_server.parser_process.mesh_server import PublishedFiles
+from zensim.sim_server.physics.engine_config import EngineOptions
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.simulated_world import BuiltWorld, SimulatedWorld, WorldFactory
 from zensim.sim_server.world_loading.world_catalog import WorldCatalog
@@ -157,6 +159,11 @@ class Descriptions:
     published: PublishedFiles | None = None
     """Files that are offered by http; None = none are."""
 
+    def list_files(self, model: Model) -> ModelFiles:
+        """List the files of the description of a model, while it is in the cache."""
+        key = self.provider.find_parse_key(model)
+        return ModelFiles(key.assets if key is not None else ())
+
     def locate_files(self, claims: Sequence[Claim]) -> tuple[Claim, ...]:
         """Name the files of claimed robots by their URLs in the descriptions, if offered."""
         if self.published is None:
@@ -184,6 +191,8 @@ class CurrentWorld:
     model: WorldModel
     resource: WorldResource = field(default_factory=WorldResource)
     seed: int = 0
+    physics: EngineOptions = field(default_factory=EngineOptions)
+    """Of the server, for every world."""
     _top: tuple[WorldModel, float | None] | None = field(default=None, repr=False, compare=False)
 
     def find_top(self, corners: FindCorners) -> float | None:

@@ -252,7 +252,7 @@ class DescriptionCache:
             self._transient.append(key)
 
     def _make_parsed_model(self, model: Model) -> CachedModel:
-        colliding = _list_collision_meshes(model)
+        colliding = list_collision_meshes(model)
         is_small = len(colliding) <= MAX_MESHES_AT_ONCE and not (model.is_static and colliding)
         cached = CachedModel(model, list_assets(model), is_prepared=is_small)
         if not is_small:
@@ -291,6 +291,6 @@ def list_assets(model: Model) -> frozenset[str]:
     return frozenset(name for name in (*(shape.mesh for shape in shapes), *names) if name)
 
 
-def _list_collision_meshes(model: Model) -> list[str]:
+def list_collision_meshes(model: Model) -> list[str]:
     """List the mesh of each collision shape: an engine makes a hull for each of them."""
     return [shape.mesh for link in model.links for shape in link.collisions if shape.mesh]

@@ -36,6 +36,8 @@ class EngineOptions(msgspec.Struct, frozen=True, kw_only=True):
     """Dynamics of entities that request none."""
     compiles_ahead: bool = True
     """Whether threads compile models that spawns may need next, which saves later steps a delay."""
+    cores: int | None = None
+    """Cores that the choice of cells assumes; None = those that this process may use."""
 
 
 def parse_engine_name(name: str) -> EngineName | None:

@@ -81,10 +81,11 @@ def create_world_engine(
     if choice.clusters == "off":
         return create_engine(name, config)
     releases_lock = name != "pybullet"  # of the interpreter, while it steps
-    threads = _limit_cores() if releases_lock and not choice.workers else 1
+    cores = limit_cores(choice)
+    threads = cores if releases_lock and not choice.workers else 1
     workers = choice.workers
     if workers is None:
-        workers = 0 if releases_lock else _limit_cores() - 1
+        workers = 0 if releases_lock else cores - 1
     single_cell = (
         MAX_SINGLE_CELL_BODIES_PARALLEL if workers or threads > 1 else MAX_SINGLE_CELL_BODIES
     )
@@ -104,6 +105,6 @@ def _make_cell_executor(cell: CellConfig, threads: int, workers: int) -> CellExe
     return InProcessCellExecutor(cell.make, threads=threads)
 
 
-def _limit_cores() -> int:
-    """Count the cores that this process may use, up to the limit."""
-    return min(count_usable_cores(), MAX_PARALLEL_CELLS)
+def limit_cores(choice: EngineOptions) -> int:
+    """Count the cores that cells may use, up to the limit."""
+    return min(choice.cores or count_usable_cores(), MAX_PARALLEL_CELLS)

@@ -18,8 +18,9 @@ from zensim.proto.messages.agent_messages import DriveCommand, DriveState, Twist
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.network_protocols import Sample, ServiceCall
-from zensim.proto.topic_catalog import AUDIT, CONTACTS, EVENTS, STATS, STEPS_PROGRESS
+from zensim.proto.topic_catalog import AUDIT, CONTACTS, EVENTS, INPUTS, STATS, STEPS_PROGRESS
 from zensim.sim_server.errors import SimError
+from zensim.sim_server.input_log.log_writer import InputLog
 from zensim.sim_server.journal_protocol import ChangeJournal
 from zensim.sim_server.pacing.command_timeouts import CommandReceipt, CommandTimeouts
 from zensim.sim_server.pacing.joined_clients import JoinedState
@@ -380,14 +381,10 @@ class ServerLoop:
         self._telemetry = WorldTelemetry(parts.world, parts.pacing, parts.sensors, self._world_map)
         self._contacts = ContactTelemetry(parts.world, parts.store.vertices)
         self._authorization = _make_authorization(parts, users)
-        self._dispatcher = RequestDispatcher(
-            ServiceHandlers(parts),
-            self._telemetry,
-            self._loop_stats,
-            partial(keys.service, parts.world.name),
-            journal,
-            self._authorization,
+        self._inputs = InputLog(
+            parts, partial(publisher.is_wanted, INPUTS), partial(publisher.publish, INPUTS)
         )
+        self._dispatcher = self._make_dispatcher(parts, journal)
         self._budget = RequestBudget(clock.used_ns)
         self._busy_refusals = 0
         """In the present window of statistics."""
@@ -397,13 +394,28 @@ class ServerLoop:
         self._sensor_sessions = SensorSessions(parts, inbox, publisher)
         self._agent_sessions = AgentSessions(parts, inbox, publisher, self._sensor_sessions)
 
+    def _make_dispatcher(
+        self, parts: ServerParts, journal: ChangeJournal | None
+    ) -> RequestDispatcher:
+        made = RequestDispatcher(
+            ServiceHandlers(parts),
+            self._telemetry,
+            self._loop_stats,
+            partial(keys.service, parts.world.name),
+            journal,
+            self._authorization,
+        )
+        made.inputs = self._inputs
+        return made
+
     def run(self, should_stop: Callable[[], bool]) -> None:
         """Run until `should_stop`, or until a request to quit has its reply."""
         while not (should_stop() or self._has_quit):
             self.turn()
 
     def close(self) -> None:
-        """Keep what the audit has not kept yet."""
+        """Publish the last inputs; keep what the audit has not kept yet."""
+        self._inputs.close()
         if self._authorization is not None:
             self._authorization.audit.close()
 
@@ -493,6 +505,8 @@ class ServerLoop:
             late_ns=late_ns,
         )
         if self._world.is_control_step:
+            if self._inputs.is_active:
+                self._inputs.note_control_step()
             # First the contacts: an agent that replies to a state has them.
             self._publish_contacts()
             self._agent_sessions.publish_states()
@@ -534,6 +548,7 @@ class ServerLoop:
             if self._publisher.is_wanted(topic):
                 self._publisher.publish(topic, self._telemetry.message(topic))
         self._world_map.poll(now_ns)
+        self._inputs.poll(now_ns)
 
     def _advance(self, now_ns: int) -> None:
         self._apply_speed_change(now_ns)

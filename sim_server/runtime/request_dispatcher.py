@@ -3,6 +3,7 @@
 import logging
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -17,10 +18,11 @@ from zensim.proto.codec.message_codec import (
     encode,
     make_encoding,
 )
-from zensim.proto.messages.result_messages import ResultCode, SpawnCode
+from zensim.proto.messages.result_messages import Result, ResultCode, SpawnCode
 from zensim.proto.network_protocols import MAX_REQUEST_ID_BYTES, ServiceCall
 from zensim.proto.service_catalog import CLAIM_ENTITY, CLAIM_SHARE, SERVICES, SPAWN_ENTITY
 from zensim.sim_server.errors import SimError
+from zensim.sim_server.input_log.log_writer import InputLog
 from zensim.sim_server.journal_protocol import ChangeJournal, JournaledResponse
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.physics.engine import EngineLost, describe_fault
@@ -207,6 +209,8 @@ class RequestDispatcher:
         journal: ChangeJournal | None,
         authorization: RequestAuthorization | None = None,
     ) -> None:
+        self.inputs: InputLog | None = None
+        """Notes requests that change the world."""
         self._handlers = handlers
         self._telemetry = telemetry
         self._loop_stats = loop_stats
@@ -323,6 +327,8 @@ class RequestDispatcher:
         if self._authorization is not None:
             response = self._authorization.add_role(call, response)
             self._authorization.note_response(call, response)
+        if self.inputs is not None and self.inputs.is_active and is_mutating(call.name):
+            _note_request(self.inputs, call, response)
         cached = _encode_response(call, response)
         forgotten = self._responses.keep(call, cached)
         if self._journal is not None:
@@ -376,6 +382,14 @@ class RequestDispatcher:
         journal = self._journal
         position = 0 if journal is None else journal.durable
         self._reply_queue.add(QueuedReply(call, _encode_response(call, response), position))
+
+
+def _note_request(inputs: InputLog, call: ServiceCall, response: msgspec.Struct) -> None:
+    """Note a request in the log of inputs; one that could not be read has changed nothing."""
+    result = getattr(response, "result", None) or Result()
+    with suppress(MalformedPayload):
+        request = call.read(_request_type(call.name))
+        inputs.note_request(call.name, call.client, request, result.result, result.error_message)
 
 
 def _encode_response(call: ServiceCall, response: msgspec.Struct) -> CachedResponse:

@@ -22,6 +22,7 @@ from zensim.proto.messages.standard_messages import (
 from zensim.proto.messages.telemetry_messages import Snapshot, Stats, WorldClock
 from zensim.proto.rate_limiter import RateLimiter
 from zensim.proto.se3 import FloatArray
+from zensim.proto.stats_publisher import read_process_usage
 from zensim.proto.topic_catalog import (
     CLOCK,
     LINK_STATES,
@@ -101,7 +102,7 @@ class DueTimes(NamedTuple):
 
     limiters: dict[TopicSpec, RateLimiter]
     idle: RateLimiter
-    shown: tuple[int, int, int, int]
+    shown: tuple[int, ...]
 
 
 class WorldTelemetry:
@@ -127,7 +128,7 @@ class WorldTelemetry:
             MODEL_STATES: partial(make_model_states, world),
             LINK_STATES: partial(make_link_states, world),
         }
-        self._shown = (-1, -1, -1, -1)
+        self._shown: tuple[int, ...] = ()
 
     def due(self, now_ns: int) -> Iterator[TopicSpec]:
         """List the topics of motion that are due at a wall time."""
@@ -137,6 +138,7 @@ class WorldTelemetry:
             world.clock.steps,
             world.entities.roster_number,
             world.placement_count,
+            world.clock.state,
         )
         if seen == self._shown and not self._idle_limiter.is_due(now_ns):
             return
@@ -206,6 +208,7 @@ class WorldTelemetry:
             refused=loop_stats.refused,
             accepted=loop_stats.accepted,
             joined=loop_stats.joined,
+            usage=read_process_usage(),
         )
 
     def _make_snapshot(self) -> Snapshot:

@@ -37,6 +37,7 @@ from zensim.proto.sensor_libraries import (
 )
 from zensim.proto.sensor_schedule import count_due, find_true_rate_hz, is_due
 from zensim.proto.service_catalog import GET_MODELS
+from zensim.proto.stats_publisher import StatsPublisher, read_process_usage
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
 from zensim.proto.topic_catalog import EVENTS, SCENE_STATE, SENSOR_STATS, SENSORS_REPLY
 from zensim.proto.verbosity import configure_logging
@@ -325,36 +326,6 @@ class RosterClient:
         return SceneRoster(response, known)
 
 
-class StatsPublisher:
-    """Publishes the statistics of a sensor process, and replies to queries with them."""
-
-    def __init__(
-        self, network: AgentNetwork, key: str, make_stats: Callable[[], SensorStats]
-    ) -> None:
-        self._key = key
-        self._make_stats = make_stats
-        self._publisher = network.advertise(key, SENSOR_STATS.encoding)
-        self._queries = network.serve(key)
-        self._next_s = -math.inf
-
-    def poll(self, now_s: float) -> None:
-        """Reply to queries; publish once a second if there are subscribers."""
-        for query in self._queries.take():
-            query.reply(self._encode(), SENSOR_STATS.encoding, self._key)
-        if now_s >= self._next_s:
-            self._next_s = now_s + 1.0 / SENSOR_STATS.rate_hz
-            if self._publisher.is_matched:
-                self._publisher.send(self._encode())
-
-    def close(self) -> None:
-        """Undeclare publisher and queryable."""
-        self._publisher.close()
-        self._queries.close()
-
-    def _encode(self) -> bytes:
-        return encode(self._make_stats(), SENSOR_STATS.format)
-
-
 class SceneStream:
     """The subscription to scene states, while it is active."""
 
@@ -392,7 +363,9 @@ class SensorProcess:
         self._rosout = Rosout(network, self._graph)
         self._share = SensorShare(network, config, self._graph)
         self._roster_client = RosterClient(network, world)
-        self._stats = StatsPublisher(network, SENSOR_STATS.key(world, self.name), self.make_stats)
+        self._stats = StatsPublisher(
+            network, SENSOR_STATS, SENSOR_STATS.key(world, self.name), self.make_stats
+        )
         self._stream: SceneStream | None = None
         self._wanted_s = -math.inf
         self._last: tuple[int, int] | None = None
@@ -433,11 +406,11 @@ class SensorProcess:
 
     def make_stats(self) -> SensorStats:
         """Make the statistics of this process."""
-        counts = self.counts
+        counts, usage = self.counts, read_process_usage()
         return SensorStats(
             process=self.name,
             is_active=self.is_active,
-            cpu_s=time.process_time(),
+            cpu_s=usage.cpu_s,
             messages=counts.total,
             late=counts.total_late,
             sensors=(
@@ -445,6 +418,7 @@ class SensorProcess:
                 *(self._make_figures(one, is_measured=False) for one in self._share.unmeasured),
             ),
             missing={str(one): why for one, why in self._share.libraries.missing.items()},
+            usage=usage,
         )
 
     def _make_figures(self, sensor: SceneSensor, *, is_measured: bool) -> SensorFigures:

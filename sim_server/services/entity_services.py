@@ -24,6 +24,7 @@ from zensim.sim_server.scene.scene import place_collision_shapes
 from zensim.sim_server.service_parts import (
     CurrentWorld,
     DeferredResponse,
+    Descriptions,
     Pacing,
     make_environment,
 )
@@ -97,7 +98,10 @@ def get_entities(
 
 
 def get_models(
-    world: SimulatedWorld, current: CurrentWorld, request: telemetry_messages.GetModelsRequest
+    world: SimulatedWorld,
+    current: CurrentWorld,
+    descriptions: Descriptions,
+    request: telemetry_messages.GetModelsRequest,
 ) -> telemetry_messages.GetModelsResponse:
     """Return the models of entities, each model once."""
     wanted = request.entities or world.entities.index.names
@@ -127,6 +131,7 @@ def get_models(
         current.model.scene,
         make_environment(world, current),
         tuple(text_number) if request.wants_descriptions else (),
+        tuple(map(descriptions.list_files, number)) if request.wants_descriptions else (),
     )
 
 

@@ -80,6 +80,11 @@ class DivergenceGuard:
         self._index: EntityIndex | None = None
         self._states: BodyStates | None = None
 
+    @property
+    def frozen(self) -> tuple[str, ...]:
+        """Names of the frozen entities."""
+        return tuple(self._frozen)
+
     def is_frozen(self, name: str) -> bool:
         """Whether an entity is frozen."""
         return name in self._frozen

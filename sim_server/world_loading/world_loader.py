@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from zensim.proto.messages.model_messages import ReportEntry
     from zensim.sim_server.physics.engine import Engine
+    from zensim.sim_server.physics.engine_config import EngineOptions
     from zensim.sim_server.server_config import ServerConfig
 
 PREPARE_POLL_S = 2e-3
@@ -123,8 +124,15 @@ def make_world_engine(config: ServerConfig, model: WorldModel, mesh_folder: str)
         mesh_folder=mesh_folder,
         compiles_ahead=config.physics.compiles_ahead,
     )
-    full = create_world_engine(engine_config, config.physics, period_steps=config.control_steps)
-    return TieredEngine(full, engine_config, config.physics.dynamics)
+    return make_layered_engine(engine_config, config.physics, control_steps=config.control_steps)
+
+
+def make_layered_engine(
+    config: EngineConfig, options: EngineOptions, *, control_steps: int
+) -> Engine:
+    """Create an engine with all its layers."""
+    full = create_world_engine(config, options, period_steps=control_steps)
+    return TieredEngine(full, config, options.dynamics)
 
 
 def make_world_factory(

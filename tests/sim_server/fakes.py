@@ -17,7 +17,7 @@ from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.network_protocols import Sample, ServiceCall
-from zensim.proto.topic_catalog import DRIVE_COMMAND, TopicSpec
+from zensim.proto.topic_catalog import DRIVE_COMMAND, INPUTS, TopicSpec
 from zensim.sim_server.description.builtin_models import resolve_resource
 from zensim.sim_server.description.pipeline import parse_description
 from zensim.sim_server.description.world_model import WorldModel
@@ -193,7 +193,7 @@ class RecordingPublisher:
     sent: list[tuple[str, msgspec.Struct]] = field(default_factory=list)
     drive_states: list[tuple[str, DriveState]] = field(default_factory=list)
     forgotten: list[str] = field(default_factory=list)
-    unwanted: set[str] = field(default_factory=set)
+    unwanted: set[str] = field(default_factory=lambda: {INPUTS.suffix})
 
     def is_wanted(self, topic: TopicSpec) -> bool:
         return topic.suffix not in self.unwanted

@@ -8,7 +8,7 @@ from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
-from itertools import count
+from heapq import heappop, heappush
 from typing import Generic, Protocol, TypeVar
 
 import mujoco
@@ -616,7 +616,8 @@ class MujocoEngine(Engine):
         self._bodies: dict[int, MujocoBody] = {}
         self._diverged: set[int] = set()
         self._hidden: dict[int, FloatArray] = {}
-        self._numbers = count(1)
+        self._free_numbers: list[int] = []
+        """Heap of the numbers of removed bodies."""
         self._archetypes, self._slots = ArchetypeCache(), SlotAllocator()
         self._announced: deque[Model] = deque()
         """Models of expected bodies, whose archetypes are not found yet."""
@@ -688,7 +689,8 @@ class MujocoEngine(Engine):
         # Whatever may fail comes first: a slot must not be taken for a refused body.
         actuation = make_actuation(model)
         loads = make_link_forces(self._blueprints.find(model), self._config.gravity, self._dt_s)
-        number = next(self._numbers)
+        free = self._free_numbers
+        number = heappop(free) if free else len(self._bodies) + 1
         slot = self._slots.take(archetype, number)
         if compiled is not self._compiled:
             self._switch_model(compiled)
@@ -712,6 +714,8 @@ class MujocoEngine(Engine):
         self._deactivate(removed.address)
         self._owners[removed.address.geometries] = NO_INDEX
         self._slots.release(removed.archetype, removed.slot)
+        heappush(self._free_numbers, body)
+        self._selections.clear()
 
     def hide(self, body: int) -> None:
         """See `Engine.hide`."""

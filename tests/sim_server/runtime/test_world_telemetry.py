@@ -74,6 +74,19 @@ def test_topics_are_published_at_2_hz_while_paused() -> None:
     assert sent["events"] == 1
 
 
+def test_snapshot_says_at_once_that_the_world_is_paused() -> None:
+    server = a_server("r0")
+    server.turn_for(0.1)
+    server.publisher.sent.clear()
+
+    server.world.clock.pause()
+    server.turn_for(0.036)
+
+    snapshot = server.publisher.on("snapshot")[-1]
+    assert isinstance(snapshot, Snapshot)
+    assert snapshot.state == "paused"
+
+
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_snapshot_follows_a_change_at_once_while_paused(
     change: Callable[[SimulatedWorld], object],
@@ -94,7 +107,7 @@ def test_snapshot_follows_a_change_at_once_while_paused(
 
 def test_topics_are_not_made_without_subscribers() -> None:
     server = a_server("r0")
-    server.publisher.unwanted = set(GETTABLE_TOPICS)
+    server.publisher.unwanted |= set(GETTABLE_TOPICS)
 
     server.turn_for(2.0)
 
