@@ -109,6 +109,14 @@ class BusSubscription:
         """Take all queued messages, oldest first."""
         return list(self._drain())
 
+    def take_payloads(self) -> list[bytes]:
+        """Take the bytes of all queued messages, oldest first, at half the cost of `take`."""
+        found = []
+        while (sample := self._subscriber.try_recv()) is not None:
+            if len(sample.payload) <= self._max_bytes:
+                found.append(sample.payload.to_bytes())
+        return found
+
     def newest(self) -> Sample | None:
         """Take all queued messages and return the last."""
         found = None
@@ -124,6 +132,44 @@ class BusSubscription:
         while (sample := self._subscriber.try_recv()) is not None:
             if len(sample.payload) <= self._max_bytes:  # before it is copied
                 yield to_sample(sample)
+
+
+class NewestSubscription:
+    """Subscription that keeps the newest message of each key until it is taken.
+
+    The others are not copied, so that many messages cost little.
+    """
+
+    def __init__(
+        self,
+        subscriber: "zenoh.Subscriber[Handler[zenoh.Sample]]",
+        keeps_all: Callable[[str], bool],
+    ) -> None:
+        self._subscriber = subscriber
+        self._keeps_all = keeps_all
+        self._newest: dict[str, zenoh.Sample] = {}
+        self._all: list[zenoh.Sample] = []
+
+    def collect(self) -> None:
+        """Take what is queued, so that the queue does not fill."""
+        newest, receive = self._newest, self._subscriber.try_recv
+        while (sample := receive()) is not None:
+            key = str(sample.key_expr)
+            if key in newest or not self._keeps_all(key):
+                newest[key] = sample
+            else:
+                self._all.append(sample)
+
+    def take(self) -> list[Sample]:
+        """Take the newest message of each key, and all of the keys of which all are kept."""
+        self.collect()
+        kept = [*self._all, *self._newest.values()]
+        self._all, self._newest = [], {}
+        return [to_sample(one) for one in kept if len(one.payload) <= MAX_MESSAGE_BYTES]
+
+    def close(self) -> None:
+        """Undeclare the subscription."""
+        self._subscriber.undeclare()
 
 
 class BusReceiver:
@@ -361,6 +407,7 @@ __all__ = [
     "LinkWatch",
     "LivelinessToken",
     "LivelinessWatch",
+    "NewestSubscription",
     "NoServer",
     "RouterSecurity",
     "list_client_settings",
@@ -643,6 +690,19 @@ class Bus:
         """
         declared = self._session.declare_subscriber(_to_key_expression(key), RingChannel(depth))
         return BusSubscription(declared, max_bytes)
+
+    def subscribe_newest(
+        self, key: str, depth: int, keeps_all: Callable[[str], bool]
+    ) -> NewestSubscription:
+        """Subscribe to a key expression, for a caller that needs the newest message of each key.
+
+        Args:
+            key: Key expression.
+            depth: Queue length between two calls of `collect`; the newest messages are kept.
+            keeps_all: Whether all messages of a key are kept.
+        """
+        declared = self._session.declare_subscriber(_to_key_expression(key), RingChannel(depth))
+        return NewestSubscription(declared, keeps_all)
 
     def receive(self, key: str) -> BusReceiver:
         """Subscribe to a key, for a caller that waits for each message."""

@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -119,17 +120,35 @@ def _make_parameters(group: type) -> list[inspect.Parameter]:
     ]
 
 
-PLAIN_TYPES = {str: str, list[str] | None: str, list[Path] | None: Path}
+def _parse_finite(word: str) -> float:
+    """Read a number.
+
+    Raises:
+        ValueError: It is none, or not finite.
+    """
+    if math.isfinite(number := float(word)):
+        return number
+    raise ValueError(word)
+
+
+PLAIN_TYPES: dict[object, Callable[[str], object]] = {
+    str: str,
+    float: _parse_finite,
+    float | None: _parse_finite,
+    Path | None: Path,
+    list[str] | None: str,
+    list[Path] | None: Path,
+}
 """Types of options with a value that `parse_plain_options` converts, and how."""
 
 
 def parse_plain_options(
     group: type[Options], words: Sequence[str], environment: Mapping[str, str]
 ) -> Options | None:
-    """Parse switches, texts and paths of a command without typer.
+    """Parse switches, texts, paths and numbers of a command without typer.
 
     typer converts values by pydantic, whose import takes 0.1 s. None where anything else is
-    written, such as `--help`, a number or a mistake: typer has to parse it then.
+    written, such as `--help` or a mistake: typer has to parse it then.
 
     Args:
         group: Dataclass of the options and arguments of the command.
@@ -146,14 +165,18 @@ def parse_plain_options(
         word = rest.pop(0)
         field, _ = options.get(word, (None, None))
         if field is None and left and not word.startswith("-"):
-            given[left.pop(0).name] = word
+            _add_argument(given, left, word)
         elif field is not None and get_args(field.type)[0] is bool:
             given[field.name] = True
-        elif field is not None and rest and not rest[0].startswith("-"):
-            _add_value(given, field, rest.pop(0))
-        else:
+        elif not (
+            field is not None
+            and rest
+            and not rest[0].startswith("-")
+            and _add_value(given, field, rest.pop(0))
+        ):
             return None
-    return None if left else group(**given)
+    is_complete = all(field.default is not dataclasses.MISSING for field in left)
+    return group(**given) if is_complete else None
 
 
 def _list_fields(group: type) -> tuple["dataclasses.Field[Any]", ...]:
@@ -167,14 +190,16 @@ def _index_options(group: type) -> dict[str, tuple["dataclasses.Field[Any]", Opt
         kind, info = get_args(field.type)
         if isinstance(info, OptionInfo) and (kind is bool or kind in PLAIN_TYPES):
             # In an annotation, the first spelling is where the default is elsewhere.
-            spellings = (info.default, *(info.param_decls or ()))
-            found.update(dict.fromkeys(filter(None, spellings), (field, info)))
+            declared = (info.default, *(info.param_decls or ()))
+            spellings = [one for one in declared if isinstance(one, str)]
+            spellings = spellings or [f"--{field.name.replace('_', '-')}"]
+            found.update(dict.fromkeys(spellings, (field, info)))
     return found
 
 
 def _is_argument(field: "dataclasses.Field[Any]") -> bool:
     kind, info = get_args(field.type)
-    return isinstance(info, ArgumentInfo) and kind is str
+    return isinstance(info, ArgumentInfo) and kind in {str, list[str] | None}
 
 
 def _list_variables(info: OptionInfo) -> Sequence[str]:
@@ -182,13 +207,26 @@ def _list_variables(info: OptionInfo) -> Sequence[str]:
     return (names,) if isinstance(names, str) else names
 
 
-def _add_value(given: dict[str, Any], field: "dataclasses.Field[Any]", word: str) -> None:
-    kind = get_args(field.type)[0]
-    value = PLAIN_TYPES[kind](word)
-    if kind is str:
-        given[field.name] = value
+def _add_argument(given: dict[str, Any], left: list["dataclasses.Field[Any]"], word: str) -> None:
+    """Give a word to the first argument that is left; a list stays for the words that follow."""
+    if get_args(left[0].type)[0] is str:
+        given[left.pop(0).name] = word
     else:
+        given.setdefault(left[0].name, []).append(word)
+
+
+def _add_value(given: dict[str, Any], field: "dataclasses.Field[Any]", word: str) -> bool:
+    """Convert the value of an option; False if it is not one."""
+    kind = get_args(field.type)[0]
+    try:
+        value = PLAIN_TYPES[kind](word)
+    except ValueError:
+        return False
+    if kind in {list[str] | None, list[Path] | None}:
         given.setdefault(field.name, []).append(value)
+    else:
+        given[field.name] = value
+    return True
 
 
 def parse_choice(option: str, word: str, choices: tuple[Choice, ...]) -> Choice:

@@ -3,6 +3,8 @@
 Names are validated before: see `zensim.proto.names`.
 """
 
+from collections.abc import Callable, Sequence
+
 
 def service(world: str, name: str, user: str = "") -> str:
     """Key of a service; of a user on a secured server, which has the user as a chunk."""
@@ -81,6 +83,11 @@ def alive_agent(world: str, agent: str) -> str:
 def alive_agents(world: str) -> str:
     """Liveliness tokens of all agents of a world."""
     return f"sim/{world}/alive/agent/*"
+
+
+def alive_replay(world: str) -> str:
+    """Liveliness token of a replay that stands for a world."""
+    return f"sim/{world}/alive/replay"
 
 
 def alive_client(world: str, client: str) -> str:
@@ -182,30 +189,66 @@ def intersect(one: str, other: str) -> bool:
     `*` is one chunk, `**` any number of them, `$*` any part of one; none of them fits a chunk that
     begins with `@`.
     """
-    return one == other or _chunks_intersect(one.split("/"), other.split("/"))
-
-
-def _chunks_intersect(one: list[str], other: list[str]) -> bool:
-    if not one or not other:
-        return all(chunk == "**" for chunk in (*one, *other))
-    if one[0] != "**" and other[0] != "**":
-        return _chunk_intersects(one[0], other[0]) and _chunks_intersect(one[1:], other[1:])
-    wild, rest = (one, other) if one[0] == "**" else (other, one)
-    if _chunks_intersect(wild[1:], rest):
-        return True
-    return not rest[0].startswith("@") and _chunks_intersect(wild, rest[1:])
+    if "*" not in one and "*" not in other:
+        return one == other
+    return _sequences_intersect(one.split("/"), other.split("/"), "**", _chunk_intersects)
 
 
 def _chunk_intersects(one: str, other: str) -> bool:
-    if one.startswith("@") or other.startswith("@"):
+    if one == other or one.startswith("@") or other.startswith("@"):
         return one == other
-    return _texts_intersect(one.replace("$*", "*"), other.replace("$*", "*"))
+    if "*" in {one, other}:
+        return True
+    if "*" not in one and "*" not in other:
+        return False
+    texts = one.replace("$*", "*"), other.replace("$*", "*")
+    return _sequences_intersect(*texts, "*", str.__eq__)
 
 
-def _texts_intersect(one: str, other: str) -> bool:
-    if not one or not other:
-        return set(one + other) <= {"*"}
-    if one[0] != "*" and other[0] != "*":
-        return one[0] == other[0] and _texts_intersect(one[1:], other[1:])
-    wild, rest = (one, other) if one[0] == "*" else (other, one)
-    return _texts_intersect(wild[1:], rest) or _texts_intersect(wild, rest[1:])
+def _sequences_intersect(
+    one: Sequence[str], other: Sequence[str], wild: str, fits: Callable[[str, str], bool]
+) -> bool:
+    """Whether some sequence fits both, of which `wild` stands for any number of items.
+
+    Without recursion: names of recordings may be long, and have many wildcards.
+    """
+    reached = _pass_wilds({0}, other, wild)
+    for item in one:
+        if item == wild:
+            following = _pass_shown(reached, other, wild)
+        else:
+            following = {
+                at + (other[at] != wild)
+                for at in reached
+                if at < len(other)
+                and (_is_shown(item, wild) if other[at] == wild else fits(item, other[at]))
+            }
+        reached = _pass_wilds(following, other, wild)
+    return len(other) in reached
+
+
+def _pass_wilds(reached: set[int], items: Sequence[str], wild: str) -> set[int]:
+    """Add the positions that follow wildcards, which may stand for nothing."""
+    found = set(reached)
+    for at in reached:
+        end = at
+        while end < len(items) and items[end] == wild:
+            end += 1
+            found.add(end)
+    return found
+
+
+def _pass_shown(reached: set[int], items: Sequence[str], wild: str) -> set[int]:
+    """Add all positions that a wildcard reaches."""
+    found: set[int] = set()
+    for at in sorted(reached):
+        end = at
+        while end not in found:
+            found.add(end)
+            end += end < len(items) and _is_shown(items[end], wild)
+    return found
+
+
+def _is_shown(item: str, wild: str) -> bool:
+    """Whether a wildcard may stand for an item: for chunks that do not begin with `@`."""
+    return wild != "**" or not item.startswith("@")

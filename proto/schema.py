@@ -19,7 +19,10 @@ from zensim.proto.messages import (
     entity_messages,
     fault_messages,
     gazebo_messages,
+    input_messages,
     model_messages,
+    process_messages,
+    replay_messages,
     result_messages,
     sensor_messages,
     simulation_messages,
@@ -42,7 +45,10 @@ MESSAGE_MODULES: tuple[ModuleType, ...] = (
     entity_messages,
     fault_messages,
     gazebo_messages,
+    input_messages,
     model_messages,
+    replay_messages,
+    process_messages,
     result_messages,
     sensor_messages,
     simulation_messages,
@@ -64,6 +70,15 @@ KEY_ARGUMENTS = {
 def list_messages() -> dict[str, type[msgspec.Struct]]:
     """List the public messages by name."""
     return {kind.__name__: kind for kind in _find_defined(msgspec.Struct)}
+
+
+def list_cdr_types() -> dict[str, type[msgspec.Struct]]:
+    """List the messages with a ROS type that CDR can express, by that type."""
+    return {
+        kind.ros_type: kind
+        for kind in list_messages().values()
+        if hasattr(kind, "ros_type") and supports_format(kind, Format.CDR)
+    }
 
 
 def list_top_level_types() -> list[type[msgspec.Struct]]:

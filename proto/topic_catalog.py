@@ -7,6 +7,8 @@ import msgspec
 from zensim.proto.codec.message_codec import Format, make_encoding
 from zensim.proto.messages.agent_messages import DriveCommand, DriveState, TwistCommands
 from zensim.proto.messages.gazebo_messages import ContactsState, LinkStates, ModelStates
+from zensim.proto.messages.input_messages import Inputs
+from zensim.proto.messages.process_messages import AgentStats
 from zensim.proto.messages.sensor_messages import (
     Contacts,
     SceneState,
@@ -177,6 +179,15 @@ AUDIT = TopicSpec(
     is_gettable=False,
     description="who joined, left, changed something or was refused on a secured server",
 )
+INPUTS = TopicSpec(
+    name="inputs",
+    scope=TopicScope.WORLD,
+    messages=(Inputs,),
+    publisher=Participant.SERVER,
+    format=Format.MSGPACK,
+    is_gettable=False,
+    description="what changed the world, and hashes of its states, for `zensim resim`",
+)
 MODEL_STATES = TopicSpec(
     name="model_states",
     scope=TopicScope.WORLD,
@@ -250,6 +261,16 @@ DRIVE_COMMAND = TopicSpec(
     rate_hz=100.0,
     is_gettable=False,
     description="actuator targets of all robots of one agent",
+)
+AGENT_STATS = TopicSpec(
+    name="agent_stats",
+    suffix="figures",
+    scope=TopicScope.AGENT,
+    messages=(AgentStats,),
+    publisher=Participant.AGENT,
+    format=Format.MSGPACK,
+    rate_hz=1.0,
+    description="robots, answered states, CPU time and memory of an agent",
 )
 TWISTS = TopicSpec(
     name="twists",
@@ -535,6 +556,15 @@ ROBOT_TOPICS = {topic.suffix: topic for topic in TOPICS.values() if topic.scope 
 def find_topic(name: str) -> TopicSpec:
     """Find a topic by its unique name."""
     return TOPICS[name]
+
+
+def find_robot_topic(key: str) -> TopicSpec | None:
+    """Find the topic of robots that a key ends with, the longest suffix first."""
+    parts = key.split("/")
+    for start in range(max(0, len(parts) - 3), len(parts)):
+        if (found := ROBOT_TOPICS.get("/".join(parts[start:]))) is not None:
+            return found
+    return None
 
 
 def select_ros_topics(settings: RosSettings, names: str) -> RosSettings:

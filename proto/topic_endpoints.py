@@ -337,6 +337,10 @@ class LazyTopicPublisher:
             for one in self._faults.change(self._key, self._message_type, payload):
                 self._publisher.publish(partial(bytes, one))
 
+    def send(self, payload: bytes) -> None:
+        """Publish the CDR bytes of a message, such as of a part of the value."""
+        self._publisher.send(payload)
+
     def announce(self) -> None:
         """Publish the value to subscribers that are new since the last call."""
         self._publisher.publish_to_new(self._payload)

@@ -15,6 +15,7 @@ from zensim.proto import keys
 from zensim.proto.bus import BusConfig, open_bus_with_retry
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
+from zensim.proto.messages.process_messages import AgentStats
 from zensim.proto.messages.sensor_messages import Contacts
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.network_protocols import AgentNetwork, Subscription
@@ -22,8 +23,9 @@ from zensim.proto.poll_schedule import MAX_PAUSE_S, PollSchedule
 from zensim.proto.process_limits import set_niceness
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.rosout import Rosout
+from zensim.proto.stats_publisher import StatsPublisher, read_process_usage
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
-from zensim.proto.topic_catalog import CONTACTS, DRIVE_COMMAND, DRIVE_STATE
+from zensim.proto.topic_catalog import AGENT_STATS, CONTACTS, DRIVE_COMMAND, DRIVE_STATE
 from zensim.proto.verbosity import configure_logging
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, override_rates
 from zensim.robot_agent.bumpers import ContactReport, read_contact_report
@@ -33,7 +35,7 @@ from zensim.robot_agent.claim_client import (
     ShareClaimClient,
     ShareSettings,
 )
-from zensim.robot_agent.drive_state_decoder import StateOrder
+from zensim.robot_agent.drive_state_decoder import CLAIM_BYTES, StateOrder
 from zensim.robot_agent.robots import IndividualRobots
 
 MAX_COMMAND_PAUSE_S = 0.0035
@@ -238,6 +240,10 @@ class Agent:
         self._robots = _make_robot_set(network, config, self._graph, self._rx_session)
         self._state_order = StateOrder()
         self._housekeeping = Housekeeping(self._robots)
+        self._answered, self._claims = 0, b""
+        self._stats = StatsPublisher(
+            network, AGENT_STATS, AGENT_STATS.key(world, agent), self.make_stats
+        )
         self._priority = ProcessPriority(set_niceness)
         self._poll_schedule = PollSchedule(
             MAX_COMMAND_PAUSE_S if config.pool_limit is None else MAX_PAUSE_S
@@ -248,6 +254,7 @@ class Agent:
     def close(self) -> None:
         """Undeclare what is not part of the session."""
         self._rosout.close()
+        self._stats.close()
         self._graph.close()
         if self._rx_session is not self._network:
             self._rx_session.close()
@@ -274,6 +281,16 @@ class Agent:
             self._do_housekeeping(now_s)
         return self._drive()
 
+    def make_stats(self) -> AgentStats:
+        """Make the statistics of this process."""
+        return AgentStats(
+            agent=self._config.agent,
+            robots=len(self._claims) // CLAIM_BYTES,
+            states=self._answered,
+            malformed=self.malformed,
+            usage=read_process_usage(),
+        )
+
     def _do_housekeeping(self, now_s: float) -> None:
         self._watch_server()
         claims = self._claim_client.poll(now_s)
@@ -281,6 +298,7 @@ class Agent:
             self._add_claims(claims)
         self._housekeeping.poll(now_s)
         self._rosout.poll()
+        self._stats.poll(now_s)
         self._subscribe_to_contacts()
 
     def _subscribe_to_contacts(self) -> None:
@@ -303,6 +321,7 @@ class Agent:
                 self._claim_client.retry_soon()
                 continue
             self._state_order.forget()
+            self._claims = b""
             self._handle_lost(self._robots.release_all_except(b""), "the server is gone")
 
     def _add_claims(self, claims: tuple[Claim, ...]) -> None:
@@ -353,6 +372,7 @@ class Agent:
         if order == "reset":
             self._robots.reset()
         self._handle_lost(self._robots.release_all_except(state.claims), "the entity is gone")
+        self._claims = state.claims
         if not state.claims:
             return
         if self._robots.repeats(state):
@@ -360,6 +380,7 @@ class Agent:
             self._commands.send(encode(self._robots.repeat(state), Format.MSGPACK))
             return
         payload = encode(self._robots.advance(state), Format.MSGPACK)
+        self._answered += 1
         self._late_command_window.note_state(state, self._now_s)
         if state.is_awaited:
             # In this order, a receiver of the command has received the telemetry before.

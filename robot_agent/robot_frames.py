@@ -23,11 +23,9 @@ from zensim.proto.rigid_transforms import (
     normalize,
     rotate,
 )
+from zensim.proto.tf_joints import MOVABLE_KINDS, list_hidden_joints
 from zensim.proto.topic_catalog import JOINT_STATES
 from zensim.robot_agent.odometry import BaseMotion
-
-MOVABLE_KINDS = frozenset({"revolute", "continuous", "prismatic"})
-"""Kinds of joints with one position; others are handled as fixed."""
 
 DEFAULT_JOINT_STATE_PUBLISHER = JointStatePublisher(update_rate_hz=JOINT_STATES.rate_hz)
 """For models without a joint state publisher."""
@@ -115,29 +113,9 @@ class MovingJoint:
         return Origin(add(origin.position, shift), origin.orientation)
 
 
-def list_published_joints(model: Model) -> tuple[int, ...]:
-    """List the joints in joint states: of the model's publisher and controllers, else all."""
-    names = None
-    if model.joint_state is not None:
-        controlled = (name for one in model.joint_controllers for name in one.joints)
-        names = {*model.joint_state.joints, *controlled}
-    return tuple(
-        index
-        for index, joint in enumerate(model.joints)
-        if joint.kind in MOVABLE_KINDS and (names is None or joint.name in names)
-    )
-
-
 def list_moving_joints(model: Model) -> tuple[MovingJoint, ...]:
-    """List the joints in tf: all that move, but wheels only on request.
-
-    Wheels are in tf if the drive has publish_wheel_tf, or if their joint states are published, from
-    which robot_state_publisher would make their transforms.
-    """
-    published = {model.joints[index].name for index in list_published_joints(model)}
-    has_wheels = model.drive is not None and model.drive.publish_wheel_tf
-    wheels = () if has_wheels or model.drive is None else model.drive.joints
-    hidden = set(wheels) - published
+    """List the joints in tf: all that move, but wheels only on request."""
+    hidden = list_hidden_joints(model)
     return tuple(
         MovingJoint(joint, index)
         for index, joint in enumerate(model.joints)

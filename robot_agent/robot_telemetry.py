@@ -15,6 +15,7 @@ from zensim.proto.messages.standard_messages import String, TFMessage, Time, Tra
 from zensim.proto.rate_limiter import RateLimiter
 from zensim.proto.rigid_transforms import find_yaw, from_axis_angle
 from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.tf_joints import list_published_joints
 from zensim.proto.topic_catalog import (
     JOINT_STATES,
     ODOM,
@@ -35,7 +36,6 @@ from zensim.robot_agent.robot_frames import (
     get_drive,
     list_fixed_edges,
     list_moving_joints,
-    list_published_joints,
 )
 from zensim.robot_agent.topic_remapping import RobotTopicKeys, find_topic_keys
 

@@ -7,13 +7,13 @@ from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.drive_messages import DriveSettings, RosBlock
 from zensim.proto.names import InvalidName, check_namespace
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
+from zensim.proto.tf_joints import list_published_joints
 from zensim.proto.topic_catalog import CMD_VEL, JOINT_COMMANDS, JOINT_STATES, ODOM, TF
 from zensim.robot_agent.mounted_sensors import list_sensor_keys
 from zensim.robot_agent.robot_frames import (
     DEFAULT_JOINT_STATE_PUBLISHER,
     get_drive,
     list_moving_joints,
-    list_published_joints,
 )
 
 ABSOLUTE_TOPICS = frozenset({TF.suffix})

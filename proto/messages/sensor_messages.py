@@ -5,6 +5,7 @@ from typing import ClassVar, Literal, TypeAlias
 import msgspec
 
 from zensim.proto.messages.fault_messages import TopicFault
+from zensim.proto.messages.process_messages import ProcessUsage
 from zensim.proto.messages.scalar_types import UInt8, UInt32, UInt64
 
 NoiseKind = Literal["none", "gaussian", "gaussian_quantized"]
@@ -263,6 +264,7 @@ class SensorStats(msgspec.Struct, frozen=True):
     """The share of this process, and what no process can measure."""
     missing: dict[str, str] = {}
     """Optional libraries that its host lacks, and why."""
+    usage: ProcessUsage = ProcessUsage()
 
 
 class Contacts(msgspec.Struct, frozen=True):

@@ -326,6 +326,15 @@ class Float64MultiArray(msgspec.Struct, frozen=True):
     data: tuple[float, ...] = ()
 
 
+class UInt8MultiArray(msgspec.Struct, frozen=True):
+    """Bytes of any kind. Source: std_msgs/msg/UInt8MultiArray."""
+
+    ros_type: ClassVar[str] = "std_msgs/msg/UInt8MultiArray"
+
+    layout: MultiArrayLayout = MultiArrayLayout()
+    data: bytes = b""
+
+
 class LaserScan(msgspec.Struct, frozen=True):
     """Ranges of one sweep of rays in a plane. Source: sensor_msgs/msg/LaserScan."""
 

@@ -4,7 +4,9 @@ from typing import ClassVar, Literal
 
 import msgspec
 
+from zensim.proto.messages.asset_messages import AssetRef
 from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.process_messages import ProcessUsage
 from zensim.proto.messages.result_messages import Result
 from zensim.proto.messages.scalar_types import UInt32, UInt64
 from zensim.proto.messages.sensor_messages import Environment
@@ -110,6 +112,8 @@ class Stats(msgspec.Struct, frozen=True):
     """Requests that may change something, which a secured server accepted since start."""
     joined: UInt64 = 0
     """Sessions that joined a secured server since start."""
+    usage: ProcessUsage = ProcessUsage()
+    """Of the process of the server, without its worker processes."""
 
 
 class AuditRecord(msgspec.Struct, frozen=True):
@@ -213,6 +217,13 @@ class EntityModel(msgspec.Struct, frozen=True):
     """Index into `GetModelsResponse.descriptions`, if these were wanted."""
 
 
+class ModelFiles(msgspec.Struct, frozen=True):
+    """Files that the description of a model names."""
+
+    files: tuple[AssetRef, ...] = ()
+    """Read them with `get_asset`."""
+
+
 class GetModelsResponse(msgspec.Struct, frozen=True):
     """Distinct models, and the entities that use them."""
 
@@ -227,3 +238,5 @@ class GetModelsResponse(msgspec.Struct, frozen=True):
     environment: Environment = Environment()
     descriptions: tuple[str, ...] = ()
     """Distinct texts, URDF or SDF; empty for entities of the world file."""
+    files: tuple[ModelFiles, ...] = ()
+    """In the order of `models`, if descriptions were wanted; empty for models read long ago."""

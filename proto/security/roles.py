@@ -148,7 +148,7 @@ _AGENT: Final = (
     _CALLS,
     _SESSIONS,
     _SERVER_TOKEN,
-    KeyGrant("P", ("sim/{world}/drive/{user}/command",)),
+    KeyGrant("P", ("sim/{world}/drive/{user}/command", "sim/{world}/drive/{user}/figures")),
     KeyGrant(
         "S", ("sim/{world}/drive/{user}/state", CLOCK.key("{world}"), CONTACTS.key("{world}"))
     ),

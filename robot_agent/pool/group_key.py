@@ -7,13 +7,13 @@ from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.drive_messages import Drive, RosBlock
 from zensim.proto.messages.model_messages import Origin
 from zensim.proto.messages.sensor_messages import Environment
+from zensim.proto.tf_joints import list_published_joints
 from zensim.robot_agent.mounted_sensors import MountedSensor, mount_sensors
 from zensim.robot_agent.robot_frames import (
     DEFAULT_JOINT_STATE_PUBLISHER,
     find_base_frame,
     get_drive,
     list_moving_joints,
-    list_published_joints,
 )
 from zensim.robot_agent.topic_remapping import RobotTopicKeys
 

@@ -158,6 +158,10 @@ ZENSIM = {
     " uint64 messages; uint64 late; float64 cost_s",
     "SensorStats": "string process; bool is_active; float64 cpu_s; uint64 messages; uint64 late;"
     " zensim/SensorFigures[] sensors",
+    "ProcessUsage": "string host; uint32 process_id; float64 wall_s; float64 cpu_s;"
+    " uint64 memory_bytes",
+    "AgentStats": "string agent; uint32 robots; uint64 states; uint64 malformed;"
+    " ProcessUsage usage",
     "SceneState": "uint32 epoch; uint64 step; uint64 time_ns; uint32 roster; uint8[] poses;"
     " uint8[] joint_positions; string[] processes; bool is_awaited; TopicFault[] topic_faults",
     "Contacts": "uint32 epoch; uint64 step; uint64 time_ns; string[] entities;"

@@ -1,5 +1,6 @@
 """An agent with a server and users, in memory."""
 
+import os
 import signal
 import struct
 from collections.abc import Iterator
@@ -16,10 +17,11 @@ from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode
 from zensim.proto.messages.agent_messages import DriveState
 from zensim.proto.messages.model_messages import DiffDrive
+from zensim.proto.messages.process_messages import AgentStats
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
-from zensim.proto.topic_catalog import CONTACTS, DRIVE_STATE
+from zensim.proto.topic_catalog import AGENT_STATS, CONTACTS, DRIVE_STATE
 from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.agent import (
     MAX_WINDOW_S,
@@ -572,3 +574,30 @@ def test_agent_applies_a_command_at_the_next_state_when_answers_are_awaited() ->
 
     assert revised(scene) == []
     assert scene.drive_to(9) == [pytest.approx((5.0, 5.0))]
+
+
+def test_agent_reports_its_robots_and_what_it_uses() -> None:
+    scene = Scene("r1", "r2")
+    scene.poll()
+    scene.drive_to(1, 1, 2)
+    reports = scene.bus.subscribe(AGENT_STATS.key(WORLD, AGENT), 8)
+
+    for _ in range(60):
+        scene.poll()
+    (sample,) = reports.take()[:1]
+    stats = decode(AgentStats, sample.payload, sample.encoding)
+
+    assert (stats.agent, stats.robots, stats.states) == (AGENT, 2, 1)
+    assert stats.usage.process_id == os.getpid()
+    assert stats.usage.cpu_s > 0.0
+
+
+def test_agent_has_no_robots_when_the_server_is_gone() -> None:
+    scene = Scene("r1")
+    scene.poll()
+    scene.drive_to(1)
+
+    scene.server.go_down()
+    scene.poll()
+
+    assert scene.agent.make_stats().robots == 0

@@ -24,6 +24,7 @@ from zensim.proto.messages.standard_messages import (
     Vector3,
 )
 from zensim.proto.rigid_transforms import compose, from_axis_angle, invert
+from zensim.proto.tf_joints import list_published_joints
 from zensim.robot_agent.odometry import BaseMotion
 from zensim.robot_agent.robot_frames import (
     BaseFrame,
@@ -32,7 +33,6 @@ from zensim.robot_agent.robot_frames import (
     find_base_frame,
     list_fixed_edges,
     list_moving_joints,
-    list_published_joints,
     make_moving_transforms,
     make_odometry_edge,
 )

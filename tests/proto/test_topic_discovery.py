@@ -1,7 +1,7 @@
 """Topics by what programs announce."""
 
 from zensim.proto.ros2.liveliness_tokens import AnnouncedEndpoint, Qos
-from zensim.spawner.client.topic_discovery import TopicEndpoint, TopicFacts, merge_endpoints
+from zensim.proto.topic_discovery import TopicEndpoint, TopicFacts, merge_endpoints
 
 SERVICE = "SS"
 

@@ -1,10 +1,8 @@
 """Controller that drives a robot along points; no clock, no network."""
 
 import math
+from collections.abc import Iterable
 from typing import Final
-
-from zensim.api.entity_values import RobotPose
-from zensim.api.world_state import FloatArray
 
 REACHED_M: Final = 0.05
 """Distance from a point at which it counts as reached."""
@@ -19,28 +17,34 @@ SLOW_DOWN_S: Final = 1.0
 class PathController:
     """Drives to each point in turn."""
 
-    def __init__(self, points: FloatArray, speed: float) -> None:
+    def __init__(self, points: Iterable[tuple[float, float]], speed: float) -> None:
         """Start before the first point.
 
         Args:
-            points: x and y in the world [m], (n, 2).
+            points: x and y in the world [m].
             speed: Most [m/s]; less while the heading is wrong, and near the last point.
         """
         self._left = [(float(x), float(y)) for x, y in points]
         self._speed = speed
 
-    def control(self, pose: RobotPose) -> tuple[float, float] | None:
-        """Find forward and angular velocity at a pose; None = over."""
+    def control(self, x: float, y: float, yaw: float) -> tuple[float, float] | None:
+        """Find forward [m/s] and angular velocity [rad/s] at a pose; None = over.
+
+        Args:
+            x: In the world [m].
+            y: In the world [m].
+            yaw: Heading [rad].
+        """
         left = self._left
-        while left and pose.distance_to(*left[0]) < REACHED_M:
+        while left and math.hypot(left[0][0] - x, left[0][1] - y) < REACHED_M:
             left.pop(0)
         if not left:
             return None
-        x, y = left[0]
-        distance = pose.distance_to(x, y)
-        error = _wrap(math.atan2(y - pose.y, x - pose.x) - pose.yaw)
+        to_x, to_y = left[0][0] - x, left[0][1] - y
+        error = _wrap(math.atan2(to_y, to_x) - yaw)
         # A last point is approached ever more slowly, so that the robot does not pass it.
-        most = min(self._speed, distance / SLOW_DOWN_S) if len(left) == 1 else self._speed
+        slow = math.hypot(to_x, to_y) / SLOW_DOWN_S
+        most = min(self._speed, slow) if len(left) == 1 else self._speed
         turn = max(-MAX_TURN, min(MAX_TURN, TURN_GAIN * error))
         return max(0.0, most * math.cos(error)), turn
 

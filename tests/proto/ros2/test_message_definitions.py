@@ -6,9 +6,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from zensim.proto.codec.message_codec import Format, supports_format
 from zensim.proto.messages.standard_messages import Empty
+from zensim.proto.ros2.message_definitions import SEPARATOR, write_definition
 from zensim.proto.ros2.type_hash import hash_type
 from zensim.proto.schema import list_messages
-from zensim.recording.message_definitions import SEPARATOR, write_definition
 
 
 def list_recordable_types() -> list[type[msgspec.Struct]]:

@@ -1,8 +1,9 @@
 """Simulation time of a message, from its bytes."""
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
+from itertools import pairwise
 from typing import Final, TypeAlias
 
 import msgspec
@@ -15,6 +16,8 @@ STAMP_AT: Final = 4
 """Offset of the stamp of a header at the start of a message; the CDR header has four bytes."""
 TRANSFORM_STAMP_AT: Final = 8
 """The same in the first transform, which the number of transforms precedes."""
+TEXT_AT: Final = 8
+"""Offset of a text that is the only field; a zero follows it."""
 LITTLE: Final = struct.Struct("<iI")
 BIG: Final = struct.Struct(">iI")
 MOST_AHEAD_NS: Final = NANOSECONDS
@@ -29,6 +32,24 @@ def make_stamp_reader(message_type: type[msgspec.Struct]) -> StampReader:
     fields = msgspec.structs.fields(message_type)
     is_stamped = bool(fields) and fields[0].type is Header
     return _read_header if is_stamped or issubclass(message_type, Clock) else _read_nothing
+
+
+class _SteppedRecord(msgspec.Struct, frozen=True):
+    step: int = 0
+
+
+def make_step_reader(step_ns: int) -> StampReader:
+    """Make the reader of texts with JSON that names the step of a record.
+
+    Args:
+        step_ns: Physics step; 0 = unknown, and no text has a stamp.
+    """
+    decode = msgspec.json.Decoder(_SteppedRecord).decode
+
+    def read_step(payload: bytes) -> int | None:
+        return decode(payload[TEXT_AT:-1]).step * step_ns
+
+    return read_step if step_ns else _read_nothing
 
 
 def choose_time(stamp_ns: int | None, clock_ns: int) -> int:
@@ -61,3 +82,17 @@ def _read_stamp(payload: bytes, at: int) -> int | None:
         return None
     seconds, nanoseconds = (LITTLE if payload[1] else BIG).unpack_from(payload, at)
     return int(seconds * NANOSECONDS + nanoseconds)
+
+
+def count_missing(before_ns: int | None, times_ns: Sequence[int]) -> int:
+    """Estimate how many messages of a topic are missing before these, by their usual period.
+
+    Args:
+        before_ns: Time of the message before; None = there was none.
+        times_ns: In the order of arrival.
+    """
+    gaps = sorted(later - earlier for earlier, later in pairwise(times_ns) if later > earlier)
+    if before_ns is None or not gaps:
+        return 0
+    period_ns = gaps[len(gaps) // 2]
+    return max(0, round((times_ns[0] - before_ns) / period_ns) - 1)
