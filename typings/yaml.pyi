@@ -34,5 +34,4 @@ class MappingNode(Node):
 
 def parse(stream: str, Loader: type[BaseLoader]) -> Iterator[Event]: ...  # noqa: N803
 def compose(stream: str, Loader: type[BaseLoader]) -> Node | None: ...  # noqa: N803
-
 def safe_load(stream: str) -> Any: ...

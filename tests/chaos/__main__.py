@@ -30,6 +30,7 @@ NAMES = (
     "sessions",
     "history",
     "damage",
+    "recording",
 )
 HEAD = """# Faults
 

@@ -3,9 +3,10 @@
 A robot drives, and its agent hangs at a random moment: in one half of the rounds the process is
 suspended with SIGSTOP, in the other its main thread sleeps while its session stays alive. The
 server stops the wheels 0.4 s after the last command, in simulation time, and publishes the event
-`timed_out` with the robot and the agent. Measured are the time from the hang until the robot is
-at rest, and the time until another agent that waits for the robot has it, both in simulation time
-at real-time factor 1.
+`timed_out` with the robot and the agent. Measured are the time from the hang until the wheels are
+set to zero, which is the step of that event, and until the robot is at rest, which adds its braking
+and the time of two requests; and the time until another agent that waits for the robot has it. All
+are simulation time at real-time factor 1.
 """
 
 import random
@@ -14,6 +15,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import NamedTuple
 
 from benchmarks.figures import Figure, Limit
 from tests.chaos.chaos_agents import MARGIN_S, TIMEOUT_S
@@ -45,6 +47,14 @@ main()
 """
 
 
+class Hang(NamedTuple):
+    """What one hang led to: times [s] from the hang, and the number of events."""
+
+    zeroed_s: float
+    rest_s: float
+    events: int
+
+
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Hang agents of a driving robot."""
     phase = random.Random(SEED)
@@ -54,15 +64,20 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         takeovers = TAKEOVERS_WHEN_SHORT if is_short else TAKEOVERS
         took = [_take_over_s(server) for _ in range(takeovers)]
     yield Figure(
+        what="hang of the agent to wheels set to zero",
+        unit="s",
+        samples=tuple(hang.zeroed_s for hang in found),
+        limit=Limit("max", "<=", TIMEOUT_S + MARGIN_S, is_timed=True),
+    )
+    yield Figure(
         what="hang of the agent to robot at rest",
         unit="s",
-        samples=tuple(stopped_s for stopped_s, _ in found),
-        limit=Limit("max", "<=", TIMEOUT_S + MARGIN_S, is_timed=True),
+        samples=tuple(hang.rest_s for hang in found),
     )
     yield Figure(
         what="events of a hang that name the robot and the agent",
         unit="",
-        samples=tuple(float(count) for _, count in found),
+        samples=tuple(float(hang.events) for hang in found),
         limit=Limit("min", ">=", 1.0),
     )
     yield Figure(
@@ -94,27 +109,29 @@ def signal_of_round(number: int) -> signal.Signals:
     return signal.SIGUSR1 if number % 2 else signal.SIGSTOP
 
 
-def _hang(server: Server, how: signal.Signals, phase: random.Random) -> tuple[float, int]:
-    """Hang an agent; return the time until its robot rests [s], and the number of events."""
+def _hang(server: Server, how: signal.Signals, phase: random.Random) -> Hang:
+    """Hang an agent, and wait until its robot rests and the event is there."""
     events = server.bus.subscribe(EVENTS.key("default"), 64)
     with _agent(server) as process:
         drive_until_moving(server, robot(server.bus, ROBOT), phase.uniform(0.0, 0.3))
         process.send_signal(how)
-        hung_s = server.client.info().sim_time_s
+        hung = server.client.info()
         eventually(lambda: find_speed(server) < STANDING_M_S, 10.0, "standing")
-        stopped_s = server.client.info().sim_time_s - hung_s
-        told: list[tuple[str, str, str]] = []
+        rest_s = server.client.info().sim_time_s - hung.sim_time_s
+        steps: list[int] = []
 
-        def is_told() -> bool:
+        def is_timed_out() -> bool:
             # A robot whose last `cmd_vel` expired first rests before the server stops it.
             for one in events.take():
                 event = decode(Event, one.payload, one.encoding)
-                told.append((event.kind, event.entity, event.agent))
-            return TIMED_OUT in told
+                if (event.kind, event.entity, event.agent) == TIMED_OUT:
+                    steps.append(event.step)
+            return bool(steps)
 
-        eventually(is_told, 10.0, "an event")
+        eventually(is_timed_out, 10.0, "an event")
     events.close()
-    return stopped_s, told.count(TIMED_OUT)
+    zeroed_s = (steps[0] - hung.steps) * hung.step_ns * 1e-9
+    return Hang(zeroed_s=zeroed_s, rest_s=rest_s, events=len(steps))
 
 
 def _take_over_s(server: Server) -> float:

@@ -2,6 +2,7 @@
 
 import json
 import signal
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,11 +11,18 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 import zensim as api
-from tests.integration.processes import eventually, kill, read_json_line, running
+from tests.integration.processes import (
+    eventually,
+    kill,
+    read_json_line,
+    run_in_process,
+    running,
+)
 from tests.integration.processes import zensim as run_zensim
 from tests.recording.recordings import count_by_mcap, count_by_rosbags
 from zensim.proto.bus import Bus, BusConfig, open_bus
 from zensim.proto.exit_codes import ExitCode
+from zensim.recording.recording_reader import RecordingReader
 
 if TYPE_CHECKING:
     import subprocess
@@ -143,6 +151,29 @@ def test_reset_begins_a_file_and_a_snapshot_is_written_on_an_event(
     assert figures["messages"] == sum(written) >= LEAST
 
 
+def test_rate_keeps_the_newest_of_each_topic_and_all_events(
+    sim: api.Sim, bus: Bus, tmp_path: Path
+) -> None:
+    path = tmp_path / "thin.mcap"
+    options = ("--connect", sim.endpoint, "--json", "--rate", "5", "-o", str(path))
+    with running("record", "--all", *options) as process:
+        read_json_line(process)
+        began = len(wait_for_messages(bus, "r1/odom", 1))
+        for number in range(3):
+            sim.spawn("box_bot", name=f"thin{number}")
+        whole = len(wait_for_messages(bus, "r1/odom", 100)) + began
+        figures = end_recording(process)
+
+    reader = RecordingReader(path)
+    stamps = [log_ns for _, log_ns, _, _ in reader.messages(lambda one: one.name == "/r1/odom")]
+    counts = count_by_mcap(path)
+    assert figures["lost"] == figures["overflows"] == 0
+    assert 0 < len(stamps) < whole / 4
+    assert max(Counter(stamp // 200_000_000 for stamp in stamps[:-1]).values()) <= 2
+    assert counts["/sim/default/events"] >= 3
+    assert counts["/thin2/tf_static"] >= 1
+
+
 def test_recording_says_what_is_wrong(sim: api.Sim, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.touch()
@@ -151,8 +182,10 @@ def test_recording_says_what_is_wrong(sim: api.Sim, tmp_path: Path) -> None:
     nothing = run_zensim("record", *at)
     exists = run_zensim("record", "-a", "-o", str(path), *at)
     storage = run_zensim("record", "-a", "-s", "sqlite3", *at)
+    kept = run_in_process("record", "-a", "--keep-last", "10 years", *at)
+    times = run_in_process("record", "-a", "--reproducible", "--log-time", "wall", *at)
 
     assert nothing.returncode == ExitCode.USAGE
     assert exists.returncode == ExitCode.FAILED
-    assert storage.returncode == ExitCode.USAGE
+    assert [one.returncode for one in (storage, kept, times)] == [ExitCode.USAGE] * 3
     assert "mcap" in storage.stderr

@@ -1,25 +1,38 @@
 """Small recordings for tests, and what readers that are not ours find in them."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
+import msgspec
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from zensim.proto.codec.message_codec import Format, encode
+from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.standard_messages import (
     Header,
     Odometry,
     String,
     Time,
 )
-from zensim.recording.mcap_records import AttachedFile, Channel, Schema
+from zensim.proto.network_protocols import Sample
+from zensim.proto.ros2.message_definitions import write_definition
+from zensim.recording.mcap_records import AttachedFile, Channel, Metadata, Schema
 from zensim.recording.mcap_writer import McapWriter
-from zensim.recording.message_definitions import write_definition
 from zensim.recording.output_file import OutputFile
+from zensim.recording.recorded_topics import RecordedTopic, TopicTable
 
 KINDS = (Odometry, String)
+
+
+def make_topic(key: str, kind: type[msgspec.Struct]) -> RecordedTopic:
+    """Make the topic of a plain key."""
+    message = kind()
+    sample = Sample(key, encode(message, Format.CDR), make_encoding(kind, Format.CDR))
+    topic = TopicTable("default", lambda _: True).find(sample)
+    assert topic is not None
+    return topic
 
 
 def define_topics(writer: McapWriter, robots: int = 1) -> list[int]:
@@ -33,7 +46,14 @@ def define_topics(writer: McapWriter, robots: int = 1) -> list[int]:
     return list(range(1, robots + 1))
 
 
-def write_recording(path: Path, messages: int, *, robots: int = 3, is_closed: bool = True) -> None:
+def write_recording(
+    path: Path,
+    messages: int,
+    *,
+    robots: int = 3,
+    is_closed: bool = True,
+    metadata: Iterable[Metadata] = (),
+) -> None:
     """Write odometry at 50 Hz with chunks of about a hundred messages."""
     output = OutputFile(path)
     writer = McapWriter(output)
@@ -46,6 +66,8 @@ def write_recording(path: Path, messages: int, *, robots: int = 3, is_closed: bo
         if number % 100 == 99:
             writer.flush()
     writer.attach(AttachedFile("world.sdf", "text/xml", b"<sdf/>"))
+    for one in metadata:
+        writer.add_metadata(one)
     writer.flush()
     if is_closed:
         writer.close()

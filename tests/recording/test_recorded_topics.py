@@ -4,6 +4,7 @@ import msgspec
 import pytest
 
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.message_times import choose_time, make_stamp_reader
 from zensim.proto.messages.standard_messages import (
     Header,
     Odometry,
@@ -16,7 +17,6 @@ from zensim.proto.messages.standard_messages import (
 )
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.network_protocols import Sample
-from zensim.recording.message_times import choose_time, make_stamp_reader
 from zensim.recording.recorded_topics import TopicTable
 
 STAMP = Time(12, 345)

@@ -1,17 +1,18 @@
 """Files of a recording: new ones by size, time and reset; metadata; snapshots; lost messages."""
 
+import struct
 from pathlib import Path
 
-import msgspec
 import pytest
 from rosbags.rosbag2 import Reader
 
-from tests.recording.recordings import count_by_mcap
-from zensim.proto.codec.message_codec import Format, encode, make_encoding
+from tests.recording.recordings import count_by_mcap, make_topic
+from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.standard_messages import Odometry, TFMessage
-from zensim.proto.network_protocols import Sample
+from zensim.recording import recording_parts
+from zensim.recording.bag_info import read_info
 from zensim.recording.mcap_records import AttachedFile, Metadata
-from zensim.recording.recorded_topics import RecordedMessage, RecordedTopic, TopicTable
+from zensim.recording.recorded_topics import RecordedMessage, RecordedTopic
 from zensim.recording.recording_parts import DiskFull, PartSettings, RecordingParts
 from zensim.recording.snapshot_ring import SnapshotRing
 from zensim.recording.write_queue import WriteQueue
@@ -19,16 +20,6 @@ from zensim.recording.write_queue import WriteQueue
 SECOND = 1_000_000_000
 ODOMETRY = encode(Odometry(), Format.CDR)
 FACTS = AttachedFile("zensim.json", "application/json", b"{}")
-
-
-def make_topic(key: str, kind: type[msgspec.Struct]) -> RecordedTopic:
-    message = kind()
-    sample = Sample(key, encode(message, Format.CDR), make_encoding(kind, Format.CDR))
-    topic = TopicTable("default", lambda _: True).find(sample)
-    assert topic is not None
-    return topic
-
-
 ODOM = make_topic("r1/odom", Odometry)
 TF_STATIC = make_topic("r1/tf_static", TFMessage)
 STATIC = encode(TFMessage(), Format.CDR)
@@ -38,12 +29,14 @@ def odometry_at(time_s: float) -> RecordedMessage:
     return ODOM, round(time_s * SECOND), 0, ODOMETRY
 
 
-def close(parts: RecordingParts) -> None:
-    parts.close(Metadata("zensim", {}), FACTS)
+def close(parts: RecordingParts[RecordedTopic]) -> None:
+    parts.close([Metadata("zensim", {})], [FACTS])
 
 
 def test_folder_is_a_bag_of_rosbag2(tmp_path: Path) -> None:
-    parts = RecordingParts(PartSettings(path=tmp_path / "run", max_duration_ns=SECOND))
+    parts: RecordingParts[RecordedTopic] = RecordingParts(
+        PartSettings(path=tmp_path / "run", max_duration_ns=SECOND)
+    )
     parts.write((TF_STATIC, 0, 0, STATIC))
     for number in range(25):
         parts.write(odometry_at(number / 10))
@@ -60,7 +53,7 @@ def test_folder_is_a_bag_of_rosbag2(tmp_path: Path) -> None:
 
 
 def test_each_file_begins_with_the_latched_messages(tmp_path: Path) -> None:
-    parts = RecordingParts(PartSettings(path=tmp_path / "run.mcap"))
+    parts: RecordingParts[RecordedTopic] = RecordingParts(PartSettings(path=tmp_path / "run.mcap"))
     parts.write((TF_STATIC, 0, 0, STATIC))
     parts.write((TF_STATIC, 5, 0, STATIC))
     parts.start_part(7, 8)
@@ -72,7 +65,9 @@ def test_each_file_begins_with_the_latched_messages(tmp_path: Path) -> None:
 
 
 def test_file_ends_at_its_size(tmp_path: Path) -> None:
-    parts = RecordingParts(PartSettings(path=tmp_path / "run.mcap", max_bytes=4000))
+    parts: RecordingParts[RecordedTopic] = RecordingParts(
+        PartSettings(path=tmp_path / "run.mcap", max_bytes=4000)
+    )
     for number in range(40):
         parts.write(odometry_at(number))
         parts.flush_if_due(number)
@@ -83,6 +78,55 @@ def test_file_ends_at_its_size(tmp_path: Path) -> None:
     assert parts.written == 40
 
 
+def test_file_has_metadata_of_rosbag2_beside_it(tmp_path: Path) -> None:
+    for name in ("first", "second"):
+        parts: RecordingParts[RecordedTopic] = RecordingParts(
+            PartSettings(path=tmp_path / f"{name}.mcap")
+        )
+        parts.write(odometry_at(1.0))
+        close(parts)
+
+    with Reader(tmp_path) as reader:
+        counts = [one.msgcount for one in reader.connections]
+
+    # That of the first recording stays.
+    assert counts == [1]
+    assert "first.mcap" in (tmp_path / "metadata.yaml").read_text()
+
+
+def test_only_the_last_files_are_kept_with_what_the_first_had(tmp_path: Path) -> None:
+    settings = PartSettings(
+        path=tmp_path / "run", max_duration_ns=SECOND, keep_ns=round(1.7 * SECOND)
+    )
+    parts: RecordingParts[RecordedTopic] = RecordingParts(settings)
+    parts.attach(AttachedFile("world.sdf", "text/xml", b"<sdf/>"))
+    parts.write((TF_STATIC, 0, 0, STATIC))
+    for number in range(100):
+        parts.write(odometry_at(number / 10))
+    close(parts)
+
+    files = sorted(path.name for path in (tmp_path / "run").glob("*.mcap"))
+    assert files == ["run_7.mcap", "run_8.mcap", "run_9.mcap"]
+    with Reader(tmp_path / "run") as reader:
+        assert sum(1 for _ in reader.messages()) == parts.written - parts.deleted == 33
+    assert "world.sdf" in read_info(tmp_path / "run" / "run_7.mcap").attachments
+    assert parts.written_bytes == read_info(tmp_path / "run").size
+
+
+def test_equal_messages_give_equal_files(tmp_path: Path) -> None:
+    for name, pause_s in (("one", 0.01), ("two", 0.4)):
+        path = tmp_path / f"{name}.mcap"
+        parts: RecordingParts[RecordedTopic] = RecordingParts(
+            PartSettings(path=path, is_reproducible=True)
+        )
+        for number in range(100):
+            parts.write(odometry_at(number / 10))
+            parts.flush_if_due(number * pause_s)
+        close(parts)
+
+    assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "two.mcap").read_bytes()
+
+
 def test_recording_refuses_to_write_over_another(tmp_path: Path) -> None:
     for name in ("run.mcap", "folder"):
         close(RecordingParts(PartSettings(path=tmp_path / name)))
@@ -91,7 +135,9 @@ def test_recording_refuses_to_write_over_another(tmp_path: Path) -> None:
 
 
 def test_recording_ends_before_the_disk_is_full(tmp_path: Path) -> None:
-    parts = RecordingParts(PartSettings(path=tmp_path / "run.mcap", min_free_bytes=1 << 62))
+    parts: RecordingParts[RecordedTopic] = RecordingParts(
+        PartSettings(path=tmp_path / "run.mcap", min_free_bytes=1 << 62)
+    )
     parts.write(odometry_at(0.0))
 
     with pytest.raises(DiskFull, match="--min-free"):
@@ -102,7 +148,7 @@ def test_recording_ends_before_the_disk_is_full(tmp_path: Path) -> None:
 
 
 def test_queue_counts_what_has_no_room(tmp_path: Path) -> None:
-    parts = RecordingParts(PartSettings(path=tmp_path / "run.mcap"))
+    parts: RecordingParts[RecordedTopic] = RecordingParts(PartSettings(path=tmp_path / "run.mcap"))
     queue = WriteQueue(parts, max_bytes=len(ODOMETRY) * 2)
 
     queue.put([odometry_at(number) for number in range(2)])
@@ -114,7 +160,9 @@ def test_queue_counts_what_has_no_room(tmp_path: Path) -> None:
 
 
 def test_queue_counts_what_comes_after_a_failure(tmp_path: Path) -> None:
-    parts = RecordingParts(PartSettings(path=tmp_path / "run.mcap", min_free_bytes=1 << 62))
+    parts: RecordingParts[RecordedTopic] = RecordingParts(
+        PartSettings(path=tmp_path / "run.mcap", min_free_bytes=1 << 62)
+    )
     queue = WriteQueue(parts, max_bytes=1 << 20)
 
     queue.put([odometry_at(number) for number in range(2)])
@@ -123,6 +171,38 @@ def test_queue_counts_what_comes_after_a_failure(tmp_path: Path) -> None:
 
     assert isinstance(queue.failure, DiskFull)
     assert parts.written + queue.lost + parts.offered - parts.written == 2
+
+
+def test_queue_ends_with_any_failure_of_writing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts: RecordingParts[RecordedTopic] = RecordingParts(PartSettings(path=tmp_path / "run.mcap"))
+    monkeypatch.setattr(parts, "write", lambda _: struct.pack("<H", 1 << 16))
+    queue = WriteQueue(parts, max_bytes=1 << 20)
+
+    queue.put([odometry_at(number) for number in range(3)])
+    queue.stop()
+    close(parts)
+
+    assert isinstance(queue.failure, OSError)
+    assert isinstance(queue.failure.__cause__, struct.error)
+    assert queue.lost == 2  # besides the one that failed
+
+
+def test_recording_ends_before_a_file_has_more_channels_than_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording_parts, "MAX_CHANNELS", 1)
+    path = tmp_path / "run.mcap"
+    parts: RecordingParts[RecordedTopic] = RecordingParts(PartSettings(path=path))
+    queue = WriteQueue(parts, max_bytes=1 << 20)
+
+    queue.put([odometry_at(0.0), (TF_STATIC, 0, 0, STATIC), odometry_at(1.0)])
+    queue.stop()
+    close(parts)
+
+    assert isinstance(queue.failure, OSError)
+    assert count_by_mcap(path) == {"/r1/odom": 1}
 
 
 def test_ring_keeps_the_last_seconds_and_latched_messages() -> None:

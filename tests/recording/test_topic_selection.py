@@ -4,11 +4,10 @@ import pytest
 
 from zensim.proto import keys
 from zensim.proto.ros2.liveliness_tokens import AnnouncedEndpoint, Qos
-from zensim.proto.topic_catalog import ROBOT_TOPICS
+from zensim.proto.topic_catalog import ROBOT_TOPICS, find_robot_topic
 from zensim.recording.topic_selection import (
     TopicFilter,
     TopicSelection,
-    find_robot_topic,
     list_keys,
     list_ros_keys,
 )
@@ -62,11 +61,11 @@ def test_commands_are_subscribed_on_keys_of_ros_2_too() -> None:
         assert not any(keys.intersect(one, key) for one in without)
 
 
-def test_events_and_stats_of_the_world_belong_to_all_topics() -> None:
+def test_events_stats_and_snapshots_of_the_world_belong_to_all_topics() -> None:
     listed = list_keys(TopicFilter(ALL), "lab", 0)
 
-    assert {"sim/lab/events", "sim/lab/stats", "map"} <= set(listed)
-    assert not any(keys.intersect(one, "sim/lab/snapshot") for one in listed)
+    assert {"sim/lab/events", "sim/lab/stats", "sim/lab/snapshot", "map"} <= set(listed)
+    assert not any(keys.intersect(one, "sim/lab/drive_states") for one in listed)
 
 
 def test_topics_of_other_nodes_are_found_by_their_announcement() -> None:
@@ -87,3 +86,12 @@ def test_topic_of_a_robot_is_the_longest_suffix() -> None:
     assert found is not None
     assert found.name == "image_compressed"
     assert find_robot_topic("r1/plan") is None
+
+
+@pytest.mark.parametrize(
+    "name", ["/" + "a" * 250_000 + "/odom", "/r1" * 100_000, "/" + "*a" * 120, "/**" * 80]
+)
+def test_long_names_are_compared_without_end_of_stack_or_time(name: str) -> None:
+    chosen = TopicFilter(TopicSelection(topics=("*/imu", "*a*b*/x", "**/r2")))
+
+    assert not chosen.accepts(name + "/y")

@@ -132,6 +132,8 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     viewer_port: int = 0
     recording: str = ""
     """File or folder of a recording of all topics; empty = none."""
+    keeps_inputs: bool = False
+    """Whether the server keeps all inputs from the start, as it does for a recording."""
     is_verbose: bool = False
     """Whether the server logs at level INFO."""
 
@@ -278,6 +280,7 @@ def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
         "--allow-missing": config.allow_missing,
         "--lockstep": config.is_lockstep,
         "--paused": config.is_paused,
+        "--input-log": config.keeps_inputs or bool(config.recording),
         "--verbose": config.is_verbose,
         "--secure": config.is_secure,
         "--client-certificates": config.uses_certificates,

@@ -6,7 +6,6 @@ from typing import Any
 from zensim.api.api_errors import Error, Invalid
 from zensim.api.argument_checks import MAX_NUMBER, check_limits, check_range, make_numbers
 from zensim.api.entity_values import RobotPose, RobotTwist, SpawnReport
-from zensim.api.path_following import PathController
 from zensim.api.topic import Topic, TopicCallback
 from zensim.api.world_access import api_errors
 from zensim.api.world_session import RELEASED, WorldSession
@@ -14,6 +13,7 @@ from zensim.api.world_state import POSE
 from zensim.proto.messages.drive_messages import name_drive
 from zensim.proto.messages.entity_messages import EntityState
 from zensim.proto.messages.standard_messages import JointState, Odometry
+from zensim.proto.path_following import PathController
 from zensim.spawner.spawn.spawn_poses import make_pose
 
 MIN_SPEED = 1e-6

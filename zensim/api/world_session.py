@@ -13,7 +13,6 @@ import numpy as np
 
 from zensim.api.api_errors import Closed, ConnectionLost, Invalid, NotFound, Timeout, Unsupported
 from zensim.api.entity_values import RobotPose
-from zensim.api.path_following import PathController
 from zensim.api.topic import Topic, TopicDispatcher
 from zensim.api.world_access import Message, WorldAccess, api_errors
 from zensim.api.world_state import POSE, FloatArray, WorldState
@@ -22,6 +21,7 @@ from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.sensor_messages import CameraSensor, Environment, RaySensor
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import PROTOCOL, Info
+from zensim.proto.path_following import PathController
 from zensim.proto.topic_catalog import (
     CMD_VEL,
     JOINT_COMMANDS,
@@ -327,7 +327,10 @@ class WorldSession:
         state, names, twists = self.state(), list[str](), list[tuple[float, float, float]]()
         for name, control in list(self._paths.items()):
             row = state.row.get(name)
-            found = row is not None and control.control(RobotPose(*state.base[row, POSE].tolist()))
+            found = None
+            if row is not None:
+                pose = RobotPose(*state.base[row, POSE].tolist())
+                found = control.control(pose.x, pose.y, pose.yaw)
             v, w = found or (0.0, 0.0)
             if not found:
                 self._paths.pop(name, None)

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from hashlib import sha256
 from types import MappingProxyType
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy.typing as npt
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import Snapshot
+from zensim.proto.state_hash import hash_states
 
 FloatArray = npt.NDArray[np.float64]
 POSE, LINEAR, ANGULAR = slice(0, 7), slice(7, 10), slice(10, 13)
@@ -57,8 +57,8 @@ class WorldState:
     def digest(self) -> str:
         """Hash of time, names, poses, velocities and joint positions, as hexadecimal digits."""
         snapshot = self.snapshot
-        parts = (snapshot.time_ns.to_bytes(8, "little"), "\0".join(snapshot.names).encode())
-        return sha256(b"\0".join((*parts, snapshot.base, snapshot.joint_positions))).hexdigest()
+        states = snapshot.base, snapshot.joint_positions
+        return hash_states(snapshot.time_ns, snapshot.names, *states)
 
 
 def make_world_state(snapshot: Snapshot, before: WorldState | None = None) -> WorldState:

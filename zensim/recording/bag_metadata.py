@@ -24,6 +24,11 @@ class PartFacts(msgspec.Struct, frozen=True, kw_only=True):
         """Number of messages."""
         return sum(self.topics.values())
 
+    @property
+    def duration_ns(self) -> int:
+        """Log time from the first to the last message [ns]."""
+        return self.span_ns[1] - self.span_ns[0]
+
 
 def write_bag_metadata(parts: Sequence[PartFacts]) -> str:
     """Write the metadata of the files of a recording, in their order."""

@@ -12,15 +12,22 @@ else:
 LEVEL: Final = 1
 """As fast as LZ4, and a third smaller; the default level takes up to 1.7 times the time."""
 PIECE_BYTES: Final = 1 << 20
+MAX_CHUNK_BYTES: Final = 256 << 20
+"""Of the records of a chunk: a megabyte of Zstandard can hold 30 GB."""
 
 
 class DamagedChunk(ValueError):
     """The bytes of a chunk are not what was written."""
 
 
-def compress(content: bytes | bytearray) -> bytes:
-    """Compress the records of a chunk."""
-    compressed: bytes = zstd.compress(content, LEVEL)
+def compress(content: bytes | bytearray, level: int = LEVEL) -> bytes:
+    """Compress the records of a chunk.
+
+    Args:
+        content: Records.
+        level: Of Zstandard, 1 (fast) to 22 (small).
+    """
+    compressed: bytes = zstd.compress(content, level)
     return compressed
 
 
@@ -28,16 +35,19 @@ def decompress(compressed: bytes, compression: str, size: int) -> bytes:
     """Decompress the records of a chunk that has this size [bytes].
 
     Raises:
-        DamagedChunk: It has another size, or is damaged.
+        DamagedChunk: It has another size or more than `MAX_CHUNK_BYTES`, or is damaged.
         ValueError: The compression is not supported.
     """
     if not compression:
         return compressed
-    if compression != "zstd":
+    if compression == "lz4":
         raise ValueError(
-            f"chunks are compressed by {compression[:20]!r}; convert the file by "
-            "'mcap compress --compression zstd'"
+            "chunks are compressed by 'lz4'; convert the file by 'mcap compress --compression zstd'"
         )
+    if compression != "zstd":  # MCAP has no other
+        raise DamagedChunk(f"compression {compression[:20]!r} is not known")
+    if size > MAX_CHUNK_BYTES:
+        raise DamagedChunk(f"the chunk claims {size} bytes; at most are {MAX_CHUNK_BYTES}")
     try:
         content: bytes = zstd.ZstdDecompressor().decompress(compressed, size + 1)
     except zstd.ZstdError as error:

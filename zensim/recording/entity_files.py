@@ -1,4 +1,4 @@
-"""The files of a world for a recording: world file, descriptions of entities, meshes."""
+"""The files of a world for a recording: world file, models and descriptions of entities, meshes."""
 
 import hashlib
 import re
@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
+
+import msgspec
 
 from zensim.proto.bus import Bus, BusError
 from zensim.proto.cli_options import SHIPPED
@@ -22,13 +24,17 @@ from zensim.recording.mcap_records import AttachedFile
 SHA256: Final = re.compile("[0-9a-f]{64}")
 FAILURES: Final = (BusError, ServiceError, TimeoutError, MalformedPayload)
 TIMEOUT_S: Final = 2.0
-"""Messages wait meanwhile, and would be lost after some seconds."""
+"""Messages wait in the subscriptions meanwhile; those beyond their depth are lost."""
 MESHES_S: Final = 0.1
 WORLD_FILE: Final = "world.sdf"
+MODELS_FOLDER: Final = "models/"
+"""Of models and their entities, by the roster of `Snapshot`; see `GetModelsResponse`."""
+MESHES_FOLDER: Final = "meshes/"
+"""Of meshes and textures, by their sha256."""
 
 
 class EntityFiles:
-    """Attaches each file once; a server that does not reply is asked again at the next arrival."""
+    """Attaches each file once; after a failure, all but meshes are requested again later."""
 
     def __init__(self, bus: Bus, world: str, attach: Callable[[AttachedFile], None]) -> None:
         self._bus = bus
@@ -65,6 +71,9 @@ class EntityFiles:
             content = one.encode()
             digest = hashlib.sha256(content).hexdigest()
             self._attach_once(f"descriptions/{digest[:16]}.xml", "application/xml", content)
+        models = msgspec.structs.replace(found, descriptions=())
+        name = f"{MODELS_FOLDER}{found.roster}.json"
+        self._attach_once(name, "application/json", msgspec.json.encode(models))
         for mesh in list_meshes(found.models):
             if mesh not in self._known:
                 self._known.add(mesh)
@@ -78,7 +87,7 @@ class EntityFiles:
             content += part.data
             if not part.data or len(content) >= part.total:
                 break
-        self._attach_once(f"meshes/{sha256}", "application/octet-stream", content)
+        self._attach_once(f"{MESHES_FOLDER}{sha256}", "application/octet-stream", content)
 
     def _attach_once(self, name: str, media_type: str, content: bytes) -> None:
         digest = f"{name} {hashlib.sha256(content).hexdigest()}"
@@ -104,9 +113,9 @@ def read_world_file(world: WorldResource) -> str:
 
 
 def list_meshes(models: Iterable[Model]) -> Iterator[str]:
-    """List the meshes of models, by their sha256."""
-    for model in models:
-        for link in model.links:
-            for shape in (*link.collisions, *link.visuals):
-                if SHA256.fullmatch(shape.mesh):
-                    yield shape.mesh
+    """List the meshes and textures of models, by their sha256."""
+    links = (link for model in models for link in model.links)
+    for shape in (shape for link in links for shape in (*link.collisions, *link.visuals)):
+        texture = shape.texture
+        names = (shape.mesh, *((texture.image, texture.coordinates) if texture else ()))
+        yield from (name for name in names if SHA256.fullmatch(name))

@@ -168,7 +168,7 @@ def write_attachment(attachment: AttachedFile) -> bytes:
 
 
 def write_metadata(metadata: Metadata) -> bytes:
-    """Write metadata."""
+    """Write named texts."""
     return write_record(Opcode.METADATA, write_text(metadata.name) + write_texts(metadata.texts))
 
 
@@ -221,7 +221,7 @@ def read_schema(body: bytes) -> Schema:
     """Read a schema.
 
     Raises:
-        MalformedRecord: See there.
+        MalformedRecord: A field does not end within the record.
     """
     fields = FieldReader(body)
     (number,) = fields.numbers(struct.Struct("<H"))
@@ -232,7 +232,7 @@ def read_channel(body: bytes) -> Channel:
     """Read a channel.
 
     Raises:
-        MalformedRecord: See there.
+        MalformedRecord: A field does not end within the record.
     """
     fields = FieldReader(body)
     number, schema = fields.numbers(struct.Struct("<HH"))
@@ -243,7 +243,7 @@ def read_chunk(body: bytes) -> Chunk:
     """Read a chunk, without a check of its content.
 
     Raises:
-        MalformedRecord: See there.
+        MalformedRecord: A field does not end within the record, or bytes follow the content.
     """
     fields = FieldReader(body)
     start_ns, end_ns, size, crc, name_length = fields.numbers(CHUNK_HEAD)
@@ -258,7 +258,7 @@ def read_attachment(body: bytes) -> AttachedFile:
     """Read an attachment, and check its content.
 
     Raises:
-        MalformedRecord: See there, or the checksum is wrong.
+        MalformedRecord: A field does not end within the record, or the checksum is wrong.
     """
     fields = FieldReader(body)
     log_ns, create_ns = fields.numbers(TIMES)
@@ -271,10 +271,10 @@ def read_attachment(body: bytes) -> AttachedFile:
 
 
 def read_metadata(body: bytes) -> Metadata:
-    """Read metadata.
+    """Read named texts.
 
     Raises:
-        MalformedRecord: See there.
+        MalformedRecord: A field does not end within the record.
     """
     fields = FieldReader(body)
     return Metadata(fields.text(), fields.texts())

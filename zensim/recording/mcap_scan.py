@@ -70,10 +70,24 @@ class ScanReport(msgspec.Struct):
     """Number of places where bytes were skipped."""
     skipped_bytes: int = 0
     cut_bytes: int = 0
-    """Of the last record, which is not whole."""
+    """Bytes after the last whole record."""
+
+
+class ScannedPlace(msgspec.Struct, frozen=True):
+    """A record and the bytes of the file that it takes."""
+
+    at: int
+    """Offset of its first byte."""
+    end: int
+    found: Scanned
 
 
 def scan_file(path: Path, report: ScanReport) -> Iterator[Scanned]:
+    """Read the records as `scan_places` does, without their places."""
+    return (one.found for one in scan_places(path, report))
+
+
+def scan_places(path: Path, report: ScanReport) -> Iterator[ScannedPlace]:
     """Read the records up to the end of the data; skip what is damaged.
 
     Args:
@@ -98,7 +112,7 @@ class _Scan:
         self._size = size
         self._report = report
 
-    def run(self) -> Iterator[Scanned]:
+    def run(self) -> Iterator[ScannedPlace]:
         at = len(MAGIC)
         while at < self._size:
             opcode, length = self._read_head(at)
@@ -113,7 +127,7 @@ class _Scan:
             follows = end <= self._size and self._is_start(end)
             if is_good and (follows or isinstance(found, OpenChunk)):
                 if found is not None:
-                    yield found
+                    yield ScannedPlace(at, end, found)
                 at = end if follows else self._find_chunk(end)
             elif opcode is not None and follows:
                 self._skip(end - at)
@@ -158,7 +172,7 @@ class _Scan:
         return bool(length == found.end() - RECORD_HEAD.size + content)
 
     def _read_record(self, opcode: Opcode, at: int, length: int) -> tuple[Scanned | None, bool]:
-        """Read a record; say whether it is undamaged, as far as that can be known."""
+        """Read a record; return whether it is undamaged, as far as its checksum can show."""
         if opcode is Opcode.CHUNK and not self._has_lengths(at - RECORD_HEAD.size, length):
             return None, False
         if opcode is Opcode.MESSAGE_INDEX:
@@ -221,13 +235,16 @@ PARSERS: Final[dict[Opcode, Callable[[bytes], Scanned]]] = {
 }
 
 
-def read_definitions(records: bytes) -> Iterator[Schema | Channel]:
-    """Read the schemas and channels in a chunk."""
+def read_definitions(records: bytes) -> Iterator[Schema | Channel | None]:
+    """Read the schemas and channels in a chunk; None for each that is damaged."""
     for opcode, start, end in _walk(records):
-        if opcode == Opcode.SCHEMA:
-            yield read_schema(records[start:end])
-        elif opcode == Opcode.CHANNEL:
-            yield read_channel(records[start:end])
+        try:
+            if opcode == Opcode.SCHEMA:
+                yield read_schema(records[start:end])
+            elif opcode == Opcode.CHANNEL:
+                yield read_channel(records[start:end])
+        except MalformedRecord:  # noqa: PERF203  the others are whole
+            yield None
 
 
 def read_messages(records: bytes) -> Iterator[tuple[int, ScannedMessage]]:

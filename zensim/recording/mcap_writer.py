@@ -7,7 +7,7 @@ from typing import Final, Protocol
 
 import msgspec
 
-from zensim.recording.chunk_compression import CompressedLog, compress
+from zensim.recording.chunk_compression import LEVEL, CompressedLog, compress
 from zensim.recording.mcap_records import (
     FOOTER,
     LENGTH,
@@ -79,6 +79,18 @@ class ChunkIndex(msgspec.Struct):
         found += (log_ns, offset)
 
 
+class ChunkSettings(msgspec.Struct, frozen=True):
+    """Size and compression of chunks."""
+
+    size: int = CHUNK_BYTES
+    """At least, before compression."""
+    level: int = LEVEL
+    """Of Zstandard; 0 = no compression."""
+
+
+DEFAULT_CHUNKS: Final = ChunkSettings()
+
+
 class McapWriter:
     """Writes messages; what a failed write should have held counts as not written.
 
@@ -86,13 +98,17 @@ class McapWriter:
     that chunk does not take it away, and in the chunk, whose checksum covers it.
     """
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: Sink, chunks: ChunkSettings = DEFAULT_CHUNKS) -> None:
         """Write the start of the file.
+
+        Args:
+            sink: The file.
+            chunks: How chunks are written.
 
         Raises:
             OSError: The file cannot be written.
         """
-        self._sink = sink
+        self._sink, self._settings = sink, chunks
         self._new: list[Schema | Channel] = []
         self._unwritten: list[Schema | Channel] = []
         self._written: list[Schema | Channel] = []
@@ -143,7 +159,7 @@ class McapWriter:
         length = MESSAGE_FIELDS_BYTES + len(payload)
         content += MESSAGE_HEAD.pack(Opcode.MESSAGE, length, channel, 0, log_ns, publish_ns)
         content += payload
-        if len(content) >= CHUNK_BYTES:
+        if len(content) >= self._settings.size:
             self.flush()
 
     def flush(self) -> None:
@@ -154,15 +170,15 @@ class McapWriter:
         """
         if not self._index.positions:
             return
-        content, index = bytes(self._content), self._index
+        content, index, level = bytes(self._content), self._index, self._settings.level
         self._content, self._index = bytearray(), ChunkIndex()
         chunk = Chunk(
             index.start_ns,
             index.end_ns,
             len(content),
             zlib.crc32(content),
-            "zstd",
-            compress(content),
+            "zstd" if level else "",
+            compress(content, level) if level else content,
         )
         self.write_chunk(chunk, index)
 

@@ -10,7 +10,7 @@ RESERVE_STEP_BYTES: Final = 1 << 20
 
 
 def find_reserve(path: Path) -> Path:
-    """Find the file whose space is kept for the end of a file; it is left by `kill -9`."""
+    """Find the file whose space is kept for the end of a file; it remains after `kill -9`."""
     return path.with_name(f".{path.name}.reserve")
 
 

@@ -1,5 +1,6 @@
 """Samples of the network as messages of a recording: topic, type, QoS, CDR bytes."""
 
+import re
 from collections.abc import Callable
 from typing import Final
 
@@ -14,9 +15,15 @@ from zensim.proto.codec.message_codec import (
     detect_format,
     encode,
     parse_schema_name,
-    supports_format,
 )
-from zensim.proto.messages.standard_messages import Clock, String, Twist, TwistStamped
+from zensim.proto.message_times import StampReader, make_stamp_reader, make_step_reader
+from zensim.proto.messages.standard_messages import (
+    Clock,
+    String,
+    Twist,
+    TwistStamped,
+    UInt8MultiArray,
+)
 from zensim.proto.network_protocols import Sample
 from zensim.proto.ros2.liveliness_tokens import (
     RELIABLE_10,
@@ -25,16 +32,21 @@ from zensim.proto.ros2.liveliness_tokens import (
     RMW_LIVELINESS,
     RMW_RELIABILITY,
     Qos,
+    Word,
 )
+from zensim.proto.ros2.message_definitions import write_definition
 from zensim.proto.ros2.type_hash import hash_type
-from zensim.proto.schema import list_messages
-from zensim.proto.topic_catalog import CLOCK, CMD_VEL, MAP
-from zensim.recording.message_times import StampReader, make_stamp_reader
-from zensim.recording.topic_selection import CLOCK_TOPIC, ROSTER_TOPICS, find_robot_topic
+from zensim.proto.schema import list_cdr_types
+from zensim.proto.topic_catalog import CLOCK, CMD_VEL, EVENTS, INPUTS, MAP, find_robot_topic
+from zensim.recording.topic_selection import CLOCK_TOPIC, ROSTER_TOPICS
 
+QOS_FIELD: Final = re.compile(r"\b(reliability|durability|history|depth): *([a-z_]+|[0-9]{1,9})")
 ToCdr = Callable[[Sample], bytes]
 SPAN_PARTS: Final = (9223372036, 854775807)
 """Seconds and nanoseconds of an infinite time, as rmw writes it."""
+QOS_METADATA: Final = "offered_qos_profiles"
+HASH_METADATA: Final = "topic_type_hash"
+"""Names of what ROS 2 keeps with a channel."""
 
 
 class RecordedTopic(msgspec.Struct, frozen=True, eq=False):
@@ -48,6 +60,21 @@ class RecordedTopic(msgspec.Struct, frozen=True, eq=False):
     is_latched: bool = False
 
     @property
+    def encoding(self) -> str:
+        """Of messages."""
+        return "cdr"
+
+    @property
+    def schema_encoding(self) -> str:
+        """Of the definition of the type."""
+        return "ros2msg"
+
+    @property
+    def schema(self) -> bytes:
+        """Definition of the type."""
+        return write_definition(self.kind).encode()
+
+    @property
     def ros_type(self) -> str:
         """`pkg/msg/Name`."""
         return str(vars(find_ros_class(self.kind))["ros_type"])
@@ -55,8 +82,8 @@ class RecordedTopic(msgspec.Struct, frozen=True, eq=False):
     def metadata(self) -> dict[str, str]:
         """Write what ROS 2 keeps with a channel: QoS and type hash."""
         return {
-            "offered_qos_profiles": write_qos_profiles(self.qos),
-            "topic_type_hash": hash_type(self.kind),
+            QOS_METADATA: write_qos_profiles(self.qos),
+            HASH_METADATA: hash_type(self.kind),
         }
 
 
@@ -80,15 +107,30 @@ def write_qos_profiles(qos: Qos) -> str:
     )
 
 
-def _list_kinds() -> dict[str, type[msgspec.Struct]]:
-    return {
-        kind.ros_type: kind
-        for kind in list_messages().values()
-        if hasattr(kind, "ros_type") and supports_format(kind, Format.CDR)
-    }
+def read_qos_profile(text: str) -> Qos:
+    """Read reliability, durability, history and depth of the first profile in a text of YAML.
+
+    Numbers are those of rmw; newer distributions write words. What is missing is as `RELIABLE_10`.
+    """
+    found: dict[str, str] = {}
+    for name, value in QOS_FIELD.findall(text):
+        found.setdefault(name, value)
+    depth = found.get("depth", "")
+    return Qos(
+        reliability=_find_policy(RMW_RELIABILITY, found.get("reliability", ""), "reliable"),
+        durability=_find_policy(RMW_DURABILITY, found.get("durability", ""), "volatile"),
+        history=_find_policy(RMW_HISTORY, found.get("history", ""), "keep_last"),
+        depth=int(depth) if depth.isdecimal() else RELIABLE_10.depth,
+    )
 
 
-KIND_OF_TYPE: Final = _list_kinds()
+def _find_policy(numbers: dict[Word, int], written: str, default: Word) -> Word:
+    return next(
+        (word for word, number in numbers.items() if written in (word, str(number))), default
+    )
+
+
+KIND_OF_TYPE: Final = list_cdr_types()
 
 
 def make_clock_topic() -> RecordedTopic:
@@ -96,18 +138,23 @@ def make_clock_topic() -> RecordedTopic:
     return RecordedTopic(CLOCK_TOPIC, Clock, CLOCK.qos, make_stamp_reader(Clock), _encode_clock)
 
 
-def make_topic(sample: Sample, world: str) -> RecordedTopic | None:
+def make_topic(sample: Sample, world: str, step_ns: int = 0) -> RecordedTopic | None:
     """Make the topic of a sample; None if its type is not known.
 
     Args:
         sample: With a plain key.
         world: Name of the world.
+        step_ns: Physics step, of which events name the number; 0 = unknown.
     """
     name = f"/{sample.key}"
     for spec in ROSTER_TOPICS:
         if sample.key == spec.key(world):
             convert = _make_text_writer(spec.messages[0])
-            return RecordedTopic(name, String, spec.qos, make_stamp_reader(String), convert)
+            read_stamp = make_step_reader(step_ns) if spec is EVENTS else make_stamp_reader(String)
+            return RecordedTopic(name, String, spec.qos, read_stamp, convert)
+    if sample.key == INPUTS.key(world):
+        read_stamp = make_stamp_reader(UInt8MultiArray)
+        return RecordedTopic(name, UInt8MultiArray, INPUTS.qos, read_stamp, _wrap_bytes)
     if (kind := _find_kind(sample)) is None:
         return None
     known = MAP if sample.key == MAP.suffix else find_robot_topic(sample.key)
@@ -145,6 +192,11 @@ def _make_text_writer(kind: type[msgspec.Struct]) -> ToCdr:
     return to_cdr
 
 
+def _wrap_bytes(sample: Sample) -> bytes:
+    """Keep the bytes of a message that is not CDR as they came."""
+    return encode(UInt8MultiArray(data=sample.payload), Format.CDR)
+
+
 def _encode_clock(sample: Sample) -> bytes:
     return encode(Clock(decode(Clock, sample.payload, sample.encoding).clock), Format.CDR)
 
@@ -152,8 +204,9 @@ def _encode_clock(sample: Sample) -> bytes:
 class TopicTable:
     """The topic of each key and encoding; looked up for each message."""
 
-    def __init__(self, world: str, accepts: Callable[[str], bool]) -> None:
+    def __init__(self, world: str, accepts: Callable[[str], bool], step_ns: int = 0) -> None:
         self._world = world
+        self._step_ns = step_ns
         self._accepts = accepts
         self._topics: dict[tuple[str, str], RecordedTopic | None] = {}
         self._kinds: dict[str, type[msgspec.Struct]] = {}
@@ -173,7 +226,7 @@ class TopicTable:
         if not self._accepts(f"/{sample.key}"):
             return None
         try:
-            topic = make_topic(sample, self._world)
+            topic = make_topic(sample, self._world, self._step_ns)
         except MalformedPayload:
             topic = None
         if topic is not None and self._kinds.setdefault(topic.name, topic.kind) is topic.kind:

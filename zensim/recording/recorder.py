@@ -7,30 +7,39 @@ from typing import Final, Literal, Protocol
 
 import msgspec
 
-from zensim.proto.bus import Bus, BusSubscription
+from zensim.proto.bus import Bus, NewestSubscription
 from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.message_times import choose_time, count_missing
 from zensim.proto.messages.standard_messages import ns_from_time
 from zensim.proto.messages.telemetry_messages import Event, WorldClock
-from zensim.proto.network_protocols import Sample
+from zensim.proto.network_protocols import Sample, Subscription
 from zensim.proto.ros2.liveliness_tokens import TOKEN_SPACE, parse_endpoint_token
 from zensim.proto.topic_catalog import CLOCK, EVENTS
 from zensim.proto.topic_endpoints import to_plain_sample
-from zensim.recording.message_times import choose_time
-from zensim.recording.recorded_topics import RecordedMessage, TopicTable, make_clock_topic
+from zensim.recording.recorded_topics import (
+    RecordedMessage,
+    RecordedTopic,
+    TopicTable,
+    make_clock_topic,
+)
 from zensim.recording.topic_selection import (
     ANY_ROS_TYPE,
     CLOCK_TOPIC,
     TopicFilter,
     list_keys,
+    list_paced_topics,
     list_ros_keys,
 )
 
-RING_DEPTH: Final = 32_768
-"""Messages of one key expression between two takes; a longer queue takes more memory."""
+RING_DEPTH: Final = 16_384
+"""Messages of one key expression between two takes: 0.3 s of a thousand robots. A longer queue
+takes more memory, as each of its places is used in turn."""
 EVENTS_DEPTH: Final = 1024
 CLOCK_TIMEOUT_S: Final = 2.0
 LATCHED_TIMEOUT_S: Final = 0.5
 LATCHED_SUFFIXES: Final = ("tf_static", "robot_description", "map")
+PAUSED_PERIOD_S: Final = 1.0
+"""Wall time after which thinned messages are taken while the clock stands still."""
 
 ARRIVALS: Final = ("spawned", "loaded")
 
@@ -41,13 +50,13 @@ class MessageSink(Protocol):
     """Where messages go."""
 
     def put(self, batch: list[RecordedMessage]) -> None:
-        """Take messages over, in the order of their arrival."""
+        """Take messages, in the order of their arrival."""
 
     def start_part(self, log_ns: int, publish_ns: int) -> None:
         """Begin a new file, as time was reset."""
 
     def note_event(self, event: Event) -> None:
-        """Learn what happened in the world."""
+        """Take an event of the world."""
 
 
 class RecorderSettings(msgspec.Struct, frozen=True, kw_only=True):
@@ -58,6 +67,32 @@ class RecorderSettings(msgspec.Struct, frozen=True, kw_only=True):
     """Of ROS 2; None = only plain keys."""
     time_base: TimeBase = "simulation"
     """Of log times."""
+    period_ns: int = 0
+    """Simulation time in which the newest message of each topic is kept; 0 = all are."""
+    step_ns: int = 0
+    """Physics step, of which events name the number."""
+    is_reproducible: bool = False
+    """Whether times are simulation times only, and what depends on the host is left out."""
+
+
+class RecordedKeys(msgspec.Struct, frozen=True, eq=False):
+    """Subscription on a key expression."""
+
+    subscription: Subscription | NewestSubscription
+    is_of_ros: bool
+
+    def take(self, *, is_due: bool) -> list[Sample]:
+        """Take the messages; thinned ones only at the end of a period."""
+        if isinstance(self.subscription, NewestSubscription) and not is_due:
+            self.subscription.collect()
+            return []
+        samples = self.subscription.take()
+        return [*map(to_plain_sample, samples)] if self.is_of_ros else samples
+
+    def is_overflown(self, samples: list[Sample]) -> bool:
+        """Whether messages were lost before they were taken."""
+        is_thinned = isinstance(self.subscription, NewestSubscription)
+        return len(samples) >= RING_DEPTH and not is_thinned
 
 
 class Recorder:
@@ -72,8 +107,10 @@ class Recorder:
             TimeoutError: No server of the world is running.
         """
         self._bus, self._chosen, self._settings, self._sink = bus, chosen, settings, sink
-        self._table = TopicTable(settings.world, chosen.accepts)
-        self._clock_topic = make_clock_topic() if chosen.accepts(CLOCK_TOPIC) else None
+        # How many of them are published depends on the host.
+        self._left_out = list_paced_topics(settings.world) if settings.is_reproducible else ()
+        self._table = TopicTable(settings.world, self._accepts, settings.step_ns)
+        self._clock_topic = make_clock_topic() if self._accepts(CLOCK_TOPIC) else None
         self._clock = bus.subscribe(CLOCK.key(settings.world), EVENTS_DEPTH)
         self._events = bus.subscribe(EVENTS.key(settings.world), EVENTS_DEPTH)
         self._keys = list_keys(chosen, settings.world, settings.domain)
@@ -82,13 +119,18 @@ class Recorder:
         tokens = f"{TOKEN_SPACE}/{settings.domain}/**"
         self._tokens = bus.watch_tokens(tokens) if watches else None
         self._now_ns, self._epoch = self._read_first_clock()
+        self._period = 0
+        self._taken_ns, self._taken_s = 0, 0.0
         self.received = 0
         """Messages that were handed over."""
         self._has_arrivals = True
+        self._last_ns: dict[RecordedTopic, int] = {}
         self.malformed = 0
         """Messages that are left out, since they do not encode their type."""
         self.overflows = 0
         """How often messages arrived faster than they were taken, so that some were lost."""
+        self.missing = 0
+        """About how many were lost then, by the gaps between stamps."""
         self._record_latched()
 
     @property
@@ -96,17 +138,24 @@ class Recorder:
         """Topics that are left out, since their type is not known."""
         return tuple(sorted(self._table.unknown))
 
-    def take(self) -> None:
-        """Hand over all messages that arrived since the last call."""
+    @property
+    def now_ns(self) -> int:
+        """Newest time of the world's clock."""
+        return self._now_ns
+
+    def take(self, *, is_last: bool = False) -> None:
+        """Hand over all messages that arrived since the last call.
+
+        Args:
+            is_last: Whether thinned messages are handed over before their period ends.
+        """
         received_ns = time.time_ns()
         self._take_events()
-        batch = self._take_clock(received_ns)
-        for subscription, is_of_ros in self._subscriptions:
-            samples = subscription.take()
-            self.overflows += len(samples) >= RING_DEPTH
-            plain = map(to_plain_sample, samples) if is_of_ros else samples
-            self._convert(plain, received_ns, batch)
-        self._hand_over(batch)
+        clock = self._take_clock(received_ns)
+        is_due = self._is_period_over() or is_last
+        if self._settings.period_ns:
+            clock = clock[-1:] if is_due else []
+        self._take_samples(received_ns, clock, is_due=is_due)
         self._subscribe_to_announced()
 
     def take_arrivals(self) -> bool:
@@ -116,10 +165,45 @@ class Recorder:
 
     def close(self) -> None:
         """End the subscriptions."""
-        for one in (self._clock, self._events, *(one for one, _ in self._subscriptions)):
+        for one in (self._clock, self._events, *(one.subscription for one in self._subscriptions)):
             one.close()
         if self._tokens is not None:
             self._tokens.close()
+
+    def _accepts(self, topic: str) -> bool:
+        return self._chosen.accepts(topic) and topic not in self._left_out
+
+    def _is_period_over(self) -> bool:
+        """Whether the clock has passed the end of a period; always, if there is none."""
+        period_ns = self._settings.period_ns
+        if not period_ns:
+            return True
+        period, now_s = self._now_ns // period_ns, time.monotonic()
+        is_paused = self._now_ns == self._taken_ns and now_s >= self._taken_s + PAUSED_PERIOD_S
+        is_over = period != self._period or is_paused
+        if is_over:
+            self._period, self._taken_ns, self._taken_s = period, self._now_ns, now_s
+        return is_over
+
+    def _take_samples(
+        self, received_ns: int, batch: list[RecordedMessage], *, is_due: bool
+    ) -> None:
+        """Append what was received to a batch, and hand it over."""
+        for one in self._subscriptions:
+            samples = one.take(is_due=is_due)
+            start = len(batch)
+            self._convert(samples, received_ns, batch)
+            if one.is_overflown(samples):
+                self.overflows += 1
+                self.missing += self._count_missing(batch[start:])
+        self._last_ns.update({topic: log_ns for topic, log_ns, _, _ in batch})
+        self._hand_over(batch)
+
+    def _count_missing(self, batch: Iterable[RecordedMessage]) -> int:
+        times: dict[RecordedTopic, list[int]] = {}
+        for topic, log_ns, _, _ in batch:
+            times.setdefault(topic, []).append(log_ns)
+        return sum(count_missing(self._last_ns.get(topic), one) for topic, one in times.items())
 
     def _hand_over(self, batch: list[RecordedMessage]) -> None:
         self.received += len(batch)
@@ -129,7 +213,6 @@ class Recorder:
         self, samples: Iterable[Sample], received_ns: int, batch: list[RecordedMessage]
     ) -> None:
         """Append the messages of the selected topics."""
-        is_wall = self._settings.time_base == "wall"
         for sample in samples:
             topic = self._table.find(sample)
             if topic is None:
@@ -139,13 +222,20 @@ class Recorder:
             except MalformedPayload:
                 self.malformed += 1
                 continue
-            if is_wall:
-                log_ns = received_ns
-            else:
-                # A latched message may be from long ago.
-                stamp = None if topic.is_latched else topic.read_stamp(payload)
-                log_ns = choose_time(stamp, self._now_ns)
-            batch.append((topic, log_ns, received_ns, payload))
+            batch.append((topic, *self._choose_times(topic, payload, received_ns), payload))
+
+    def _choose_times(
+        self, topic: RecordedTopic, payload: bytes, received_ns: int
+    ) -> tuple[int, int]:
+        """Choose log and publish time [ns]."""
+        settings = self._settings
+        if settings.time_base == "wall":
+            return received_ns, received_ns
+        if topic.is_latched:
+            # It may be from long ago, and it arrives at any time.
+            return (0, 0) if settings.is_reproducible else (max(0, self._now_ns), received_ns)
+        log_ns = choose_time(topic.read_stamp(payload), self._now_ns)
+        return log_ns, log_ns if settings.is_reproducible else received_ns
 
     def _take_clock(self, received_ns: int) -> list[RecordedMessage]:
         """Read the clock; return its messages, if they are recorded."""
@@ -155,13 +245,17 @@ class Recorder:
                 clock = decode(WorldClock, sample.payload, sample.encoding)
             except MalformedPayload:
                 continue
-            self._now_ns = max(0, ns_from_time(clock.clock))
-            log_ns = received_ns if self._settings.time_base == "wall" else self._now_ns
+            now_ns = max(0, ns_from_time(clock.clock))
+            log_ns = received_ns if self._settings.time_base == "wall" else now_ns
             if clock.epoch != self._epoch:
-                self._epoch = clock.epoch
-                self._hand_over(batch)
+                # What has arrived is of the time before.
+                self._take_samples(received_ns, batch, is_due=True)
                 batch = []
-                self._sink.start_part(log_ns, received_ns)
+                self._epoch = clock.epoch
+                self._last_ns.clear()
+                publish_ns = log_ns if self._settings.is_reproducible else received_ns
+                self._sink.start_part(log_ns, publish_ns)
+            self._now_ns = now_ns
             if self._clock_topic is not None:
                 topic = self._clock_topic
                 batch.append((topic, log_ns, received_ns, topic.to_cdr(sample)))
@@ -206,11 +300,24 @@ class Recorder:
             self._keys.append(key)
             self._subscriptions.append(self._subscribe(key))
 
-    def _subscribe(self, key: str) -> tuple[BusSubscription, bool]:
-        """Subscribe; say whether it is a key of ROS 2."""
-        return self._bus.subscribe(key, RING_DEPTH), key.endswith(f"/{ANY_ROS_TYPE}")
+    def _subscribe(self, key: str) -> RecordedKeys:
+        is_of_ros = key.endswith(f"/{ANY_ROS_TYPE}")
+        if self._settings.period_ns and not keeps_all(key):
+            found = self._bus.subscribe_newest(key, RING_DEPTH, keeps_all)
+            return RecordedKeys(found, is_of_ros)
+        return RecordedKeys(self._bus.subscribe(key, RING_DEPTH), is_of_ros)
 
 
 def is_of_robot(sample: Sample) -> bool:
     """Whether a reply is from a topic of a robot, or of the root."""
     return not sample.key.startswith("sim/") and "*" not in sample.key
+
+
+def is_latched(key: str) -> bool:
+    """Whether late subscribers of a key get the last message."""
+    return any(f"/{suffix}/" in f"/{key}/" for suffix in LATCHED_SUFFIXES)
+
+
+def keeps_all(key: str) -> bool:
+    """Whether a key is never thinned: what the server publishes, and latched messages."""
+    return key.startswith("sim/") or is_latched(key)

@@ -1,23 +1,36 @@
 """The files of a recording: a new one by size, by time or at a reset, each whole in itself."""
 
+import errno
 import shutil
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Final
+from typing import Final, Generic
 
 import msgspec
 
+from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.recording.bag_metadata import PartFacts, write_bag_metadata
 from zensim.recording.latched_messages import LatchedMessages
-from zensim.recording.mcap_records import AttachedFile, Channel, Metadata, Schema
-from zensim.recording.mcap_writer import McapWriter
-from zensim.recording.message_definitions import write_definition
+from zensim.recording.mcap_records import (
+    RECORD_HEAD,
+    AttachedFile,
+    Channel,
+    Metadata,
+    Schema,
+    read_attachment,
+)
+from zensim.recording.mcap_writer import DEFAULT_CHUNKS, ChunkSettings, McapWriter
 from zensim.recording.output_file import OutputFile
-from zensim.recording.recorded_topics import RecordedMessage, RecordedTopic
+from zensim.recording.recorded_topics import QOS_METADATA
+from zensim.recording.written_topics import Topic, WrittenTopic
 
 FLUSH_PERIOD_S: Final = 0.5
+FLUSH_PERIOD_NS: Final = NANOSECONDS // 2
+"""Log time after which a chunk is written, where files of equal runs have to be equal."""
 SUFFIX: Final = ".mcap"
-ENCODING: Final = "cdr"
-SCHEMA_ENCODING: Final = "ros2msg"
+MAX_CHANNELS: Final = (1 << 16) - 1
+"""Of a file: their numbers have 16 bits."""
+METADATA_FILE: Final = "metadata.yaml"
 
 
 class DiskFull(OSError):
@@ -36,31 +49,66 @@ class PartSettings(msgspec.Struct, frozen=True, kw_only=True):
     min_free_bytes: int = 0
     """The recording ends before the disk has less."""
     is_synchronous: bool = False
+    keep_ns: int = 0
+    """Files are deleted as soon as later ones have this much log time; 0 = never."""
+    chunks: ChunkSettings = DEFAULT_CHUNKS
+    is_reproducible: bool = False
+    """Whether chunks end by log time instead of wall time."""
 
 
 class Part:
     """One file."""
 
-    def __init__(self, path: Path, *, is_synchronous: bool) -> None:
-        self.output = OutputFile(path, is_synchronous=is_synchronous)
-        self.writer = McapWriter(self.output)
-        self.channels: dict[RecordedTopic, int] = {}
-        self._schemas: dict[str, int] = {}
+    def __init__(self, path: Path, settings: PartSettings) -> None:
+        self.output = OutputFile(path, is_synchronous=settings.is_synchronous)
+        self.writer = McapWriter(self.output, settings.chunks)
+        self.channels: dict[WrittenTopic, int] = {}
+        self._schemas: dict[tuple[str, bytes], int] = {}
         self.start_ns: int | None = None
+        self.attached: list[tuple[int, int]] = []
+        """Position and length of each attachment."""
 
-    def find_channel(self, topic: RecordedTopic) -> int:
-        """Find the channel of a topic; define it at its first message."""
+    def find_channel(self, topic: WrittenTopic) -> int:
+        """Find the channel of a topic; define it at its first message.
+
+        Raises:
+            OSError: Channels have no more numbers.
+        """
         if (found := self.channels.get(topic)) is not None:
             return found
+        if len(self.channels) >= MAX_CHANNELS:
+            raise OSError(
+                errno.EOVERFLOW, f"a file has at most {MAX_CHANNELS} topics; record fewer"
+            )
         number = self.channels[topic] = len(self.channels) + 1
-        name = topic.ros_type
-        schema = self._schemas.get(name)
+        kind = topic.ros_type, topic.schema
+        schema = self._schemas.get(kind)
         if schema is None:
-            schema = self._schemas[name] = len(self._schemas) + 1
-            text = write_definition(topic.kind).encode()
-            self.writer.define(Schema(schema, name, SCHEMA_ENCODING, text))
-        self.writer.define(Channel(number, schema, topic.name, ENCODING, topic.metadata()))
+            schema = self._schemas[kind] = len(self._schemas) + 1
+            self.writer.define(Schema(schema, kind[0], topic.schema_encoding, kind[1]))
+        self.writer.define(Channel(number, schema, topic.name, topic.encoding, topic.metadata()))
         return number
+
+    def attach(self, attachment: AttachedFile) -> None:
+        """Write a file into this one.
+
+        Raises:
+            OSError: It could not be written.
+        """
+        at = self.output.position
+        self.writer.attach(attachment)
+        self.attached.append((at, self.output.position - at))
+
+    def read_attachments(self) -> Iterator[AttachedFile]:
+        """Read the attachments that were written.
+
+        Raises:
+            OSError: The file cannot be read.
+        """
+        with self.output.path.open("rb") as stream:
+            for at, length in self.attached:
+                stream.seek(at + RECORD_HEAD.size)
+                yield read_attachment(stream.read(length - RECORD_HEAD.size))
 
     def describe(self) -> PartFacts:
         """Describe what is in the file."""
@@ -69,7 +117,7 @@ class Part:
             file=self.output.path.name,
             span_ns=self.writer.span_ns,
             topics={
-                (topic.name, topic.ros_type, topic.metadata()["offered_qos_profiles"]): counts.get(
+                (topic.name, topic.ros_type, topic.metadata().get(QOS_METADATA, "")): counts.get(
                     number, 0
                 )
                 for topic, number in self.channels.items()
@@ -77,7 +125,7 @@ class Part:
         )
 
 
-class RecordingParts:
+class RecordingParts(Generic[Topic]):
     """Writes messages to files; used by one thread."""
 
     def __init__(self, settings: PartSettings) -> None:
@@ -88,24 +136,31 @@ class RecordingParts:
         """
         self._settings = settings
         self._is_folder = settings.path.suffix != SUFFIX
+        self._folder = settings.path if self._is_folder else settings.path.parent
         if self._is_folder:
             settings.path.mkdir(parents=True)
         elif settings.path.exists():
             raise FileExistsError(f"{settings.path} exists; give another --output")
+        metadata = self._folder / METADATA_FILE
+        # That of another recording in the folder stays.
+        self._metadata_file = None if metadata.exists() else metadata
         self._number = 0
         self._done: list[PartFacts] = []
-        self._latched = LatchedMessages()
+        self._latched: LatchedMessages[Topic] = LatchedMessages()
         self._flush_at_s = 0.0
         self._bytes = 0
         self._is_closed = False
         self.offered = 0
         """Messages that were to be written."""
+        self.deleted = 0
+        """Messages in files that were deleted, as newer ones are kept."""
+        self._flushed_ns = 0
         self._part = self._open()
 
     @property
     def written(self) -> int:
-        """Messages in all files."""
-        done = sum(one.messages for one in self._done)
+        """Messages that were written, also to files that are deleted."""
+        done = self.deleted + sum(one.messages for one in self._done)
         return done if self._is_closed else done + self._part.writer.messages
 
     @property
@@ -118,7 +173,7 @@ class RecordingParts:
         """Number of topics in the last file."""
         return len(self._part.channels)
 
-    def write(self, message: RecordedMessage) -> None:
+    def write(self, message: tuple[Topic, int, int, bytes]) -> None:
         """Write a message; latched ones only when they change.
 
         Raises:
@@ -137,6 +192,9 @@ class RecordingParts:
                 return  # the new part begins with it
         self.offered += 1
         part.writer.write_message(part.find_channel(topic), log_ns, publish_ns, payload)
+        if self._settings.is_reproducible and log_ns >= self._flushed_ns + FLUSH_PERIOD_NS:
+            self._flushed_ns = log_ns
+            part.writer.flush()
 
     def _is_full(self, log_ns: int) -> bool:
         settings, part = self._settings, self._part
@@ -151,9 +209,14 @@ class RecordingParts:
         Raises:
             OSError: See `write`.
         """
-        following = self._open()
+        following, ended = self._open(), self._part
         self._close_part()
         self._part = following
+        self._flushed_ns = log_ns
+        if self._settings.keep_ns:
+            for one in ended.read_attachments():
+                following.attach(one)
+            self._delete_old()
         self._part.start_ns = log_ns
         for topic, _, _, payload in self._latched.list_at(log_ns, publish_ns):
             self.offered += 1
@@ -169,7 +232,8 @@ class RecordingParts:
         if now_s >= self._flush_at_s:
             self._flush_at_s = now_s + FLUSH_PERIOD_S
             self._check_space()
-            self._part.writer.flush()
+            if not self._settings.is_reproducible:
+                self._part.writer.flush()
             self._part.output.reserve(self._part.writer.summary_bytes)
 
     def attach(self, attachment: AttachedFile) -> None:
@@ -178,9 +242,11 @@ class RecordingParts:
         Raises:
             OSError: See `write`.
         """
-        self._part.writer.attach(attachment)
+        self._part.attach(attachment)
 
-    def close(self, facts: Metadata, attachment: AttachedFile) -> None:
+    def close(
+        self, facts: Iterable[Metadata] = (), attachments: Iterable[AttachedFile] = ()
+    ) -> None:
         """Close the last file, with facts on the recording.
 
         Raises:
@@ -191,8 +257,10 @@ class RecordingParts:
         finally:
             self._part.output.release()
             try:
-                self._part.writer.attach(attachment)
-                self._part.writer.add_metadata(facts)
+                for attachment in attachments:
+                    self._part.writer.attach(attachment)
+                for one in facts:
+                    self._part.writer.add_metadata(one)
             finally:
                 self._close_part()
                 self._is_closed = True
@@ -213,14 +281,24 @@ class RecordingParts:
                 self._write_metadata()
 
     def _write_metadata(self) -> None:
-        if self._is_folder:
+        if self._metadata_file is not None:
             text = write_bag_metadata(self._done)
-            (self._settings.path / "metadata.yaml").write_text(text, encoding="utf-8")
+            self._metadata_file.write_text(text, encoding="utf-8")
+
+    def _delete_old(self) -> None:
+        """Delete files without which enough log time is left."""
+        done, keep_ns = self._done, self._settings.keep_ns
+        while done and sum(one.duration_ns for one in done[1:]) >= keep_ns:
+            oldest = done.pop(0)
+            self.deleted += oldest.messages
+            self._bytes -= (self._folder / oldest.file).stat().st_size
+            (self._folder / oldest.file).unlink()
+            self._write_metadata()
 
     def _open(self) -> Part:
         path = self._make_path()
         self._number += 1
-        part = Part(path, is_synchronous=self._settings.is_synchronous)
+        part = Part(path, self._settings)
         try:
             part.output.reserve(part.writer.summary_bytes)
         except OSError:

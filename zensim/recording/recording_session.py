@@ -1,4 +1,4 @@
-"""A recording from its start to its end: recorder, ring, files, and what is said of them."""
+"""A recording from its start to its end: recorder, ring, files and counts."""
 
 import time
 from typing import Final
@@ -8,7 +8,8 @@ import msgspec
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import Event, Info
 from zensim.recording.mcap_records import AttachedFile, Metadata
-from zensim.recording.recorded_topics import RecordedMessage
+from zensim.recording.message_order import MessageOrder
+from zensim.recording.recorded_topics import RecordedMessage, RecordedTopic
 from zensim.recording.recorder import Recorder, TimeBase
 from zensim.recording.recording_parts import PartSettings, RecordingParts
 from zensim.recording.snapshot_ring import SnapshotRing
@@ -51,10 +52,14 @@ class RecordingFigures(msgspec.Struct, frozen=True, kw_only=True):
     """In the files."""
     bytes: int
     topics: int
+    deleted: int
+    """In files that were deleted, as newer ones are kept."""
     lost: int
     """Received, and not written: the disk was too slow, or full."""
     overflows: int
     """How often messages came faster than they were taken; each time some were lost."""
+    missing: int
+    """About how many were lost then, by the gaps between their stamps."""
     malformed: int
 
 
@@ -68,7 +73,8 @@ class RecordingSession:
             OSError: It exists, or cannot be created.
         """
         self._settings = settings
-        self._parts = RecordingParts(settings.parts)
+        self._order = MessageOrder() if settings.parts.is_reproducible else None
+        self._parts: RecordingParts[RecordedTopic] = RecordingParts(settings.parts)
         self._queue = WriteQueue(self._parts, settings.max_cache_bytes)
         self._ring = SnapshotRing(settings.snapshot_ns, settings.max_cache_bytes)
         self._wants_snapshot = False
@@ -84,7 +90,7 @@ class RecordingSession:
     def put(self, batch: list[RecordedMessage]) -> None:
         """Keep or write messages."""
         if not self._settings.is_snapshot:
-            self._queue.put(batch)
+            self._queue.put(batch if self._order is None else self._order.add(batch))
             return
         for message in batch:
             self._ring.add(message)
@@ -96,6 +102,7 @@ class RecordingSession:
         if self._settings.is_snapshot:
             self._ring.take()  # readers would mix two runs
         else:
+            self._release()
             self._queue.order(NewPart(log_ns, publish_ns))
 
     def note_event(self, event: Event) -> None:
@@ -122,22 +129,24 @@ class RecordingSession:
         parts = self._parts
         return RecordingFigures(
             duration_s=round(time.monotonic() - self._began_s, 3),
-            messages=parts.written,
+            messages=parts.written - parts.deleted,
+            deleted=parts.deleted,
             bytes=parts.written_bytes,
             topics=parts.topics,
             lost=self._queue.lost,
             overflows=recorder.overflows,
+            missing=recorder.missing,
             malformed=recorder.malformed,
         )
 
     def close(self, recorder: Recorder, start: RecordingStart) -> RecordingFigures:
         """Write what waits, and the facts of the recording; see `failure` afterwards."""
+        self._release()
         self._queue.stop()
-        facts = {"start": start, "recorded": self.read_figures(recorder)}
-        content = msgspec.json.encode(facts)
+        content = self._write_facts(recorder, start)
         try:
             self._parts.close(
-                make_metadata(start), AttachedFile(FACTS_FILE, "application/json", content)
+                [make_metadata(start)], [AttachedFile(FACTS_FILE, "application/json", content)]
             )
         except OSError as error:
             self._close_failure = error
@@ -145,6 +154,17 @@ class RecordingSession:
             self.read_figures(recorder),
             lost=self._queue.lost + self._parts.offered - self._parts.written,
         )
+
+    def _release(self) -> None:
+        """Write the messages that wait for earlier ones."""
+        if self._order is not None:
+            self._queue.put(self._order.release())
+
+    def _write_facts(self, recorder: Recorder, start: RecordingStart) -> bytes:
+        figures = self.read_figures(recorder)
+        if self._order is not None:
+            figures = msgspec.structs.replace(figures, duration_s=0.0)
+        return msgspec.json.encode({"start": start, "recorded": figures})
 
 
 def make_metadata(start: RecordingStart) -> Metadata:

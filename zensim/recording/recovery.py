@@ -8,7 +8,6 @@ from zensim.recording.mcap_records import (
     AttachedFile,
     Channel,
     Chunk,
-    MalformedRecord,
     Metadata,
     Schema,
 )
@@ -116,11 +115,10 @@ class _Recovery:
 
     def _add_chunk(self, one: OpenChunk) -> None:
         self.writer.flush()
-        try:
-            for definition in read_definitions(one.records):
-                self._note(definition, is_checked=True)
-        except MalformedRecord:
-            return
+        for definition in read_definitions(one.records):
+            if definition is None:
+                return
+            self._note(definition, is_checked=True)
         index = ChunkIndex()
         for channel, log_ns, offset in index_messages(one.records):
             index.add(channel, log_ns, offset)

@@ -3,7 +3,7 @@
 from collections import deque
 
 from zensim.recording.latched_messages import LatchedMessages
-from zensim.recording.recorded_topics import RecordedMessage
+from zensim.recording.recorded_topics import RecordedMessage, RecordedTopic
 
 
 class SnapshotRing:
@@ -19,7 +19,7 @@ class SnapshotRing:
         self._span_ns = span_ns
         self._max_bytes = max_bytes
         self._messages: deque[RecordedMessage] = deque()
-        self._latched = LatchedMessages()
+        self._latched: LatchedMessages[RecordedTopic] = LatchedMessages()
         self._bytes = 0
 
     def add(self, message: RecordedMessage) -> None:

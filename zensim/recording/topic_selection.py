@@ -11,18 +11,21 @@ from zensim.proto.ros2.liveliness_tokens import AnnouncedEndpoint
 from zensim.proto.topic_catalog import (
     CLOCK,
     EVENTS,
+    INPUTS,
     MAP,
     ROBOT_TOPICS,
+    SNAPSHOT,
     STATS,
+    WORLD_TOPICS,
     Participant,
-    TopicSpec,
+    find_robot_topic,
 )
 
 CLOCK_TOPIC: Final = f"/{CLOCK.suffix}"
 ANY_ROS_TYPE: Final = "*/*"
 """Type and type hash at the end of the keys of ROS 2."""
 PUBLISHER: Final = "MP"
-ROSTER_TOPICS: Final = (EVENTS, STATS)
+ROSTER_TOPICS: Final = (EVENTS, STATS, SNAPSHOT)
 """Of the world, recorded as texts with JSON."""
 
 
@@ -93,7 +96,7 @@ def list_keys(chosen: TopicFilter, world: str, domain: int | None) -> list[str]:
     They do not overlap, as a message would arrive once for each.
 
     Args:
-        chosen: See there.
+        chosen: Decides which topics are recorded.
         world: Name of the world.
         domain: Of ROS 2; None = only plain keys.
     """
@@ -102,7 +105,7 @@ def list_keys(chosen: TopicFilter, world: str, domain: int | None) -> list[str]:
     )
     if chosen.is_broad:
         listed.update(dict.fromkeys(_list_all_keys(world, domain)))
-        named = [f"/{one.key(world)}" for one in ROSTER_TOPICS]
+        named = [f"/{one.key(world)}" for one in (*ROSTER_TOPICS, INPUTS)]
         listed.update(
             (one.strip("/"), None) for one in (*named, f"/{MAP.suffix}") if chosen.accepts(one)
         )
@@ -114,7 +117,8 @@ def _list_keys_of_topic(topic: str, world: str, domain: int | None) -> list[str]
         return []
     spec = find_robot_topic(topic)
     is_ours = spec is not None and spec.publisher is not Participant.USER
-    if is_ours or topic in [one.key(world) for one in ROSTER_TOPICS] or domain is None:
+    of_world = [one.key(world) for one in (*ROSTER_TOPICS, INPUTS)]
+    if is_ours or topic in of_world or domain is None:
         return [topic]
     return [topic, f"{domain}/{topic}/{ANY_ROS_TYPE}"]
 
@@ -141,13 +145,12 @@ def _covers(wide: str, narrow: str) -> bool:
     return "*" not in rest and is_same_end
 
 
-def find_robot_topic(key: str) -> TopicSpec | None:
-    """Find the topic of robots that a key ends with, the longest suffix first."""
-    parts = key.split("/")
-    for start in range(max(0, len(parts) - 3), len(parts)):
-        if (found := ROBOT_TOPICS.get("/".join(parts[start:]))) is not None:
-            return found
-    return None
+def list_paced_topics(world: str) -> frozenset[str]:
+    """List the topics of a world that are published by wall time."""
+    paced = [one for one in WORLD_TOPICS if one.rate_hz]
+    keys_of_world = [one.key(world) for one in paced]
+    at_root = [one.suffix for one in paced if one.root_message is not None]
+    return frozenset(f"/{key}" for key in (*keys_of_world, *at_root))
 
 
 def list_ros_keys(

@@ -1,12 +1,13 @@
 """A thread that writes a recording, so that a slow disk delays no message; counts what it drops."""
 
+import errno
 import threading
 import time
 from queue import SimpleQueue
 from typing import Final, NamedTuple
 
 from zensim.recording.mcap_records import AttachedFile
-from zensim.recording.recorded_topics import RecordedMessage
+from zensim.recording.recorded_topics import RecordedMessage, RecordedTopic
 from zensim.recording.recording_parts import RecordingParts
 
 IDLE_S: Final = 0.01
@@ -26,7 +27,7 @@ Order = Batch | AttachedFile | NewPart
 class WriteQueue:
     """Messages that wait for the disk."""
 
-    def __init__(self, parts: RecordingParts, max_bytes: int) -> None:
+    def __init__(self, parts: RecordingParts[RecordedTopic], max_bytes: int) -> None:
         """Start the thread.
 
         Args:
@@ -74,6 +75,10 @@ class WriteQueue:
                 self._obey(order)
         except OSError as error:
             self.failure = error
+        except Exception as error:  # noqa: BLE001  else the recorder runs on without a writer
+            self.failure = OSError(errno.EIO, f"{type(error).__name__}: {error}")
+            self.failure.__cause__ = error
+        if self.failure is not None:
             self.lost += self._left
 
     def _take(self) -> Order | None:

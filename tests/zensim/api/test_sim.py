@@ -11,6 +11,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -374,11 +375,23 @@ def is_accepted(bus: Bus, request: SimulateStepsRequest) -> bool:
     return True
 
 
-def test_recording_is_refused_with_a_way_out(sim: zensim.Sim) -> None:
-    with pytest.raises(zensim.Unsupported) as caught:
-        sim.record("run.mcap")
+def test_recording_is_read_by_topic_and_as_a_table(sim: zensim.Sim, tmp_path: Path) -> None:
+    robot = sim.spawn("box_bot", name="taped", x=7.0, y=7.0)
+    recorder = sim.record(tmp_path / "run.mcap", "taped/*", timeout_s=90.0)
+    robot.drive(0.2)
+    sim.run_for(1.0)
+    recording = recorder.read()
 
-    assert caught.value.hint
+    last = list(recording.messages("taped/odom"))[-1]
+    table = recording.table("*/odom")
+    assert recording.is_closed
+    assert recording.topics["/taped/odom"] == "nav_msgs/msg/Odometry"
+    assert set(table["robot"].tolist()) == {"taped"}
+    assert len(table["t_ns"]) == recording.counts["/taped/odom"]
+    assert table["pose.pose.position.x"][-1] == last.data.pose.pose.position.x  # type: ignore[attr-defined]
+    assert last.time == pytest.approx(recording.end, abs=0.5)
+    with pytest.raises(zensim.Error, match="exists"):
+        sim.record(tmp_path / "run.mcap", timeout_s=90.0)
 
 
 def test_page_of_the_world_is_served_until_it_is_closed(sim: zensim.Sim) -> None:

@@ -70,7 +70,9 @@ def test_unknown_name_is_an_attribute_error() -> None:
 
 METHODS = {
     "up": "launch",
+    "bag": "Recording",
     "down": "Sim.close",
+    "record": "Sim.record",
     "serve": "launch",
     "agent": "Simulation.attach",
     "spawn": "Simulation.spawn",
@@ -110,8 +112,11 @@ WITHOUT_METHOD = {
     "token": "for operators of secured servers, whose folder it reads",
     "join": "keeps a token for later; in Python, connect(token=...)",
     "journal": "reads files of servers that have ended",
-    "record": "a program beside the simulation, as `zensim up --record` starts it",
-    "bag": "reads files, which rosbags and mcap read in Python",
+    "foxglove": "a program beside the simulation",
+    "teleop": "keys of a terminal; Robot.drive",
+    "top": "a screen of a terminal; topics and statistics have its figures",
+    "replay": "a program beside the simulation: it publishes a file",
+    "resim": "runs a recording, not a world that is there",
 }
 
 

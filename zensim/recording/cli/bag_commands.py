@@ -1,4 +1,4 @@
-"""`zensim bag info` and `zensim bag recover`: inspect recordings, and repair unclosed ones."""
+"""`zensim bag`: inspect, repair, export, convert and draw recordings."""
 
 from datetime import datetime, timezone
 from pathlib import Path
@@ -12,9 +12,26 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import print_note
 from zensim.recording.bag_info import BagInfo, read_info
+from zensim.recording.cli.convert_commands import CONVERT_EXAMPLES, convert_command
+from zensim.recording.cli.plot_commands import plot_command
+from zensim.recording.cli.table_commands import export_command
 from zensim.recording.recovery import RecoveryResult, recover_file
 
 app = make_app("bag")
+app.command(
+    "export",
+    epilog="""Examples:
+  zensim bag export run.mcap --output tables
+  zensim bag export run.mcap '*/odom' '*/cmd_vel' --to csv -o tables""",
+)(export_command)
+app.command("convert", epilog=CONVERT_EXAMPLES)(convert_command)
+app.command(
+    "plot",
+    epilog="""Examples:
+  zensim bag plot run.mcap 'r*/odom:twist.linear.x'
+  zensim bag plot run.mcap r1/odom:position.x r1/cmd_vel:linear.x -o run.svg
+  zensim bag plot run.mcap 'sim/*/stats:real_time_factor'""",
+)(plot_command)
 
 FileArgument = Annotated[
     Path, typer.Argument(metavar="FILE|FOLDER", help="Recording: an .mcap file, or its folder.")

@@ -16,7 +16,9 @@ from zensim.proto.bus import Bus, BusConfig, open_bus
 from zensim.proto.cli_options import (
     ConnectionOptions,
     JsonOption,
+    QuietOption,
     RosDomainOption,
+    VerboseOption,
     expand_options,
     flag,
     make_app,
@@ -27,10 +29,12 @@ from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import EventKind, InfoRequest
 from zensim.proto.names import check_name
 from zensim.proto.printable_text import print_lines
+from zensim.proto.process_limits import limit_malloc_arenas
 from zensim.proto.ros2.rmw_keys import parse_domain
 from zensim.proto.service_catalog import INFO
 from zensim.proto.stop_signal import StopFlag
-from zensim.proto.verbosity import CURRENT, print_announcement, print_note
+from zensim.proto.verbosity import CURRENT, print_announcement, print_note, set_verbosity
+from zensim.recording.byte_sizes import parse_size
 from zensim.recording.entity_files import EntityFiles
 from zensim.recording.recorder import Recorder, RecorderSettings, TimeBase
 from zensim.recording.recording_parts import PartSettings
@@ -46,8 +50,9 @@ from zensim.recording.topic_selection import TopicFilter, TopicSelection
 
 app = make_app()
 
-MEBI = 1 << 20
-UNITS = {"": 1, "k": 1000, "m": 1000**2, "g": 1000**3, "ki": 1024, "mi": MEBI, "gi": 1024**3}
+SECONDS_OF_UNIT = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
+PARTS_KEPT = 10
+"""Number of files of `--keep-last`, if no size or duration is given."""
 TIME_BASES: tuple[TimeBase, ...] = get_args(TimeBase)
 STORAGES = ("mcap",)
 OPEN_TIMEOUT_S = 2.0
@@ -127,6 +132,15 @@ class RecordOptions(ConnectionOptions):
             **_files,
         ),
     ] = 0.0
+    keep_last: Annotated[
+        str,
+        typer.Option(
+            metavar="TIME",
+            help="Delete files as soon as later ones have this log time, such as 10min or 2h.",
+            show_default="all are kept",
+            **_files,
+        ),
+    ] = ""
     max_cache_size: Annotated[
         str,
         typer.Option(
@@ -142,8 +156,17 @@ class RecordOptions(ConnectionOptions):
         ),
     ] = "256MiB"
     sync: Annotated[
-        bool, flag("--sync", help="Wait until the disk has each chunk, for power losses.", **_files)
+        bool, flag("--sync", help="Wait until each chunk is on the disk.", **_files)
     ] = False
+    rate: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            metavar="HZ",
+            help="Keep the newest message of each topic in each period; 0 = all.",
+            **_topics,
+        ),
+    ] = 0.0
     duration: Annotated[
         float,
         typer.Option(metavar="SECONDS", help=r"End after this wall time \[s]; 0 = at Ctrl-C."),
@@ -157,6 +180,13 @@ class RecordOptions(ConnectionOptions):
     ] = "simulation"
     use_sim_time: Annotated[
         bool, flag("--use-sim-time", help="Same as --log-time simulation, the default.")
+    ] = False
+    reproducible: Annotated[
+        bool,
+        flag(
+            "--reproducible",
+            help="Equal files of equal runs in lockstep, without what is paced by wall time.",
+        ),
     ] = False
     snapshot_mode: Annotated[
         bool,
@@ -187,6 +217,8 @@ class RecordOptions(ConnectionOptions):
     ] = ""
     ros_domain: RosDomainOption = "0"
     as_json: JsonOption = False
+    quiet: QuietOption = False
+    verbose: VerboseOption = False
 
 
 @app.command(
@@ -198,7 +230,13 @@ class RecordOptions(ConnectionOptions):
 @expand_options
 def record(given: RecordOptions) -> None:
     """Record topics to MCAP files, until Ctrl-C or for a duration."""
+    record_topics(given)
+
+
+def record_topics(given: RecordOptions) -> None:
+    """Record as the options say."""
     with exit_on_failure("record"):
+        set_verbosity(is_quiet=given.quiet, is_verbose=given.verbose, is_json=given.as_json)
         parse_choice("--storage", given.storage, STORAGES)
         chosen = TopicFilter(make_selection(given))
         settings = make_session_settings(given)
@@ -206,8 +244,11 @@ def record(given: RecordOptions) -> None:
             world=check_name(given.world_name, "world name"),
             domain=parse_domain(given.ros_domain),
             time_base=choose_time_base(given),
+            period_ns=round(NANOSECONDS / given.rate) if given.rate else 0,
+            is_reproducible=given.reproducible,
         )
         stop = StopFlag(is_armed=False)
+        limit_malloc_arenas()
         connect = (given.connect,) if given.connect else ()
         config = BusConfig(connect=connect, open_timeout_s=OPEN_TIMEOUT_S)
         with open_bus(config) as bus:
@@ -233,6 +274,8 @@ def choose_time_base(given: RecordOptions) -> TimeBase:
     chosen = parse_choice("--log-time", given.log_time, TIME_BASES)
     if given.use_sim_time and chosen == "wall":
         raise ValueError("--use-sim-time and --log-time wall exclude each other; give one of them")
+    if given.reproducible and (chosen == "wall" or given.snapshot_mode):
+        raise ValueError("--reproducible excludes --log-time wall and --snapshot-mode")
     return chosen
 
 
@@ -259,14 +302,21 @@ def make_session_settings(given: RecordOptions) -> SessionSettings:
     if (kinds or given.snapshot_duration is not None) and not given.snapshot_mode:
         raise ValueError("--snapshot-on and --snapshot-duration need --snapshot-mode; add it")
     kept_s = SNAPSHOT_S if given.snapshot_duration is None else given.snapshot_duration
+    keep_ns = round(parse_time("--keep-last", given.keep_last) * NANOSECONDS)
+    max_bytes = parse_size("--max-bag-size", given.max_bag_size)
+    max_duration_ns = round(given.max_bag_duration * NANOSECONDS)
+    if keep_ns and not (max_bytes or max_duration_ns):
+        max_duration_ns = keep_ns // PARTS_KEPT
     output = given.output or Path(datetime.now().strftime("zensim_%Y_%m_%d-%H_%M_%S"))
     return SessionSettings(
         parts=PartSettings(
             path=output,
-            max_bytes=parse_size("--max-bag-size", given.max_bag_size),
-            max_duration_ns=round(given.max_bag_duration * NANOSECONDS),
+            max_bytes=max_bytes,
+            max_duration_ns=max_duration_ns,
             min_free_bytes=parse_size("--min-free", given.min_free),
             is_synchronous=given.sync,
+            keep_ns=keep_ns,
+            is_reproducible=given.reproducible,
         ),
         max_cache_bytes=parse_size("--max-cache-size", given.max_cache_size),
         is_snapshot=given.snapshot_mode,
@@ -275,22 +325,23 @@ def make_session_settings(given: RecordOptions) -> SessionSettings:
     )
 
 
-def parse_size(option: str, text: str) -> int:
-    """Read a number of bytes, such as `500MB`, `64MiB` or `1048576`.
+def parse_time(option: str, text: str) -> float:
+    """Read a time, such as `90`, `30s`, `10min` or `2h`; empty is 0 [s].
 
     Raises:
         ValueError: It is not one.
     """
-    word = text.strip().lower().removesuffix("b")
-    digits = word.rstrip("kmgi")
-    unit = UNITS.get(word[len(digits) :])
+    if not text:
+        return 0.0
+    digits = text.strip().rstrip("smihn")
+    unit = SECONDS_OF_UNIT.get(text.strip()[len(digits) :])
     try:
         number = float(digits)
     except ValueError:
-        number = -1.0
-    if unit is None or not 0 <= number < 1e18:  # noqa: PLR2004
-        raise ValueError(f"{option} {text[:40]!r} is not a size; use bytes, or 500MB, or 64MiB")
-    return round(number * unit)
+        number = 0.0
+    if unit is None or not 0 < number < 1e9:  # noqa: PLR2004
+        raise ValueError(f"{option} {text[:40]!r} is not a time; use seconds, or 30s, 10min, 2h")
+    return number * unit
 
 
 class RecordProgram:
@@ -311,11 +362,9 @@ class RecordProgram:
         """
         self._bus = bus
         self._path = settings.parts.path
-        self._start = RecordingStart(
-            info=bus.call(INFO, InfoRequest(), world=recorder_settings.world),
-            wall_ns=time.time_ns(),
-            time_base=recorder_settings.time_base,
-        )
+        self._start = make_start(bus, recorder_settings)
+        info = self._start.info
+        recorder_settings = msgspec.structs.replace(recorder_settings, step_ns=info.step_ns)
         self._session = RecordingSession(settings)
         self._recorder = Recorder(bus, chosen, recorder_settings, self._session)
         self._files = EntityFiles(bus, recorder_settings.world, self._session.attach)
@@ -325,7 +374,7 @@ class RecordProgram:
             signal.signal(user_signal, self._ask_for_snapshot)
 
     def run(self, should_stop: Callable[[], bool], duration_s: float) -> OSError | None:
-        """Record until told to stop, or for a duration [s]; return what ended it before."""
+        """Record until `should_stop`, or for a duration [s]; return the failure that ended it."""
         self._files.attach_new(has_arrivals=self._recorder.take_arrivals())
         began_s = time.monotonic()
         report_at_s = began_s + REPORT_PERIOD_S
@@ -344,7 +393,7 @@ class RecordProgram:
                 if duration_s and now_s - began_s >= duration_s:
                     break
                 time.sleep(TAKE_PERIOD_S)
-            recorder.take()
+            recorder.take(is_last=True)
             self._figures = session.close(recorder, self._start)
         return session.failure
 
@@ -369,11 +418,23 @@ class RecordProgram:
         self._wants_snapshot = True
 
 
+def make_start(bus: Bus, settings: RecorderSettings) -> RecordingStart:
+    """Describe the world, without what depends on the host if files are to be equal.
+
+    Raises:
+        BusError: No server of the world replies.
+    """
+    info, wall_ns = bus.call(INFO, InfoRequest(), world=settings.world), time.time_ns()
+    if settings.is_reproducible:
+        info, wall_ns = msgspec.structs.replace(info, real_time_factor=0.0), 0
+    return RecordingStart(info=info, wall_ns=wall_ns, time_base=settings.time_base)
+
+
 def format_figures(figures: RecordingFigures) -> str:
     """Write the counts in one line."""
     lost = f"{figures.lost} lost"
     if figures.overflows:
-        lost += f", and some {figures.overflows} times before they were counted"
+        lost += f", and about {figures.missing} that came faster than they could be taken"
     return (
         f"{figures.duration_s:.0f} s: {figures.messages} messages, {figures.bytes / 1e6:.1f} MB, "
         f"{figures.topics} topics, {lost}"

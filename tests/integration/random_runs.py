@@ -1,0 +1,139 @@
+"""Runs in free running, with commands and requests over the network at random instants."""
+
+import random
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+
+import numpy as np
+
+from tests.integration.processes import Server, eventually, serving
+from zensim.proto import keys
+from zensim.proto.bus import Bus
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand, DriveState
+from zensim.proto.messages.entity_messages import EntityState
+from zensim.proto.messages.input_messages import Inputs
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
+from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
+from zensim.proto.service_catalog import CLAIM_ENTITY
+from zensim.proto.topic_catalog import DRIVE_COMMAND, DRIVE_STATE, INPUTS
+from zensim.sim_server.physics.engine_config import EngineName
+from zensim.spawner.client.sim_client import SimClient
+
+WORLD, AGENT = "default", "random"
+ROBOTS = 6
+SPREAD_M = 1.2
+"""Half the side of the square that robots share, so that they collide."""
+WITHIN_S = 60.0
+DEPTH = 1 << 16
+MAX_SPEED = 12.0
+"""Of wheels [rad/s]."""
+
+
+@dataclass(frozen=True)
+class RandomRun:
+    """What a run has published, and how many inputs it was given."""
+
+    messages: tuple[Inputs, ...]
+    inputs: int
+
+
+class RandomAgent:
+    """An agent that commands random wheel speeds."""
+
+    def __init__(self, bus: Bus, names: tuple[str, ...], draws: random.Random) -> None:
+        self._draws = draws
+        self._states = bus.subscribe(DRIVE_STATE.key(WORLD, AGENT))
+        encoding = make_encoding(DriveCommand, Format.MSGPACK)
+        self._commands = bus.advertise(DRIVE_COMMAND.key(WORLD, AGENT), encoding)
+        self._state: DriveState | None = None
+        self.token = bus.token(keys.alive_agent(WORLD, AGENT))
+        request = ClaimEntityRequest(AGENT, names)
+        eventually(lambda: self._claim(bus, request), WITHIN_S, "claims")
+        eventually(self.command, WITHIN_S, "drive states")
+
+    def command(self) -> bool:
+        """Command all robots; False before the first state."""
+        for sample in self._states.take():
+            self._state = decode(DriveState, sample.payload, sample.encoding)
+        if (state := self._state) is None or not state.claims:
+            return False
+        count = 2 * len(np.frombuffer(state.claims, "<u4"))
+        speeds = [self._draws.uniform(-MAX_SPEED, MAX_SPEED) for _ in range(count)]
+        targets = np.array(speeds, dtype="<f8").tobytes()
+        command = DriveCommand(state.epoch, state.step, state.claims, targets)
+        self._commands.send(encode(command, Format.MSGPACK))
+        return True
+
+    def _claim(self, bus: Bus, request: ClaimEntityRequest) -> bool:
+        try:
+            bus.call(CLAIM_ENTITY, request, world=WORLD)
+        except Exception:  # noqa: BLE001  the token is not known yet
+            return False
+        return True
+
+
+def make_random_run(engine: EngineName, *, seconds: float, seed: int) -> RandomRun:
+    """Run a server with the log of its inputs, and take what it publishes.
+
+    Args:
+        engine: Of the world.
+        seconds: Wall time of the inputs.
+        seed: Of their kinds and numbers; instants depend on the machine.
+    """
+    with ExitStack() as stack:
+        server = stack.enter_context(serving("--engine", engine, "--input-log"))
+        log = server.bus.subscribe(INPUTS.key(WORLD), DEPTH)
+        messages: list[Inputs] = []
+        count = 0
+        for _ in make_random_inputs(server, seconds, random.Random(seed)):
+            count += 1
+            messages += [decode(Inputs, one.payload, one.encoding) for one in log.take()]
+        steps = server.steps()
+
+        def has_all() -> bool:
+            messages.extend(decode(Inputs, one.payload, one.encoding) for one in log.take())
+            return messages[-1].step > steps
+
+        eventually(has_all, WITHIN_S, "the last messages")
+    return RandomRun(tuple(messages), count)
+
+
+def make_random_inputs(server: Server, seconds: float, draws: random.Random) -> Iterator[None]:
+    """Drive, spawn, delete and place robots for a wall time; yield after each input."""
+    names = tuple(f"r{number}" for number in range(ROBOTS))
+    for number, name in enumerate(names):
+        server.client.spawn(make_order(name, 0.5 * (number % 3), 0.5 * (number // 3)))
+    agent = RandomAgent(server.bus, names, draws)
+    with closing(agent.token):
+        extra, end_s = 0, time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            time.sleep(draws.uniform(0.0, 0.02))
+            extra += _make_input(server.client, agent, draws, extra)
+            yield
+
+
+def make_order(name: str, x: float, y: float) -> SpawnEntityOrder:
+    """Make the request of a robot at a place [m]."""
+    pose = PoseStamped(pose=Pose(Point(x, y, 0.06)))
+    return SpawnEntityOrder(name, entity_resource=Resource("box_bot"), initial_pose=pose)
+
+
+def _make_input(client: SimClient, agent: RandomAgent, draws: random.Random, extra: int) -> int:
+    """Make one input; return how many more robots there are."""
+    x, y = draws.uniform(-SPREAD_M, SPREAD_M), draws.uniform(-SPREAD_M, SPREAD_M)
+    chance = draws.random()
+    if chance < 0.9:
+        agent.command()
+    elif chance < 0.94:
+        state = EntityState(pose=Pose(Point(x, y, 0.1)))
+        client.set_entity_state(f"r{draws.randrange(ROBOTS)}", state)
+    elif chance < 0.97 or not extra:
+        client.spawn(make_order(f"extra{extra}", x, y))
+        return 1
+    else:
+        client.delete(f"extra{extra - 1}")
+        return -1
+    return 0

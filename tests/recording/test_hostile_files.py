@@ -1,0 +1,269 @@
+"""A file of a stranger or with one damaged bit costs its damaged part, not the reader."""
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType, IndexType, Writer
+
+from tests.recording.recordings import define_topics, write_recording
+from zensim.proto.codec.message_codec import Format, encode
+from zensim.proto.messages.standard_messages import Odometry
+from zensim.recording import chunk_compression, recording_reader
+from zensim.recording.chunk_compression import (
+    MAX_CHUNK_BYTES,
+    DamagedChunk,
+    compress,
+    decompress,
+)
+from zensim.recording.file_index import MAX_METADATA_BYTES, read_index
+from zensim.recording.mcap_records import FOOTER_BYTES, RECORD_HEAD, Metadata, Opcode
+from zensim.recording.mcap_writer import McapWriter
+from zensim.recording.message_tables import PUBLISH_TIME, read_tables
+from zensim.recording.output_file import OutputFile
+from zensim.recording.recording_reader import LAST_NS, RecordingReader
+from zensim.recording.recovery import recover_file
+
+MESSAGES = 1000
+IN_A_CHUNK = 100
+CHUNK_NAME = b"\x04\x00\x00\x00zstd"
+SIZE_BEFORE_NAME = 12
+"""From the size of the records to the name of the compression [bytes]."""
+
+
+@pytest.fixture(params=[True, False], ids=["closed", "unclosed"])
+def recording(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    path = tmp_path / "run.mcap"
+    write_recording(path, MESSAGES, is_closed=request.param)
+    return path
+
+
+def overwrite(path: Path, at: int, replacement: bytes) -> None:
+    """Replace bytes of a file."""
+    content = bytearray(path.read_bytes())
+    content[at : at + len(replacement)] = replacement
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("size", [MAX_CHUNK_BYTES + 1, (1 << 63) - 1, (1 << 64) - 1])
+def test_chunk_that_claims_too_many_bytes_is_left_out(recording: Path, size: int) -> None:
+    at = recording.read_bytes().index(CHUNK_NAME) - SIZE_BEFORE_NAME
+    overwrite(recording, at, struct.pack("<Q", size))
+
+    reader = RecordingReader(recording)
+    found = list(reader.messages())
+    recovered = recover_file(recording, recording.with_name("whole.mcap"))
+
+    assert (len(found), reader.damaged) == (MESSAGES - IN_A_CHUNK, 1)
+    assert recovered.messages == MESSAGES - IN_A_CHUNK
+
+
+def test_chunk_is_not_decompressed_beyond_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(chunk_compression, "MAX_CHUNK_BYTES", 1000)
+
+    assert decompress(compress(bytes(1000)), "zstd", 1000) == bytes(1000)
+    with pytest.raises(DamagedChunk):
+        decompress(compress(bytes(1001)), "zstd", 1001)
+
+
+FAR_OFFSETS = [1 << 30, 1 << 50, (1 << 63) + 9, (1 << 64) - 1]
+
+
+@pytest.mark.parametrize("offset", FAR_OFFSETS)
+def test_index_that_names_a_chunk_beyond_the_file_costs_that_chunk(
+    tmp_path: Path, offset: int
+) -> None:
+    path = tmp_path / "run.mcap"
+    write_recording(path, MESSAGES)
+    place = read_index(path).chunks[-1]
+    at = path.read_bytes().rindex(struct.pack("<QQ", place.at, place.length))
+    overwrite(path, at, struct.pack("<Q", offset))
+
+    reader = RecordingReader(path)
+
+    assert len(list(reader.messages())) == MESSAGES - IN_A_CHUNK
+    assert reader.damaged == 1
+
+
+@pytest.mark.parametrize("offset", FAR_OFFSETS)
+def test_file_whose_index_names_metadata_beyond_it_is_read_in_whole(
+    tmp_path: Path, offset: int
+) -> None:
+    path = tmp_path / "run.mcap"
+    write_recording(path, 1, metadata=[Metadata("zensim", {"world": "main"})])
+    content = path.read_bytes()
+    # Opcode and length of the record, offset, length, length of the name.
+    at = content.rindex(b"\x06\x00\x00\x00zensim") - 16
+    overwrite(path, at, struct.pack("<Q", offset))
+
+    assert RecordingReader(path).metadata == {"zensim": {"world": "main"}}
+
+
+def repeat_summary_record(path: Path, opcode: int, times: int) -> None:
+    """Write the first record of this kind in a summary some times more."""
+    content = path.read_bytes()
+    footer = len(content) - FOOTER_BYTES
+    (start,) = struct.unpack_from("<Q", content, footer + RECORD_HEAD.size)
+    at = start
+    while content[at] != opcode:
+        at += RECORD_HEAD.size + RECORD_HEAD.unpack_from(content, at)[1]
+    end = at + RECORD_HEAD.size + RECORD_HEAD.unpack_from(content, at)[1]
+    path.write_bytes(content[:start] + content[at:end] * times + content[start:])
+
+
+@pytest.mark.parametrize(
+    "opcode", [Opcode.CHUNK_INDEX, Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX]
+)
+def test_file_whose_index_names_a_place_twice_is_read_in_whole(
+    tmp_path: Path, opcode: Opcode
+) -> None:
+    path = tmp_path / "run.mcap"
+    write_recording(path, MESSAGES, metadata=[Metadata("zensim", {"world": "main"})])
+    repeat_summary_record(path, opcode, 50)
+
+    index = read_index(path)
+
+    assert (len(index.chunks), len(index.metadata), len(index.attachments)) == (10, 1, 1)
+    assert len(list(RecordingReader(path).messages())) == MESSAGES
+
+
+def test_chunk_of_another_length_than_its_index_says_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_recording(path, MESSAGES)
+    place = read_index(path).chunks[0]
+    at = path.read_bytes().rindex(struct.pack("<QQ", place.at, place.length))
+    overwrite(path, at + 8, struct.pack("<Q", place.length - 1))
+
+    reader = RecordingReader(path)
+
+    assert len(list(reader.messages())) == MESSAGES - IN_A_CHUNK
+    assert reader.damaged == 1
+
+
+@pytest.mark.parametrize("is_closed", [True, False])
+def test_metadata_beyond_the_limit_are_left_out(tmp_path: Path, *, is_closed: bool) -> None:
+    path = tmp_path / "run.mcap"
+    long = Metadata("long", {"text": "x" * (MAX_METADATA_BYTES - 1000)})
+    write_recording(
+        path, 1, is_closed=is_closed, metadata=[long, Metadata("b", long.texts), Metadata("c", {})]
+    )
+
+    reader = RecordingReader(path)
+
+    assert (set(reader.metadata), reader.damaged) == ({"long", "c"}, 1)
+
+
+def test_chunks_whose_times_overlap_are_kept_up_to_a_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.mcap"
+    write_recording(path, MESSAGES)
+    monkeypatch.setattr(recording_reader, "MAX_WAITING_BYTES", 120_000)
+    assert len(list(RecordingReader(path).messages())) == MESSAGES
+    content = path.read_bytes()
+    for place in read_index(path).chunks:
+        at = content.rindex(struct.pack("<QQQ", place.start_ns, place.end_ns, place.at))
+        overwrite(path, at, struct.pack("<Q", 0))
+
+    with pytest.raises(ValueError, match="overlap"):
+        list(RecordingReader(path).messages())
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"use_statistics": False},
+        {"use_statistics": False, "index_types": IndexType.NONE},
+        {"repeat_channels": False},
+        {"repeat_schemas": False},
+    ],
+)
+def test_what_a_summary_lacks_is_found_in_the_file(tmp_path: Path, options: dict[str, Any]) -> None:
+    path = tmp_path / "run.mcap"
+    write_words(path, **options)
+
+    reader = RecordingReader(path)
+
+    assert (reader.start_ns, reader.end_ns) == (5, 104)
+    assert list(reader.counts.values()) == [100]
+    assert len(list(reader.messages())) == 100
+    assert reader.unclosed == ()
+    assert [one.ros_type for one in reader.topics] == ["std_msgs/msg/String"]
+
+
+def test_chunk_with_a_damaged_name_of_its_compression_is_left_out(recording: Path) -> None:
+    overwrite(recording, recording.read_bytes().index(CHUNK_NAME) + 4, b"zsud")
+
+    reader = RecordingReader(recording)
+
+    assert len(list(reader.messages())) == MESSAGES - IN_A_CHUNK
+    assert reader.damaged == 1
+
+
+def test_compression_that_is_not_supported_is_refused() -> None:
+    with pytest.raises(ValueError, match="lz4") as caught:
+        decompress(b"", "lz4", 0)
+
+    assert not isinstance(caught.value, DamagedChunk)
+
+
+@pytest.mark.parametrize("is_closed", [True, False])
+def test_message_that_is_cut_by_the_end_of_its_chunk_is_left_out(
+    tmp_path: Path, *, is_closed: bool
+) -> None:
+    path = tmp_path / "run.mcap"
+    write_words(path, compression=CompressionType.NONE, enable_crcs=False)
+    content = path.read_bytes()
+    last = content.rindex(struct.pack("<BQ", Opcode.MESSAGE, 24))
+    overwrite(path, last + 1, struct.pack("<Q", 25))
+    if not is_closed:
+        path.write_bytes(path.read_bytes()[:-FOOTER_BYTES])
+
+    found = [payload for *_, payload in RecordingReader(path).messages()]
+
+    assert found == [b"%d" % number for number in range(99)]
+
+
+def test_damaged_definition_in_a_chunk_without_checksum_costs_no_other(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_words(path, compression=CompressionType.NONE, enable_crcs=False, chunk_size=1000)
+    content = path.read_bytes()
+    # A length within the definition of the type, which every chunk but the first lacks.
+    at = content.index(b"std_msgs/msg/String") - 4
+    path.write_bytes(content[:at] + b"\xff\xff" + content[at + 2 : -FOOTER_BYTES])
+
+    reader = RecordingReader(path)
+
+    assert [payload for *_, payload in reader.messages()] == [b"%d" % one for one in range(100)]
+    assert reader.damaged == 1
+
+
+def write_words(path: Path, **options: Any) -> None:  # noqa: ANN401
+    """Write a hundred messages with another writer."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, **options)
+        writer.start()
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channel = writer.register_channel("/words", "cdr", schema)
+        for number in range(100):
+            writer.add_message(channel, 5 + number, b"%d" % number, 5 + number)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+def test_time_of_publication_that_fits_no_table_is_the_last_time(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    output = OutputFile(path)
+    writer = McapWriter(output)
+    (odom,) = define_topics(writer)
+    writer.write_message(odom, 5, (1 << 64) - 1, encode(Odometry(), Format.CDR))
+    writer.flush()
+    writer.close()
+    output.close()
+
+    (table,) = read_tables(RecordingReader(path))
+
+    times = table.columns[PUBLISH_TIME]
+    assert isinstance(times, np.ndarray)
+    assert times.tolist() == [LAST_NS]

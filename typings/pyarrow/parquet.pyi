@@ -1,0 +1,7 @@
+"""The parts of pyarrow.parquet that zensim uses."""
+
+from pathlib import Path
+
+from pyarrow import Table
+
+def write_table(table: Table, where: Path, *, compression: str) -> None: ...

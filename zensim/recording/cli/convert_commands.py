@@ -1,0 +1,155 @@
+"""`zensim bag convert`: split, merge, filter and re-compress recordings."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final
+
+import msgspec
+import typer
+
+from zensim.proto.cli_options import JsonOption, expand_options, parse_choice
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.printable_text import print_lines
+from zensim.proto.verbosity import print_note
+from zensim.recording.byte_sizes import parse_size
+from zensim.recording.conversion import PRESETS, ConversionSettings, convert_recordings
+from zensim.recording.recording_parts import PartSettings
+from zensim.recording.recording_reader import LAST_NS, RecordingReader
+from zensim.recording.topic_selection import TopicFilter, TopicSelection
+
+CONVERT_EXAMPLES: Final = """Examples:
+  zensim bag convert run.mcap -o short.mcap --start-offset 30 --duration 10
+  zensim bag convert run -o parts --max-bag-size 500MB --storage-preset-profile zstd_small
+  zensim bag convert day1.mcap day2.mcap -o both.mcap --regex '/odom$' """
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConvertOptions:
+    """All options of `zensim bag convert`."""
+
+    paths: Annotated[
+        list[Path],
+        typer.Argument(metavar="PATH", help="Files or folders; several are merged by log time."),
+    ]
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FOLDER|FILE.mcap",
+            help="New folder with metadata.yaml as of rosbag2, or one file.",
+        ),
+    ]
+    topics: Annotated[
+        list[str] | None,
+        typer.Option(metavar="TOPIC", help="Only this topic, such as '*/odom'; repeatable."),
+    ] = None
+    regex: Annotated[
+        str,
+        typer.Option(
+            "--regex", "-e", metavar="EXPRESSION", help="Only topics whose name has a match."
+        ),
+    ] = ""
+    exclude_regex: Annotated[
+        str,
+        typer.Option(
+            "--exclude-regex", "-x", metavar="EXPRESSION", help="Leave out topics with a match."
+        ),
+    ] = ""
+    exclude_topics: Annotated[
+        list[str] | None,
+        typer.Option(metavar="TOPIC", help="Leave out a topic; repeatable."),
+    ] = None
+    start_offset: Annotated[
+        float,
+        typer.Option(
+            min=0.0, metavar="SECONDS", help=r"Begin so long after the first message \[s]."
+        ),
+    ] = 0.0
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS", help=r"Recorded time to copy \[s].", show_default="to the end"
+        ),
+    ] = None
+    max_bag_size: Annotated[
+        str,
+        typer.Option(
+            "--max-bag-size",
+            "-b",
+            metavar="BYTES",
+            help="Begin a new file at this size, such as 500MB; 0 = never.",
+        ),
+    ] = "0"
+    max_bag_duration: Annotated[
+        float,
+        typer.Option(
+            "--max-bag-duration",
+            "-d",
+            min=0.0,
+            metavar="SECONDS",
+            help=r"Begin a new file after this log time \[s]; 0 = never.",
+        ),
+    ] = 0.0
+    storage_preset_profile: Annotated[
+        str,
+        typer.Option(
+            metavar="none|zstd_fast|zstd_small",
+            help="Compression, as of rosbag2: none, fast, or small and slow.",
+        ),
+    ] = "zstd_fast"
+    as_json: JsonOption = False
+
+
+@expand_options
+def convert_command(given: ConvertOptions) -> None:
+    """Write recordings to a new one: split, merged, filtered, or compressed otherwise."""
+    with exit_on_failure("bag convert"):
+        settings = make_conversion_settings(given)
+        readers = [RecordingReader(path) for path in given.paths]
+        for file in (file for reader in readers for file in reader.unclosed):
+            print_note("bag", f"{file} was never closed, and is read in whole")
+        result = convert_recordings(readers, settings)
+    if result.damaged:
+        print_note("bag", f"{result.damaged} damaged places were left out")
+    if given.as_json:
+        print_lines(msgspec.json.encode(result).decode())
+    else:
+        size = f"{result.bytes / 1e6:.1f} MB"
+        print_lines(
+            f"{result.output}: {result.messages} messages of {result.topics} topics, {size}"
+        )
+
+
+def make_conversion_settings(given: ConvertOptions) -> ConversionSettings:
+    """Make the settings of the options.
+
+    Raises:
+        ValueError: One is not valid.
+    """
+    preset = parse_choice("--storage-preset-profile", given.storage_preset_profile, tuple(PRESETS))
+    start_ns, end_ns = round(given.start_offset * NANOSECONDS), LAST_NS
+    if given.duration is not None:
+        if not given.duration > 0:
+            raise ValueError(f"--duration {given.duration:g} is not valid; use more than 0")
+        end_ns = start_ns + round(given.duration * NANOSECONDS)
+    is_named = bool(given.topics or given.regex)
+    selection = TopicSelection(
+        topics=tuple(given.topics or ()),
+        wants_all=not is_named,
+        regex=given.regex,
+        exclude_regex=given.exclude_regex,
+        exclude_topics=tuple(given.exclude_topics or ()),
+    )
+    return ConversionSettings(
+        chosen=TopicFilter(selection),
+        start_ns=start_ns,
+        end_ns=end_ns,
+        parts=PartSettings(
+            path=given.output,
+            max_bytes=parse_size("--max-bag-size", given.max_bag_size),
+            max_duration_ns=round(given.max_bag_duration * NANOSECONDS),
+            chunks=PRESETS[preset],
+        ),
+    )

@@ -1,0 +1,106 @@
+"""`zensim bag export`: tables of a recording for pandas, polars and learning."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, get_args
+
+import msgspec
+import typer
+
+from zensim.proto.cli_options import JsonOption, expand_options, flag, parse_choice
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.printable_text import print_lines
+from zensim.proto.verbosity import print_note
+from zensim.recording.message_tables import read_tables
+from zensim.recording.recording_reader import LAST_NS, RecordingReader
+from zensim.recording.table_files import (
+    MissingDatasetExtra,
+    TableFacts,
+    TableFormat,
+    find_writer,
+    write_tables,
+)
+from zensim.recording.topic_selection import TopicFilter, TopicSelection
+
+FORMATS: tuple[TableFormat, ...] = get_args(TableFormat)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableOptions:
+    """All options of `zensim bag export`."""
+
+    path: Annotated[
+        Path, typer.Argument(metavar="FILE|FOLDER", help="Recording: an .mcap file, or its folder.")
+    ]
+    topics: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[TOPIC]...", help="Topics, such as '*/odom'; all if none is named."
+        ),
+    ] = None
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FOLDER",
+            help="New or empty folder.",
+            show_default="name of the recording",
+        ),
+    ] = None
+    table_format: Annotated[
+        str, typer.Option("--to", metavar="parquet|csv|npz", help="Format of the tables.")
+    ] = "parquet"
+    start_offset: Annotated[
+        float,
+        typer.Option(min=0.0, metavar="SECONDS", help=r"Leave out what is before this time \[s]."),
+    ] = 0.0
+    duration: Annotated[
+        float,
+        typer.Option(min=0.0, metavar="SECONDS", help=r"Export this log time \[s]; 0 = all."),
+    ] = 0.0
+    arrays: Annotated[
+        bool,
+        flag("--arrays", help="Export arrays, too: covariances, ranges of scans, pixels, points."),
+    ] = False
+    as_json: JsonOption = False
+
+
+@expand_options
+def export_command(given: TableOptions) -> None:
+    """Write a table for each kind of topic, with a row for each message and a column per field."""
+    with exit_on_failure("bag export", MissingDatasetExtra):
+        table_format = parse_choice("--to", given.table_format, FORMATS)
+        find_writer(table_format)  # before the recording is read
+        reader = RecordingReader(given.path)
+        selection = TopicSelection(topics=tuple(given.topics or ()), wants_all=not given.topics)
+        chosen = TopicFilter(selection)
+        start_ns = reader.start_ns + round(given.start_offset * NANOSECONDS)
+        end_ns = start_ns + round(given.duration * NANOSECONDS) if given.duration else LAST_NS
+        tables = read_tables(
+            reader,
+            lambda topic: chosen.accepts(topic.name),
+            start_ns=start_ns if given.start_offset else 0,
+            end_ns=end_ns,
+            wants_arrays=given.arrays,
+        )
+        if not tables:
+            names = ", ".join(sorted(topic.name for topic in reader.topics)[:5])
+            raise ValueError(f"no messages of these topics; the recording has {names}")
+        folder = given.output or given.path.with_name(f"{given.path.stem}_{table_format}")
+        facts = write_tables(tables, folder, table_format)
+    if given.as_json:
+        print_lines(msgspec.json.encode(facts).decode())
+        return
+    for one in facts:
+        print_lines(f"{folder / one.file}: {one.rows} rows, {len(one.columns)} columns")
+        _note_left_out(one)
+
+
+def _note_left_out(facts: TableFacts) -> None:
+    if facts.left_out:
+        names = ", ".join(facts.left_out[:5])
+        print_note("bag", f"{facts.file} is without {names}, whose shape differs")
+    if facts.damaged:
+        print_note("bag", f"{facts.damaged} messages of {facts.file} are damaged, and left out")

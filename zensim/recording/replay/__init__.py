@@ -1,0 +1,1 @@
+"""Publishes a recording again: time, topics, requests and keys of `zensim replay`."""
