@@ -1,0 +1,223 @@
+"""Websockets of clients: who may connect, and the loop that sends messages."""
+
+import asyncio
+import http
+from collections.abc import Callable, Collection
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import Final
+
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+from websockets.typing import Subprotocol
+
+from zensim.foxglove.foxglove_protocol import (
+    SUBPROTOCOLS,
+    WARNING,
+    Status,
+    encode_text,
+    frame_message,
+)
+from zensim.foxglove.live_hub import ClientJob, Job, LiveHub
+from zensim.proto.web_access import (
+    PageAccess,
+    has_token_in_address,
+    is_own_origin,
+    open_listener,
+    split_url,
+)
+
+TICK_S: Final = 0.02
+"""Period at which new messages of topics are sent to clients."""
+WATCH_S: Final = 0.1
+"""Period at which topics are discovered while no client subscribes."""
+IDLE_S: Final = 0.25
+"""Period at which the program checks whether it is to end, without clients."""
+MAX_MESSAGE_BYTES: Final = 4 << 20
+"""Of a message of a client, such as a call with a description to spawn."""
+MAX_CLIENTS: Final = 50
+MAX_BACKLOG_BYTES: Final = 16 << 20
+"""Data that wait for one client; beyond this, messages of topics are left out."""
+MOST_BACKLOG_BYTES: Final = 256 << 20
+"""The same for other messages; beyond this, the link is closed."""
+SLOW_NOTICE_S: Final = 1.0
+CLOSE_TIMEOUT_S: Final = 1.0
+WORKERS: Final = 4
+MAX_ERROR_TEXT: Final = 200
+
+Note = Callable[[str], None]
+
+
+class SocketLink:
+    """Link to one client."""
+
+    def __init__(self, connection: ServerConnection) -> None:
+        self._transport = connection.transport
+        self.left_out = 0
+        """Messages of topics that were left out since the last notice."""
+
+    def send(self, message: str | bytes) -> None:
+        """Send a message; close the link if too many bytes wait for the client."""
+        if self._transport.is_closing():
+            return
+        if self._transport.get_write_buffer_size() > MOST_BACKLOG_BYTES:
+            self._transport.abort()
+            return
+        self._transport.write(frame_message(message))
+
+    def send_data(self, frames: bytes, messages: int) -> None:
+        """Send whole frames, unless the link is slow."""
+        if self._transport.is_closing():
+            return
+        if self._transport.get_write_buffer_size() > MAX_BACKLOG_BYTES:
+            self.left_out += messages
+            return
+        self._transport.write(frames)
+
+    def take_notice(self) -> None:
+        """Send a warning if messages were left out."""
+        if self.left_out:
+            text = f"{self.left_out} messages were left out: the link is slow"
+            self.left_out = 0
+            self.send(encode_text(Status(WARNING, text, "slow")))
+
+
+@dataclass(frozen=True)
+class ServedAddress:
+    """Address that is served, and which clients may connect.
+
+    Attributes:
+        host: An address of this host.
+        port: 0 = any free one.
+        access: Token and certificate.
+        origins: Of other sites whose pages may connect.
+    """
+
+    host: str
+    port: int
+    access: PageAccess
+    origins: Collection[str] = ()
+
+
+class FoxgloveServer:
+    """Serves a hub to clients until it is to stop."""
+
+    def __init__(self, hub: LiveHub, address: ServedAddress, note: Note) -> None:
+        """Listen.
+
+        Args:
+            hub: What is served.
+            address: Where to serve, and which clients may connect.
+            note: Takes a line about a refused client.
+
+        Raises:
+            OSError: The address or the certificate cannot be used.
+        """
+        self._hub, self._address, self._note = hub, address, note
+        self._tls = address.access.make_tls_context()
+        self._listener = open_listener(address.host, address.port)
+        self.port: int = self._listener.getsockname()[1]
+        self._links: set[SocketLink] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._workers = ThreadPoolExecutor(WORKERS, "foxglove")
+        self._has_joined = asyncio.Event()
+
+    def run(self, should_stop: Callable[[], bool]) -> None:
+        """Serve until `should_stop` is true."""
+        try:
+            asyncio.run(self._serve(should_stop))
+        finally:
+            self._hub.close()
+            self._workers.shutdown(cancel_futures=True)
+            self._listener.close()
+
+    async def _serve(self, should_stop: Callable[[], bool]) -> None:
+        async with serve(
+            self._handle,
+            sock=self._listener,
+            process_request=self._check,
+            subprotocols=[Subprotocol(one) for one in SUBPROTOCOLS],
+            compression=None,
+            max_size=MAX_MESSAGE_BYTES,
+            close_timeout=CLOSE_TIMEOUT_S,
+            server_header=None,
+            ssl=self._tls,
+        ):
+            notice_s = 0.0
+            loop = asyncio.get_running_loop()
+            while not should_stop():
+                await self._wait()
+                self._hub.tick()
+                for job in self._hub.take_jobs():
+                    self._start(job, None)
+                if loop.time() >= notice_s:
+                    notice_s = loop.time() + SLOW_NOTICE_S
+                    for link in self._links:
+                        link.take_notice()
+
+    async def _wait(self) -> None:
+        """Wait for the next turn: a period with clients, else until one connects."""
+        if self._hub.has_clients:
+            await asyncio.sleep(TICK_S if self._hub.has_subscribers else WATCH_S)
+            return
+        self._has_joined.clear()
+        with suppress(asyncio.TimeoutError):
+            await asyncio.wait_for(self._has_joined.wait(), IDLE_S)
+
+    async def _handle(self, connection: ServerConnection) -> None:
+        link = SocketLink(connection)
+        self._links.add(link)
+        self._hub.join(link)
+        self._has_joined.set()
+        try:
+            with suppress(ConnectionClosed):
+                async for raw in connection:
+                    for job in self._hub.receive(link, raw):
+                        self._start(job, link)
+        finally:
+            self._links.discard(link)
+            self._hub.leave(link)
+
+    def _start(self, job: Job, link: SocketLink | None) -> None:
+        """Do work that blocks in another thread, and then what remains to be done here."""
+        task = asyncio.ensure_future(self._do(job, link))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _do(self, job: Job, link: SocketLink | None) -> None:
+        try:
+            outcome = await asyncio.get_running_loop().run_in_executor(self._workers, job)
+            if callable(outcome):
+                outcome()
+                return
+        except Exception as error:  # noqa: BLE001  whatever fails, the client waits for a reply
+            text = f"internal error: {type(error).__name__}: {str(error)[:MAX_ERROR_TEXT]}"
+            self._note(text)
+            outcome = job.fail(text) if isinstance(job, ClientJob) else None
+        if outcome is not None and link is not None:
+            link.send(outcome)
+
+    def _check(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Refuse clients of other sites, without the token, or of another protocol."""
+        hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
+        address = self._address
+        respond = partial(self._refuse, connection)
+        if not is_own_origin(hosts, origins, bound_to=address.host, admitted=address.origins):
+            what = f"origin {', '.join(origins)[:120]!r}, host {', '.join(hosts)[:120]!r}"
+            return respond(
+                http.HTTPStatus.FORBIDDEN, f"{what} is refused; to admit it use --allow-origin"
+            )
+        token = address.access.token
+        if token and not has_token_in_address(request.path, token):
+            path = split_url(request.path).path
+            return respond(http.HTTPStatus.UNAUTHORIZED, f"no token in the address {path[:80]!r}")
+        if len(self._links) >= MAX_CLIENTS:
+            return respond(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{MAX_CLIENTS} clients are served")
+        return None
+
+    def _refuse(self, connection: ServerConnection, status: http.HTTPStatus, text: str) -> Response:
+        self._note(text)
+        return connection.respond(status, f"zensim: {text}\n")

@@ -1,0 +1,168 @@
+"""Follows which topics and entities a world has, while clients are connected."""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from zensim.foxglove.live_topics import LiveTopic, list_live_topics
+from zensim.foxglove.merged_transforms import Transform, make_transform
+from zensim.foxglove.scene_entities import WORLD_FRAME, make_scene
+from zensim.proto import keys
+from zensim.proto.bus import Bus, BusError
+from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.telemetry_messages import (
+    EntityModel,
+    Event,
+    GetModelsRequest,
+    GetModelsResponse,
+)
+from zensim.proto.network_protocols import Sample
+from zensim.proto.rigid_transforms import from_rpy, to_rpy
+from zensim.proto.ros2.liveliness_tokens import (
+    TOKEN_SPACE,
+    AnnouncedEndpoint,
+    parse_endpoint_token,
+)
+from zensim.proto.service_catalog import GET_MODELS
+from zensim.proto.topic_catalog import EVENTS, TF
+from zensim.proto.topic_discovery import PUBLISHER, TopicFacts, list_robot_topics, merge_endpoints
+
+CALL_TIMEOUT_S: Final = 2.0
+FETCH_PERIOD_S: Final = 0.3
+"""Least time between two calls of `get_models`: robots are spawned and deleted in groups."""
+EVENTS_DEPTH: Final = 1024
+TOKENS_DEPTH: Final = 65_536
+CHANGES: Final = frozenset(
+    {"spawned", "deleted", "claimed", "released", "reset", "loaded", "unloaded"}
+)
+"""Kinds of events that change entities or agents."""
+FAILURES: Final = (BusError, ServiceError, TimeoutError, MalformedPayload)
+
+
+class WorldTopics:
+    """Tokens, events and models of one world."""
+
+    def __init__(self, bus: Bus, world: str, domain: int | None) -> None:
+        """Subscribe.
+
+        Args:
+            bus: Open session.
+            world: Its name.
+            domain: Of ROS 2, whose endpoints are watched; None = none.
+        """
+        self._bus, self._world, self._domain = bus, world, domain
+        self._servers = bus.watch_tokens(keys.alive_server(world))
+        self._events = bus.subscribe(EVENTS.key(world), EVENTS_DEPTH)
+        tokens = f"{TOKEN_SPACE}/{domain}/**"
+        self._tokens = None if domain is None else bus.watch_tokens(tokens, TOKENS_DEPTH)
+        self._endpoints: dict[str, AnnouncedEndpoint] = {}
+        self._models: GetModelsResponse | None = None
+        self._is_changed = True
+        self._needs_models = True
+        self._next_fetch_s = 0.0
+        self.scene = make_scene(GetModelsResponse())
+        """See `WorldFacts`."""
+        self.own_tf: frozenset[str] = frozenset()
+        """See `WorldFacts`."""
+        self.odometry_frames: tuple[Transform, ...] = ()
+        """See `WorldFacts`."""
+
+    def take(self) -> dict[str, LiveTopic] | None:
+        """Take changes; return all topics by name, if they may have changed."""
+        if self._servers.take() or self._take_events():
+            self._needs_models = True
+        self._take_tokens()
+        if not self._is_changed:
+            return None
+        self._is_changed = False
+        self._find_own_tf()
+        return list_live_topics(self._world, self._list_facts(), self._domain)
+
+    def take_jobs(self) -> Sequence[Callable[[], None]]:
+        """Take the work that blocks and is due."""
+        now_s = time.monotonic()
+        if not self._needs_models or now_s < self._next_fetch_s:
+            return []
+        self._needs_models, self._next_fetch_s = False, now_s + FETCH_PERIOD_S
+        return [self.fetch_models]
+
+    def fetch_models(self) -> None:
+        """Get the entities from the server; blocks for `CALL_TIMEOUT_S` at most."""
+        try:
+            models = self._bus.call(
+                GET_MODELS, GetModelsRequest(), world=self._world, timeout_s=CALL_TIMEOUT_S
+            )
+        except FAILURES:
+            # Due again at the next event, or when a server starts.
+            return
+        self._models = models
+        self.scene = make_scene(models)
+        self._is_changed = True
+
+    def close(self) -> None:
+        """End the subscriptions."""
+        self._servers.close()
+        self._events.close()
+        if self._tokens is not None:
+            self._tokens.close()
+
+    def _take_events(self) -> bool:
+        return any(_is_change(sample) for sample in self._events.take())
+
+    def _take_tokens(self) -> None:
+        for key, is_alive in self._tokens.take() if self._tokens is not None else ():
+            if not is_alive:
+                self._is_changed |= self._endpoints.pop(key, None) is not None
+                continue
+            endpoint = parse_endpoint_token(key)
+            if endpoint is not None and endpoint.kind == PUBLISHER:
+                self._endpoints[key] = endpoint
+                self._is_changed = True
+
+    def _find_own_tf(self) -> None:
+        """Find the robots whose node in ROS 2 does not publish the shared transforms."""
+        entities = self._models.entities if self._models is not None else ()
+        robots = [one for one in entities if one.agent and one.namespace]
+        ends = self._endpoints.values()
+        nodes = {one.node for one in ends if one.key == TF.suffix}
+        sharing = {one.key.rpartition("/")[0] for one in ends if one.node in nodes}
+        own = frozenset(one.namespace for one in robots) - sharing
+        if own != self.own_tf and self._models is not None:
+            models = self._models.models
+            made = (
+                make_odometry_frame(one, models[one.model])
+                for one in robots
+                if one.namespace in own
+            )
+            self.odometry_frames = tuple(one for one in made if one is not None)
+            self.own_tf = own
+
+    def _list_facts(self) -> list[TopicFacts]:
+        announced = merge_endpoints(self._endpoints.values())
+        return [*announced, *(list_robot_topics(self._models) if self._models is not None else ())]
+
+
+def _is_change(sample: Sample) -> bool:
+    """Whether an event changes entities or agents."""
+    try:
+        return decode(Event, sample.payload, sample.encoding).kind in CHANGES
+    except MalformedPayload:
+        return False
+
+
+def make_odometry_frame(entity: EntityModel, model: Model) -> Transform | None:
+    """Make the transform from the world to the odometry frame of a robot; None if it has none.
+
+    Odometry of encoders begins at zero where the robot was spawned.
+    """
+    drive = model.drive
+    if drive is None or not drive.publish_odom_tf:
+        return None
+    at, turn = entity.initial_pose.position, entity.initial_pose.orientation
+    pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    if drive.encoder is not None:
+        upright = from_rpy(0.0, 0.0, to_rpy((turn.x, turn.y, turn.z, turn.w))[2])
+        pose = (at.x, at.y, at.z, *upright)
+    return make_transform(WORLD_FRAME, f"{entity.namespace}/{drive.odometry_frame}", pose)
