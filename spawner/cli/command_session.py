@@ -17,9 +17,9 @@ from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure, list_expected_failures
 from zensim.proto.names import check_name
 from zensim.proto.printable_text import print_lines, printable_lines
+from zensim.proto.topic_discovery import list_topics
 from zensim.proto.verbosity import configure_logging
 from zensim.spawner.client.sim_client import SimClient
-from zensim.spawner.client.topic_discovery import list_topics
 
 Item = TypeVar("Item")
 LOG = logging.getLogger(__name__)

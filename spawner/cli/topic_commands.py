@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import typer
 
-from zensim.proto.bus import Bus, BusError, BusPublisher, BusSubscription
+from zensim.proto.bus import Bus, BusPublisher, BusSubscription
 from zensim.proto.cli_options import ConnectionOptions, JsonOption, expand_options, flag, make_app
 from zensim.proto.codec.message_codec import (
     Format,
@@ -23,9 +23,7 @@ from zensim.proto.codec.message_codec import (
     parse_schema_name,
 )
 from zensim.proto.keys import last_chunk
-from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import Twist, Vector3
-from zensim.proto.messages.telemetry_messages import GetModelsResponse
 from zensim.proto.network_protocols import Sample
 from zensim.proto.printable_text import print_lines
 from zensim.proto.schema import list_messages
@@ -37,7 +35,7 @@ from zensim.spawner.cli.command_session import (
     open_client,
     print_json,
 )
-from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.cli.driven_robots import await_driver
 
 ROS_TYPES = {kind.ros_type: kind for kind in list_messages().values() if hasattr(kind, "ros_type")}
 ZENSIM_TYPES = {
@@ -142,11 +140,7 @@ def _yaml_scalar(value: object) -> str:
 app = make_app()
 
 POLL_S = 0.002
-ASK_S = 0.05
-"""Between questions to the server."""
 QUEUE_DEPTH = 65536
-SUBSCRIBER_TIMEOUT_S = 3.0
-MAX_NAMES_SHOWN = 5
 
 KeyArgument = Annotated[
     str,
@@ -173,16 +167,6 @@ class MeasureOptions(ConnectionOptions):
     window: WindowOption = 1000
     duration: DurationOption = 0.0
     as_json: JsonOption = False
-
-
-class NoSubscriber(BusError):
-    """No agent subscribes to a robot's cmd_vel."""
-
-
-class NoSuchRobot(BusError):
-    """No entity has this name or namespace."""
-
-    code = ResultCode.NOT_FOUND
 
 
 @app.command(
@@ -219,7 +203,7 @@ def drive(
             raise ValueError(f"--rate must be positive, got {rate:g}")
         key = CMD_VEL.key(robot.strip("/"))
         publisher = client.bus.advertise(key, CMD_VEL.encoding)
-        _await_driver(client, publisher, robot.strip("/"))
+        await_driver(client, publisher, robot.strip("/"))
         text = f"{key} at {linear:g} m/s, {angular:g} rad/s"
         facts = {"key": key, "linear": linear, "angular": angular}
         print_announcement("drive", text, facts, as_json=as_json)
@@ -235,72 +219,6 @@ def _make_twist(linear: float, angular: float) -> Twist:
     if not (math.isfinite(linear) and math.isfinite(angular)):
         raise ValueError(f"velocities must be finite, got {linear:g} m/s, {angular:g} rad/s")
     return Twist(Vector3(x=linear), Vector3(z=angular))
-
-
-def wait_for_subscriber(publisher: BusPublisher) -> bool:
-    """Wait until something subscribes; False if nothing does within `SUBSCRIBER_TIMEOUT_S`."""
-    deadline = time.monotonic() + SUBSCRIBER_TIMEOUT_S
-    while not publisher.is_matched:
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(POLL_S)
-    return True
-
-
-def _await_driver(client: SimClient, publisher: BusPublisher, robot: str) -> None:
-    """Wait until commands of a robot have an effect.
-
-    A subscription with wildcards, as of a recorder, covers robots that nothing drives, so the
-    server is asked, too. Subscribers of a robot that it does not know get a note.
-    """
-    deadline = time.monotonic() + SUBSCRIBER_TIMEOUT_S
-    while (problem := _find_problem(client, robot, is_matched=publisher.is_matched)) is not None:
-        if publisher.is_matched and isinstance(problem, NoSuchRobot):
-            print_note("drive", str(problem))
-            return
-        if time.monotonic() > deadline:
-            raise problem
-        time.sleep(ASK_S)
-
-
-def _find_problem(client: SimClient, robot: str, *, is_matched: bool) -> BusError | None:
-    """Find out why commands of a robot have no effect; None if they have."""
-    key = CMD_VEL.key(robot)
-    try:
-        models = client.models()
-    except (BusError, ServiceError, TimeoutError):
-        unexplained = NoSubscriber(f"nothing subscribes to {key}, and no server says why")
-        return None if is_matched else unexplained
-    names = {one.namespace: one for one in models.entities} | {
-        one.entity: one for one in models.entities if one.namespace != robot
-    }
-    found = names.get(robot)
-    if found is None:
-        return NoSuchRobot(f"there is no robot '{robot}'; {_list_robots(models)}")
-    if models.models[found.model].drive is None:
-        return NoSubscriber(f"'{robot}' is not a robot: it has no drive; {_list_robots(models)}")
-    if found.namespace != robot:
-        return NoSubscriber(
-            f"the topics of '{robot}' are at {found.namespace}/; use 'zensim drive "
-            f"{found.namespace}'"
-        )
-    if not found.agent:
-        return NoSubscriber(f"no agent drives '{robot}'; start one: 'zensim agent {found.entity}'")
-    unsubscribed = NoSubscriber(
-        f"agent {found.agent} drives '{robot}', but does not subscribe to {key}"
-    )
-    return None if is_matched else unsubscribed
-
-
-def _list_robots(models: GetModelsResponse) -> str:
-    names = [
-        one.namespace or one.entity
-        for one in models.entities
-        if models.models[one.model].drive is not None
-    ]
-    more = f" and {len(names) - MAX_NAMES_SHOWN} more" if len(names) > MAX_NAMES_SHOWN else ""
-    shown = ", ".join(names[:MAX_NAMES_SHOWN])
-    return f"the robots are {shown}{more}" if names else "spawn one: 'zensim spawn box_bot'"
 
 
 def publish_at_rate(publisher: BusPublisher, payload: bytes, period_s: float, count: int) -> None:

@@ -34,8 +34,10 @@ from zensim.proto.messages.telemetry_messages import GetModelsResponse, WorldClo
 from zensim.proto.network_protocols import Sample
 from zensim.proto.printable_text import print_lines
 from zensim.proto.topic_catalog import CLOCK, ROBOT_TOPICS
+from zensim.proto.topic_discovery import TopicEndpoint, TopicFacts, list_topics
 from zensim.proto.verbosity import CURRENT, print_note
 from zensim.spawner.cli.command_session import open_client, print_json, print_table
+from zensim.spawner.cli.driven_robots import wait_for_subscriber
 from zensim.spawner.cli.topic_commands import (
     ROS_TYPES,
     KeyArgument,
@@ -45,10 +47,8 @@ from zensim.spawner.cli.topic_commands import (
     hz,
     measure_topic,
     publish_at_rate,
-    wait_for_subscriber,
 )
 from zensim.spawner.client.sim_client import SimClient
-from zensim.spawner.client.topic_discovery import TopicEndpoint, TopicFacts, list_topics
 
 app = make_app("topic")
 app.command("echo")(echo)

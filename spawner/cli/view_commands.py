@@ -1,38 +1,49 @@
-"""`zensim view`: serve a web page that shows the world in 3D."""
+"""Serves the web page of `zensim view`, and its options."""
 
 import json
-import os
-import re
-import secrets
 import webbrowser
-from contextlib import closing
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from zensim.proto.bus import BusConfig, open_bus
-from zensim.proto.cli_options import ConnectionOptions, JsonOption, expand_options, make_app
-from zensim.proto.endpoints import DEFAULT_ENDPOINT, Exposed, is_loopback, is_port_taken
-from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.bus import Bus, BusConfig, BusError, open_bus
+from zensim.proto.cli_options import ConnectionOptions, JsonOption
+from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.endpoints import DEFAULT_ENDPOINT, is_port_taken
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.names import check_name
+from zensim.proto.network_protocols import ViewerNetwork
 from zensim.proto.printable_text import print_lines
 from zensim.proto.process_limits import raise_niceness
+from zensim.proto.security.roles import ROLES
+from zensim.proto.service_catalog import INFO, SPAWN_ENTITY
 from zensim.proto.stop_signal import StopFlag
+from zensim.proto.verbosity import print_note
+from zensim.proto.web_access import (
+    PageAccess,
+    check_certificate,
+    check_page_exposure,
+    make_page_url,
+    read_page_token,
+)
 
-app = make_app()
+if TYPE_CHECKING:
+    from zensim.spawner.page.robot_driver import RobotDriver
+    from zensim.spawner.page.viewer_client import PanelFactory
 
-TOKEN_BYTES = 16
-TOKEN_PATTERN = re.compile(r"[A-Za-z0-9_-]{22,}")
 PAGE_NICENESS = 5
-"""A third of the share of others: visitors do not delay the simulation where cores are busy."""
+"""A third of the CPU share of niceness 0, so that visitors do not delay the simulation."""
 _access = partial(typer.Option, rich_help_panel="Access")
+INFO_TIMEOUT_S = 2.0
 VIEWER_EXTRA = ("viser", "websockets")
-ANY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "::1"}
-"""Address in the printed URL of a page that is served on all addresses."""
 
 
 class MissingViewerExtra(Exception):
@@ -76,7 +87,7 @@ class ViewOptions(ConnectionOptions):
         bool, _access("--secure", metavar="", help="Serve only browsers that have the token.")
     ] = False
     insecure: Annotated[
-        bool, _access("--insecure", metavar="", help="Serve everybody, also on other hosts.")
+        bool, _access("--insecure", metavar="", help="Serve every browser, also of other hosts.")
     ] = False
     certificate: Annotated[
         Path | None,
@@ -93,96 +104,47 @@ class ViewOptions(ConnectionOptions):
             help="File of the token, made if it is missing, so that the page keeps its address.",
         ),
     ] = None
+    read_only: Annotated[
+        bool,
+        _access("--read-only", metavar="", help="Visitors look; nothing can be changed or driven."),
+    ] = False
     as_json: JsonOption = False
 
 
-@app.command(
-    epilog="""Examples:
-  zensim view --open
-  zensim view --host 0.0.0.0 --port 9000 --secure --certificate page.pem --key page.key"""
-)
-@expand_options
-def view(given: ViewOptions) -> None:
-    """Serve a web page that shows the world in 3D, until Ctrl-C."""
-    stop = StopFlag()
-    with exit_on_failure("view", MissingViewerExtra):
-        check_name(given.world_name, "world")
-        check_page_exposure(
-            given.host,
-            has_tls=check_certificate(given.certificate, given.key),
-            is_secure=given.secure,
-            is_insecure=given.insecure,
-        )
-        _serve_page(given, read_page_token(given.page_token) if given.secure else "", stop)
+class PageSource(NamedTuple):
+    """What a page shows, and how visitors act on it."""
+
+    network: ViewerNetwork
+    world: str
+    driver: "RobotDriver | None" = None
+    """Publishes commands; None = visitors may look only."""
+    panels: "Mapping[str, PanelFactory]" = MappingProxyType({})
+    """Further tabs by title."""
 
 
-def check_certificate(certificate: Path | None, key: Path | None) -> bool:
-    """Return whether the page is served by HTTPS.
+SourceOpener = Callable[[ExitStack], PageSource]
+
+
+def serve_page(given: ViewOptions, open_source: SourceOpener, stop: StopFlag) -> None:
+    """Serve a page until a signal.
 
     Raises:
-        ValueError: Only one of the files is given.
+        MissingViewerExtra: A package is missing.
+        Exposed: The page would be open to other hosts, and no option permits it.
+        ValueError: Options contradict each other, or a name is not valid.
+        OSError: A port or a file cannot be used.
     """
-    if (certificate is None) != (key is None):
-        raise ValueError("--certificate and --key belong together; give both or none")
-    return certificate is not None
-
-
-def check_page_exposure(host: str, *, has_tls: bool, is_secure: bool, is_insecure: bool) -> None:
-    """Refuse to serve other hosts unless the user says how.
-
-    Raises:
-        Exposed: The address is not on loopback, and nothing is chosen, or no certificate is there.
-        ValueError: Both are chosen.
-    """
-    if is_secure and is_insecure:
-        raise ValueError("--secure and --insecure exclude each other; give one of them")
-    if is_loopback(host) or is_insecure:
-        return
-    if not is_secure:
-        raise Exposed(
-            f"the page on {host} could be opened from other hosts by everybody; type 'zensim view "
-            f"--host {host} --secure --certificate FILE --key FILE', or add --insecure in a "
-            "network that you trust"
-        )
-    if not has_tls:
-        raise Exposed(
-            f"the token of a page on {host} could be read on its way; add --certificate FILE "
-            "--key FILE, or serve it on 127.0.0.1"
-        )
-
-
-def read_page_token(path: Path | None) -> str:
-    """Read the token of the page from its file; make both if the file is missing.
-
-    Raises:
-        OSError: The file cannot be read or written.
-        ValueError: It has no token.
-    """
-    if path is None:
-        return secrets.token_urlsafe(TOKEN_BYTES)
+    check_name(given.world_name, "world")
+    check_page_exposure(
+        "zensim view",
+        given.host,
+        has_tls=check_certificate(given.certificate, given.key),
+        is_secure=given.secure,
+        is_insecure=given.insecure,
+    )
+    token = read_page_token(given.page_token) if given.secure else ""
+    access = PageAccess(token, str(given.certificate or ""), str(given.key or ""))
     try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    except FileExistsError:
-        if not TOKEN_PATTERN.fullmatch(token := path.read_text("ascii").strip()):
-            raise ValueError(
-                f"{path} has no token of 22 or more letters, digits, '-' and '_'; remove the file"
-            ) from None
-        return token
-    with os.fdopen(descriptor, "w") as file:
-        file.write(token := secrets.token_urlsafe(TOKEN_BYTES))
-    return token
-
-
-def make_page_url(host: str, port: int, token: str, *, has_tls: bool) -> str:
-    """Make the address of the page as a browser on this host opens it."""
-    name = ANY_ADDRESS.get(host, host)
-    query = f"/?zensim_token={token}" if token else ""
-    return f"http{'s' if has_tls else ''}://{f'[{name}]' if ':' in name else name}:{port}{query}"
-
-
-def _serve_page(given: ViewOptions, token: str, stop: StopFlag) -> None:
-    try:
-        from zensim.spawner.page.page_server import PageAccess
         from zensim.spawner.page.viewer_loop import Viewer
         from zensim.spawner.page.viewer_page import ViewerPage
     except ModuleNotFoundError as error:
@@ -191,14 +153,41 @@ def _serve_page(given: ViewOptions, token: str, stop: StopFlag) -> None:
         raise MissingViewerExtra(
             f"{error.name} is not installed; use pip install 'zensim[viewer]'"
         ) from error
-    access = PageAccess(token, str(given.certificate or ""), str(given.key or ""))
-    config = BusConfig(connect=(given.connect or DEFAULT_ENDPOINT,))
     raise_niceness(PAGE_NICENESS)
-    with open_bus(config) as bus, closing(ViewerPage(given.host, given.port, access)) as page:
-        viewer = Viewer(bus, page, given.world_name)
+    with ExitStack() as stack:
+        source = open_source(stack)
+        page = ViewerPage(given.host, given.port, access, source.driver, source.panels)
+        stack.enter_context(closing(page))
+        viewer = Viewer(source.network, page, source.world)
         _announce(given, page.port, token)
         while not stop.is_set:
             viewer.tick()
+
+
+def open_world(given: ViewOptions, stack: ExitStack) -> PageSource:
+    """Open a session to a running world."""
+    from zensim.spawner.page.robot_driver import RobotDriver
+
+    bus = stack.enter_context(open_bus(BusConfig(connect=(given.connect or DEFAULT_ENDPOINT,))))
+    can_act = not given.read_only and may_act(bus, given.world_name)
+    driver = stack.enter_context(closing(RobotDriver(bus))) if can_act else None
+    return PageSource(bus, given.world_name, driver)
+
+
+def may_act(bus: Bus, world: str) -> bool:
+    """Whether the role of this session may change the world; without one, or unknown: yes."""
+    if not bus.user:
+        return True
+    try:
+        role = bus.call(INFO, InfoRequest(), world=world, timeout_s=INFO_TIMEOUT_S).role
+    except (BusError, ServiceError, TimeoutError, MalformedPayload):
+        return True
+    if role not in ROLES or SPAWN_ENTITY.name in ROLES[role].services:
+        return True
+    print_note(
+        "view", f"role '{role}' may not change the world, so the page has no controls for it"
+    )
+    return False
 
 
 def _announce(given: ViewOptions, port: int, token: str) -> None:

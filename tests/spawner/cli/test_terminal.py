@@ -1,77 +1,12 @@
 """Commands on a terminal: confirmation, redrawing, progress bars."""
 
-import os
-import pty
-import select
 import signal
-import subprocess
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
 
 import pytest
 
-from tests.integration.processes import Server, command_line, end, eventually
+from tests.integration.processes import Server
+from tests.integration.terminals import on_terminal
 from zensim.proto.exit_codes import ExitCode
-from zensim.proto.process_limits import PARENT_PID_VARIABLE
-
-WITHIN_S = 20.0
-
-
-@dataclass
-class Terminal:
-    """A command and its screen."""
-
-    process: "subprocess.Popen[str]"
-    screen: int
-    output: str = field(default="")
-
-    def wait_for(self, text: str) -> None:
-        """Wait until a text was printed."""
-        eventually(lambda: text in self._read(), WITHIN_S, f"{text!r}")
-
-    def type(self, keys: str) -> None:
-        os.write(self.screen, keys.encode())
-
-    def status(self) -> int:
-        """Wait for the exit status."""
-        eventually(self._has_exited, WITHIN_S, "exit")
-        return self.process.wait()
-
-    def _has_exited(self) -> bool:
-        self._read()
-        return self.process.poll() is not None
-
-    def _read(self) -> str:
-        while select.select([self.screen], [], [], 0.01)[0]:
-            self.output += os.read(self.screen, 65536).decode(errors="replace")
-        return self.output
-
-
-@contextmanager
-def on_terminal(server: Server, *arguments: str) -> Iterator[Terminal]:
-    """Run a command on a pseudo-terminal, and end it."""
-    screen, slave = pty.openpty()
-    process = subprocess.Popen(
-        command_line([*arguments, "--connect", server.endpoint]),
-        stdin=slave,
-        stdout=slave,
-        stderr=slave,
-        text=True,
-        start_new_session=True,
-        env={
-            **os.environ,
-            PARENT_PID_VARIABLE: str(os.getpid()),
-            "TERM": "xterm",
-            "COLUMNS": "100",
-        },
-    )
-    try:
-        yield Terminal(process, screen)
-    finally:
-        end(process)
-        os.close(screen)
-        os.close(slave)
 
 
 @pytest.mark.parametrize(

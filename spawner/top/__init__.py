@@ -1,0 +1,1 @@
+"""`zensim top`: robots and processes of a world, with rates, CPU time and memory."""

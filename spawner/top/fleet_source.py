@@ -1,0 +1,187 @@
+"""Reads what the programs of a world report, once a second, from as few topics as possible.
+
+The statistics are one message a second of each process, poses of all robots are one query of the
+snapshot, and rates of odometry are measured for the robots that are shown only: an agent publishes
+odometry for subscribers only, and that of a fleet would be 50 messages a second of each robot.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from typing import Final, Generic, TypeVar
+
+import msgspec
+
+from zensim.proto.bus import Bus, BusError, BusSubscription
+from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.messages.process_messages import AgentStats, ProcessUsage
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.sensor_messages import SensorStats
+from zensim.proto.messages.telemetry_messages import Snapshot, Stats
+from zensim.proto.stats_publisher import read_host_name
+from zensim.proto.topic_catalog import AGENT_STATS, ODOM, SENSOR_STATS, SNAPSHOT, STATS, TopicSpec
+from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.top.fleet_figures import NO_MODELS, FleetReading
+from zensim.spawner.top.local_processes import list_descendants
+
+Report = TypeVar("Report", bound=msgspec.Struct)
+
+SILENT_S: Final = 3.5
+"""A process that has not reported for so long is left out; a silent server is marked."""
+MODELS_S: Final = 5.0
+"""Between calls of `get_models` where nothing says that robots or agents changed."""
+MODELS_TIMEOUT_S: Final = 2.0
+"""Of such a call; the screen shows nothing new meanwhile."""
+REPORTS_DEPTH: Final = 4096
+ODOM_DEPTH: Final = 4096
+QUERY_TIMEOUT_S: Final = 0.5
+
+
+class Reports(Generic[Report]):
+    """The last report of each process, until it is silent."""
+
+    def __init__(
+        self, subscription: BusSubscription, kind: type[Report], name: Callable[[Report], str]
+    ) -> None:
+        self._subscription = subscription
+        self._kind = kind
+        self._name = name
+        self._last: dict[str, tuple[float, Report]] = {}
+
+    def read(self, now_s: float) -> Mapping[str, Report]:
+        """Read the reports by name."""
+        for sample in self._subscription.take():
+            try:
+                report = decode(self._kind, sample.payload, sample.encoding)
+            except MalformedPayload:
+                continue
+            self._last[self._name(report)] = (now_s, report)
+        fresh = {name: at for name, at in self._last.items() if now_s - at[0] <= SILENT_S}
+        return {name: fresh[name][1] for name in sorted(fresh)}
+
+    def find_newest(self) -> Report | None:
+        """Find the last report, however old it is."""
+        return max(self._last.values(), key=lambda one: one[0])[1] if self._last else None
+
+    def close(self) -> None:
+        """Undeclare the subscription."""
+        self._subscription.close()
+
+
+class OdometryRates:
+    """Measures the rates of odometry of some robots."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._subscriptions: dict[str, BusSubscription] = {}
+        self._since_s: dict[str, float] = {}
+
+    def watch(self, namespaces: Iterable[str], now_s: float) -> None:
+        """Subscribe to these robots only."""
+        wanted = set(namespaces)
+        for gone in self._subscriptions.keys() - wanted:
+            self._subscriptions.pop(gone).close()
+            del self._since_s[gone]
+        for new in sorted(wanted - self._subscriptions.keys()):
+            self._subscriptions[new] = self._bus.subscribe(ODOM.key(new), ODOM_DEPTH)
+            self._since_s[new] = now_s
+
+    def read(self, now_s: float) -> dict[str, float]:
+        """Count the messages since the reading before [Hz]."""
+        found = {}
+        for namespace, subscription in self._subscriptions.items():
+            elapsed_s = now_s - self._since_s[namespace]
+            count = len(subscription.take())
+            if elapsed_s > 0.0:
+                found[namespace] = count / elapsed_s
+                self._since_s[namespace] = now_s
+        return found
+
+    def close(self) -> None:
+        """Undeclare all subscriptions."""
+        self.watch((), 0.0)
+
+
+class FleetSource:
+    """Subscriptions and calls of `zensim top`."""
+
+    def __init__(self, client: SimClient) -> None:
+        """Subscribe.
+
+        Args:
+            client: Of the world.
+        """
+        bus, world = client.bus, client.world
+        self._client = SimClient(bus, world, MODELS_TIMEOUT_S)
+
+        def subscribe(topic: TopicSpec, *owner: str) -> BusSubscription:
+            return bus.subscribe(topic.key(world, *owner), REPORTS_DEPTH)
+
+        self._stats = Reports(subscribe(STATS), Stats, lambda one: one.world)
+        self._agents = Reports(subscribe(AGENT_STATS, "*"), AgentStats, lambda one: one.agent)
+        self._sensors = Reports(subscribe(SENSOR_STATS, "*"), SensorStats, lambda one: one.process)
+        self._rates = OdometryRates(bus)
+        self._models = NO_MODELS
+        self._models_of: object = None
+        self._models_s = 0.0
+
+    def watch(self, namespaces: Iterable[str]) -> None:
+        """Measure the rates of odometry of these robots, and of no others."""
+        self._rates.watch(namespaces, time.monotonic())
+
+    def read(self) -> FleetReading:
+        """Read what was reported; calls the server, whose models only if it has replied before."""
+        snapshot = self._fetch_snapshot()
+        now_s = time.monotonic()
+        stats, agents = self._stats.read(now_s), self._agents.read(now_s)
+        sensors = self._sensors.read(now_s)
+        roster = (snapshot.roster if snapshot else None, tuple(sorted(agents)), _count(agents))
+        if snapshot is None:
+            pass  # a call would only wait, and the silence would be shown late
+        elif roster != self._models_of or now_s - self._models_s > MODELS_S:
+            self._models_of, self._models_s = roster, now_s
+            self._fetch_models()
+        reports: list[Stats | AgentStats | SensorStats] = [
+            *stats.values(),
+            *agents.values(),
+            *sensors.values(),
+        ]
+        return FleetReading(
+            stats=self._stats.find_newest(),
+            agents=agents,
+            sensors=sensors,
+            children=tuple(list_descendants(list_local_ids(one.usage for one in reports))),
+            read_s=time.monotonic(),
+            snapshot=snapshot,
+            models=self._models,
+            odom_hz=self._rates.read(time.monotonic()),
+            is_stale=not stats,
+        )
+
+    def close(self) -> None:
+        """Undeclare all subscriptions."""
+        for one in (self._stats, self._agents, self._sensors, self._rates):
+            one.close()
+
+    def _fetch_snapshot(self) -> Snapshot | None:
+        bus = self._client.bus
+        try:
+            found = bus.get(SNAPSHOT.key(self._client.world), QUERY_TIMEOUT_S)
+            return decode(Snapshot, found[0].payload, found[0].encoding) if found else None
+        except MalformedPayload:
+            return None
+
+    def _fetch_models(self) -> None:
+        try:
+            self._models = self._client.models()
+        except (BusError, ServiceError, TimeoutError, MalformedPayload):
+            # The last ones are shown until a server replies again.
+            self._models_s = 0.0
+
+
+def list_local_ids(usages: Iterable[ProcessUsage]) -> list[int]:
+    """List the ids of the processes that run on this host."""
+    return [one.process_id for one in usages if one.host == read_host_name() and one.process_id]
+
+
+def _count(agents: Mapping[str, AgentStats]) -> int:
+    return sum(one.robots for one in agents.values())
