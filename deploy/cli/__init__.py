@@ -7,13 +7,15 @@ version need no typer either, whose import takes longer than they do.
 import importlib
 import os
 import sys
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeVar
 
 from zensim.proto.process_limits import die_with_supervisor
 
 if TYPE_CHECKING:
     import typer
+
+Options = TypeVar("Options")
 
 
 class Verb(NamedTuple):
@@ -59,7 +61,7 @@ VERBS: dict[str, Verb] = {
     ),
     "view": Verb(
         "Programs",
-        "zensim.spawner.cli.view_commands",
+        "zensim.deploy.cli.page_program",
         "Serve a web page that shows the world in 3D.",
     ),
     "spawn": Verb("Entities", "zensim.spawner.cli.spawn_commands", "Spawn one robot or object."),
@@ -118,6 +120,11 @@ VERBS: dict[str, Verb] = {
     "drive": Verb(
         "Topics", "zensim.spawner.cli.topic_commands", "Publish velocity commands to a robot."
     ),
+    "teleop": Verb(
+        "Topics",
+        "zensim.spawner.cli.teleop_commands",
+        "Drive robots by keyboard and gamepad.",
+    ),
     "topic": Verb(
         "Topics",
         "zensim.spawner.cli.topic_group_commands",
@@ -127,18 +134,38 @@ VERBS: dict[str, Verb] = {
     "hz": Verb(
         "Topics", "zensim.spawner.cli.topic_commands", "Measure the message rate of a topic."
     ),
+    "foxglove": Verb(
+        "Programs",
+        "zensim.foxglove.cli",
+        "Serve the topics of a world to Foxglove.",
+    ),
     "record": Verb(
         "Recordings",
         "zensim.recording.cli.record_commands",
         "Record topics to MCAP files.",
+    ),
+    "replay": Verb(
+        "Recordings",
+        "zensim.recording.cli.replay_commands",
+        "Publish a recording again, with a clock.",
     ),
     "bag": Verb(
         "Recordings",
         "zensim.recording.cli.bag_commands",
         "Inspect and recover recordings.",
     ),
+    "resim": Verb(
+        "Recordings",
+        "zensim.deploy.cli.resim_commands",
+        "Run a recording again in the engine, and compare the states.",
+    ),
     "features": Verb(
         "Diagnostics", "zensim.spawner.cli.simulation_commands", "List the features of the server."
+    ),
+    "top": Verb(
+        "Diagnostics",
+        "zensim.spawner.cli.top_commands",
+        "Show robots and processes: rates, real-time factor, CPU time, memory.",
     ),
     "stats": Verb(
         "Diagnostics",
@@ -318,13 +345,25 @@ def main() -> None:
 
 
 def _run_plainly(arguments: Sequence[str]) -> bool:
-    """Run `zensim model` if its options can be parsed without typer; say whether it ran."""
-    if arguments[:1] != ["model"]:
-        return False
-    from zensim.deploy.cli.model_commands import ModelOptions, print_model
+    """Run a command if its options can be parsed without typer; say whether it ran."""
+    if arguments[:1] == ["model"]:
+        from zensim.deploy.cli.model_commands import ModelOptions, print_model
+
+        return _run_with_options(ModelOptions, print_model, arguments[1:])
+    if arguments[:1] == ["record"]:
+        from zensim.recording.cli.record_commands import RecordOptions, record_topics
+
+        # The libraries by which typer converts values have a fifth of its memory.
+        return _run_with_options(RecordOptions, record_topics, arguments[1:])
+    return False
+
+
+def _run_with_options(
+    group: type[Options], run: Callable[[Options], None], words: Sequence[str]
+) -> bool:
     from zensim.proto.cli_options import parse_plain_options
 
-    given = parse_plain_options(ModelOptions, arguments[1:], os.environ)
+    given = parse_plain_options(group, words, os.environ)
     if given is not None:
-        print_model(given)
+        run(given)
     return given is not None

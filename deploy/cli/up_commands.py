@@ -297,6 +297,20 @@ def _make_demo(
 
 def make_config(given: UpOptions) -> LaunchConfig:
     """Make the settings of a deployment; raise `ValueError` if an option is not valid."""
+    return msgspec.structs.replace(
+        _make_server_config(given),
+        agents=_choose_agents(given.agents, given.robots, given.odom_hz, given.tf_hz),
+        sensor_processes=given.sensors,
+        recording=str(given.record or ""),
+        keeps_inputs=given.input_log,
+        has_viewer=given.viewer,
+        viewer_port=given.viewer_port,
+        is_verbose=CURRENT.is_verbose,
+    )
+
+
+def _make_server_config(given: UpOptions) -> LaunchConfig:
+    """Make the settings of robots and server."""
     return LaunchConfig(
         placements=_make_placements(given),
         model=given.model,
@@ -328,12 +342,6 @@ def make_config(given: UpOptions) -> LaunchConfig:
         clusters=given.clusters,
         engine_workers=given.engine_workers,
         ros=given.ros,
-        agents=_choose_agents(given.agents, given.robots, given.odom_hz, given.tf_hz),
-        sensor_processes=given.sensors,
-        recording=str(given.record or ""),
-        has_viewer=given.viewer,
-        viewer_port=given.viewer_port,
-        is_verbose=CURRENT.is_verbose,
     )
 
 

@@ -1,37 +1,46 @@
 """Server of the page: requests and messages that it accepts, before viser reads them."""
 
 import asyncio
-import errno
 import gzip
-import hmac
 import http
 import io
-import os
 import socket
 import ssl
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
-from http.cookies import CookieError, SimpleCookie
-from ipaddress import ip_address
-from math import isfinite
-from typing import Annotated, Any, Final, TypeAlias
-from urllib.parse import SplitResult, parse_qs, urlsplit
+from functools import cached_property, lru_cache, partial
+from typing import Any, Final
 
-import msgspec
 import rich
 import viser
 import viser.infra._async_message_buffer
 import viser.infra._infra
 import websockets.asyncio.server
+from viser._messages import RunJavascriptMessage
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from zensim.spawner.page.side_panel import Button
+from zensim.proto.web_access import (
+    OPEN_ACCESS,
+    TOKEN_NAME,
+    PageAccess,
+    has_token,
+    has_token_in_address,
+    is_own_origin,
+    open_listener,
+)
+from zensim.spawner.page.page_messages import is_offered, note_control, read_page_message
+from zensim.spawner.page.page_tools import make_tools_script
+from zensim.spawner.page.script_messages import (
+    DRIVE_SCRIPT,
+    ScriptMessage,
+    read_script_message,
+)
+from zensim.spawner.page.shortcuts import SHORTCUTS
 
 HOVER_SCRIPT: Final = """
 (() => {
@@ -181,118 +190,56 @@ MAX_MESSAGE_BYTES: Final = 64 << 10
 MAX_VISITORS: Final = 50
 """Open pages at the same time; a further one is refused."""
 MESSAGES_PER_S: Final = 60.0
-"""Messages of one page that are read; further ones wait, and then its link does."""
+"""Messages of one page that are read; further ones wait in its connection."""
 BURST_S: Final = 1.0
 """Time for which messages may come faster."""
-TOKEN_NAME: Final = "zensim_token"
-"""Name of the cookie, and of the parameter in the address."""
 
 NO_TOKEN: Final = (
     "zensim: open the page by the address with its token, as 'zensim view' printed it\n"
 )
 CROWDED: Final = f"zensim: {MAX_VISITORS} pages are open, the limit; close one\n"
 NamesProvider = Callable[[], bytes]
-
-
-class PortTaken(OSError):
-    """Another program listens on the port."""
-
-
-class CannotListen(OSError):
-    """The address does not belong to this host, or its use is not permitted."""
-
-
-Name: TypeAlias = Annotated[str, msgspec.Meta(max_length=256)]
-Vector: TypeAlias = tuple[float, float, float]
-Pixels: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=1 << 16)]
-
-
-class ViewerCameraMessage(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fields=True):
-    """The camera of a page has moved."""
-
-    wxyz: tuple[float, float, float, float]
-    position: Vector
-    fov: float
-    near: float
-    far: float
-    image_height: Pixels
-    image_width: Pixels
-    look_at: Vector
-    up_direction: Vector
-
-
-class NewValue(msgspec.Struct, forbid_unknown_fields=True):
-    """The only attribute of a control that a page may set."""
-
-    value: bool | Button
-
-
-class GuiUpdateMessage(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fields=True):
-    """A button or switch was used."""
-
-    uuid: Name
-    updates: NewValue
-
-
-class SceneNodeClickMessage(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fields=True):
-    """A robot was clicked."""
-
-    name: Name
-    instance_index: Annotated[int, msgspec.Meta(ge=0, lt=1 << 31)] | None
-    ray_origin: Vector
-    ray_direction: Vector
-    screen_pos: tuple[float, float]
-    modifier: Name | None
-    owner: Name = ""
-
-
-_PAGE_MESSAGES: Final = msgspec.msgpack.Decoder(
-    ViewerCameraMessage | GuiUpdateMessage | SceneNodeClickMessage
-)
-
-
-def is_page_message(raw: str | bytes) -> bool:
-    """Whether these bytes are a message that a page of this server sends, with finite numbers.
-
-    viser sets whatever attribute of a control a message names, and keeps uploads; it gets neither.
-    """
-    if isinstance(raw, str):
-        return False
-    try:
-        message = _PAGE_MESSAGES.decode(raw)
-    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError):
-        return False
-    return all(isfinite(number) for number in _list_numbers(message))
-
-
-def _list_numbers(
-    message: ViewerCameraMessage | GuiUpdateMessage | SceneNodeClickMessage,
-) -> tuple[float, ...]:
-    if isinstance(message, ViewerCameraMessage):
-        return (
-            *(message.fov, message.near, message.far),
-            *(*message.wxyz, *message.position, *message.look_at, *message.up_direction),
-        )
-    if isinstance(message, SceneNodeClickMessage):
-        return (*message.ray_origin, *message.ray_direction, *message.screen_pos)
-    return ()
+ScriptCallback = Callable[[int, ScriptMessage], None]
 
 
 class PageConnection(ServerConnection):
     """Websocket of a page: messages that no page sends are dropped, frequent ones wait."""
 
-    _next_s = 0.0
-    """Monotonic time from which the next message is on time."""
+    take_script_message: Callable[[ServerConnection, ScriptMessage], None] = staticmethod(
+        lambda _connection, _message: None
+    )
+    """Called with the messages of the page's own script, which viser does not get."""
+
+    @cached_property
+    def _paces(self) -> "tuple[MessagePace, MessagePace]":
+        """Of messages of viser, and of the script: a moving camera must not delay a stop."""
+        return MessagePace(), MessagePace()
 
     async def recv(self, decode: bool | None = None) -> Any:  # noqa: ANN401, FBT001
         """Receive the next message that a page sends."""
+        of_viser, of_script = self._paces
         while True:
             raw = await super().recv(decode)
-            await self._wait_for_turn()
-            if is_page_message(raw):
+            script_message = read_script_message(raw) if isinstance(raw, bytes) else None
+            if script_message is not None:
+                self.take_script_message(self, script_message)
+                await of_script.wait()
+                continue
+            await of_viser.wait()
+            message = read_page_message(raw)
+            if message is not None and is_offered(message):
                 return raw
 
-    async def _wait_for_turn(self) -> None:
+
+class MessagePace:
+    """Delays messages that come more often than `MESSAGES_PER_S`."""
+
+    def __init__(self) -> None:
+        """Start with a full burst."""
+        self._next_s = 0.0
+
+    async def wait(self) -> None:
+        """Wait until the next message is on time."""
         now = time.monotonic()
         self._next_s = max(self._next_s, now - BURST_S) + 1.0 / MESSAGES_PER_S
         if self._next_s > now:
@@ -317,40 +264,14 @@ class LoopEvent(asyncio.Event):
 
 @dataclass
 class LoopMessageBuffer(viser.infra._async_message_buffer.AsyncMessageBuffer):  # noqa: SLF001
-    """Buffer of viser whose waiters are woken within its loop only."""
+    """Buffer of viser whose waiters are woken within its loop only; it notes all controls."""
 
     message_event: asyncio.Event = field(default_factory=LoopEvent)
 
-
-@dataclass(frozen=True)
-class PageAccess:
-    """Who may open the page, and by which protocol.
-
-    Attributes:
-        token: Secret that a browser gives once, as `?zensim_token=`; empty = none is needed.
-        certificate: PEM file, with its chain; empty = HTTP.
-        private_key: PEM file of the certificate.
-    """
-
-    token: str = ""
-    certificate: str = ""
-    private_key: str = ""
-
-    def make_tls_context(self) -> ssl.SSLContext | None:
-        """Make the context of HTTPS; None for HTTP.
-
-        Raises:
-            OSError: A file cannot be read, or is not what it should be.
-        """
-        if not self.certificate:
-            return None
-        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        context.load_cert_chain(self.certificate, self.private_key)
-        return context
-
-
-OPEN_ACCESS: Final = PageAccess()
-"""Everybody who reaches the page, by HTTP."""
+    def push(self, message: viser.infra.Message) -> None:
+        """Queue a message to a page."""
+        note_control(message)
+        super().push(message)
 
 
 class LocalViserServer(viser.ViserServer):
@@ -361,8 +282,39 @@ class LocalViserServer(viser.ViserServer):
         return None
 
 
+class ScriptRelay:
+    """Finds which viser client a message of the page's script comes from."""
+
+    def __init__(self, on_script: ScriptCallback) -> None:
+        """Relay to a function."""
+        self._on_script = on_script
+        self.server: viser.ViserServer | None = None
+
+    def make_connection(self, *arguments: Any, **options: Any) -> PageConnection:  # noqa: ANN401  of websockets
+        """Make the websocket of a page."""
+        connection = PageConnection(*arguments, **options)
+        connection.take_script_message = self._relay
+        return connection
+
+    def _relay(self, connection: ServerConnection, message: ScriptMessage) -> None:
+        if self.server is None:
+            return
+        live = self.server._websock_server._live_connections  # noqa: SLF001
+        for client_id, one in live.items():
+            if one is connection:
+                self._on_script(client_id, message)
+
+
+def ignore_script(_client_id: int, _message: ScriptMessage) -> None:
+    """Ignore a message of the page's script."""
+
+
 def open_server(
-    host: str, port: int, names: NamesProvider, access: PageAccess = OPEN_ACCESS
+    host: str,
+    port: int,
+    names: NamesProvider,
+    access: PageAccess = OPEN_ACCESS,
+    on_script: ScriptCallback = ignore_script,
 ) -> LocalViserServer:
     """Serve a page on exactly this port; 0 = any free port.
 
@@ -371,6 +323,7 @@ def open_server(
         port: 0 to 65535.
         names: Body of `GET /names`: robot names by scene node as JSON.
         access: Who may open it.
+        on_script: Called with the id of a viser client and a message of its script.
 
     Raises:
         OSError: See `PageAccess.make_tls_context`.
@@ -378,62 +331,30 @@ def open_server(
         CannotListen: The operating system refuses.
     """
     tls = access.make_tls_context()
-    listener = _open_listener(host, port)
+    listener = open_listener(host, port)
     rich.reconfigure(stderr=True)  # viser prints with it; stdout has the address only
     # A client may disconnect during a write.
     warnings.filterwarnings("ignore", message=r"Queued a \w+ on a closed connection")
     process_response = partial(_process_response, host=host, names=names, access=access)
     _replace_message_buffer()
-    with _patch_serve(listener, process_response, tls) as used, _suppress_stderr():
-        server = LocalViserServer(host=host, port=port, label=TITLE, verbose=False)
+    relay = ScriptRelay(on_script)
+    with _patch_serve(listener, process_response, tls, relay) as used, _suppress_stderr():
+        relay.server = server = LocalViserServer(host=host, port=port, label=TITLE, verbose=False)
     if not used:
         close_server(server)
         raise RuntimeError(f"viser {viser.__version__} has no replaceable serve function; use 1.1")
     return server
 
 
+def run_script(client: viser.ClientHandle, source: str) -> None:
+    """Run a script in the browser of a client."""
+    client.gui._websock_interface.queue_message(RunJavascriptMessage(source=source))  # noqa: SLF001
+
+
 def close_server(server: viser.ViserServer) -> None:
     """Stop the server without its output."""
     with _suppress_stderr():
         server.stop()
-
-
-def is_own_origin(hosts: Sequence[str], origins: Sequence[str], *, bound_to: str) -> bool:
-    """Whether a request comes from a page of this server.
-
-    A page of another site sends the Origin of that site. With DNS rebinding, both headers have
-    the name of the other site, so the name must be one of this host, too. Programs other than
-    browsers send no Origin.
-
-    Args:
-        hosts: Host headers; exactly one is valid.
-        origins: Origin headers.
-        bound_to: Address that the page is served on.
-    """
-    if len(hosts) != 1 or len(origins) > 1:
-        return False
-    name = _split_url(f"//{hosts[0]}").hostname or ""
-    own_name = socket.gethostname().lower()
-    is_own = name in {"localhost", bound_to.lower(), own_name, f"{own_name}.local"}
-    if not is_own and not _is_address(name):
-        return False
-    return all(_split_url(origin).netloc.lower() == hosts[0].lower() for origin in origins)
-
-
-def _open_listener(host: str, port: int) -> socket.socket:
-    try:
-        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
-        return socket.create_server((host, port), family=family)
-    except OSError as error:
-        if error.errno == errno.EADDRINUSE:
-            raise PortTaken(
-                f"port {port} on {host} is used by another program; stop it or use --port"
-            ) from error
-        is_numbered = error.errno is not None and error.errno > 0  # others are of the resolver
-        reason = os.strerror(error.errno or 0) if is_numbered else error.strerror
-        raise CannotListen(
-            f"cannot listen on {host} port {port}: {reason}; use an address of this host"
-        ) from error
 
 
 def _replace_message_buffer() -> None:
@@ -445,6 +366,7 @@ def _patch_serve(
     listener: socket.socket,
     process_response: Callable[..., Response | None],
     tls: ssl.SSLContext | None,
+    relay: ScriptRelay,
 ) -> Iterator[list[bool]]:
     """Replace `serve` by one with the listener and hooks; the yielded list is empty if unused."""
     module, used = vars(websockets.asyncio.server), []
@@ -455,7 +377,7 @@ def _patch_serve(
         options |= {
             "process_response": process_response,
             "close_timeout": CLOSE_TIMEOUT_S,
-            "create_connection": PageConnection,
+            "create_connection": relay.make_connection,
             "max_size": MAX_MESSAGE_BYTES,
             "ssl": tls,
         }
@@ -500,32 +422,15 @@ def _refuse_crowd(connection: ServerConnection) -> Response | None:
     return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, CROWDED)
 
 
-def has_token(cookies: Sequence[str], token: str) -> bool:
-    """Whether a Cookie header has the secret."""
-    for header in cookies:
-        try:
-            found = SimpleCookie(header).get(TOKEN_NAME)
-        except CookieError:
-            continue
-        if found is not None and _is_equal(found.value, token):
-            return True
-    return False
-
-
 def _exchange_token(connection: ServerConnection, request: Request, access: PageAccess) -> Response:
-    """Exchange the secret in the address for a cookie, so that the address may be seen."""
-    given = parse_qs(_split_url(request.path).query).get(TOKEN_NAME, [""])[0]
-    if not _is_equal(given, access.token):
+    """Exchange the secret in the address for a cookie, so that the address has it no longer."""
+    if not has_token_in_address(request.path, access.token):
         return connection.respond(http.HTTPStatus.UNAUTHORIZED, NO_TOKEN)
     response = connection.respond(http.HTTPStatus.SEE_OTHER, "")
     response.headers["Location"] = "/"
     attributes = "HttpOnly; SameSite=Strict; Path=/" + ("; Secure" if access.certificate else "")
     response.headers["Set-Cookie"] = f"{TOKEN_NAME}={access.token}; {attributes}"
     return response
-
-
-def _is_equal(given: str, token: str) -> bool:
-    return hmac.compare_digest(given.encode(), token.encode())
 
 
 def _replace_title(response: Response) -> None:
@@ -538,7 +443,9 @@ def _replace_title(response: Response) -> None:
 @lru_cache(maxsize=2)
 def _with_title(body: bytes, *, is_packed: bool) -> bytes:
     page = gzip.decompress(body) if is_packed else body
-    head = f"<title>{TITLE}</title><script>{HOVER_SCRIPT}</script>".encode()
+    parts = (HOVER_SCRIPT, DRIVE_SCRIPT, make_tools_script(SHORTCUTS))
+    scripts = "".join(f"<script>{part}</script>" for part in parts)
+    head = f"<title>{TITLE}</title>{scripts}".encode()
     titled = page.replace(b"<title>Viser</title>", head, 1)
     return gzip.compress(titled) if is_packed else titled
 
@@ -550,21 +457,3 @@ def _make_json_response(body: bytes) -> Response:
 
 def _suppress_stderr() -> redirect_stderr[io.StringIO]:
     return redirect_stderr(io.StringIO())
-
-
-def _split_url(url: str) -> SplitResult:
-    """Split a URL; an invalid one becomes empty."""
-    try:
-        parts = urlsplit(url)
-        _ = parts.port
-    except ValueError:
-        return urlsplit("")
-    return parts
-
-
-def _is_address(name: str) -> bool:
-    try:
-        ip_address(name)
-    except ValueError:
-        return False
-    return True

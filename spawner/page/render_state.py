@@ -1,15 +1,21 @@
 """State to render: link poses of a snapshot, grouped by visual template. NumPy only."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 from typing import Final
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
-from zensim.proto.messages.model_messages import Light, Origin
-from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse, Snapshot
+from zensim.proto.messages.model_messages import Light, Model, Origin
+from zensim.proto.messages.telemetry_messages import (
+    EntityModel,
+    GetModelsResponse,
+    Snapshot,
+    Stats,
+)
 from zensim.proto.messages.world_messages import Scene
 from zensim.proto.rigid_transforms import compose, rotate
 from zensim.proto.se3 import FloatArray, from_origin, to_yaw
@@ -23,12 +29,15 @@ from zensim.spawner.page.model_visuals import (
     find_link_poses,
     make_template,
 )
+from zensim.spawner.page.robot_colours import find_robot_colour, to_linear
 from zensim.spawner.page.sensor_views import SensorChoice, SensorView, list_sensor_views
 
 MAX_MODEL_LIGHTS: Final = 8
-VIEW_AZIMUTH_RAD: Final = np.radians(20.0)
+WIDE_AZIMUTH_RAD: Final = np.radians(55.0)
 """Angle of the view to the long side of the fleet."""
-VIEW_ELEVATION_RAD: Final = np.radians(17.0)
+NARROW_AZIMUTH_RAD: Final = np.radians(20.0)
+"""The same where the image is higher than wide, as on a phone."""
+VIEW_ELEVATION_RAD: Final = np.radians(24.0)
 HIGH_ELEVATION_RAD: Final = np.radians(50.0)
 """Of a view into a world, whose walls would hide what is behind them."""
 SURROUNDINGS_M: Final = 1.0
@@ -37,8 +46,14 @@ TALL_M: Final = 0.2
 """A static model that rises higher above the lowest robot may hide robots."""
 FLAT_M: Final = 0.1
 """A lower static model is a floor, which may be much larger than what stands on it."""
-VIEW_MARGIN_M: Final = 0.2
-"""Margin around the outermost robots."""
+LEAST_VIEW_M: Final = 1.2
+"""Least width of a view: a single robot has floor around it."""
+VIEW_MARGIN_M: Final = 0.3
+"""Around each robot, which may drive."""
+LEAST_DISTANCE_M: Final = 0.7
+"""Of the nearest point along the axis of the camera."""
+FILLED_WIDTH, FILLED_HEIGHT = 0.8, 0.7
+"""Shares of the image that the outermost points may span."""
 
 
 class UnknownEntity(Exception):
@@ -58,6 +73,8 @@ class InstanceGroup(msgspec.Struct, frozen=True, eq=False):
     """(k,), rows of `Snapshot.base`."""
     joint_columns: np.ndarray
     """(k, joints), indices into `Snapshot.joint_positions`."""
+    colours: NDArray[np.uint8] | None
+    """(k, 3) of the bodies, linear; None without a drive: those of the model."""
 
 
 class RenderedFleet(msgspec.Struct, frozen=True, eq=False):
@@ -79,6 +96,14 @@ class RenderedFleet(msgspec.Struct, frozen=True, eq=False):
     """Of the world, without the lights of models."""
     sensors: dict[SensorChoice, SensorView] = {}
     """What can be shown of the sensors of all entities."""
+    models: tuple[Model, ...] = ()
+    """Of `EntityModel.model`."""
+    driven: frozenset[str] = frozenset()
+    """Entities with a drive; those of `robots`."""
+
+    def model_of(self, name: str) -> Model:
+        """Return the model of an entity."""
+        return self.models[self.members[name].model]
 
 
 class RenderedFrame(msgspec.Struct, frozen=True, eq=False):
@@ -102,6 +127,8 @@ class SimulationStatus(msgspec.Struct, frozen=True):
     entities: int = 0
     malformed: int = 0
     """Messages of shown sensors that could not be read."""
+    stats: Stats | None = None
+    """Newest of the server."""
 
 
 class LastCommand(msgspec.Struct, frozen=True):
@@ -127,31 +154,49 @@ def make_fleet(
         MismatchedSnapshot: A model is not a tree.
     """
     members = {member.entity: member for member in models.entities}
-    try:
-        model_templates = [make_template(model, meshes) for model in models.models]
-        templates = {name: model_templates[members[name].model] for name in names}
-    except (KeyError, IndexError) as error:
-        raise UnknownEntity(f"entity {error} has no model") from error
-    except NotATree as error:
-        raise MismatchedSnapshot(str(error)) from error
+    templates = _find_templates(names, models, meshes)
     views = [list_sensor_views(model) for model in models.models]
+    robots = tuple(n for n in names if models.models[members[n].model].drive is not None)
     counts = [len(template.visual_joints) for template in templates.values()]
     starts = np.cumsum([0, *counts])
-    rows: dict[VisualTemplate, list[int]] = {}
-    for row, template in enumerate(templates.values()):
-        rows.setdefault(template, []).append(row)
+    driven = frozenset(robots)
     return RenderedFleet(
         names=names,
-        groups=tuple(_make_group(one, names, np.array(own), starts) for one, own in rows.items()),
+        groups=tuple(
+            _make_group(one, [names[row] for row in own], np.array(own), starts, driven)
+            for one, own in _group_rows(templates.values()).items()
+        ),
         members=members,
         templates=templates,
-        robots=tuple(n for n in names if models.models[members[n].model].drive is not None),
+        robots=robots,
         rows={name: row for row, name in enumerate(names)},
         joints=int(starts[-1]),
         meshes=meshes,
         scene=models.scene,
         sensors={SensorChoice(n, v.topic): v for n in names for v in views[members[n].model]},
+        models=models.models,
+        driven=driven,
     )
+
+
+def _group_rows(templates: Iterable[VisualTemplate]) -> dict[VisualTemplate, list[int]]:
+    rows: dict[VisualTemplate, list[int]] = {}
+    for row, template in enumerate(templates):
+        rows.setdefault(template, []).append(row)
+    return rows
+
+
+def _find_templates(
+    names: tuple[str, ...], models: GetModelsResponse, meshes: TriangleMeshes
+) -> dict[str, VisualTemplate]:
+    members = {member.entity: member for member in models.entities}
+    try:
+        templates = [make_template(model, meshes) for model in models.models]
+        return {name: templates[members[name].model] for name in names}
+    except (KeyError, IndexError) as error:
+        raise UnknownEntity(f"entity {error} has no model") from error
+    except NotATree as error:
+        raise MismatchedSnapshot(str(error)) from error
 
 
 def make_frame(fleet: RenderedFleet, snapshot: Snapshot) -> RenderedFrame:
@@ -237,29 +282,60 @@ def choose_view(
         return View(np.concatenate(solids or others), HIGH_ELEVATION_RAD)
     points = frame.base[[fleet.rows[name] for name in fleet.robots], :3]
     if not any(box[1, 2] > points[:, 2].min() + TALL_M for box in solids):
-        return View(points)
+        return View(np.concatenate([_surround(boxes[name]) for name in fleet.robots]))
     around = (points + offset for offset in _make_corners(SURROUNDINGS_M) * (1.0, 1.0, 0.0))
     return View(np.concatenate([*around]), HIGH_ELEVATION_RAD)
 
 
+def _surround(box: Array) -> Array:
+    """Make the corners (8, 3) of a box that holds another in every yaw about its middle."""
+    middle, half = box.mean(axis=0), (box[1] - box[0]) / 2.0
+    radius = float(np.hypot(half[0], half[1])) + VIEW_MARGIN_M
+    corners: Array = middle + _make_corners(1.0) * (radius, radius, half[2])
+    return corners
+
+
 def fit_camera(view: View, *, aspect: float, fov_rad: float) -> tuple[Array, Array]:
-    """Find camera position and target point so that all points are in view.
+    """Find camera position and target point so that the points fill the image.
+
+    They span `FILLED_WIDTH` of its width, or less if they would then exceed `FILLED_HEIGHT`. The
+    target is at the height of the middle of the points, if the camera is above it.
 
     Args:
         view: What to show.
         aspect: Width / height of the image.
         fov_rad: Vertical field of view.
     """
-    points = view.points
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = view.points.min(axis=0), view.points.max(axis=0)
     centre = (low + high) / 2.0
-    right, up, ahead = _find_view_axes(high - low, view.elevation_rad)
-    offsets = np.stack([points - centre + corner for corner in _make_corners(VIEW_MARGIN_M)])
-    half_height = np.tan(fov_rad / 2.0)
-    distances = np.maximum(
-        np.abs(offsets @ up) / half_height, np.abs(offsets @ right) / (half_height * aspect)
-    )
-    return centre - ahead * float(np.max(distances - offsets @ ahead)), centre
+    least = _make_corners(LEAST_VIEW_M / 2.0) * (1.0, 1.0, 0.0)
+    points = np.concatenate((view.points - centre, least))
+    azimuth = WIDE_AZIMUTH_RAD if aspect >= 1.0 else NARROW_AZIMUTH_RAD
+    right, up, ahead = _find_view_axes(high - low, azimuth, view.elevation_rad)
+    half_height = float(np.tan(fov_rad / 2.0))
+    along = points @ ahead
+    across, back = _fit_between(points @ right, along, FILLED_WIDTH * half_height * aspect)
+    above, farther_back = _fit_between(points @ up, along, FILLED_HEIGHT * half_height)
+    nearest = float(along.min()) - LEAST_DISTANCE_M
+    offset = across * right + above * up + min(back, farther_back, nearest) * ahead
+    reach = max(float(-offset[2] / ahead[2]), LEAST_DISTANCE_M)
+    return centre + offset, centre + offset + reach * ahead
+
+
+def _fit_between(across: Array, along: Array, slope: float) -> tuple[float, float]:
+    """Find where a camera sees all points within +-slope of its axis.
+
+    Args:
+        across: Coordinate of each point along the edge of the image.
+        along: Coordinate of each point along the axis of the camera.
+        slope: Tangent of half the angle; > 0.
+
+    Returns:
+        Coordinates of the camera across, and along at most: farther back it sees them as well.
+    """
+    left = float(np.min(slope * along - across))
+    right = float(np.min(slope * along + across))
+    return (right - left) / 2.0, (right + left) / (2.0 * slope)
 
 
 def format_pose(state: Array) -> tuple[str, str]:
@@ -274,10 +350,16 @@ def format_pose(state: Array) -> tuple[str, str]:
 
 
 def _make_group(
-    template: VisualTemplate, names: tuple[str, ...], rows: np.ndarray, starts: np.ndarray
+    template: VisualTemplate,
+    names: Sequence[str],
+    rows: np.ndarray,
+    starts: np.ndarray,
+    driven: frozenset[str],
 ) -> InstanceGroup:
     columns = starts[rows][:, None] + np.arange(len(template.visual_joints))
-    return InstanceGroup(template, tuple(names[row] for row in rows), rows, columns)
+    colours = to_linear([find_robot_colour(name) for name in names])
+    is_driven = not driven.isdisjoint(names)
+    return InstanceGroup(template, tuple(names), rows, columns, colours if is_driven else None)
 
 
 def _read_numbers(payload: bytes, count: int, what: str) -> Array:
@@ -289,9 +371,11 @@ def _read_numbers(payload: bytes, count: int, what: str) -> Array:
     return numbers
 
 
-def _find_view_axes(extent: Array, elevation_rad: float) -> tuple[Array, Array, Array]:
-    """Find right, up and ahead of a camera that looks along the long side from above."""
-    azimuth = VIEW_AZIMUTH_RAD if extent[0] >= extent[1] else np.pi / 2.0 - VIEW_AZIMUTH_RAD
+def _find_view_axes(
+    extent: Array, azimuth_rad: float, elevation_rad: float
+) -> tuple[Array, Array, Array]:
+    """Find right, up and ahead of a camera that looks down, at an angle to the long side."""
+    azimuth = azimuth_rad if extent[0] >= extent[1] else np.pi / 2.0 - azimuth_rad
     flat = np.cos(elevation_rad)
     ahead = np.array((flat * np.cos(azimuth), flat * np.sin(azimuth), -np.sin(elevation_rad)))
     right = np.array((np.sin(azimuth), -np.cos(azimuth), 0.0))

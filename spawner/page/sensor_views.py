@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.model_messages import Model, Origin
+from zensim.proto.messages.sensor_messages import Contacts
 from zensim.proto.messages.standard_messages import Image, LaserScan, PointCloud2
 from zensim.proto.rigid_transforms import OPTICAL_AXES, compose
 from zensim.proto.se3 import FloatArray
@@ -29,6 +30,9 @@ MAX_ARRAY_BYTES: Final = 64 << 20
 FLOAT32: Final = 7
 """`PointField.datatype`."""
 DEPTHS: Final = "32FC1"
+CONTACT_COLUMNS: Final = 10
+"""Of `Contacts.points`."""
+MAX_CONTACTS: Final = 2000
 PIXEL_BYTES: Final = {"rgb8": 3, DEPTHS: 4}
 """By `Image.encoding`."""
 LEAST_DEPTH_M: Final = 1e-3
@@ -107,6 +111,19 @@ def read_points(view: SensorView, payload: bytes, encoding: str = "") -> FloatAr
         points = _read_cloud(decode(PointCloud2, payload, encoding))
     near = points[(np.abs(points) <= MAX_SHOWN_RANGE_M).all(axis=1)]
     return near[:: _find_stride(len(near), MAX_POINTS)]
+
+
+def read_contacts(message: Contacts) -> FloatArray:
+    """Read positions and forces (n, 2, 3) of contacts in the world [m, N].
+
+    Raises:
+        MalformedPayload: Its numbers are not whole rows, or not finite.
+    """
+    if len(message.points) % (8 * CONTACT_COLUMNS):
+        raise MalformedPayload(f"Contacts has {len(message.points)} bytes of points")
+    rows = np.frombuffer(message.points, "<f8").reshape(-1, CONTACT_COLUMNS)[:MAX_CONTACTS]
+    finite = rows[np.isfinite(rows).all(axis=1)]
+    return np.stack((finite[:, :3], finite[:, 7:10]), axis=1)
 
 
 def read_picture(payload: bytes, encoding: str = "") -> Picture:

@@ -1,15 +1,51 @@
-"""Side panel: buttons, and the state of simulation and followed robot as HTML."""
+"""Side panel: orders of visitors, and states of simulation and robots as HTML."""
 
+from collections.abc import Callable
 from html import escape
-from typing import Final, Literal, get_args
+from typing import Any, Final, Literal, get_args
+
+import msgspec
 
 from zensim.proto.messages.telemetry_messages import EntityModel
 from zensim.proto.printable_text import printable
+from zensim.proto.service_catalog import Service
 from zensim.spawner.page.model_visuals import Array
 from zensim.spawner.page.render_state import LastCommand, SimulationStatus, format_pose
 
 Button = Literal["Play", "Pause", "Step", "Reset"]
 BUTTONS: Final[tuple[Button, ...]] = get_args(Button)
+
+
+def ignore(_found: object) -> None:
+    """Ignore a response or a reason."""
+
+
+class WorldCall(msgspec.Struct, frozen=True, eq=False):
+    """A call of a service of the world, which the loop of the viewer makes."""
+
+    service: Service[Any, Any]
+    request: msgspec.Struct
+    on_reply: Callable[[Any], None] = ignore
+    """Called with the response."""
+    on_error: Callable[[str], None] = ignore
+    """Called with the reason of a refusal or failure."""
+    timeout_s: float = 0.0
+    """Of a long call, made on a thread of its own; 0 = a short one, for which drawing waits."""
+
+
+class WatchedTopic(msgspec.Struct, frozen=True):
+    """A topic whose newest messages a visitor is shown."""
+
+    topic: str
+    """Name in the topic catalog."""
+    entity: str = ""
+    """Empty for a topic of the world."""
+    name: str = ""
+    """Of a topic of an entity, see `SensorTopic.name`."""
+
+
+Order = Button | WorldCall
+"""What a visitor requests of the world."""
 
 
 STATE_COLOURS: Final = {"playing": "#4cc38a", "paused": "#e5b454"}

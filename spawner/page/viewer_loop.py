@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from hashlib import sha256
 from typing import Final, Protocol
 
@@ -14,7 +15,7 @@ from zensim.proto.cmd_vel_decoding import decode_twist
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.asset_messages import GetAssetRequest
 from zensim.proto.messages.model_messages import Model, Shape
-from zensim.proto.messages.result_messages import ServiceError, SetSimulationStateCode
+from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.simulation_messages import (
     ResetScope,
     ResetSimulationRequest,
@@ -23,7 +24,13 @@ from zensim.proto.messages.simulation_messages import (
     State,
     StepSimulationRequest,
 )
-from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse, Snapshot
+from zensim.proto.messages.telemetry_messages import (
+    Event,
+    GetModelsRequest,
+    GetModelsResponse,
+    Snapshot,
+    Stats,
+)
 from zensim.proto.network_protocols import (
     CallingNetwork,
     Sample,
@@ -43,7 +50,7 @@ from zensim.proto.service_catalog import (
     Service,
 )
 from zensim.proto.stl import read_corners, stl_size
-from zensim.proto.topic_catalog import CMD_VEL, SNAPSHOT
+from zensim.proto.topic_catalog import CMD_VEL, EVENTS, SNAPSHOT, STATS, find_topic
 from zensim.spawner.page.model_visuals import (
     NO_MESHES,
     TriangleMesh,
@@ -64,13 +71,15 @@ from zensim.spawner.page.render_state import (
     make_frame,
 )
 from zensim.spawner.page.sensor_views import (
+    MAX_SCAN_BYTES,
     SensedFrame,
     SensorChoice,
     SensorView,
     read_picture,
     read_points,
 )
-from zensim.spawner.page.side_panel import Button
+from zensim.spawner.page.side_panel import Button, Order, WatchedTopic, WorldCall
+from zensim.spawner.page.world_calls import CALL_TIMEOUT_S, WorldCalls
 
 MESH_CALL_TIMEOUT_S: Final = 0.8
 MESH_RETRY_S: Final = 1.0
@@ -203,12 +212,13 @@ def _make_mesh(shape: Shape, files: Mapping[str, bytes]) -> TriangleMesh | None:
     )
 
 
-CALL_TIMEOUT_S: Final = 0.8
-"""Short, so that Ctrl-C takes effect within a second."""
 MIN_FRAME_PERIOD_S: Final = 0.025
 """Minimum time between frames: 30 snapshots/s are all shown, of 60/s every other."""
 MODELS_RETRY_S: Final = 0.2
-SERVER_TIMEOUT_S: Final = 3.0
+CLAIMS_PERIOD_S: Final = 1.0
+"""Minimum time between two requests for the agents of entities."""
+EVENT_DEPTH: Final = 256
+SERVER_TIMEOUT_S: Final = 1.8
 """A server sends snapshots at 2 Hz even when paused."""
 
 MonotonicClock = Callable[[], float]
@@ -340,6 +350,85 @@ class SensorMonitors:
         sensed.points[choice] = transform_points(pose, points)
 
 
+WATCH_PERIOD_S: Final = 0.1
+"""Minimum time between two messages of a watched topic."""
+
+
+class WatchMonitor:
+    """Subscription to a watched topic."""
+
+    def __init__(self, key: str, samples: Subscription) -> None:
+        self.key, self.samples, self.next_at = key, samples, 0.0
+
+
+class WatchMonitors:
+    """Subscriptions to exactly the topics that clients watch.
+
+    Attributes:
+        malformed: Messages that could not be read.
+    """
+
+    def __init__(self, network: SubscribingNetwork, world: str) -> None:
+        self._network, self._world = network, world
+        self._monitors: dict[WatchedTopic, WatchMonitor] = {}
+        self.malformed = 0
+
+    def receive(
+        self, watches: frozenset[WatchedTopic], fleet: RenderedFleet, now: float
+    ) -> dict[WatchedTopic, msgspec.Struct]:
+        """Subscribe to exactly these topics; return the newest message of each.
+
+        Args:
+            watches: Those of unknown entities are not received.
+            fleet: All entities.
+            now: Monotonic time [s].
+        """
+        self._subscribe(watches, fleet)
+        found: dict[WatchedTopic, msgspec.Struct] = {}
+        for watch, monitor in self._monitors.items():
+            sample = monitor.samples.newest() if now >= monitor.next_at else None
+            if sample is None:
+                continue
+            monitor.next_at = now + WATCH_PERIOD_S
+            try:
+                found[watch] = read_watched(watch, sample)
+            except MalformedPayload:
+                self.malformed += 1
+        return found
+
+    def close(self) -> None:
+        """Close all subscriptions."""
+        for monitor in self._monitors.values():
+            monitor.samples.close()
+        self._monitors = {}
+
+    def _subscribe(self, watches: frozenset[WatchedTopic], fleet: RenderedFleet) -> None:
+        wanted = {watch: key for watch in watches if (key := self._find_key(watch, fleet))}
+        for watch, monitor in [*self._monitors.items()]:
+            if wanted.get(watch) != monitor.key:
+                self._monitors.pop(watch).samples.close()
+        for watch in wanted.keys() - self._monitors.keys():
+            samples = self._network.subscribe(wanted[watch])
+            self._monitors[watch] = WatchMonitor(wanted[watch], samples)
+
+    def _find_key(self, watch: WatchedTopic, fleet: RenderedFleet) -> str:
+        if not watch.entity:
+            return find_topic(watch.topic).key(self._world)
+        member = fleet.members.get(watch.entity)
+        return keys.robot(member.namespace, watch.name) if member and member.namespace else ""
+
+
+def read_watched(watch: WatchedTopic, sample: Sample) -> msgspec.Struct:
+    """Decode a message of a watched topic.
+
+    Raises:
+        MalformedPayload: It is of another type, or too large.
+    """
+    if len(sample.payload) > MAX_SCAN_BYTES:
+        raise MalformedPayload(f"{len(sample.payload)} bytes; at most {MAX_SCAN_BYTES} are read")
+    return decode(find_topic(watch.topic).messages[0], sample.payload, sample.encoding)
+
+
 class ViewerDataSource:
     """Subscriptions to one world; open while a viewer client is connected."""
 
@@ -350,6 +439,10 @@ class ViewerDataSource:
         self._fetcher = fetcher
         self._tokens = network.watch_tokens(keys.alive_server(world))
         self._snapshots = network.subscribe(SNAPSHOT.key(world))
+        self._stats_samples = network.subscribe(STATS.key(world))
+        self._stats: Stats | None = None
+        self._events = network.subscribe(EVENTS.key(world), depth=EVENT_DEPTH)
+        self._has_new_claims, self._next_claims_at = False, 0.0
         self._models: GetModelsResponse | None = None
         self._next_call_at = self._next_frame_at = clock()
         self._received_at = clock()
@@ -357,6 +450,7 @@ class ViewerDataSource:
         self._fleet_inputs: _FleetInputs | None = None
         self._monitors: dict[str, CommandMonitor] = {}
         self._sensors = SensorMonitors(network)
+        self._watches = WatchMonitors(network, world)
         self.error_text = ""
         """Error of the last call for models; empty = success."""
 
@@ -369,7 +463,10 @@ class ViewerDataSource:
         """Close all subscriptions."""
         self._tokens.close()
         self._snapshots.close()
+        self._events.close()
+        self._stats_samples.close()
         self._sensors.close()
+        self._watches.close()
         for monitor in self._monitors.values():
             monitor.close()
 
@@ -412,6 +509,10 @@ class ViewerDataSource:
         """Subscribe to exactly these sensors; return what is new of each at the poses of a view."""
         return self._sensors.receive(choices, view, self._clock())
 
+    def receive(self, watches: frozenset[WatchedTopic]) -> dict[WatchedTopic, msgspec.Struct]:
+        """Subscribe to exactly these topics; return the newest message of each."""
+        return self._watches.receive(watches, self._fleet, self._clock())
+
     def _watch_server(self) -> None:
         for _, is_alive in self._tokens.take():
             if is_alive:
@@ -420,8 +521,29 @@ class ViewerDataSource:
             else:
                 self._received_at = float("-inf")
 
-    def _view(self, snapshot: Snapshot) -> ViewState | None:
+    def _watch_claims(self) -> None:
+        """Note whether agents have claimed or released entities."""
+        for sample in self._events.take():
+            with suppress(MalformedPayload):
+                event = decode(Event, sample.payload, sample.encoding)
+                self._has_new_claims |= event.kind in ("claimed", "released")
+
+    def _take_stats(self) -> Stats | None:
+        """Take the newest statistics, published once a second."""
+        sample = self._stats_samples.newest()
+        if sample is not None:
+            with suppress(MalformedPayload):
+                self._stats = decode(Stats, sample.payload, sample.encoding)
+        return self._stats
+
+    def _are_models_old(self, snapshot: Snapshot) -> bool:
         if self._models is None or snapshot.roster != self._models.roster:
+            return True
+        return self._has_new_claims and self._clock() >= self._next_claims_at
+
+    def _view(self, snapshot: Snapshot) -> ViewState | None:
+        self._watch_claims()
+        if self._are_models_old(snapshot):
             self._request_models()
         if self._models is None:
             return None
@@ -435,7 +557,8 @@ class ViewerDataSource:
             real_time_factor=snapshot.real_time_factor,
             robots=len(self._fleet.robots),
             entities=len(snapshot.names),
-            malformed=self._sensors.malformed,
+            malformed=self._sensors.malformed + self._watches.malformed,
+            stats=self._take_stats(),
         )
         return ViewState(self._fleet, make_frame(self._fleet, snapshot), status)
 
@@ -451,11 +574,15 @@ class ViewerDataSource:
         except (BusError, ServiceError, TimeoutError, MalformedPayload) as error:
             self.error_text = f"cannot get the models of the robots: {error}"
         self._next_call_at = self._clock() + MODELS_RETRY_S
+        self._next_claims_at, self._has_new_claims = self._clock() + CLAIMS_PERIOD_S, False
 
 
 IDLE_S: Final = 0.1
 """Period of the loop without clients."""
 POLL_S: Final = 1.0 / 60.0
+MAX_CALLS_S: Final = 0.5
+"""Time after which no further short call is made before the next frame is drawn."""
+LATE: Final = "the server replies too late, so this was not requested; try again"
 
 
 class PageProtocol(Protocol):
@@ -466,15 +593,19 @@ class PageProtocol(Protocol):
         """Whether a client has the page open."""
 
     @property
-    def followed(self) -> frozenset[str]:
-        """Entities that a client follows."""
+    def selected(self) -> frozenset[str]:
+        """Entities that a client has selected."""
 
     @property
     def shown_sensors(self) -> frozenset[SensorChoice]:
         """Sensors that a client shows."""
 
-    def wait_for_input(self, timeout_s: float) -> list[Button]:
-        """Wait for events of clients, and return the pressed buttons."""
+    @property
+    def watched(self) -> frozenset[WatchedTopic]:
+        """Topics that a client watches."""
+
+    def wait_for_input(self, timeout_s: float) -> list[Order]:
+        """Wait for events of clients, and return their orders."""
 
     def show(
         self,
@@ -487,6 +618,9 @@ class PageProtocol(Protocol):
 
     def show_sensors(self, sensed: SensedFrame) -> None:
         """Draw what is new of the shown sensors."""
+
+    def show_messages(self, messages: Mapping[WatchedTopic, msgspec.Struct]) -> None:
+        """Show new messages of watched topics."""
 
     def move_cameras(self) -> None:
         """Move each camera towards the robot that it follows."""
@@ -511,6 +645,7 @@ class Viewer:
     ) -> None:
         self._network, self._page, self._world, self._clock = network, page, world, clock
         self._fetcher = MeshFetcher(network, world, clock)
+        self._calls = WorldCalls(network, world)
         self._data_source: ViewerDataSource | None = None
         self._error_text = ""
         self._state = ""
@@ -518,12 +653,28 @@ class Viewer:
     def tick(self) -> None:
         """Handle events of clients, and show new data if there are clients."""
         is_watched = self._page.is_watched
-        for button in self._page.wait_for_input(POLL_S if is_watched else IDLE_S):
-            self._handle_button(button)
+        orders = self._page.wait_for_input(POLL_S if is_watched else IDLE_S)
+        end_s = self._clock() + MAX_CALLS_S
+        for order in orders:
+            is_late = self._clock() >= end_s
+            if isinstance(order, WorldCall):
+                self._make(order, is_late=is_late)
+            elif is_late:
+                self._page.warn(LATE)
+            else:
+                self._handle_button(order)
+        self._calls.settle()
         if self._page.is_watched:
             self._update(self._data_source or self._open_data_source())
         else:
             self.close()
+
+    def _make(self, call: WorldCall, *, is_late: bool) -> None:
+        # A long call has a thread of its own.
+        if is_late and not call.timeout_s:
+            call.on_error(LATE)
+        else:
+            self._calls.make(call)
 
     def close(self) -> None:
         """Close all subscriptions."""
@@ -539,9 +690,10 @@ class Viewer:
         view = source.newest()
         if view is not None:
             self._state = view.status.state
-            commands = source.commands(self._page.followed)
+            commands = source.commands(self._page.selected)
             self._page.show(view.fleet, view.frame, view.status, commands)
             self._page.show_sensors(source.sense(self._page.shown_sensors, view))
+            self._page.show_messages(source.receive(self._page.watched))
         elif source.is_silent:
             self._page.show_disconnected()
         self._page.move_cameras()
@@ -568,10 +720,4 @@ class Viewer:
         )
 
     def _call(self, service: Service[Request, Response], request: Request) -> None:
-        try:
-            self._network.call(service, request, world=self._world, timeout_s=CALL_TIMEOUT_S)
-        except ServiceError as error:
-            if error.code != SetSimulationStateCode.ALREADY_IN_TARGET_STATE:
-                self._page.warn(str(error))
-        except (BusError, TimeoutError, MalformedPayload) as error:
-            self._page.warn(str(error))
+        self._calls.make(WorldCall(service, request, on_error=self._page.warn))

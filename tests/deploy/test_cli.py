@@ -26,6 +26,7 @@ from zensim.deploy.cli.model_commands import ModelOptions
 from zensim.proto.cli_options import expand_options, make_app, parse_plain_options
 from zensim.proto.endpoints import with_free_port
 from zensim.proto.exit_codes import ExitCode
+from zensim.recording.cli.record_commands import RecordOptions
 
 RUNNER = CliRunner()
 SOON_S = 20.0
@@ -104,6 +105,32 @@ def test_options_are_parsed_alike_with_and_without_typer(words: list[str]) -> No
     done = RUNNER.invoke(app, words)
 
     assert plain is None or (done.exit_code, parsed) == (ExitCode.OK, [plain])
+
+
+RECORD_WORDS = (
+    "r1/odom", "*/tf", "--all", "-a", "-o", "run", "--rate", "10", "1e2", "nan", "--duration", "-1",
+    "--exclude-topics", "--quiet", "--json", "--max-bag-size", "5MB", "--snapshot-duration", "--",
+)  # fmt: skip
+
+
+@given(st.lists(st.sampled_from(RECORD_WORDS), max_size=6))
+def test_lists_and_numbers_are_parsed_alike_with_and_without_typer(words: list[str]) -> None:
+    parsed: list[RecordOptions] = []
+    app = make_app()
+
+    def record(given: RecordOptions) -> None:
+        parsed.append(given)
+
+    app.command()(expand_options(record))
+
+    plain = parse_plain_options(RecordOptions, words, {})
+    done = RUNNER.invoke(app, words)
+
+    assert plain is None or (done.exit_code, parsed) == (ExitCode.OK, [plain])
+
+
+def test_recorder_needs_no_library_of_typer_for_values() -> None:
+    assert "pydantic" not in find_heavy_imports(run_main("record", "--all", "--rate", "5"))
 
 
 def test_plain_options_need_no_typer() -> None:

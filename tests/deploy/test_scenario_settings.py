@@ -69,7 +69,7 @@ def list_keys(kind: type, path: str) -> list[str]:
 def test_every_option_of_up_and_serve_is_a_key() -> None:
     options = {field.name for kind in (UpOptions, ServeOptions) for field in fields(kind)}
 
-    not_of_files = {"file", "settings", "as_json", "announce"}
+    not_of_files = {"file", "settings", "as_json", "announce", "input_log"}
     not_of_files |= {"record"}  # the section of this name has more than a path
     # Who is admitted is decided where the program runs, never by a file that somebody sent.
     not_of_files |= {"secure", "client_certificates", "insecure", "mesh_http"}

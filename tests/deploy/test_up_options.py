@@ -19,6 +19,7 @@ CHANGED: dict[str, object] = {
     "paused": True,
     "seed": 3,
     "journal": "journal",
+    "input_log": True,
     "listen": "tcp/127.0.0.1:5",
     "connect": "tcp/127.0.0.1:6",
     "secure": True,

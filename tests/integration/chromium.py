@@ -78,7 +78,7 @@ class Tab:
             call["sessionId"] = self._session
         self._connection.send(json.dumps(call))
         while True:
-            message = json.loads(self._connection.recv(timeout=60.0))
+            message = json.loads(self._connection.recv(timeout=150.0))
             if message.get("id") == self._number:
                 if "error" in message:
                     raise RuntimeError(f"{method}: {message['error']['message']}")
@@ -119,10 +119,22 @@ class Tab:
         self._mouse("mouseReleased", x, y, button="left", clickCount=1)
 
     def press(self, label: str) -> None:
-        """Click the button with this text."""
-        labelled = f"[...document.querySelectorAll('button')].find(b => b.innerText === '{label}')"
+        """Click the visible button with this text."""
+        labelled = (
+            "[...document.querySelectorAll('button')]"
+            f".find(b => b.innerText === '{label}' && b.checkVisibility())"
+        )
         self.until(f"!!{labelled}")
         self.evaluate(f"{labelled}.click()")
+
+    def turn_to(self, title: str) -> None:
+        """Turn to the tab with this title in a panel."""
+        place = (
+            f"(() => {{ const box = document.querySelector('[role=tab][title=\"{title}\"]')"
+            ".getBoundingClientRect(); return box.width && [box.x + box.width / 2,"
+            " box.y + box.height / 2]; })()"
+        )
+        self.click(*self.until(place))
 
     def pixels(self) -> np.ndarray:
         """Return the 3D picture, (height, width, 3) of uint8."""

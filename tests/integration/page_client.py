@@ -1,12 +1,15 @@
 """Messages from a viewer page to its server, without a browser."""
 
+from contextlib import suppress
+from typing import Any
+
 import msgspec
 import viser
 import zstandard
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
-from zensim.spawner.page.viewer_page import FOV_RAD, START_CAMERA
+from zensim.spawner.page.scene_lighting import FOV_RAD, START_CAMERA
 
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 
@@ -40,7 +43,7 @@ def encode_camera() -> bytes:
     )
 
 
-def encode_click(path: str, instance: int) -> bytes:
+def encode_click(path: str, instance: int, modifier: str | None = None) -> bytes:
     """Encode a click on one instance of a scene node."""
     return _encoded(
         "SceneNodeClickMessage",
@@ -49,9 +52,14 @@ def encode_click(path: str, instance: int) -> bytes:
         ray_origin=(0.0, 0.0, 1.0),
         ray_direction=(0.0, 0.0, -1.0),
         screen_pos=(0.5, 0.5),
-        modifier=None,
+        modifier=modifier,
         owner="",
     )
+
+
+def encode_selection(entity: str) -> bytes:
+    """Encode the selection of an entity that the address of the page names."""
+    return _encoded("ZensimSelect", entity=entity)
 
 
 def encode_update(uuid: str, **updates: object) -> bytes:
@@ -62,13 +70,17 @@ def encode_update(uuid: str, **updates: object) -> bytes:
 def find_control(connection: ClientConnection, kind: str) -> str:
     """Read messages of the server until one adds a control of this kind; return its uuid."""
     while True:
-        frame = connection.recv(timeout=5.0)
-        assert isinstance(frame, bytes)
-        size = int.from_bytes(frame[8:16], "little")
-        inner = msgspec.msgpack.decode(zstandard.decompress(frame[16 : 16 + size]))
-        for message in inner["messages"]:
+        for message in read_messages(connection.recv(timeout=5.0)):
             if message["type"] == kind:
                 return str(message["uuid"])
+
+
+def read_messages(frame: str | bytes) -> list[dict[str, Any]]:
+    """Read the messages of a frame of the server, without the arrays behind them."""
+    assert isinstance(frame, bytes)
+    size = int.from_bytes(frame[8:16], "little")
+    inner = msgspec.msgpack.decode(zstandard.decompress(frame[16 : 16 + size]))
+    return list(inner["messages"])
 
 
 def encode_share_request() -> bytes:
@@ -78,3 +90,95 @@ def encode_share_request() -> bytes:
 
 def _encoded(kind: str, **fields: object) -> bytes:
     return msgspec.msgpack.encode({"type": kind, **fields})
+
+
+NO_CONTROLS = frozenset({"GuiFolderMessage", "RegisterCommandMessage"})
+"""Messages with labels that add nothing whose value can be set."""
+
+
+class PageVisitor:
+    """A visitor without a browser; keeps what the server has sent of controls and scene nodes."""
+
+    def __init__(self, connection: ClientConnection) -> None:
+        self._connection = connection
+        self.controls: dict[str, dict[str, Any]] = {}
+        """Properties of controls and folders by uuid, with `kind` and `value`."""
+        self.nodes: dict[str, dict[str, Any]] = {}
+        """Properties of scene nodes by path, with `kind`."""
+        self.notices: list[str] = []
+        self.waits_for_clicks = False
+        """Whether clicks anywhere in the scene are wanted."""
+        self.downloads: list[str] = []
+        """Names of files."""
+
+    def read(self) -> None:
+        """Take in what has arrived."""
+        with suppress(TimeoutError):
+            while True:
+                for message in read_messages(self._connection.recv(timeout=0.0)):
+                    self._take(message)
+
+    def find(self, label: str) -> str:
+        """Find the newest control with this label; return its uuid."""
+        self.read()
+        found = [
+            uuid
+            for uuid, one in self.controls.items()
+            if one.get("label") == label and one["kind"] not in NO_CONTROLS
+        ]
+        assert found, f"{label!r} is none of {self.labels()}"
+        return found[-1]
+
+    def value_of(self, label: str) -> Any:  # noqa: ANN401  of any control
+        """Return the value of a control as it is shown."""
+        return self.controls[self.find(label)]["value"]
+
+    def labels(self) -> list[str]:
+        """List the labels of visible controls and folders."""
+        self.read()
+        return [
+            one["label"]
+            for one in self.controls.values()
+            if one.get("label") and one.get("visible")
+        ]
+
+    def texts(self) -> str:
+        """Return the content of all texts."""
+        self.read()
+        return " ".join(one.get("content") or "" for one in self.controls.values())
+
+    def set(self, label: str, value: object) -> None:
+        """Set the value of a control."""
+        self._connection.send(encode_update(self.find(label), value=value))
+
+    def _take(self, message: dict[str, Any]) -> None:
+        kind = message["type"]
+        if kind == "ScenePointerEnableMessage":
+            self.waits_for_clicks = bool(message["modifiers"])
+        elif kind == "FileTransferStartDownload":
+            self.downloads.append(message["filename"])
+        elif kind == "NotificationShowMessage":
+            self.notices.append(message["props"]["body"])
+        elif "uuid" in message:
+            self._take_control(kind, message["uuid"], message)
+        elif "name" in message:
+            self._take_node(kind, message["name"], message)
+
+    def _take_control(self, kind: str, uuid: str, message: dict[str, Any]) -> None:
+        if kind == "GuiUpdateMessage":
+            control = self.controls.get(uuid, {})
+            control.update(message["updates"], updates=control.get("updates", 0) + 1)
+        elif kind == "GuiRemoveMessage":
+            self.controls.pop(uuid, None)
+        elif "props" in message:
+            self.controls[uuid] = message["props"] | {"kind": kind, "value": message.get("value")}
+
+    def _take_node(self, kind: str, path: str, message: dict[str, Any]) -> None:
+        if kind == "RemoveSceneNodeMessage":
+            self.nodes.pop(path, None)
+        elif kind == "SceneNodeUpdateMessage":
+            self.nodes.get(path, {}).update(message["updates"])
+        elif "props" in message:
+            self.nodes[path] = message["props"] | {"kind": kind}
+        elif path in self.nodes:
+            self.nodes[path].update(message)

@@ -133,6 +133,29 @@ def test_newest_sample_is_kept_when_the_subscription_is_latest(router: Bus, clie
     assert latest.newest() is None
 
 
+def test_newest_sample_of_each_key_is_kept_until_it_is_taken(router: Bus, client: Bus) -> None:
+    subscription = client.subscribe_newest("fleet/**", 4096, lambda key: key.endswith("events"))
+    publishers = [router.advertise(f"fleet/{one}", "") for one in ("a", "b", "events")]
+    kept: list[tuple[str, bytes]] = []
+    eventually(lambda: all(one.is_matched for one in publishers), 5.0, "a match")
+
+    for number in range(50):
+        for publisher in publishers:
+            publisher.send(b"%d" % number)
+
+    def has_the_last() -> bool:
+        kept.extend((one.key, one.payload) for one in subscription.take())
+        return ("fleet/events", b"49") in kept
+
+    eventually(has_the_last, 5.0, "the last event")
+    assert [payload for key, payload in kept if key == "fleet/events"] == [
+        b"%d" % number for number in range(50)
+    ]
+    of_first = [payload for key, payload in kept if key == "fleet/a"]
+    assert len(of_first) < 50
+    assert of_first[-1] == b"49"
+
+
 def test_publisher_tracks_matching_subscribers_across_changes_and_loss_of_the_router(
     router: Bus, client: Bus
 ) -> None:

@@ -17,6 +17,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection
 
+from tests.fakes import MemoryBus
 from tests.integration.page_client import (
     connect_page,
     encode_camera,
@@ -27,12 +28,10 @@ from tests.integration.page_client import (
 )
 from tests.integration.processes import eventually
 from tests.spawner.page.builders import make_models_by_name, make_robot, make_snapshot, make_wall
+from zensim.proto.web_access import CannotListen, PageAccess, PortTaken
 from zensim.spawner.page.page_server import (
     MAX_MESSAGE_BYTES,
     MAX_VISITORS,
-    CannotListen,
-    PageAccess,
-    PortTaken,
 )
 from zensim.spawner.page.render_state import (
     LastCommand,
@@ -42,6 +41,7 @@ from zensim.spawner.page.render_state import (
     make_fleet,
     make_frame,
 )
+from zensim.spawner.page.robot_driver import RobotDriver
 from zensim.spawner.page.viewer_page import ViewerPage
 
 TOKEN = "7f3a-page"
@@ -49,14 +49,20 @@ STATUS = SimulationStatus("playing", 1.0, 1.0, robots=2, entities=3)
 
 
 @pytest.fixture
-def page() -> Iterator[ViewerPage]:
-    with closing(ViewerPage("127.0.0.1", 0)) as found:
+def driver() -> Iterator[RobotDriver]:
+    with closing(RobotDriver(MemoryBus())) as found:
         yield found
 
 
 @pytest.fixture
-def page_with_token() -> Iterator[ViewerPage]:
-    with closing(ViewerPage("127.0.0.1", 0, PageAccess(TOKEN))) as found:
+def page(driver: RobotDriver) -> Iterator[ViewerPage]:
+    with closing(ViewerPage("127.0.0.1", 0, driver=driver)) as found:
+        yield found
+
+
+@pytest.fixture
+def page_with_token(driver: RobotDriver) -> Iterator[ViewerPage]:
+    with closing(ViewerPage("127.0.0.1", 0, PageAccess(TOKEN), driver)) as found:
         yield found
 
 
@@ -83,7 +89,7 @@ def wait_until(page: ViewerPage, *, is_watched: bool) -> None:
 def wait_until_followed(page: ViewerPage, *names: str) -> None:
     def look() -> bool:
         page.wait_for_input(0.01)
-        return page.followed == set(names)
+        return page.selected == set(names)
 
     eventually(look, 5.0, f"following {names}")
 
@@ -128,7 +134,7 @@ def test_page_removes_deleted_entities(page: ViewerPage) -> None:
 def test_page_follows_no_robot_before_a_click(page: ViewerPage) -> None:
     page.show(*a_scene("r1"), STATUS, {})
 
-    assert page.followed == frozenset()
+    assert page.selected == frozenset()
 
 
 def test_page_follows_the_clicked_robot_until_it_is_deleted(
@@ -139,11 +145,11 @@ def test_page_follows_the_clicked_robot_until_it_is_deleted(
     visitor.send(encode_click("/robots/0/0/0", 1))
     wait_until_followed(page, "r2")
     page.show(*a_scene("r1", "r2"), STATUS, {"r2": LastCommand(0.1, 0.2, age_s=0.0)})
-    assert page.followed == {"r2"}
+    assert page.selected == {"r2"}
 
     def is_left() -> bool:
         page.show(*a_scene("r1"), STATUS, {})
-        return page.followed == frozenset()
+        return page.selected == frozenset()
 
     eventually(is_left, 5.0, "leaving")
 
@@ -172,7 +178,7 @@ def test_page_keeps_working_when_a_following_client_disconnects(page: ViewerPage
     page.show_disconnected()
     wait_until(page, is_watched=False)
 
-    assert page.followed == frozenset()
+    assert page.selected == frozenset()
 
 
 def test_page_refuses_share_requests(
@@ -191,7 +197,7 @@ def wait_for_button(page: ViewerPage) -> list[str]:
     pressed: list[str] = []
 
     def look() -> bool:
-        pressed.extend(page.wait_for_input(0.01))
+        pressed.extend(one for one in page.wait_for_input(0.01) if isinstance(one, str))
         return bool(pressed)
 
     eventually(look, 5.0, "a pressed button")

@@ -16,8 +16,10 @@ import pytest
 import zenoh
 
 import zensim as api
-from tests.integration.processes import eventually, run_in_process, running
+from tests.integration.page_user import PageUser
+from tests.integration.processes import eventually, read_json_line, run_in_process, running
 from tests.integration.processes import zensim as run_zensim
+from tests.node_peers.foxglove_peer import connect_peer
 from zensim.proto import keys
 from zensim.proto.bus import (
     Bus,
@@ -169,6 +171,34 @@ def test_newcomer_needs_the_token_only(secured: Secured) -> None:
     assert [one["name"] for one in json.loads(listed.stdout)] == list(ROBOTS)
     assert world == WORLD
     assert_drivable(secured)
+
+
+@pytest.mark.usefixtures("agent")
+@pytest.mark.parametrize(("role", "may_control"), [("operator", True), ("observer", False)])
+def test_foxglove_has_the_rights_of_its_role(
+    secured: Secured, role: str, *, may_control: bool
+) -> None:
+    options = ("--port", "0", "--json", "--allow-control", "--join", secured.token(role))
+    with (
+        running("foxglove", *options) as process,
+        connect_peer(str(read_json_line(process)["foxglove"])) as peer,
+    ):
+        peer.wait_for_topics("/r1/odom")
+        odometry = peer.subscribe("/r1/odom")
+        peer.do("call", name="/pause_physics", callId=1, encoding="cdr", value={})
+        called = peer.wait("serviceCallResponse" if may_control else "serviceCallFailure")
+        kind = "geometry_msgs/msg/Twist"
+        peer.do("advertise", topic="/r1/cmd_vel", encoding="json", schemaName=kind)
+        peer.do("publish", topic="/r1/cmd_vel", value={})
+        refused = [] if may_control else [peer.wait("status"), peer.wait("status")]
+        peer.do("call", name="/unpause_physics", callId=2, encoding="cdr", value={})
+        peer.wait("serviceCallResponse" if may_control else "serviceCallFailure")
+        rest = [one for one in peer.drain() if one["event"] == "status"]
+
+    assert odometry["topic"] == "/r1/odom"
+    assert called["callId"] == 1
+    assert rest == []
+    assert all("observer" in one["message"] or "advertised" in one["message"] for one in refused)
 
 
 @pytest.mark.parametrize("role", ["operator", "observer", "spawner"])
@@ -371,6 +401,19 @@ def test_join_with_a_wrong_password_is_in_the_audit(secured: Secured) -> None:
     found = eventually(lambda: refusals() or None, WITHIN_S, "the refusal")
     assert str(found[0]["address"]).startswith("tls/127.0.0.1")
     assert secured.operator.stats().refused > before.refused
+
+
+@pytest.mark.parametrize(("role", "acts"), [("page", False), ("operator", True)])
+def test_page_has_the_controls_that_its_role_may_use(
+    secured: Secured, role: str, *, acts: bool
+) -> None:
+    view = ("view", "--connect", secured.token(role), "--world-name", WORLD, "--port", "0")
+    with running(*view) as process:
+        assert process.stdout is not None
+        with PageUser(process.stdout.readline().split()[-1]) as user:
+            user.control("Reset" if acts else "Collision shapes")  # of the last tab
+
+            assert ({"Spawn", "Stop all"} <= user.list_labels()) == acts
 
 
 def test_audit_has_joins_and_changes_of_each_user(secured: Secured) -> None:

@@ -2,7 +2,7 @@
 
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,15 +13,20 @@ from websockets.exceptions import InvalidStatus
 from tests.integration.chromium import HEIGHT, WIDTH, Tab, open_page
 from tests.integration.page_client import connect_page, encode_camera
 from tests.integration.processes import END_S, Server, eventually, running, serving, zensim
+from zensim.proto.cmd_vel_decoding import decode_twist
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
+from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import Twist, Vector3
+from zensim.proto.network_protocols import Subscription
 from zensim.proto.topic_catalog import CMD_VEL, SNAPSHOT
 
 if TYPE_CHECKING:
     import subprocess
 
 ROBOTS = 10
-LEAST_AREA_PX = 20
+REACH_PX = 8
+LEAST_CHROMA = 60
+"""Difference of the channels of a pixel."""
 LOOKS_AT = "window.__viserMutable.cameraControl.getTarget().toArray()"
 """In browser axes: -y, z, -x of the world."""
 NODES = "Object.keys(window.__viserSceneTree.getState())"
@@ -29,6 +34,42 @@ BATCHES = """
 Object.entries(window.__viserSceneTree.getState())
   .filter(([path, node]) => node.message.props.batched_positions)
   .map(([path, node]) => [path, node.message.props.batched_positions.length / 3])
+"""
+TABS = ("Entities", "See", "Drive", "Edit", "Time")
+CONTROL_ROLES = {
+    *("button", "checkbox", "combobox", "img", "image", "link", "menuitem", "radio", "slider"),
+    *("spinbutton", "switch", "tab", "textbox", "toolbar", "Canvas"),
+}
+KEEP_DOWNLOADS = """
+window.kept = [];
+HTMLAnchorElement.prototype.click = function () {
+  window.kept.push(fetch(this.href).then((response) => response.arrayBuffer()).then((bytes) =>
+    ({name: this.download, start: [...new Uint8Array(bytes.slice(0, 4))]})));
+}
+"""
+CAMERA = """
+(() => {
+  const {camera, cameraControl} = window.__viserMutable;
+  return [...camera.position.toArray(), ...cameraControl.getTarget(camera.position.clone())];
+})()
+"""
+SCALE = """
+(() => {
+  const {camera, cameraControl, canvas} = window.__viserMutable;
+  const bar = document.getElementById("zensim-scale"), target = cameraControl.getTarget(
+    camera.position.clone());
+  const box = canvas.getBoundingClientRect();
+  const right = camera.position.clone().setFromMatrixColumn(camera.matrixWorld, 0);
+  const ends = [target.clone(), target.clone().add(right)].map((end) => end.project(camera).x);
+  const [number, unit] = bar.textContent.split(" ");
+  return [Number(number) * {cm: 0.01, m: 1, km: 1000}[unit],
+    bar.getBoundingClientRect().width / ((ends[1] - ends[0]) / 2 * box.width)];
+})()
+"""
+"""Length that the scale says, and that it has at the target of the camera [m]."""
+COLOURS = """
+Object.values(window.__viserSceneTree.getState())
+  .map(node => [...(node.message.props.batched_colors || [])]).filter(one => one.length > 3)
 """
 PLACE = """
 (() => {
@@ -42,6 +83,21 @@ PLACE = """
 })()
 """
 """Screen position of the robot with this number."""
+
+MIDDLE_OF_FORWARD = """
+(() => {
+  const button = [...document.querySelectorAll("button")].find(b => b.innerText === "Forward");
+  button.scrollIntoView({block: "center"});
+  const box = button.getBoundingClientRect();
+  return [box.left + box.width / 2, box.top + box.height / 2];
+})()
+"""
+SELECT_BOX_BOT1 = """
+(window.__viserMutable.sendMessage({type: "ZensimSelect", entity: "box_bot1"}),
+  document.body.innerText.includes("box_bot1: driven by"))
+"""
+VISIBLE = "[...document.querySelectorAll('%s')].find(one => one.checkVisibility())"
+LEFT_BUTTON = {"button": "left", "clickCount": 1}
 
 
 @dataclass(frozen=True)
@@ -76,21 +132,11 @@ def shown(server: Server) -> Iterator[Shown]:
         yield Shown(server, url, tab)
 
 
-def blue_robots(picture: np.ndarray) -> int:
-    """Count connected blue areas; ignores slivers behind wheels."""
-    red, green, blue = np.moveaxis(picture.astype(int), -1, 0)
-    rest = set(map(tuple, np.argwhere((blue > red + 45) & (blue > green + 25)).tolist()))
-    sizes = []
-    while rest:
-        edge, area = [rest.pop()], 0
-        while edge:
-            y, x = edge.pop()
-            near = {(y + i, x + j) for i in (-1, 0, 1) for j in (-1, 0, 1)} & rest
-            rest -= near
-            edge += near
-            area += 1
-        sizes.append(area)
-    return sum(area >= LEAST_AREA_PX for area in sizes)
+def is_coloured(picture: np.ndarray, place: list[float]) -> bool:
+    """Whether something colourful, as the ground is not, is drawn around a place."""
+    x, y = (round(value) for value in place)
+    around = picture[max(y - REACH_PX, 0) : y + REACH_PX, max(x - REACH_PX, 0) : x + REACH_PX]
+    return bool(np.ptp(around.astype(int), axis=2).max(initial=0) > LEAST_CHROMA)
 
 
 def text_of(tab: Tab) -> str:
@@ -99,8 +145,14 @@ def text_of(tab: Tab) -> str:
 
 @pytest.mark.browser
 def test_page_shows_every_robot_in_its_colours(shown: Shown) -> None:
-    eventually(lambda: blue_robots(shown.tab.pixels()) == ROBOTS, 20.0, "ten blue robots")
+    def are_drawn() -> bool:
+        picture = shown.tab.pixels()
+        places = [shown.tab.evaluate(PLACE % number) for number in range(ROBOTS)]
+        return all(is_coloured(picture, place) for place in places)
 
+    eventually(are_drawn, 20.0, "ten coloured robots")
+    colours = shown.tab.evaluate(COLOURS)
+    assert [len(set(map(tuple, np.reshape(one, (-1, 3)).tolist()))) for one in colours] == [7]
     assert shown.tab.evaluate("document.title") == "zensim"
 
 
@@ -166,15 +218,66 @@ def test_camera_follows_a_robot_when_it_is_clicked(shown: Shown) -> None:
 
 
 @pytest.mark.browser
+def test_a_held_key_and_a_held_button_drive_the_selected_robot_until_released(
+    shown: Shown,
+) -> None:
+    tab, key = shown.tab, {"code": "KeyW", "key": "w"}
+    with closing(shown.server.bus.subscribe(CMD_VEL.key("box_bot1"), depth=1000)) as commands:
+        tab.turn_to("Drive")
+        tab.until(SELECT_BOX_BOT1)
+
+        tab.call("Input.dispatchKeyEvent", type="rawKeyDown", **key)
+        eventually(lambda: any(one.linear.x > 0.0 for one in read(commands)), 5.0, "a key")
+        tab.call("Input.dispatchKeyEvent", type="keyUp", **key)
+        eventually(lambda: Twist() in read(commands), 5.0, "its release")
+
+        x, y = tab.evaluate(MIDDLE_OF_FORWARD)
+        tab.call("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, **LEFT_BUTTON)
+        eventually(lambda: any(one.linear.x > 0.0 for one in read(commands)), 5.0, "a button")
+        tab.call("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, **LEFT_BUTTON)
+        eventually(lambda: Twist() in read(commands), 5.0, "its release")
+    tab.turn_to("Entities")
+    tab.press("Stop following")
+
+
+@pytest.mark.browser
+def test_space_stops_the_robot_also_while_a_tab_or_checkbox_has_the_focus(shown: Shown) -> None:
+    tab = shown.tab
+    key, space = {"code": "KeyW", "key": "w"}, {"code": "Space", "key": " "}
+    tab.turn_to("Drive")
+    tab.until(SELECT_BOX_BOT1)
+    tab.turn_to("See")
+    with closing(shown.server.bus.subscribe(CMD_VEL.key("box_bot1"), depth=1000)) as commands:
+        for focused in ("[role=tab][aria-selected=true]", "input[type=checkbox]"):
+            tab.evaluate(f"({VISIBLE % focused}).focus()")
+            tab.call("Input.dispatchKeyEvent", type="rawKeyDown", **key)
+            eventually(lambda: any(one.linear.x > 0.0 for one in read(commands)), 5.0, focused)
+
+            tab.call("Input.dispatchKeyEvent", type="keyDown", text=" ", **space)
+            eventually(lambda: Twist() in read(commands), 5.0, "a stop")
+            tab.call("Input.dispatchKeyEvent", type="keyUp", **space)
+            tab.call("Input.dispatchKeyEvent", type="keyUp", **key)
+    assert not tab.evaluate(f"({VISIBLE % 'input[type=checkbox]'}).checked")
+    tab.turn_to("Entities")
+    tab.press("Stop following")
+
+
+def read(commands: Subscription) -> list[Twist]:
+    return [decode_twist(one.payload, one.encoding) for one in commands.take()]
+
+
+@pytest.mark.browser
 def test_names_appear_above_all_robots_when_enabled(shown: Shown) -> None:
     label = "[...document.querySelectorAll('label')].find(l => l.innerText === 'Names')"
     labels = f"{NODES}.filter(path => path.startsWith('/names/')).length"
+    shown.tab.turn_to("See")
 
     shown.tab.evaluate(f"{label}.click()")
     shown.tab.until(f"{labels} === {ROBOTS}")
 
     shown.tab.evaluate(f"{label}.click()")
     shown.tab.until(f"{labels} === 0")
+    shown.tab.turn_to("Entities")
 
 
 @pytest.mark.browser
@@ -192,6 +295,116 @@ def test_buttons_pause_step_reset_and_play(shown: Shown) -> None:
     eventually(lambda: client.info().state == "playing", 5.0, "playing")
 
     assert client.info().entities == ROBOTS
+
+
+@pytest.mark.browser
+def test_every_control_has_a_name(shown: Shown) -> None:
+    tab = shown.tab
+    for tabs in TABS:
+        tab.turn_to(tabs)
+        eventually(lambda: not list_unnamed(tab), 20.0, f"names of the controls of {tabs}")
+    tab.turn_to(TABS[0])
+
+
+def list_unnamed(tab: Tab) -> list[str]:
+    """List the roles of controls without a name, as assistive programs see them."""
+    nodes = tab.call("Accessibility.getFullAXTree")["nodes"]
+    return [
+        node["role"]["value"]
+        for node in nodes
+        if not node["ignored"]
+        and node.get("role", {}).get("value") in CONTROL_ROLES
+        and not node.get("name", {}).get("value")
+    ]
+
+
+@pytest.mark.browser
+def test_help_opens_and_closes_by_its_key(shown: Shown) -> None:
+    is_open = "document.getElementById('zensim-help').open"
+
+    shown.tab.call("Input.dispatchKeyEvent", type="keyDown", key="?", text="?")
+    shown.tab.until(is_open)
+    assert "turn the camera" in text_of(shown.tab)
+
+    shown.tab.call("Input.dispatchKeyEvent", type="keyDown", key="?", text="?")
+    shown.tab.until(f"!{is_open}")
+
+
+@pytest.mark.browser
+def test_view_is_saved_as_a_picture_and_as_a_film(shown: Shown) -> None:
+    tab = shown.tab
+    tab.evaluate(KEEP_DOWNLOADS)
+    # The tab Drive has a button Stop, too, which stays in the page when another tab is shown.
+    tab.turn_to("Drive")
+    tab.until("document.body.innerText.includes('Stop all')")
+    tab.turn_to("Entities")
+    tab.until("!document.body.innerText.includes('Stop all')")
+
+    tab.press("Picture")
+    tab.until("window.kept.length === 1")
+    tab.press("Film")
+    tab.press("Stop")  # which it is when there is a first frame
+    tab.until("window.kept.length === 2")
+
+    picture, film = tab.evaluate("Promise.all(window.kept)")
+    assert picture["name"].endswith(".png")
+    assert picture["start"] == [0x89, *b"PNG"]
+    assert film["name"].endswith(".webm")
+    assert film["start"] == [0x1A, 0x45, 0xDF, 0xA3]
+
+
+@pytest.mark.browser
+def test_scale_is_as_long_as_it_says(shown: Shown) -> None:
+    shown.tab.until("document.getElementById('zensim-scale').textContent")
+
+    shown_m, seen_m = shown.tab.evaluate(SCALE)
+
+    assert seen_m == pytest.approx(shown_m, rel=0.03)
+
+
+@pytest.mark.browser
+def test_theme_of_page_and_ground_is_switched(shown: Shown) -> None:
+    ground = "window.__viserSceneTree.getState()['/ground'].message.props.plane_color"
+    tab = shown.tab
+    tab.until(f"{ground}[0] > 200")  # as the system of the browser has it
+
+    tab.press("Dark")
+    tab.until(f"{ground}[0] < 100")
+    assert tab.evaluate("document.documentElement.dataset.mantineColorScheme") == "dark"
+
+    tab.until("document.getElementById('zensim-tools').innerText.includes('Light')")
+    tab.press("Light")
+    tab.until(f"{ground}[0] > 200")
+
+
+@pytest.mark.browser
+def test_link_gives_the_same_camera_robot_and_theme(shown: Shown) -> None:
+    tab, client = shown.tab, shown.server.client
+    client.set_simulation_state(State.PAUSED)
+    tab.until("document.getElementById('zensim-tools').innerText.includes('Dark')")
+    tab.press("Dark")
+    tab.until("document.getElementById('zensim-tools').innerText.includes('Light')")
+    tab.click(*tab.evaluate(PLACE % 1))
+    tab.until("document.body.innerText.includes('Stop following')")
+    eventually(lambda: is_still(tab), 30.0, "a camera that has followed")
+    tab.press("Link")
+    before, link = tab.evaluate(CAMERA), tab.evaluate("location.href")
+
+    tab.call("Page.navigate", url=f"{shown.url}/names")
+    tab.until("!window.__viserMutable")
+    tab.call("Page.navigate", url=link)
+    tab.until("document.body.innerText.includes('Stop following')", 120.0)
+
+    assert tab.evaluate(CAMERA) == pytest.approx(before, abs=0.01)
+    tab.until("document.documentElement.dataset.mantineColorScheme === 'dark'")
+    assert "robot=box_bot1" in link
+
+
+def is_still(tab: Tab) -> bool:
+    """Whether the camera does not move for a moment."""
+    before = tab.evaluate(CAMERA)
+    tab.evaluate("new Promise(done => setTimeout(done, 1000))")
+    return bool(np.allclose(tab.evaluate(CAMERA), before, atol=1e-4))
 
 
 @pytest.mark.browser

@@ -112,21 +112,39 @@ def test_camera_sees_every_point(
 
     position, look_at = fit_camera(View(cloud), aspect=aspect, fov_rad=fov_rad)
 
+    seen = np.abs(project(cloud, position, look_at)) / np.tan(fov_rad / 2.0)
+    assert (seen <= (aspect, 1.0)).all()
+
+
+@pytest.mark.parametrize(("aspect", "least", "most"), [(1.6, 0.6, 0.9), (390 / 844, 0.6, 0.9)])
+@pytest.mark.parametrize("shape", ["row along x", "row along y", "grid"])
+def test_first_camera_fills_the_width(shape: str, aspect: float, least: float, most: float) -> None:
+    rows, columns = {"row along x": (10, 1), "row along y": (1, 10), "grid": (10, 10)}[shape]
+    points = np.array([(float(x), float(y), 0.06) for x in range(rows) for y in range(columns)])
+
+    position, look_at = fit_camera(View(points), aspect=aspect, fov_rad=0.785)
+
+    across = project(points, position, look_at)[:, 0] / (np.tan(0.785 / 2.0) * aspect)
+    assert least < (across.max() - across.min()) / 2.0 < most
+    assert abs(across.max() + across.min()) < 0.05
+
+
+def test_camera_of_a_single_robot_keeps_its_distance() -> None:
+    position, look_at = fit_camera(View(np.zeros((1, 3))), aspect=1.6, fov_rad=0.785)
+
+    assert 1.0 < np.linalg.norm(look_at - position) < 3.0
+    assert look_at[2] == pytest.approx(0.0)
+
+
+def project(points: np.ndarray, position: np.ndarray, look_at: np.ndarray) -> np.ndarray:
+    """Project points (n, 3) of the world to (n, 2) at distance 1 of a camera, right and up."""
     ahead = (look_at - position) / np.linalg.norm(look_at - position)
     right = np.cross(ahead, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)
-    in_camera = (cloud - position) @ np.stack((right, np.cross(right, ahead), ahead)).T
-    assert (in_camera[:, 2] > 0.0).all()
-    assert (np.abs(in_camera[:, 1]) < in_camera[:, 2] * np.tan(fov_rad / 2.0)).all()
-    assert (np.abs(in_camera[:, 0]) < in_camera[:, 2] * np.tan(fov_rad / 2.0) * aspect).all()
-
-
-def test_camera_looks_along_a_row() -> None:
-    row = np.array([(0.0, y, 0.06) for y in range(10)])
-
-    position, look_at = fit_camera(View(row), aspect=1.6, fov_rad=0.8)
-
-    assert abs(look_at - position)[1] > abs(look_at - position)[0]
+    seen: np.ndarray = (points - position) @ np.stack((right, np.cross(right, ahead), ahead)).T
+    assert (seen[:, 2] > 0.0).all()
+    flat: np.ndarray = seen[:, :2] / seen[:, 2:]
+    return flat
 
 
 def test_pose_is_formatted_in_metres_and_degrees() -> None:
@@ -168,7 +186,8 @@ def view_of(low: tuple[float, ...], high: tuple[float, ...], **entities: Model) 
 def test_view_shows_the_robots_only() -> None:
     view = view_of((-9.0, -9.0, -0.1), (9.0, 9.0, 0.0), wall=make_wall(), r1=make_robot())
 
-    assert view.points.tolist() == [[1.0, 0.0, 0.0]]
+    assert view.points.mean(axis=0).tolist() == pytest.approx([1.0, 0.0, -0.05])
+    assert len(view.points) == 8
     assert view.elevation_rad < 0.5
 
 

@@ -6,8 +6,8 @@ from functools import partial
 import numpy as np
 
 from zensim.proto.messages.model_messages import Origin
+from zensim.spawner.page.sensor_display import SensorDisplay
 from zensim.spawner.page.sensor_views import SensedFrame, SensorChoice, SensorView
-from zensim.spawner.page.viewer_page import SensorDisplay
 
 SCAN, REAR = SensorChoice("r1", "scan"), SensorChoice("r1", "rear")
 PICTURE = SensorChoice("r1", "image_raw")

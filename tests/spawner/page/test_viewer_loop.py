@@ -14,7 +14,9 @@ from tests.spawner.page.builders import (
     make_snapshot,
 )
 from zensim.proto import topic_catalog
+from zensim.proto.codec.message_codec import Format
 from zensim.proto.messages.result_messages import Result, ResultCode, SetSimulationStateCode
+from zensim.proto.messages.sensor_messages import Contacts
 from zensim.proto.messages.simulation_messages import (
     ResetSimulationRequest,
     SetSimulationStateRequest,
@@ -25,6 +27,8 @@ from zensim.proto.messages.simulation_messages import (
 )
 from zensim.proto.messages.standard_messages import Image, LaserScan
 from zensim.proto.messages.telemetry_messages import GetModelsRequest
+from zensim.proto.service_catalog import STEP_SIMULATION
+from zensim.proto.topic_catalog import CONTACTS
 from zensim.spawner.page.render_state import (
     LastCommand,
     RenderedFleet,
@@ -32,7 +36,7 @@ from zensim.spawner.page.render_state import (
     SimulationStatus,
 )
 from zensim.spawner.page.sensor_views import SensedFrame, SensorChoice
-from zensim.spawner.page.side_panel import BUTTONS, Button
+from zensim.spawner.page.side_panel import BUTTONS, Button, Order, WatchedTopic, WorldCall
 from zensim.spawner.page.viewer_loop import POLL_S, Viewer
 
 SNAPSHOT = topic_catalog.SNAPSHOT.key("default")
@@ -43,16 +47,18 @@ class FakePage:
 
     def __init__(self, clock: ManualClock) -> None:
         self.is_watched = False
-        self.followed: frozenset[str] = frozenset()
+        self.selected: frozenset[str] = frozenset()
         self.shown_sensors: frozenset[SensorChoice] = frozenset()
         self.sensed: list[SensedFrame] = []
-        self.pressed: list[Button] = []
+        self.watched: frozenset[WatchedTopic] = frozenset()
+        self.messages: dict[WatchedTopic, msgspec.Struct] = {}
+        self.pressed: list[Order] = []
         self.shown: list[tuple[SimulationStatus, Mapping[str, LastCommand]]] = []
         self.warnings: list[str] = []
         self.losses = 0
         self._clock = clock
 
-    def wait_for_input(self, timeout_s: float) -> list[Button]:
+    def wait_for_input(self, timeout_s: float) -> list[Order]:
         self._clock.sleep(timeout_s)
         pressed, self.pressed = self.pressed, []
         return pressed
@@ -69,6 +75,9 @@ class FakePage:
 
     def show_sensors(self, sensed: SensedFrame) -> None:
         self.sensed.append(sensed)
+
+    def show_messages(self, messages: Mapping[WatchedTopic, msgspec.Struct]) -> None:
+        self.messages.update(messages)
 
     def move_cameras(self) -> None:
         pass
@@ -125,7 +134,7 @@ def test_viewer_shows_snapshots_with_a_client() -> None:
 
 def test_viewer_unsubscribes_without_clients() -> None:
     setup = Setup()
-    setup.page.followed = frozenset({"r1"})
+    setup.page.selected = frozenset({"r1"})
     setup.tick()
     setup.tick("playing")
 
@@ -224,6 +233,23 @@ def test_viewer_ignores_a_repeated_play() -> None:
     setup.press("Play")
 
     assert setup.page.warnings == []
+
+
+def test_calls_that_a_slow_server_delays_are_dropped_with_a_warning() -> None:
+    setup = Setup()
+    errors: list[str] = []
+    call = WorldCall(STEP_SIMULATION, StepSimulationRequest(steps=1), on_error=errors.append)
+    setup.bus.pumps.append(lambda: setup.clock.sleep(1.0))
+
+    setup.page.pressed += [call] * 8
+    setup.press("Step", "Step")
+
+    assert setup.server.count(StepSimulationRequest) == 1
+    assert len(errors) == 7
+    assert len(setup.page.warnings) == 2
+
+    setup.press("Step")
+    assert setup.server.count(StepSimulationRequest) == 2
 
 
 def test_viewer_warns_without_a_reply() -> None:
@@ -334,3 +360,33 @@ def test_malformed_messages_of_sensors_are_counted() -> None:
 
     assert setup.page.shown[-1][0].malformed == 2
     assert [*setup.page.sensed[-1].points] == [SCAN_CHOICE]
+
+
+def test_viewer_receives_a_watched_topic_while_it_is_watched() -> None:
+    setup = Setup()
+    setup.server.models = make_models(s1=make_sensing_robot())
+    scan, contacts = WatchedTopic("scan", "s1", "scan"), WatchedTopic("contacts")
+    setup.page.watched = frozenset({scan, contacts, WatchedTopic("scan", "gone", "scan")})
+
+    def tick() -> None:
+        setup.clock.sleep(1.0)
+        setup.server.publish(make_snapshot("s1", joints=1))
+        setup.viewer.tick()
+
+    setup.tick()
+    tick()
+    for message in (LaserScan(range_max=9.0, ranges=(1.0,)), LaserScan(range_max=8.0)):
+        setup.bus.put_message("s1/scan", message, Format.CDR)
+    tick()
+    assert setup.page.messages == {scan: LaserScan(range_max=8.0)}
+    setup.bus.put_message("s1/scan", Image(), Format.CDR)
+    setup.bus.put_message(
+        CONTACTS.key("default"), Contacts(0, 0, 0, (), (), b"", b""), Format.MSGPACK
+    )
+    tick()
+    assert contacts in setup.page.messages
+    assert setup.page.shown[-1][0].malformed == 0
+
+    setup.page.watched = frozenset()
+    tick()
+    assert not setup.bus.has_subscriber("s1/scan")

@@ -5,7 +5,8 @@ import pytest
 
 from zensim.proto.messages.model_messages import Light, Origin
 from zensim.proto.messages.world_messages import Scene
-from zensim.spawner.page.viewer_page import (
+from zensim.spawner.page.page_theme import DARK
+from zensim.spawner.page.scene_lighting import (
     LAMP_DISTANCE_M,
     LAMP_INTENSITY,
     MAX_LIGHTS,
@@ -35,11 +36,10 @@ class FakeHandle:
 
 
 class FakeScene:
-    """Records nodes and backgrounds."""
+    """Records nodes."""
 
     def __init__(self) -> None:
         self.nodes: dict[str, dict[str, object]] = {}
-        self.skies: list[tuple[int, ...]] = []
 
     def __getattr__(self, method: str) -> object:
         def add(path: str, **properties: object) -> FakeHandle:
@@ -47,10 +47,6 @@ class FakeScene:
             return FakeHandle(self.nodes, path)
 
         return add
-
-    def set_background_image(self, image: object, format: str) -> None:
-        assert format == "png"
-        self.skies.append(tuple(image[0, 0].tolist()))  # type: ignore[index]
 
 
 def show_scenes(*scenes: Scene) -> FakeScene:
@@ -117,11 +113,9 @@ def test_number_of_lights_is_limited() -> None:
 
 
 def test_lights_change_only_with_the_scene() -> None:
-    fake = show_scenes(Scene(background=(0.0, 0.0, 1.0, 1.0), lights=(LAMP,)), Scene(), Scene())
+    fake = show_scenes(Scene(lights=(LAMP,)), Scene(), Scene())
 
     assert [*fake.nodes] == OWN
-    assert len(fake.skies) == 2
-    assert fake.skies[0] == (0, 0, 255)
 
 
 @pytest.mark.parametrize(
@@ -142,7 +136,7 @@ def test_directional_light_is_opposite_to_its_direction(
 
 
 def test_default_sky_is_darker_above() -> None:
-    picture = make_sky()
+    picture = make_sky(DARK)
 
     assert picture[0].sum() < picture[-1].sum()
 

@@ -1,0 +1,170 @@
+"""Cost of the 3D page
+
+The process of `zensim view` beside a server whose robots drive circles in real time, or stand.
+Visitors are programs that read all that a browser would get, on the same cores. CPU and bytes are
+those of each second, of the page's process and of one visitor. `more` is the CPU of a second in
+which one visitor shows what is named, less the median of the seconds without it.
+"""
+
+import statistics
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import msgspec
+import psutil
+
+from benchmarks.figures import Figure, Limit, Statistic, table
+from benchmarks.fleet_server import FleetServer, program, run_fleet_server
+from benchmarks.machine import used_s
+from benchmarks.page_visitor import Second
+from tests.integration.processes import running
+from zensim.proto.messages.simulation_messages import State
+
+__all__ = ["rows", "table"]
+
+SECONDS, SECONDS_WHEN_SHORT = 20, 2
+WARM_UP_S, WARM_UP_WHEN_SHORT_S = 5.0, 0.5
+FLEETS, FLEETS_WHEN_SHORT = (100, 1000), (3,)
+MANY = 1000
+"""Robots from which on the limits of large fleets hold."""
+VISITORS = 5
+KILOBYTES, MEGABYTES = 1e-3, 1e-6
+LEAST_UPDATES = 20.0
+MOST_CORES = {"one": 0.10, "five": 0.25, "many": 0.15, "none": 0.005, "standing": 0.03}
+MOST_KB = {"one": 600.0, "many": 5000.0, "standing": 5.0}
+MOST_MB = 120.0
+SHOWN = {"Trails": 0.02, "Names": 0.02, "Real-time factor": 0.02}
+"""Most additional cores, by the label of what one visitor switches on; the last one is a plot."""
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page and the process that serves it."""
+
+    url: str
+    pid: int
+    robots: int
+    is_short: bool
+
+    @property
+    def seconds(self) -> int:
+        """Number of samples."""
+        return SECONDS_WHEN_SHORT if self.is_short else SECONDS
+
+    def measure_cores(self) -> tuple[float, ...]:
+        """Measure the CPU of the page in each second while no browser has it open."""
+        time.sleep(WARM_UP_WHEN_SHORT_S if self.is_short else WARM_UP_S)
+        return tuple(self._measure_second() for _ in range(self.seconds))
+
+    def measure_visits(self, count: int, *labels: str) -> "Visits":
+        """Measure the page in each second while visitors have it open."""
+        with program("page_visitor", self.url, str(count), *labels) as process:
+            assert process.stdout is not None
+            skipped = round(WARM_UP_WHEN_SHORT_S if self.is_short else WARM_UP_S)
+            before_s = before_at = 0.0
+            cores, seconds = [], []
+            for number in range(skipped + 1 + self.seconds):
+                second = msgspec.json.decode(process.stdout.readline(), type=Second)
+                used, now = used_s(self.pid), time.perf_counter()
+                if number > skipped:
+                    cores.append((used - before_s) / (now - before_at))
+                    seconds.append(second)
+                before_s, before_at = used, now
+            memory = psutil.Process(self.pid).memory_info().rss
+        return Visits(tuple(cores), tuple(seconds), memory)
+
+    def _measure_second(self) -> float:
+        before_s, before_at = used_s(self.pid), time.perf_counter()
+        time.sleep(1.0)
+        return (used_s(self.pid) - before_s) / (time.perf_counter() - before_at)
+
+
+@dataclass(frozen=True)
+class Visits:
+    """What a page used, and what its visitors got."""
+
+    cores: tuple[float, ...]
+    seconds: tuple[Second, ...]
+    memory_bytes: float
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Measure the page without visitors, with one, with five, and what they may show."""
+    for robots in FLEETS_WHEN_SHORT if is_short else FLEETS:
+        with run_fleet_server(robots, "--rtf", "1") as server, _serve_page(server) as (url, pid):
+            page = Page(url, pid, robots, is_short)
+            yield from _measure_standing(page)
+            server.client.set_simulation_state(State.PLAYING)
+            yield from _measure_driving(page)
+
+
+@contextmanager
+def _serve_page(server: FleetServer) -> Iterator[tuple[str, int]]:
+    arguments = ("view", "--connect", server.endpoint, "--port", "0")
+    with running(*arguments) as process:
+        assert process.stdout is not None
+        yield process.stdout.readline().split()[-1], process.pid
+
+
+def _measure_standing(page: Page) -> Iterator[Figure]:
+    what = f"{page.robots} robots stand"
+    visits = page.measure_visits(1)
+    yield _make_cores(f"{what}, one visitor", visits.cores, MOST_CORES["standing"])
+    yield _make_bytes(f"{what}, one visitor", visits, MOST_KB["standing"])
+    yield Figure(
+        what=f"{what}: first load of the scene",
+        unit="kB",
+        samples=(visits.seconds[0].first_bytes * KILOBYTES,),
+    )
+
+
+def _measure_driving(page: Page) -> Iterator[Figure]:
+    what, is_many = f"{page.robots} robots drive", page.robots >= MANY
+    yield _make_cores(f"{what}, no visitor", page.measure_cores(), MOST_CORES["none"])
+    one = page.measure_visits(1)
+    kind = "many" if is_many else "one"
+    yield Figure(
+        what=f"{what}, one visitor: updates a second",
+        unit="",
+        samples=tuple(second.updates for second in one.seconds),
+        limit=_limit("median", ">=", LEAST_UPDATES),
+    )
+    yield _make_cores(f"{what}, one visitor", one.cores, MOST_CORES[kind])
+    yield _make_bytes(f"{what}, one visitor", one, MOST_KB[kind])
+    yield Figure(
+        what=f"{what}, one visitor: memory",
+        unit="MB",
+        samples=(one.memory_bytes * MEGABYTES,),
+        limit=_limit("max", "<=", MOST_MB) if is_many else None,
+    )
+    if not is_many:
+        five = page.measure_visits(VISITORS)
+        yield _make_cores(f"{what}, {VISITORS} visitors", five.cores, MOST_CORES["five"])
+        yield from _measure_shown(page, statistics.median(one.cores))
+
+
+def _measure_shown(page: Page, without: float) -> Iterator[Figure]:
+    for label, most in SHOWN.items():
+        cores = page.measure_visits(1, label).cores
+        more = tuple(core - without for core in cores)
+        yield _make_cores(f"{page.robots} robots drive, {label}, more", more, most)
+
+
+def _make_cores(what: str, cores: tuple[float, ...], most: float) -> Figure:
+    limit = _limit("median", "<=", most)
+    return Figure(what=f"{what}: CPU of the page", unit="cores", samples=cores, limit=limit)
+
+
+def _make_bytes(what: str, visits: Visits, most: float) -> Figure:
+    return Figure(
+        what=f"{what}: sent a second",
+        unit="kB",
+        samples=tuple(second.bytes * KILOBYTES for second in visits.seconds),
+        limit=_limit("median", "<=", most),
+    )
+
+
+def _limit(statistic: Statistic, relation: str, bound: float) -> Limit:
+    return Limit(statistic, relation, bound, is_timed=True)  # type: ignore[arg-type]

@@ -1,0 +1,305 @@
+"""The tab "Edit": spawn models, move and delete what is selected."""
+
+import base64
+import math
+import time
+from collections.abc import Callable
+from html import escape
+from importlib.resources import files
+from typing import Final
+
+import msgspec
+import numpy as np
+import viser
+
+from zensim.proto.messages.entity_messages import EntityState, SetEntityStateRequest
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.spawn_messages import (
+    NOT_SPAWNED_PREFIX,
+    DeleteEntityRequest,
+    GetSpawnablesRequest,
+    GetSpawnablesResponse,
+    Resource,
+    SpawnEntitiesOrder,
+    SpawnEntitiesResponse,
+    SpawnEntity,
+    SpawnEntityOrder,
+)
+from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped, Quaternion
+from zensim.proto.se3 import to_yaw
+from zensim.proto.service_catalog import (
+    DELETE_ENTITY,
+    GET_SPAWNABLES,
+    SET_ENTITY_STATE,
+    SPAWN_ENTITIES,
+)
+from zensim.spawner.page.shortcuts import DELETE, UNDO
+from zensim.spawner.page.viewer_client import PageState, Panel, ViewerClient
+from zensim.spawner.spawn.spawn_poses import LAYOUTS, FleetLayout, make_fleet_layout, make_pose
+
+PICTURES: Final = files("zensim.spawner.page") / "pictures"
+NO_MODELS: Final = "(the server lists none)"
+SCHEME: Final = "zensim://"
+MAX_COUNT: Final = 1000
+"""Robots of one request of the page."""
+MAX_POSITION_M: Final = 1e5
+UNDO_S: Final = 5.0
+"""Time in which a deletion can be undone; the entity is deleted after it."""
+SPAWN_TIMEOUT_S: Final = 60.0
+GIZMO_SCALE_M: Final = 0.6
+MOVED_M: Final = 1e-3
+"""Handles follow an entity that has moved farther."""
+
+
+class EditPanel(Panel):
+    """Spawns, moves and deletes for one visitor."""
+
+    def __init__(self, client: ViewerClient) -> None:
+        """Add the controls, and request the models."""
+        self._client = client
+        self._doomed: dict[str, float] = {}
+        self._gizmo: viser.TransformControlsHandle | None = None
+        self._is_dragged = False
+        self._entity = ""
+        with client.gui.add_folder("Spawn"):
+            self._add_spawn_form()
+        with client.gui.add_folder("Selected entity"):
+            self._add_selection_controls()
+        client.add_command(DELETE, self.delete)
+        client.add_command(UNDO, self.undo)
+        self._ask_for_models()
+
+    def _add_spawn_form(self) -> None:
+        gui = self._client.gui
+        self._model = gui.add_dropdown("Model", (NO_MODELS,))
+        self._model.on_update(self._client.defer(self._show_picture))
+        self._picture = gui.add_html("")
+        self._name = gui.add_text("Name", "", hint="Empty = that of the model, with a number.")
+        self._count = gui.add_number("Count", 1, min=1, max=MAX_COUNT, step=1)
+        self._layout = gui.add_dropdown("Layout", LAYOUTS)
+        self._spacing = gui.add_number("Spacing [m]", 1.0, min=0.1, max=100.0, step=0.1)
+        self._place = gui.add_vector2(
+            "Place x, y [m]",
+            (0.0, 0.0),
+            min=(-MAX_POSITION_M,) * 2,
+            max=(MAX_POSITION_M,) * 2,
+            step=0.1,
+        )
+        self._heading = gui.add_number("Heading [deg]", 0.0, min=-360.0, max=360.0, step=5.0)
+        self._add_button("Place by click", self.pick_place, "Then click the floor.")
+        self._add_button("Spawn", self.spawn, "Puts the model on the ground.")
+
+    def _add_selection_controls(self) -> None:
+        gui = self._client.gui
+        self._has_handles = gui.add_checkbox(
+            "Handles", initial_value=False, hint="Drag them in the scene; it moves on release."
+        )
+        self._has_handles.on_update(self._client.defer(self._show_handles))
+        self._target = gui.add_vector3("Move to x, y [m], heading [deg]", (0.0, 0.0, 0.0), step=0.1)
+        self._add_button("Move", self.move, "To the numbers above.")
+        self._add_button("Delete", self.delete, f"In {UNDO_S:g} s, see Undo; {DELETE.keys}")
+        self._add_button("Undo", self.undo, f"Keeps what is about to be deleted; {UNDO.keys}")
+
+    def draw(self, state: PageState) -> None:
+        """Move the handles with the entity, and delete what is due."""
+        self._delete_due()
+        entity = self._find_entity()
+        if self._gizmo is None or self._is_dragged or not entity:
+            return
+        base = state.state_of(entity)
+        if np.linalg.norm(np.asarray(self._gizmo.position) - base[:3]) > MOVED_M:
+            self._gizmo.position = base[:3]
+            self._gizmo.wxyz = base[[6, 3, 4, 5]]
+
+    def change_selection(self) -> None:
+        """Put numbers and handles at the entity that is selected now."""
+        entity, before = self._find_entity(), self._entity
+        self._entity = entity
+        if entity and entity != before:
+            base = self._client.state.state_of(entity)
+            heading = math.degrees(to_yaw(base[3:7]))
+            self._target.value = (float(base[0]), float(base[1]), heading)  # type: ignore[misc]  # the setter stands apart
+        self._show_handles(self._has_handles.value)
+
+    def close(self) -> None:
+        """Delete at once the entities that the visitor could still keep by `undo`."""
+        for entity in self._doomed:
+            self._delete(entity)
+        self._doomed.clear()
+
+    def pick_place(self) -> None:
+        """Take the place of the spawn form from the next click on the floor."""
+        self._client.picker.pick("place", self._set_place)
+
+    def spawn(self) -> None:
+        """Spawn by the values of the form."""
+        if self._model.value == NO_MODELS:
+            self._ask_for_models()
+            self._client.warn("the models of the server are not known yet; try again")
+            return
+        form = SpawnForm(
+            model=self._model.value,
+            name=self._name.value.strip(),
+            count=round(self._count.value),
+            layout=self._layout.value,
+            spacing_m=float(self._spacing.value),
+            place=self._place.value,
+            heading_rad=math.radians(self._heading.value),
+        )
+        order = make_spawn_order(form)
+        self._client.call(SPAWN_ENTITIES, order, self._report, timeout_s=SPAWN_TIMEOUT_S)
+
+    def move(self) -> None:
+        """Move the selected entity to the numbers of the form."""
+        entity = self._require_entity()
+        if entity:
+            x, y, heading = self._target.value
+            height = float(self._client.state.state_of(entity)[2])
+            self._move(entity, make_pose((x, y, height), (0.0, 0.0, math.radians(heading))))
+
+    def delete(self) -> None:
+        """Delete the selected entities after `UNDO_S`."""
+        if not self._require_entity():
+            return
+        for entity in self._client.selected:
+            self._doomed.setdefault(entity, time.monotonic() + UNDO_S)
+        names = ", ".join(self._client.selected)
+        self._client.inform(f"{names}: deleted in {UNDO_S:g} s; Undo ({UNDO.keys}) keeps it")
+
+    def undo(self) -> None:
+        """Keep what is about to be deleted."""
+        kept, self._doomed = self._doomed, {}
+        self._client.inform(f"{', '.join(kept)}: kept" if kept else "nothing is being deleted")
+
+    def _delete_due(self) -> None:
+        due = [name for name, at in self._doomed.items() if time.monotonic() >= at]
+        for entity in due:
+            del self._doomed[entity]
+            self._delete(entity)
+
+    def _delete(self, entity: str) -> None:
+        self._client.call(DELETE_ENTITY, DeleteEntityRequest(entity))
+
+    def _ask_for_models(self) -> None:
+        request = GetSpawnablesRequest()
+        self._client.call(GET_SPAWNABLES, request, self._list_models, SPAWN_TIMEOUT_S)
+
+    def _list_models(self, reply: GetSpawnablesResponse) -> None:
+        names = [one.entity_resource.uri.removeprefix(SCHEME) for one in reply.spawnables]
+        if names:
+            self._model.options = tuple(names)
+            self._show_picture(self._model.value)
+
+    def _show_picture(self, model: str) -> None:
+        self._picture.content = make_picture_html(model)
+
+    def _set_place(self, x: float, y: float) -> None:
+        self._place.value = (round(x, 3), round(y, 3))  # type: ignore[misc]
+
+    def _report(self, reply: SpawnEntitiesResponse) -> None:
+        names = [one.entity_name for one in reply.results if one.result.result == ResultCode.OK]
+        reasons = [one.result.error_message for one in reply.results if one.result.error_message]
+        own = [reason for reason in reasons if not reason.startswith(NOT_SPAWNED_PREFIX)]
+        if names:
+            more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+            self._client.inform(f"spawned {names[0]}{more}")
+        if reasons:
+            self._client.warn(f"{len(reasons)} not spawned: {(own or reasons)[0]}")
+
+    def _find_entity(self) -> str:
+        known = self._client.state.fleet.rows
+        return next((name for name in self._client.selected if name in known), "")
+
+    def _require_entity(self) -> str:
+        entity = self._find_entity()
+        if not entity:
+            self._client.warn("no entity is selected; click one, or a row of Entities")
+        return entity
+
+    def _move(self, entity: str, pose: Pose) -> None:
+        request = SetEntityStateRequest(
+            entity, EntityState(pose=pose), set_pose=True, set_twist=True
+        )
+        self._client.call(SET_ENTITY_STATE, request)
+
+    def _show_handles(self, is_on: bool) -> None:  # noqa: FBT001  value of a checkbox
+        entity = self._find_entity() if is_on else ""
+        if self._gizmo is not None:
+            self._gizmo.remove()
+            self._gizmo, self._is_dragged = None, False
+        if not entity:
+            return
+        base = self._client.state.state_of(entity)
+        self._gizmo = self._client.scene.add_transform_controls(
+            "/handles",
+            scale=GIZMO_SCALE_M,
+            depth_test=False,
+            position=base[:3],
+            wxyz=base[[6, 3, 4, 5]],
+        )
+        self._gizmo.on_update(lambda event: self._handle_drag(entity, event))
+
+    def _handle_drag(self, entity: str, event: viser.TransformControlsEvent) -> None:
+        if event.phase == "update":
+            return
+        w, x, y, z = (float(one) for one in event.target.wxyz)
+        position = Point(*(float(one) for one in event.target.position))
+        pose = Pose(position, Quaternion(x, y, z, w))
+        is_over = event.phase == "end"
+        self._client.post(lambda: self._end_drag(entity, pose) if is_over else self._begin_drag())
+
+    def _begin_drag(self) -> None:
+        self._is_dragged = True
+
+    def _end_drag(self, entity: str, pose: Pose) -> None:
+        self._is_dragged = False
+        self._move(entity, pose)
+
+    def _add_button(self, label: str, act: Callable[[], None], hint: str) -> None:
+        button = self._client.gui.add_button(label, hint=hint)
+        button.on_click(lambda _: self._client.post(act))
+
+
+def make_picture_html(model: str) -> str:
+    """Make the picture of a model of the server; empty if the package has none."""
+    file = PICTURES / f"{model}.png"
+    if model not in {one.name.removesuffix(".png") for one in PICTURES.iterdir()}:
+        return ""
+    data = base64.b64encode(file.read_bytes()).decode()
+    return (
+        f'<img alt="Picture of {escape(model)}" src="data:image/png;base64,{data}" '
+        'style="display:block;width:60%;margin:.2em auto;border-radius:6px">'
+    )
+
+
+class SpawnForm(msgspec.Struct, frozen=True, kw_only=True):
+    """Values of the form that spawns."""
+
+    model: str
+    """Name of a model of the server."""
+    name: str = ""
+    """Of one, or start of the names of several; empty = that of the model, with a number."""
+    count: int = 1
+    layout: FleetLayout = "row"
+    spacing_m: float = 1.0
+    place: tuple[float, float] = (0.0, 0.0)
+    """Origin of the layout [m]."""
+    heading_rad: float = 0.0
+    """By which the layout is turned."""
+
+
+def make_spawn_order(form: SpawnForm) -> SpawnEntitiesOrder:
+    """Make the order of a number of equal models on the ground, all or none of them."""
+    cosine, sine = math.cos(form.heading_rad), math.sin(form.heading_rad)
+    orders = []
+    for one in make_fleet_layout(form.name, form.count, form.layout, form.spacing_m):
+        x = form.place[0] + cosine * one.x - sine * one.y
+        y = form.place[1] + sine * one.x + cosine * one.y
+        pose = make_pose((x, y, 0.0), (0.0, 0.0, form.heading_rad + one.yaw))
+        own_name = one.name if form.count > 1 and form.name else form.name
+        orders.append(
+            SpawnEntity(own_name, allow_renaming=not form.name, initial_pose=PoseStamped(pose=pose))
+        )
+    resource = Resource(uri=SCHEME + form.model)
+    common = SpawnEntityOrder(entity_resource=resource, snap_to_ground=True)
+    return SpawnEntitiesOrder(tuple(orders), atomic=True, common=common)

@@ -1,0 +1,334 @@
+"""Tools of the page that run in the browser alone: help, link, picture, film, scale and names."""
+
+from html import escape
+from typing import Final
+
+import msgspec
+
+MOUSE: Final = (
+    ("Drag", "turn the camera"),
+    ("Drag with the right button, or with two fingers", "move the camera"),
+    ("Wheel, or two fingers apart", "zoom"),
+    ("Click on a robot", "select it"),
+    ("Pointer over a robot", "its name"),
+)
+KEYS: Final = (("?", "this help"),)
+LEGEND: Final = (
+    ("Grid", "strong lines each metre, fine lines each 0.25 m"),
+    ("Red and green line", "x and y of the world, 10 m long, from its origin"),
+    ("Bar beside the tools", "length at the distance of the point that the camera turns about"),
+    ("Colours of robots", "by name; seven that colour-blind people can distinguish"),
+    ("Green, amber and red dot", "the simulation plays, is paused, or no server replies"),
+)
+Rows = tuple[tuple[str, str], ...]
+
+
+def make_help_html(keys: Rows) -> str:
+    """Make the content of the help: what mouse and keys do, and what is drawn.
+
+    Args:
+        keys: Keys and what they do, beside those of this module.
+    """
+    sections = (("Mouse and touch", MOUSE), ("Keys", (*keys, *KEYS)), ("What is drawn", LEGEND))
+    return "".join(
+        f"<h3>{title}</h3><dl>"
+        + "".join(f"<dt>{escape(key)}</dt><dd>{escape(what)}</dd>" for key, what in rows)
+        + "</dl>"
+        for title, rows in sections
+    )
+
+
+def make_tools_script(keys: Rows = ()) -> str:
+    """Make the script of the tools; see `make_help_html`."""
+    texts = msgspec.json.encode({"style": STYLE, "help": make_help_html(keys)}).decode()
+    safe = texts.replace("</", r"<\/")  # "</script>" would end the script
+    return f"((texts) => {{{SCRIPT}}})({safe});"
+
+
+# The labels of viser have a contrast of 3; those here have 4.5 at least.
+STYLE: Final = """
+:root:root[data-mantine-color-scheme=light] { --mantine-color-dimmed: #59616b; }
+:root:root[data-mantine-color-scheme=dark] { --mantine-color-dimmed: #a6acb4; }
+#zensim-tools { position: fixed; left: 12px; bottom: 12px; z-index: 40; display: flex;
+  flex-direction: column; align-items: flex-start; gap: 8px; pointer-events: none;
+  font: 13px system-ui, sans-serif; --text: #23272e; --back: rgba(255, 255, 255, .92);
+  --edge: #6b7480; color: var(--text); }
+[data-mantine-color-scheme=dark] #zensim-tools { --text: #eef1f5; --back: rgba(24, 27, 33, .92);
+  --edge: #8d96a3; }
+#zensim-tools > div { display: flex; gap: 6px; flex-wrap: wrap; }
+#zensim-tools button { pointer-events: auto; min-width: 32px; min-height: 32px; padding: 0 9px;
+  border: 1px solid var(--edge); border-radius: 6px; background: var(--back);
+  color: var(--text); font: inherit; cursor: pointer; }
+#zensim-tools button:focus-visible { outline: 3px solid #4a90e2; outline-offset: 1px; }
+#zensim-tools button[aria-pressed=true] { background: #b3261e; color: #fff; }
+#zensim-scale { border: 2px solid var(--text); border-top: 0; text-align: center; height: 15px;
+  line-height: 11px; background: var(--back); box-sizing: border-box; }
+#zensim-note { padding: 5px 9px; border-radius: 6px; background: var(--back); max-width: 60vw;
+  overflow-wrap: anywhere; }
+#zensim-note:empty { display: none; }
+#zensim-help { max-width: min(560px, calc(100vw - 32px)); max-height: calc(100vh - 32px);
+  box-sizing: border-box; overflow: auto; border: 0; border-radius: 10px; padding: 8px 20px 20px;
+  font: 14px/1.45 system-ui, sans-serif; background: #fff; color: #23272e; }
+[data-mantine-color-scheme=dark] #zensim-help { background: #20242b; color: #eef1f5; }
+#zensim-help::backdrop { background: rgba(0, 0, 0, .45); }
+#zensim-help h2 { margin: 8px 0 0; } #zensim-help h3 { margin: 14px 0 4px; }
+#zensim-help dl { display: grid; grid-template-columns: minmax(90px, 2fr) 3fr; gap: 3px 14px;
+  margin: 0; }
+#zensim-help dt { font-weight: 600; } #zensim-help dd { margin: 0; }
+#zensim-help button { float: right; min-width: 44px; min-height: 44px; font: inherit;
+  color: inherit; background: none; border: 1px solid currentColor; border-radius: 6px; }
+@media (max-width: 640px), (pointer: coarse) {
+  #zensim-tools button { min-width: 44px; min-height: 44px; }
+}
+@media (max-width: 640px) {
+  #zensim-tools { bottom: auto; top: 12px; flex-direction: column-reverse; }
+}
+"""
+
+SCRIPT: Final = """
+"use strict";
+const NOTE_MS = 6000, SCALE_MS = 250, LINK_MS = 500, FRAMES_PER_S = 30;
+const LONGEST_FILM_MS = 120000, FILM_PART_MS = 250;
+const FILM_TYPES = ["video/webm;codecs=vp9", "video/webm", "video/mp4"];
+const LEAST_SCALE_PX = 60;
+const INPUTS = ":is(input, textarea, [role=slider]):is(:not([aria-label]), [aria-label=''])";
+let film = null, noteTimer = 0;
+
+function add(parent, kind, attributes, text) {
+  const element = document.createElement(kind);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  if (text) element.textContent = text;
+  parent.append(element);
+  return element;
+}
+
+const style = document.createElement("style");
+style.textContent = texts.style;
+const bar = document.createElement("div");
+bar.id = "zensim-tools";
+bar.setAttribute("role", "toolbar");
+bar.setAttribute("aria-label", "Tools");
+const note = add(bar, "span", {id: "zensim-note", role: "status"});
+const scale = add(bar, "div", {id: "zensim-scale", role: "img"});
+const buttons = add(bar, "div", {});
+const help = document.createElement("dialog");
+help.id = "zensim-help";
+help.setAttribute("role", "dialog");
+help.setAttribute("aria-labelledby", "zensim-help-title");
+add(help, "button", {type: "button", "aria-label": "Close help"}, "\\u00d7")
+  .addEventListener("click", () => help.close());
+add(help, "h2", {id: "zensim-help-title"}, "Help");
+help.insertAdjacentHTML("beforeend", texts.help);
+
+function addTool(text, title, act) {
+  const button = add(buttons, "button", {type: "button", title, "aria-label": title}, text);
+  button.addEventListener("click", () => act(button));
+  return button;
+}
+addTool("?", "Help: mouse, keys, what is drawn", () => help.showModal());
+addTool("Link", "Copy a link to this view", copyLink);
+addTool("Picture", "Save a picture of the view, PNG", savePicture);
+if (window.MediaRecorder) addTool("Film", "Save a film of the view, WebM", toggleFilm);
+const themeTool = addTool("Light", "Switch between light and dark", () => setTheme(!isDark()));
+
+function say(text) {
+  note.textContent = text;
+  clearTimeout(noteTimer);
+  noteTimer = setTimeout(() => { note.textContent = ""; }, NOTE_MS);
+}
+
+function page() {
+  const found = window.__viserMutable;
+  return found && found.camera && found.cameraControl && found.canvas ? found : null;
+}
+
+// Axes of the browser are -y, z, -x of the world.
+const toWorld = ({x, y, z}) => [-z, -x, y].map((v) => Number(v.toFixed(4)));
+
+// Set by the server of the page whenever the selection changes.
+let selected = "";
+window.zensimSelected = (name) => { selected = name; };
+
+// What the address of the page asks for is sent until the page has it.
+const asked = new URLSearchParams(location.search);
+let wantedRobot = asked.get("robot") || "", wantedTheme = firstTheme();
+async function askForLinked() {
+  const ground = page() && window.__viserSceneTree.getState()["/ground"];
+  if (!ground) return;  // the theme of the page has not come yet
+  if ((ground.message.props.plane_color[0] < 128) === wantedTheme) wantedTheme = null;
+  if (wantedTheme !== null) send({type: "ZensimTheme", is_dark: wantedTheme});
+  if (selected === wantedRobot) wantedRobot = "";
+  if (!wantedRobot) return;
+  const response = await fetch("/names").catch(() => null);
+  const names = response && response.ok ? await response.json() : {};
+  if (Object.values(names).some((list) => list.includes(wantedRobot))) {
+    send({type: "ZensimSelect", entity: wantedRobot});
+  }
+}
+
+function makeLink() {
+  const {camera, cameraControl} = page(), link = new URL(location.href);
+  const target = cameraControl.getTarget(camera.position.clone());
+  link.search = "";
+  const values = {
+    initialCameraPosition: toWorld(camera.position), initialCameraLookAt: toWorld(target),
+    ...(selected ? {robot: encodeURIComponent(selected)} : {}), theme: isDark() ? "dark" : "light",
+  };
+  // Commas stay readable.
+  link.search = Object.entries(values).map(([name, value]) => `${name}=${value}`).join("&");
+  return link.href;
+}
+
+async function copyLink() {
+  if (!page()) return;
+  const link = makeLink();
+  history.replaceState(null, "", link);
+  try {
+    await navigator.clipboard.writeText(link);
+    say("The link to this view is copied, and in the address bar.");
+  } catch (error) {
+    say("The link to this view is in the address bar.");
+  }
+}
+
+function save(blob, suffix) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(blob);
+  link.download = `zensim-${new Date().toISOString().slice(0, 19).replace(/:/g, "")}.${suffix}`;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+  say(`Saved ${link.download}.`);
+}
+
+function savePicture() {
+  if (page()) page().canvas.toBlob((blob) => blob && save(blob, "png"), "image/png");
+}
+
+function toggleFilm(button) {
+  if (film) { film.stop(); return; }
+  if (!page()) return;
+  const type = FILM_TYPES.find((one) => MediaRecorder.isTypeSupported(one));
+  const parts = [], stream = page().canvas.captureStream(FRAMES_PER_S);
+  film = new MediaRecorder(stream, type ? {mimeType: type} : {});
+  const timer = setTimeout(() => film && film.stop(), LONGEST_FILM_MS);
+  film.ondataavailable = (event) => {
+    if (!event.data.size) return;
+    parts.push(event.data);
+    if (film) button.textContent = "Stop";
+  };
+  film.onstop = () => {
+    clearTimeout(timer);
+    stream.getTracks().forEach((track) => track.stop());
+    const kind = film.mimeType;
+    film = null;
+    button.setAttribute("aria-pressed", "false");
+    button.textContent = "Film";
+    if (!parts.length) { say("No film was saved: nothing was drawn meanwhile."); return; }
+    save(new Blob(parts, {type: kind}), kind.includes("mp4") ? "mp4" : "webm");
+  };
+  film.start(FILM_PART_MS);
+  button.setAttribute("aria-pressed", "true");
+  button.textContent = "Starting";  // until there is a first frame
+  say("The film is being made, for two minutes at most.");
+}
+
+function isDark() {
+  return document.documentElement.getAttribute("data-mantine-color-scheme") !== "light";
+}
+
+function send(message) {
+  const found = window.__viserMutable;
+  if (found && found.sendMessage) found.sendMessage(message);
+}
+
+function setTheme(dark) {
+  const name = dark ? "dark" : "light";
+  try { localStorage.setItem("zensim-theme", name); } catch (error) { /* private */ }
+  wantedTheme = dark;
+  askForLinked();
+}
+
+function firstTheme() {
+  const theme = asked.get("theme");
+  let kept = "";
+  try { kept = localStorage.getItem("zensim-theme"); } catch (error) { /* private */ }
+  return (theme || kept || (matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark"))
+    !== "light";
+}
+
+function drawScale() {
+  const found = page();
+  scale.style.display = found ? "block" : "none";
+  if (!found) return;
+  const box = found.canvas.getBoundingClientRect();
+  bar.style.left = `${box.left + 12}px`;
+  const distance = found.cameraControl.distance;
+  const metres = 2 * distance * Math.tan(found.camera.fov * Math.PI / 360) / box.height;
+  const least = LEAST_SCALE_PX * metres, power = 10 ** Math.floor(Math.log10(least));
+  const length = [1, 2, 5, 10].map((one) => one * power).find((one) => one >= least);
+  const text = length < 1 ? `${Number((length * 100).toFixed(3))} cm`
+    : length < 1000 ? `${Number(length.toFixed(3))} m` : `${length / 1000} km`;
+  scale.style.width = `${Math.round(length / metres)}px`;
+  if (scale.textContent === text) return;
+  scale.textContent = text;
+  scale.setAttribute("aria-label", `Scale: ${text}`);
+}
+
+// Controls of the library that have no name of their own.
+const NAMES = {
+  "tabler-icon-adjustments": "Settings", "tabler-icon-arrow-back": "Back to the controls",
+  "tabler-icon-list-search": "Command palette", "tabler-icon-x": "Close", "loseButton": "Close",
+};
+function nameControls() {
+  const found = page();
+  for (const canvas of found ? document.querySelectorAll("canvas:not([aria-label])") : []) {
+    canvas.setAttribute("role", "img");
+    const name = canvas === found.canvas ? "3D view of the world" : "Markings";
+    canvas.setAttribute("aria-label", name);
+  }
+  for (const button of document.querySelectorAll("button:not([aria-label])")) {
+    if (button.innerText.trim() || button.title) continue;
+    const kind = Object.keys(NAMES).find((one) => button.outerHTML.includes(one));
+    if (kind) button.setAttribute("aria-label", NAMES[kind]);
+  }
+  for (const icon of document.querySelectorAll("svg:not([aria-hidden]):not([aria-label])")) {
+    icon.setAttribute("aria-hidden", "true");
+  }
+  for (const input of document.querySelectorAll(INPUTS)) {
+    if (input.labels && input.labels.length) continue;
+    const name = findLabel(input);
+    if (name) input.setAttribute("aria-label", name);
+  }
+}
+
+function findLabel(input) {  // the text before it in the nearest container that has one
+  for (let box = input.parentElement, i = 0; box && i < 9; box = box.parentElement, i++) {
+    const text = [...box.querySelectorAll("label, .mantine-Text-root")]
+      .map((one) => one.innerText.trim()).find((one) => one);
+    if (text) return text;
+  }
+  return "";
+}
+
+function isTyping(target) {
+  return target && (target.isContentEditable || /^(INPUT|TEXTAREA|SELECT)$/.test(target.tagName));
+}
+
+addEventListener("keydown", (event) => {
+  if (event.key !== "?" || event.ctrlKey || event.metaKey || isTyping(event.target)) return;
+  if (help.open) help.close(); else help.showModal();
+});
+
+function update() {
+  drawScale();
+  nameControls();
+  themeTool.textContent = isDark() ? "Light" : "Dark";
+}
+
+addEventListener("DOMContentLoaded", () => {
+  document.head.append(style);
+  document.body.append(bar, help);
+  setInterval(update, SCALE_MS);
+  setInterval(askForLinked, LINK_MS);
+});
+"""

@@ -1,0 +1,109 @@
+"""What plots show: numbers over simulation time of robots and of messages. NumPy only."""
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from math import hypot, inf, isfinite
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from zensim.proto.messages.standard_messages import JointState, LaserScan
+from zensim.spawner.page.model_visuals import Array
+from zensim.spawner.page.render_state import LastCommand
+
+PLOT_POINTS: Final = 300
+"""60 s at 5 Hz."""
+MAX_FIELDS: Final = 6
+"""Of a message; further ones are not plotted."""
+TIME_COLUMN: Final = "simulation time [s]"
+FACTOR: Final = "real-time factor"
+
+
+class PlotHistory:
+    """The last `PLOT_POINTS` values of some columns over simulation time."""
+
+    def __init__(self) -> None:
+        self.columns: tuple[str, ...] = ()
+        self._rows: deque[tuple[float, ...]] = deque(maxlen=PLOT_POINTS)
+
+    def add(self, time_s: float, values: Mapping[str, float]) -> bool:
+        """Add the values at a time; other columns, or an earlier time, begin a new history.
+
+        Returns:
+            Whether the row is new: time does not pass while a world is paused.
+        """
+        columns = tuple(values)
+        if columns != self.columns or (self._rows and time_s < self._rows[-1][0]):
+            self.columns = columns
+            self._rows.clear()
+        if self._rows and time_s == self._rows[-1][0]:
+            return False
+        self._rows.append((time_s, *values.values()))
+        return True
+
+    def make_arrays(self, columns: Sequence[str]) -> tuple[Array, ...]:
+        """Make an array of times [s] and one of each column, without rows that are not finite."""
+        places = [0, *(1 + self.columns.index(column) for column in columns)]
+        if not self._rows:
+            return tuple(np.zeros(0) for _ in places)
+        chosen = np.array(self._rows, dtype=np.float64)[:, places]
+        return tuple(chosen[np.isfinite(chosen).all(axis=1)].T.copy())
+
+    def make_csv(self) -> bytes:
+        """Write all rows as CSV, with a line of titles."""
+        lines = [",".join((TIME_COLUMN, *self.columns))]
+        lines += [",".join(f"{number:.6g}" for number in row) for row in self._rows]
+        return ("\n".join(lines) + "\n").encode()
+
+
+def name_robot_columns(name: str) -> dict[str, tuple[str, str]]:
+    """Name the two columns of a robot in each chart."""
+    return {
+        "Speed": (f"{name} v [m/s]", f"{name} v commanded [m/s]"),
+        "Turn rate": (f"{name} w [rad/s]", f"{name} w commanded [rad/s]"),
+        "Position": (f"{name} x [m]", f"{name} y [m]"),
+    }
+
+
+def measure_robot(name: str, state: Array, command: LastCommand | None) -> dict[str, float]:
+    """Read the columns of a robot from its state (STATE_COLUMNS,) and its last command."""
+    x, y = float(state[0]), float(state[1])
+    given = (command.forward_mps, command.turn_radps) if command else (0.0, 0.0)
+    pairs = [
+        (hypot(float(state[7]), float(state[8])), given[0]),
+        (float(state[12]), given[1]),
+        (x, y),
+    ]
+    columns = name_robot_columns(name).values()
+    return {
+        column: number
+        for names, numbers in zip(columns, pairs, strict=True)
+        for column, number in zip(names, numbers, strict=True)
+    }
+
+
+def read_numbers(message: msgspec.Struct) -> dict[str, float]:
+    """Read the first `MAX_FIELDS` numbers of a message, without headers and covariances.
+
+    Of a scan it is the nearest distance, of joint states the positions.
+    """
+    if isinstance(message, LaserScan):
+        hits = [r for r in message.ranges if message.range_min <= r <= message.range_max]
+        return {"nearest [m]": min(hits, default=inf)}
+    if isinstance(message, JointState):
+        found = zip(message.name, message.position, strict=False)
+    else:
+        found = _walk(message, "")  # type: ignore[assignment]
+    return dict(number for number, _ in zip(found, range(MAX_FIELDS), strict=False))
+
+
+def _walk(message: msgspec.Struct, prefix: str) -> Iterator[tuple[str, float]]:
+    for name in message.__struct_fields__:
+        value = getattr(message, name)
+        if name in ("header", "status") or "covariance" in name:
+            continue
+        if isinstance(value, msgspec.Struct):
+            yield from _walk(value, f"{prefix}{name}.")
+        elif isinstance(value, float):
+            yield prefix + name, value if isfinite(value) else inf

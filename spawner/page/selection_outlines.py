@@ -1,0 +1,70 @@
+"""Outlines of the selected entities of a visitor."""
+
+from collections.abc import Sequence
+from itertools import product
+from typing import Final
+
+import numpy as np
+import viser
+
+from zensim.proto.se3 import FloatArray
+from zensim.spawner.page.fleet_nodes import WXYZ_COLUMNS
+from zensim.spawner.page.model_visuals import Array, VisualTemplate
+from zensim.spawner.page.robot_colours import to_linear
+from zensim.spawner.page.viewer_client import PageState
+
+OUTLINE_COLOURS: Final = ((255, 214, 64), (170, 178, 190))
+"""Of the first selected entity, and of the others."""
+OUTLINE_GAP_M: Final = 0.015
+"""Between an entity and its outline."""
+OUTLINE_PX: Final = 2.5
+"""Width of its lines on the screen."""
+
+
+class SelectionOutlines:
+    """A box around each selected entity."""
+
+    def __init__(self, scene: viser.SceneApi) -> None:
+        self._scene = scene
+        self._boxes: list[tuple[VisualTemplate, viser.LineSegmentsHandle]] = []
+
+    def draw(self, entities: Sequence[str], state: PageState) -> None:
+        """Move the boxes to the entities that are there."""
+        shown = [name for name in entities if name in state.fleet.rows]
+        templates = [state.fleet.templates[name] for name in shown]
+        if [template for template, _ in self._boxes] != templates:
+            self._replace(templates, state)
+        for name, (_, box) in zip(shown, self._boxes, strict=True):
+            pose = state.state_of(name)
+            box.position, box.wxyz = pose[:3], pose[WXYZ_COLUMNS]
+
+    def _replace(self, templates: Sequence[VisualTemplate], state: PageState) -> None:
+        for _, box in self._boxes:
+            box.remove()
+        self._boxes = [
+            (template, self._add(number, state.find_bounds(template)))
+            for number, template in enumerate(templates)
+        ]
+
+    def _add(self, number: int, bounds: Array) -> viser.LineSegmentsHandle:
+        return self._scene.add_line_segments(
+            f"/selected/{number}",
+            make_box_edges(bounds + np.array([[-OUTLINE_GAP_M], [OUTLINE_GAP_M]])),
+            to_linear(np.array(OUTLINE_COLOURS[min(number, 1)])),
+            thickness=OUTLINE_PX,
+            thickness_units="screen",
+        )
+
+
+def make_box_edges(bounds: Array) -> FloatArray:
+    """Make the edges (12, 2, 3) of a box from its lowest and highest corner (2, 3)."""
+    corners = np.array([*product((0, 1), repeat=3)])
+    pairs = [
+        (a, b)
+        for a in range(len(corners))
+        for b in range(a + 1, len(corners))
+        if np.abs(corners[a] - corners[b]).sum() == 1
+    ]
+    places = np.where(corners == 1, bounds[1], bounds[0])
+    edges: FloatArray = places[np.array(pairs)]
+    return edges

@@ -1,0 +1,191 @@
+"""The tab "Time": steps, run-to, real-time factor and reset."""
+
+import time
+from collections.abc import Callable
+from html import escape
+from typing import Final
+
+import msgspec
+
+from zensim.proto.messages.simulation_messages import (
+    ResetScope,
+    ResetSimulationRequest,
+    RunToRequest,
+    SetSimulationStateRequest,
+    SetSpeedRequest,
+    SimulationState,
+    State,
+    StepSimulationRequest,
+)
+from zensim.proto.messages.standard_messages import NANOSECONDS, time_from_ns
+from zensim.proto.messages.telemetry_messages import Stats
+from zensim.proto.printable_text import printable
+from zensim.proto.service_catalog import (
+    RESET_SIMULATION,
+    RUN_TO,
+    SET_SIMULATION_STATE,
+    SET_SPEED,
+    STEP_SIMULATION,
+)
+from zensim.spawner.page.shortcuts import PLAY_OR_PAUSE, RESET, STEP_ONCE
+from zensim.spawner.page.viewer_client import PageState, Panel, ViewerClient
+
+SHORT: Final = 0.95
+"""Share of the wanted real-time factor below which it counts as not reached."""
+ENGINE_SHARE: Final = 0.7
+"""Share of the wall time of a step above which the engine is the reason."""
+MAX_FACTOR: Final = 10.0
+RUN_TIMEOUT_S: Final = 3600.0
+SETTLE_S: Final = 1.2
+"""Statistics that arrive within this time after a change may be older than the change."""
+STEPS: Final = ("1 step", "10 steps", "1 s")
+RESETS: Final = {
+    "time and poses": ResetScope.TIME | ResetScope.STATE,
+    "poses": ResetScope.STATE,
+    "time": ResetScope.TIME,
+    "all, delete what was spawned": ResetScope.ALL,
+}
+AMBER: Final = "#e5b454"
+
+
+class TimePanel(Panel):
+    """Controls the time of the world."""
+
+    def __init__(self, client: ViewerClient) -> None:
+        """Add the controls."""
+        self._client = client
+        self._wanted_factor = 1.0
+        self._before: Stats | None = None
+        self._step_s = 0.0
+        self._settled_at = 0.0
+        gui = client.gui
+        self._text = gui.add_html("")
+        steps = gui.add_button_group("Step", STEPS, hint=f"Pauses before; {STEP_ONCE.keys}")
+        steps.on_click(client.defer(self.step))
+        self._speed = gui.add_slider(
+            "Speed",
+            min=0.0,
+            max=MAX_FACTOR,
+            step=0.1,
+            initial_value=1.0,
+            hint="Wanted real-time factor; 0 = as fast as possible.",
+        )
+        self._speed.on_update(client.defer(self.set_factor))
+        self._goal = gui.add_number("Time [s]", 10.0, min=0.0, max=1e9, step=0.1)
+        self._add_button("Run to this time", self.run_to, "Pauses there.")
+        self._what = gui.add_dropdown("What", tuple(RESETS), hint="What a reset resets.")
+        self._add_button("Reset", self.reset, f"Of time and poses also {RESET.keys}")
+        client.add_command(PLAY_OR_PAUSE, self.play_or_pause)
+        client.add_command(STEP_ONCE, lambda: self.step(STEPS[0]))
+        client.add_command(RESET, lambda: self._reset(RESETS["time and poses"]))
+
+    def update(self, state: PageState) -> None:
+        """Show the wanted and the reached real-time factor, and why it is not reached."""
+        stats = state.status.stats
+        if stats is None or time.monotonic() < self._settled_at:
+            return
+        if self._before is None or stats.steps < self._before.steps:
+            self._before = stats
+        elif stats.steps > self._before.steps:
+            passed_s = stats.sim_time_s - self._before.sim_time_s
+            self._step_s = max(0.0, passed_s / (stats.steps - self._before.steps))
+            self._before = stats
+        if stats.target_real_time_factor != self._wanted_factor:
+            self._wanted_factor = stats.target_real_time_factor
+            self._speed.value = min(MAX_FACTOR, self._wanted_factor)  # type: ignore[misc]
+        self._text.content = make_factor_html(stats, self._step_s)
+
+    def play_or_pause(self) -> None:
+        """Pause a simulation that plays; else play."""
+        self._set_state(State.PAUSED if self._is_playing else State.PLAYING)
+
+    def step(self, label: str) -> None:
+        """Pause, and advance by a label of `STEPS`."""
+        self._pause()
+        if label == STEPS[-1]:
+            self._run_to(self._client.state.status.sim_time_s + 1.0)
+        else:
+            request = StepSimulationRequest(steps=int(label.partition(" ")[0]))
+            self._client.call(STEP_SIMULATION, request)
+
+    def set_factor(self, factor: float) -> None:
+        """Set the wanted real-time factor."""
+        if factor != self._wanted_factor:
+            self._wanted_factor = factor
+            self._client.call(
+                SET_SPEED, SetSpeedRequest(factor), lambda _: self._show_factor(factor)
+            )
+
+    def _show_factor(self, factor: float) -> None:
+        """Show the factor that is wanted now; the next statistics may come in a second."""
+        stats = self._before or Stats()
+        self._before = msgspec.structs.replace(stats, target_real_time_factor=factor)
+        self._text.content = make_factor_html(self._before, self._step_s)
+        self._settled_at = time.monotonic() + SETTLE_S
+
+    def run_to(self) -> None:
+        """Pause, and advance to the time in the form."""
+        self._pause()
+        self._run_to(self._goal.value)
+
+    def reset(self) -> None:
+        """Reset what the form selects."""
+        self._reset(RESETS[self._what.value])
+
+    @property
+    def _is_playing(self) -> bool:
+        return self._client.state.status.state == "playing"
+
+    def _pause(self) -> None:
+        if self._is_playing:
+            self._set_state(State.PAUSED)
+
+    def _set_state(self, state: State) -> None:
+        request = SetSimulationStateRequest(state=SimulationState(state=state))
+        self._client.call(SET_SIMULATION_STATE, request)
+
+    def _run_to(self, time_s: float) -> None:
+        time_ns = round(time_s * NANOSECONDS)
+        request = RunToRequest(time_from_ns(time_ns))
+        self._client.call(RUN_TO, request, timeout_s=RUN_TIMEOUT_S)
+
+    def _reset(self, scope: int) -> None:
+        self._client.call(RESET_SIMULATION, ResetSimulationRequest(scope=scope))
+
+    def _add_button(self, label: str, act: Callable[[], None], hint: str) -> None:
+        button = self._client.gui.add_button(label, hint=hint)
+        button.on_click(lambda _: self._client.post(act))
+
+
+def make_factor_html(stats: Stats, step_s: float) -> str:
+    """Write the reached beside the wanted real-time factor, in amber with the reason if short."""
+    wanted = stats.target_real_time_factor
+    goal = f"of {wanted:.2f} wanted" if wanted else "as fast as possible"
+    reason = explain_shortfall(stats, step_s)
+    colour = f"color:{AMBER};" if reason else ""
+    text = f"Real-time factor {stats.real_time_factor:.2f} {goal}"
+    note = f": {reason}" if reason else ""
+    return (
+        f'<div style="{colour}padding:.15em .7em;font-size:.85em">'
+        f"{escape(printable(text + note))}</div>"
+    )
+
+
+def explain_shortfall(stats: Stats, step_s: float) -> str:
+    """Explain why the wanted real-time factor is not reached; empty if it is, or while paused.
+
+    Args:
+        stats: Newest of the server.
+        step_s: Simulation time of a step; 0 = unknown.
+    """
+    wanted, reached = stats.target_real_time_factor, stats.real_time_factor
+    if stats.state != "playing" or not 0.0 < reached < SHORT * wanted:
+        return ""
+    wall_s = step_s / reached
+    if wall_s and stats.step_time_s >= ENGINE_SHARE * wall_s:
+        engine_ms, wall_ms = 1e3 * stats.step_time_s, 1e3 * wall_s
+        return f"the engine needs {engine_ms:.1f} of {wall_ms:.1f} ms per step"
+    if stats.awaited:
+        return f"the server waits for {', '.join(stats.awaited)}"
+    late_ms, busy_ms = 1e3 * stats.late_max_s, 1e3 * stats.busy_max_s
+    return f"the host is busy: steps up to {late_ms:.0f} ms late, {busy_ms:.0f} ms of them its own"

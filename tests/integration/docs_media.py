@@ -1,0 +1,129 @@
+"""`python -m tests.integration.docs_media` makes the pictures of the page in docs/images anew.
+
+Ten robots drive circles. For the film the world is paused and stepped, so that it looks the same on
+slow machines; WebGL runs in software.
+"""
+
+import io
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from tests.contract.repository import ROOT
+from tests.integration.chromium import Chromium, Tab
+from tests.integration.processes import running_up
+from zensim.proto.messages.simulation_messages import State, StepSimulationRequest
+from zensim.proto.service_catalog import STEP_SIMULATION
+from zensim.spawner.client.sim_client import SimClient
+
+IMAGES = ROOT / "docs" / "images"
+WIDE, PHONE = (1280, 800), (390, 844)
+FILM_SIZE = (800, 500)
+FRAMES, FRAME_MS, STEPS_OF_FRAME = 45, 80, 24
+FILM_COLOURS = 160
+LEAST_CHROMA = 40
+"""Difference of the channels of a colourful pixel."""
+MOST_BYTES = 3_000_000
+PATIENCE_S = 120.0
+WARM_UP_S = 8.0
+"""Of trails; in wall time, since the world runs as fast as it can."""
+HAS_ROBOTS = "Object.keys(window.__viserSceneTree.getState()).some(p => p.startsWith('/robots/'))"
+HIDE_NOTE = """
+const style = document.createElement("style");
+style.textContent = ".mantine-Notifications-root { display: none }";
+document.head.append(style);
+"""
+"""The notice of rendering in software."""
+SETTLED = "new Promise(done => setTimeout(done, %d))"
+CLICK_LABEL = "[...document.querySelectorAll('label')].find(l => l.innerText === '%s').click()"
+
+
+def show(browser: Chromium, url: str, size: tuple[int, int], scheme: str) -> Tab:
+    """Open the page in a window of this size, for a system with this theme."""
+    tab = browser.tab()
+    features = [{"name": "prefers-color-scheme", "value": scheme}]
+    tab.call("Emulation.setEmulatedMedia", features=features)
+    tab.open(url)
+    metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1}
+    tab.call("Emulation.setDeviceMetricsOverride", **metrics, mobile=size == PHONE)
+    tab.until(HAS_ROBOTS, PATIENCE_S)
+    tab.until(f"document.documentElement.dataset.mantineColorScheme === '{scheme}'", PATIENCE_S)
+    tab.evaluate(HIDE_NOTE)
+    tab.evaluate(SETTLED % 3000)
+    return tab
+
+
+def draw_trails(tab: Tab) -> None:
+    """Switch the trails of all robots on, and wait until they are there."""
+    tab.turn_to("See")
+    tab.until(f"!!({CLICK_LABEL.replace('.click()', '')})" % "Trails", PATIENCE_S)
+    tab.evaluate(CLICK_LABEL % "Trails")
+    tab.evaluate(SETTLED % (1000 * WARM_UP_S))
+    tab.turn_to("Entities")
+    tab.evaluate(SETTLED % 1000)
+
+
+def save(tab: Tab, name: str) -> None:
+    """Save the page as PNG."""
+    picture = Image.open(io.BytesIO(tab.screenshot())).convert("RGB")
+    picture.save(IMAGES / f"{name}.png", optimize=True)
+
+
+def film(tab: Tab, step: Callable[[], object]) -> None:
+    """Save a film, one picture after each step."""
+    pictures = []
+    for _ in range(FRAMES):
+        step()
+        tab.evaluate(SETTLED % 300)
+        picture = Image.open(io.BytesIO(tab.screenshot())).convert("RGB")
+        pictures.append(picture.resize(FILM_SIZE, Image.Resampling.LANCZOS))
+    palette = make_palette(pictures[-1])
+    first, *rest = (one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures)
+    first.save(IMAGES / "page.gif", save_all=True, append_images=rest, duration=FRAME_MS, loop=0)
+    size = (IMAGES / "page.gif").stat().st_size
+    if size > MOST_BYTES:
+        raise RuntimeError(f"page.gif has {size} bytes, more than {MOST_BYTES}")
+
+
+def make_palette(picture: Image.Image) -> Image.Image:
+    """Choose the colours of a film: half of them for what is colourful, which is small."""
+    pixels = np.asarray(picture)
+    colourful = pixels[np.ptp(pixels.astype(int), axis=2) > LEAST_CHROMA]
+    if not len(colourful):
+        return picture.quantize(FILM_COLOURS)
+    count = picture.width * picture.height
+    added = np.resize(colourful, (count, 3)).reshape(picture.height, picture.width, 3)
+    both = Image.fromarray(np.concatenate((pixels, added)))
+    return both.quantize(FILM_COLOURS)
+
+
+def make_media() -> None:
+    """Make all pictures."""
+    with running_up("--robots", "10", "--viewer-port", "0", "--behaviour", "circle") as ready:
+        _, announced, bus = ready
+        url, client = str(announced["viewer"]), SimClient(bus)
+        time.sleep(WARM_UP_S)
+        with Chromium() as browser:
+            tab = show(browser, url, WIDE, "dark")
+            draw_trails(tab)
+            save(tab, "page_dark")
+            client.set_simulation_state(State.PAUSED)
+            order = StepSimulationRequest(steps=STEPS_OF_FRAME)
+            film(tab, lambda: bus.call(STEP_SIMULATION, order, world="default", timeout_s=30.0))
+            client.set_simulation_state(State.PLAYING)
+        for name, size, scheme in (
+            ("page_light", WIDE, "light"),
+            ("page_phone", PHONE, "light"),
+        ):
+            with Chromium() as browser:
+                save(show(browser, url, size, scheme), name)
+    for path in sorted(Path(IMAGES).glob("page*")):
+        sys.stdout.write(f"{path.name} {path.stat().st_size}\n")
+
+
+if __name__ == "__main__":
+    make_media()

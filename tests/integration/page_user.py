@@ -1,0 +1,156 @@
+"""PageUser: a visitor of the page without a browser, which uses its controls by their labels."""
+
+import threading
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import zstandard
+from websockets.exceptions import ConnectionClosed
+
+from tests.integration.page_client import connect_page, encode_camera, encode_update
+from tests.integration.processes import eventually
+
+if TYPE_CHECKING:
+    from websockets.sync.client import ClientConnection
+
+HEADER_BYTES = 16
+
+
+class PageUser:
+    """An open page; a thread reads what the server sends.
+
+    Attributes:
+        connection: Websocket.
+        notifications: Texts of all notifications, oldest first.
+        nodes: Names of the nodes of the scene.
+        owner: Scope of the nodes of this visitor alone.
+        waits_for_click: Whether the page asks for a click in the scene.
+        scripts: Sources of scripts that the server had run.
+    """
+
+    def __init__(self, url: str, cookie: str = "") -> None:
+        self.connection: ClientConnection = connect_page(url, cookie=cookie)
+        self.notifications: list[str] = []
+        self.scripts: list[str] = []
+        self._controls: dict[str, dict[str, Any]] = {}
+        self._commands: dict[str, str] = {}
+        self.nodes: set[str] = set()
+        self.owner = ""
+        self.waits_for_click = False
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+        self.connection.send(encode_camera())
+
+    def __enter__(self) -> "PageUser":
+        # A control is sent before its callback is registered; texts are filled after all are.
+        eventually(lambda: "playing" in self.texts() or "paused" in self.texts(), 20.0, "a state")
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the page."""
+        self.connection.close()
+        self._thread.join()
+
+    def press(self, label: str, option: str = "") -> None:
+        """Press a button, or an option of a group of buttons."""
+        self.give(label, option or True)
+
+    def give(self, label: str, value: object) -> None:
+        """Give a control a value."""
+        uuid = str(self.control(label)["uuid"])
+        self.connection.send(encode_update(uuid, value=value))
+
+    def hold(self, label: str) -> None:
+        """Send what a held button sends once."""
+        control = self.control(label)
+        hz = control["props"]["_hold_callback_freqs"][0]
+        self.send("GuiButtonHoldMessage", uuid=control["uuid"], frequency=hz)
+
+    def run(self, command: str) -> None:
+        """Run a command of the palette."""
+        uuid = eventually(lambda: self._commands.get(command), 10.0, f"command {command}")
+        self.send("CommandTriggerMessage", uuid=uuid)
+
+    def send(self, kind: str, **fields: object) -> None:
+        """Send a message."""
+        self.connection.send(msgspec.msgpack.encode({"type": kind, **fields}))
+
+    def control(self, label: str) -> dict[str, Any]:
+        """Find the control with a label, once it is there."""
+        return eventually(lambda: self._find(label), 10.0, f"control {label!r}")
+
+    def value_of(self, label: str) -> Any:  # noqa: ANN401  of any control
+        """Return the value of a control."""
+        return self.control(label)["value"]
+
+    def options_of(self, label: str) -> list[str]:
+        """Return what a dropdown offers."""
+        return list(self.control(label)["props"]["options"])
+
+    def texts(self) -> str:
+        """Return the content of all texts."""
+        found = (one["props"].get("content", "") for one in list(self._controls.values()))
+        return "\n".join(map(str, found))
+
+    def list_labels(self) -> frozenset[str]:
+        """Return the labels of all controls."""
+        controls = list(self._controls.values())
+        return frozenset(str(one["props"].get("label", "")) for one in controls) - {""}
+
+    def _find(self, label: str) -> dict[str, Any] | None:
+        found = [o for o in list(self._controls.values()) if o["props"].get("label") == label]
+        return found[-1] if found else None
+
+    def _read(self) -> None:
+        try:
+            for frame in self.connection:
+                assert isinstance(frame, bytes)
+                size = int.from_bytes(frame[8:HEADER_BYTES], "little")
+                packed = zstandard.decompress(frame[HEADER_BYTES : HEADER_BYTES + size])
+                for message in msgspec.msgpack.decode(packed)["messages"]:
+                    self._take(message)
+        except ConnectionClosed:
+            return
+
+    def _take(self, message: dict[str, Any]) -> None:
+        kind = message["type"]
+        if kind.startswith("Gui"):
+            self._take_control(message)
+        elif kind == "RegisterCommandMessage":
+            self._commands[message["props"]["label"]] = message["uuid"]
+        elif kind == "NotificationShowMessage":
+            self.notifications.append(str(message["props"]["body"]))
+        elif kind == "RunJavascriptMessage":
+            self.scripts.append(str(message["source"]))
+        elif kind == "ScenePointerEnableMessage":
+            self.waits_for_click = bool(message["modifiers"])
+        elif "name" in message and "props" in message:
+            self.nodes.add(message["name"])
+            self.owner = message.get("owner", "") or self.owner
+
+    def _take_control(self, message: dict[str, Any]) -> None:
+        if message["type"] == "GuiUpdateMessage":
+            self._update(message)
+        elif message["type"] == "GuiRemoveMessage":
+            self._controls.pop(message["uuid"], None)
+        elif "props" in message:
+            self._controls[message["uuid"]] = message
+
+    def _update(self, message: dict[str, Any]) -> None:
+        control = self._controls.get(message["uuid"])
+        if control is None:
+            return
+        for name, value in message["updates"].items():
+            if name == "value":
+                control["value"] = value
+            else:
+                control["props"][name] = value

@@ -1,0 +1,564 @@
+"""Every control of the page, used by a visitor without a browser."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from websockets.sync.client import ClientConnection
+
+from tests.fakes import MemoryBus
+from tests.integration.page_client import (
+    PageVisitor,
+    connect_page,
+    encode_camera,
+    encode_click,
+    encode_selection,
+)
+from tests.integration.processes import eventually
+from tests.spawner.page.builders import (
+    CUBE,
+    make_models_by_name,
+    make_robot,
+    make_sensing_robot,
+    make_snapshot,
+    make_wall,
+)
+from zensim.proto.messages.agent_messages import STATE_COLUMNS
+from zensim.proto.messages.drive_messages import AckermannDrive
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.sensor_messages import Contacts
+from zensim.proto.messages.simulation_messages import SetSpeedRequest
+from zensim.proto.messages.standard_messages import LaserScan
+from zensim.proto.messages.telemetry_messages import Stats
+from zensim.spawner.page.entity_panel import MAX_ROWS
+from zensim.spawner.page.render_state import (
+    LastCommand,
+    RenderedFleet,
+    SimulationStatus,
+    make_fleet,
+    make_frame,
+)
+from zensim.spawner.page.robot_driver import RobotDriver
+from zensim.spawner.page.sensor_views import SensorChoice
+from zensim.spawner.page.side_panel import Order, WatchedTopic, WorldCall
+from zensim.spawner.page.viewer_page import ViewerPage
+
+WITHIN_S = 10.0
+
+
+def a_robot() -> Model:
+    """Make a robot with a collision shape."""
+    robot = make_robot()
+    base = msgspec.structs.replace(robot.links[0], collisions=(CUBE,))
+    return msgspec.structs.replace(robot, links=(base, *robot.links[1:]))
+
+
+def a_car() -> Model:
+    """Make a robot that is steered."""
+    return msgspec.structs.replace(make_robot("car"), drive=AckermannDrive())
+
+
+@dataclass
+class Visit:
+    """A page with a scene, and one visitor."""
+
+    page: ViewerPage
+    connection: ClientConnection
+    fleet: RenderedFleet = field(default_factory=RenderedFleet)
+    commands: dict[str, LastCommand] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.visitor = PageVisitor(self.connection)
+        self.base_x = self.speed_mps = self.time_s = 0.0
+        self.factor = 1.0
+        self.orders: list[Order] = []
+
+    def set_world(self, *names: str) -> None:
+        """Set robots; with sensors for names with s, steered ones with c, walls with w."""
+        makers = {"w": make_wall, "s": make_sensing_robot, "c": a_car}
+        kinds = {name: makers.get(name[0], a_robot)() for name in names}
+        self.fleet = make_fleet(names, make_models_by_name(kinds))
+
+    def show(self) -> None:
+        """Draw a frame and handle what the visitor has done."""
+        names = self.fleet.names
+        snapshot = make_snapshot(*names, joints=self.fleet.joints, at_x=self.base_x)
+        base = np.frombuffer(snapshot.base).reshape(-1, STATE_COLUMNS).copy()
+        base[:, 7] = self.speed_mps
+        snapshot = msgspec.structs.replace(snapshot, base=base.tobytes())
+        self.time_s += 0.05
+        robots = len(self.fleet.robots)
+        stats = Stats(state="playing", target_real_time_factor=self.factor)
+        status = SimulationStatus("playing", self.time_s, 1.0, robots, len(names), stats=stats)
+        self.page.show(self.fleet, make_frame(self.fleet, snapshot), status, self.commands)
+        self.orders += self.page.wait_for_input(0.02)
+        self.visitor.read()
+
+    def list_requests(self, kind: type[msgspec.Struct]) -> list[msgspec.Struct]:
+        """List the requests of this type."""
+        calls = [one for one in self.orders if isinstance(one, WorldCall)]
+        return [one.request for one in calls if isinstance(one.request, kind)]
+
+    def was_cleared(self, label: str) -> bool:
+        """Whether the server has cleared a box; what the visitor sets is not sent back."""
+        box = self.visitor.controls[self.visitor.find(label)]
+        return bool(box.get("updates")) and not box["value"]
+
+    def until(self, claim: Callable[[], object], what: str) -> None:
+        def look() -> bool:
+            self.show()
+            return bool(claim())
+
+        eventually(look, WITHIN_S, what)
+
+    def until_selected(self, *names: str) -> None:
+        self.until(lambda: self.page.selected == set(names), f"{names} selected")
+
+    def set(self, label: str, value: object) -> None:
+        """Set the value of a control when it is there."""
+        self.until(lambda: label in self.visitor.labels(), label)
+        self.visitor.set(label, value)
+
+    def press(self, label: str) -> None:
+        """Press a button when it is there."""
+        self.set(label, value=True)
+
+    def shows(self, prefix: str) -> bool:
+        """Whether the visitor has a scene node, other than an empty parent, below a path."""
+        nodes = self.visitor.nodes.items()
+        return any(p.startswith(prefix) and n["kind"] != "FrameMessage" for p, n in nodes)
+
+    def charts(self) -> list[dict[str, Any]]:
+        """List the charts."""
+        controls = self.visitor.controls.values()
+        return [one for one in controls if one["kind"] == "GuiUplotMessage"]
+
+    def updates_of_charts(self) -> int:
+        """Return how often the data of charts have been set."""
+        return sum(one.get("updates", 0) for one in self.charts())
+
+    def click(self, name: str, modifier: str | None = None) -> None:
+        """Click an entity in the scene."""
+        groups = [group.names for group in self.fleet.groups]
+        number = next(i for i, group in enumerate(groups) if name in group)
+        at = f"/robots/{number}/0/0"
+        self.connection.send(encode_click(at, groups[number].index(name), modifier))
+
+
+@contextmanager
+def visiting(driver: RobotDriver | None = None) -> Iterator[Visit]:
+    with (
+        closing(ViewerPage("127.0.0.1", 0, driver=driver)) as page,
+        closing(connect_page(f"http://127.0.0.1:{page.port}")) as connection,
+    ):
+        connection.send(encode_camera())
+        visit = Visit(page, connection)
+        visit.set_world("r1", "r2", "w1", "s1")
+        visit.until(lambda: page.is_watched, "a visitor")
+        visit.until(lambda: "r1 · no agent" in visit.visitor.labels(), "a list")
+        yield visit
+
+
+@pytest.fixture
+def visit() -> Iterator[Visit]:
+    with visiting() as found:
+        yield found
+
+
+@pytest.fixture
+def driver() -> Iterator[RobotDriver]:
+    with closing(RobotDriver(MemoryBus())) as found:
+        yield found
+
+
+@pytest.fixture
+def acting(driver: RobotDriver) -> Iterator[Visit]:
+    """Visit a page that may act."""
+    with visiting(driver) as found:
+        yield found
+
+
+def rows_of(visit: Visit) -> list[str]:
+    return [label.split(" · ")[0] for label in visit.visitor.labels() if " · " in label]
+
+
+def test_list_has_all_entities_by_category(visit: Visit) -> None:
+    labels = visit.visitor.labels()
+
+    assert [*labels[labels.index("Robots (3)") :]][:1] == ["Robots (3)"]
+    assert "Objects (1)" in labels
+    assert sorted(rows_of(visit)) == ["r1", "r2", "s1", "w1"]
+
+
+def test_row_selects_its_entity(visit: Visit) -> None:
+    visit.press("r2 · no agent")
+
+    visit.until_selected("r2")
+    visit.until(lambda: "Stop following" in visit.visitor.labels(), "details")
+    visit.until(lambda: "/selected/0" in visit.visitor.nodes, "an outline")
+    visit.until(lambda: "/names/r2" in visit.visitor.nodes, "its name")
+    visit.press("Stop following")
+    visit.until_selected()
+    visit.until(lambda: "/selected/0" not in visit.visitor.nodes, "no outline")
+    visit.until(lambda: "/names/r2" not in visit.visitor.nodes, "no name")
+
+
+def test_search_and_status_narrow_the_list(visit: Visit) -> None:
+    visit.set("Search", "R1")
+    visit.until(lambda: rows_of(visit) == ["r1"], "one row")
+
+    visit.set("Search", "")
+    visit.set("Status", "Moving")
+    visit.until(lambda: rows_of(visit) == [], "no row")
+    visit.set("Status", "All")
+    visit.until(lambda: len(rows_of(visit)) == 4, "all rows")
+
+
+def test_list_is_limited_and_search_finds_the_rest(visit: Visit) -> None:
+    visit.set_world(*(f"r{number}" for number in range(300)))
+    visit.until(lambda: len(rows_of(visit)) == MAX_ROWS, "a full list")
+    assert "300 of 300 found" in visit.visitor.texts()
+
+    visit.set("Search", "r299")
+    visit.until(lambda: rows_of(visit) == ["r299"], "one row")
+    visit.press("r299 · no agent")
+    visit.until_selected("r299")
+
+
+def test_shift_click_adds_and_removes(visit: Visit) -> None:
+    visit.click("r1")
+    visit.until_selected("r1")
+    visit.click("r2", "shift")
+    visit.until_selected("r1", "r2")
+    visit.until(lambda: "/selected/1" in visit.visitor.nodes, "two outlines")
+    visit.click("r1", "shift")
+    visit.until_selected("r2")
+    visit.click("w1")
+    visit.until_selected("w1")
+
+
+def test_selection_of_a_deleted_entity_ends(visit: Visit) -> None:
+    visit.click("r1")
+    visit.click("r2", "shift")
+    visit.until_selected("r1", "r2")
+
+    visit.set_world("r2", "w1")
+
+    visit.until_selected("r2")
+    visit.set_world()
+    visit.until_selected()
+
+
+def test_selection_ends_when_models_still_have_a_deleted_entity(visit: Visit) -> None:
+    kinds = {"r1": a_robot(), "r2": a_robot()}
+    visit.click("r1")
+    visit.click("r2", "shift")
+    visit.until_selected("r1", "r2")
+
+    visit.fleet = make_fleet(("r2",), make_models_by_name(kinds))
+
+    visit.until_selected("r2")
+    visit.connection.send(encode_selection("r1"))
+    visit.until_selected()
+
+
+def test_show_all_ends_the_selection(visit: Visit) -> None:
+    visit.click("r1")
+    visit.until_selected("r1")
+
+    visit.press("Show all")
+
+    visit.until_selected()
+
+
+def test_camera_moves_as_chosen(visit: Visit) -> None:
+    visit.click("r1")
+    visit.until_selected("r1")
+    camera = next(iter(visit.page._server.get_clients().values())).camera  # noqa: SLF001
+
+    visit.set("Camera", "Top")
+    visit.until(lambda: camera.position[2] > 2.9, "a camera above")
+    visit.set("Camera", "Chase")
+    visit.until(lambda: camera.position[2] < 1.0 and camera.position[0] < -1.0, "one behind")
+    visit.set("Camera", "Fixed")
+    visit.show()
+    visit.show()
+    before = np.array(camera.position)
+    visit.base_x = 5.0
+    visit.show()
+    assert np.allclose(camera.position, before)
+    visit.set("Camera", "Orbit")
+    visit.until(lambda: camera.look_at[0] > 4.5, "an orbit around the robot")
+
+
+def test_names_are_shown_above_robots_as_switched(visit: Visit) -> None:
+    visit.set("Names", value=True)
+    visit.until(lambda: {"/names/r1", "/names/s1"} <= visit.visitor.nodes.keys(), "names")
+    assert "/names/w1" not in visit.visitor.nodes
+
+    visit.set("Names", value=False)
+    visit.until(lambda: "/names/r1" not in visit.visitor.nodes, "no names")
+
+
+@pytest.mark.parametrize(
+    ("label", "path"),
+    [
+        ("Trails", "/trails"),
+        ("Velocity arrows", "/velocities/"),
+        ("Frames", "/frames"),
+        ("Collision shapes", "/collisions/"),
+    ],
+)
+def test_overlay_is_drawn_as_switched(visit: Visit, label: str, path: str) -> None:
+    visit.speed_mps = 0.5
+    visit.set(label, value=True)
+    visit.until(lambda: visit.shows(path), f"{path} is shown")
+
+    visit.set("Draw for", "Selection")
+    visit.until(lambda: not visit.shows(path), "nothing is selected")
+    visit.set("Draw for", "All entities")
+    visit.until(lambda: visit.shows(path), f"{path} is shown again")
+    visit.set_world("r2")
+    visit.until(lambda: rows_of(visit) == ["r2"], "another world")
+    visit.set(label, value=False)
+    visit.until(lambda: not visit.shows(path), "nothing is shown")
+
+
+def test_contacts_are_watched_and_drawn_as_switched(visit: Visit) -> None:
+    watch = WatchedTopic("contacts")
+    visit.set("Contacts", value=True)
+    visit.until(lambda: visit.page.watched == {watch}, "a subscription")
+    row = np.array([1.0, 2.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 9.0])
+
+    visit.page.show_messages({watch: Contacts(0, 0, 0, (), (), b"", row.tobytes())})
+    visit.until(lambda: visit.shows("/contacts/points"), "a point of contact")
+    assert visit.shows("/contacts/forces")
+    visit.until(lambda: not visit.shows("/contacts/"), "old contacts are removed")
+    visit.page.show_messages({watch: Contacts(0, 0, 0, (), (), b"", b"1234")})
+    visit.page.show_messages({watch: Contacts(0, 0, 0, (), (), b"", row.tobytes())})
+    visit.set("Contacts", value=False)
+    visit.until(lambda: not visit.shows("/contacts/"), "no contacts")
+    assert not visit.page.watched
+
+
+def click_floor(visit: Visit, x: float, y: float, height_m: float = 5.0) -> None:
+    """Click a point of the floor from above."""
+    visit.connection.send(
+        msgspec.msgpack.encode(
+            {
+                "type": "ScenePointerMessage",
+                "event_type": "click",
+                "ray_origin": (x, y, height_m),
+                "ray_direction": (0.0, 0.0, -1.0),
+                "screen_pos": ((0.5, 0.5),),
+                "modifier": None,
+            }
+        )
+    )
+
+
+def test_distance_of_two_clicks_is_shown_while_measuring(visit: Visit) -> None:
+    visit.set("Measure", value=True)
+    visit.until(lambda: visit.visitor.waits_for_clicks, "waiting for a click")
+    click_floor(visit, 1.0, 1.0)
+    visit.until(lambda: visit.shows("/measure/start"), "the first point")
+    visit.until(lambda: visit.visitor.waits_for_clicks, "waiting for a click")
+    click_floor(visit, 4.0, 5.0)
+    visit.until(lambda: visit.shows("/measure/line"), "a line")
+    assert visit.visitor.nodes["/measure/distance"]["text"] == "5.000 m"
+
+    visit.set("Measure", value=False)
+    visit.until(lambda: not visit.shows("/measure/"), "nothing")
+
+
+@pytest.mark.parametrize("title", ["Speed", "Turn rate", "Position", "Real-time factor"])
+def test_chart_is_there_as_switched(visit: Visit, title: str) -> None:
+    visit.click("r1")
+    visit.until_selected("r1")
+
+    visit.set(title, value=True)
+    visit.until(visit.charts, "a chart")
+    visit.until(lambda: visit.updates_of_charts() > 1, "new points")
+    visit.set(title, value=False)
+    visit.until(lambda: not visit.charts(), "no chart")
+
+
+def test_sensor_is_plotted_as_chosen(visit: Visit) -> None:
+    watch = WatchedTopic("scan", "s1", "scan")
+    visit.click("s1")
+    visit.until_selected("s1")
+    visit.set("Sensor", "scan")
+    visit.until(lambda: visit.page.watched == {watch}, "a subscription")
+
+    visit.page.show_messages({watch: LaserScan(range_max=9.0, ranges=(1.0,))})
+    visit.until(visit.charts, "a chart")
+    visit.set("Sensor", "none")
+    visit.until(lambda: not visit.charts() and not visit.page.watched, "no chart")
+
+
+def test_plots_are_saved_as_csv(visit: Visit) -> None:
+    visit.press("Save as CSV")
+    visit.until(lambda: visit.visitor.notices, "a notification that nothing is plotted")
+    visit.click("r1")
+    visit.set("Speed", value=True)
+    visit.until(visit.charts, "a chart")
+
+    visit.press("Save as CSV")
+
+    visit.until(lambda: visit.visitor.downloads == ["zensim_plot.csv"], "a download")
+
+
+def test_sensor_is_shown_as_switched(visit: Visit) -> None:
+    visit.click("s1")
+    visit.until_selected("s1")
+    visit.until(lambda: "Show scan scan" in visit.visitor.labels(), "switches")
+
+    visit.set("Show scan scan", value=True)
+    visit.until(lambda: visit.page.shown_sensors == {SensorChoice("s1", "scan")}, "a scan")
+    visit.set("Show scan scan", value=False)
+    visit.until(lambda: not visit.page.shown_sensors, "no scan")
+
+
+@pytest.mark.parametrize(
+    ("label", "value"),
+    [
+        ("Search", True),
+        ("Search", 3),
+        ("Status", "Exploded"),
+        ("Status", [1.0, 2.0, 3.0]),
+        ("Names", "yes"),
+        ("Names", 1.0),
+        ("Show all", "now"),
+    ],
+)
+def test_control_takes_no_value_that_it_does_not_offer(
+    visit: Visit, capfd: pytest.CaptureFixture[str], label: str, value: object
+) -> None:
+    visit.set(label, value)
+    visit.press("r1 · no agent")
+
+    visit.until_selected("r1")
+    assert len(rows_of(visit)) == 4
+    assert capfd.readouterr() == ("", "")
+
+
+def test_removed_control_is_without_effect(visit: Visit) -> None:
+    visit.click("r1")
+    visit.until(lambda: "Stop following" in visit.visitor.labels(), "details")
+    uuid = visit.visitor.find("Stop following")
+    visit.click("r2")
+    visit.until_selected("r2")
+
+    visit.connection.send(
+        msgspec.msgpack.encode(
+            {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": True}}
+        )
+    )
+    for _ in range(5):
+        visit.show()
+
+    assert visit.page.selected == {"r2"}
+
+
+def test_a_speed_set_by_others_is_shown_and_not_set_again(acting: Visit) -> None:
+    acting.factor = 20.0
+    acting.until(lambda: acting.visitor.controls[speed_of(acting)]["value"] == 10.0, "the slider")
+    acting.show()
+
+    acting.set("Speed", 2.0)
+    acting.until(lambda: acting.list_requests(SetSpeedRequest), "a request")
+
+    assert acting.list_requests(SetSpeedRequest) == [SetSpeedRequest(2.0)]
+
+
+def speed_of(visit: Visit) -> str:
+    """Return the uuid of the slider of the real-time factor."""
+    return visit.visitor.find("Speed")
+
+
+def test_the_first_visitor_is_another_visitor_to_the_second(
+    acting: Visit, driver: RobotDriver
+) -> None:
+    with closing(connect_page(f"http://127.0.0.1:{acting.page.port}")) as connection:
+        second = PageVisitor(connection)
+        connection.send(encode_camera())
+
+        def is_selected() -> bool:
+            connection.send(encode_selection("r1"))
+            return "driven by" in second.texts()
+
+        acting.until(is_selected, "a selection")
+        driver.take_over(0, "r1")
+
+        acting.until(lambda: "driven by another visitor" in second.texts(), "the driver")
+
+
+def test_a_click_serves_the_last_purpose_only(acting: Visit, driver: RobotDriver) -> None:
+    select(acting, "r1")
+    acting.set("Measure", value=True)
+    acting.until(lambda: acting.visitor.waits_for_clicks, "waiting for a click")
+    acting.press("Drive to")
+    acting.press("Place by click")
+    acting.until(lambda: acting.was_cleared("Measure"), "no measuring")
+
+    click_floor(acting, 1.5, 2.5)
+
+    place = "Place x, y [m]"
+    acting.until(lambda: list(acting.visitor.value_of(place)) == [1.5, 2.5], "a place")
+    assert driver.list_paths(0) == frozenset()
+    assert not acting.shows("/measure/")
+
+
+def test_another_selection_cancels_a_drive_to(acting: Visit) -> None:
+    select(acting, "r1")
+    acting.press("Drive to")
+    acting.until(lambda: acting.visitor.waits_for_clicks, "waiting for a click")
+
+    select(acting, "r2")
+
+    acting.until(lambda: not acting.visitor.waits_for_clicks, "no waiting")
+
+
+def test_a_click_on_the_sky_ends_measuring(acting: Visit) -> None:
+    acting.set("Measure", value=True)
+    acting.until(lambda: acting.visitor.waits_for_clicks, "waiting for a click")
+
+    click_floor(acting, 1.0, 1.0, height_m=-5.0)
+
+    acting.until(lambda: acting.was_cleared("Measure"), "no measuring")
+
+
+def select(visit: Visit, name: str) -> None:
+    visit.click(name)
+    visit.until_selected(name)
+
+
+def test_input_without_end_does_not_stop_the_drawing(visit: Visit) -> None:
+    left = 2000
+
+    def act() -> None:
+        nonlocal left
+        time.sleep(0.001)
+        left -= 1
+        if left:
+            visit.page._use(0, act)  # noqa: SLF001  as a message would
+
+    act()
+    visit.page.wait_for_input(0.1)
+
+    assert 0 < left < 2000
+
+
+def test_a_steered_robot_is_not_sent_to_a_point(acting: Visit) -> None:
+    acting.set_world("c1")
+    select(acting, "c1")
+
+    acting.press("Drive to")
+
+    acting.until(lambda: "c1 is steered" in str(acting.visitor.notices), "a refusal")
+    assert not acting.visitor.waits_for_clicks

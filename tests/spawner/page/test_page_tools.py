@@ -1,0 +1,19 @@
+"""Tools of the page that run in the browser."""
+
+import re
+
+from zensim.spawner.page.page_tools import make_help_html, make_tools_script
+
+
+def test_help_lists_given_keys_as_text() -> None:
+    text = make_help_html((("Shift+X", "stop <all>"),))
+
+    assert "<dt>Shift+X</dt><dd>stop &lt;all&gt;</dd>" in text
+    assert text.count("<dt>") == text.count("</dd>")
+
+
+def test_script_cannot_end_its_element() -> None:
+    script = make_tools_script((("a", "</script>"),))
+
+    assert not re.search("</", script)
+    assert "#zensim-tools" in script

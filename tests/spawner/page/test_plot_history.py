@@ -1,0 +1,95 @@
+"""Numbers that plots show."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from zensim.proto.messages.agent_messages import STATE_COLUMNS
+from zensim.proto.messages.standard_messages import Imu, JointState, LaserScan, Range, Vector3
+from zensim.spawner.page.plot_history import (
+    MAX_FIELDS,
+    PLOT_POINTS,
+    PlotHistory,
+    measure_robot,
+    name_robot_columns,
+    read_numbers,
+)
+from zensim.spawner.page.render_state import LastCommand
+
+
+def test_history_keeps_the_last_minute() -> None:
+    history = PlotHistory()
+
+    for step in range(PLOT_POINTS + 10):
+        assert history.add(step * 0.2, {"a": step, "b": 2.0 * step})
+
+    times, values = history.make_arrays(["b"])
+    assert len(times) == PLOT_POINTS
+    assert times[0] == pytest.approx(2.0)
+    assert values[-1] == 2.0 * (PLOT_POINTS + 9)
+
+
+def test_history_adds_nothing_while_time_stands() -> None:
+    history = PlotHistory()
+    history.add(1.0, {"a": 1.0})
+
+    assert not history.add(1.0, {"a": 1.0})
+    assert len(history.make_arrays(["a"])[0]) == 1
+
+
+def test_history_begins_anew_with_other_columns_and_after_a_reset() -> None:
+    history = PlotHistory()
+    history.add(1.0, {"a": 1.0})
+    history.add(2.0, {"b": 2.0})
+    assert history.columns == ("b",)
+    assert history.make_arrays(["b"])[0].tolist() == [2.0]
+
+    history.add(0.5, {"b": 3.0})
+    assert history.make_arrays(["b"])[0].tolist() == [0.5]
+
+
+def test_rows_that_are_not_finite_are_not_plotted() -> None:
+    history = PlotHistory()
+    for step, value in enumerate((1.0, float("inf"), float("nan"), 4.0)):
+        history.add(float(step), {"a": value})
+
+    assert [array.tolist() for array in history.make_arrays(["a"])] == [[0.0, 3.0], [1.0, 4.0]]
+    assert history.make_csv().decode().splitlines()[:2] == ["simulation time [s],a", "0,1"]
+
+
+def test_empty_history_has_empty_arrays() -> None:
+    assert [len(array) for array in PlotHistory().make_arrays([])] == [0]
+
+
+def test_columns_of_a_robot_are_speed_turn_rate_and_position() -> None:
+    state = np.zeros(STATE_COLUMNS)
+    state[:2], state[7:9], state[12] = (1.0, 2.0), (0.3, 0.4), -0.5
+
+    values = measure_robot("r1", state, LastCommand(0.6, 0.7, age_s=0.0))
+
+    assert list(values.values()) == pytest.approx([0.5, 0.6, -0.5, 0.7, 1.0, 2.0])
+    assert [*values] == [one for pair in name_robot_columns("r1").values() for one in pair]
+    assert measure_robot("r1", state, None)["r1 v commanded [m/s]"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("message", "numbers"),
+    [
+        (
+            LaserScan(range_min=0.1, range_max=9.0, ranges=(0.01, 3.0, 2.0, float("inf"))),
+            {"nearest [m]": 2.0},
+        ),
+        (LaserScan(range_min=0.1, range_max=9.0), {"nearest [m]": float("inf")}),
+        (JointState(name=("a", "b"), position=(0.1, 0.2)), {"a": 0.1, "b": 0.2}),
+    ],
+)
+def test_numbers_of_a_message(message: msgspec.Struct, numbers: dict[str, float]) -> None:
+    assert read_numbers(message) == numbers
+
+
+def test_numbers_of_a_message_are_its_first_fields_without_covariances() -> None:
+    numbers = read_numbers(Imu(angular_velocity=Vector3(z=0.5)))
+
+    assert len(numbers) == MAX_FIELDS
+    assert not any("covariance" in name or "header" in name for name in numbers)
+    assert read_numbers(Range(range=1.5))["range"] == 1.5
