@@ -22,7 +22,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 STAMP := .venv/.setup-done
 
-.PHONY: help setup demo test browser short lint fmt types imports schemas docs site bench house chaos fuzz mutants pins \
+.PHONY: help setup demo test browser short lint fmt types imports schemas docs site docs-media bench house chaos fuzz mutants pins \
 	interop interop-short interpreters ci clean packages
 
 help: ## list the targets
@@ -50,6 +50,9 @@ packages: # Debian packages that the tests use
 	@sh .ci/need chromium chromium chromium-browser google-chrome
 	@sh .ci/need iproute2 ip
 	@sh .ci/need strace strace
+	@sh .ci/need nodejs node
+	@sh .ci/need npm npm
+	@sh .ci/need npm npm
 	@for library in libegl1 libgl1-mesa-dri; do \
 		dpkg-query -W $$library >/dev/null 2>&1 || sh .ci/need $$library; \
 	done
@@ -98,6 +101,9 @@ docs: setup ## links, commands and change log of the documents
 site: setup ## build/site: the documents as a site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q -f .mkdocs.yml
 
+docs-media: setup packages ## pictures and film of the page in docs/images
+	$(BIN)/python -m tests.integration.docs_media
+
 bench: setup ## measure and rewrite docs/benchmarks.md
 	$(BIN)/python -m benchmarks
 
@@ -131,7 +137,7 @@ mutants: setup packages ## change the code in 100 places, and print the changes 
 pins: ## resolve requirements/ anew
 	@$(FIND_PYTHON); $$python -m venv build/pins
 	build/pins/bin/python -m pip --disable-pip-version-check install -q uv
-	@set -e; for name in dev server mujoco cameras viewer xacro base; do \
+	@set -e; for name in dev server mujoco cameras viewer xacro foxglove dataset plot top base; do \
 		case $$name in \
 			dev) choice="--all-extras" ;; \
 			base) choice="-c requirements/dev.txt" ;; \

@@ -16,6 +16,7 @@ NAMES = (
     "cmd_vel",
     "spawn",
     "reading",
+    "recording",
     "bundle",
     "isolation",
     "neighbours",
@@ -35,8 +36,12 @@ NAMES = (
     "world",
     "world_loading",
     "scenarios",
+    "resim",
     "sensors",
     "casting",
+    "page",
+    "foxglove",
+    "page_control",
     "state_sensors",
     "containers",
     "ros2",
@@ -44,6 +49,7 @@ NAMES = (
     "clusters",
     "sleeping",
     "codec",
+    "replay",
 )
 HEAD = """# Benchmarks
 

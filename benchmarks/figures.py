@@ -8,10 +8,11 @@ import msgspec
 
 from benchmarks.timing import quantile
 
-Statistic = Literal["mean", "median", "p99", "min", "max"]
+Statistic = Literal["mean", "median", "p95", "p99", "min", "max"]
 STATISTICS: dict[Statistic, Callable[[list[float]], float]] = {
     "mean": statistics.fmean,
     "median": lambda ordered: quantile(ordered, 0.5),
+    "p95": lambda ordered: quantile(ordered, 0.95),
     "p99": lambda ordered: quantile(ordered, 0.99),
     "min": lambda ordered: ordered[0],
     "max": lambda ordered: ordered[-1],

@@ -45,8 +45,8 @@ class Spent(Turn):
 class FleetServer:
     """A server that reports its resource usage."""
 
-    def __init__(self, process: "subprocess.Popen[str]", client: SimClient) -> None:
-        self.process = process
+    def __init__(self, process: "subprocess.Popen[str]", client: SimClient, endpoint: str) -> None:
+        self.process, self.endpoint = process, endpoint
         self.client = client
 
     def turn(self, seconds: float) -> Spent:
@@ -94,7 +94,7 @@ def run_fleet_server(count: int, *serve_arguments: str) -> Iterator[FleetServer]
     with ExitStack() as stack:
         process = stack.enter_context(program("watched_server", *arguments))
         bus = stack.enter_context(connected(endpoint, process))
-        found = FleetServer(process, SimClient(bus, timeout_s=CALL_TIMEOUT_S))
+        found = FleetServer(process, SimClient(bus, timeout_s=CALL_TIMEOUT_S), endpoint)
         found.client.wait_for_server(PATIENCE_S)
         spawn(found.client, count)
         driver = stack.enter_context(program("circling_driver", endpoint, str(count)))

@@ -9,7 +9,7 @@ from tests.contract.repository import ROOT
 
 WITHOUT_EXTRAS = """
 import sys, pkgutil, importlib
-for name in ("pybullet", "scipy", "trimesh", "lxml", "viser"):
+for name in ("pybullet", "scipy", "trimesh", "lxml", "viser", "websockets"):
     sys.modules[name] = None
 """
 IMPORT_ALL = """
@@ -62,6 +62,7 @@ def test_help_is_shown_when_no_extra_is_installed() -> None:
         (("check", "README.md"), "server"),
         (("test", "first_minutes"), "server"),
         (("view",), "viewer"),
+        (("foxglove",), "foxglove"),
     ],
 )
 def test_command_names_the_extra_when_it_is_not_installed(

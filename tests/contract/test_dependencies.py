@@ -17,6 +17,10 @@ EXTRA_OF = {
     "sim_server/scene/camera_rendering.py": {"", "server", "cameras"},
     "sim_server/": {"", "server"},
     "spawner/page/": {"", "viewer"},
+    "zensim/foxglove/": {"", "foxglove"},
+    "spawner/top/top_app.py": {"", "top"},
+    "zensim/recording/series_chart.py": {"", "plot"},
+    "zensim/recording/table_files.py": {"", "dataset"},
     # A plug-in that pytest loads.
     "zensim/testing.py": {"", "dev"},
 }
@@ -63,7 +67,7 @@ def importable(extras: set[str]) -> set[str]:
 def extras_of(path: Path) -> set[str]:
     name = shown(path)
     if name.startswith("tests/"):
-        return {"", "server", "mujoco", "viewer", "dev"}
+        return {"", "server", "mujoco", "viewer", "top", "dev"}
     return next((ours for part, ours in EXTRA_OF.items() if name.startswith(part)), {""})
 
 

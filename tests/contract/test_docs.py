@@ -21,7 +21,8 @@ LINK = re.compile(r"\]\((?!https?:|mailto:|#)([^)#\s]+)")
 BLOCK_FLAGS = re.MULTILINE | re.DOTALL
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(
-    r"(?:^|`|\s)(?:\.venv/bin/)?zensim ((?:(?:state|info|token|world) )?[a-z][a-z-]*)([^`\n|&;#]*)"
+    r"(?:^|`|\s)(?:\.venv/bin/)?zensim "
+    r"((?:(?:bag|state|info|token|world) )?[a-z][a-z-]*)([^`\n|&;#]*)"
 )
 OPTION = re.compile(r"(?<=\s)--?[A-Za-z][\w-]*")
 CHANGES = {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}

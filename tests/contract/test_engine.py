@@ -351,3 +351,17 @@ def test_engine_numbers_are_unique(engine: Engine, model: Model) -> None:
 
     assert len(set(bodies)) == 5
     assert engine.read(bodies).base[:, 0] == pytest.approx(range(5), abs=1e-9)
+
+
+@pytest.mark.parametrize("model", [a_box(), a_cart(), a_lopsided_box()], ids=lambda m: m.name)
+def test_engine_numbers_stay_small_however_many_bodies_come_and_go(
+    engine: Engine, model: Model
+) -> None:
+    """Layers have tables by number, which grow with the largest."""
+    stays = engine.add(model, a_state((0.0, 0.0, 1.0)))
+    for x in range(1, 101):
+        body = engine.add(model, a_state((float(x), 0.0, 1.0)))
+        assert engine.read([stays, body]).base[:, 0] == pytest.approx([0.0, x], abs=1e-9)
+        engine.remove(body)
+
+    assert body < 64

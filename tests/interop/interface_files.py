@@ -14,10 +14,10 @@ from msgspec import inspect
 from zensim.proto.codec.cdr_layout import find_ros_class, unwrap_metadata
 from zensim.proto.codec.message_codec import Format, supports_format
 from zensim.proto.ros2.action_messages import SIMULATE_STEPS_ACTION
+from zensim.proto.ros2.message_definitions import NAME_OF_CODE
 from zensim.proto.ros2.ros_service_catalog import OWN_TYPE_PREFIX, ROS_SERVICES, V1_SERVICES
 from zensim.proto.ros2.trajectory_messages import FOLLOW_JOINT_TRAJECTORY
 from zensim.proto.topic_catalog import TOPICS, TopicScope
-from zensim.recording.message_definitions import NAME_OF_CODE
 
 Struct = type[msgspec.Struct]
 BUNDLED = (
