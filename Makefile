@@ -52,7 +52,6 @@ packages: # Debian packages that the tests use
 	@sh .ci/need strace strace
 	@sh .ci/need nodejs node
 	@sh .ci/need npm npm
-	@sh .ci/need npm npm
 	@for library in libegl1 libgl1-mesa-dri; do \
 		dpkg-query -W $$library >/dev/null 2>&1 || sh .ci/need $$library; \
 	done
@@ -137,7 +136,7 @@ mutants: setup packages ## change the code in 100 places, and print the changes 
 pins: ## resolve requirements/ anew
 	@$(FIND_PYTHON); $$python -m venv build/pins
 	build/pins/bin/python -m pip --disable-pip-version-check install -q uv
-	@set -e; for name in dev server mujoco cameras viewer xacro foxglove dataset plot top base; do \
+	@set -e; for name in dev server mujoco cameras viewer xacro foxglove dataset plot top rl ray metrics base; do \
 		case $$name in \
 			dev) choice="--all-extras" ;; \
 			base) choice="-c requirements/dev.txt" ;; \
