@@ -58,7 +58,8 @@ packages: # Debian packages that the tests use
 
 # Side by side, but those of a file one after another: they share a server. Tests of processes often
 # wait, so there is one worker more than cores; small files come last, so that all end together.
-PYTEST := $(BIN)/python -m pytest -n $$(($$(getconf _NPROCESSORS_ONLN) + 1)) --dist loadfile \
+# Up to five that fail run again, alone, and are named at the end: CONTRIBUTING.md.
+PYTEST := $(BIN)/python .ci/run_tests.py -n $$(($$(getconf _NPROCESSORS_ONLN) + 1)) --dist loadfile \
 	--no-loadscope-reorder
 
 test: setup packages ## all tests but those of `make browser` and `make short`
@@ -67,7 +68,7 @@ test: setup packages ## all tests but those of `make browser` and `make short`
 		echo "tests of network namespaces need root, and there is no sudo; run make test as root" >&2; \
 		exit 1; \
 	else $(PYTEST) -m "not root and not browser and not short_form and not interop" && \
-		sudo $(BIN)/python -B -m pytest -p no:cacheprovider -m "root and not short_form"; \
+		sudo $(BIN)/python -B .ci/run_tests.py -p no:cacheprovider -m "root and not short_form"; \
 	fi
 
 browser: setup packages ## tests of the page in Chromium
