@@ -3,24 +3,31 @@
 The process of `zensim view` beside a server whose robots drive circles in real time, or stand.
 Visitors are programs that read all that a browser would get, on the same cores. CPU and bytes are
 those of each second, of the page's process and of one visitor. `more` is the CPU of a second in
-which one visitor shows what is named, less the median of the seconds without it.
+which one visitor shows what is named, less the median of the seconds without it; for charts and the
+lidar of a robot, of seconds in which that robot is selected. The search is what a visitor does:
+give a name, press its row, and see the camera move.
 """
 
 import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import TypeVar
 
 import msgspec
 import psutil
 
 from benchmarks.figures import Figure, Limit, Statistic, table
-from benchmarks.fleet_server import FleetServer, program, run_fleet_server
+from benchmarks.fleet_server import PATIENCE_S, FleetServer, program, run_fleet_server, spawn
 from benchmarks.machine import used_s
 from benchmarks.page_visitor import Second
-from tests.integration.processes import running
+from tests.integration.page_user import PageUser
+from tests.integration.processes import eventually, running, serving
 from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntitiesOrder, SpawnEntity
+from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
+from zensim.sim_server.description.builtin_models import read_builtin_model
 
 __all__ = ["rows", "table"]
 
@@ -37,6 +44,14 @@ MOST_KB = {"one": 600.0, "many": 5000.0, "standing": 5.0}
 MOST_MB = 120.0
 SHOWN = {"Trails": 0.02, "Names": 0.02, "Real-time factor": 0.02}
 """Most additional cores, by the label of what one visitor switches on; the last one is a plot."""
+SHOWN_OF_ONE = {"Speed": 0.02, "Show scan": 0.03}
+"""The same for what is shown of a selected robot: a plot, and its lidar of 360 rays at 10 Hz."""
+LEAST_DRAWINGS = {"Speed": 4.0, "Show scan": 8.0}
+LIDAR_BOT, LIDAR_AT = "lidar_bot", (-3.0, -3.0)
+SEARCHES, SEARCHES_WHEN_SHORT = 20, 2
+MOST_SEARCH_MS = 300.0
+POLL_S = 0.001
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
@@ -58,9 +73,9 @@ class Page:
         time.sleep(WARM_UP_WHEN_SHORT_S if self.is_short else WARM_UP_S)
         return tuple(self._measure_second() for _ in range(self.seconds))
 
-    def measure_visits(self, count: int, *labels: str) -> "Visits":
+    def measure_visits(self, count: int, *labels: str, entity: str = "") -> "Visits":
         """Measure the page in each second while visitors have it open."""
-        with program("page_visitor", self.url, str(count), *labels) as process:
+        with program("page_visitor", self.url, str(count), entity, *labels) as process:
             assert process.stdout is not None
             skipped = round(WARM_UP_WHEN_SHORT_S if self.is_short else WARM_UP_S)
             before_s = before_at = 0.0
@@ -93,23 +108,33 @@ class Visits:
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure the page without visitors, with one, with five, and what they may show."""
     for robots in FLEETS_WHEN_SHORT if is_short else FLEETS:
-        with run_fleet_server(robots, "--rtf", "1") as server, _serve_page(server) as (url, pid):
+        with (
+            run_fleet_server(robots, "--rtf", "1") as server,
+            _serve_page(server.endpoint) as (url, pid),
+        ):
             page = Page(url, pid, robots, is_short)
-            yield from _measure_standing(page)
+            yield from _measure_standing(page, "the world is paused")
             server.client.set_simulation_state(State.PLAYING)
             yield from _measure_driving(page)
+            if robots < MANY:
+                yield from _measure_shown_of_one(page, server)
+            yield from _measure_search(page)
+    robots = FLEETS_WHEN_SHORT[0] if is_short else FLEETS[0]
+    with serving() as quiet, _serve_page(quiet.endpoint) as (url, pid):
+        spawn(quiet.client, robots)
+        page = Page(url, pid, robots, is_short)
+        yield from _measure_standing(page, "time passes")
 
 
 @contextmanager
-def _serve_page(server: FleetServer) -> Iterator[tuple[str, int]]:
-    arguments = ("view", "--connect", server.endpoint, "--port", "0")
-    with running(*arguments) as process:
+def _serve_page(endpoint: str) -> Iterator[tuple[str, int]]:
+    with running("view", "--connect", endpoint, "--port", "0") as process:
         assert process.stdout is not None
         yield process.stdout.readline().split()[-1], process.pid
 
 
-def _measure_standing(page: Page) -> Iterator[Figure]:
-    what = f"{page.robots} robots stand"
+def _measure_standing(page: Page, when: str) -> Iterator[Figure]:
+    what = f"{page.robots} robots stand, {when}"
     visits = page.measure_visits(1)
     yield _make_cores(f"{what}, one visitor", visits.cores, MOST_CORES["standing"])
     yield _make_bytes(f"{what}, one visitor", visits, MOST_KB["standing"])
@@ -150,6 +175,73 @@ def _measure_shown(page: Page, without: float) -> Iterator[Figure]:
         cores = page.measure_visits(1, label).cores
         more = tuple(core - without for core in cores)
         yield _make_cores(f"{page.robots} robots drive, {label}, more", more, most)
+
+
+def _measure_shown_of_one(page: Page, server: FleetServer) -> Iterator[Figure]:
+    """Measure a plot and the scans of a robot with a lidar, beside the others that drive."""
+    text = Resource(resource_string=read_builtin_model("box_bot_lidar"))
+    x, y = LIDAR_AT
+    pose = PoseStamped(pose=Pose(Point(x, y, 0.06)))
+    order = SpawnEntity(
+        name=LIDAR_BOT, entity_namespace=LIDAR_BOT, entity_resource=text, initial_pose=pose
+    )
+    server.client.spawn_all(SpawnEntitiesOrder((order,)))
+    without = statistics.median(page.measure_visits(1, entity=LIDAR_BOT).cores)
+    with running("sensors", "run", "--name", "s1", "--quiet", "--connect", server.endpoint):
+        for label, most in SHOWN_OF_ONE.items():
+            visits = page.measure_visits(1, label, entity=LIDAR_BOT)
+            what = f"{page.robots} robots drive, one is selected, {label}"
+            more = tuple(core - without for core in visits.cores)
+            yield _make_cores(f"{what}, more", more, most)
+            yield Figure(
+                what=f"{what}: drawings a second",
+                unit="",
+                samples=tuple(second.drawings for second in visits.seconds),
+                limit=_limit("median", ">=", LEAST_DRAWINGS[label]),
+            )
+
+
+def _measure_search(page: Page) -> Iterator[Figure]:
+    """Search robots by name; measure until the camera moves."""
+    delays = []
+    with PageUser(page.url) as user:
+        user.control("Search")
+        for number in range(SEARCHES_WHEN_SHORT if page.is_short else SEARCHES):
+            delays.append(_time_search(user, f"box_bot{page.robots - 1 - number}"))
+            _stop_following(user)
+    yield Figure(
+        what=f"{page.robots} robots drive: name given, row pressed, camera moves",
+        unit="ms",
+        samples=tuple(delays),
+        limit=_limit("max", "<=", MOST_SEARCH_MS),
+    )
+
+
+def _time_search(user: PageUser, name: str) -> float:
+    """Search an entity and select it; return the time [ms] until the camera moves."""
+    began, before = time.perf_counter(), user.camera_messages
+    user.give("Search", name)
+    user.press(_wait_for(lambda: _find_row(user, name)))
+    _wait_for(lambda: user.camera_messages > before)
+    return 1e3 * (time.perf_counter() - began)
+
+
+def _find_row(user: PageUser, name: str) -> str:
+    """Find the label of the row of an entity; empty if there is none."""
+    return next((one for one in user.list_labels() if one.startswith(f"{name} · ")), "")
+
+
+def _stop_following(user: PageUser) -> None:
+    user.press("Stop following")
+    eventually(lambda: "Stop following" not in user.list_labels(), 10.0, "no selection")
+
+
+def _wait_for(find: Callable[[], Found]) -> Found:
+    """Wait until something is found, without the delay of polling rarely."""
+    ends_at = time.perf_counter() + PATIENCE_S
+    while not (found := find()) and time.perf_counter() < ends_at:
+        time.sleep(POLL_S)
+    return found
 
 
 def _make_cores(what: str, cores: tuple[float, ...], most: float) -> Figure:

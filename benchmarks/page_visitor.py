@@ -1,7 +1,8 @@
 """Visitors of the 3D page without a browser, in a process of their own.
 
-`python -m benchmarks.page_visitor URL COUNT [LABEL ...]` opens the page COUNT times; the first
-visitor switches the check boxes with these labels on. Each second it prints a line: what one got.
+`python -m benchmarks.page_visitor URL COUNT ENTITY [LABEL ...]` opens the page COUNT times; the
+first visitor selects the entity, unless its name is empty, and switches the check boxes with these
+labels on. Each second it prints a line: what one got.
 """
 
 import os
@@ -14,11 +15,19 @@ from typing import NoReturn
 import msgspec
 from websockets.sync.client import ClientConnection
 
-from tests.integration.page_client import connect_page, encode_camera, encode_update, read_messages
+from tests.integration.page_client import (
+    connect_page,
+    encode_camera,
+    encode_selection,
+    encode_update,
+    read_messages,
+)
 from zensim.proto.process_limits import die_with_supervisor
 
 SETTLE_S = 2.0
 """For the scene, which is sent first."""
+SELECTED = "Stop following"
+"""Label of a control that is there while an entity is selected."""
 
 
 class Second(msgspec.Struct, frozen=True):
@@ -26,6 +35,8 @@ class Second(msgspec.Struct, frozen=True):
 
     updates: float
     """Messages with new poses of robots."""
+    drawings: float
+    """Of trails, charts and scans."""
     bytes: float
     first_bytes: float = 0.0
     """What was sent before the first second: the scene."""
@@ -34,9 +45,11 @@ class Second(msgspec.Struct, frozen=True):
 class Visitor:
     """One page that reads all that it is sent."""
 
-    def __init__(self, connection: ClientConnection, labels: frozenset[str]) -> None:
-        self._connection, self._labels = connection, labels
-        self.updates = self.bytes = 0
+    def __init__(
+        self, connection: ClientConnection, entity: str = "", labels: frozenset[str] = frozenset()
+    ) -> None:
+        self._connection, self._entity, self._labels = connection, entity, labels
+        self.updates = self.drawings = self.bytes = 0
         connection.send(encode_camera())
         threading.Thread(target=self._read, daemon=True).start()
 
@@ -44,38 +57,50 @@ class Visitor:
         for frame in self._connection:
             self.bytes += len(frame)
             messages = read_messages(frame)
-            self.updates += any("batched_positions" in m.get("updates", {}) for m in messages)
-            for message in messages:
-                props = message.get("props")
-                if isinstance(props, dict) and props.get("label") in self._labels:
-                    self._connection.send(encode_update(message["uuid"], value=True))
+            changes = [message.get("updates", {}) for message in messages]
+            self.updates += any("batched_positions" in change for change in changes)
+            self.drawings += sum("points" in change or "data" in change for change in changes)
+            labelled = {
+                str(props["label"]): str(message["uuid"])
+                for message in messages
+                if isinstance(props := message.get("props"), dict) and props.get("label")
+            }
+            self._use(labelled)
+
+    def _use(self, labelled: dict[str, str]) -> None:
+        """Switch new check boxes on, and select until there are the controls of a selection."""
+        for label in self._labels & labelled.keys():
+            self._connection.send(encode_update(labelled[label], value=True))
+        if SELECTED in labelled:
+            self._entity = ""
+        if self._entity:
+            self._connection.send(encode_selection(self._entity))
 
 
-def visit(url: str, count: int, labels: frozenset[str]) -> NoReturn:
+def visit(url: str, count: int, entity: str, labels: frozenset[str]) -> NoReturn:
     """Open the page, and print what the visitors get until terminated."""
     with ExitStack() as stack:
-        visitors = [
-            Visitor(
-                stack.enter_context(closing(connect_page(url))), labels if not i else frozenset()
-            )
-            for i in range(count)
-        ]
+        connections = [stack.enter_context(closing(connect_page(url))) for _ in range(count)]
+        first, *others = connections
+        visitors = [Visitor(first, entity, labels), *map(Visitor, others)]
         time.sleep(SETTLE_S)
         first_bytes = sum(visitor.bytes for visitor in visitors) / count
         while True:
             before_s = time.perf_counter()
-            before = [(visitor.updates, visitor.bytes) for visitor in visitors]
+            before = [(one.updates, one.drawings, one.bytes) for one in visitors]
             time.sleep(1.0)
             share = 1.0 / (count * (time.perf_counter() - before_s))
             gained = [
-                (v.updates - u, v.bytes - b) for v, (u, b) in zip(visitors, before, strict=True)
+                (one.updates - updates, one.drawings - drawings, one.bytes - size)
+                for one, (updates, drawings, size) in zip(visitors, before, strict=True)
             ]
-            updates, received = (share * sum(column) for column in zip(*gained, strict=True))
-            second = Second(updates, received, first_bytes)
+            second = Second(
+                *(share * sum(column) for column in zip(*gained, strict=True)), first_bytes
+            )
             sys.stdout.write(msgspec.json.encode(second).decode() + "\n")
             sys.stdout.flush()
 
 
 if __name__ == "__main__":
     die_with_supervisor(os.environ)
-    visit(sys.argv[1], int(sys.argv[2]), frozenset(sys.argv[3:]))
+    visit(sys.argv[1], int(sys.argv[2]), sys.argv[3], frozenset(sys.argv[4:]))

@@ -20,6 +20,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from zensim.api.local_deployment import (
     OPERATOR,
+    PAGE_ROLES,
     RECORDER,
     VIEWER,
     LaunchAgentsConfig,
@@ -182,6 +183,15 @@ class UpOptions(RosTfOptions, ServeOptions):
     viewer_port: Annotated[
         int, _viewer("--viewer-port", metavar="PORT", help="TCP port of the page; 0 = any free.")
     ] = 8080
+    page_role: Annotated[
+        str,
+        _viewer(
+            "--page-role",
+            metavar="page|operator",
+            help="With --secure: visitors of the page look, or act as an operator.",
+            show_default="page",
+        ),
+    ] = ""
     open_page: Annotated[
         bool | None,
         _viewer(
@@ -305,6 +315,7 @@ def make_config(given: UpOptions) -> LaunchConfig:
         keeps_inputs=given.input_log,
         has_viewer=given.viewer,
         viewer_port=given.viewer_port,
+        page_role=parse_choice("--page-role", given.page_role, PAGE_ROLES),
         is_verbose=CURRENT.is_verbose,
     )
 
@@ -369,6 +380,8 @@ def secure_deployment(config: LaunchConfig) -> LaunchConfig:
     if not config.is_secure:
         if config.uses_certificates:
             raise ValueError("--client-certificates needs --secure; add it")
+        if config.page_role:
+            raise ValueError("--page-role needs --secure; without it, the page acts")
         return config
     if config.connect:
         raise ValueError("--secure and --connect exclude each other; give one of them")
@@ -384,14 +397,17 @@ def secure_deployment(config: LaunchConfig) -> LaunchConfig:
         program: folder.write_token(account, config.client_endpoint)
         for program, account in zip(users, accounts, strict=True)
     }
+    # The address of a page that only shows must not become that of one that acts.
+    secret = "page_operator.secret" if config.page_role == "operator" else "page.secret"
     return msgspec.structs.replace(
-        config, join_addresses=addresses, page_token=str(folder.path / "page.secret")
+        config, join_addresses=addresses, page_token=str(folder.path / secret)
     )
 
 
 def list_users_of_programs(config: LaunchConfig) -> dict[str, User]:
     """List the users of the programs of a secured deployment, by program."""
-    users = {OPERATOR: User("operator", "operator"), VIEWER: User("page", "page")}
+    page = User("page", config.page_role or "page")
+    users = {OPERATOR: User("operator", "operator"), VIEWER: page}
     if config.recording:
         users[RECORDER] = User("recorder", "recorder")
     for number, program in enumerate(make_sensor_starts(config), 1):

@@ -11,6 +11,7 @@ from zensim.proto.forward_kinematics import compute_link_states
 from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import (
+    NANOSECONDS,
     OccupancyGrid,
     Point,
     Pose,
@@ -144,15 +145,22 @@ class WorldTelemetry:
             return
         if self._limiters[CLOCK].is_due(now_ns):
             yield CLOCK
+        is_between = world.clock.state == State.PLAYING and not world.is_control_step
         # All bodies are read for agents at the next control step anyway.
-        if world.clock.state == State.PLAYING and not world.is_control_step:
+        if is_between and not self._are_control_steps_rare():
             return
         for topic in (MODEL_STATES, LINK_STATES):
-            if self._limiters[topic].is_due(now_ns):
+            if not is_between and self._limiters[topic].is_due(now_ns):
                 yield topic
         if self._limiters[SNAPSHOT].is_due(now_ns):
             self._shown = seen
             yield SNAPSHOT
+
+    def _are_control_steps_rare(self) -> bool:
+        """Whether the world is so slow that snapshots are due more often than control steps."""
+        world, factor = self._world, self._loop_stats.real_time_factor
+        control_ns = world.control_steps * world.clock.step_ns
+        return 0.0 < factor < control_ns * SNAPSHOT.rate_hz / NANOSECONDS
 
     def save(self) -> DueTimes:
         """Take the times at which topics are due."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from zensim.proto.messages.model_messages import Quat
 from zensim.proto.se3 import FloatArray
+from zensim.spawner.page.instance_updates import WXYZ_COLUMNS, has_moved, move_instances
 from zensim.spawner.page.model_visuals import (
     DEFAULT_RGBA,
     Array,
@@ -25,8 +26,6 @@ from zensim.spawner.page.model_visuals import (
 from zensim.spawner.page.render_state import InstanceGroup, RenderedFleet, RenderedFrame
 from zensim.spawner.page.robot_colours import to_linear
 
-WXYZ_COLUMNS: Final = [6, 3, 4, 5]
-"""Columns of a pose in the quaternion order of viser."""
 LOD_MIN_FACES: Final = 2000
 LOD_LEVELS: Final = ((2.0, 0.4), (6.0, 0.1), (20.0, 0.02))
 """Distance [m], and share of faces that are drawn from there; for meshes above the minimum."""
@@ -53,10 +52,12 @@ class ModelNodes:
         """Lowest and highest corner (2, 3) in the frame of the base."""
         self._body = find_body_colour(self._parts)
         self._batches: list[list[BatchHandle]] = []
+        self._sent: list[FloatArray] = []
+        """Poses of each link that visitors have."""
         self._colours: NDArray[np.uint8] = np.zeros((0, 3), np.uint8)
 
     def show(self, links: Sequence[FloatArray], colours: NDArray[np.uint8] | None = None) -> bool:
-        """Move all instances; return whether the nodes were created.
+        """Move the links that have moved visibly; return whether the nodes were created.
 
         Args:
             links: Poses (k, 7) of each link.
@@ -67,11 +68,13 @@ class ModelNodes:
                 self._colours = colours
                 for body in self._list_bodies():
                     body.batched_colors = colours
-            for batches, poses in zip(self._batches, links, strict=True):
-                for batch in batches:
-                    batch.batched_positions = poses[:, :3].astype(np.float32)
-                    batch.batched_wxyzs = poses[:, WXYZ_COLUMNS].astype(np.float32)
+            for number, poses in enumerate(links):
+                if has_moved(self._sent[number], poses):
+                    self._sent[number] = poses
+                    paths = [batch.name for batch in self._batches[number]]
+                    move_instances(self._scene, paths, poses)
             return False
+        self._sent = [*links]
         self._colours = colours if colours is not None else self._colours
         self._batches = [
             [self._add(f"{self.path}/{i}/{j}", part, poses) for j, part in enumerate(parts)]

@@ -47,8 +47,10 @@ def make_tools_script(keys: Rows = ()) -> str:
 
 # The labels of viser have a contrast of 3; those here have 4.5 at least.
 STYLE: Final = """
-:root:root[data-mantine-color-scheme=light] { --mantine-color-dimmed: #59616b; }
-:root:root[data-mantine-color-scheme=dark] { --mantine-color-dimmed: #a6acb4; }
+:root:root[data-mantine-color-scheme=light] { --mantine-color-dimmed: #59616b;
+  --zensim-green: #1b7a4a; --zensim-amber: #8a5a00; --zensim-red: #b3261e; }
+:root:root[data-mantine-color-scheme=dark] { --mantine-color-dimmed: #a6acb4;
+  --zensim-green: #4cc38a; --zensim-amber: #e5b454; --zensim-red: #f0857b; }
 #zensim-tools { position: fixed; left: 12px; bottom: 12px; z-index: 40; display: flex;
   flex-direction: column; align-items: flex-start; gap: 8px; pointer-events: none;
   font: 13px system-ui, sans-serif; --text: #23272e; --back: rgba(255, 255, 255, .92);
@@ -82,6 +84,26 @@ STYLE: Final = """
 }
 @media (max-width: 640px) {
   #zensim-tools { bottom: auto; top: 12px; flex-direction: column-reverse; }
+}
+.mantine-Slider-markLabel { color: var(--mantine-color-dimmed) !important; }
+.zensim-fold:focus-visible { outline: 3px solid #4a90e2; }
+/* Targets of fingers: 44 pixels; viser sets smaller ones in the elements. */
+@media (max-width: 640px) {
+  .mantine-Button-root, .mantine-ActionIcon-root, .mantine-Input-input, .mantine-Tabs-tab,
+  .mantine-Checkbox-inner, .mantine-Checkbox-input {
+    min-width: 44px !important; min-height: 44px !important; }
+  .mantine-NumberInput-controls { display: none !important; }
+  .mantine-NumberInput-input { padding-right: .5em !important; }
+  .mantine-Checkbox-input { border: 11px solid transparent !important; border-radius: 14px;
+    background-clip: padding-box !important; outline: 1px solid var(--mantine-color-dimmed);
+    outline-offset: -11px; }
+  .mantine-Checkbox-icon { width: 14px !important; }
+  .mantine-Slider-root { padding: 14px 22px 10px !important; width: 0; min-width: 0; }
+  .mantine-Slider-thumb { width: 44px !important; height: 44px !important; border: 0 !important;
+    background: radial-gradient(circle, var(--mantine-primary-color-filled) 8px,
+      transparent 9px) !important; }
+  .zensim-fold { min-height: 44px; display: flex; align-items: center; min-width: 44px; }
+  .zensim-folder { margin-top: 26px !important; padding-top: 22px; }
 }
 """
 
@@ -301,6 +323,26 @@ function nameControls() {
   }
 }
 
+// Folders of the library open by a click only; these are buttons for the keyboard, too.
+function nameFolds() {
+  for (const icon of document.querySelectorAll(
+    "svg.tabler-icon-chevron-up, svg.tabler-icon-chevron-down")) {
+    const fold = icon.parentElement;
+    if (!fold.matches(".mantine-Paper-root")) continue;
+    fold.setAttribute("aria-expanded", icon.matches(".tabler-icon-chevron-up"));
+    if (fold.matches(".zensim-fold")) continue;
+    fold.classList.add("zensim-fold");
+    fold.parentElement.classList.add("zensim-folder");
+    fold.setAttribute("role", "button");
+    fold.tabIndex = 0;
+    fold.addEventListener("keydown", (event) => {
+      if (event.key !== "Enter" && event.key !== " ") return;
+      event.preventDefault();
+      fold.click();
+    });
+  }
+}
+
 function findLabel(input) {  // the text before it in the nearest container that has one
   for (let box = input.parentElement, i = 0; box && i < 9; box = box.parentElement, i++) {
     const text = [...box.querySelectorAll("label, .mantine-Text-root")]
@@ -322,6 +364,7 @@ addEventListener("keydown", (event) => {
 function update() {
   drawScale();
   nameControls();
+  nameFolds();
   themeTool.textContent = isDark() ? "Light" : "Dark";
 }
 

@@ -8,7 +8,7 @@ import numpy as np
 import viser
 
 from zensim.proto.se3 import FloatArray
-from zensim.spawner.page.fleet_nodes import WXYZ_COLUMNS
+from zensim.spawner.page.instance_updates import WXYZ_COLUMNS
 from zensim.spawner.page.model_visuals import Array, VisualTemplate
 from zensim.spawner.page.robot_colours import to_linear
 from zensim.spawner.page.viewer_client import PageState

@@ -9,7 +9,8 @@ import viser
 
 from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.proto.se3 import FloatArray
-from zensim.spawner.page.fleet_nodes import WXYZ_COLUMNS, ModelNodes
+from zensim.spawner.page.fleet_nodes import ModelNodes
+from zensim.spawner.page.instance_updates import WXYZ_COLUMNS
 from zensim.spawner.page.model_visuals import TriangleMeshes, VisualTemplate, make_template
 from zensim.spawner.page.render_state import RenderedFleet, RenderedFrame
 from zensim.spawner.page.viewer_client import PageState

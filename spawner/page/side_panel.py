@@ -48,7 +48,9 @@ Order = Button | WorldCall
 """What a visitor requests of the world."""
 
 
-STATE_COLOURS: Final = {"playing": "#4cc38a", "paused": "#e5b454"}
+AMBER: Final = "var(--zensim-amber)"
+"""Of what is not as wanted; the style sheet of the page has a tone for each theme."""
+STATE_COLOURS: Final = {"playing": "var(--zensim-green)", "paused": AMBER}
 """Colours of the state; any other state is red."""
 STALE_S: Final = 1.0
 """A command older than this is shown with its age."""
@@ -58,7 +60,7 @@ PanelRows = list[tuple[str, str]]
 
 def make_status_html(status: SimulationStatus) -> str:
     """Format state, simulation time, real-time factor and number of robots."""
-    colour = STATE_COLOURS.get(status.state, "#e5695e")
+    colour = STATE_COLOURS.get(status.state, "var(--zensim-red)")
     others = status.entities - status.robots
     robots = f"{status.robots}" + (f" + {others} without drive" if others else "")
     malformed = [("Malformed sensor messages", f"{status.malformed}")] if status.malformed else []
@@ -106,7 +108,7 @@ def format_clock(seconds: float) -> str:
 
 def _make_table(rows: PanelRows) -> str:
     cells = "".join(
-        f'<span style="opacity:.6">{label}</span><span style="white-space:pre-wrap">{value}</span>'
+        f'<span style="opacity:.75">{label}</span><span style="white-space:pre-wrap">{value}</span>'
         for label, value in rows
     )
     return (

@@ -28,6 +28,7 @@ from zensim.proto.service_catalog import (
     STEP_SIMULATION,
 )
 from zensim.spawner.page.shortcuts import PLAY_OR_PAUSE, RESET, STEP_ONCE
+from zensim.spawner.page.side_panel import AMBER
 from zensim.spawner.page.viewer_client import PageState, Panel, ViewerClient
 
 SHORT: Final = 0.95
@@ -45,7 +46,6 @@ RESETS: Final = {
     "time": ResetScope.TIME,
     "all, delete what was spawned": ResetScope.ALL,
 }
-AMBER: Final = "#e5b454"
 
 
 class TimePanel(Panel):

@@ -232,13 +232,15 @@ class ViewerClient:
             self.select(*(name for name in self.selected if name not in gone))
         self.sensors.keep(state.fleet.sensors)
         self.scenery.keep(state.fleet.scene.background)
-        for panel in self._panels:
-            panel.draw(state)
+        with self.client.atomic():
+            for panel in self._panels:
+                panel.draw(state)
 
     def update(self) -> None:
         """Update the texts of the panels."""
-        for panel in self._panels:
-            panel.update(self.state)
+        with self.client.atomic():
+            for panel in self._panels:
+                panel.update(self.state)
 
     def look_at_all(self) -> None:
         """Select nothing, and move the camera so that all entities are in view."""

@@ -89,11 +89,15 @@ class Tab:
         """Open a viewer page at full resolution, also on slow machines."""
         self.call("Log.enable")
         self.call("Runtime.enable")
-        size = {"width": WIDTH, "height": HEIGHT, "deviceScaleFactor": 1, "mobile": False}
-        self.call("Emulation.setDeviceMetricsOverride", **size)
+        self.set_size(WIDTH, HEIGHT)
         deleted = self.call("Page.navigate", url=f"{url}/?fixedDpr=1")
         if deleted.get("errorText"):
             raise ConnectionError(f"{url}: {deleted['errorText']}; is the page served there?")
+
+    def set_size(self, width: int, height: int, *, is_mobile: bool = False) -> None:
+        """Set the size of the window [px]."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": is_mobile}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
 
     def evaluate(self, expression: str) -> Any:  # noqa: ANN401  it is JSON
         """Return the value of an expression; awaits a promise."""

@@ -48,8 +48,7 @@ def show(browser: Chromium, url: str, size: tuple[int, int], scheme: str) -> Tab
     features = [{"name": "prefers-color-scheme", "value": scheme}]
     tab.call("Emulation.setEmulatedMedia", features=features)
     tab.open(url)
-    metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1}
-    tab.call("Emulation.setDeviceMetricsOverride", **metrics, mobile=size == PHONE)
+    tab.set_size(*size, is_mobile=size == PHONE)
     tab.until(HAS_ROBOTS, PATIENCE_S)
     tab.until(f"document.documentElement.dataset.mantineColorScheme === '{scheme}'", PATIENCE_S)
     tab.evaluate(HIDE_NOTE)

@@ -27,12 +27,14 @@ class PageUser:
         owner: Scope of the nodes of this visitor alone.
         waits_for_click: Whether the page asks for a click in the scene.
         scripts: Sources of scripts that the server had run.
+        camera_messages: Number of messages that moved the camera.
     """
 
     def __init__(self, url: str, cookie: str = "") -> None:
         self.connection: ClientConnection = connect_page(url, cookie=cookie)
         self.notifications: list[str] = []
         self.scripts: list[str] = []
+        self.camera_messages = 0
         self._controls: dict[str, dict[str, Any]] = {}
         self._commands: dict[str, str] = {}
         self.nodes: set[str] = set()
@@ -106,6 +108,14 @@ class PageUser:
         controls = list(self._controls.values())
         return frozenset(str(one["props"].get("label", "")) for one in controls) - {""}
 
+    def list_controls(self) -> list[dict[str, Any]]:
+        """List the messages that added the controls which are there."""
+        return list(self._controls.values())
+
+    def list_commands(self) -> list[str]:
+        """List the ids of the commands of the palette."""
+        return list(self._commands.values())
+
     def _find(self, label: str) -> dict[str, Any] | None:
         found = [o for o in list(self._controls.values()) if o["props"].get("label") == label]
         return found[-1] if found else None
@@ -131,6 +141,8 @@ class PageUser:
             self.notifications.append(str(message["props"]["body"]))
         elif kind == "RunJavascriptMessage":
             self.scripts.append(str(message["source"]))
+        elif kind == "SetCameraPositionMessage":
+            self.camera_messages += 1
         elif kind == "ScenePointerEnableMessage":
             self.waits_for_click = bool(message["modifiers"])
         elif "name" in message and "props" in message:

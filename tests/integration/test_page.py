@@ -25,9 +25,11 @@ from tests.integration.page_client import (
     encode_share_request,
     encode_update,
     find_control,
+    read_messages,
 )
 from tests.integration.processes import eventually
 from tests.spawner.page.builders import make_models_by_name, make_robot, make_snapshot, make_wall
+from zensim.proto.messages.model_messages import Shape
 from zensim.proto.web_access import CannotListen, PageAccess, PortTaken
 from zensim.spawner.page.page_server import (
     MAX_MESSAGE_BYTES,
@@ -372,3 +374,36 @@ def test_port_is_free_again_when_the_page_is_closed() -> None:
 
     with closing(ViewerPage("127.0.0.1", port)) as second:
         assert second.port == port
+
+
+def test_links_of_robots_are_sent_when_they_move_and_their_parts_share_poses(
+    page: ViewerPage, visitor: ClientConnection
+) -> None:
+    stripe = Shape("box", (0.1, 0.1, 0.1), rgba=(1.0, 1.0, 0.0, 1.0))
+    robot = make_robot()
+    base = msgspec.structs.replace(robot.links[0], visuals=(*robot.links[0].visuals, stripe))
+    models = make_models_by_name(
+        {"r1": msgspec.structs.replace(robot, links=(base, robot.links[1]))}
+    )
+    fleet = make_fleet(("r1",), models)
+    page.show(fleet, make_frame(fleet, make_snapshot("r1", joints=1)), STATUS, {})
+    read_updates(visitor)
+
+    for at_x in (1.0, 1.0 + 1e-6):
+        page.show(fleet, make_frame(fleet, make_snapshot("r1", joints=1, at_x=at_x)), STATUS, {})
+
+    sent = read_updates(visitor)
+    assert sorted(sent) == ["/robots/0/0/0", "/robots/0/0/1", "/robots/0/1/0"]
+    assert sent["/robots/0/0/0"] == sent["/robots/0/0/1"] != sent["/robots/0/1/0"]
+
+
+def read_updates(visitor: ClientConnection) -> dict[str, object]:
+    """Read what comes until nothing does for a moment; return the updates of robots by path."""
+    found: dict[str, object] = {}
+    with suppress(TimeoutError):
+        while True:
+            for message in read_messages(visitor.recv(timeout=0.5)):
+                if message["type"] == "SceneNodeUpdateMessage" and "/robots/" in message["name"]:
+                    assert message["name"] not in found
+                    found[message["name"]] = message["updates"]
+    return found

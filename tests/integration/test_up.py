@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import psutil
 import pytest
 
+from tests.integration.page_user import PageUser
 from tests.integration.processes import (
     children,
     connected,
@@ -220,6 +221,37 @@ def test_secured_robots_are_driven_and_recorded_by_programs_with_tokens_of_their
         wait_for_exit(process)
     topics = {one.name for one in read_info(recording).topics if one.messages}
     assert {"/box_bot0/odom", "/box_bot1/tf_static", "/clock"} <= topics
+
+
+@pytest.mark.parametrize(("options", "can_act"), [((), False), (("--page-role", "operator"), True)])
+def test_page_of_a_secured_up_acts_if_its_role_does(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    options: tuple[str, ...],
+    can_act: bool,  # noqa: FBT001
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    given = ("--secure", "--robots", "1", "--behaviour", "none", "--viewer", *options)
+
+    with up(*given, "--viewer-port", "0") as (_, ready):
+        url, _, token = str(ready["viewer"]).partition("/?")
+        with PageUser(url, cookie=token) as visitor:
+            visitor.control("Search")
+            labels = visitor.list_labels()
+            if can_act:
+                visitor.press("Simulation", "Pause")
+                eventually(lambda: "paused" in visitor.texts(), 20.0, "a pause")
+
+    file = "page_operator.secret" if can_act else "page.secret"
+    assert ({"Spawn", "Simulation", "Stop all"} <= labels) == can_act
+    assert (tmp_path / "zensim" / "default" / file).read_text().strip() in token
+
+
+def test_page_role_needs_a_secured_deployment() -> None:
+    done = zensim("up", "--page-role", "operator")
+
+    assert done.returncode == ExitCode.USAGE
+    assert "--secure" in done.stderr
 
 
 def test_down_ends_up_and_everything_it_started() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from websockets.exceptions import InvalidStatus
 
-from tests.integration.chromium import HEIGHT, WIDTH, Tab, open_page
+from tests.integration.chromium import HEIGHT, WIDTH, Chromium, Tab, open_page
 from tests.integration.page_client import connect_page, encode_camera
 from tests.integration.processes import END_S, Server, eventually, running, serving, zensim
 from zensim.proto.cmd_vel_decoding import decode_twist
@@ -84,6 +84,26 @@ PLACE = """
 """
 """Screen position of the robot with this number."""
 
+VIEW = """
+(() => {
+  const {camera, cameraControl, canvas, nodeRefFromName} = window.__viserMutable;
+  const [path, node] = Object.entries(window.__viserSceneTree.getState())
+    .find(([path, node]) => node.message.props.batched_positions);
+  const at = camera.position.clone().fromArray(node.message.props.batched_positions, 3 * %(robot)d)
+    .applyMatrix4(nodeRefFromName[path].matrixWorld);
+  const ends = [-0.06, 0.05].flatMap((y) => [-0.06, 0.06].flatMap((x) => [-0.05, 0.05].map(
+    (z) => at.clone().add({x, y, z}).project(camera).y)));
+  const height = (Math.max(...ends) - Math.min(...ends)) / 2 * canvas.clientHeight;
+  const far = cameraControl.getTarget(camera.position.clone()).distanceTo(at) > 0.01
+    ? 5 : cameraControl.distance * height / %(px)d;
+  const [side, up] = [far * Math.cos(0.6), far * Math.sin(0.6)];
+  cameraControl.setLookAt(at.x + side * Math.cos(%(angle)f), at.y + up,
+    at.z + side * Math.sin(%(angle)f), at.x, at.y, at.z, false);
+  return height;
+})()
+"""
+"""Looks at a robot from where it is so many pixels high; returns the height before."""
+CLICKS, CLICKED_PX = 20, 15
 MIDDLE_OF_FORWARD = """
 (() => {
   const button = [...document.querySelectorAll("button")].find(b => b.innerText === "Forward");
@@ -215,6 +235,26 @@ def test_camera_follows_a_robot_when_it_is_clicked(shown: Shown) -> None:
     tab.press("Stop following")
     tab.until("!document.body.innerText.includes('Stop following')")
     eventually(lambda: not cmd_vel.is_matched, 5.0, "listening no more")
+
+
+@pytest.mark.browser
+def test_clicks_hit_robots_that_are_15_pixels_high(shown: Shown) -> None:
+    tab = shown.tab
+    for number in range(CLICKS):
+        robot = number % ROBOTS
+        wanted = {"robot": robot, "px": CLICKED_PX, "angle": 0.3 * number}
+
+        def is_small(wanted: dict[str, float] = wanted) -> bool:
+            height = tab.evaluate(VIEW % wanted)
+            tab.evaluate("new Promise(done => requestAnimationFrame(() => done(0)))")
+            return abs(float(height) - CLICKED_PX) < 0.2
+
+        eventually(is_small, 30.0, "a robot 15 pixels high")
+        tab.click(*tab.evaluate(PLACE % robot))
+        tab.until(f"document.body.innerText.includes('Namespace\\nbox_bot{robot}\\n')", 10.0)
+        tab.press("Stop following")
+        tab.until("!document.body.innerText.includes('Stop following')")
+    tab.press("Show all")
 
 
 @pytest.mark.browser
@@ -378,7 +418,7 @@ def test_theme_of_page_and_ground_is_switched(shown: Shown) -> None:
 
 
 @pytest.mark.browser
-def test_link_gives_the_same_camera_robot_and_theme(shown: Shown) -> None:
+def test_link_gives_the_same_camera_robot_and_theme_in_another_browser(shown: Shown) -> None:
     tab, client = shown.tab, shown.server.client
     client.set_simulation_state(State.PAUSED)
     tab.until("document.getElementById('zensim-tools').innerText.includes('Dark')")
@@ -390,14 +430,17 @@ def test_link_gives_the_same_camera_robot_and_theme(shown: Shown) -> None:
     tab.press("Link")
     before, link = tab.evaluate(CAMERA), tab.evaluate("location.href")
 
-    tab.call("Page.navigate", url=f"{shown.url}/names")
-    tab.until("!window.__viserMutable")
-    tab.call("Page.navigate", url=link)
-    tab.until("document.body.innerText.includes('Stop following')", 120.0)
+    with Chromium() as browser:
+        other = browser.tab()
+        other.set_size(WIDTH, HEIGHT)
+        other.call("Page.navigate", url=link)
+        other.until("document.body.innerText.includes('Namespace\\nbox_bot1')", 120.0)
+        eventually(lambda: is_still(other), 30.0, "a camera that has arrived")
 
-    assert tab.evaluate(CAMERA) == pytest.approx(before, abs=0.01)
-    tab.until("document.documentElement.dataset.mantineColorScheme === 'dark'")
-    assert "robot=box_bot1" in link
+        assert other.evaluate(CAMERA) == pytest.approx(before, abs=0.01)
+        other.until("document.documentElement.dataset.mantineColorScheme === 'dark'")
+    tab.press("Stop following")
+    client.set_simulation_state(State.PLAYING)
 
 
 def is_still(tab: Tab) -> bool:

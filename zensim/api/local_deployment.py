@@ -7,6 +7,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from typing import Literal, get_args
 from urllib.parse import urlsplit
 
 import msgspec
@@ -77,6 +78,10 @@ class LaunchAgentsConfig(msgspec.Struct, frozen=True):
     """Further agents, for robots that are spawned later."""
 
 
+PageRole = Literal["", "page", "operator"]
+PAGE_ROLES: tuple[PageRole, ...] = get_args(PageRole)
+
+
 class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Settings of a deployment."""
 
@@ -111,6 +116,8 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Whether these also need a certificate."""
     page_token: str = ""
     """File of the page's token; empty = the page needs none."""
+    page_role: PageRole = ""
+    """Role of the page of a secured server; empty = "page"."""
     is_insecure: bool = False
     """Whether the server may admit everybody from other hosts."""
     mesh_http: str = ""

@@ -124,6 +124,17 @@ def test_snapshot_is_published_at_its_rate_when_flat_out() -> None:
     assert len(server.publisher.on("clock")) == pytest.approx(200, abs=4)
 
 
+def test_snapshot_is_published_between_the_control_steps_of_a_slow_world() -> None:
+    server = a_server("r0", cost_ns=25 * MILLISECOND)
+    server.turn_for(2.0)
+    server.publisher.sent.clear()
+
+    server.turn_for(4.0)
+
+    assert server.world.clock.steps <= 6 * 40
+    assert 4 * 20 <= len(server.publisher.on("snapshot")) <= 4 * 30
+
+
 def test_telemetry_lists_the_due_topics_after_a_change() -> None:
     world = a_world("r0")
     telemetry = make_telemetry(world)

@@ -4,7 +4,8 @@ import msgspec
 import pytest
 
 from zensim.proto.messages.telemetry_messages import Stats
-from zensim.spawner.page.time_panel import AMBER, explain_shortfall, make_factor_html
+from zensim.spawner.page.side_panel import AMBER
+from zensim.spawner.page.time_panel import explain_shortfall, make_factor_html
 
 STEP_S = 1.0 / 240.0
 REACHED = Stats(state="playing", real_time_factor=0.99, target_real_time_factor=1.0)
