@@ -9,7 +9,7 @@ import json
 import socket
 import time
 import uuid
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import cached_property, partial
 from itertools import cycle
@@ -107,7 +107,11 @@ class BusSubscription:
 
     def take(self) -> list[Sample]:
         """Take all queued messages, oldest first."""
-        return list(self._drain())
+        found, receive, max_bytes = [], self._subscriber.try_recv, self._max_bytes
+        while (sample := receive()) is not None:
+            if len(sample.payload) <= max_bytes:  # before it is copied
+                found.append(to_sample(sample))
+        return found
 
     def take_payloads(self) -> list[bytes]:
         """Take the bytes of all queued messages, oldest first, at half the cost of `take`."""
@@ -119,19 +123,15 @@ class BusSubscription:
 
     def newest(self) -> Sample | None:
         """Take all queued messages and return the last."""
-        found = None
-        for found in self._drain():  # noqa: B007  the last one is the result
-            pass
-        return found
+        last, receive = None, self._subscriber.try_recv
+        while (sample := receive()) is not None:
+            if len(sample.payload) <= self._max_bytes:
+                last = sample
+        return to_sample(last) if last is not None else None
 
     def close(self) -> None:
         """Undeclare the subscription."""
         self._subscriber.undeclare()
-
-    def _drain(self) -> Iterator[Sample]:
-        while (sample := self._subscriber.try_recv()) is not None:
-            if len(sample.payload) <= self._max_bytes:  # before it is copied
-                yield to_sample(sample)
 
 
 class NewestSubscription:

@@ -78,9 +78,10 @@ def _read_nothing(_: bytes) -> int | None:
 
 
 def _read_stamp(payload: bytes, at: int) -> int | None:
-    if len(payload) < at + LITTLE.size:
+    try:
+        seconds, nanoseconds = (LITTLE if payload[1] else BIG).unpack_from(payload, at)
+    except (IndexError, struct.error):
         return None
-    seconds, nanoseconds = (LITTLE if payload[1] else BIG).unpack_from(payload, at)
     return int(seconds * NANOSECONDS + nanoseconds)
 
 

@@ -2,12 +2,14 @@
 
 import struct
 import zlib
+from collections import defaultdict
 from collections.abc import Iterable
 from typing import Final, Protocol
 
 import msgspec
 
-from zensim.recording.chunk_compression import LEVEL, CompressedLog, compress
+from zensim.recording.chunk_compression import LEVEL, compress
+from zensim.recording.chunk_index_log import ChunkIndexLog
 from zensim.recording.mcap_records import (
     FOOTER,
     LENGTH,
@@ -58,25 +60,23 @@ class Sink(Protocol):
         """
 
 
-class ChunkIndex(msgspec.Struct):
+class ChunkIndex:
     """Messages of a chunk."""
 
-    positions: dict[int, list[int]] = {}
-    """Log time [ns] and offset of each message in turn, by channel."""
-    start_ns: int = 0
-    end_ns: int = 0
+    def __init__(self) -> None:
+        self.positions: defaultdict[int, list[int]] = defaultdict(list)
+        """Log time [ns] and offset in the uncompressed chunk of each message, by channel."""
 
-    def add(self, channel: int, log_ns: int, offset: int) -> None:
-        """Add a message at an offset of the uncompressed chunk."""
-        if not self.positions:
-            self.start_ns = self.end_ns = log_ns
-        elif log_ns > self.end_ns:
-            self.end_ns = log_ns
-        elif log_ns < self.start_ns:
-            self.start_ns = log_ns
-        if (found := self.positions.get(channel)) is None:
-            found = self.positions[channel] = []
-        found += (log_ns, offset)
+    @property
+    def counts(self) -> dict[int, int]:
+        """Number of messages by channel."""
+        return {channel: len(found) // 2 for channel, found in self.positions.items()}
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last log time [ns] of the messages, of which there is at least one."""
+        times = [one[::2] for one in self.positions.values()]
+        return min(map(min, times)), max(map(max, times))
 
 
 class ChunkSettings(msgspec.Struct, frozen=True):
@@ -112,9 +112,12 @@ class McapWriter:
         self._new: list[Schema | Channel] = []
         self._unwritten: list[Schema | Channel] = []
         self._written: list[Schema | Channel] = []
-        self._content = bytearray()
+        self._records: list[bytes] = []
+        """Of the chunk that is not written yet."""
+        self._size = 0
+        """Bytes of these records."""
         self._index = ChunkIndex()
-        self._chunk_indexes = CompressedLog()
+        self._chunk_indexes = ChunkIndexLog()
         self._attachment_indexes: list[bytes] = []
         self._metadata_indexes: list[bytes] = []
         self._chunks = self._definition_bytes = 0
@@ -150,17 +153,24 @@ class McapWriter:
         Raises:
             OSError: It could not be written; its messages are lost.
         """
-        content = self._content
         if self._new:
-            content += _write_definitions(self._new)
-            self._unwritten += self._new
-            self._new = []
-        self._index.add(channel, log_ns, len(content))
+            self._add_definitions()
+        # This runs for each message of a fleet: no calls but those that write.
+        self._index.positions[channel] += (log_ns, self._size)
         length = MESSAGE_FIELDS_BYTES + len(payload)
-        content += MESSAGE_HEAD.pack(Opcode.MESSAGE, length, channel, 0, log_ns, publish_ns)
-        content += payload
-        if len(content) >= self._settings.size:
+        head = MESSAGE_HEAD.pack(Opcode.MESSAGE, length, channel, 0, log_ns, publish_ns)
+        self._records += (head, payload)
+        self._size += MESSAGE_HEAD.size + len(payload)
+        if self._size >= self._settings.size:
             self.flush()
+
+    def _add_definitions(self) -> None:
+        """Add the new definitions to the chunk."""
+        written = _write_definitions(self._new)
+        self._records.append(written)
+        self._size += len(written)
+        self._unwritten += self._new
+        self._new = []
 
     def flush(self) -> None:
         """Write the messages that wait.
@@ -170,11 +180,10 @@ class McapWriter:
         """
         if not self._index.positions:
             return
-        content, index, level = bytes(self._content), self._index, self._settings.level
-        self._content, self._index = bytearray(), ChunkIndex()
+        content, index, level = b"".join(self._records), self._index, self._settings.level
+        self._records, self._size, self._index = [], 0, ChunkIndex()
         chunk = Chunk(
-            index.start_ns,
-            index.end_ns,
+            *index.span_ns,
             len(content),
             zlib.crc32(content),
             "zstd" if level else "",
@@ -191,18 +200,13 @@ class McapWriter:
         unwritten, self._unwritten = [*self._unwritten, *self._new], []
         self._new = []
         before, record = _write_definitions(unwritten), write_chunk(chunk)
-        start = self._sink.position + len(before)
-        at, offsets, parts = start + len(record), [], [before, record]
-        for channel, positions in index.positions.items():
-            offsets.append((channel, at))
-            parts.append(_write_message_index(channel, positions))
-            at += len(parts[-1])
-        self._sink.write(b"".join(parts))
+        start, counts = self._sink.position + len(before), index.counts
+        indexes = map(_write_message_index, index.positions, index.positions.values())
+        self._sink.write(b"".join((before, record, *indexes)))
         self._written += unwritten
         self._definition_bytes += len(before)
-        self._count(chunk, index)
-        lengths = len(record), at - start - len(record)
-        self._chunk_indexes.append(_write_chunk_index(chunk, start, lengths, offsets))
+        self._count(chunk, counts)
+        self._chunk_indexes.append(chunk, start, len(record), counts)
 
     def attach(self, attachment: AttachedFile) -> None:
         """Write a file into the recording.
@@ -250,9 +254,9 @@ class McapWriter:
         tail += struct.pack("<QQ", start, at)
         self._sink.write(tail + LENGTH.pack(zlib.crc32(tail, crc)) + MAGIC)
 
-    def _count(self, chunk: Chunk, index: ChunkIndex) -> None:
-        for channel, positions in index.positions.items():
-            self.counts[channel] = self.counts.get(channel, 0) + len(positions) // 2
+    def _count(self, chunk: Chunk, counts: dict[int, int]) -> None:
+        for channel, count in counts.items():
+            self.counts[channel] = self.counts.get(channel, 0) + count
         first, last = self._times or (chunk.start_ns, chunk.end_ns)
         self._times = min(first, chunk.start_ns), max(last, chunk.end_ns)
         self._chunks += 1
@@ -290,13 +294,3 @@ def _write_message_index(channel: int, positions: list[int]) -> bytes:
     return write_record(
         Opcode.MESSAGE_INDEX, struct.pack("<H", channel) + LENGTH.pack(len(raw)) + raw
     )
-
-
-def _write_chunk_index(
-    chunk: Chunk, start: int, lengths: tuple[int, int], offsets: Iterable[tuple[int, int]]
-) -> bytes:
-    """Write the index of a chunk, of which chunk and message index have these lengths [bytes]."""
-    body = TIMES.pack(chunk.start_ns, chunk.end_ns) + struct.pack("<QQ", start, lengths[0])
-    body += write_numbers("HQ", offsets) + LONG_LENGTH.pack(lengths[1])
-    body += write_text(chunk.compression) + struct.pack("<QQ", len(chunk.content), chunk.size)
-    return write_record(Opcode.CHUNK_INDEX, body)

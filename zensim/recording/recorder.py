@@ -213,29 +213,25 @@ class Recorder:
         self, samples: Iterable[Sample], received_ns: int, batch: list[RecordedMessage]
     ) -> None:
         """Append the messages of the selected topics."""
+        find, now_ns = self._table.find, self._now_ns
+        has_wall_times = self._settings.time_base == "wall"
+        is_reproducible = self._settings.is_reproducible
         for sample in samples:
-            topic = self._table.find(sample)
-            if topic is None:
+            if (topic := find(sample)) is None:
                 continue
             try:
                 payload = topic.to_cdr(sample)
             except MalformedPayload:
                 self.malformed += 1
                 continue
-            batch.append((topic, *self._choose_times(topic, payload, received_ns), payload))
-
-    def _choose_times(
-        self, topic: RecordedTopic, payload: bytes, received_ns: int
-    ) -> tuple[int, int]:
-        """Choose log and publish time [ns]."""
-        settings = self._settings
-        if settings.time_base == "wall":
-            return received_ns, received_ns
-        if topic.is_latched:
-            # It may be from long ago, and it arrives at any time.
-            return (0, 0) if settings.is_reproducible else (max(0, self._now_ns), received_ns)
-        log_ns = choose_time(topic.read_stamp(payload), self._now_ns)
-        return log_ns, log_ns if settings.is_reproducible else received_ns
+            if has_wall_times:
+                log_ns = received_ns
+            elif topic.is_latched:
+                # It may be from long ago, and it arrives at any time.
+                log_ns = 0 if is_reproducible else max(0, now_ns)
+            else:
+                log_ns = choose_time(topic.read_stamp(payload), now_ns)
+            batch.append((topic, log_ns, log_ns if is_reproducible else received_ns, payload))
 
     def _take_clock(self, received_ns: int) -> list[RecordedMessage]:
         """Read the clock; return its messages, if they are recorded."""

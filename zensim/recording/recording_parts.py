@@ -135,6 +135,7 @@ class RecordingParts(Generic[Topic]):
             OSError: It exists, or cannot be created.
         """
         self._settings = settings
+        self._is_limited = bool(settings.max_bytes or settings.max_duration_ns)
         self._is_folder = settings.path.suffix != SUFFIX
         self._folder = settings.path if self._is_folder else settings.path.parent
         if self._is_folder:
@@ -185,13 +186,14 @@ class RecordingParts(Generic[Topic]):
         part = self._part
         if part.start_ns is None:
             part.start_ns = log_ns
-        elif self._is_full(log_ns):
+        elif self._is_limited and self._is_full(log_ns):
             self.start_part(log_ns, publish_ns)
             part = self._part
             if topic.is_latched:
                 return  # the new part begins with it
         self.offered += 1
-        part.writer.write_message(part.find_channel(topic), log_ns, publish_ns, payload)
+        channel = part.channels.get(topic) or part.find_channel(topic)
+        part.writer.write_message(channel, log_ns, publish_ns, payload)
         if self._settings.is_reproducible and log_ns >= self._flushed_ns + FLUSH_PERIOD_NS:
             self._flushed_ns = log_ns
             part.writer.flush()

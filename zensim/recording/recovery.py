@@ -121,7 +121,7 @@ class _Recovery:
             self._note(definition, is_checked=True)
         index = ChunkIndex()
         for channel, log_ns, offset in index_messages(one.records):
-            index.add(channel, log_ns, offset)
+            index.positions[channel] += (log_ns, offset)
         # Not a generator: each channel is defined, also after one that is lost.
         are_known = tuple(map(self._define, index.positions))
         if all(are_known):
@@ -132,8 +132,9 @@ class _Recovery:
 
     def _copy(self, chunk: Chunk, index: ChunkIndex) -> None:
         # The times of the records count: those of the chunk have no checksum.
-        times = {"start_ns": index.start_ns, "end_ns": index.end_ns}
-        self.writer.write_chunk(msgspec.structs.replace(chunk, **times), index)
+        start_ns, end_ns = index.span_ns if index.positions else (0, 0)
+        whole = msgspec.structs.replace(chunk, start_ns=start_ns, end_ns=end_ns)
+        self.writer.write_chunk(whole, index)
         self.chunks += 1
 
     def _add_message(self, message: ScannedMessage) -> None:

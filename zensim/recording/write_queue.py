@@ -10,7 +10,8 @@ from zensim.recording.mcap_records import AttachedFile
 from zensim.recording.recorded_topics import RecordedMessage, RecordedTopic
 from zensim.recording.recording_parts import RecordingParts
 
-IDLE_S: Final = 0.01
+IDLE_S: Final = 0.1
+"""Between two turns of the thread: one for each batch would cost as much as the writing."""
 
 
 class NewPart(NamedTuple):
@@ -43,6 +44,7 @@ class WriteQueue:
         self.failure: OSError | None = None
         """What ended the recording."""
         self._left = 0
+        self._is_ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()
 
@@ -64,6 +66,7 @@ class WriteQueue:
     def stop(self) -> None:
         """Write what waits, and end the thread."""
         self._orders.put(None)
+        self._is_ending.set()
         self._thread.join()
         while not self._orders.empty():
             left = self._orders.get()
@@ -83,7 +86,7 @@ class WriteQueue:
 
     def _take(self) -> Order | None:
         while self._orders.empty():
-            time.sleep(IDLE_S)
+            self._is_ending.wait(IDLE_S)
             self._parts.flush_if_due(time.monotonic())
         return self._orders.get()
 

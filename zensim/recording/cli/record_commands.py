@@ -40,7 +40,7 @@ from zensim.recording.recorder import Recorder, RecorderSettings, TimeBase
 from zensim.recording.recording_parts import PartSettings
 from zensim.recording.recording_session import (
     REPORT_PERIOD_S,
-    TAKE_PERIOD_S,
+    TAKE_PERIODS_S,
     RecordingFigures,
     RecordingSession,
     RecordingStart,
@@ -379,6 +379,7 @@ class RecordProgram:
         began_s = time.monotonic()
         report_at_s = began_s + REPORT_PERIOD_S
         session, recorder = self._session, self._recorder
+        period_s = TAKE_PERIODS_S[self._start.time_base]
         with closing(recorder):
             while not should_stop() and session.failure is None:
                 now_s = time.monotonic()
@@ -392,7 +393,7 @@ class RecordProgram:
                     self._files.attach_new(has_arrivals=recorder.take_arrivals())
                 if duration_s and now_s - began_s >= duration_s:
                     break
-                time.sleep(TAKE_PERIOD_S)
+                time.sleep(period_s)
             recorder.take(is_last=True)
             self._figures = session.close(recorder, self._start)
         return session.failure
