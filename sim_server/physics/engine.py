@@ -1,7 +1,7 @@
 """The Engine interface and its optional capabilities."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal
@@ -15,6 +15,7 @@ from zensim.sim_server.errors import SimError
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
+BoolArray = npt.NDArray[np.bool_]
 Place = tuple[float, float]
 """x and y [m] of a root link."""
 SleepScope = Literal["none", "loose", "all"]
@@ -99,6 +100,8 @@ def concatenate_states(states: Sequence[BodyStates]) -> BodyStates:
 
 GROUND = -1
 """Stands for the ground among the numbers of bodies."""
+SUPPORT_NORMAL_Z = 0.7
+"""Upward share of a normal from which something fixed carries a robot, as a floor or ramp."""
 CONTACT_BODIES, CONTACT_NUMBERS = 4, 10
 
 
@@ -349,3 +352,44 @@ class Engine(ABC):
     def is_idle(self) -> bool:
         """Whether no started call is unfinished; polled in each iteration of the loop."""
         return True
+
+    def replicate(self, bodies: Sequence[int], count: int) -> "EngineReplicas":  # noqa: ARG002
+        """Copy the engine as it is, with all bodies; the copies have nothing to do with it.
+
+        Args:
+            bodies: That are read and commanded; what moves without them is stepped, too.
+            count: Number of copies; > 0.
+
+        Raises:
+            EngineRefused: The engine cannot be copied, or not as it is.
+        """
+        raise EngineRefused(f"{self.name} cannot step many worlds together; use MuJoCo")
+
+
+class EngineReplicas(ABC):
+    """Copies of an engine, each a world of its own; arrays have a row for each copy.
+
+    A body that diverges ends its copy until that is restored: it is read as NaN.
+    """
+
+    engines: Sequence[Engine]
+    """To step; all other calls go by this class."""
+
+    @abstractmethod
+    def read(self) -> BodyStates:
+        """Read the bodies copy by copy: base (copies * n, 13), joints (copies * k,)."""
+
+    @abstractmethod
+    def command(self, targets: FloatArray) -> None:
+        """Set targets (copies, t) of the bodies; see `Engine.command`."""
+
+    @abstractmethod
+    def restore(self, copies: Iterable[int]) -> None:
+        """Put some copies into the state in which they were made."""
+
+    @abstractmethod
+    def find_touching(self) -> BoolArray:
+        """Find which bodies (copies, n) touch another body; what carries them does not count.
+
+        What carries a body is the ground, and whatever is fixed and below it.
+        """

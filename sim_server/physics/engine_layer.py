@@ -4,7 +4,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from zensim.proto.messages.model_messages import Model, TierName
-from zensim.sim_server.physics.engine import BodyStates, ContactPoints, Engine, FloatArray, Place
+from zensim.sim_server.physics.engine import (
+    BodyStates,
+    ContactPoints,
+    Engine,
+    EngineReplicas,
+    FloatArray,
+    Place,
+)
 
 # ruff: noqa: D102 - see `Engine`
 
@@ -103,3 +110,6 @@ class EngineLayer(Engine):
 
     def is_idle(self) -> bool:
         return self._inner.is_idle()
+
+    def replicate(self, bodies: Sequence[int], count: int) -> EngineReplicas:
+        return self._inner.replicate(bodies, count)

@@ -4,11 +4,8 @@ import numpy as np
 
 from zensim.api.entity_values import Collision
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.sim_server.physics.engine import GROUND
+from zensim.sim_server.physics.engine import GROUND, SUPPORT_NORMAL_Z
 from zensim.sim_server.world.simulated_world import SimulatedWorld
-
-SUPPORT_NORMAL_Z = 0.7
-"""Upward share of a normal from which something fixed carries a robot, as a floor or ramp."""
 
 
 class CollisionWatch:

@@ -307,3 +307,13 @@ class World(Simulation):
             Unsupported: Always.
         """
         raise Unsupported("a world in process does not run by itself", hint=NO_CLOCK_HINT)
+
+
+def get_server(world: World) -> InProcessServer:
+    """Return what is behind a world: for what is built on it, such as `zensim.envs`.
+
+    Raises:
+        Closed: The world is closed.
+    """
+    world._session.check_open()  # noqa: SLF001
+    return world._server  # noqa: SLF001

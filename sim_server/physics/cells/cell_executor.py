@@ -52,11 +52,10 @@ class CellExecutor(Protocol):
         """Free threads and processes, after the cells are closed."""
 
 
-class InProcessCellExecutor:
-    """Cells in this process, stepped in turn or by threads."""
+class StepThreads:
+    """Steps engines in turn, or by threads."""
 
-    def __init__(self, make: Callable[[], Engine], *, threads: int = 1) -> None:
-        self.make = make
+    def __init__(self, threads: int) -> None:
         self._threads = threads
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
 
@@ -69,6 +68,29 @@ class InProcessCellExecutor:
         self.__dict__.update(state)
         self._pool = ThreadPoolExecutor(self._threads - 1) if self._threads > 1 else None
 
+    def step(self, engines: Sequence[Engine], steps: int) -> bool:
+        """Advance each by some steps; each free thread, this one included, takes the next."""
+        if self._pool is None:
+            return _step_cells(engines, steps)
+        left = iter(engines)  # the GIL makes `next` atomic
+        helpers = min(self._threads, len(engines)) - 1
+        others = [self._pool.submit(_step_cells, left, steps) for _ in range(helpers)]
+        is_ok = _step_cells(left, steps)
+        return all([is_ok, *(other.result() for other in others)])
+
+    def close(self) -> None:
+        """End the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+
+
+class InProcessCellExecutor:
+    """Cells in this process, stepped in turn or by threads."""
+
+    def __init__(self, make: Callable[[], Engine], *, threads: int = 1) -> None:
+        self.make = make
+        self._threads = StepThreads(threads)
+
     def start(self) -> None:
         """See `CellExecutor.start`; does nothing."""
 
@@ -77,14 +99,8 @@ class InProcessCellExecutor:
         cell.close()
 
     def step(self, cells: Sequence[Engine], steps: int) -> bool:
-        """See `CellExecutor.step`; each free thread, this one included, takes the next cell."""
-        if self._pool is None:
-            return _step_cells(cells, steps)
-        left = iter(cells)  # the GIL makes `next` atomic
-        helpers = min(self._threads, len(cells)) - 1
-        others = [self._pool.submit(_step_cells, left, steps) for _ in range(helpers)]
-        is_ok = _step_cells(left, steps)
-        return all([is_ok, *(other.result() for other in others)])
+        """See `CellExecutor.step`; each free thread takes the next cell."""
+        return self._threads.step(cells, steps)
 
     def read(self, requests: Sequence[CellReadRequest]) -> list[BodyStates]:
         """See `CellExecutor.read`."""
@@ -97,8 +113,7 @@ class InProcessCellExecutor:
 
     def close(self) -> None:
         """See `CellExecutor.close`."""
-        if self._pool is not None:
-            self._pool.shutdown()
+        self._threads.close()
 
 
 def _step_cells(cells: Iterable[Engine], steps: int) -> bool:

@@ -18,6 +18,7 @@ from zensim.sim_server.physics.engine import (
     ContactPoints,
     Engine,
     EngineRefused,
+    EngineReplicas,
     FloatArray,
     Place,
     can_move,
@@ -1081,6 +1082,13 @@ class CelledEngine(Engine):
     def close(self) -> None:
         """See `Engine.close`."""
         self._cell_map.close()
+
+    def replicate(self, bodies: Sequence[int], count: int) -> EngineReplicas:
+        """See `Engine.replicate`; refuses a world that is divided."""
+        if not self._cell_map.is_single_cell:
+            raise EngineRefused("a world of several cells cannot be copied; use clusters='off'")
+        inner = self._index_map(bodies).in_single_cell
+        return self._cell_map.engines[0].replicate(inner, count)
 
     def resume(self) -> None:
         """See `Engine.resume`."""

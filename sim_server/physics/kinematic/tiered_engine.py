@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from zensim.proto.messages.model_messages import Dynamics, Model, TierName
-    from zensim.sim_server.physics.engine import Engine, Place
+    from zensim.sim_server.physics.engine import Engine, EngineReplicas, Place
     from zensim.sim_server.physics.engine_config import EngineConfig
     from zensim.sim_server.physics.kinematic.planar_vehicle import PlanarPlan, PlanarVehicle
     from zensim.sim_server.physics.kinematic.tier_body_table import TierIndexMap
@@ -952,6 +952,12 @@ class TieredEngine(EngineLayer):
             self._inner.apply_joint_effort(
                 self._bodies.move_to_full(body, at_once=True), joint, effort
             )
+
+    def replicate(self, bodies: Sequence[int], count: int) -> EngineReplicas:
+        """See `Engine.replicate`; refuses a world with robots that may be kinematic."""
+        if self._bodies.held_count:
+            raise EngineRefused("kinematic robots cannot be copied; use full dynamics")
+        return self._inner.replicate(self._bodies.mappings.get(bodies).bodies, count)
 
     def step(self) -> bool:
         """See `Engine.step`: check proximity, move kinematic robots, then step the full engine."""

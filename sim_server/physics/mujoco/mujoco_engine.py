@@ -5,11 +5,11 @@ from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from copy import copy
-from dataclasses import dataclass
+from copy import copy, deepcopy
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache, partial
 from heapq import heappop, heappush
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import mujoco
 import numpy as np
@@ -22,11 +22,14 @@ from zensim.sim_server.physics.actuation import Actuation, impose_planar_twists,
 from zensim.sim_server.physics.blueprint import BlueprintCache, check_mesh_files
 from zensim.sim_server.physics.engine import (
     NO_CONTACTS,
+    SUPPORT_NORMAL_Z,
     BodyStates,
+    BoolArray,
     ContactPoints,
     Engine,
     EngineCapabilities,
     EngineRefused,
+    EngineReplicas,
     FloatArray,
     Place,
     concatenate_contacts,
@@ -946,6 +949,14 @@ class MujocoEngine(Engine):
             self._find_diverged()
         return not self._diverged
 
+    def replicate(self, bodies: Sequence[int], count: int) -> EngineReplicas:
+        """See `Engine.replicate`; the copies share one model, and no body of them sleeps."""
+        if self._diverged or self._hidden:
+            raise EngineRefused("an engine with diverged or hidden bodies cannot be copied")
+        copied = deepcopy(self)
+        copied.wake(sorted(self._asleep))
+        return MujocoReplicas(vars(copied), self._save(), bodies, count)
+
     def close(self) -> None:
         """See `Engine.close`."""
         if self._is_closed:
@@ -1148,10 +1159,7 @@ class MujocoEngine(Engine):
         solved = data.qpos.copy(), data.qvel.copy(), data.qacc.copy()
         is_solved = find_solved_dofs(change, data.dof_island, model.dof_treeid)
         data.qpos[:], data.qvel[:] = positions, velocities
-        solver, iterations = model.opt.solver, model.opt.iterations
-        model.opt.solver, model.opt.iterations = FALLBACK_SOLVER
-        mujoco.mj_step2(model, data)
-        model.opt.solver, model.opt.iterations = solver, iterations
+        self._step_by_fallback()
         # The others keep their bits, as if this had not happened.
         for body in self._bodies.values():
             address = body.address
@@ -1160,6 +1168,13 @@ class MujocoEngine(Engine):
                 data.qvel[address.velocities] = solved[1][address.velocities]
                 data.qacc[address.velocities] = solved[2][address.velocities]
         return positions, velocities
+
+    def _step_by_fallback(self) -> None:
+        options = self._model.opt
+        solver = options.solver, options.iterations
+        options.solver, options.iterations = FALLBACK_SOLVER
+        mujoco.mj_step2(self._model, self._data)
+        options.solver, options.iterations = solver
 
     def _drive_motors(self, inputs: StepInputs) -> None:
         """Apply the targets of motors to this step."""
@@ -1189,6 +1204,166 @@ class MujocoEngine(Engine):
                 [self._bodies[body] for body in bodies]
             )
         return selection
+
+
+class ReplicatedEngine(MujocoEngine):
+    """One of many equal engines: it has data and targets of its own and shares all else."""
+
+    def __init__(
+        self, shared: dict[str, Any], targets: ActuatorTargets, fallback: mujoco.MjModel
+    ) -> None:
+        """Make data; `restore` comes before the first step.
+
+        Args:
+            shared: Attributes of the engine that is copied, which has no sleeping bodies.
+            targets: Of this one.
+            fallback: The model with the second solver: another thread may step the first.
+        """
+        self.__dict__.update(shared)
+        self._data = mujoco.MjData(self._model)
+        self._targets = targets
+        self._fallback = fallback
+        self._diverged: set[int] = set()
+        self._is_sleep_changed = False
+
+    @property
+    def numbers(self) -> tuple[FloatArray, FloatArray]:
+        """Views of qpos and qvel."""
+        return self._data.qpos, self._data.qvel
+
+    @property
+    def is_diverged(self) -> bool:
+        """Whether a body has diverged."""
+        return bool(self._diverged)
+
+    def restore(self, saved: SavedState) -> None:
+        """Load a state of the engine that is copied."""
+        kind = mujoco.mjtState.mjSTATE_INTEGRATION
+        mujoco.mj_setState(self._model, self._data, saved.numbers, kind)
+        self._data.qacc[:] = saved.accelerations
+        self._diverged.clear()
+
+    def note_new_modes(self) -> None:
+        """Let the next step find which motors are on: their modes have changed."""
+        for body in self._bodies:
+            self._set_joint_motors(body)
+        self._is_changed = True
+
+    def list_touching(self) -> IndexArray:
+        """List the bodies that touch another one, repeatedly; what carries them does not count."""
+        data = self._data
+        if not data.ncon:
+            return NO_OWNERS
+        owners = self._owners[data.contact.geom]
+        is_pair = (owners[:, 0] != owners[:, 1]) & (owners != NO_INDEX).all(axis=1)
+        pairs = np.flatnonzero(is_pair)
+        if not len(pairs):
+            return NO_OWNERS
+        owners, upward = owners[pairs], np.abs(data.contact.frame[pairs, 2])
+        is_static = [
+            any(self._bodies[body].archetype.is_static for body in pair) for pair in owners.tolist()
+        ]
+        return np.asarray(owners[~(np.array(is_static) & (upward > SUPPORT_NORMAL_Z))].ravel())
+
+    def _step_by_fallback(self) -> None:
+        mujoco.mj_step2(self._fallback, self._data)
+
+    def _find_diverged(self) -> None:
+        """Note that a body diverged; its slot stays active, as it is that of all copies."""
+        self._diverged.update(self._bodies)
+
+
+NO_OWNERS = np.zeros(0, np.intp)
+
+
+class MujocoReplicas(EngineReplicas):
+    """Many data of one model; states and targets of all are single arrays."""
+
+    def __init__(
+        self, shared: dict[str, Any], saved: SavedState, bodies: Sequence[int], count: int
+    ) -> None:
+        """Make the copies.
+
+        Args:
+            shared: Attributes of a copied engine, which nothing else uses.
+            saved: Its state.
+            bodies: See `Engine.replicate`.
+            count: Likewise.
+        """
+        self._saved = saved
+        model, targets = shared["_model"], shared["_targets"]
+        fallback = copy(model)
+        fallback.opt.solver, fallback.opt.iterations = FALLBACK_SOLVER
+        stacked = [np.tile(getattr(targets, one.name), (count, 1)) for one in fields(targets)]
+        self._targets = ActuatorTargets(*(values.reshape(-1) for values in stacked))
+        self._engines = [
+            ReplicatedEngine(shared, ActuatorTargets(*rows), fallback)
+            for rows in zip(*stacked, strict=True)
+        ]
+        self.engines = self._engines
+        self.restore(range(count))
+        views = [engine.numbers for engine in self._engines]
+        self._views = [qpos for qpos, _ in views], [qvel for _, qvel in views]
+        self._numbers = np.empty(count * model.nq), np.empty(count * model.nv)
+        known: dict[int, MujocoBody] = shared["_bodies"]
+        self._bodies = len(bodies)
+        self._columns = np.full(max(known, default=0) + 1, NO_INDEX)
+        self._columns[list(bodies)] = np.arange(len(bodies))
+        self._selection = make_body_selection(
+            [
+                _shift_body(known[body], positions=copied * model.nq, velocities=copied * model.nv)
+                for copied in range(count)
+                for body in bodies
+            ]
+        )
+
+    def read(self) -> BodyStates:
+        """See `EngineReplicas.read`."""
+        qpos, qvel = self._numbers
+        np.concatenate(self._views[0], out=qpos)
+        np.concatenate(self._views[1], out=qvel)
+        gather = self._selection.gather
+        with np.errstate(all="ignore"):  # diverged
+            base = self._selection.read_bases(qpos, qvel)
+        found = BodyStates(
+            base,
+            gather.gather_joints(qpos, gather.positions),
+            gather.gather_joints(qvel, gather.velocities),
+        )
+        for copied, engine in enumerate(self._engines):
+            if engine.is_diverged:
+                for rows in (found.base, found.joint_positions, found.joint_velocities):
+                    rows.reshape(len(self._engines), -1)[copied] = np.nan
+        return found
+
+    def command(self, targets: FloatArray) -> None:
+        """See `EngineReplicas.command`."""
+        if self._selection.scatter.apply(self._targets, targets.reshape(-1)):
+            for engine in self._engines:
+                engine.note_new_modes()
+
+    def restore(self, copies: Iterable[int]) -> None:
+        """See `EngineReplicas.restore`."""
+        for copied in copies:
+            self._engines[copied].restore(self._saved)
+
+    def find_touching(self) -> BoolArray:
+        """See `EngineReplicas.find_touching`."""
+        found = np.zeros((len(self._engines), self._bodies + 1), np.bool_)
+        for row, engine in zip(found, self._engines, strict=True):
+            touching = engine.list_touching()
+            if len(touching):
+                row[self._columns[touching]] = True  # of the others: the last
+        return found[:, :-1]
+
+
+def _shift_body(body: MujocoBody, *, positions: int, velocities: int) -> MujocoBody:
+    """Move the indexes of a body in qpos and qvel to those of a copy."""
+    start = body.address.start
+    start = replace(
+        start, positions=start.positions + positions, velocities=start.velocities + velocities
+    )
+    return replace(body, address=replace(body.address, start=start))
 
 
 MAX_UNDAMPED_SPRING = 0.25

@@ -1,0 +1,186 @@
+"""Batch: copies of a world in arrays."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pytest
+
+import zensim
+from zensim.envs.batch import Batch
+
+ROBOTS = 3
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[zensim.World]:
+    with zensim.World() as found:
+        found.spawn_fleet("box_bot", count=ROBOTS)
+        yield found
+
+
+def twists_at(step: int, worlds: int) -> np.ndarray:
+    """Twists that differ by world, robot and step."""
+    world, robot = np.arange(worlds)[:, None], np.arange(ROBOTS)
+    turn = 0.5 * np.sin(0.1 * step + world + 2.0 * robot)
+    return np.stack([0.3 + 0.1 * np.cos(turn), 0.0 * turn, turn], axis=-1)
+
+
+def run(batch: Batch, steps: int) -> list[str]:
+    for step in range(steps):
+        batch.step(twists_at(step, batch.shape[0]))
+    return [batch.digest(at) for at in range(batch.shape[0])]
+
+
+def drive_world(model: str, twists: Sequence[tuple[float, float, float]]) -> tuple[str, str]:
+    """Drive two robots in a world and in a batch; return both hashes."""
+    with zensim.World() as own:
+        fleet = own.spawn_fleet(model, count=2)
+        batch = Batch(own, 2)
+        for v, left, w in twists:
+            fleet.drive([v, v / 2.0], [w, -w], left=left)
+            own.step(3)
+            one = [[v, left, w], [v / 2.0, left, -w]]
+            batch.step([one, one])
+        assert batch.digest(0) == batch.digest(1)
+        return own.state_hash(), batch.digest(1)
+
+
+@pytest.mark.parametrize("model", ["box_bot", "omni_bot", "car_bot", "trike_bot", "skid_bot"])
+def test_copy_has_the_bits_of_its_world(model: str) -> None:
+    twists = [(0.4, 0.05, 0.6 * np.sin(0.2 * step)) for step in range(60)]
+
+    expected, found = drive_world(model, twists)
+
+    assert found == expected
+
+
+def test_world_does_not_depend_on_the_number_of_worlds_and_threads(world: zensim.World) -> None:
+    alone = run(Batch(world, 1), 40)
+    many = run(Batch(world, 16), 40)
+    threaded = run(Batch(world, 16, threads=3), 40)
+
+    assert many[0] == alone[0]
+    assert threaded == many
+    assert len(set(many)) == len(many)
+
+
+def test_restarted_world_repeats_its_bits_while_others_go_on(world: zensim.World) -> None:
+    batch = Batch(world, 3)
+    start = batch.digest(1)
+    first = run(batch, 20)
+
+    batch.restart(np.array([False, True, False]))
+
+    assert batch.digest(1) == start
+    assert batch.digest(0) == first[0]
+    assert batch.times.tolist() == pytest.approx([0.25, 0.0, 0.25])
+    assert run(batch, 20)[1] == first[1]
+
+
+def test_restart_of_all_repeats_a_run_after_other_commands(world: zensim.World) -> None:
+    batch = Batch(world, 2)
+    first = run(batch, 20)
+    batch.step(np.full((2, ROBOTS, 3), 0.5), control_steps=7)
+
+    batch.restart()
+
+    assert run(batch, 20) == first
+
+
+def test_batch_outlives_its_world() -> None:
+    with zensim.World() as own:
+        own.spawn("box_bot", name="r1")
+        batch = Batch(own, 2)
+        own.spawn("box_bot", name="r2", x=1.0)
+    batch.step(np.tile([0.3, 0.0, 0.0], (2, 1, 1)), control_steps=80)
+
+    assert batch.names == ("r1",)
+    assert batch.poses2d[:, 0, 0] == pytest.approx([0.3, 0.3], abs=0.05)
+
+
+def test_arrays_have_a_row_for_each_world_and_robot(world: zensim.World) -> None:
+    batch = Batch(world, 2)
+    batch.step(np.tile([0.3, 0.0, 0.5], (2, ROBOTS, 1)), control_steps=80)
+
+    assert batch.states.shape == (2, ROBOTS, 13)
+    assert batch.poses2d.shape == (2, ROBOTS, 3)
+    assert batch.twists[..., 0] == pytest.approx(np.full((2, ROBOTS), 0.3), abs=0.03)
+    assert batch.twists[..., 5] == pytest.approx(np.full((2, ROBOTS), 0.5), abs=0.08)
+    assert batch.poses2d[..., 2] == pytest.approx(np.full((2, ROBOTS), 0.5), abs=0.08)
+
+
+def test_touching_robots_are_found_and_the_ground_is_not() -> None:
+    with zensim.World("walls") as own:
+        own.spawn_fleet("box_bot", poses=[(0.0, 0.0, 0.0), (0.3, 0.0, np.pi), (0.0, 1.0, 0.0)])
+        batch = Batch(own, 2)
+    still, ahead = [0.0, 0.0, 0.0], [0.3, 0.0, 0.0]
+
+    batch.step([[ahead, ahead, still], [still, still, still]], control_steps=80)
+
+    assert batch.is_touching.tolist() == [[True, True, False], [False, False, False]]
+
+
+def test_robot_that_drives_against_a_wall_touches_it() -> None:
+    with zensim.World("walls") as own:
+        own.spawn("box_bot", name="r1")
+        batch = Batch(own, 1)
+
+    for _ in range(40):
+        batch.step([[[-0.5, 0.0, 0.0]]], control_steps=40)
+        if batch.is_touching.any():
+            break
+
+    assert batch.is_touching.tolist() == [[True]]
+
+
+def test_diverged_world_rests_until_its_restart(world: zensim.World) -> None:
+    batch = Batch(world, 2)
+    healthy = Batch(world, 2)
+    batch._replicas.engines[1].numbers[1][:] = np.inf  # type: ignore[attr-defined]  # noqa: SLF001
+
+    for step in range(3):
+        batch.step(twists_at(step, 2))
+        healthy.step(twists_at(step, 2))
+
+    assert batch.is_diverged.tolist() == [False, True]
+    assert np.isnan(batch.states[1]).all()
+    assert batch.digest(0) == healthy.digest(0)
+    batch.restart(batch.is_diverged)
+    healthy.restart(np.array([False, True]))
+    assert not batch.is_diverged.any()
+    assert run(batch, 5) == run(healthy, 5)
+
+
+def test_wrong_arguments_are_refused(world: zensim.World) -> None:
+    batch = Batch(world, 2)
+
+    for twists in (np.zeros((2, ROBOTS, 2)), np.full((2, ROBOTS, 3), np.nan)):
+        with pytest.raises(zensim.Invalid):
+            batch.step(twists)
+    for mask in (np.ones(3, np.bool_), np.zeros(2)):
+        with pytest.raises(zensim.Invalid):
+            batch.restart(mask)
+    with pytest.raises(zensim.Invalid):
+        Batch(world, 0)
+    with pytest.raises(zensim.Invalid):
+        batch.scans  # noqa: B018
+    with pytest.raises(zensim.Invalid):
+        batch.imu  # noqa: B018
+
+
+def test_world_without_robots_is_refused() -> None:
+    with zensim.World() as own, pytest.raises(zensim.Invalid):
+        Batch(own, 1)
+
+
+@pytest.mark.parametrize(
+    ("engine", "model", "dynamics"),
+    [("pybullet", "box_bot", ""), ("mujoco", "box_bot", "kinematic")],
+)
+def test_world_that_cannot_be_copied_is_refused(engine: str, model: str, dynamics: str) -> None:
+    with zensim.World(engine=engine) as own:
+        own.spawn(model, name="r1", dynamics=dynamics)
+        with pytest.raises(zensim.Unsupported) as refused:
+            Batch(own, 1)
+
+    assert refused.value.slug == "not_replicable"

@@ -1,0 +1,88 @@
+"""AvoidEachOther: robots exchange their places without a collision."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from zensim.envs.robot_task import (
+    FAR_M,
+    FAST,
+    FleetView,
+    FloatArray,
+    GoalProgress,
+    IntArray,
+    Judgement,
+    RobotTask,
+    find_in_robot,
+    turn_into_robot,
+)
+
+SUCCESS, COLLISION, STEP = 1.0, -2.0, -0.01
+"""Rewards."""
+NEIGHBOURS = 3
+NEIGHBOUR_NUMBERS = 4
+
+
+class AvoidEachOther(RobotTask):
+    """Reach the place where another robot started, and touch none.
+
+    Places are exchanged around the fleet: robot i goes where robot i + k started, k is drawn.
+    Observation: the goal in the robot's frame x, y [m], forward velocity [m/s], turn [rad/s]; and
+    of each of the three nearest robots its position x, y [m] and velocity x, y [m/s] in this
+    frame, 20 m ahead where there is none.
+    Reward: metres that the robot came nearer to its goal, -0.01 a step, 1 at the goal, and -2 at
+    a collision. Both end the episode of the robot, which then stands still.
+    """
+
+    least_robots = 2
+
+    def __init__(self, *, tolerance_m: float = 0.2) -> None:
+        """Set the distance [m] at which a goal is reached."""
+        self._progress = GoalProgress(tolerance_m)
+
+    def list_bounds(self, robots: int) -> FloatArray:  # noqa: ARG002 - the same for any
+        """See `RobotTask`."""
+        return np.array([FAR_M, FAR_M, FAST, FAST] + [FAR_M, FAR_M, FAST, FAST] * NEIGHBOURS)
+
+    def restart(
+        self, worlds: IntArray, view: FleetView, streams: Sequence[np.random.Generator]
+    ) -> None:
+        """See `RobotTask`."""
+        robots = view.poses.shape[1]
+        shifts = np.array([streams[world].integers(1, robots) for world in worlds.tolist()])
+        rows = (np.arange(robots) + shifts[:, None]) % robots
+        goals = np.take_along_axis(view.poses[worlds, :, :2], rows[..., None], axis=1)
+        self._progress.restart(worlds, view.poses, goals)
+
+    def observe(self, view: FleetView) -> FloatArray:
+        """See `RobotTask`."""
+        goals = find_in_robot(view.poses, self._progress.goals)
+        near = _find_neighbours(view)
+        return np.concatenate([goals, view.velocities, near], axis=-1)
+
+    def judge(self, view: FleetView) -> Judgement:
+        """See `RobotTask`."""
+        nearer, is_there = self._progress.advance(view.poses)
+        rewards = nearer + STEP + SUCCESS * is_there + COLLISION * view.is_touching
+        return Judgement(rewards, is_there & ~view.is_touching, view.is_touching)
+
+
+def _find_neighbours(view: FleetView) -> FloatArray:
+    """Find the nearest robots as each sees them, (worlds, robots, 12)."""
+    worlds, robots = view.poses.shape[:2]
+    heading = view.poses[..., 2]
+    ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1) * view.velocities[..., :1]
+    places = view.poses[..., :2]
+    away = places[:, None] - places[:, :, None]
+    distances = np.hypot(away[..., 0], away[..., 1])
+    distances[:, np.arange(robots), np.arange(robots)] = np.inf
+    count = min(NEIGHBOURS, robots - 1)
+    nearest = np.argsort(distances, axis=2, kind="stable")[:, :, :count]
+    found = np.zeros((worlds, robots, NEIGHBOURS, NEIGHBOUR_NUMBERS))
+    found[..., 0] = FAR_M
+    own = np.broadcast_to(heading[..., None], nearest.shape)
+    vectors = np.take_along_axis(away, nearest[..., None], axis=2)
+    moving = np.take_along_axis(np.broadcast_to(ahead[:, None], away.shape), nearest[..., None], 2)
+    found[:, :, :count, :2] = turn_into_robot(own, vectors)
+    found[:, :, :count, 2:] = turn_into_robot(own, moving)
+    return found.reshape(worlds, robots, -1)

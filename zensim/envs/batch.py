@@ -1,0 +1,217 @@
+"""Batch: many copies of one world in arrays, which threads step."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from zensim.api.api_errors import Invalid, Unsupported
+from zensim.api.argument_checks import check_limits
+from zensim.api.in_process_world import World, get_server
+from zensim.envs.batch_drives import BatchDrives
+from zensim.envs.batch_sensors import BatchSensors, SensorName
+from zensim.envs.world_layout import make_world_layout
+from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.se3 import conjugate, rotate, to_yaw
+from zensim.proto.state_hash import hash_states
+from zensim.sim_server.physics.cells.cell_executor import StepThreads
+from zensim.sim_server.physics.engine import EngineRefused
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+STATE_COLUMNS = 13
+TWIST_COLUMNS = 3
+
+
+class Batch:
+    """Copies of a world, each with a time of its own; arrays are (worlds, robots, …).
+
+    Engine and drives are those of the world: a copy has the bits that the world, or a server in
+    lockstep, has after equal commands. One exception: objects that are pushed about never sleep.
+    """
+
+    def __init__(
+        self, world: World, worlds: int, *, threads: int = 1, sensors: Sequence[SensorName] = ()
+    ) -> None:
+        """Copy a world as it is; it may be closed or changed afterwards.
+
+        Args:
+            world: With robots; their drives start anew in the copies.
+            worlds: Number of copies; > 0.
+            threads: That step the copies; results do not depend on it.
+            sensors: That are measured: `scan`, `imu`.
+
+        Raises:
+            Invalid: A number is not positive, or there is no robot, or one without such a sensor.
+            Unsupported: The engine is not MuJoCo, the world has several cells or kinematic
+                robots, or joints are controlled.
+        """
+        if min(worlds, threads) < 1:
+            raise Invalid(f"{worlds} worlds and {threads} threads", hint="use 1 or more of each")
+        server = get_server(world)
+        simulated = server.world
+        self._layout = make_world_layout(simulated)
+        try:
+            self._replicas = simulated.engine.replicate(self._layout.bodies, worlds)
+        except EngineRefused as refused:
+            raise Unsupported(str(refused), slug="not_replicable") from refused
+        self._step_ns, self._control_steps = simulated.clock.step_ns, simulated.control_steps
+        self._start_steps = simulated.clock.steps
+        self._steps = np.zeros(worlds, np.int64)
+        self._time_ns = 0
+        self._is_diverged = np.zeros(worlds, np.bool_)
+        self._threads = StepThreads(threads)
+        self._drives = BatchDrives(self._layout.models, self._layout.first_joints, worlds)
+        self._sensors = BatchSensors(server, self._layout, worlds, sensors)
+        self._read()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the robots."""
+        return self._layout.names
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Worlds and robots."""
+        return len(self._steps), len(self.names)
+
+    @property
+    def control_period(self) -> float:
+        """Simulated seconds of a control step."""
+        return self._control_steps * self._step_ns / NANOSECONDS
+
+    @property
+    def times(self) -> FloatArray:
+        """Simulated seconds since each world was restarted, (worlds,)."""
+        return np.asarray(self._steps * self._step_ns / NANOSECONDS)
+
+    @property
+    def is_diverged(self) -> BoolArray:
+        """Worlds (worlds,) with a state that is not finite: they rest until a restart."""
+        return self._is_diverged.copy()
+
+    @property
+    def states(self) -> FloatArray:
+        """Position, quaternion, linear and angular velocity in the world, (worlds, robots, 13)."""
+        return np.asarray(self._base[:, self._layout.robots])
+
+    @property
+    def poses2d(self) -> FloatArray:
+        """Position x y [m] and heading [rad], (worlds, robots, 3)."""
+        states = self.states
+        return np.concatenate([states[..., :2], to_yaw(states[..., 3:7])[..., None]], axis=-1)
+
+    @property
+    def twists(self) -> FloatArray:
+        """Linear [m/s] and angular [rad/s] velocity in the robot, (worlds, robots, 6)."""
+        states = self.states.reshape(-1, STATE_COLUMNS)
+        back = conjugate(states[:, 3:7])
+        found = [rotate(back, states[:, 7:10]), rotate(back, states[:, 10:])]
+        return np.concatenate(found, axis=1).reshape(*self.shape, 6)
+
+    @property
+    def is_touching(self) -> BoolArray:
+        """Whether each robot touches something that does not carry it, (worlds, robots)."""
+        return np.asarray(self._replicas.find_touching()[:, self._layout.robots])
+
+    @property
+    def scans(self) -> FloatArray:
+        """Ranges [m] of the lidars with noise, (worlds, robots, rays); their limits beyond them.
+
+        Raises:
+            Invalid: The batch was made without `scan`.
+        """
+        return self._sensors.measure_scans(self._steps.tolist(), self._base, self._positions)
+
+    @property
+    def imu(self) -> FloatArray:
+        """Last messages of the inertial units, (worlds, robots, 10).
+
+        Orientation x y z w, angular velocity [rad/s], and specific force [m/s^2], in the sensor.
+
+        Raises:
+            Invalid: The batch was made without `imu`.
+        """
+        return self._sensors.read_imu()
+
+    @property
+    def sensor_limits(self) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Least and greatest values (k,) of what each sensor of a robot measures."""
+        return self._sensors.limits
+
+    def step(self, twists: npt.ArrayLike, control_steps: int = 1) -> None:
+        """Advance all worlds, with a command that holds.
+
+        Args:
+            twists: Forward, left [m/s] and turn [rad/s] of each robot, (worlds, robots, 3).
+            control_steps: In which the drives are updated; > 0.
+
+        Raises:
+            Invalid: The shape is wrong, or a number is not finite.
+        """
+        wanted = np.asarray(twists, np.float64)
+        if wanted.shape != (*self.shape, TWIST_COLUMNS):
+            raise Invalid(
+                f"twists have shape {wanted.shape}",
+                slug="wrong_shape",
+                hint=f"use {(*self.shape, TWIST_COLUMNS)}: worlds, robots, and v, left, w",
+            )
+        check_limits("twists", wanted, str((*self.shape, TWIST_COLUMNS)))
+        for _ in range(control_steps):
+            self._make_control_step(wanted)
+
+    def restart(
+        self, worlds: npt.ArrayLike | None = None, seeds: Mapping[int, int] | None = None
+    ) -> None:
+        """Put worlds back into the state in which they were copied.
+
+        Args:
+            worlds: Mask (worlds,); None = all.
+            seeds: Of the noise of their sensors, by world; None = the row of each.
+        """
+        chosen = np.ones(len(self._steps), np.bool_) if worlds is None else np.asarray(worlds)
+        if chosen.shape != self._steps.shape or chosen.dtype != np.bool_:
+            raise Invalid(
+                f"the mask has shape {chosen.shape} of {chosen.dtype}",
+                slug="wrong_shape",
+                hint=f"use {self._steps.shape} of bool",
+            )
+        self._replicas.restore(np.flatnonzero(chosen).tolist())
+        self._drives.restart(chosen)
+        self._steps[chosen] = 0
+        self._is_diverged[chosen] = False
+        self._read()
+        rows = np.flatnonzero(chosen).tolist()
+        self._sensors.restart(dict(zip(rows, rows, strict=True)) if seeds is None else seeds)
+
+    def digest(self, world: int = 0) -> str:
+        """Hash the state of a world, as `World.state_hash()` does."""
+        chosen = slice(world, world + 1)
+        base, positions = self._layout.fill_in(self._base[chosen], self._positions[chosen])
+        time_ns = int(self._start_steps + self._steps[world]) * self._step_ns
+        return hash_states(time_ns, self._layout.entities, base.tobytes(), positions.tobytes())
+
+    def close(self) -> None:
+        """End the threads."""
+        self._threads.close()
+
+    def _make_control_step(self, twists: FloatArray) -> None:
+        self._drives.update(self._time_ns, (self._positions, self._velocities), twists)
+        self._replicas.command(self._drives.targets)
+        engines = self._replicas.engines
+        if self._is_diverged.any():
+            engines = [engines[at] for at in np.flatnonzero(~self._is_diverged).tolist()]
+        is_ok = self._threads.step(engines, self._control_steps)
+        self._steps += self._control_steps
+        self._time_ns += self._control_steps * self._step_ns
+        self._read()
+        if not is_ok:
+            self._is_diverged = ~np.isfinite(self._base).all(axis=(1, 2))
+        times_ns = (self._steps * self._step_ns).tolist()
+        self._sensors.take(times_ns, self._base, (self._positions, self._velocities))
+
+    def _read(self) -> None:
+        found, worlds = self._replicas.read(), len(self._steps)
+        self._base = found.base.reshape(worlds, -1, STATE_COLUMNS)
+        self._positions = found.joint_positions.reshape(worlds, -1)
+        self._velocities = found.joint_velocities.reshape(worlds, -1)

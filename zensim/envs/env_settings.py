@@ -1,0 +1,131 @@
+"""EnvSettings: the worlds, robots and steps of environments, and the task by its name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, TypedDict
+
+import msgspec
+
+from zensim.api.api_errors import Invalid
+from zensim.api.argument_checks import check_range
+from zensim.api.in_process_world import World
+from zensim.api.spawning import check_keywords
+from zensim.envs.avoidance_task import AvoidEachOther
+from zensim.envs.batch import Batch
+from zensim.envs.batch_sensors import SensorName
+from zensim.envs.formation_task import FollowFormation
+from zensim.envs.reaching_task import ReachGoal
+from zensim.envs.robot_task import RobotTask
+from zensim.proto.process_limits import count_usable_cores
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+
+TASKS: dict[str, type[RobotTask]] = {
+    "reach": ReachGoal,
+    "avoid": AvoidEachOther,
+    "formation": FollowFormation,
+}
+RATE_TOLERANCE = 1e-6
+
+
+class EnvKeywords(TypedDict, total=False):
+    """Settings of environments, as keyword arguments."""
+
+    world: str | Path | World
+    """Name of a shipped world, an SDF file, or a world with robots, which is copied."""
+    model: str
+    """Of the robots; name of a shipped model, or a file."""
+    count: int
+    """Robots in a world."""
+    spacing: float
+    """Distance of neighbours at the start [m]."""
+    sensors: Sequence[SensorName]
+    """Whose measurements follow the numbers of the task: scan, imu."""
+    rate_hz: float
+    """Steps of the environment per simulated second; it divides that of control steps."""
+    time_limit_s: float
+    """Simulated seconds after which an episode is truncated."""
+    max_speed_m_s: float
+    """Forward velocity of an action of 1."""
+    max_turn_rad_s: float
+    """Turn of an action of 1."""
+    threads: int
+    """That step the worlds; 0 = one for each core, at most one for each world."""
+
+
+class EnvSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """See `EnvKeywords`."""
+
+    world: str | Path | World = "empty"
+    model: str = "box_bot"
+    count: int = 1
+    spacing: float = 1.0
+    sensors: tuple[SensorName, ...] = ()
+    rate_hz: float = 10.0
+    time_limit_s: float = 30.0
+    max_speed_m_s: float = 0.5
+    max_turn_rad_s: float = 2.0
+    threads: int = 0
+
+
+def make_settings(given: Mapping[str, object]) -> EnvSettings:
+    """Make settings from keyword arguments.
+
+    Raises:
+        TypeError: A keyword is unknown.
+        Invalid: A number is out of range.
+    """
+    check_keywords(given, EnvKeywords)
+    settings = EnvSettings(**given)  # type: ignore[arg-type]
+    for name, least, most in (
+        ("count", 1, 1000),
+        ("rate_hz", 1e-3, 1e4),
+        ("time_limit_s", 1e-3, 1e9),
+        ("max_speed_m_s", 1e-3, 1e3),
+        ("max_turn_rad_s", 0.0, 1e3),
+        ("threads", 0, 1024),
+    ):
+        check_range(name, getattr(settings, name), least, most)
+    return settings
+
+
+def find_task(task: str | RobotTask) -> RobotTask:
+    """Find a task by its name.
+
+    Raises:
+        Invalid: There is none of this name.
+    """
+    if isinstance(task, RobotTask):
+        return task
+    if task not in TASKS:
+        raise Invalid(f"task '{task}' is unknown", hint=f"use {', '.join(TASKS)}, or a RobotTask")
+    return TASKS[task]()
+
+
+def make_batch(settings: EnvSettings, worlds: int) -> Batch:
+    """Make the worlds; raises what `World`, `spawn_fleet` and `Batch` raise."""
+    threads = settings.threads or min(count_usable_cores(), worlds)
+    if isinstance(settings.world, World):
+        return Batch(settings.world, worlds, threads=threads, sensors=settings.sensors)
+    with World(settings.world) as world:
+        world.spawn_fleet(settings.model, count=settings.count, spacing=settings.spacing)
+        return Batch(world, worlds, threads=threads, sensors=settings.sensors)
+
+
+def count_control_steps(batch: Batch, rate_hz: float) -> int:
+    """Count the control steps in a step of the environment.
+
+    Raises:
+        Invalid: The rate does not divide that of control steps.
+    """
+    steps = 1.0 / (batch.control_period * rate_hz)
+    if round(steps) < 1 or abs(steps - round(steps)) > RATE_TOLERANCE * steps:
+        control_hz = 1.0 / batch.control_period
+        raise Invalid(
+            f"rate_hz={rate_hz:g} does not divide {control_hz:g} control steps per second",
+            hint=f"use {control_hz:g} divided by a whole number",
+        )
+    return round(steps)

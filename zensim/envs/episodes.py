@@ -1,0 +1,172 @@
+"""Episodes of a task in the worlds of a batch: random streams, actions, observations, ends."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from zensim.api.api_errors import Invalid
+from zensim.envs.batch import TWIST_COLUMNS, BoolArray, FloatArray
+from zensim.envs.env_settings import EnvSettings, count_control_steps, make_batch
+from zensim.envs.robot_task import FleetView, RobotTask
+
+Observations = npt.NDArray[np.float32]
+TIME_TOLERANCE_S = 1e-6
+MAX_SEED = 1 << 62
+"""Of the noise of sensors, which differs by episode."""
+ACTION_COLUMNS = 2
+"""Forward velocity and turn, from -1 to 1."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a step gave; (worlds, agents), and a row for each world.
+
+    Attributes:
+        observations: (worlds, agents, d).
+        rewards: 0 of robots whose episode had ended.
+        is_over: Whether the episode of a robot has ended, now or before.
+        is_success: Whether it has ended because the task is done.
+        terminated: (worlds,) whether the episodes of all robots have ended.
+        truncated: (worlds,) whether the time is over, or a state was not finite.
+    """
+
+    observations: Observations
+    rewards: FloatArray
+    is_over: BoolArray
+    is_success: BoolArray
+    terminated: BoolArray
+    truncated: BoolArray
+
+
+class Episodes:
+    """Many worlds in which robots do a task.
+
+    World w has the same random numbers and the same states, whatever the number of worlds and of
+    threads.
+    """
+
+    def __init__(self, task: RobotTask, settings: EnvSettings, worlds: int) -> None:
+        """Make the worlds.
+
+        Raises:
+            Invalid: The task needs more robots, or the rate does not fit.
+        """
+        self.batch = make_batch(settings, worlds)
+        self._task, self._settings = task, settings
+        robots = self.batch.shape[1]
+        if robots < task.least_robots:
+            raise Invalid(
+                f"{type(task).__name__} needs {task.least_robots} robots, not {robots}",
+                hint="set count",
+            )
+        self._agents = task.choose_agents(robots)
+        self._control_steps = count_control_steps(self.batch, settings.rate_hz)
+        self._scale = np.array([settings.max_speed_m_s, settings.max_turn_rad_s])
+        self._limits = self._find_limits(robots)
+        self._is_over = np.zeros((worlds, len(self._agents)), np.bool_)
+        self._is_success = self._is_over.copy()
+        self._streams: list[np.random.Generator] = []
+        self.seed(np.random.SeedSequence().spawn(worlds))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the robots that learn."""
+        return tuple(self.batch.names[robot] for robot in self._agents.tolist())
+
+    @property
+    def limits(self) -> tuple[Observations, Observations]:
+        """Least and greatest observation (d,) of a robot."""
+        return self._limits
+
+    def seed(self, seeds: Sequence[np.random.SeedSequence | None]) -> None:
+        """Start the streams of worlds anew; None = a world keeps its own."""
+        kept = self._streams or [np.random.default_rng(0)] * len(seeds)
+        self._streams = [
+            stream if seed is None else np.random.default_rng(seed)
+            for seed, stream in zip(seeds, kept, strict=True)
+        ]
+
+    def restart(self, worlds: BoolArray) -> None:
+        """Start new episodes in some worlds (worlds,)."""
+        chosen = np.flatnonzero(worlds)
+        seeds = {at: int(self._streams[at].integers(MAX_SEED)) for at in chosen.tolist()}
+        self.batch.restart(worlds, seeds)
+        self._is_over[worlds] = self._is_success[worlds] = False
+        self._task.restart(chosen, self._view(), self._streams)
+
+    def observe(self) -> Observations:
+        """Make the observations (worlds, agents, d)."""
+        return self._observe(self._view())
+
+    def step(self, actions: FloatArray, restarted: BoolArray | None = None) -> Outcome:
+        """Make a step of all worlds.
+
+        Args:
+            actions: (worlds, agents, 2).
+            restarted: Worlds (worlds,) that start new episodes instead; None = none does.
+        """
+        if actions.shape != (*self._is_over.shape, ACTION_COLUMNS):
+            raise Invalid(
+                f"actions have shape {actions.shape}",
+                slug="wrong_shape",
+                hint=f"use {(*self._is_over.shape, ACTION_COLUMNS)}: worlds, robots, v and w",
+            )
+        chosen = self._task.drive(self._view_before)
+        limited = np.clip(actions, -1.0, 1.0) * self._scale
+        chosen[:, self._agents] = np.where(self._is_over[..., None], 0.0, limited)
+        twists = np.zeros((*self.batch.shape, TWIST_COLUMNS))
+        twists[..., 0], twists[..., 2] = chosen[..., 0], chosen[..., 1]
+        self.batch.step(np.nan_to_num(twists), self._control_steps)
+        return self._judge(self._view(), restarted)
+
+    def close(self) -> None:
+        """End the threads."""
+        self.batch.close()
+
+    def _judge(self, view: FleetView, restarted: BoolArray | None) -> Outcome:
+        is_lost = self.batch.is_diverged
+        with np.errstate(invalid="ignore"):  # of lost worlds
+            judgement = self._task.judge(view)
+        is_live = ~self._is_over & ~is_lost[:, None]
+        if restarted is not None and restarted.any():
+            is_live[restarted] = False
+        self._is_success |= is_live & judgement.is_success
+        self._is_over |= is_live & (judgement.is_success | judgement.is_failure)
+        is_late = view.times >= self._settings.time_limit_s - TIME_TOLERANCE_S
+        ends = is_late | is_lost
+        if restarted is not None and restarted.any():
+            self.restart(restarted)
+            view, ends = self._view_before, ends & ~restarted
+        terminated = self._is_over.all(axis=1)
+        return Outcome(
+            observations=self._observe(view),
+            rewards=np.where(is_live, judgement.rewards, 0.0),
+            is_over=self._is_over.copy(),
+            is_success=self._is_success.copy(),
+            terminated=terminated,
+            truncated=ends & ~terminated,
+        )
+
+    def _view(self) -> FleetView:
+        batch = self.batch
+        velocities = batch.twists[..., (0, 5)]
+        view = FleetView(batch.poses2d, velocities, batch.is_touching, batch.times)
+        self._view_before = view
+        return view
+
+    def _observe(self, view: FleetView) -> Observations:
+        with np.errstate(invalid="ignore"):  # of lost worlds
+            parts = [self._task.observe(view)]
+        measured = {"scan": lambda: self.batch.scans, "imu": lambda: self.batch.imu}
+        parts += [measured[name]()[:, self._agents] for name in self._settings.sensors]
+        found = np.nan_to_num(np.concatenate(parts, axis=-1)).astype(np.float32)
+        return np.asarray(np.clip(found, *self._limits))
+
+    def _find_limits(self, robots: int) -> tuple[Observations, Observations]:
+        bounds = self._task.list_bounds(robots)
+        parts = [(-bounds, bounds)]
+        parts += [self.batch.sensor_limits[name] for name in self._settings.sensors]
+        low, high = (np.concatenate(values) for values in zip(*parts, strict=True))
+        return low.astype(np.float32), high.astype(np.float32)

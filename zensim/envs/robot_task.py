@@ -1,0 +1,128 @@
+"""RobotTask: what robots are to do: goals, observations, rewards and ends, in arrays."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.intp]
+FAR_M = 20.0
+"""Limit of distances in observations."""
+FAST = 10.0
+"""Limit of velocities in observations [m/s, rad/s]."""
+
+
+@dataclass(frozen=True)
+class FleetView:
+    """Robots of all worlds at one moment.
+
+    Attributes:
+        poses: x, y [m] and heading [rad] in the world, (worlds, robots, 3).
+        velocities: Forward [m/s] and turn [rad/s], (worlds, robots, 2).
+        is_touching: Whether a robot touches something that does not carry it, (worlds, robots).
+        times: Seconds since each world was restarted, (worlds,).
+    """
+
+    poses: FloatArray
+    velocities: FloatArray
+    is_touching: BoolArray
+    times: FloatArray
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What a step was worth to each robot that learns, (worlds, agents).
+
+    Attributes:
+        rewards: Of the step.
+        is_success: Whether it has done its task.
+        is_failure: Whether it cannot do it any more.
+    """
+
+    rewards: FloatArray
+    is_success: BoolArray
+    is_failure: BoolArray
+
+
+class RobotTask(ABC):
+    """A task of the robots of many equal worlds."""
+
+    least_robots = 1
+    """In a world."""
+
+    def choose_agents(self, robots: int) -> IntArray:
+        """Choose which of the robots (robots,) of a world learn; others are driven by the task."""
+        return np.arange(robots)
+
+    @abstractmethod
+    def list_bounds(self, robots: int) -> FloatArray:
+        """List the greatest absolute values (d,) of the numbers of an observation."""
+
+    @abstractmethod
+    def restart(
+        self, worlds: IntArray, view: FleetView, streams: Sequence[np.random.Generator]
+    ) -> None:
+        """Start episodes in some worlds.
+
+        Args:
+            worlds: (m,) their rows; all of them at first.
+            view: Of all worlds.
+            streams: Random numbers of all worlds.
+        """
+
+    def drive(self, view: FleetView) -> FloatArray:
+        """Find forward velocity and turn (worlds, robots, 2) of the robots that do not learn."""
+        return np.zeros_like(view.velocities)
+
+    @abstractmethod
+    def observe(self, view: FleetView) -> FloatArray:
+        """Find the observations (worlds, agents, d)."""
+
+    @abstractmethod
+    def judge(self, view: FleetView) -> Judgement:
+        """Judge the step that led here."""
+
+
+def find_in_robot(poses: FloatArray, points: FloatArray) -> FloatArray:
+    """Find points (..., 2) of the world in the frames of robots at poses (..., 3)."""
+    return turn_into_robot(poses[..., 2], points - poses[..., :2])
+
+
+def turn_into_robot(headings: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Turn vectors (..., 2) of the world into frames with these headings (...,)."""
+    cos, sin = np.cos(headings), np.sin(headings)
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)
+
+
+def find_distances(poses: FloatArray, points: FloatArray) -> FloatArray:
+    """Find the distances (...,) of points (..., 2) from robots at poses (..., 3)."""
+    away = points - poses[..., :2]
+    return np.asarray(np.hypot(away[..., 0], away[..., 1]))
+
+
+class GoalProgress:
+    """Goals of robots, and how far each came towards its own in a step."""
+
+    def __init__(self, tolerance_m: float) -> None:
+        self._tolerance_m = tolerance_m
+        self.goals: FloatArray = np.zeros((0, 0, 2))
+        """In the world, (worlds, robots, 2)."""
+        self._distances: FloatArray = np.zeros((0, 0))
+
+    def restart(self, worlds: IntArray, poses: FloatArray, goals: FloatArray) -> None:
+        """Set the goals (m, robots, 2) of some worlds (m,); poses are those of all."""
+        if self.goals.shape != (*poses.shape[:2], 2):
+            self.goals = np.zeros((*poses.shape[:2], 2))
+            self._distances = np.zeros(poses.shape[:2])
+        self.goals[worlds] = goals
+        self._distances[worlds] = find_distances(poses[worlds], goals)
+
+    def advance(self, poses: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Find how far [m] each robot came, (worlds, robots), and whether it is at its goal."""
+        before, self._distances = self._distances, find_distances(poses, self.goals)
+        return before - self._distances, self._distances <= self._tolerance_m
