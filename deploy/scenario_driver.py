@@ -59,6 +59,7 @@ class ScenarioDriver:
         return update_and_check
 
     def close(self) -> None:
-        """End; the robots stop."""
+        """End; the robots stop, and the recording is whole."""
         self._others.close()
+        self._run.close()
         self._sim.close()

@@ -39,6 +39,7 @@ from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.scenario.scenario_loading import open_world
 from zensim.scenario.scenario_nodes import ScenarioInvalid
 from zensim.scenario.scenario_reader import Scenario, read_scenario
+from zensim.scenario.scenario_recording import find_recording
 from zensim.scenario.scenario_runner import RunReport, ScenarioFailed, run_scenario
 
 RUN_COMMAND = make_module_command("zensim.deploy.scenario_process")
@@ -121,7 +122,14 @@ def _make_failed_report(scenario: Scenario, request: RunRequest, error: str) -> 
         robots=len(scenario.robots),
         error=error,
         repeat=request.repeat,
+        recording=_find_kept_recording(scenario),
     )
+
+
+def _find_kept_recording(scenario: Scenario) -> str:
+    """Find what was recorded until a run failed, if anything was."""
+    path = find_recording(scenario)
+    return str(path) if path is not None and path.exists() else ""
 
 
 class CopyOutcome(msgspec.Struct, frozen=True):

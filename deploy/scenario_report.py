@@ -31,6 +31,8 @@ def format_run(run: RunReport) -> list[str]:
         lines.append(f"  {mark:<13} {check.name}: margin {format_margin(check)}{warn}")
         if check.message:
             lines.append(f"  {'':<13} {check.message} ({check.place})")
+    if run.recording:
+        lines.append(f"  recording: {run.recording}")
     return lines if run.is_passed or not run.repeat else [*lines, f"  repeat: {run.repeat}"]
 
 
@@ -104,7 +106,7 @@ def _add_suite(root: ElementTree.Element, run: RunReport) -> None:
         },
     )
     properties = ElementTree.SubElement(suite, "properties")
-    for name in ("seed", "state_hash", "sha256", "version", "repeat"):
+    for name in ("seed", "state_hash", "sha256", "version", "repeat", "recording"):
         value = to_xml_text(str(getattr(run, name)))
         ElementTree.SubElement(properties, "property", {"name": name, "value": value})
     for check in run.checks:

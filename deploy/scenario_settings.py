@@ -161,6 +161,7 @@ def add_scenario(
         completed,
         ros=_find_ros(config.ros, scenario, given),
         agents=make_agents(scenario, given),
+        keeps_inputs=config.keeps_inputs or scenario.format.record is not None,
     )
 
 

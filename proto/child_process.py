@@ -104,16 +104,23 @@ def run_process(
     return ProcessOutcome(process.returncode, output)
 
 
-def end_processes(processes: Sequence["subprocess.Popen[bytes]"], timeout_s: float) -> None:
-    """Send SIGTERM in this order, wait [s], send SIGKILL to the rest, and reap all."""
-    for process in processes:
+def end_processes(grace_s: Mapping["subprocess.Popen[bytes]", float]) -> None:
+    """Send SIGTERM in this order, SIGKILL to each after its time [s], and reap all."""
+    began_s = time.monotonic()
+    for process in grace_s:
         process.terminate()
-    deadline_s = time.monotonic() + timeout_s
-    while any(one.poll() is None for one in processes) and time.monotonic() < deadline_s:
-        time.sleep(END_POLL_S)
-    for process in processes:
-        process.kill()
-        process.wait()
+    left = dict(grace_s)
+    while left:
+        passed_s = time.monotonic() - began_s
+        for process, most_s in tuple(left.items()):
+            if process.poll() is not None:
+                del left[process]
+            elif passed_s >= most_s:
+                process.kill()
+                process.wait()
+        if left:
+            time.sleep(END_POLL_S)
+    for process in grace_s:
         close_pipes(process)
 
 

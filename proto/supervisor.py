@@ -16,7 +16,9 @@ from zensim.proto.child_process import (
 from zensim.proto.process_limits import PARENT_PID_VARIABLE
 
 TERMINATE_TIMEOUT_S = 1.2
-"""Grace period before SIGKILL; all processes must end within 2 s."""
+"""Grace period before SIGKILL; all processes but recorders must end within 2 s."""
+RECORDER_GRACE_S = 30.0
+"""Grace period of a recorder, which may have 100 MiB to write to a slow disk."""
 RESTART_DELAY_S = 0.5
 STEADY_S = 5.0
 """A program that has run for so long is restarted at once."""
@@ -41,6 +43,8 @@ class SupervisedProgram:
     module: str = CLI_MODULE
     process: "subprocess.Popen[bytes] | None" = None
     restarts: int = 0
+    grace_s: float = TERMINATE_TIMEOUT_S
+    """From SIGTERM to SIGKILL."""
     started_s: float = 0.0
     """Monotonic time of the last start."""
     restart_at_s: float = 0.0
@@ -64,9 +68,12 @@ class Supervisor:
         is_restarted: bool = False,
         is_essential: bool = True,
         module: str = CLI_MODULE,
+        grace_s: float = TERMINATE_TIMEOUT_S,
     ) -> SupervisedProgram:
         """Start `zensim ARGUMENTS`, or another module, as a process in a new session."""
-        program = SupervisedProgram(name, tuple(arguments), is_restarted, is_essential, module)
+        program = SupervisedProgram(
+            name, tuple(arguments), is_restarted, is_essential, module, grace_s=grace_s
+        )
         program.process = self._start_process(program)
         self.programs.append(program)
         return program
@@ -98,8 +105,9 @@ class Supervisor:
     def close(self) -> None:
         """End all processes: SIGTERM, then SIGKILL after the grace period."""
         # The server ends last, so that the others still have a network.
-        alive = [p.process for p in reversed(self.programs) if p.process is not None]
-        end_processes(alive, TERMINATE_TIMEOUT_S)
+        end_processes(
+            {one.process: one.grace_s for one in reversed(self.programs) if one.process is not None}
+        )
         self.programs.clear()
 
     def _start_process(self, program: SupervisedProgram) -> "subprocess.Popen[bytes]":

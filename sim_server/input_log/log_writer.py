@@ -121,10 +121,8 @@ class InputLog:
         self, service: str, client: str, request: msgspec.Struct, code: int, message: str
     ) -> None:
         """Note a request that changed the world, or was refused."""
-        text = "" if service in FILE_SERVICES else cut_text(msgspec.json.encode(request))
-        refusal = "" if code == ResultCode.OK else cut_text(message.encode())
         step = self._world.clock.steps
-        self._requests.append(ServiceRequest(step, service, client, text, code, refusal))
+        self._requests.append(make_noted_request(step, service, client, request, code, message))
 
     def note_control_step(self) -> None:
         """Note the states after a control step."""
@@ -307,6 +305,15 @@ class InputLog:
             published += measure_message(message)
             self._publish(message)
         self._waiting_bytes -= published
+
+
+def make_noted_request(
+    step: int, service: str, client: str, request: msgspec.Struct, code: int, message: str
+) -> ServiceRequest:
+    """Make the note of a request that changed the world, or was refused."""
+    text = "" if service in FILE_SERVICES else cut_text(msgspec.json.encode(request))
+    refusal = "" if code == ResultCode.OK else cut_text(message.encode())
+    return ServiceRequest(step, service, client, text, code, refusal)
 
 
 def cut_text(text: bytes) -> str:

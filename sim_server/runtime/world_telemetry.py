@@ -162,6 +162,11 @@ class WorldTelemetry:
         control_ns = world.control_steps * world.clock.step_ns
         return 0.0 < factor < control_ns * SNAPSHOT.rate_hz / NANOSECONDS
 
+    def restart(self) -> None:
+        """Let all topics be due, as the time by which they are published has gone back."""
+        for limiter in (*self._limiters.values(), self._idle_limiter):
+            limiter.reset()
+
     def save(self) -> DueTimes:
         """Take the times at which topics are due."""
         return DueTimes(self._limiters, self._idle_limiter, self._shown)

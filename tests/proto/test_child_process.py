@@ -117,9 +117,24 @@ def test_processes_that_ignore_sigterm_are_killed() -> None:
         assert process.stdout is not None
         process.stdout.readline()
 
-    end_processes(processes, 0.5)
+    end_processes(dict.fromkeys(processes, 0.5))
 
     assert [process.returncode for process in processes] == [-signal.SIGTERM, -signal.SIGKILL]
+
+
+def test_process_with_more_time_ends_by_itself_when_others_are_killed() -> None:
+    slow = f"import signal; signal.signal(signal.SIGTERM, lambda *_: exit(3)); print(); {SLEEP}"
+    stubborn = f"import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); print(); {SLEEP}"
+    patient, hasty = (
+        start_process(run_code(code), stdout=subprocess.PIPE) for code in (slow, stubborn)
+    )
+    for process in (patient, hasty):
+        assert process.stdout is not None
+        process.stdout.readline()
+
+    end_processes({hasty: 0.0, patient: 30.0})
+
+    assert (patient.returncode, hasty.returncode) == (3, -signal.SIGKILL)
 
 
 def test_frames_are_answered_in_order(echo: FramedProcess) -> None:

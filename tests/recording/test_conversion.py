@@ -14,8 +14,8 @@ from zensim.recording.conversion import (
     ConversionSettings,
     convert_recordings,
 )
-from zensim.recording.recording_parts import PartSettings
-from zensim.recording.recording_reader import RecordingReader
+from zensim.recording.recording_parts import PartSettings, RecordingParts
+from zensim.recording.recording_reader import RecordingReader, StoredMessage, StoredTopic
 from zensim.recording.topic_selection import TopicFilter, TopicSelection
 
 EVERYTHING = TopicSelection(wants_all=True)
@@ -145,3 +145,39 @@ def test_what_cannot_be_converted_is_refused_and_nothing_is_written(tmp_path: Pa
     assert not output.exists()
     with pytest.raises(FileExistsError):
         convert(source, output=source)
+
+
+@pytest.mark.parametrize("name", ["copy.mcap", "folder"])
+def test_conversion_that_fails_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    source, output = tmp_path / "run.mcap", tmp_path / name
+    write_recording(source, MESSAGES)
+    before = sorted(tmp_path.iterdir())
+    written: list[object] = []
+    write = RecordingParts.write
+
+    def fail_late(parts: RecordingParts[StoredTopic], message: StoredMessage) -> None:
+        written.append(message)
+        if len(written) == MESSAGES // 2:
+            raise OSError(28, "No space left on device")
+        write(parts, message)
+
+    monkeypatch.setattr(RecordingParts, "write", fail_late)
+    with pytest.raises(OSError, match="No space"):
+        convert(source, output=output)
+
+    assert len(written) == MESSAGES // 2
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_split_files_take_no_name_of_another_recording(tmp_path: Path) -> None:
+    source, other = tmp_path / "run.mcap", tmp_path / "copy_1.mcap"
+    write_run(source)
+    other.write_text("mine")
+
+    with pytest.raises(FileExistsError):
+        convert(source, output=tmp_path / "copy.mcap", parts={"max_duration_ns": 3 * SECOND})
+
+    assert other.read_text() == "mine"
+    assert sorted(one.name for one in tmp_path.glob("copy*")) == ["copy_1.mcap"]

@@ -1,5 +1,6 @@
 """A file of a stranger or with one damaged bit costs its damaged part, not the reader."""
 
+import io
 import struct
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from zensim.recording.chunk_compression import (
 )
 from zensim.recording.file_index import MAX_METADATA_BYTES, read_index
 from zensim.recording.mcap_records import FOOTER_BYTES, RECORD_HEAD, Metadata, Opcode
+from zensim.recording.mcap_scan import ScanReport, scan_file
 from zensim.recording.mcap_writer import McapWriter
 from zensim.recording.message_tables import PUBLISH_TIME, read_tables
 from zensim.recording.output_file import OutputFile
@@ -267,3 +269,56 @@ def test_time_of_publication_that_fits_no_table_is_the_last_time(tmp_path: Path)
     times = table.columns[PUBLISH_TIME]
     assert isinstance(times, np.ndarray)
     assert times.tolist() == [LAST_NS]
+
+
+def count_read_bytes(monkeypatch: pytest.MonkeyPatch, path: Path) -> int:
+    """Count the bytes that a scan reads of a file."""
+    counted = []
+
+    class CountedFile(io.FileIO):
+        def read(self, size: int | None = -1) -> bytes:
+            found = super().read(-1 if size is None else size)
+            counted.append(len(found))
+            return found
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "open", lambda file, _mode: CountedFile(str(file)))
+        list(scan_file(path, ScanReport()))
+    return sum(counted)
+
+
+def make_nested_heads(size: int) -> bytes:
+    """Make starts of chunks of which each claims all that follows it."""
+    step = 53
+    heads = []
+    for at in range(0, size, step):
+        content = size - at - step
+        head = RECORD_HEAD.pack(Opcode.CHUNK, step - 9 + content)
+        head += struct.pack("<QQQII", 0, 0, content, 1, 4) + b"zstd" + struct.pack("<Q", content)
+        heads.append(head)
+    return b"".join(heads)
+
+
+def test_search_in_a_damaged_file_reads_it_a_few_times(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.mcap"
+    write_recording(path, IN_A_CHUNK, is_closed=False)
+    whole = path.read_bytes()
+    size = 4000 * 53
+    path.write_bytes(whole + make_nested_heads(size))
+
+    read = count_read_bytes(monkeypatch, path)
+
+    assert read < 40 * path.stat().st_size
+
+
+def test_search_finds_chunks_behind_starts_that_are_none(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_recording(path, 2 * IN_A_CHUNK, is_closed=False)
+    content = path.read_bytes()
+    noise = (b"\x06" + bytes(36) + CHUNK_NAME + bytes(8)) * 1000
+    path.write_bytes(content[:-100] + noise + content[200:])
+    target = tmp_path / "whole.mcap"
+
+    assert recover_file(path, target).messages >= 3 * IN_A_CHUNK

@@ -8,14 +8,22 @@ from rosbags.rosbag2 import Reader
 
 from tests.recording.recordings import count_by_mcap, make_topic
 from zensim.proto.codec.message_codec import Format, encode
-from zensim.proto.messages.standard_messages import Odometry, TFMessage
-from zensim.recording import recording_parts
+from zensim.proto.messages.standard_messages import Odometry, TFMessage, TransformStamped
+from zensim.recording import latched_messages, recording_parts
 from zensim.recording.bag_info import read_info
+from zensim.recording.latched_messages import LatchedMessages
 from zensim.recording.mcap_records import AttachedFile, Metadata
+from zensim.recording.mcap_writer import McapWriter
 from zensim.recording.recorded_topics import RecordedMessage, RecordedTopic
-from zensim.recording.recording_parts import DiskFull, PartSettings, RecordingParts
+from zensim.recording.recording_parts import (
+    DiskFull,
+    PartSettings,
+    RecordingParts,
+    remove_recording,
+)
 from zensim.recording.snapshot_ring import SnapshotRing
 from zensim.recording.write_queue import WriteQueue
+from zensim.recording.written_topics import OVERHEAD_BYTES
 
 SECOND = 1_000_000_000
 ODOMETRY = encode(Odometry(), Format.CDR)
@@ -149,7 +157,7 @@ def test_recording_ends_before_the_disk_is_full(tmp_path: Path) -> None:
 
 def test_queue_counts_what_has_no_room(tmp_path: Path) -> None:
     parts: RecordingParts[RecordedTopic] = RecordingParts(PartSettings(path=tmp_path / "run.mcap"))
-    queue = WriteQueue(parts, max_bytes=len(ODOMETRY) * 2)
+    queue = WriteQueue(parts, max_bytes=(OVERHEAD_BYTES + len(ODOMETRY)) * 2)
 
     queue.put([odometry_at(number) for number in range(2)])
     queue.put([odometry_at(number) for number in range(3)])
@@ -189,7 +197,38 @@ def test_queue_ends_with_any_failure_of_writing(
     assert queue.lost == 2  # besides the one that failed
 
 
-def test_recording_ends_before_a_file_has_more_channels_than_numbers(
+def test_small_messages_count_with_the_memory_that_they_take(tmp_path: Path) -> None:
+    parts: RecordingParts[RecordedTopic] = RecordingParts(PartSettings(path=tmp_path / "run.mcap"))
+    queue = WriteQueue(parts, max_bytes=1000)
+    ring = SnapshotRing(span_ns=0, max_bytes=1000)
+
+    queue.put([(ODOM, 0, 0, b"\0\1\0\0")] * 10)
+    for _ in range(10):
+        ring.add((ODOM, 0, 0, b"\0\1\0\0"))
+    queue.stop()
+    close(parts)
+
+    assert queue.lost == 10
+    assert len(ring.take()) < 5
+
+
+def test_file_ends_before_it_has_more_channels_than_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording_parts, "MAX_CHANNELS", 2)
+    path = tmp_path / "run.mcap"
+    parts: RecordingParts[RecordedTopic] = RecordingParts(PartSettings(path=path))
+    topics = [make_topic(f"r{number}/odom", Odometry) for number in range(3)]
+
+    for time_ns, topic in enumerate((*topics, topics[2], topics[0])):
+        parts.write((topic, time_ns, 0, ODOMETRY))
+    close(parts)
+
+    assert count_by_mcap(path) == {"/r0/odom": 1, "/r1/odom": 1}
+    assert count_by_mcap(tmp_path / "run_1.mcap") == {"/r0/odom": 1, "/r2/odom": 2}
+
+
+def test_recording_ends_when_latched_topics_alone_are_too_many(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recording_parts, "MAX_CHANNELS", 1)
@@ -203,6 +242,99 @@ def test_recording_ends_before_a_file_has_more_channels_than_numbers(
 
     assert isinstance(queue.failure, OSError)
     assert count_by_mcap(path) == {"/r1/odom": 1}
+    assert count_by_mcap(tmp_path / "run_1.mcap") == {"/r1/tf_static": 1}
+
+
+def test_next_file_is_whole_when_the_last_messages_of_one_could_not_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.mcap"
+    parts: RecordingParts[RecordedTopic] = RecordingParts(PartSettings(path=path))
+    parts.write(odometry_at(0.0))
+
+    def fail(_writer: McapWriter) -> None:
+        monkeypatch.undo()
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(McapWriter, "flush", fail)
+    with pytest.raises(OSError, match="No space"):
+        parts.start_part(SECOND, SECOND)
+    close(parts)
+
+    assert [count_by_mcap(tmp_path / name) for name in ("run.mcap", "run_1.mcap")] == [{}, {}]
+    assert parts.written == 0
+
+
+def test_discarded_recording_leaves_nothing(tmp_path: Path) -> None:
+    (tmp_path / "other.mcap").touch()
+    for path in (tmp_path / "run.mcap", tmp_path / "run"):
+        parts: RecordingParts[RecordedTopic] = RecordingParts(
+            PartSettings(path=path, max_duration_ns=SECOND)
+        )
+        for number in range(3):
+            parts.write(odometry_at(number))
+        parts.discard()
+
+    assert [one.name for one in tmp_path.iterdir()] == ["other.mcap"]
+
+
+def test_removal_takes_the_files_of_one_recording_only(tmp_path: Path) -> None:
+    for name in ("a.mcap", "b.mcap", "folder"):
+        parts: RecordingParts[RecordedTopic] = RecordingParts(
+            PartSettings(path=tmp_path / name, max_duration_ns=SECOND)
+        )
+        for number in range(3):
+            parts.write(odometry_at(number))
+        close(parts)
+    (tmp_path / "folder" / "mine.txt").touch()
+
+    for name in ("a.mcap", "folder", "nothing.mcap"):
+        remove_recording(tmp_path / name)
+
+    left = sorted(one.name for one in tmp_path.rglob("*"))
+    assert left == ["b.mcap", "b_1.mcap", "b_2.mcap", "folder", "mine.txt"]
+
+
+def test_metadata_of_a_recording_that_is_gone_is_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    for count in (1, 2):
+        path.unlink(missing_ok=True)
+        parts: RecordingParts[RecordedTopic] = RecordingParts(PartSettings(path=path))
+        for number in range(count):
+            parts.write(odometry_at(number))
+        close(parts)
+
+    with Reader(tmp_path) as reader:
+        assert [one.msgcount for one in reader.connections] == [2]
+
+
+def test_transforms_of_all_agents_are_latched_once_for_each_frame() -> None:
+    latched: LatchedMessages[RecordedTopic] = LatchedMessages()
+    topic = make_topic("tf_static", TFMessage)
+    first, second = write_transforms("r1/base"), write_transforms("r2/base")
+    moved = write_transforms("r1/base", "r1/lidar")
+
+    added = [latched.add(topic, one) for one in (first, second, first, moved)]
+
+    assert added == [True, True, False, True]
+    assert [one[3] for one in latched.list_at(0, 0)] == [second, moved]
+
+
+def test_latched_transforms_have_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    latched: LatchedMessages[RecordedTopic] = LatchedMessages()
+    topic = make_topic("tf_static", TFMessage)
+    messages = [write_transforms(f"r{number:02}/base") for number in range(20)]
+    monkeypatch.setattr(latched_messages, "MAX_SHARED_BYTES", 5 * len(messages[0]))
+
+    for one in messages:
+        latched.add(topic, one)
+
+    assert [one[3] for one in latched.list_at(0, 0)] == messages[-5:]
+
+
+def write_transforms(*frames: str) -> bytes:
+    transforms = tuple(TransformStamped(child_frame_id=frame) for frame in frames)
+    return encode(TFMessage(transforms), Format.CDR)
 
 
 def test_ring_keeps_the_last_seconds_and_latched_messages() -> None:
@@ -223,7 +355,7 @@ def test_ring_keeps_the_last_seconds_and_latched_messages() -> None:
 
 
 def test_ring_keeps_no_more_bytes_than_it_may() -> None:
-    ring = SnapshotRing(span_ns=0, max_bytes=3 * len(ODOMETRY))
+    ring = SnapshotRing(span_ns=0, max_bytes=3 * (OVERHEAD_BYTES + len(ODOMETRY)))
     for number in range(10):
         ring.add(odometry_at(number))
 

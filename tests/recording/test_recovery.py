@@ -8,6 +8,7 @@ import pytest
 from tests.recording.recordings import count_by_rosbags, write_recording
 from zensim.recording.bag_info import read_info
 from zensim.recording.mcap_records import Opcode
+from zensim.recording.mcap_writer import McapWriter
 from zensim.recording.output_file import find_reserve
 from zensim.recording.recovery import recover_file
 
@@ -109,3 +110,19 @@ def test_info_of_a_folder_adds_its_files(tmp_path: Path) -> None:
 
     assert found.messages == 300
     assert [Path(name).name for name in found.files] == ["a_0.mcap", "a_1.mcap"]
+
+
+def test_recovery_that_fails_leaves_no_file(
+    unclosed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = unclosed.with_name("whole.mcap")
+
+    def fail(_writer: McapWriter) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(McapWriter, "close", fail)
+    with pytest.raises(OSError, match="No space"):
+        recover_file(unclosed, target)
+
+    assert not target.exists()
+    assert unclosed.exists()

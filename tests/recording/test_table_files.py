@@ -120,3 +120,20 @@ def test_columns_have_units() -> None:
     assert find_unit("twist.twist.angular.z") == "rad/s"
     assert find_unit("transform.rotation.w") == "1"
     assert find_unit("header.frame_id") == ""
+
+
+def test_tables_of_similar_topics_have_files_of_their_own(tmp_path: Path) -> None:
+    path, folder = tmp_path / "run.mcap", tmp_path / "tables"
+    parts: RecordingParts[RecordedTopic] = RecordingParts(PartSettings(path=path))
+    for number, key in enumerate(("a/b", "a_b", "A_b")):
+        text = encode(String(f"text {number}"), Format.CDR)
+        parts.write((make_topic(key, String), number, number, text))
+    parts.close()
+
+    run_in_process("bag", "export", str(path), "--to", "csv", "-o", str(folder))
+
+    files = json.loads((folder / "columns.json").read_text())
+    assert len({one["file"].casefold() for one in files.values()}) == 3
+    rows = [(folder / one["file"]).read_text().splitlines()[1] for one in files.values()]
+    assert sorted(row.split(",")[-1] for row in rows) == ["text 0", "text 1", "text 2"]
+    assert not list(folder.glob(".*"))

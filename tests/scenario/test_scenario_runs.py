@@ -197,3 +197,75 @@ def test_looking_at_topics_does_not_change_the_run(tmp_path: Path) -> None:
 
     for _ in range(4):
         assert run(read(tmp_path, text + look, head)).state_hash == blind
+
+
+RECORDED = (
+    AHEAD
+    + "checks:\n  - {name: fast, robots: r0, that: speed, above: 1, from: 0.5}\nend: {at: 1}\n"
+)
+
+
+@pytest.mark.parametrize("keep", ["always", "on_failure"])
+def test_run_that_fails_is_recorded_from_its_first_spawn(tmp_path: Path, keep: str) -> None:
+    section = (
+        "record:\n  to: 'runs/{name}-{seed}.mcap'\n  topics: ['*/odom', 'sim/**']\n"
+        f"  keep: {keep}\n"
+    )
+
+    report = run(read(tmp_path, RECORDED + section))
+
+    file = tmp_path / "runs" / "run-0.mcap"
+    assert not report.is_passed
+    assert report.recording == str(file)
+    recording = zensim.Recording(file)
+    assert recording.counts["/r0/odom"] == recording.counts["/r1/odom"] > 50
+    events = [message.data.data for message in recording.messages("sim/default/events")]  # type: ignore[attr-defined]
+    assert sum('"spawned"' in one for one in events) == 2
+
+
+def test_recording_of_a_run_that_passed_is_kept_only_if_wanted(tmp_path: Path) -> None:
+    section = "record: {to: run.mcap, keep: on_failure}\nend: {at: 0.2}\n"
+
+    report = run(read(tmp_path, AHEAD + section))
+
+    assert report.is_passed
+    assert report.recording == ""
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["run.scenario.yaml"]
+
+
+def test_equal_runs_replace_their_recording_by_an_equal_one(tmp_path: Path) -> None:
+    scenario = read(tmp_path, AHEAD + "record: {to: run.mcap}\nend: {at: 0.5}\n")
+
+    run(scenario)
+    first = (tmp_path / "run.mcap").read_bytes()
+    run(scenario)
+
+    assert (tmp_path / "run.mcap").read_bytes() == first
+    assert zensim.Recording(tmp_path / "run.mcap").is_closed
+
+
+def test_recording_of_a_run_that_raises_is_whole(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(
+        "class Fails:\n"
+        "    def __init__(self, robots): pass\n"
+        "    def update(self, now, state):\n"
+        "        if now > 0.3: raise RuntimeError('enough')\n"
+        "        return 1.0\n"
+    )
+    check = "checks:\n  - {name: own, that: python, call: 'own:Fails'}\n"
+    scenario = read(tmp_path, check + "record: {to: run.mcap, keep: on_failure}\nend: {at: 1}\n")
+
+    with zensim.World() as world, pytest.raises(RuntimeError):
+        run_scenario(scenario, world)
+
+    assert zensim.Recording(tmp_path / "run.mcap").is_closed
+
+
+def test_run_that_cannot_be_recorded_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "runs").touch()
+    scenario = read(tmp_path, "record: {to: runs/run.mcap}\nend: {at: 1}\n")
+
+    with pytest.raises(zensim.Error) as refused:
+        run(scenario)
+
+    assert refused.value.slug == "no_recorder"

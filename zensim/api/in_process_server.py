@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, cast
 from uuid import uuid4
 
 import msgspec
@@ -24,7 +24,8 @@ from zensim.api.world_snapshots import read_snapshot, write_snapshot
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import ClaimShareRequest, DriveState, expand_grants
-from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.input_messages import ServiceRequest
+from zensim.proto.messages.result_messages import Result, ResultCode
 from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import Event, Snapshot
@@ -33,6 +34,7 @@ from zensim.proto.network_protocols import Sample
 from zensim.proto.service_catalog import (
     CLAIM_SHARE,
     JOIN_LOCKSTEP,
+    SIMULATE_STEPS,
     Request,
     Response,
     Service,
@@ -47,6 +49,7 @@ from zensim.sim_server.description.builtin_models import list_builtin_worlds
 from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import SimError, UnsupportedFeature
 from zensim.sim_server.initial_world import load_initial_world, make_initial_world, make_parts
+from zensim.sim_server.input_log.log_writer import make_noted_request
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.in_process_parser import InProcessParser
 from zensim.sim_server.physics.engine import EngineRefused
@@ -106,6 +109,19 @@ def open_shared_store(process_id: int) -> AssetStore:
 def read_no_time() -> int:
     """Return wall time 0: what a server divides among turns of its loop is done at once."""
     return 0
+
+
+class StepRecorder(Protocol):
+    """Records what this world publishes."""
+
+    def note_request(self, request: ServiceRequest) -> None:
+        """Note a request that changed the world, or was refused."""
+
+    def note_call(self) -> None:
+        """Note that a service was called: time may have been reset, and entities spawned."""
+
+    def take(self) -> None:
+        """Take what was published since the last call."""
 
 
 class SavedTelemetry(NamedTuple):
@@ -174,6 +190,7 @@ class InProcessServer:
         self.robots = PooledRobots(self.network, CMD_VEL_TIMEOUT_NS)
         self._telemetry = InProcessTelemetry(self.parts, self.network, self.robots)
         self.collision_watch: CollisionWatch | None = None
+        self.recorders: list[StepRecorder] = []
         self._name = uuid4().hex
         self._users = weakref.WeakSet[InProcessSubscription]()
         """Subscriptions of the user; those of the robots are a part of the state."""
@@ -187,6 +204,7 @@ class InProcessServer:
         Raises:
             ServiceError: The request was refused.
         """
+        step = self.world.clock.steps
         try:
             response = self._handle(service, request)
         except SimError as error:
@@ -194,8 +212,19 @@ class InProcessServer:
         except MalformedPayload as error:
             text = f"malformed request: {error}"
             response = make_refusal(service.name, ResultCode.OPERATION_FAILED, text)
+        if self.recorders and service.is_mutating and service is not SIMULATE_STEPS:
+            self._note_request(step, service.name, request, response)
         self._settle()
         return require_ok(service, response)
+
+    def _note_request(
+        self, step: int, service: str, request: msgspec.Struct, response: msgspec.Struct
+    ) -> None:
+        result = getattr(response, "result", None) or Result()
+        code, message = result.result, result.error_message
+        noted = make_noted_request(step, service, CLIENT, request, code, message)
+        for recorder in self.recorders:
+            recorder.note_request(noted)
 
     def step(self, steps: int) -> None:
         """Make steps; the pool answers each control step before the next step."""
@@ -282,19 +311,39 @@ class InProcessServer:
         self._users.add(subscription)
         self.sensor_network.add(subscription)
         sensors = self._find_sensors()
+        if sensors is not None and (refusal := sensors.find_refusal(key)):
+            subscription.close()
+            raise Unsupported(f"topic '{key}': {refusal}", slug="sensor_not_measured")
+        subscription.samples.extend(self.get(key))
+        return subscription
+
+    def get(self, key: str) -> list[Sample]:
+        """Get the last value of each key that fits."""
         query = self.network.query(key)
         self.robots.check_all()
         self.robots.reply_to_queries()
-        last = query.samples or self._telemetry.find_last(key)
-        if sensors is not None:
-            if refusal := sensors.find_refusal(key):
-                subscription.close()
-                raise Unsupported(f"topic '{key}': {refusal}", slug="sensor_not_measured")
+        last = query.samples or self.get_of_world(key)
+        if (sensors := self._sensors) is not None:
             query = self.sensor_network.query(key)
             sensors.reply_to_queries()
             last = last or query.samples
-        subscription.samples.extend(last)
-        return subscription
+        return last
+
+    def get_of_world(self, key: str) -> list[Sample]:
+        """Get the last value of a topic of the world, if it always has one."""
+        return self._telemetry.find_last(key)
+
+    def ask(self, service: Service[Request, Response], request: Request) -> Response:
+        """Call a service that changes nothing, also between the parts of a step.
+
+        Raises:
+            ServiceError: The request was refused.
+        """
+        try:
+            return require_ok(service, self._handle(service, request))
+        except SimError as error:
+            refusal = make_refusal(service.name, error.code, str(error))
+            return require_ok(service, refusal)
 
     def publish(self, key: str, payload: bytes, encoding: str) -> None:
         """Publish a message of the user to robots and sensors."""
@@ -364,6 +413,8 @@ class InProcessServer:
 
     def _settle(self) -> None:
         """Let the pool claim new robots, and follow changed claims and resets."""
+        for recorder in self.recorders:
+            recorder.note_call()
         roster = self.world.entities.roster_number
         if roster != self._shared_roster:
             self._shared_roster = roster
@@ -416,6 +467,8 @@ class InProcessServer:
             if self._sensors is not None:
                 self._sensors.publish()
         self.follow()
+        for recorder in self.recorders:
+            recorder.take()
 
 
 @dataclass(frozen=True)
@@ -442,15 +495,20 @@ class InProcessTelemetry:
         self._contacts = ContactTelemetry(parts.world, parts.store.vertices)
         self._checked = (-1, -1)
         """Version of the subscriptions and of the claims that the publishers of robots know."""
+        self._published_ns = 0
 
     def publish(self) -> None:
         """Publish what is due at a control step; contacts first, as a server does."""
         self._check_publishers()
         self._publish_contacts()
-        for topic in self._messages.due(self._world.clock.time_ns):
+        time_ns = self._world.clock.time_ns
+        if time_ns < self._published_ns:
+            self._messages.restart()
+        self._published_ns = time_ns
+        for topic in self._messages.due(time_ns):
             if self._is_wanted(topic):
                 self._put(topic, self._messages.message(topic))
-        self._map.poll(self._world.clock.time_ns)
+        self._map.poll(time_ns)
 
     def _check_publishers(self) -> None:
         """Let robots know of changed subscriptions, all at once: no message may be missed."""

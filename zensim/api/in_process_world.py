@@ -29,6 +29,8 @@ from zensim.sim_server.server_config import CONTROL_HZ, ServerConfig
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+    from zensim.api.in_process_recorder import InProcessRecorder
+
 IN_PROCESS = EngineOptions(workers=0, compiles_ahead=False)
 NO_CLOCK_HINT = "use run_for(), step() or steps(), or zensim.launch(rtf=1) for a world that runs"
 
@@ -154,6 +156,17 @@ class InProcessAccess(WorldAccess):
         self._require_open()
         encoding = make_encoding(message, Format.CDR)
         self.server.publish(key, encode(message, Format.CDR), encoding)
+
+    def record(
+        self, path: Path, topics: Sequence[str], rate: float, timeout_s: float
+    ) -> "InProcessRecorder":
+        """See `WorldAccess`."""
+        # Imported here: most worlds are not recorded.
+        from zensim.api.in_process_recorder import InProcessRecorder  # noqa: PLC0415
+
+        del timeout_s
+        self._require_open()
+        return InProcessRecorder(self.server, path, topics, rate)
 
     def wait_until_driven(self, names: Sequence[str], timeout_s: float) -> None:
         """Check that the pool drives these robots: it claims them when they are spawned."""

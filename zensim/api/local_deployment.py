@@ -23,7 +23,12 @@ from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
 from zensim.proto.messages.telemetry_messages import Event, Info, WorldClock
 from zensim.proto.network_protocols import Sample
 from zensim.proto.ros2.ros_settings import RosSettings, to_cli_arguments
-from zensim.proto.supervisor import PREPARED_START_MODULE, SupervisedProgram, Supervisor
+from zensim.proto.supervisor import (
+    PREPARED_START_MODULE,
+    RECORDER_GRACE_S,
+    SupervisedProgram,
+    Supervisor,
+)
 from zensim.proto.topic_catalog import CLOCK, EVENTS, ODOM
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, RateOverrides
 from zensim.sim_server.pacing.lockstep import LOCKSTEP_TIMEOUT_S, OnMiss
@@ -513,6 +518,7 @@ def _start_recorder(deployment: LocalDeployment) -> None:
         ),
         # The world goes on without it, and it would not write over its files.
         is_essential=False,
+        grace_s=RECORDER_GRACE_S,
     )
 
 

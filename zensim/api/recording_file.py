@@ -1,20 +1,26 @@
 """Recording: the messages of a recording by topic and time, and tables of them."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from zensim.api.api_errors import Invalid, NotFound
-from zensim.proto.codec.message_codec import decode
+from zensim.api.api_errors import Error, Invalid, NotFound
+from zensim.api.argument_checks import check_range, check_text
+from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.schema import list_cdr_types
 from zensim.recording.message_columns import TextColumn
 from zensim.recording.message_tables import read_tables
 from zensim.recording.recording_reader import LAST_NS, Accepts, RecordingReader
 from zensim.recording.topic_selection import TopicFilter, TopicSelection
+
+MAX_TIME_S: Final = 9e9
+"""Log times have 63 bits [ns]."""
 
 
 class StoredValue(msgspec.Struct, frozen=True):
@@ -36,13 +42,16 @@ class StoredValue(msgspec.Struct, frozen=True):
         """The decoded message, with the fields of its ROS 2 type.
 
         Raises:
-            Invalid: zensim does not know the type.
-            MalformedPayload: The bytes are not that message.
+            Invalid: zensim does not know the type, or the bytes are not that message.
         """
         kind = list_cdr_types().get(self.ros_type)
         if kind is None:
             raise Invalid(f"type '{self.ros_type}' of {self.topic} is not known", slug="no_type")
-        return decode(kind, self.payload, "application/cdr")
+        try:
+            return decode(kind, self.payload, "application/cdr")
+        except MalformedPayload as error:
+            text = f"a message of {self.topic} is no {self.ros_type}: {error}"
+            raise Invalid(text, slug="malformed") from error
 
 
 class Recording:
@@ -61,14 +70,11 @@ class Recording:
         Raises:
             NotFound: There is none.
             Invalid: It is not an MCAP file.
+            Error: It cannot be read.
         """
         self.path = Path(path)
-        try:
+        with reading(self.path):
             self._reader = RecordingReader(self.path)
-        except FileNotFoundError as error:
-            raise NotFound(f"there is no recording '{path}'", slug="no_recording") from error
-        except ValueError as error:
-            raise Invalid(str(error), slug="no_recording") from error
 
     @property
     def topics(self) -> dict[str, str]:
@@ -113,12 +119,15 @@ class Recording:
 
         Raises:
             NotFound: There is none of this name.
+            Invalid: It is damaged.
+            Error: The file cannot be read.
         """
         if name not in self.attachments:
             raise NotFound(
                 f"no file '{name}' is attached", hint=f"of {', '.join(self.attachments)}"
             )
-        return self._reader.read_attachment(name)
+        with reading(self.path):
+            return self._reader.read_attachment(name)
 
     def messages(
         self, *topics: str, start: float = 0.0, end: float | None = None
@@ -129,15 +138,20 @@ class Recording:
             topics: Names, with wildcards such as `*/odom`; all if none is given.
             start: First log time [s].
             end: Last log time [s]; None = to the end.
+
+        Raises:
+            Invalid: A topic or time is not valid, or the compression is not supported.
+            Error: A file cannot be read.
         """
-        last_ns = LAST_NS if end is None else round(end * NANOSECONDS)
-        found = self._reader.messages(
-            make_filter(topics), start_ns=round(start * NANOSECONDS), end_ns=last_ns
-        )
-        for topic, log_ns, publish_ns, payload in found:
-            yield StoredValue(
-                topic.name, topic.ros_type, log_ns / NANOSECONDS, publish_ns / NANOSECONDS, payload
-            )
+        start_ns, end_ns = to_log_time("start", start), to_log_time("end", end)
+        return self._read_messages(make_filter(topics), start_ns, end_ns)
+
+    def _read_messages(self, accepts: Accepts, start_ns: int, end_ns: int) -> Iterator[StoredValue]:
+        with reading(self.path):
+            found = self._reader.messages(accepts, start_ns=start_ns, end_ns=end_ns)
+            for topic, log_ns, publish_ns, payload in found:
+                times = log_ns / NANOSECONDS, publish_ns / NANOSECONDS
+                yield StoredValue(topic.name, topic.ros_type, *times, payload)
 
     def table(
         self, *topics: str, start: float = 0.0, end: float | None = None, arrays: bool = False
@@ -156,15 +170,16 @@ class Recording:
 
         Raises:
             NotFound: There are no messages of these topics.
-            Invalid: They are of several kinds.
+            Invalid: They are of several kinds, a topic or time is not valid, or the compression
+                is not supported.
+            Error: A file cannot be read.
         """
-        tables = read_tables(
-            self._reader,
-            make_filter(topics),
-            start_ns=round(start * NANOSECONDS),
-            end_ns=LAST_NS if end is None else round(end * NANOSECONDS),
-            wants_arrays=arrays,
-        )
+        chosen = make_filter(topics)
+        start_ns, end_ns = to_log_time("start", start), to_log_time("end", end)
+        with reading(self.path):
+            tables = read_tables(
+                self._reader, chosen, start_ns=start_ns, end_ns=end_ns, wants_arrays=arrays
+            )
         if not tables:
             raise NotFound(f"no messages of {', '.join(topics) or 'any topic'}", slug="no_messages")
         if len(tables) > 1:
@@ -183,7 +198,47 @@ class Recording:
         )
 
 
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Convert the errors of a reader to those of the API.
+
+    Raises:
+        NotFound: There is no recording.
+        Invalid: It is no MCAP file, or is damaged, or its compression is not supported.
+        Error: It cannot be read.
+    """
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise NotFound(f"there is no recording '{path}'", slug="no_recording") from error
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise Error(f"'{path}' cannot be read: {reason}", slug="no_recording") from error
+    except Error:
+        raise
+    except ValueError as error:
+        raise Invalid(str(error), slug="no_recording") from error
+
+
+def to_log_time(what: str, seconds: float | None) -> int:
+    """Convert seconds to a log time [ns]; None is the last that there is.
+
+    Raises:
+        Invalid: It is no number, or out of range.
+    """
+    if seconds is None:
+        return LAST_NS
+    check_range(what, seconds, -MAX_TIME_S, MAX_TIME_S)
+    return round(seconds * NANOSECONDS)
+
+
 def make_filter(topics: tuple[str, ...]) -> Accepts:
-    """Make the function that chooses topics by name; all if none is given."""
+    """Make the function that chooses topics by name; all if none is given.
+
+    Raises:
+        Invalid: One is no text.
+    """
+    for topic in topics:
+        check_text("topic", topic)
     chosen = TopicFilter(TopicSelection(topics=topics, wants_all=not topics))
     return lambda topic: chosen.accepts(topic.name)

@@ -6,10 +6,12 @@ import time
 import uuid
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 
 import msgspec
 
 from zensim.api.api_errors import Closed, ConnectionLost, Denied, Timeout
+from zensim.api.recorder_process import RecorderProcess
 from zensim.api.step_channel import StepChannel
 from zensim.api.world_access import Message, TopicFeed, WorldAccess
 from zensim.api.world_state import WorldState, make_world_state
@@ -381,6 +383,14 @@ class ServerAccess(WorldAccess):
             self._require_role(Operation.DECLARE_TOKEN, keys.bond(self.world_name, name))
             self._bond = name, self.bus.token(keys.bond(self.world_name, name))
         return self._bond[0]
+
+    def record(
+        self, path: Path, topics: Sequence[str], rate: float, timeout_s: float
+    ) -> RecorderProcess:
+        """See `WorldAccess`."""
+        self._require_open()
+        options = (*(topics or ("--all",)), "--rate", f"{rate:g}")
+        return RecorderProcess(self.bus.endpoint, self.world_name, path, options, timeout_s)
 
     def end_lease(self) -> None:
         """Return the world to its former mode, and stop what this client commands."""

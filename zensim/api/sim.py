@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from zensim.api.argument_checks import check_range
 from zensim.api.server_access import ServerAccess
@@ -10,7 +9,6 @@ from zensim.api.simulation import Simulation
 from zensim.api.topic import TopicCallback
 from zensim.api.world_access import api_errors
 from zensim.api.world_page import WorldPage
-from zensim.api.world_recorder import WorldRecorder
 from zensim.api.world_session import STEP_TIMEOUT_S, list_robot_topics
 from zensim.api.world_state import WorldState
 from zensim.proto.messages.agent_messages import TwistCommands
@@ -19,8 +17,6 @@ from zensim.proto.topic_catalog import WORLD_TOPICS
 
 FULL_ROLE = "full"
 PAGE_TIMEOUT_S = 30.0
-RECORDER_TIMEOUT_S = 30.0
-MAX_RATE_HZ = 10_000.0
 MAX_PORT = 65_535
 
 
@@ -30,7 +26,6 @@ class Sim(Simulation):
     def __init__(self, access: ServerAccess) -> None:
         self._access = access
         self._pages: list[WorldPage] = []
-        self._recorders: list[WorldRecorder] = []
         super().__init__(access)
         access.role = self._info.role
 
@@ -165,40 +160,10 @@ class Sim(Simulation):
         self._pages.append(page)
         return page
 
-    def record(
-        self,
-        file: str | Path,
-        *topics: str,
-        rate: float = 0.0,
-        timeout_s: float = RECORDER_TIMEOUT_S,
-    ) -> WorldRecorder:
-        """Record topics to an MCAP file, by a process on this host, until it is closed.
-
-        Args:
-            file: New file with suffix `.mcap`, or a new folder.
-            topics: Names, with wildcards such as `*/odom`; all if none is given.
-            rate: Keep the newest message of each topic so often in simulation time [Hz]; 0 = all.
-            timeout_s: Wall time of its start.
-
-        Raises:
-            Error: It cannot record, for example as the file exists.
-            Timeout: It has not begun in time.
-        """
-        self._session.check_open()
-        check_range("rate", rate, 0.0, MAX_RATE_HZ)
-        options = (*(topics or ("--all",)), "--rate", f"{rate:g}")
-        recorder = WorldRecorder(
-            self.endpoint, self._access.world_name, Path(file), options, timeout_s
-        )
-        self._recorders.append(recorder)
-        return recorder
-
     def close(self) -> None:
         """See `Simulation.close`."""
         while self._pages:
             self._pages.pop().close()
-        while self._recorders:
-            self._recorders.pop().close()
         super().close()
 
     @contextmanager

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, get_args
 
@@ -63,6 +64,7 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
     from zensim.api.topic import Topic
+    from zensim.api.world_recorder import WorldRecorder
 
 Handle = TypeVar("Handle", bound=EntityHandle)
 RATE_TOLERANCE = 1e-6
@@ -71,6 +73,9 @@ MAX_STEPS = 10_000_000
 """Of one call of `step`."""
 DRIVEN_TIMEOUT_S = 10.0
 """Wall time within which an agent must drive a new robot."""
+RECORDER_TIMEOUT_S = 30.0
+MAX_RATE_HZ = 10_000.0
+"""Of topics that are thinned."""
 
 
 class WorldKeywords(TypedDict, total=False):
@@ -128,6 +133,7 @@ class Simulation(ClosedOnExit):
     def __init__(self, access: WorldAccess) -> None:
         self._session = WorldSession(access)
         self._info = self._read_info()
+        self._recorders: list[WorldRecorder] = []
 
     # State
 
@@ -578,11 +584,52 @@ class Simulation(ClosedOnExit):
                 service, request, world=self._session.access.world_name
             )
 
+    # Recording
+
+    def record(
+        self,
+        file: str | Path,
+        *topics: str,
+        rate: float = 0.0,
+        timeout_s: float = RECORDER_TIMEOUT_S,
+    ) -> "WorldRecorder":
+        """Record topics to an MCAP file, until the recorder or this simulation is closed.
+
+        On a server a process of this host records. A world in process records by itself: nothing
+        is lost, all times are simulation time, and equal runs give equal files, byte by byte.
+
+        Args:
+            file: New file with suffix `.mcap`, or a new folder.
+            topics: Names, with wildcards such as `*/odom`; all if none is given.
+            rate: Keep the newest message of each topic so often in simulation time [Hz]; 0 = all.
+            timeout_s: Wall time of its start.
+
+        Raises:
+            Error: It cannot record, for example as the file exists.
+            Timeout: It has not begun in time.
+        """
+        self._session.check_open()
+        check_range("rate", rate, 0.0, MAX_RATE_HZ)
+        for topic in topics:
+            check_text("topic", topic)
+        with api_errors():
+            recorder = self._session.access.record(Path(file), topics, rate, timeout_s)
+        self._recorders.append(recorder)
+        return recorder
+
     # Lifetime
 
     def close(self) -> None:
-        """Stop what this client commands, and end; may be repeated."""
-        self._session.close()
+        """Stop what this client commands, and end; may be repeated.
+
+        Raises:
+            Error: A recorder ended before, for example as the disk is full.
+        """
+        with ExitStack() as stack:
+            stack.callback(self._session.close)
+            for recorder in self._recorders:
+                stack.callback(recorder.close)
+            self._recorders = []
 
     def __reduce__(self) -> tuple[object, ...]:
         """Refuse: a simulation belongs to its process.

@@ -3,7 +3,8 @@
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Generic, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import msgspec
 
@@ -13,6 +14,9 @@ from zensim.api.world_state import WorldState
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.service_catalog import Request, Response, Service
+
+if TYPE_CHECKING:
+    from zensim.api.world_recorder import WorldRecorder
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 
@@ -126,6 +130,17 @@ class WorldAccess(ABC):
     @abstractmethod
     def client(self) -> str:
         """Name of this client, for orders and the lease of stepping."""
+
+    @abstractmethod
+    def record(
+        self, path: Path, topics: Sequence[str], rate: float, timeout_s: float
+    ) -> "WorldRecorder":
+        """Record topics; see `Simulation.record`.
+
+        Raises:
+            Error: It cannot record.
+            Timeout: It has not begun in time.
+        """
 
     @abstractmethod
     def close(self) -> None:

@@ -4,6 +4,7 @@ import hashlib
 import heapq
 from collections.abc import Iterable, Iterator, Sequence
 from operator import itemgetter
+from pathlib import Path
 from typing import Final
 
 import msgspec
@@ -20,6 +21,7 @@ from zensim.recording.recording_reader import (
     StoredTopic,
     list_spans,
 )
+from zensim.recording.staged_recording import staged_recording
 from zensim.recording.topic_selection import TopicFilter
 
 PRESETS: Final = {
@@ -65,14 +67,8 @@ def convert_recordings(
     """
     topics = merge_topics(readers, settings.chosen)
     require_mergeable(readers)
-    parts: RecordingParts[StoredTopic] = RecordingParts(settings.parts)
-    try:
-        for attachment in _list_attachments(readers):
-            parts.attach(attachment)
-        for number, messages in enumerate(_list_runs(readers, topics, settings)):
-            _write_run(parts, messages, is_first=not number)
-    finally:
-        parts.close(_list_metadata(readers))
+    with staged_recording(settings.parts.path) as path:
+        parts = _write_parts(readers, topics, settings, path)
     return ConversionResult(
         output=str(settings.parts.path),
         messages=parts.written,
@@ -80,6 +76,27 @@ def convert_recordings(
         bytes=parts.written_bytes,
         damaged=sum(one.damaged for one in readers),
     )
+
+
+def _write_parts(
+    readers: Sequence[RecordingReader],
+    topics: dict[StoredTopic, StoredTopic],
+    settings: ConversionSettings,
+    path: Path,
+) -> RecordingParts[StoredTopic]:
+    parts: RecordingParts[StoredTopic] = RecordingParts(
+        msgspec.structs.replace(settings.parts, path=path)
+    )
+    try:
+        for attachment in _list_attachments(readers):
+            parts.attach(attachment)
+        for number, messages in enumerate(_list_runs(readers, topics, settings)):
+            _write_run(parts, messages, is_first=not number)
+        parts.close(_list_metadata(readers))
+    except BaseException:
+        parts.discard()
+        raise
+    return parts
 
 
 def merge_topics(

@@ -1,24 +1,33 @@
 """The files of a world for a recording: world file, models and descriptions of entities, meshes."""
 
 import hashlib
+import os
 import re
+import stat
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
 
 import msgspec
 
-from zensim.proto.bus import Bus, BusError
+from zensim.proto.bus import BusError
 from zensim.proto.cli_options import SHIPPED
 from zensim.proto.codec.message_codec import MalformedPayload
-from zensim.proto.messages.asset_messages import GetAssetRequest
+from zensim.proto.messages.asset_messages import MAX_FILE_BYTES, GetAssetRequest
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.telemetry_messages import GetModelsRequest
 from zensim.proto.messages.world_messages import GetCurrentWorldRequest, WorldResource
-from zensim.proto.service_catalog import GET_ASSET, GET_CURRENT_WORLD, GET_MODELS
+from zensim.proto.service_catalog import (
+    GET_ASSET,
+    GET_CURRENT_WORLD,
+    GET_MODELS,
+    Request,
+    Response,
+    Service,
+)
 from zensim.recording.mcap_records import AttachedFile
 
 SHA256: Final = re.compile("[0-9a-f]{64}")
@@ -31,38 +40,95 @@ MODELS_FOLDER: Final = "models/"
 """Of models and their entities, by the roster of `Snapshot`; see `GetModelsResponse`."""
 MESHES_FOLDER: Final = "meshes/"
 """Of meshes and textures, by their sha256."""
+SHIPPED_NAME: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
+WORLD_SUFFIXES: Final = (".sdf", ".world")
+WORLD_ROOT: Final = re.compile(r"<sdf\s")
+ROOT_WITHIN: Final = 4096
+"""Characters within which a world file names its root element."""
+MAX_WORLD_BYTES: Final = 16 << 20
+MAX_MESHES_BYTES: Final = 1 << 30
+"""Of all meshes and textures of a recording."""
+
+
+class WorldServices(Protocol):
+    """Calls services of a world: over the network, or in this process."""
+
+    def call(
+        self,
+        service: Service[Request, Response],
+        request: Request,
+        *,
+        world: str,
+        timeout_s: float = 5.0,
+    ) -> Response:
+        """Call a service.
+
+        Raises:
+            ServiceError: The request was refused.
+        """
+
+
+class FileRefused(Exception):
+    """The server names a file that a recorder does not attach; the message says why."""
 
 
 class EntityFiles:
-    """Attaches each file once; after a failure, all but meshes are requested again later."""
+    """Attaches each file once; after a failure, all but meshes are requested again later.
 
-    def __init__(self, bus: Bus, world: str, attach: Callable[[AttachedFile], None]) -> None:
+    A server may be a stranger's: of this host's files only worlds are read, and meshes are
+    limited.
+    """
+
+    def __init__(
+        self,
+        bus: WorldServices,
+        world: str,
+        attach: Callable[[AttachedFile], None],
+        on_refusal: Callable[[str], None],
+    ) -> None:
+        """Begin without files.
+
+        Args:
+            bus: Calls the server.
+            world: Name of the world.
+            attach: Takes each file.
+            on_refusal: Takes the reason, once, why a file is left out.
+        """
         self._bus = bus
         self._world = world
         self._attach = attach
+        self._on_refusal = on_refusal
         self._known: set[str] = set()
         self._meshes: list[str] = []
+        self._mesh = ""
+        """The mesh that is read now, and what there is of it."""
+        self._content = bytearray()
+        self._meshes_bytes = 0
 
-    def attach_new(self, *, has_arrivals: bool) -> None:
+    def attach_new(self, *, has_arrivals: bool, most_s: float = MESHES_S) -> None:
         """Attach the files of new entities; meshes for a short while, and the rest at later calls.
 
         Args:
             has_arrivals: Whether entities were spawned, or a world was loaded.
+            most_s: Wall time for meshes.
         """
         if has_arrivals:
             with suppress(*FAILURES):
                 self._attach_texts()
-        deadline_s = time.monotonic() + MESHES_S
-        while self._meshes and time.monotonic() < deadline_s:
-            with suppress(*FAILURES):
-                self._attach_mesh(self._meshes.pop())
+        deadline_s = time.monotonic() + most_s
+        while (self._mesh or self._meshes) and time.monotonic() < deadline_s:
+            self._go_on_with_meshes()
 
     def _attach_texts(self) -> None:
         call, world = self._bus.call, self._world
         current = call(
             GET_CURRENT_WORLD, GetCurrentWorldRequest(), world=world, timeout_s=TIMEOUT_S
         )
-        text = read_world_file(current.world)
+        try:
+            text = read_world_file(current.world)
+        except FileRefused as refusal:
+            text = ""
+            self._note(str(refusal))
         if text:
             self._attach_once(WORLD_FILE, "application/xml", text.encode())
         request = GetModelsRequest(wants_descriptions=True)
@@ -79,15 +145,44 @@ class EntityFiles:
                 self._known.add(mesh)
                 self._meshes.append(mesh)
 
-    def _attach_mesh(self, sha256: str) -> None:
-        content = b""
-        while True:
-            request = GetAssetRequest(sha256, len(content))
-            part = self._bus.call(GET_ASSET, request, world=self._world, timeout_s=TIMEOUT_S)
-            content += part.data
-            if not part.data or len(content) >= part.total:
-                break
-        self._attach_once(f"{MESHES_FOLDER}{sha256}", "application/octet-stream", content)
+    def _go_on_with_meshes(self) -> None:
+        """Read the next part of a mesh; leave out one that cannot be read."""
+        try:
+            self._read_mesh()
+        except FAILURES:
+            self._mesh = ""
+        except FileRefused as refusal:
+            self._mesh = ""
+            self._note(str(refusal))
+
+    def _read_mesh(self) -> None:
+        """Read the next part of a mesh, and attach it with its last one.
+
+        Raises:
+            FileRefused: It is too large.
+        """
+        if not self._mesh:
+            self._mesh, self._content = self._meshes.pop(), bytearray()
+        sha256, content = self._mesh, self._content
+        request = GetAssetRequest(sha256, len(content))
+        part = self._bus.call(GET_ASSET, request, world=self._world, timeout_s=TIMEOUT_S)
+        content += part.data
+        self._meshes_bytes += len(part.data)
+        if len(content) > MAX_FILE_BYTES or self._meshes_bytes > MAX_MESHES_BYTES:
+            self._meshes = [] if self._meshes_bytes > MAX_MESHES_BYTES else self._meshes
+            raise FileRefused(
+                f"mesh {sha256[:16]} is left out: a mesh has at most {MAX_FILE_BYTES >> 20} MiB, "
+                f"and all of a recording {MAX_MESHES_BYTES >> 20} MiB"
+            )
+        if part.data and len(content) < part.total:
+            return
+        self._mesh = ""
+        self._attach_once(f"{MESHES_FOLDER}{sha256}", "application/octet-stream", bytes(content))
+
+    def _note(self, reason: str) -> None:
+        if reason not in self._known:
+            self._known.add(reason)
+            self._on_refusal(reason)
 
     def _attach_once(self, name: str, media_type: str, content: bytes) -> None:
         digest = f"{name} {hashlib.sha256(content).hexdigest()}"
@@ -97,19 +192,50 @@ class EntityFiles:
 
 
 def read_world_file(world: WorldResource) -> str:
-    """Read the text of a world: as it was sent, a built-in one, or a file of this host."""
+    """Read the text of a world: as it was sent, a built-in one, or a world file of this host.
+
+    Returns:
+        The text; empty if there is no such file here.
+
+    Raises:
+        FileRefused: It is a file of this host that is no world.
+    """
     resource = world.world_resource
-    if resource.resource_string:
+    if resource.resource_string or not resource.uri:
         return resource.resource_string
-    candidates: Iterable[Path] = (
-        SHIPPED / "worlds" / f"{resource.uri}.sdf",
-        Path(resource.uri.removeprefix("file://")),
-    )
-    for path in candidates:
-        with suppress(OSError, UnicodeDecodeError, ValueError):
-            if resource.uri:
-                return path.read_text(encoding="utf-8")
-    return ""
+    if SHIPPED_NAME.fullmatch(resource.uri):
+        path = SHIPPED / "worlds" / f"{resource.uri}.sdf"
+    else:
+        path = Path(resource.uri.removeprefix("file://"))
+        if path.suffix not in WORLD_SUFFIXES:
+            raise FileRefused(f"{resource.uri[:80]!r} is not attached: no world has this suffix")
+    try:
+        text = _read_text(path)
+    except OSError:
+        return ""
+    except ValueError as error:
+        raise FileRefused(f"{resource.uri[:80]!r} is not attached: {error}") from error
+    if WORLD_ROOT.search(text, 0, ROOT_WITHIN) is None:
+        raise FileRefused(f"{resource.uri[:80]!r} is not attached: it is no SDF")
+    return text
+
+
+def _read_text(path: Path) -> str:
+    """Read a regular file of limited size.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: It is no regular file, too large, or not UTF-8.
+    """
+    # Opening a pipe would wait for its other end.
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    with os.fdopen(descriptor, "rb") as stream:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise ValueError("it is no regular file")
+        content = stream.read(MAX_WORLD_BYTES + 1)
+    if len(content) > MAX_WORLD_BYTES:
+        raise ValueError(f"it has more than {MAX_WORLD_BYTES >> 20} MiB")
+    return content.decode()
 
 
 def list_meshes(models: Iterable[Model]) -> Iterator[str]:

@@ -35,8 +35,7 @@ from zensim.recording.mcap_scan import (
     OpenChunk,
     ScannedPlace,
     ScanReport,
-    index_messages,
-    read_definitions,
+    read_contents,
     scan_places,
 )
 
@@ -310,26 +309,24 @@ class _ScannedIndex:
         self._group, self._group_channels = None, set()
 
     def _add_chunk(self, place: ScannedPlace, one: OpenChunk) -> None:
-        for definition in read_definitions(one.records):
-            if definition is None:
-                self.index.damaged += 1
-                continue
-            known = self.index.schemas if isinstance(definition, Schema) else self.index.channels
+        contents, file = read_contents(one.records), self.index
+        file.damaged += contents.damaged
+        for definition in contents.definitions:
+            known = file.schemas if isinstance(definition, Schema) else file.channels
             known[definition.number] = definition  # type: ignore[assignment]
-        channels: set[int] = set()
         # The times of the records count: those of the chunk have no checksum.
-        start_ns, end_ns = (1 << 64) - 1, 0
-        for channel, log_ns, _ in index_messages(one.records):
-            channels.add(channel)
-            start_ns, end_ns = min(start_ns, log_ns), max(end_ns, log_ns)
-            self._count(channel, log_ns)
-        numbers, length = _write_channels(channels), place.end - place.at
-        self.index.chunks.append(
+        index = contents.index
+        # Without messages, no time is within the chunk.
+        start_ns, end_ns = index.span_ns if index.positions else ((1 << 64) - 1, 0)
+        for channel, count in index.counts.items():
+            self._count(channel, count, start_ns, end_ns)
+        numbers, length = _write_channels(index.positions.keys()), place.end - place.at
+        file.chunks.append(
             ChunkPlace(place.at, length, start_ns, end_ns, one.chunk.compression, numbers)
         )
 
     def _add_message(self, place: ScannedPlace, channel: int, log_ns: int) -> None:
-        self._count(channel, log_ns)
+        self._count(channel, 1, log_ns, log_ns)
         group = self._group
         if group is not None and (
             group.at + group.length != place.at or group.length > MAX_LOOSE_BYTES
@@ -342,11 +339,11 @@ class _ScannedIndex:
         self._group = ChunkPlace(at, place.end - at, start_ns, end_ns, "", b"", is_loose=True)
         self._group_channels.add(channel)
 
-    def _count(self, channel: int, log_ns: int) -> None:
+    def _count(self, channel: int, count: int, start_ns: int, end_ns: int) -> None:
         index = self.index
-        index.counts[channel] = index.counts.get(channel, 0) + 1
-        start, end = index.times or (log_ns, log_ns)
-        index.times = min(start, log_ns), max(end, log_ns)
+        index.counts[channel] = index.counts.get(channel, 0) + count
+        first, last = index.times or (start_ns, end_ns)
+        index.times = min(first, start_ns), max(last, end_ns)
 
 
 def _write_channels(channels: AbstractSet[int]) -> bytes:

@@ -5,6 +5,7 @@ Source: https://mcap.dev/spec, version 0.
 
 import struct
 import zlib
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from typing import Final
@@ -84,6 +85,25 @@ class Chunk(msgspec.Struct, frozen=True):
     crc: int
     compression: str
     content: bytes
+
+
+class ChunkIndex:
+    """Messages of a chunk."""
+
+    def __init__(self) -> None:
+        self.positions: defaultdict[int, list[int]] = defaultdict(list)
+        """Log time [ns] and offset in the uncompressed chunk of each message, by channel."""
+
+    @property
+    def counts(self) -> dict[int, int]:
+        """Number of messages by channel."""
+        return {channel: len(found) // 2 for channel, found in self.positions.items()}
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last log time [ns] of the messages, of which there is at least one."""
+        times = [one[::2] for one in self.positions.values()]
+        return min(map(min, times)), max(map(max, times))
 
 
 class AttachedFile(msgspec.Struct, frozen=True):

@@ -18,6 +18,7 @@ from zensim.recording.mcap_records import (
     AttachedFile,
     Channel,
     Chunk,
+    ChunkIndex,
     MalformedRecord,
     Metadata,
     Opcode,
@@ -34,7 +35,10 @@ CHUNK_PATTERN: Final = re.compile(
     rb"\x06.{36}(?:\x04\x00\x00\x00zstd|\x03\x00\x00\x00lz4|\x00\x00\x00\x00).{8}", re.DOTALL
 )
 """Start of a chunk: opcode, length, times, size, checksum, compression, length of the content."""
+CHUNK_OPCODE: Final = re.compile(rb"\x06")
 CHUNK_START_BYTES: Final = 53
+WASTE_SHARE: Final = 4
+"""Of the size of a file: so many bytes are read in search of chunks inside damaged records."""
 MAX_RECORD_BYTES: Final = 1 << 30
 LIMITS_OF_OPCODE: Final = {Opcode.HEADER: 1 << 16, Opcode.SCHEMA: 1 << 20, Opcode.CHANNEL: 1 << 20}
 """Longer ones are damaged."""
@@ -50,6 +54,15 @@ class OpenChunk(msgspec.Struct, frozen=True):
 
     chunk: Chunk
     records: bytes
+
+
+class ChunkContents(msgspec.Struct, frozen=True):
+    """What the records of a chunk are."""
+
+    definitions: tuple[Schema | Channel, ...]
+    damaged: int
+    """Definitions that are not whole."""
+    index: ChunkIndex
 
 
 class LooseMessage(msgspec.Struct, frozen=True):
@@ -111,6 +124,9 @@ class _Scan:
         self._stream = stream
         self._size = size
         self._report = report
+        self._window_at, self._window = 0, b""
+        self._wasted = 0
+        """Bytes of records that were read, and are damaged."""
 
     def run(self) -> Iterator[ScannedPlace]:
         at = len(MAGIC)
@@ -129,7 +145,7 @@ class _Scan:
                 if found is not None:
                     yield ScannedPlace(at, end, found)
                 at = end if follows else self._find_chunk(end)
-            elif opcode is not None and follows:
+            elif opcode is not None and (follows or self._is_hopeless(end)):
                 self._skip(end - at)
                 at = end
             else:
@@ -171,6 +187,13 @@ class _Scan:
         (content,) = struct.unpack("<Q", start[found.end() - 8 : found.end()])
         return bool(length == found.end() - RECORD_HEAD.size + content)
 
+    def _is_hopeless(self, end: int) -> bool:
+        """Whether so much was read in vain that a damaged record is skipped, not searched.
+
+        Else a file whose records claim to have each other inside would be read again and again.
+        """
+        return self._wasted > WASTE_SHARE * self._size and end <= self._size
+
     def _read_record(self, opcode: Opcode, at: int, length: int) -> tuple[Scanned | None, bool]:
         """Read a record; return whether it is undamaged, as far as its checksum can show."""
         if opcode is Opcode.CHUNK and not self._has_lengths(at - RECORD_HEAD.size, length):
@@ -182,23 +205,31 @@ class _Scan:
         try:
             return _parse_record(opcode, body), True
         except (MalformedRecord, DamagedChunk):
+            self._wasted += length
             return None, False
 
     def _find_chunk(self, at: int) -> int:
         """Find the next chunk whose lengths agree; the end of the file if there is none."""
         start = at + 1
         while start < self._size:
-            self._stream.seek(start)
-            window = self._stream.read(WINDOW_BYTES + CHUNK_START_BYTES)
-            for found in re.finditer(rb"(?=\x06)", window[:WINDOW_BYTES]):
-                place = start + found.start()
-                match = CHUNK_PATTERN.match(window, found.start())
+            self._read_window(start)
+            first = start - self._window_at
+            for found in CHUNK_OPCODE.finditer(self._window, first, WINDOW_BYTES):
+                place = self._window_at + found.start()
+                match = CHUNK_PATTERN.match(self._window, found.start())
                 if match is not None and self._is_start(place):
                     self._skip(place - at)
                     return place
-            start += WINDOW_BYTES
+            start = self._window_at + WINDOW_BYTES
         self._report.cut_bytes += self._size - at
         return self._size
+
+    def _read_window(self, at: int) -> None:
+        """Read the part of the file that is searched from here, unless it was read before."""
+        if not (self._window and self._window_at <= at < self._window_at + WINDOW_BYTES):
+            self._stream.seek(at)
+            self._window_at = at
+            self._window = self._stream.read(WINDOW_BYTES + CHUNK_START_BYTES)
 
     def _skip(self, count: int) -> None:
         self._report.damaged += 1
@@ -225,6 +256,10 @@ def _read_message(body: bytes) -> ScannedMessage:
     return channel, log_ns, publish_ns, body[MESSAGE_FIELDS_BYTES:]
 
 
+DEFINITIONS: Final[dict[int, Callable[[bytes], Schema | Channel]]] = {
+    int(Opcode.SCHEMA): read_schema,
+    int(Opcode.CHANNEL): read_channel,
+}
 PARSERS: Final[dict[Opcode, Callable[[bytes], Scanned]]] = {
     Opcode.CHUNK: _open_chunk,
     Opcode.SCHEMA: read_schema,
@@ -235,34 +270,41 @@ PARSERS: Final[dict[Opcode, Callable[[bytes], Scanned]]] = {
 }
 
 
-def read_definitions(records: bytes) -> Iterator[Schema | Channel | None]:
-    """Read the schemas and channels in a chunk; None for each that is damaged."""
-    for opcode, start, end in _walk(records):
-        try:
-            if opcode == Opcode.SCHEMA:
-                yield read_schema(records[start:end])
-            elif opcode == Opcode.CHANNEL:
-                yield read_channel(records[start:end])
-        except MalformedRecord:  # noqa: PERF203  the others are whole
-            yield None
+def read_contents(records: bytes) -> ChunkContents:
+    """Read the definitions in a chunk, and where its messages are, in one walk."""
+    places: list[tuple[int, int, int]] = []
+    index = ChunkIndex()
+    positions = index.positions
+    unpack, head, message = MESSAGE_HEAD.unpack_from, RECORD_HEAD.size, int(Opcode.MESSAGE)
+    # Other records may be shorter than the head of a message.
+    padded, at, size = records + bytes(MESSAGE_HEAD.size), 0, len(records)
+    while at + head <= size:
+        opcode, length, channel, _, log_ns, _ = unpack(padded, at)
+        end = at + head + length
+        if end > size:
+            break
+        if opcode == message and length >= MESSAGE_FIELDS_BYTES:
+            positions[channel] += (log_ns, at)
+        elif opcode in DEFINITIONS:
+            places.append((opcode, at + head, end))
+        at = end
+    definitions = [_read_definition(opcode, records[start:end]) for opcode, start, end in places]
+    whole = tuple(one for one in definitions if one is not None)
+    return ChunkContents(whole, len(definitions) - len(whole), index)
+
+
+def _read_definition(opcode: int, body: bytes) -> Schema | Channel | None:
+    try:
+        return DEFINITIONS[opcode](body)
+    except MalformedRecord:
+        return None
 
 
 def read_messages(records: bytes) -> Iterator[tuple[int, ScannedMessage]]:
     """Read the messages in a chunk, each with its offset there."""
     for opcode, start, end in _walk(records):
-        if opcode == Opcode.MESSAGE:
+        if opcode == Opcode.MESSAGE and end - start >= MESSAGE_FIELDS_BYTES:
             yield start - RECORD_HEAD.size, _read_message(records[start:end])
-
-
-def index_messages(records: bytes) -> Iterator[tuple[int, int, int]]:
-    """List channel, log time [ns] and offset of the messages in a chunk."""
-    unpack, end = MESSAGE_HEAD.unpack_from, len(records) - MESSAGE_HEAD.size
-    at = 0
-    for opcode, start, _ in _walk(records):
-        at = start - RECORD_HEAD.size
-        if opcode == Opcode.MESSAGE and at <= end:
-            _, _, channel, _, log_ns, _ = unpack(records, at)
-            yield channel, log_ns, at
 
 
 def _walk(records: bytes) -> Iterator[tuple[int, int, int]]:

@@ -2,7 +2,6 @@
 
 import struct
 import zlib
-from collections import defaultdict
 from collections.abc import Iterable
 from typing import Final, Protocol
 
@@ -23,6 +22,7 @@ from zensim.recording.mcap_records import (
     AttachedFile,
     Channel,
     Chunk,
+    ChunkIndex,
     Metadata,
     Opcode,
     Schema,
@@ -58,25 +58,6 @@ class Sink(Protocol):
         Raises:
             OSError: None were appended.
         """
-
-
-class ChunkIndex:
-    """Messages of a chunk."""
-
-    def __init__(self) -> None:
-        self.positions: defaultdict[int, list[int]] = defaultdict(list)
-        """Log time [ns] and offset in the uncompressed chunk of each message, by channel."""
-
-    @property
-    def counts(self) -> dict[int, int]:
-        """Number of messages by channel."""
-        return {channel: len(found) // 2 for channel, found in self.positions.items()}
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """First and last log time [ns] of the messages, of which there is at least one."""
-        times = [one[::2] for one in self.positions.values()]
-        return min(map(min, times)), max(map(max, times))
 
 
 class ChunkSettings(msgspec.Struct, frozen=True):

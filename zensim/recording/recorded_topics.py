@@ -17,6 +17,7 @@ from zensim.proto.codec.message_codec import (
     parse_schema_name,
 )
 from zensim.proto.message_times import StampReader, make_stamp_reader, make_step_reader
+from zensim.proto.messages.input_messages import ServiceRequest
 from zensim.proto.messages.standard_messages import (
     Clock,
     String,
@@ -38,7 +39,7 @@ from zensim.proto.ros2.message_definitions import write_definition
 from zensim.proto.ros2.type_hash import hash_type
 from zensim.proto.schema import list_cdr_types
 from zensim.proto.topic_catalog import CLOCK, CMD_VEL, EVENTS, INPUTS, MAP, find_robot_topic
-from zensim.recording.topic_selection import CLOCK_TOPIC, ROSTER_TOPICS
+from zensim.recording.topic_selection import CLOCK_TOPIC, ROSTER_TOPICS, name_requests_topic
 
 QOS_FIELD: Final = re.compile(r"\b(reliability|durability|history|depth): *([a-z_]+|[0-9]{1,9})")
 ToCdr = Callable[[Sample], bytes]
@@ -136,6 +137,23 @@ KIND_OF_TYPE: Final = list_cdr_types()
 def make_clock_topic() -> RecordedTopic:
     """Make the topic `/clock`."""
     return RecordedTopic(CLOCK_TOPIC, Clock, CLOCK.qos, make_stamp_reader(Clock), _encode_clock)
+
+
+def make_requests_topic(world: str, step_ns: int) -> RecordedTopic:
+    """Make the topic of the requests that changed a world, as JSON; see `write_requests`."""
+    read_stamp = make_step_reader(step_ns)
+    name = name_requests_topic(world)
+    return RecordedTopic(name, String, INPUTS.qos, read_stamp, lambda sample: sample.payload)
+
+
+def write_request(request: ServiceRequest) -> bytes:
+    """Write a request as JSON in a text; its own JSON is a part of it, unless it was cut."""
+    fields = msgspec.structs.asdict(request)
+    try:
+        fields["request"] = msgspec.json.decode(request.request) if request.request else {}
+    except msgspec.DecodeError:
+        fields["is_cut"] = True
+    return encode(String(msgspec.json.encode(fields).decode()), Format.CDR)
 
 
 def make_topic(sample: Sample, world: str, step_ns: int = 0) -> RecordedTopic | None:

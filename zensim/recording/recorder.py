@@ -1,34 +1,39 @@
 """Takes the messages of a world from the network, gives them times, and hands them over."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Final, Literal, Protocol
 
 import msgspec
 
-from zensim.proto.bus import Bus, NewestSubscription
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.message_times import choose_time, count_missing
+from zensim.proto.messages.input_messages import Inputs, ServiceRequest
 from zensim.proto.messages.standard_messages import ns_from_time
 from zensim.proto.messages.telemetry_messages import Event, WorldClock
-from zensim.proto.network_protocols import Sample, Subscription
+from zensim.proto.network_protocols import Closable, Sample, Subscription
 from zensim.proto.ros2.liveliness_tokens import TOKEN_SPACE, parse_endpoint_token
-from zensim.proto.topic_catalog import CLOCK, EVENTS
+from zensim.proto.topic_catalog import CLOCK, EVENTS, INPUTS
 from zensim.proto.topic_endpoints import to_plain_sample
 from zensim.recording.recorded_topics import (
     RecordedMessage,
     RecordedTopic,
     TopicTable,
     make_clock_topic,
+    make_requests_topic,
+    write_request,
 )
 from zensim.recording.topic_selection import (
     ANY_ROS_TYPE,
     CLOCK_TOPIC,
+    PUBLISHER,
     TopicFilter,
     list_keys,
     list_paced_topics,
     list_ros_keys,
+    make_ros_key,
+    name_requests_topic,
 )
 
 RING_DEPTH: Final = 16_384
@@ -59,6 +64,44 @@ class MessageSink(Protocol):
         """Take an event of the world."""
 
 
+class NewestMessages(Closable, Protocol):
+    """Subscription that keeps the newest message of each key."""
+
+    def take(self) -> list[Sample]:
+        """Take the newest message of each key, and all of the keys of which all are kept."""
+
+    def collect(self) -> None:
+        """Take what is queued, so that the queue does not fill."""
+
+
+class TokenWatch(Protocol):
+    """Changes of liveliness tokens."""
+
+    def take(self) -> list[tuple[str, bool]]:
+        """Take keys, and whether they are alive."""
+
+    def close(self) -> None:
+        """Watch no more."""
+
+
+class RecordedNetwork(Protocol):
+    """Where a recorder subscribes: the network, or the world of this process."""
+
+    def subscribe(self, key: str, depth: int = 1) -> Subscription:
+        """Subscribe to a key expression, keeping the newest `depth` messages."""
+
+    def subscribe_newest(
+        self, key: str, depth: int, keeps_all: Callable[[str], bool]
+    ) -> NewestMessages:
+        """Subscribe to the newest message of each key, and to all of some keys."""
+
+    def get(self, key: str, timeout_s: float = 1.0) -> list[Sample]:
+        """Get the last messages of a key expression."""
+
+    def watch_tokens(self, key: str) -> TokenWatch:
+        """Watch liveliness tokens, beginning with the present ones."""
+
+
 class RecorderSettings(msgspec.Struct, frozen=True, kw_only=True):
     """What is recorded, and by which clock."""
 
@@ -73,33 +116,41 @@ class RecorderSettings(msgspec.Struct, frozen=True, kw_only=True):
     """Physics step, of which events name the number."""
     is_reproducible: bool = False
     """Whether times are simulation times only, and what depends on the host is left out."""
+    is_in_process: bool = False
+    """Whether all is published in simulation time, and taken at the step at which it is."""
 
 
 class RecordedKeys(msgspec.Struct, frozen=True, eq=False):
     """Subscription on a key expression."""
 
-    subscription: Subscription | NewestSubscription
+    key: str
+    subscription: Subscription | NewestMessages
+    newest: NewestMessages | None
+    """The subscription, if messages are thinned."""
     is_of_ros: bool
 
     def take(self, *, is_due: bool) -> list[Sample]:
         """Take the messages; thinned ones only at the end of a period."""
-        if isinstance(self.subscription, NewestSubscription) and not is_due:
-            self.subscription.collect()
+        if self.newest is not None and not is_due:
+            self.newest.collect()
             return []
         samples = self.subscription.take()
         return [*map(to_plain_sample, samples)] if self.is_of_ros else samples
 
     def is_overflown(self, samples: list[Sample]) -> bool:
         """Whether messages were lost before they were taken."""
-        is_thinned = isinstance(self.subscription, NewestSubscription)
-        return len(samples) >= RING_DEPTH and not is_thinned
+        return len(samples) >= RING_DEPTH and self.newest is None
 
 
 class Recorder:
     """Subscriptions of a recording."""
 
     def __init__(
-        self, bus: Bus, chosen: TopicFilter, settings: RecorderSettings, sink: MessageSink
+        self,
+        bus: RecordedNetwork,
+        chosen: TopicFilter,
+        settings: RecorderSettings,
+        sink: MessageSink,
     ) -> None:
         """Subscribe.
 
@@ -108,9 +159,12 @@ class Recorder:
         """
         self._bus, self._chosen, self._settings, self._sink = bus, chosen, settings, sink
         # How many of them are published depends on the host.
-        self._left_out = list_paced_topics(settings.world) if settings.is_reproducible else ()
+        by_wall = settings.is_reproducible and not settings.is_in_process
+        self._left_out = list_paced_topics(settings.world) if by_wall else ()
         self._table = TopicTable(settings.world, self._accepts, settings.step_ns)
         self._clock_topic = make_clock_topic() if self._accepts(CLOCK_TOPIC) else None
+        self._inputs_key = INPUTS.key(settings.world)
+        self._requests_topic = self._find_requests_topic()
         self._clock = bus.subscribe(CLOCK.key(settings.world), EVENTS_DEPTH)
         self._events = bus.subscribe(EVENTS.key(settings.world), EVENTS_DEPTH)
         self._keys = list_keys(chosen, settings.world, settings.domain)
@@ -118,9 +172,10 @@ class Recorder:
         watches = chosen.is_broad and settings.domain is not None
         tokens = f"{TOKEN_SPACE}/{settings.domain}/**"
         self._tokens = bus.watch_tokens(tokens) if watches else None
+        self._announced: dict[str, set[str]] = {}
+        """Tokens of the publishers of each key that is subscribed to as they announce it."""
         self._now_ns, self._epoch = self._read_first_clock()
-        self._period = 0
-        self._taken_ns, self._taken_s = 0, 0.0
+        self._period, self._taken_ns, self._taken_s = 0, 0, 0.0
         self.received = 0
         """Messages that were handed over."""
         self._has_arrivals = True
@@ -156,7 +211,7 @@ class Recorder:
         if self._settings.period_ns:
             clock = clock[-1:] if is_due else []
         self._take_samples(received_ns, clock, is_due=is_due)
-        self._subscribe_to_announced()
+        self._follow_announced()
 
     def take_arrivals(self) -> bool:
         """Whether entities were spawned or a world was loaded since the last call; yes at first."""
@@ -172,6 +227,12 @@ class Recorder:
 
     def _accepts(self, topic: str) -> bool:
         return self._chosen.accepts(topic) and topic not in self._left_out
+
+    def _find_requests_topic(self) -> RecordedTopic | None:
+        world = self._settings.world
+        if not self._accepts(name_requests_topic(world)):
+            return None
+        return make_requests_topic(world, self._settings.step_ns)
 
     def _is_period_over(self) -> bool:
         """Whether the clock has passed the end of a period; always, if there is none."""
@@ -216,7 +277,11 @@ class Recorder:
         find, now_ns = self._table.find, self._now_ns
         has_wall_times = self._settings.time_base == "wall"
         is_reproducible = self._settings.is_reproducible
+        by_wall = is_reproducible and not self._settings.is_in_process
+        latched_ns, inputs_key = 0 if by_wall else max(0, now_ns), self._inputs_key
         for sample in samples:
+            if sample.key == inputs_key:
+                self._add_requests(sample, received_ns, batch)
             if (topic := find(sample)) is None:
                 continue
             try:
@@ -228,10 +293,35 @@ class Recorder:
                 log_ns = received_ns
             elif topic.is_latched:
                 # It may be from long ago, and it arrives at any time.
-                log_ns = 0 if is_reproducible else max(0, now_ns)
+                log_ns = latched_ns
             else:
                 log_ns = choose_time(topic.read_stamp(payload), now_ns)
             batch.append((topic, log_ns, log_ns if is_reproducible else received_ns, payload))
+
+    def note_requests(self, requests: Iterable[ServiceRequest]) -> None:
+        """Record requests that changed the world."""
+        batch: list[RecordedMessage] = []
+        self._convert_requests(requests, time.time_ns(), batch)
+        self._hand_over(batch)
+
+    def _add_requests(self, sample: Sample, received_ns: int, batch: list[RecordedMessage]) -> None:
+        """Append the requests of a message of inputs."""
+        if self._requests_topic is not None:
+            with suppress(MalformedPayload):  # counted below
+                inputs = decode(Inputs, sample.payload, sample.encoding)
+                self._convert_requests(inputs.requests, received_ns, batch)
+
+    def _convert_requests(
+        self, requests: Iterable[ServiceRequest], received_ns: int, batch: list[RecordedMessage]
+    ) -> None:
+        if (topic := self._requests_topic) is not None:
+            settings = self._settings
+            for request in requests:
+                payload = write_request(request)
+                log_ns = choose_time(topic.read_stamp(payload), self._now_ns)
+                log_ns = received_ns if settings.time_base == "wall" else log_ns
+                publish_ns = log_ns if settings.is_reproducible else received_ns
+                batch.append((topic, log_ns, publish_ns, payload))
 
     def _take_clock(self, received_ns: int) -> list[RecordedMessage]:
         """Read the clock; return its messages, if they are recorded."""
@@ -243,18 +333,18 @@ class Recorder:
                 continue
             now_ns = max(0, ns_from_time(clock.clock))
             log_ns = received_ns if self._settings.time_base == "wall" else now_ns
-            if clock.epoch != self._epoch:
+            publish_ns = log_ns if self._settings.is_reproducible else received_ns
+            if clock.epoch != self._epoch or now_ns < self._now_ns:
                 # What has arrived is of the time before.
                 self._take_samples(received_ns, batch, is_due=True)
                 batch = []
                 self._epoch = clock.epoch
                 self._last_ns.clear()
-                publish_ns = log_ns if self._settings.is_reproducible else received_ns
                 self._sink.start_part(log_ns, publish_ns)
             self._now_ns = now_ns
             if self._clock_topic is not None:
                 topic = self._clock_topic
-                batch.append((topic, log_ns, received_ns, topic.to_cdr(sample)))
+                batch.append((topic, log_ns, publish_ns, topic.to_cdr(sample)))
         return batch
 
     def _take_events(self) -> None:
@@ -286,22 +376,52 @@ class Recorder:
                 self._convert(found, time.time_ns(), batch)
         self._hand_over(batch)
 
-    def _subscribe_to_announced(self) -> None:
-        """Subscribe to topics that ROS 2 nodes announce, and that no key expression covers."""
-        if self._tokens is None or self._settings.domain is None:
+    def _follow_announced(self) -> None:
+        """Subscribe to topics that ROS 2 nodes announce, as long as one publishes them.
+
+        They are those that no key expression covers.
+        """
+        for token, is_alive in self._tokens.take() if self._tokens is not None else ():
+            if is_alive:
+                self._add_announced(token)
+            else:
+                self._remove_announced(token)
+
+    def _add_announced(self, token: str) -> None:
+        endpoint, domain = parse_endpoint_token(token), self._settings.domain
+        if endpoint is None or domain is None or endpoint.kind != PUBLISHER:
             return
-        endpoints = [parse_endpoint_token(key) for key, is_alive in self._tokens.take() if is_alive]
-        announced = [one for one in endpoints if one is not None]
-        for key in list_ros_keys(self._chosen, announced, self._keys, self._settings.domain):
+        key = make_ros_key(endpoint.key, domain)
+        if key not in self._announced:
+            if not list_ros_keys(self._chosen, [endpoint], self._keys, domain):
+                return
+            self._announced[key] = set()
             self._keys.append(key)
             self._subscriptions.append(self._subscribe(key))
+        self._announced[key].add(token)
+
+    def _remove_announced(self, token: str) -> None:
+        for key, tokens in tuple(self._announced.items()):
+            tokens.discard(token)
+            if not tokens:
+                del self._announced[key]
+                self._keys.remove(key)
+                self._end(next(one for one in self._subscriptions if one.key == key))
+
+    def _end(self, one: RecordedKeys) -> None:
+        """Hand over the last messages of a subscription, and close it."""
+        self._subscriptions.remove(one)
+        batch: list[RecordedMessage] = []
+        self._convert(one.take(is_due=True), time.time_ns(), batch)
+        self._hand_over(batch)
+        one.subscription.close()
 
     def _subscribe(self, key: str) -> RecordedKeys:
         is_of_ros = key.endswith(f"/{ANY_ROS_TYPE}")
         if self._settings.period_ns and not keeps_all(key):
             found = self._bus.subscribe_newest(key, RING_DEPTH, keeps_all)
-            return RecordedKeys(found, is_of_ros)
-        return RecordedKeys(self._bus.subscribe(key, RING_DEPTH), is_of_ros)
+            return RecordedKeys(key, found, found, is_of_ros)
+        return RecordedKeys(key, self._bus.subscribe(key, RING_DEPTH), None, is_of_ros)
 
 
 def is_of_robot(sample: Sample) -> bool:

@@ -1,8 +1,10 @@
 """The files of a recording: a new one by size, by time or at a reset, each whole in itself."""
 
 import errno
+import json
 import shutil
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, Generic
 
@@ -20,7 +22,7 @@ from zensim.recording.mcap_records import (
     read_attachment,
 )
 from zensim.recording.mcap_writer import DEFAULT_CHUNKS, ChunkSettings, McapWriter
-from zensim.recording.output_file import OutputFile
+from zensim.recording.output_file import OutputFile, find_reserve
 from zensim.recording.recorded_topics import QOS_METADATA
 from zensim.recording.written_topics import Topic, WrittenTopic
 
@@ -67,6 +69,10 @@ class Part:
         self.start_ns: int | None = None
         self.attached: list[tuple[int, int]] = []
         """Position and length of each attachment."""
+
+    def has_room(self, topic: WrittenTopic) -> bool:
+        """Whether there is a number for the channel of a topic."""
+        return len(self.channels) < MAX_CHANNELS or topic in self.channels
 
     def find_channel(self, topic: WrittenTopic) -> int:
         """Find the channel of a topic; define it at its first message.
@@ -125,6 +131,55 @@ class Part:
         )
 
 
+def remove_recording(path: Path) -> None:
+    """Remove the files of a recording: those that are written to this path, and no others.
+
+    Raises:
+        OSError: One cannot be removed.
+    """
+    is_folder = path.suffix != SUFFIX
+    if is_folder and not path.is_dir():
+        return
+    metadata = (path if is_folder else path.parent) / METADATA_FILE
+    is_own = is_folder or is_described(path)
+    number = 0
+    while (file := name_part(path, number)).exists():
+        file.unlink()
+        find_reserve(file).unlink(missing_ok=True)
+        number += 1
+    if is_own:
+        metadata.unlink(missing_ok=True)
+    if is_folder:
+        with suppress(OSError):  # others' files are in it
+            path.rmdir()
+
+
+def name_part(path: Path, number: int) -> Path:
+    """Name a file of a recording, counted from 0."""
+    if path.suffix != SUFFIX:
+        return path / f"{path.name}_{number}{SUFFIX}"
+    return path.with_name(f"{path.stem}_{number}{SUFFIX}") if number else path
+
+
+def require_new(path: Path) -> None:
+    """Check that a file or folder does not exist.
+
+    Raises:
+        FileExistsError: It does.
+    """
+    if path.exists():
+        raise FileExistsError(f"{path} exists; give another --output")
+
+
+def is_described(path: Path) -> bool:
+    """Whether the metadata beside a file is of it, or of one of this name that is gone."""
+    try:
+        text = (path.parent / METADATA_FILE).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
+    return json.dumps(path.name) in text
+
+
 class RecordingParts(Generic[Topic]):
     """Writes messages to files; used by one thread."""
 
@@ -138,13 +193,10 @@ class RecordingParts(Generic[Topic]):
         self._is_limited = bool(settings.max_bytes or settings.max_duration_ns)
         self._is_folder = settings.path.suffix != SUFFIX
         self._folder = settings.path if self._is_folder else settings.path.parent
+        require_new(settings.path)
         if self._is_folder:
             settings.path.mkdir(parents=True)
-        elif settings.path.exists():
-            raise FileExistsError(f"{settings.path} exists; give another --output")
-        metadata = self._folder / METADATA_FILE
-        # That of another recording in the folder stays.
-        self._metadata_file = None if metadata.exists() else metadata
+        self._metadata_file = self._find_metadata_file()
         self._number = 0
         self._done: list[PartFacts] = []
         self._latched: LatchedMessages[Topic] = LatchedMessages()
@@ -186,7 +238,7 @@ class RecordingParts(Generic[Topic]):
         part = self._part
         if part.start_ns is None:
             part.start_ns = log_ns
-        elif self._is_limited and self._is_full(log_ns):
+        elif (self._is_limited and self._is_full(log_ns)) or not part.has_room(topic):
             self.start_part(log_ns, publish_ns)
             part = self._part
             if topic.is_latched:
@@ -211,9 +263,10 @@ class RecordingParts(Generic[Topic]):
         Raises:
             OSError: See `write`.
         """
-        following, ended = self._open(), self._part
-        self._close_part()
-        self._part = following
+        ended, self._part = self._part, self._open()
+        # The new file is the present one already: what fails here ends the recording there.
+        self._close_part(ended)
+        following = self._part
         self._flushed_ns = log_ns
         if self._settings.keep_ns:
             for one in ended.read_attachments():
@@ -254,6 +307,8 @@ class RecordingParts(Generic[Topic]):
         Raises:
             OSError: The disk is full; what was written is readable all the same.
         """
+        if self._is_closed:
+            return
         try:
             self._part.writer.flush()
         finally:
@@ -264,11 +319,22 @@ class RecordingParts(Generic[Topic]):
                 for one in facts:
                     self._part.writer.add_metadata(one)
             finally:
-                self._close_part()
                 self._is_closed = True
+                self._close_part(self._part)
 
-    def _close_part(self) -> None:
-        part = self._part
+    def discard(self) -> None:
+        """Close the last file if need be, and remove all files of this recording."""
+        with suppress(OSError):
+            self.close()
+        for one in self._done:
+            (self._folder / one.file).unlink(missing_ok=True)
+        if self._metadata_file is not None:
+            self._metadata_file.unlink(missing_ok=True)
+        if self._is_folder:
+            with suppress(OSError):
+                self._folder.rmdir()
+
+    def _close_part(self, part: Part) -> None:
         try:
             part.writer.flush()
         finally:
@@ -281,6 +347,12 @@ class RecordingParts(Generic[Topic]):
                 self._bytes += part.output.position
                 self._done.append(part.describe())
                 self._write_metadata()
+
+    def _find_metadata_file(self) -> Path | None:
+        """Find where metadata is written; that of another recording in the folder stays."""
+        file = self._folder / METADATA_FILE
+        is_of_another = file.exists() and not is_described(self._settings.path)
+        return None if is_of_another else file
 
     def _write_metadata(self) -> None:
         if self._metadata_file is not None:
@@ -298,7 +370,7 @@ class RecordingParts(Generic[Topic]):
             self._write_metadata()
 
     def _open(self) -> Part:
-        path = self._make_path()
+        path = name_part(self._settings.path, self._number)
         self._number += 1
         part = Part(path, self._settings)
         try:
@@ -307,12 +379,6 @@ class RecordingParts(Generic[Topic]):
             part.output.close()
             raise
         return part
-
-    def _make_path(self) -> Path:
-        path, number = self._settings.path, self._number
-        if self._is_folder:
-            return path / f"{path.name}_{number}{SUFFIX}"
-        return path.with_name(f"{path.stem}_{number}{SUFFIX}") if number else path
 
     def _check_space(self) -> None:
         least = self._settings.min_free_bytes

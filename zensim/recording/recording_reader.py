@@ -36,16 +36,17 @@ from zensim.recording.mcap_records import (
 )
 from zensim.recording.mcap_scan import MAX_RECORD_BYTES
 from zensim.recording.recorded_topics import QOS_METADATA, read_qos_profile
+from zensim.recording.written_topics import OVERHEAD_BYTES
 
 LAST_NS: Final = (1 << 63) - 1
 RESET_NS: Final = NANOSECONDS
 """A file that begins so long before the end of the last one is of another run."""
 LATCHED_SUFFIXES: Final = (TF_STATIC.suffix, ROBOT_DESCRIPTION.suffix)
+MAX_LATCHED_BYTES: Final = 64 << 20
+"""Of latched messages that are kept for the next seek; beyond it each seek reads them again."""
 MESSAGE: Final = int(Opcode.MESSAGE)
 MAX_WAITING_BYTES: Final = 1 << 30
 """Of messages of chunks whose times overlap: 50 MB of a file may claim terabytes."""
-OVERHEAD_BYTES: Final = 200
-"""Memory of a message besides its payload."""
 
 
 class StoredTopic(msgspec.Struct, frozen=True, eq=False):
@@ -82,6 +83,11 @@ LoadableChunk: TypeAlias = tuple[int, Callable[[], list[Ordered]]]
 def accept_all(_: StoredTopic) -> bool:
     """Accept every topic."""
     return True
+
+
+def is_latched(topic: StoredTopic) -> bool:
+    """Accept latched topics."""
+    return topic.is_latched
 
 
 class RecordedFile:
@@ -164,6 +170,10 @@ class RecordingRun:
         self.start_ns = min((start for start, _ in times), default=0)
         """First log time."""
         self.end_ns = max((end for _, end in times), default=0)
+        self._latched: list[StoredMessage] = []
+        self._latched_bytes = 0
+        self._latched_until_ns = -1
+        """Up to this log time, latched messages were read."""
 
     def messages(
         self, accepts: Accepts = accept_all, *, start_ns: int = 0, end_ns: int = LAST_NS
@@ -207,11 +217,33 @@ class RecordingRun:
     def latched_at(self, time_ns: int, accepts: Accepts = accept_all) -> list[StoredMessage]:
         """Read what latched topics have at a log time: the last message; of `/tf_static` all."""
         latched: LatchedMessages[StoredTopic] = LatchedMessages()
-        for topic, _, _, payload in self.messages(
-            lambda one: one.is_latched and accepts(one), end_ns=time_ns
-        ):
-            latched.add(topic, payload)
+        for topic, log_ns, _, payload in self._list_latched(time_ns):
+            if log_ns > time_ns:
+                break
+            if accepts(topic):
+                latched.add(topic, payload)
         return list(latched.list_at(time_ns, time_ns))
+
+    def _list_latched(self, time_ns: int) -> Iterable[StoredMessage]:
+        """List the latched messages at least up to a log time; each is read once.
+
+        Each seek of a replay asks for them. Those that repeat the one before are left out.
+        """
+        first_ns = self._latched_until_ns + 1
+        if self._latched_bytes > MAX_LATCHED_BYTES:
+            return self.messages(is_latched, end_ns=time_ns)
+        if time_ns >= first_ns:
+            last = {topic: payload for topic, _, _, payload in self._latched}
+            for message in self.messages(is_latched, start_ns=first_ns, end_ns=time_ns):
+                if last.get(message[0]) != message[3]:
+                    last[message[0]] = message[3]
+                    self._latched.append(message)
+                    self._latched_bytes += len(message[3])
+                if self._latched_bytes > MAX_LATCHED_BYTES:
+                    self._latched.clear()
+                    return self._list_latched(time_ns)
+            self._latched_until_ns = time_ns
+        return self._latched
 
     def _list_chunks(self, accepts: Accepts, span: range) -> Iterator[LoadableChunk]:
         """List the chunks with wanted messages, in the order of the files."""

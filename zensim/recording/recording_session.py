@@ -6,14 +6,16 @@ from typing import Final
 import msgspec
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.proto.messages.telemetry_messages import Event, Info
+from zensim.proto.messages.telemetry_messages import Event, Info, InfoRequest
+from zensim.proto.service_catalog import INFO
+from zensim.recording.entity_files import WorldServices
 from zensim.recording.mcap_records import AttachedFile, Metadata
 from zensim.recording.message_order import MessageOrder
 from zensim.recording.recorded_topics import RecordedMessage, RecordedTopic
-from zensim.recording.recorder import Recorder, TimeBase
+from zensim.recording.recorder import Recorder, RecorderSettings, TimeBase
 from zensim.recording.recording_parts import PartSettings, RecordingParts
 from zensim.recording.snapshot_ring import SnapshotRing
-from zensim.recording.write_queue import NewPart, WriteQueue
+from zensim.recording.write_queue import DirectWriter, MessageWriter, NewPart, WriteQueue
 
 TAKE_PERIODS_S: Final[dict[TimeBase, float]] = {"simulation": 0.02, "wall": 0.01}
 """Between two takes of messages, which have the same wall time."""
@@ -33,6 +35,8 @@ class SessionSettings(msgspec.Struct, frozen=True, kw_only=True):
     """Log time that the ring keeps; 0 = as much as fits."""
     snapshot_on: frozenset[str] = frozenset()
     """Kinds of events at which it is written."""
+    is_direct: bool = False
+    """Whether the caller writes, and waits for the disk, so that nothing is lost."""
 
 
 class RecordingStart(msgspec.Struct, frozen=True, kw_only=True):
@@ -76,7 +80,11 @@ class RecordingSession:
         self._settings = settings
         self._order = MessageOrder() if settings.parts.is_reproducible else None
         self._parts: RecordingParts[RecordedTopic] = RecordingParts(settings.parts)
-        self._queue = WriteQueue(self._parts, settings.max_cache_bytes)
+        self._queue: MessageWriter = (
+            DirectWriter(self._parts)
+            if settings.is_direct
+            else WriteQueue(self._parts, settings.max_cache_bytes)
+        )
         self._ring = SnapshotRing(settings.snapshot_ns, settings.max_cache_bytes)
         self._wants_snapshot = False
         self._snapshots = 0
@@ -156,6 +164,11 @@ class RecordingSession:
             lost=self._queue.lost + self._parts.offered - self._parts.written,
         )
 
+    def discard(self) -> None:
+        """End a recording that has not begun, or is not wanted, and remove its files."""
+        self._queue.stop()
+        self._parts.discard()
+
     def _release(self) -> None:
         """Write the messages that wait for earlier ones."""
         if self._order is not None:
@@ -166,6 +179,18 @@ class RecordingSession:
         if self._order is not None:
             figures = msgspec.structs.replace(figures, duration_s=0.0)
         return msgspec.json.encode({"start": start, "recorded": figures})
+
+
+def make_start(server: WorldServices, settings: RecorderSettings) -> RecordingStart:
+    """Describe the world, without what depends on the host if files are to be equal.
+
+    Raises:
+        BusError: No server of the world replies.
+    """
+    info, wall_ns = server.call(INFO, InfoRequest(), world=settings.world), time.time_ns()
+    if settings.is_reproducible:
+        info, wall_ns = msgspec.structs.replace(info, real_time_factor=0.0), 0
+    return RecordingStart(info=info, wall_ns=wall_ns, time_base=settings.time_base)
 
 
 def make_metadata(start: RecordingStart) -> Metadata:

@@ -8,6 +8,7 @@ from zensim.recording.mcap_records import (
     AttachedFile,
     Channel,
     Chunk,
+    ChunkIndex,
     Metadata,
     Schema,
 )
@@ -17,12 +18,11 @@ from zensim.recording.mcap_scan import (
     Scanned,
     ScannedMessage,
     ScanReport,
-    index_messages,
-    read_definitions,
+    read_contents,
     read_messages,
     scan_file,
 )
-from zensim.recording.mcap_writer import ChunkIndex, McapWriter
+from zensim.recording.mcap_writer import McapWriter
 from zensim.recording.output_file import OutputFile, find_reserve
 
 
@@ -62,6 +62,9 @@ def recover_file(source: Path, target: Path) -> RecoveryResult:
         for one in scanned:
             recovery.add(one)
         recovery.finish()
+    except BaseException:
+        target.unlink()
+        raise
     finally:
         output.close()
     find_reserve(source).unlink(missing_ok=True)
@@ -115,13 +118,12 @@ class _Recovery:
 
     def _add_chunk(self, one: OpenChunk) -> None:
         self.writer.flush()
-        for definition in read_definitions(one.records):
-            if definition is None:
-                return
+        contents = read_contents(one.records)
+        if contents.damaged:
+            return
+        for definition in contents.definitions:
             self._note(definition, is_checked=True)
-        index = ChunkIndex()
-        for channel, log_ns, offset in index_messages(one.records):
-            index.positions[channel] += (log_ns, offset)
+        index = contents.index
         # Not a generator: each channel is defined, also after one that is lost.
         are_known = tuple(map(self._define, index.positions))
         if all(are_known):

@@ -4,6 +4,7 @@ from collections import deque
 
 from zensim.recording.latched_messages import LatchedMessages
 from zensim.recording.recorded_topics import RecordedMessage, RecordedTopic
+from zensim.recording.written_topics import OVERHEAD_BYTES
 
 
 class SnapshotRing:
@@ -14,7 +15,7 @@ class SnapshotRing:
 
         Args:
             span_ns: Of log time; 0 = no limit.
-            max_bytes: Of payloads; the oldest are removed.
+            max_bytes: Memory of the messages; the oldest are removed.
         """
         self._span_ns = span_ns
         self._max_bytes = max_bytes
@@ -29,9 +30,9 @@ class SnapshotRing:
             self._latched.add(topic, payload)
             return
         self._messages.append(message)
-        self._bytes += len(payload)
+        self._bytes += OVERHEAD_BYTES + len(payload)
         while self._messages and self._is_too_much(log_ns):
-            self._bytes -= len(self._messages.popleft()[3])
+            self._bytes -= OVERHEAD_BYTES + len(self._messages.popleft()[3])
 
     def take(self) -> list[RecordedMessage]:
         """Remove all messages, and return them after the latched ones, which remain."""

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 TableFormat = Literal["parquet", "csv", "npz"]
 COLUMNS_FILE: Final = "columns.json"
 """Types, units and numbers of rows of all tables in a folder."""
+MAX_STEM: Final = 120
+"""Characters of the name of a file."""
 
 
 class MissingDatasetExtra(Exception):
@@ -54,7 +56,9 @@ def write_tables(
     facts = []
     for table, stem in zip(tables, _name_files(tables), strict=True):
         file = folder / f"{stem}.{table_format}"
-        write(table, file)
+        unfinished = folder / f".{stem}.part.{table_format}"
+        write(table, unfinished)
+        unfinished.rename(file)
         facts.append(_describe(table, file.name))
     content = {Path(one.file).stem: msgspec.to_builtins(one) for one in facts}
     text = json.dumps(content, indent=1) + "\n"
@@ -80,14 +84,21 @@ def find_writer(table_format: TableFormat) -> Callable[[RecordedTable, Path], No
 
 
 def _name_files(tables: Sequence[RecordedTable]) -> list[str]:
-    """Name files by tables, and by types where a name has several."""
+    """Name files by tables, and by types where a name has several; no two are equal.
+
+    Names are those of topics, in which `a/b` and `a_b` differ.
+    """
     names = [table.name for table in tables]
-    return [
-        (table.name if names.count(table.name) == 1 else f"{table.name}_{table.ros_type}").replace(
-            "/", "_"
-        )
-        for table in tables
-    ]
+    found: dict[str, str] = {}
+    for table in tables:
+        is_only = names.count(table.name) == 1
+        stem = (table.name if is_only else f"{table.name}_{table.ros_type}").replace("/", "_")
+        stem = stem[:MAX_STEM] or "topic"
+        number = 1
+        while (name := stem if number == 1 else f"{stem}_{number}").casefold() in found:
+            number += 1
+        found[name.casefold()] = name
+    return list(found.values())
 
 
 def _describe(table: RecordedTable, file: str) -> TableFacts:

@@ -29,6 +29,14 @@ ROSTER_TOPICS: Final = (EVENTS, STATS, SNAPSHOT)
 """Of the world, recorded as texts with JSON."""
 
 
+def name_requests_topic(world: str) -> str:
+    """Name the topic with the requests that changed a world, which a recorder makes of its inputs.
+
+    It has the first slash.
+    """
+    return f"/{INPUTS.key(world).removesuffix(INPUTS.suffix)}requests"
+
+
 class TopicSelection(msgspec.Struct, frozen=True, kw_only=True):
     """Options that choose topics; names are those of ROS 2, with wildcards of Zenoh."""
 
@@ -109,6 +117,11 @@ def list_keys(chosen: TopicFilter, world: str, domain: int | None) -> list[str]:
         listed.update(
             (one.strip("/"), None) for one in (*named, f"/{MAP.suffix}") if chosen.accepts(one)
         )
+    inputs = INPUTS.key(world)
+    if chosen.accepts(name_requests_topic(world)) and not any(
+        keys.intersect(one, inputs) for one in listed
+    ):
+        listed[inputs] = None
     return _drop_covered(listed)
 
 
@@ -146,11 +159,12 @@ def _covers(wide: str, narrow: str) -> bool:
 
 
 def list_paced_topics(world: str) -> frozenset[str]:
-    """List the topics of a world that are published by wall time."""
-    paced = [one for one in WORLD_TOPICS if one.rate_hz]
+    """List the topics of a world that are published by wall time, or name sessions."""
+    paced = [one for one in WORLD_TOPICS if one.rate_hz or one is INPUTS]
     keys_of_world = [one.key(world) for one in paced]
     at_root = [one.suffix for one in paced if one.root_message is not None]
-    return frozenset(f"/{key}" for key in (*keys_of_world, *at_root))
+    named = {f"/{key}" for key in (*keys_of_world, *at_root)}
+    return frozenset((*named, name_requests_topic(world)))
 
 
 def list_ros_keys(
@@ -166,10 +180,15 @@ def list_ros_keys(
             continue
         if not chosen.accepts(f"/{one.key}"):
             continue
-        key = f"{domain}/{one.key}/{ANY_ROS_TYPE}"
+        key = make_ros_key(one.key, domain)
         if not any(keys.intersect(_to_plain_key(other), one.key) for other in known):
             found[key] = None
     return list(found)
+
+
+def make_ros_key(key: str, domain: int) -> str:
+    """Write the key expression of a topic in ROS 2, of any type."""
+    return f"{domain}/{key}/{ANY_ROS_TYPE}"
 
 
 def _to_plain_key(expression: str) -> str:

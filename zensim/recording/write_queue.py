@@ -1,14 +1,15 @@
-"""A thread that writes a recording, so that a slow disk delays no message; counts what it drops."""
+"""Writers of a recording: a thread, so that a slow disk delays no message, or the caller."""
 
 import errno
 import threading
 import time
 from queue import SimpleQueue
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 from zensim.recording.mcap_records import AttachedFile
 from zensim.recording.recorded_topics import RecordedMessage, RecordedTopic
 from zensim.recording.recording_parts import RecordingParts
+from zensim.recording.written_topics import measure_messages
 
 IDLE_S: Final = 0.1
 """Between two turns of the thread: one for each batch would cost as much as the writing."""
@@ -25,15 +26,79 @@ Batch = list[RecordedMessage]
 Order = Batch | AttachedFile | NewPart
 
 
+class MessageWriter(Protocol):
+    """Writes what a recorder hands over."""
+
+    lost: int
+    """Messages for which there was no room, or that came after the failure."""
+    failure: OSError | None
+    """What ended the recording."""
+
+    def put(self, batch: Batch) -> None:
+        """Take messages."""
+
+    def order(self, order: AttachedFile | NewPart) -> None:
+        """Take another order."""
+
+    def stop(self) -> None:
+        """Write what waits."""
+
+
+class DirectWriter:
+    """Writes at once: the caller waits for the disk, and nothing is lost before it fails."""
+
+    def __init__(self, parts: RecordingParts[RecordedTopic]) -> None:
+        self._parts = parts
+        self.lost = 0
+        self.failure: OSError | None = None
+
+    def put(self, batch: Batch) -> None:
+        """Write messages."""
+        left = len(batch)
+        try:
+            for message in batch if self.failure is None else ():
+                left -= 1
+                self._parts.write(message)
+            self._parts.flush_if_due(time.monotonic())
+        except OSError as error:
+            self.failure = self.failure or error
+        if self.failure is not None:
+            self.lost += left
+
+    def order(self, order: AttachedFile | NewPart) -> None:
+        """Obey another order."""
+        if self.failure is not None:
+            return
+        try:
+            obey(self._parts, order)
+        except OSError as error:
+            self.failure = error
+
+    def stop(self) -> None:
+        """Do nothing: nothing waits."""
+
+
+def obey(parts: RecordingParts[RecordedTopic], order: AttachedFile | NewPart) -> None:
+    """Attach a file, or begin a new part.
+
+    Raises:
+        OSError: See `RecordingParts.write`.
+    """
+    if isinstance(order, AttachedFile):
+        parts.attach(order)
+    else:
+        parts.start_part(order.log_ns, order.publish_ns)
+
+
 class WriteQueue:
-    """Messages that wait for the disk."""
+    """Messages that wait for the disk, and the thread that writes them."""
 
     def __init__(self, parts: RecordingParts[RecordedTopic], max_bytes: int) -> None:
         """Start the thread.
 
         Args:
             parts: Used by the thread only, until `stop` returns.
-            max_bytes: Of the messages that wait; more are dropped.
+            max_bytes: Memory of the messages that wait; more are dropped.
         """
         self._parts = parts
         self._max_bytes = max_bytes
@@ -52,7 +117,7 @@ class WriteQueue:
         """Hand over messages; drop them if too many wait."""
         if not batch:
             return
-        size = sum(len(message[3]) for message in batch)
+        size = measure_messages(batch)
         if self._put_bytes - self._taken_bytes + size > self._max_bytes:
             self.lost += len(batch)
             return
@@ -91,14 +156,12 @@ class WriteQueue:
         return self._orders.get()
 
     def _obey(self, order: Order) -> None:
-        if isinstance(order, AttachedFile):
-            self._parts.attach(order)
-        elif isinstance(order, NewPart):
-            self._parts.start_part(order.log_ns, order.publish_ns)
+        if not isinstance(order, list):
+            obey(self._parts, order)
         else:
             self._left = len(order)
             for message in order:
                 self._left -= 1
                 self._parts.write(message)
-            self._taken_bytes += sum(len(message[3]) for message in order)
+            self._taken_bytes += measure_messages(order)
         self._parts.flush_if_due(time.monotonic())

@@ -1,7 +1,10 @@
 """What a topic needs to be written to a file, whether it comes from the network or from a file."""
 
-from collections.abc import Hashable
-from typing import Protocol, TypeVar
+from collections.abc import Hashable, Iterable
+from typing import Final, Protocol, TypeVar
+
+OVERHEAD_BYTES: Final = 200
+"""Memory of a message besides its payload: a tuple, two times, the head of the payload."""
 
 
 class WrittenTopic(Hashable, Protocol):
@@ -36,3 +39,8 @@ class WrittenTopic(Hashable, Protocol):
 
 
 Topic = TypeVar("Topic", bound=WrittenTopic)
+
+
+def measure_messages(messages: Iterable[tuple[object, int, int, bytes]]) -> int:
+    """Measure the memory of messages in bytes: of small ones, the payload is the least part."""
+    return sum([OVERHEAD_BYTES + len(payload) for _, _, _, payload in messages])

@@ -708,9 +708,11 @@ Check = (
 
 
 class RecordSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A recording of the run; read and checked, without effect until recordings exist."""
+    """A recording of the run, from the first spawn on, in place of that of an earlier run."""
 
-    to: Annotated[str, described("File, with {name} and {seed} of the run.")]
+    to: Annotated[
+        str, described("File .mcap, or folder, from this file; with {name} and {seed} of the run.")
+    ]
     topics: Annotated[tuple[str, ...], described("Topics; empty = all.")] = ()
     keep: Annotated[Literal["always", "on_failure"], described("When to keep it.")] = "always"
 

@@ -2,8 +2,8 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -75,6 +75,7 @@ from zensim.scenario.scenario_format import (
     RobotsSection,
 )
 from zensim.scenario.scenario_reader import Scenario
+from zensim.scenario.scenario_recording import ScenarioRecording, find_recording
 from zensim.scenario.wall_outlines import Wall, find_walls
 
 if TYPE_CHECKING:
@@ -116,6 +117,8 @@ class RunReport(msgspec.Struct, frozen=True):
     """Why it did not run to its end; empty if it did."""
     repeat: str = ""
     """Command that repeats the run."""
+    recording: str = ""
+    """File or folder of its recording, if there is one."""
 
     @property
     def is_passed(self) -> bool:
@@ -142,6 +145,7 @@ class ScenarioRun(ClosedOnExit):
     motions: list[ScheduledMotion] = field(init=False)
     faults: FaultSchedule = field(init=False)
     monitors: list[CheckMonitor] = field(init=False)
+    recording: ScenarioRecording | None = field(init=False, default=None)
     commands: FloatArray = field(init=False)
     driven: npt.NDArray[np.bool_] = field(init=False)
 
@@ -159,7 +163,13 @@ class ScenarioRun(ClosedOnExit):
         self._held = np.zeros(len(scenario.robots), dtype=bool)
 
     def spawn(self) -> None:
-        """Spawn the robots, and make behaviours and checks."""
+        """Spawn the robots, and make behaviours and checks; the recording begins before."""
+        if (path := find_recording(self.scenario)) is not None:
+            self.recording = ScenarioRecording(self.scenario, self.sim, path)
+        with self._ended_by_errors():
+            self._spawn_all()
+
+    def _spawn_all(self) -> None:
         for index, group in enumerate(self.scenario.format.robots):
             _spawn_group(self.sim, self.scenario, index, group)
         self.fleet = self.sim.fleet(self.scenario.robot_names)
@@ -175,16 +185,37 @@ class ScenarioRun(ClosedOnExit):
             end: Most simulated seconds; None = as the file says, or 10 s.
         """
         seconds = find_end(self.scenario) if end is None else end
-        for _ in self.sim.steps(seconds=seconds if math.isfinite(seconds) else None):
-            if self.is_over(self.step()):
-                return self.report()
-        self.check_now()
+        with self._ended_by_errors():
+            self._step_until(seconds)
+        self.end_recording(is_passed=self.report().is_passed)
         return self.report()
 
+    def _step_until(self, seconds: float) -> None:
+        for _ in self.sim.steps(seconds=seconds if math.isfinite(seconds) else None):
+            if self.is_over(self.step()):
+                return
+        self.check_now()
+
     def close(self) -> None:
-        """Close the world, if it belongs to this run."""
+        """End the recording, and close the world, if it belongs to this run."""
+        if self.recording is not None and hasattr(self, "monitors"):
+            self.end_recording(is_passed=self.report().is_passed)
         if self.owns_world:
             self.sim.close()
+
+    def end_recording(self, *, is_passed: bool) -> None:
+        """End the recording, if there is one; may be repeated."""
+        if self.recording is not None:
+            self.recording.end(is_passed=is_passed)
+
+    @contextmanager
+    def _ended_by_errors(self) -> Iterator[None]:
+        """End the recording after an error, which is what it is for."""
+        try:
+            yield
+        except BaseException:
+            self.end_recording(is_passed=False)
+            raise
 
     def step(self) -> CheckedState:
         """Do all that is due at the present control step, before time advances."""
@@ -236,8 +267,9 @@ class ScenarioRun(ClosedOnExit):
             time.monotonic() - self._start_wall_s,
             len(scenario.robots),
             version("zensim"),
-            error,
+            error or (self.recording.failure if self.recording is not None else ""),
             repeat,
+            self.recording.kept if self.recording is not None else "",
         )
 
     def _observe(self) -> FleetState:

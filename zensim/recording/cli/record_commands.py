@@ -26,12 +26,11 @@ from zensim.proto.cli_options import (
 )
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.proto.messages.telemetry_messages import EventKind, InfoRequest
+from zensim.proto.messages.telemetry_messages import EventKind
 from zensim.proto.names import check_name
 from zensim.proto.printable_text import print_lines
 from zensim.proto.process_limits import limit_malloc_arenas
 from zensim.proto.ros2.rmw_keys import parse_domain
-from zensim.proto.service_catalog import INFO
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.verbosity import CURRENT, print_announcement, print_note, set_verbosity
 from zensim.recording.byte_sizes import parse_size
@@ -43,8 +42,8 @@ from zensim.recording.recording_session import (
     TAKE_PERIODS_S,
     RecordingFigures,
     RecordingSession,
-    RecordingStart,
     SessionSettings,
+    make_start,
 )
 from zensim.recording.topic_selection import TopicFilter, TopicSelection
 
@@ -366,8 +365,17 @@ class RecordProgram:
         info = self._start.info
         recorder_settings = msgspec.structs.replace(recorder_settings, step_ns=info.step_ns)
         self._session = RecordingSession(settings)
-        self._recorder = Recorder(bus, chosen, recorder_settings, self._session)
-        self._files = EntityFiles(bus, recorder_settings.world, self._session.attach)
+        try:
+            self._recorder = Recorder(bus, chosen, recorder_settings, self._session)
+        except BaseException:
+            self._session.discard()
+            raise
+        self._files = EntityFiles(
+            bus,
+            recorder_settings.world,
+            self._session.attach,
+            lambda reason: print_note("record", reason),
+        )
         self._wants_snapshot = False
         self._figures: RecordingFigures | None = None
         if (user_signal := getattr(signal, "SIGUSR1", None)) is not None:
@@ -375,28 +383,34 @@ class RecordProgram:
 
     def run(self, should_stop: Callable[[], bool], duration_s: float) -> OSError | None:
         """Record until `should_stop`, or for a duration [s]; return the failure that ended it."""
-        self._files.attach_new(has_arrivals=self._recorder.take_arrivals())
+        with closing(self._recorder):
+            try:
+                self._files.attach_new(has_arrivals=self._recorder.take_arrivals())
+                self._take_until(should_stop, duration_s)
+                self._recorder.take(is_last=True)
+            finally:
+                # Whatever ends the loop, what was recorded is whole.
+                self._figures = self._session.close(self._recorder, self._start)
+        return self._session.failure
+
+    def _take_until(self, should_stop: Callable[[], bool], duration_s: float) -> None:
+        session, recorder = self._session, self._recorder
         began_s = time.monotonic()
         report_at_s = began_s + REPORT_PERIOD_S
-        session, recorder = self._session, self._recorder
         period_s = TAKE_PERIODS_S[self._start.time_base]
-        with closing(recorder):
-            while not should_stop() and session.failure is None:
-                now_s = time.monotonic()
-                recorder.take()
-                if self._wants_snapshot:
-                    self._wants_snapshot = False
-                    print_note("record", f"{session.write_snapshot()} messages in the snapshot")
-                if now_s >= report_at_s:
-                    report_at_s = now_s + REPORT_PERIOD_S
-                    self._report()
-                    self._files.attach_new(has_arrivals=recorder.take_arrivals())
-                if duration_s and now_s - began_s >= duration_s:
-                    break
-                time.sleep(period_s)
-            recorder.take(is_last=True)
-            self._figures = session.close(recorder, self._start)
-        return session.failure
+        while not should_stop() and session.failure is None:
+            now_s = time.monotonic()
+            recorder.take()
+            if self._wants_snapshot:
+                self._wants_snapshot = False
+                print_note("record", f"{session.write_snapshot()} messages in the snapshot")
+            if now_s >= report_at_s:
+                report_at_s = now_s + REPORT_PERIOD_S
+                self._report()
+                self._files.attach_new(has_arrivals=recorder.take_arrivals())
+            if duration_s and now_s - began_s >= duration_s:
+                break
+            time.sleep(period_s)
 
     def print_end(self, *, as_json: bool) -> None:
         """Print what was recorded."""
@@ -417,18 +431,6 @@ class RecordProgram:
 
     def _ask_for_snapshot(self, _number: int, _frame: object) -> None:
         self._wants_snapshot = True
-
-
-def make_start(bus: Bus, settings: RecorderSettings) -> RecordingStart:
-    """Describe the world, without what depends on the host if files are to be equal.
-
-    Raises:
-        BusError: No server of the world replies.
-    """
-    info, wall_ns = bus.call(INFO, InfoRequest(), world=settings.world), time.time_ns()
-    if settings.is_reproducible:
-        info, wall_ns = msgspec.structs.replace(info, real_time_factor=0.0), 0
-    return RecordingStart(info=info, wall_ns=wall_ns, time_base=settings.time_base)
 
 
 def format_figures(figures: RecordingFigures) -> str:
