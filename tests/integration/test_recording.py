@@ -2,11 +2,13 @@
 
 import json
 import signal
+import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import psutil
 import pytest
 from rosbags.highlevel import AnyReader
 
@@ -20,9 +22,15 @@ from tests.integration.processes import (
 )
 from tests.integration.processes import zensim as run_zensim
 from tests.recording.recordings import count_by_mcap, count_by_rosbags
-from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.api.recorder_process import RecorderProcess
+from zensim.proto.bus import Bus, BusConfig, BusError, open_bus
 from zensim.proto.exit_codes import ExitCode
+from zensim.recording.cli.record_commands import RecordProgram
+from zensim.recording.recorder import RecorderSettings
+from zensim.recording.recording_parts import PartSettings
 from zensim.recording.recording_reader import RecordingReader
+from zensim.recording.recording_session import SessionSettings
+from zensim.recording.topic_selection import TopicFilter, TopicSelection
 
 if TYPE_CHECKING:
     import subprocess
@@ -189,3 +197,66 @@ def test_recording_says_what_is_wrong(sim: api.Sim, tmp_path: Path) -> None:
     assert exists.returncode == ExitCode.FAILED
     assert [one.returncode for one in (storage, kept, times)] == [ExitCode.USAGE] * 3
     assert "mcap" in storage.stderr
+
+
+def test_recording_is_whole_whatever_ends_its_loop(bus: Bus, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    program = RecordProgram(
+        bus,
+        TopicFilter(TopicSelection(topics=("*/odom",))),
+        RecorderSettings(world="default", domain=None),
+        SessionSettings(parts=PartSettings(path=path), max_cache_bytes=1 << 20),
+    )
+    ends_s = time.monotonic() + 1.0
+
+    def fail_late() -> bool:
+        if time.monotonic() > ends_s:
+            raise RuntimeError("unexpected")
+        return False
+
+    with pytest.raises(RuntimeError):
+        program.run(fail_late, 0.0)
+
+    assert RecordingReader(path).unclosed == ()
+    assert sum(count_by_rosbags(path).values()) > 0
+
+
+def test_recorder_that_finds_no_clock_leaves_no_file(bus: Bus, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+
+    with pytest.raises(BusError):
+        RecordProgram(
+            bus,
+            TopicFilter(TopicSelection(wants_all=True)),
+            RecorderSettings(world="elsewhere", domain=None),
+            SessionSettings(parts=PartSettings(path=path), max_cache_bytes=1 << 20),
+        )
+
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_recording_has_the_requests_of_the_server(sim: api.Sim, tmp_path: Path) -> None:
+    with sim.record(tmp_path / "run.mcap", "sim/default/requests", timeout_s=90.0) as recorder:
+        sim.spawn("box_bot", name="asked").delete()
+        path = recorder.path
+        eventually(lambda: path.stat().st_size > 1000, WITHIN_S, "requests in the file")
+
+    texts = [json.loads(one.data.data) for one in recorder.read().messages()]  # type: ignore[attr-defined]
+    assert [one["service"] for one in texts][:1] == ["spawn_entity"]
+    assert texts[0]["request"]["name"] == "asked"
+
+
+def test_recorder_that_was_killed_is_an_error(sim: api.Sim, tmp_path: Path) -> None:
+    recorder = sim.record(tmp_path / "run.mcap", "*/odom", timeout_s=90.0)
+    assert isinstance(recorder, RecorderProcess)
+    (process,) = [
+        one
+        for one in psutil.Process().children(recursive=True)
+        if str(recorder.path) in one.cmdline()
+    ]
+    process.kill()
+    eventually(lambda: process.status() == psutil.STATUS_ZOMBIE, WITHIN_S, "its end")
+
+    with pytest.raises(api.Error) as failure:
+        recorder.close()
+    assert failure.value.slug == "no_recorder"

@@ -1,6 +1,7 @@
 """A reader gives the messages of a recording by time and topic, whatever files it has."""
 
 import random
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -9,11 +10,18 @@ from mcap.writer import CompressionType, Writer
 
 from tests.recording.recordings import define_topics, write_recording
 from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_10
+from zensim.recording import recording_reader
+from zensim.recording.file_index import ChunkPlace
 from zensim.recording.mcap_records import AttachedFile, Channel, Metadata, Schema
 from zensim.recording.mcap_writer import McapWriter
 from zensim.recording.output_file import OutputFile
 from zensim.recording.recorded_topics import QOS_METADATA, read_qos_profile, write_qos_profiles
-from zensim.recording.recording_reader import RecordingReader, StoredTopic
+from zensim.recording.recording_reader import (
+    Ordered,
+    RecordedFile,
+    RecordingReader,
+    StoredTopic,
+)
 
 MESSAGES = 1000
 IN_A_CHUNK = 100
@@ -231,3 +239,42 @@ def test_reader_of_a_damaged_file_fails_nowhere(tmp_path: Path, seed: int) -> No
 
     assert len(found) <= MESSAGES
     assert len(found) >= MESSAGES - IN_A_CHUNK or reader.damaged or not reader.unclosed
+
+
+def test_seeks_read_latched_messages_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "run.mcap"
+    write_times(
+        path, [[number, number + 5] for number in range(0, 100, 10)], "/r1/robot_description"
+    )
+    (run,) = RecordingReader(path).runs
+    read: list[ChunkPlace] = []
+    load = RecordedFile.read_messages
+
+    def count(
+        file: RecordedFile,
+        place: ChunkPlace,
+        wanted: Mapping[int, StoredTopic],
+        span: range,
+        first: int = 0,
+    ) -> list[Ordered]:
+        read.append(place)
+        return load(file, place, wanted, span, first)
+
+    monkeypatch.setattr(RecordedFile, "read_messages", count)
+    found = [run.latched_at(at)[0][3] for at in (50, 99, 12, 50, 3)]
+
+    assert found == [b"10", b"19", b"2", b"10", b"0"]
+    assert len(read) <= 11
+
+
+def test_latched_messages_beyond_the_limit_are_read_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.mcap"
+    write_times(path, [[0, 5], [10, 15], [20, 25]], "/r1/robot_description")
+    monkeypatch.setattr(recording_reader, "MAX_LATCHED_BYTES", 2)
+    (run,) = RecordingReader(path).runs
+
+    found = [run.latched_at(at)[0][3] for at in (25, 3, 12, 99)]
+
+    assert found == [b"5", b"0", b"2", b"5"]

@@ -7,6 +7,7 @@ import pytest
 
 import zensim
 from tests.recording.recordings import write_recording
+from zensim.api.recording_file import StoredValue
 
 MESSAGES = 300
 PERIOD_S = 0.02
@@ -63,3 +64,54 @@ def test_errors_say_what_is_missing(recording: zensim.Recording, tmp_path: Path)
         recording.attachment("mesh")
     with pytest.raises(zensim.NotFound):
         recording.table("*/scan")
+
+
+@pytest.mark.parametrize("span", [{"start": float("nan")}, {"end": float("inf")}, {"end": "1"}])
+def test_times_that_are_none_are_invalid(
+    recording: zensim.Recording, span: dict[str, float]
+) -> None:
+    with pytest.raises(zensim.Invalid):
+        recording.messages(**span)
+    with pytest.raises(zensim.Invalid):
+        recording.table("*/odom", **span)
+
+
+def test_topic_that_is_no_text_is_invalid(recording: zensim.Recording) -> None:
+    with pytest.raises(zensim.Invalid):
+        recording.messages(7)  # type: ignore[arg-type]
+
+
+def test_damaged_attachment_is_invalid(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_recording(path, MESSAGES)
+    path.write_bytes(path.read_bytes().replace(b"<sdf/>", b"<sdg/>"))
+
+    with pytest.raises(zensim.Invalid):
+        zensim.Recording(path).attachment("world.sdf")
+
+
+def test_file_that_is_gone_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_recording(path, MESSAGES)
+    recording = zensim.Recording(path)
+    path.unlink()
+
+    with pytest.raises(zensim.NotFound):
+        next(recording.messages())
+    with pytest.raises(zensim.NotFound):
+        recording.table("*/odom")
+
+
+def test_folder_in_place_of_a_file_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "run.mcap").mkdir()
+    (tmp_path / "run.mcap" / "run.mcap").mkdir()
+
+    with pytest.raises(zensim.Error):
+        zensim.Recording(tmp_path / "run.mcap")
+
+
+def test_message_that_is_not_of_its_type_is_invalid() -> None:
+    value = StoredValue("/r1/odom", "nav_msgs/msg/Odometry", 0.0, 0.0, b"\0\1\0\0\1")
+
+    with pytest.raises(zensim.Invalid):
+        _ = value.data

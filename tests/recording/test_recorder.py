@@ -1,0 +1,174 @@
+"""What a recorder subscribes to and hands over, from an in-memory network."""
+
+import json
+from collections.abc import Callable
+
+import msgspec
+import pytest
+
+from tests.fakes import MemoryBus, MemoryToken
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.messages.input_messages import Inputs, ServiceRequest
+from zensim.proto.messages.standard_messages import Odometry, String, Time
+from zensim.proto.messages.telemetry_messages import Event, WorldClock
+from zensim.proto.ros2.liveliness_tokens import GraphEndpoint, GraphNode, make_endpoint_token
+from zensim.proto.topic_catalog import CLOCK, INPUTS
+from zensim.recording.recorded_topics import RecordedMessage
+from zensim.recording.recorder import Recorder, RecorderSettings
+from zensim.recording.topic_selection import TopicFilter, TopicSelection
+
+WORLD = "default"
+STEP_NS = 10_000_000
+
+
+class MessageList:
+    """Keeps what a recorder hands over."""
+
+    def __init__(self) -> None:
+        self.messages: list[RecordedMessage] = []
+        self.parts: list[int] = []
+
+    def put(self, batch: list[RecordedMessage]) -> None:
+        self.messages += batch
+
+    def start_part(self, log_ns: int, publish_ns: int) -> None:
+        del publish_ns
+        self.parts.append(log_ns)
+
+    def note_event(self, event: Event) -> None:
+        del event
+
+    def texts_of(self, topic: str) -> list[str]:
+        encoding = make_encoding(String, Format.CDR)
+        return [
+            decode(String, payload, encoding).data
+            for found, _, _, payload in self.messages
+            if found.name == topic
+        ]
+
+
+@pytest.fixture
+def bus() -> MemoryBus:
+    bus = MemoryBus()
+    clock = bus.serve(CLOCK.key(WORLD))
+    message = encode(WorldClock(Time(1, 0), 100, 0), Format.MSGPACK)
+
+    def reply() -> None:
+        for call in clock.take():
+            call.reply(message, CLOCK.encoding)
+
+    bus.pumps.append(reply)
+    return bus
+
+
+Make = Callable[..., tuple[Recorder, MessageList]]
+
+
+@pytest.fixture
+def make(bus: MemoryBus) -> Make:
+    def make(**selected: object) -> tuple[Recorder, MessageList]:
+        chosen = TopicFilter(msgspec.convert(selected, TopicSelection))
+        settings = RecorderSettings(world=WORLD, domain=0, step_ns=STEP_NS)
+        sink = MessageList()
+        return Recorder(bus, chosen, settings, sink), sink
+
+    return make
+
+
+def announce(bus: MemoryBus, topic: str, number: int) -> MemoryToken:
+    """Announce a publisher of a ROS 2 node."""
+    endpoint = GraphEndpoint(
+        node=GraphNode(domain=0, zid="ab12", number=0, name="talker"),
+        number=number,
+        kind="MP",
+        name=f"/{topic}",
+        ros_type="std_msgs/msg/String",
+        type_hash="RIHS01_0",
+    )
+    return bus.token(make_endpoint_token(endpoint))
+
+
+def test_subscription_ends_with_the_last_publisher_of_its_topic(bus: MemoryBus, make: Make) -> None:
+    recorder, sink = make(wants_all=True)
+    first, second = announce(bus, "chatter", 1), announce(bus, "chatter", 2)
+    recorder.take()
+    before = [key for key in bus.subscribed_keys if "chatter" in key]
+
+    first.close()
+    recorder.take()
+    between = [key for key in bus.subscribed_keys if "chatter" in key]
+    second.close()
+    recorder.take()
+    after = [key for key in bus.subscribed_keys if "chatter" in key]
+
+    assert (len(before), between, after) == (1, before, [])
+    assert sink.messages == []
+
+
+def test_topic_that_comes_back_is_subscribed_to_again(bus: MemoryBus, make: Make) -> None:
+    recorder, _ = make(wants_all=True)
+    for number in range(3):
+        token = announce(bus, "chatter", number)
+        recorder.take()
+        assert sum("chatter" in key for key in bus.subscribed_keys) == 1
+        token.close()
+        recorder.take()
+
+    assert not any("chatter" in key for key in bus.subscribed_keys)
+
+
+REQUEST = ServiceRequest(90, "spawn_entity", "client_1", '{"name":"r1"}')
+CUT = ServiceRequest(95, "load_world", "", '{"uri":"wal', 1)
+
+
+@pytest.mark.parametrize(
+    "selected",
+    [
+        {"wants_all": True},
+        {"topics": ("sim/default/requests",)},
+        {"topics": ("sim/*/requests", "r1/odom")},
+        {"regex": "requests$"},
+        {"wants_all": True, "exclude_topics": ("sim/default/inputs",)},
+    ],
+)
+def test_requests_are_readable_texts_at_their_steps(
+    bus: MemoryBus, make: Make, selected: dict[str, object]
+) -> None:
+    recorder, sink = make(**selected)
+
+    inputs = Inputs("log", 0, 0, 100, (REQUEST, CUT), b"")
+    bus.put_message(INPUTS.key(WORLD), inputs, Format.MSGPACK)
+    recorder.take()
+
+    first, second = map(json.loads, sink.texts_of("/sim/default/requests"))
+    assert (first["service"], first["request"], first["code"]) == (
+        "spawn_entity",
+        {"name": "r1"},
+        1,
+    )
+    assert (second["request"], second["is_cut"]) == ('{"uri":"wal', True)
+    times = [log_ns for topic, log_ns, _, _ in sink.messages if "requests" in topic.name]
+    assert times == [90 * STEP_NS, 95 * STEP_NS]
+    inputs_count = sum(topic.name == "/sim/default/inputs" for topic, *_ in sink.messages)
+    assert inputs_count == (selected == {"wants_all": True})
+
+
+def test_requests_are_left_out_on_demand(bus: MemoryBus, make: Make) -> None:
+    recorder, sink = make(wants_all=True, exclude_topics=("sim/default/requests",))
+
+    inputs = Inputs("log", 0, 0, 100, (REQUEST,), b"")
+    bus.put_message(INPUTS.key(WORLD), inputs, Format.MSGPACK)
+    recorder.take()
+
+    assert {topic.name for topic, *_ in sink.messages} == {"/sim/default/inputs"}
+
+
+def test_time_that_goes_back_begins_a_file(bus: MemoryBus, make: Make) -> None:
+    recorder, sink = make(topics=("r1/odom",))
+    for seconds, epoch in ((2, 0), (3, 0), (1, 0), (2, 1)):
+        clock = WorldClock(Time(seconds, 0), seconds * 100, epoch)
+        bus.put_message(CLOCK.key(WORLD), clock, Format.MSGPACK)
+        bus.put_message("r1/odom", Odometry())
+        recorder.take()
+
+    assert sink.parts == [1_000_000_000, 2_000_000_000]
