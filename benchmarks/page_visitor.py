@@ -60,21 +60,19 @@ class Visitor:
             changes = [message.get("updates", {}) for message in messages]
             self.updates += any("batched_positions" in change for change in changes)
             self.drawings += sum("points" in change or "data" in change for change in changes)
-            labelled = {
-                str(props["label"]): str(message["uuid"])
-                for message in messages
-                if isinstance(props := message.get("props"), dict) and props.get("label")
-            }
-            self._use(labelled)
+            for message in messages:
+                props = message.get("props")
+                if isinstance(props, dict) and props.get("label"):
+                    self._use(str(props["label"]), str(message["uuid"]))
+            if self._entity:
+                self._connection.send(encode_selection(self._entity))
 
-    def _use(self, labelled: dict[str, str]) -> None:
-        """Switch new check boxes on, and select until there are the controls of a selection."""
-        for label in self._labels & labelled.keys():
-            self._connection.send(encode_update(labelled[label], value=True))
-        if SELECTED in labelled:
+    def _use(self, label: str, uuid: str) -> None:
+        """Switch a new check box on, and end selecting when there are the controls for it."""
+        if label in self._labels:
+            self._connection.send(encode_update(uuid, value=True))
+        if label == SELECTED:
             self._entity = ""
-        if self._entity:
-            self._connection.send(encode_selection(self._entity))
 
 
 def visit(url: str, count: int, entity: str, labels: frozenset[str]) -> NoReturn:

@@ -35,10 +35,15 @@ class InstanceUpdateMessage(SceneNodeUpdateMessage):
 
 def _refer(array: np.ndarray, buffers: list[memoryview]) -> dict[str, Any]:
     """Refer to a contiguous array by its place among the buffers of a message."""
-    place = next((i for i, one in enumerate(buffers) if one.obj is array), len(buffers))
+    place = next((i for i, one in enumerate(buffers) if _is_of(one, array)), len(buffers))
     if place == len(buffers):
         buffers.append(array.data)
     return {"__binary_index": place, "dtype": array.dtype.str}
+
+
+def _is_of(buffer: memoryview, owner: object) -> bool:
+    found: object = buffer.obj
+    return found is owner
 
 
 def move_instances(scene: viser.SceneApi, paths: Sequence[str], poses: FloatArray) -> None:

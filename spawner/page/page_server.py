@@ -9,7 +9,7 @@ import ssl
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stderr
+from contextlib import contextmanager, redirect_stderr, suppress
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, partial
 from typing import Any, Final
@@ -267,6 +267,19 @@ class LoopMessageBuffer(viser.infra._async_message_buffer.AsyncMessageBuffer):  
     """Buffer of viser whose waiters are woken within its loop only; it notes all controls."""
 
     message_event: asyncio.Event = field(default_factory=LoopEvent)
+    woken_for: int = 0
+    """Number of messages at the end of the last atomic block that woke the loop."""
+
+    def atomic_end(self) -> None:
+        """End an atomic block; without new messages, the loop is not woken."""
+        with self.buffer_lock:
+            self.atomic_counter -= 1
+            has_new = self.atomic_counter == 0 and self.message_counter != self.woken_for
+            if has_new:
+                self.woken_for = self.message_counter
+        if has_new:
+            with suppress(RuntimeError):  # the loop is closed when the page ends
+                self.event_loop.call_soon_threadsafe(self.message_event.set)
 
     def push(self, message: viser.infra.Message) -> None:
         """Queue a message to a page."""

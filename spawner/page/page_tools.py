@@ -93,6 +93,7 @@ STYLE: Final = """
   .mantine-Checkbox-inner, .mantine-Checkbox-input {
     min-width: 44px !important; min-height: 44px !important; }
   .mantine-NumberInput-controls { display: none !important; }
+  .mantine-NumberInput-root { min-width: 44px; }
   .mantine-NumberInput-input { padding-right: .5em !important; }
   .mantine-Checkbox-input { border: 11px solid transparent !important; border-radius: 14px;
     background-clip: padding-box !important; outline: 1px solid var(--mantine-color-dimmed);

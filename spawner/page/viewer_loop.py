@@ -448,6 +448,8 @@ class ViewerDataSource:
         self._received_at = clock()
         self._fleet = RenderedFleet()
         self._fleet_inputs: _FleetInputs | None = None
+        self._frame: tuple[RenderedFleet, bytes, bytes, RenderedFrame] | None = None
+        """Of the last snapshot, with what it was made of."""
         self._monitors: dict[str, CommandMonitor] = {}
         self._sensors = SensorMonitors(network)
         self._watches = WatchMonitors(network, world)
@@ -560,7 +562,18 @@ class ViewerDataSource:
             malformed=self._sensors.malformed + self._watches.malformed,
             stats=self._take_stats(),
         )
-        return ViewState(self._fleet, make_frame(self._fleet, snapshot), status)
+        return ViewState(self._fleet, self._make_frame(snapshot), status)
+
+    def _make_frame(self, snapshot: Snapshot) -> RenderedFrame:
+        """Make the frame of a snapshot; the same object if nothing has moved."""
+        made_of = self._fleet, snapshot.base, snapshot.joint_positions
+        if (
+            self._frame is None
+            or self._frame[0] is not made_of[0]
+            or self._frame[1:3] != made_of[1:]
+        ):
+            self._frame = *made_of, make_frame(self._fleet, snapshot)
+        return self._frame[3]
 
     def _request_models(self) -> None:
         if self._clock() < self._next_call_at:

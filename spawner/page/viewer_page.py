@@ -183,11 +183,14 @@ class ViewerPage:
         commands: Mapping[str, LastCommand],
     ) -> None:
         """Draw one snapshot."""
+        before = self._state
         self._state = PageState(fleet, frame, status, commands, self._fleet_nodes.find_bounds)
-        with self._server.atomic():
-            self._lighting.show(fleet.scene, frame.lights)
-            self._fleet_nodes.show(fleet, frame)
-        self._names = self._fleet_nodes.names_json()
+        if frame is not before.frame:
+            with self._server.atomic():
+                self._lighting.show(fleet.scene, frame.lights)
+                self._fleet_nodes.show(fleet, frame)
+        if fleet is not before.fleet:
+            self._names = self._fleet_nodes.names_json()
         self._set_grey(is_grey=False)
         for client in self._connected_clients():
             client.draw(self._state)

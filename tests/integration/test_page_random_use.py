@@ -18,7 +18,20 @@ MOST = 100
 """Of numbers that are offered: a thousand robots would be spawned otherwise."""
 WITHIN_S = 60.0
 NUMBERS = (0.0, -1.0, 0.5, 2.0, 3.0, 50.0, 1e300, math.nan, math.inf, -math.inf)
-VALUES = (True, False, None, "", "r1", "x" * 999, [], {}, b"\xff", 2**63, [1.0] * 5, *NUMBERS)
+VALUES: tuple[object, ...] = (
+    True,
+    False,
+    None,
+    "",
+    "r1",
+    "x" * 999,
+    [],
+    {},
+    b"\xff",
+    2**63,
+    [1.0] * 5,
+    *NUMBERS,
+)
 Choices = random.Random
 
 
@@ -55,7 +68,7 @@ def run_command(choices: Choices, user: PageUser) -> dict[str, object]:
 
 
 def click_scene(choices: Choices, _: PageUser) -> dict[str, object]:
-    ray = {
+    ray: dict[str, object] = {
         "ray_origin": [choices.choice(NUMBERS) for _ in range(3)],
         "ray_direction": [choices.choice(NUMBERS) for _ in range(3)],
         "modifier": choices.choice((None, "shift", "none")),
@@ -70,17 +83,22 @@ def click_scene(choices: Choices, _: PageUser) -> dict[str, object]:
         }
     name = choices.choice(("/robots/0/0/0", "/robots/9", "/ground", ""))
     number = choices.choice((0, 1, 999, -1, None))
-    more = {"name": name, "instance_index": number, "screen_pos": (0.5, 0.5), "owner": ""}
+    more: dict[str, object] = {
+        "name": name,
+        "instance_index": number,
+        "screen_pos": (0.5, 0.5),
+        "owner": "",
+    }
     return {"kind": "SceneNodeClickMessage", **more, **ray}
 
 
 def drag_handles(choices: Choices, user: PageUser) -> dict[str, object]:
     kind = choices.choice(("DragStart", "Update", "DragEnd"))
-    pose = {
+    pose: dict[str, object] = {
         "wxyz": [choices.choice(NUMBERS) for _ in range(4)],
         "position": [choices.choice(NUMBERS) for _ in range(3)],
     }
-    more = pose if kind == "Update" else {}
+    more: dict[str, object] = pose if kind == "Update" else {}
     return {
         "kind": f"TransformControls{kind}Message",
         "name": "/handles",
@@ -91,15 +109,14 @@ def drag_handles(choices: Choices, user: PageUser) -> dict[str, object]:
 
 def send_script_message(choices: Choices, _: PageUser) -> dict[str, object]:
     axes = {axis: choices.choice((-1.0, 0.0, 1.0, 7.0)) for axis in ("forward", "left", "turn")}
-    return choices.choice(
-        (
-            {"kind": "ZensimDrive", **axes},
-            {"kind": "ZensimSelect", "entity": choices.choice(("r1", "r2", "", "x" * 300))},
-            {"kind": "ZensimTheme", "is_dark": choices.choice((True, False, "dark"))},
-            {"kind": "ZensimLeave"},
-            {"kind": "ZensimNothing"},
-        )
+    messages: tuple[dict[str, object], ...] = (
+        {"kind": "ZensimDrive", **axes},
+        {"kind": "ZensimSelect", "entity": choices.choice(("r1", "r2", "", "x" * 300))},
+        {"kind": "ZensimTheme", "is_dark": choices.choice((True, False, "dark"))},
+        {"kind": "ZensimLeave"},
+        {"kind": "ZensimNothing"},
     )
+    return choices.choice(messages)
 
 
 KINDS: tuple[Callable[[Choices, PageUser], dict[str, object]], ...] = (

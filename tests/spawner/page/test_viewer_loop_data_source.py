@@ -86,6 +86,16 @@ def test_models_are_requested_once_per_roster() -> None:
     assert setup.server.count(GetModelsRequest) == 1
 
 
+def test_frame_is_the_same_object_until_something_moves() -> None:
+    setup = Setup()
+
+    views = [setup.receive("r1", "r2", at_x=at_x) for at_x in (1.0, 1.0, 2.0)]
+
+    first, second, third = (view.frame for view in views if view is not None)
+    assert first is second
+    assert second is not third
+
+
 def test_models_are_requested_again_when_the_roster_changes() -> None:
     setup = Setup()
     setup.receive("r1", "r2")
