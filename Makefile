@@ -23,7 +23,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 STAMP := .venv/.setup-done
 
 .PHONY: help setup demo test browser short lint fmt types imports schemas docs site docs-media bench house chaos fuzz mutants pins \
-	interop interop-short interpreters ci clean packages
+	interop interop-short interpreters ci clean packages wheel platforms notice
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 18
@@ -133,6 +133,15 @@ interpreters: ## install and drive with each Python from 3.10 to 3.14 that is he
 
 mutants: setup packages ## change the code in 100 places, and print the changes that no test notices
 	$(BIN)/python -m tests.mutation
+
+wheel: setup ## dist/: the wheel of the last commit, built twice with equal bytes, and its SBOM
+	@sh .ci/wheel
+
+platforms: setup ## whether each platform has wheels of all packages; needs an index of packages
+	@sh .ci/platforms
+
+notice: setup ## write NOTICE: licences of all packages that an extra installs
+	$(BIN)/python .ci/notices.py >NOTICE
 
 pins: ## resolve requirements/ anew
 	@$(FIND_PYTHON); $$python -m venv build/pins

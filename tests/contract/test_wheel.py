@@ -1,6 +1,7 @@
 """The wheel, installed outside the checkout together with PyPI's proto-plus."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -79,6 +80,31 @@ def test_wheel_holds_one_top_level_name_and_its_data(wheel: Path) -> None:
 
     assert {name for name in top if not name.endswith(".dist-info")} == {"zensim"}
     assert names >= DATA
+
+
+def test_metadata_of_the_wheel_has_no_links_into_the_repository(wheel: Path) -> None:
+    archive = zipfile.ZipFile(wheel)
+    (metadata,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+
+    text = archive.read(metadata).decode()
+
+    links = re.findall(r"\]\(([^)]*)\)", text)
+    assert links
+    assert all(link.startswith("https://") for link in links)
+
+
+def test_wheel_holds_the_licences(wheel: Path) -> None:
+    names = {Path(name).name for name in zipfile.ZipFile(wheel).namelist()}
+
+    assert names >= {"LICENSE", "NOTICE"}
+
+
+def test_notice_names_the_licence_of_each_package() -> None:
+    command = [sys.executable, str(ROOT / ".ci" / "notices.py"), "--check"]
+
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_wheel_and_proto_plus_are_both_complete(python: Path) -> None:
