@@ -109,7 +109,7 @@ def drive(server: Server, robots: int, steps: int) -> RunResult:
 
 def state_hash(bus: Bus) -> str:
     """Hash epoch, step, time, and the states of all entities and joints."""
-    (sample,) = bus.get("sim/default/snapshot")
+    (sample,) = bus.get("sim/default/snapshot", START_S)
     now = decode(Snapshot, sample.payload, sample.encoding)
     whole = struct.pack("<3Q", now.epoch, now.step, now.time_ns) + now.base + now.joint_positions
     return sha256(whole).hexdigest()

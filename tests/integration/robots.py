@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from tests.integration.processes import eventually
+from tests.integration.processes import Server, eventually
 from zensim.proto.bus import Bus, BusPublisher, BusSubscription
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.simulation_messages import State
@@ -79,6 +79,30 @@ def robot(bus: Bus, namespace: str) -> Robot:
     )
     eventually(lambda: found.cmd_vel.is_matched, 20.0, f"a listener on {namespace}/cmd_vel")
     return found
+
+
+def speed(server: Server, name: str) -> float:
+    """Speed on the ground [m/s], without direction of turns."""
+    twist = server.client.entity_state(name).twist
+    return abs(twist.linear.x) + abs(twist.linear.y)
+
+
+def last_motion(server: Server, names: Sequence[str], *, least_m_s: float) -> int:
+    """Wait until robots are slower than a limit; return the last step at which one was not.
+
+    It is never later than the truth, however seldom a busy machine lets us look.
+    """
+    last = 0
+
+    def have_stopped() -> bool:
+        nonlocal last
+        now = server.steps()
+        is_moving = any(speed(server, name) >= least_m_s for name in names)
+        last = now if is_moving else last
+        return not is_moving
+
+    eventually(have_stopped, 20.0, "stopping")
+    return last
 
 
 def stamp_s(odom: Odometry) -> float:

@@ -31,7 +31,7 @@ class Client:
         kind: str,
         type_hash: str,
         fields: dict[str, OfRos],
-        within_s: float = 10.0,
+        within_s: float = 60.0,
     ) -> object:
         """Call a service; None without a reply in time."""
         request, response = INTERFACES[kind].replace(";", "\n").split("---")

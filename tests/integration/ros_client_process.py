@@ -11,7 +11,7 @@ import zenoh
 
 from tests.integration.processes import end
 
-ANSWER_S = 10.0
+ANSWER_S = 60.0
 CallService = Callable[..., dict[str, object] | None]
 CallObserver = Callable[..., Any]
 

@@ -20,7 +20,8 @@ from tests.integration.ros_interfaces import INTERFACES
 from tests.proto.ros_hashes import hash_of_message
 from tests.proto.ros_oracle import HUMBLE
 
-LOOK_S = 2.0
+LOOK_S = 30.0
+"""A timeout: replies come when all hosts have replied."""
 POLL_S = 0.01
 OfRos: TypeAlias = Any
 """Values of types known only at run time."""

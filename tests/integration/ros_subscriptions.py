@@ -22,11 +22,11 @@ TYPES = {
 }
 LATCHED = ("/r1/robot_description", "/r1/tf_static", "/tf_static")
 TRANSIENT_LOCAL = ":1:,1:,:,:,,"
-DISCOVERY_S = 10.0
+DISCOVERY_S = 60.0
 
 
 def tokens(session: zenoh.Session, pattern: str) -> list[str]:
-    replies = session.liveliness().get(pattern, zenoh.handlers.FifoChannel(4096), timeout=5.0)
+    replies = session.liveliness().get(pattern, zenoh.handlers.FifoChannel(4096), timeout=60.0)
     return [str(reply.ok.key_expr) for reply in replies if reply.ok]
 
 
@@ -55,7 +55,8 @@ def key_of(token: str) -> str:
 
 def read_late_joining(session: zenoh.Session, topic: str, count: int) -> list[ReceivedSample]:
     """Subscribe to a transient_local topic like rmw_zenoh, and wait for earlier samples."""
-    key = key_of(publishers_of(session, topic)[0])
+    found = eventually(lambda: publishers_of(session, topic) or None, DISCOVERY_S, topic)
+    key = key_of(found[0])
     samples: list[ReceivedSample] = []
     joiner = subscribe_transient_local(
         session, key, lambda sample: samples.append(to_received_sample(sample))

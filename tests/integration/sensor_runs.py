@@ -92,7 +92,7 @@ def wait_until_active(server: Server, *names: str) -> None:
 
 def read_stats(server: Server) -> Stats:
     """Get the statistics of a server."""
-    (sample,) = server.bus.get("sim/default/stats")
+    (sample,) = server.bus.get("sim/default/stats", START_S)
     return decode(Stats, sample.payload, sample.encoding)
 
 

@@ -368,7 +368,7 @@ def test_all_replies_are_collected_when_many_reply(router: Bus, client: Bus) -> 
     server = threading.Thread(target=answer)
     server.start()
     try:
-        found = client.get("many/*", timeout_s=5.0)
+        found = client.get("many/*", timeout_s=60.0)
     finally:
         done.set()
         server.join()
@@ -397,7 +397,7 @@ def test_sessions_open_beside_handshakes_that_do_not_end(router: Bus) -> None:
     with ExitStack() as stack:
         for _ in range(150):
             stack.enter_context(socket.create_connection((host, int(port))))
-        with open_bus(BusConfig(connect=(router.endpoint,), open_timeout_s=10.0)) as client:
+        with open_bus(BusConfig(connect=(router.endpoint,), open_timeout_s=60.0)) as client:
             assert client.zid
 
 

@@ -156,7 +156,7 @@ def test_hosts_of_ros_may_stall_for_longer_than_agents(
 
 def test_reply_on_an_unrequested_key_is_omitted(router: Bus, client: zenoh.Session) -> None:
     queue = router.serve("a")
-    replies = client.get("a", zenoh.handlers.FifoChannel(4), timeout=5.0)
+    replies = client.get("a", zenoh.handlers.FifoChannel(4), timeout=60.0)
 
     call = one_call(queue)
     call.add_reply("b", b"other", "", ATTACHMENT, router.stamp())
@@ -167,7 +167,7 @@ def test_reply_on_an_unrequested_key_is_omitted(router: Bus, client: zenoh.Sessi
 
 def test_reply_carries_an_attachment(router: Bus, client: zenoh.Session) -> None:
     queue = router.serve("a")
-    replies = client.get("a", zenoh.handlers.FifoChannel(4), timeout=5.0)
+    replies = client.get("a", zenoh.handlers.FifoChannel(4), timeout=60.0)
 
     one_call(queue).reply(b"yes", "", attachment=ATTACHMENT)
 

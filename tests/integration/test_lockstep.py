@@ -9,10 +9,16 @@ from ipaddress import IPv4Address, IPv4Network
 
 import pytest
 
-from tests.integration.processes import Server, eventually, running_agents, serving
+from tests.integration.processes import (
+    START_S,
+    Server,
+    eventually,
+    free_endpoint,
+    running_agents,
+    serving,
+)
 from tests.integration.repeatable_run import RunResult, drive, run_lockstep_fleet
 from zensim.proto.codec.message_codec import decode
-from zensim.proto.endpoints import with_free_port
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
@@ -89,7 +95,7 @@ def test_same_requests_give_the_same_bytes_when_the_agents_are_on_another_host(
     message: RunResult,
 ) -> None:
     with make_remote_host() as (address, prefix):
-        endpoint = with_free_port(f"tcp/{address}:0")
+        endpoint = free_endpoint(host=address)
 
         assert run(endpoint=endpoint, prefix=prefix) == message
 
@@ -118,7 +124,7 @@ def goes_on(server: Server) -> bool:
 
 
 def stats(server: Server) -> Stats:
-    (sample,) = server.bus.get("sim/default/stats")
+    (sample,) = server.bus.get("sim/default/stats", START_S)
     return decode(Stats, sample.payload, sample.encoding)
 
 
@@ -176,6 +182,15 @@ def test_failing_server_pauses_and_plays_on_request() -> None:
         eventually(lambda: server.client.info().state == "paused", SOON_S, "pausing")
 
         agents["r1"].send_signal(signal.SIGCONT)
-        server.client.set_simulation_state(State.PLAYING)
-        assert goes_on(server)
-        assert any(b"missed" in sample.payload for sample in events.take())
+        before = server.steps()
+
+        def plays() -> bool:
+            # On a busy machine an agent may be late again.
+            if server.client.info().state == "paused":
+                server.client.set_simulation_state(State.PLAYING)
+            return server.steps() > before + 10 * PERIOD
+
+        eventually(plays, SOON_S, "time")
+        eventually(
+            lambda: any(b"missed" in sample.payload for sample in events.take()), SOON_S, "an event"
+        )

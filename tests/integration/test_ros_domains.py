@@ -106,7 +106,9 @@ def test_frames_are_those_of_the_domain(observe: CallObserver, domain: int) -> N
     qos = ":1:,1:,:,:,,"
     given = {"kind": "tf2_msgs/msg/TFMessage", "count": 2, "within_s": 2.0, "qos": qos}
 
-    received = observe("receive", topic="/tf_static", **given)
+    received = eventually(
+        lambda: observe("receive", topic="/tf_static", **given) or None, DISCOVERY_S, "transforms"
+    )
 
     children = {edge["child_frame_id"] for message in received for edge in message["transforms"]}
     assert {child.partition("/")[0] for child in children} == {DOMAINS[domain]}

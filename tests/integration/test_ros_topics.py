@@ -68,11 +68,17 @@ def test_services_are_listed_with_their_types(ask: CallObserver) -> None:
 
 
 def test_each_robot_is_a_node(ask: CallObserver, session: zenoh.Session) -> None:
-    (publisher,) = ask("publishers", topic="/r1/odom")
+    # An agent claims its robot before its node is known.
+    (publisher,) = eventually(
+        lambda: ask("publishers", topic="/r1/odom") or None, DISCOVERY_S, "a publisher"
+    )
 
     assert (publisher["node_namespace"], publisher["node_name"]) == ("/r1", "agent")
-    nodes = {"/".join(key.split("/")[7:]) for key in tokens(session, "@ros2_lv/0/*/*/*/NN/**")}
-    assert {"%/zensim", "%r1/agent", "%r2/agent"} <= nodes
+
+    def list_nodes() -> set[str]:
+        return {"/".join(key.split("/")[7:]) for key in tokens(session, "@ros2_lv/0/*/*/*/NN/**")}
+
+    eventually(lambda: {"%/zensim", "%r1/agent", "%r2/agent"} <= list_nodes(), DISCOVERY_S, "nodes")
 
 
 @pytest.mark.parametrize("topic", LATCHED)

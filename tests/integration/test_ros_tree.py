@@ -93,7 +93,7 @@ class Listener:
 def listener(server: Server) -> Iterator[Listener]:
     found = Listener()
     with session_of(server) as session:
-        keys = [key_of(publishers_of(session, topic)[0]) for topic in ("/tf", "/tf_static")]
+        keys = [key_of_topic(session, topic) for topic in ("/tf", "/tf_static")]
         subscriptions = [subscribe_transient_local(session, key, found.hear) for key in keys]
         bases = [f"{name}/{frame}" for name in ROBOTS for frame in ("base_footprint", "base_link")]
         eventually(lambda: set(bases) <= set(found.newest), DISCOVERY_S, "transforms")
@@ -101,6 +101,12 @@ def listener(server: Server) -> Iterator[Listener]:
         yield found
         for one in subscriptions:
             one.undeclare()
+
+
+def key_of_topic(session: zenoh.Session, topic: str) -> str:
+    """Find the key of a topic; an agent claims its robot before its node is known."""
+    found = eventually(lambda: publishers_of(session, topic) or None, DISCOVERY_S, topic)
+    return key_of(found[0])
 
 
 def roots_of(listener: Listener) -> set[str]:

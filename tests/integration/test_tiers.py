@@ -14,6 +14,7 @@ from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
 from zensim.proto.service_catalog import GET_ENTITY_INFO
 
+STEPS_OF_COMMAND = 24
 CRATE = """<robot name="crate"><link name="base"><inertial><mass value="1"/>
 <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""
 
@@ -59,7 +60,8 @@ def test_entity_without_drive_is_refused_in_one_line() -> None:
 
 
 def test_robot_switches_to_full_dynamics_before_contact_without_odometry_jump() -> None:
-    with serving("--dynamics", "auto") as server:
+    # Paused, so that no time passes between the switch and the look at it.
+    with serving("--dynamics", "auto", "--paused") as server:
         server.client.spawn(an_order("r0", 0.0, ""))
         server.client.spawn(an_order("r1", 0.6, ""))
         with running_agents(server, "r0"):
@@ -67,6 +69,7 @@ def test_robot_switches_to_full_dynamics_before_contact_without_odometry_jump() 
 
             def has_met() -> bool:
                 driver.command(0.3)
+                server.client.step(STEPS_OF_COMMAND)
                 return tier_of(server, "r1") == "full"
 
             assert tier_of(server, "r0") == "kinematic"

@@ -1,17 +1,8 @@
 """`zensim agent` without a server."""
 
-from typing import TYPE_CHECKING
-
 import pytest
 
-from tests.integration.processes import free_endpoint, zensim
-
-if TYPE_CHECKING:
-    import subprocess
-
-
-def agent(*arguments: str) -> "subprocess.CompletedProcess[str]":
-    return zensim("agent", *arguments)
+from tests.integration.processes import free_endpoint, run_in_process, zensim
 
 
 @pytest.mark.parametrize(
@@ -27,7 +18,7 @@ def agent(*arguments: str) -> "subprocess.CompletedProcess[str]":
 def test_agent_rejects_invalid_arguments_in_one_line(
     arguments: tuple[str, ...], value: str
 ) -> None:
-    done = agent(*arguments)
+    done = run_in_process("agent", *arguments)
 
     assert done.returncode == 2
     assert done.stderr.startswith("zensim agent: ")
@@ -36,7 +27,7 @@ def test_agent_rejects_invalid_arguments_in_one_line(
 
 
 def test_agent_stops_waiting_for_a_server_at_its_deadline() -> None:
-    done = agent("r1", "--connect", free_endpoint(), "--wait", "0.4")
+    done = zensim("agent", "r1", "--connect", free_endpoint(), "--wait", "0.4")
 
     assert done.returncode == 4
     assert done.stderr.startswith("zensim agent: ")

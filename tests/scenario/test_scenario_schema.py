@@ -1,6 +1,9 @@
 """The JSON Schema and the reference of scenario files against the types of the format."""
 
-import jsonschema
+from functools import cache
+from importlib import import_module
+from types import ModuleType
+
 import pytest
 import yaml
 
@@ -22,8 +25,14 @@ FOUND_BY_THE_SCHEMA = (
 )
 
 
+@cache
+def jsonschema() -> ModuleType:
+    """Import it for these tests only: with its formats it takes 4 s, in each worker."""
+    return import_module("jsonschema")
+
+
 def validate(text: str) -> None:
-    jsonschema.Draft202012Validator(make_schema()).validate(yaml.safe_load(text))
+    jsonschema().Draft202012Validator(make_schema()).validate(yaml.safe_load(text))
 
 
 def test_shipped_schema_matches_the_types() -> None:
@@ -39,7 +48,7 @@ def test_page_has_the_reference_of_the_types() -> None:
 
 
 def test_schema_is_valid() -> None:
-    jsonschema.Draft202012Validator.check_schema(make_schema())
+    jsonschema().Draft202012Validator.check_schema(make_schema())
 
 
 def test_schema_accepts_a_full_file() -> None:
@@ -55,7 +64,7 @@ def test_shipped_scenario_validates(file: object) -> None:
 def test_schema_refuses_a_broken_file(name: str) -> None:
     text, _ = BROKEN[name]
 
-    with pytest.raises(jsonschema.ValidationError):
+    with pytest.raises(jsonschema().ValidationError):
         validate(text)
 
 

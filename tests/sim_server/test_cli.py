@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.integration.processes import free_endpoint, zensim
+from tests.integration.processes import free_endpoint, run_in_process, zensim
 from zensim.proto.exit_codes import ExitCode
 
 
@@ -25,7 +25,7 @@ from zensim.proto.exit_codes import ExitCode
 def test_serve_is_refused_in_one_line_for_mistyped_options(
     arguments: tuple[str, ...], message: str
 ) -> None:
-    done = zensim("serve", *arguments)
+    done = run_in_process("serve", *arguments)
 
     assert done.returncode == ExitCode.USAGE
     assert done.stderr.startswith("zensim serve: ")
@@ -35,7 +35,7 @@ def test_serve_is_refused_in_one_line_for_mistyped_options(
 
 
 def test_serve_is_refused_with_listen_and_connect() -> None:
-    done = zensim("serve", "--listen", free_endpoint(), "--connect", free_endpoint())
+    done = run_in_process("serve", "--listen", free_endpoint(), "--connect", free_endpoint())
 
     assert done.returncode == ExitCode.USAGE
     assert "--listen" in done.stderr
@@ -52,7 +52,7 @@ def test_serve_fails_without_a_router_to_connect_to() -> None:
 
 
 def test_serve_lists_the_policies_for_an_unknown_one() -> None:
-    done = zensim("serve", "--on-miss", "panic")
+    done = run_in_process("serve", "--on-miss", "panic")
 
     assert done.returncode == ExitCode.USAGE
     assert "'panic'" in done.stderr
