@@ -19,6 +19,7 @@ EXTRA_OF = {
     "spawner/page/": {"", "viewer"},
     "zensim/foxglove/": {"", "foxglove"},
     "spawner/top/top_app.py": {"", "top"},
+    "zensim/envs/": {"", "rl"},
     "zensim/recording/series_chart.py": {"", "plot"},
     "zensim/recording/table_files.py": {"", "dataset"},
     # A plug-in that pytest loads.
@@ -67,7 +68,7 @@ def importable(extras: set[str]) -> set[str]:
 def extras_of(path: Path) -> set[str]:
     name = shown(path)
     if name.startswith("tests/"):
-        return {"", "server", "mujoco", "viewer", "top", "dev"}
+        return {"", "server", "mujoco", "viewer", "top", "rl", "dev"}
     return next((ours for part, ours in EXTRA_OF.items() if name.startswith(part)), {""})
 
 
