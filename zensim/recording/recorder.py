@@ -74,7 +74,7 @@ class NewestMessages(Closable, Protocol):
         """Take what is queued, so that the queue does not fill."""
 
 
-class TokenWatch(Protocol):
+class AnnouncedTokens(Protocol):
     """Changes of liveliness tokens."""
 
     def take(self) -> list[tuple[str, bool]]:
@@ -84,7 +84,7 @@ class TokenWatch(Protocol):
         """Watch no more."""
 
 
-class RecordedNetwork(Protocol):
+class MessageNetwork(Protocol):
     """Where a recorder subscribes: the network, or the world of this process."""
 
     def subscribe(self, key: str, depth: int = 1) -> Subscription:
@@ -98,7 +98,7 @@ class RecordedNetwork(Protocol):
     def get(self, key: str, timeout_s: float = 1.0) -> list[Sample]:
         """Get the last messages of a key expression."""
 
-    def watch_tokens(self, key: str) -> TokenWatch:
+    def watch_tokens(self, key: str) -> AnnouncedTokens:
         """Watch liveliness tokens, beginning with the present ones."""
 
 
@@ -147,7 +147,7 @@ class Recorder:
 
     def __init__(
         self,
-        bus: RecordedNetwork,
+        bus: MessageNetwork,
         chosen: TopicFilter,
         settings: RecorderSettings,
         sink: MessageSink,
