@@ -12,6 +12,10 @@ MAX_SHOWN = 80
 """Characters of an invalid name that an error message quotes."""
 
 
+TOPIC_NAME = re.compile(r"/*[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*/?")
+MAX_TOPIC_LENGTH = 255
+
+
 class InvalidName(ValueError):
     """A name that is not valid in key expressions and in ROS 2."""
 
@@ -58,6 +62,11 @@ def check_namespace(namespace: str) -> str:
             "'world'"
         )
     return bare
+
+
+def is_topic_name(name: str) -> bool:
+    """Whether a name can be that of a topic of ROS 2; others may be wildcards of keys."""
+    return len(name) <= MAX_TOPIC_LENGTH and TOPIC_NAME.fullmatch(name) is not None
 
 
 def check_frame(frame_id: str) -> str:

@@ -7,9 +7,10 @@ import msgspec
 
 from zensim.proto import keys
 from zensim.proto.bus import Bus
+from zensim.proto.messages.entity_messages import EntityState, GetEntitiesStatesResponse
 from zensim.proto.messages.telemetry_messages import GetModelsResponse
 from zensim.proto.network_protocols import Sample
-from zensim.proto.service_catalog import GET_MODELS, Service
+from zensim.proto.service_catalog import GET_ENTITIES_STATES, GET_MODELS, Service
 
 
 class FakeSubscription:
@@ -73,6 +74,7 @@ class FakeBus:
         self.sent: list[tuple[str, bytes]] = []
         self.stored: list[Sample] = []
         self.models = GetModelsResponse()
+        self.states: dict[str, EntityState] = {}
 
     @property
     def as_bus(self) -> Bus:
@@ -106,6 +108,10 @@ class FakeBus:
 
     def call(
         self, service: Service[Any, Any], _request: msgspec.Struct, **_: object
-    ) -> GetModelsResponse:
+    ) -> GetModelsResponse | GetEntitiesStatesResponse:
+        if service is GET_ENTITIES_STATES:
+            return GetEntitiesStatesResponse(
+                entities=tuple(self.states), states=tuple(self.states.values())
+            )
         assert service is GET_MODELS
         return self.models

@@ -8,15 +8,18 @@ import pytest
 
 from tests.foxglove.fake_bus import FakeBus, FakeSubscription
 from zensim.foxglove.foxglove_protocol import frame_message
-from zensim.foxglove.live_hub import Job, LiveHub
+from zensim.foxglove.live_hub import MAX_WARNINGS, Job, LiveHub
 from zensim.foxglove.scene_messages import SceneUpdate
 from zensim.foxglove.world_control import WorldControl
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.messages.drive_messages import DiffDrive
+from zensim.proto.messages.entity_messages import EntityState
 from zensim.proto.messages.model_messages import Joint, Link, Model, Origin, Shape
 from zensim.proto.messages.standard_messages import (
     Header,
     Odometry,
+    Point,
+    Pose,
     String,
     TFMessage,
     Time,
@@ -51,6 +54,10 @@ class RecordingLink:
         self.texts: list[dict[str, Any]] = []
         self.data: list[tuple[int, int, bytes]] = []
         self.times: list[int] = []
+        self.has_backlog = False
+
+    def is_slow(self) -> bool:
+        return self.has_backlog
 
     def send(self, message: str | bytes) -> None:
         if isinstance(message, str):
@@ -58,7 +65,9 @@ class RecordingLink:
         elif message[0] == 2:
             self.times.append(struct.unpack_from("<Q", message, 1)[0])
 
-    def send_data(self, frames: bytes, messages: int) -> None:
+    def send_data(self, frames: bytes, messages: int) -> bool:
+        if self.has_backlog:
+            return False
         count = len(self.data)
         while frames:
             start, size = 2, frames[1]
@@ -70,6 +79,7 @@ class RecordingLink:
             _, subscription, time_ns = struct.unpack_from("<BIQ", body)
             self.data.append((subscription, time_ns, body[13:]))
         assert len(self.data) - count == messages
+        return True
 
     def take(self, op: str) -> list[dict[str, Any]]:
         found = [one for one in self.texts if one["op"] == op]
@@ -288,7 +298,8 @@ def wait_for_models(hub: LiveHub) -> None:
     while not (jobs := hub.take_jobs()):
         hub.tick()
     for job in jobs:
-        job()
+        if callable(outcome := job()):
+            outcome()
     hub.tick()
 
 
@@ -337,3 +348,124 @@ def test_frame_has_the_length_of_its_message(size: int) -> None:
     head = 2 if size < 126 else 4 if size < 65536 else 10
     assert len(frame) == head + size
     assert frame[0] == 0x82
+
+
+MANY = 500
+WRONG_CHANNEL = {"topic": "/map", "encoding": "cdr", "schemaName": "nav_msgs/msg/OccupancyGrid"}
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        {"op": "unsubscribe", "subscriptionIds": [*range(MANY)]},
+        {
+            "op": "subscribe",
+            "subscriptions": [{"id": one, "channelId": 10**6 + one} for one in range(MANY)],
+        },
+        {"op": "advertise", "channels": [{"id": one, **WRONG_CHANNEL} for one in range(MANY)]},
+    ],
+    ids=lambda one: str(one["op"]),
+)
+def test_all_that_is_wrong_in_a_message_has_one_reply(
+    bus: FakeBus, message: dict[str, Any]
+) -> None:
+    hub = make_hub(bus, has_control=True)
+    link, _ = join(hub)
+
+    tell(hub, link, **message)
+
+    assert len(link.take("status")) == 1
+
+
+def test_many_wrong_messages_are_counted(bus: FakeBus) -> None:
+    hub = make_hub(bus, has_control=True)
+    link, _ = join(hub)
+
+    for _ in range(MANY):
+        hub.receive(link, b"\x01\0\0\0\0")
+    hub.tick()
+    hub.receive(link, b"\x01\0\0\0\0")
+    statuses = link.take("status")
+
+    assert len(statuses) == MAX_WARNINGS + 2
+    assert str(MANY - MAX_WARNINGS) in statuses[MAX_WARNINGS]["message"]
+
+
+def make_static(child: str) -> bytes:
+    return encode(TFMessage((TransformStamped(Header(frame_id="r1/base"), child),)), Format.CDR)
+
+
+def test_slow_client_gets_what_is_sent_once_when_it_has_caught_up(bus: FakeBus) -> None:
+    hub = make_hub(bus)
+    link, channels = join(hub)
+    once = ("/zensim/scene", "/tf_static", "/r1/robot_description")
+    for number, name in enumerate((*once, "/r1/odom"), 1):
+        subscribe(hub, link, channels[name], number)
+    link.has_backlog = True
+    bus.publish("tf_static", make_static("r1/arm"))
+    bus.publish("r1/robot_description", encode(String("<robot/>"), Format.CDR))
+    bus.publish("r1/odom", make_odometry(1))
+    for _ in range(3):
+        hub.tick()
+    left_out = [*link.data]
+    link.has_backlog = False
+    hub.tick()
+    hub.tick()
+
+    assert left_out == []
+    found = {number: payload for number, _, payload in link.data}
+    assert sorted(number for number, _, _ in link.data) == [1, 2, 3]
+    assert {one.id for one in decode(SceneUpdate, found[1]).entities} >= {"r1/base", "wall"}
+    children = [one.child_frame_id for one in decode(TFMessage, found[2]).transforms]
+    assert "r1/arm" in children
+    assert decode(String, found[3]).data == "<robot/>"
+
+
+def test_topic_that_is_subscribed_again_and_again_is_queried_once(bus: FakeBus) -> None:
+    hub = make_hub(bus)
+    link, channels = join(hub)
+    queries: list[str] = []
+    bus.get = lambda key, _timeout_s=0.0: queries.append(key) or []  # type: ignore[assignment,method-assign,func-returns-value]
+    wanted = {"id": 5, "channelId": channels["/r1/robot_description"]}
+
+    jobs: list[Job] = []
+    for _ in range(MANY):
+        jobs += hub.receive(link, json.dumps({"op": "subscribe", "subscriptions": [wanted]}))
+        jobs += hub.receive(link, json.dumps({"op": "unsubscribe", "subscriptionIds": [5]}))
+    jobs += hub.receive(link, json.dumps({"op": "subscribe", "subscriptions": [wanted]}))
+    run_jobs(hub, *jobs)
+
+    assert queries == ["r1/robot_description"]
+
+
+def at_x(x: float) -> EntityState:
+    return EntityState(pose=Pose(Point(x=x)))
+
+
+def test_robot_whose_agent_ends_stays_where_it_is(bus: FakeBus) -> None:
+    hub = make_hub(bus)
+    link, channels = join(hub)
+    make_scene_of(hub, link, channels)
+    robot = EntityModel("r1", "r1", 0)
+    bus.models = GetModelsResponse(entities=(robot, bus.models.entities[1]), models=(MODEL,))
+    bus.states = {"r1": at_x(7.0), "wall": at_x(3.0)}
+    bus.publish(EVENTS.key(WORLD), encode(Event("released", "r1"), Format.MSGPACK))
+    hub.tick()
+    wait_for_models(hub)
+
+    update = read_scene(link)
+    (drawn,) = [one for one in update.entities if one.id == "r1"]
+    assert drawn.frame_id == "world"
+    assert drawn.cubes[0].pose.position.x == 7.0
+
+
+def test_robot_that_still_moves_without_an_agent_is_followed(bus: FakeBus) -> None:
+    bus.models = GetModelsResponse(entities=(EntityModel("r1", "r1", 0),), models=(MODEL,))
+    bus.states = {"r1": EntityState(twist=Twist(Vector3(x=1.0)))}
+    hub = make_hub(bus)
+    link, channels = join(hub)
+    make_scene_of(hub, link, channels)
+    bus.states = {"r1": at_x(2.0)}
+    wait_for_models(hub)
+
+    assert read_scene(link).entities[0].cubes[0].pose.position.x == 2.0

@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from zensim.foxglove.live_topics import LiveTopic
+from zensim.foxglove.live_topics import LiveTopic, list_live_topics
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.telemetry_messages import Event, Stats
 from zensim.proto.topic_catalog import EVENTS, STATS, TopicSpec
+from zensim.proto.topic_discovery import TopicFacts
 
 if TYPE_CHECKING:
     import msgspec
@@ -53,3 +54,16 @@ def test_json_schema_describes_all_fields_of_a_message(topic: TopicSpec) -> None
         assert resolve({"$ref": reference}, schema)
     assert schema["type"] == "object"
     check_types(schema, json.loads(encode(message, Format.JSON)), schema)
+
+
+@pytest.mark.parametrize(
+    "key",
+    ["r1/front-scan", "r1/1scan", "r1//scan", "r1/*", "r1/**/scan", "r1/s can", "r1/" + "s" * 300],
+)
+def test_key_that_is_no_name_of_ros_is_no_topic(key: str) -> None:
+    facts = [TopicFacts(one, "sensor_msgs/msg/LaserScan") for one in (key, "r1/scan")]
+
+    listed = list_live_topics("w", facts, None)
+
+    assert "/r1/scan" in listed
+    assert f"/{key}" not in listed

@@ -2,7 +2,9 @@
 
 import asyncio
 import http
-from collections.abc import Callable, Collection
+import logging
+from collections import deque
+from collections.abc import Callable, Collection, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -41,14 +43,75 @@ MAX_MESSAGE_BYTES: Final = 4 << 20
 MAX_CLIENTS: Final = 50
 MAX_BACKLOG_BYTES: Final = 16 << 20
 """Data that wait for one client; beyond this, messages of topics are left out."""
+CAUGHT_UP_BYTES: Final = 1 << 20
+"""Until no more than this waits."""
+MAX_REPLY_BYTES: Final = 64 << 20
+"""Data that wait; beyond this, nothing more is read of the client, and no work of it begins."""
 MOST_BACKLOG_BYTES: Final = 256 << 20
 """The same for other messages; beyond this, the link is closed."""
 SLOW_NOTICE_S: Final = 1.0
 CLOSE_TIMEOUT_S: Final = 1.0
-WORKERS: Final = 4
+WORKERS, HUB_WORKERS = 4, 3
+"""Threads for work of clients, and of the hub."""
+MAX_RUNNING_JOBS: Final = 2
+"""Work of one client at the same time, so that others get theirs done."""
+MAX_WAITING_JOBS: Final = 1000
+"""More is refused; a panel requests all meshes of a scene at once."""
+MAX_WAITING_BYTES: Final = 16 << 20
+TOO_MANY: Final = "too many requests wait; send fewer at the same time"
 MAX_ERROR_TEXT: Final = 200
 
 Note = Callable[[str], None]
+
+
+class NotedErrors(logging.Handler):
+    """Notes each error of the websocket library in one line, without a traceback."""
+
+    def __init__(self, note: Note) -> None:
+        super().__init__(logging.ERROR)
+        self._note = note
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Note an error, such as that of a client that sends no HTTP."""
+        cause = record.exc_info[1] if record.exc_info else None
+        reason = f": {type(cause).__name__}: {cause}" if cause is not None else ""
+        self._note(f"{record.getMessage()}{reason}"[:MAX_ERROR_TEXT])
+
+
+class ClientJobs:
+    """Work of one client that blocks: some at the same time, some that waits, and no more."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[ClientJob] = deque()
+        self._waiting_bytes = 0
+        self._running = 0
+
+    def add(self, job: ClientJob) -> bool:
+        """Add work; False if too much waits already."""
+        size = self._waiting_bytes + job.size
+        if len(self._waiting) >= MAX_WAITING_JOBS or size > MAX_WAITING_BYTES:
+            return False
+        self._waiting.append(job)
+        self._waiting_bytes = size
+        return True
+
+    def take(self) -> ClientJob | None:
+        """Take the next work that may begin; call `finish` after it."""
+        if not self._waiting or self._running >= MAX_RUNNING_JOBS:
+            return None
+        job = self._waiting.popleft()
+        self._waiting_bytes -= job.size
+        self._running += 1
+        return job
+
+    def finish(self) -> None:
+        """Note that work has ended."""
+        self._running -= 1
+
+    def clear(self) -> None:
+        """Forget what waits."""
+        self._waiting.clear()
+        self._waiting_bytes = 0
 
 
 class SocketLink:
@@ -56,8 +119,21 @@ class SocketLink:
 
     def __init__(self, connection: ServerConnection) -> None:
         self._transport = connection.transport
+        self._is_slow = False
+        self.jobs = ClientJobs()
         self.left_out = 0
         """Messages of topics that were left out since the last notice."""
+
+    @property
+    def is_full(self) -> bool:
+        """Whether the client does not read the replies to what it sends."""
+        return self._transport.get_write_buffer_size() > MAX_REPLY_BYTES
+
+    def is_slow(self) -> bool:
+        """Whether messages of topics are left out: from too long a backlog until it is short."""
+        limit = CAUGHT_UP_BYTES if self._is_slow else MAX_BACKLOG_BYTES
+        self._is_slow = self._transport.get_write_buffer_size() > limit
+        return self._is_slow
 
     def send(self, message: str | bytes) -> None:
         """Send a message; close the link if too many bytes wait for the client."""
@@ -68,14 +144,15 @@ class SocketLink:
             return
         self._transport.write(frame_message(message))
 
-    def send_data(self, frames: bytes, messages: int) -> None:
+    def send_data(self, frames: bytes, messages: int) -> bool:
         """Send whole frames, unless the link is slow."""
         if self._transport.is_closing():
-            return
-        if self._transport.get_write_buffer_size() > MAX_BACKLOG_BYTES:
+            return False
+        if self.is_slow():
             self.left_out += messages
-            return
+            return False
         self._transport.write(frames)
+        return True
 
     def take_notice(self) -> None:
         """Send a warning if messages were left out."""
@@ -123,6 +200,9 @@ class FoxgloveServer:
         self._links: set[SocketLink] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._workers = ThreadPoolExecutor(WORKERS, "foxglove")
+        self._hub_workers = ThreadPoolExecutor(HUB_WORKERS, "foxglove-hub")
+        self._logger = logging.Logger("foxglove")
+        self._logger.addHandler(NotedErrors(note))
         self._has_joined = asyncio.Event()
 
     def run(self, should_stop: Callable[[], bool]) -> None:
@@ -132,6 +212,7 @@ class FoxgloveServer:
         finally:
             self._hub.close()
             self._workers.shutdown(cancel_futures=True)
+            self._hub_workers.shutdown(cancel_futures=True)
             self._listener.close()
 
     async def _serve(self, should_stop: Callable[[], bool]) -> None:
@@ -144,6 +225,7 @@ class FoxgloveServer:
             max_size=MAX_MESSAGE_BYTES,
             close_timeout=CLOSE_TIMEOUT_S,
             server_header=None,
+            logger=self._logger,
             ssl=self._tls,
         ):
             notice_s = 0.0
@@ -152,7 +234,9 @@ class FoxgloveServer:
                 await self._wait()
                 self._hub.tick()
                 for job in self._hub.take_jobs():
-                    self._start(job, None)
+                    self._start(self._do_for_hub(job))
+                for link in self._links:
+                    self._start_waiting(link)
                 if loop.time() >= notice_s:
                     notice_s = loop.time() + SLOW_NOTICE_S
                     for link in self._links:
@@ -175,30 +259,60 @@ class FoxgloveServer:
         try:
             with suppress(ConnectionClosed):
                 async for raw in connection:
-                    for job in self._hub.receive(link, raw):
-                        self._start(job, link)
+                    self._receive(link, raw)
+                    while link.is_full:
+                        await asyncio.sleep(TICK_S)
         finally:
             self._links.discard(link)
+            link.jobs.clear()
             self._hub.leave(link)
 
-    def _start(self, job: Job, link: SocketLink | None) -> None:
-        """Do work that blocks in another thread, and then what remains to be done here."""
-        task = asyncio.ensure_future(self._do(job, link))
+    def _receive(self, link: SocketLink, raw: str | bytes) -> None:
+        for job in self._hub.receive(link, raw):
+            if not link.jobs.add(job):
+                link.send(job.fail(TOO_MANY))
+        self._start_waiting(link)
+
+    def _start_waiting(self, link: SocketLink) -> None:
+        """Begin what may begin of a client's work."""
+        while not link.is_full and (job := link.jobs.take()) is not None:
+            self._start(self._do_for_client(job, link))
+
+    def _start(self, work: Coroutine[None, None, None]) -> None:
+        task = asyncio.ensure_future(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _do(self, job: Job, link: SocketLink | None) -> None:
+    async def _do_for_client(self, job: ClientJob, link: SocketLink) -> None:
+        """Do work of a client in another thread, and send it the outcome."""
         try:
-            outcome = await asyncio.get_running_loop().run_in_executor(self._workers, job)
-            if callable(outcome):
-                outcome()
-                return
+            outcome = await self._do(job, self._workers)
         except Exception as error:  # noqa: BLE001  whatever fails, the client waits for a reply
-            text = f"internal error: {type(error).__name__}: {str(error)[:MAX_ERROR_TEXT]}"
-            self._note(text)
-            outcome = job.fail(text) if isinstance(job, ClientJob) else None
-        if outcome is not None and link is not None:
+            outcome = job.fail(self._note_failure(error))
+        finally:
+            link.jobs.finish()
+        if outcome is not None:
             link.send(outcome)
+        self._start_waiting(link)
+
+    async def _do_for_hub(self, job: Job) -> None:
+        try:
+            await self._do(job, self._hub_workers)
+        except Exception as error:  # noqa: BLE001  the next job may do
+            self._note_failure(error)
+
+    async def _do(self, job: Job, workers: ThreadPoolExecutor) -> str | bytes | None:
+        """Do work that blocks in another thread, and then what remains to be done here."""
+        outcome = await asyncio.get_running_loop().run_in_executor(workers, job)
+        if callable(outcome):
+            outcome()
+            return None
+        return outcome
+
+    def _note_failure(self, error: Exception) -> str:
+        text = f"internal error: {type(error).__name__}: {str(error)[:MAX_ERROR_TEXT]}"
+        self._note(text)
+        return text
 
     def _check(self, connection: ServerConnection, request: Request) -> Response | None:
         """Refuse clients of other sites, without the token, or of another protocol."""

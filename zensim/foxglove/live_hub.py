@@ -1,9 +1,11 @@
 """Clients, their subscriptions, and the messages that they get; no sockets and no threads."""
 
 import secrets
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from functools import partial
+from itertools import islice
+from threading import BoundedSemaphore
 from typing import Final, Protocol, TypeAlias
 
 from zensim.foxglove import foxglove_protocol as protocol
@@ -24,6 +26,14 @@ CONTROL_IS_OFF: Final = "control is off; start 'zensim foxglove' with --allow-co
 MAX_SUBSCRIPTIONS: Final = 100_000
 MAX_PUBLISHED: Final = 1_000
 """Of one client."""
+MAX_WARNINGS: Final = 8
+"""Errors that a client gets between two calls of `tick`; of others it gets the number."""
+ERRORS_ID: Final = "errors"
+"""Of the status with that number; clients replace the last one of an id."""
+FETCHERS: Final = 2
+"""Queries for latched messages at the same time."""
+FETCHED_TOGETHER: Final = 16
+"""Topics that one of them takes."""
 
 Outcome: TypeAlias = str | bytes | Callable[[], None] | None
 """A message to the client, or what remains to be done in the thread of the hub."""
@@ -33,10 +43,14 @@ ReadAsset: TypeAlias = Callable[[str], bytes]
 
 
 class ClientJob:
-    """Work that blocks, of a message of a client."""
+    """Work that blocks, of a message of a client.
 
-    def __init__(self, job: Job, message: AnyClientMessage) -> None:
-        self._job, self._message = job, message
+    Attributes:
+        size: Of the message [bytes].
+    """
+
+    def __init__(self, job: Job, message: AnyClientMessage, size: int) -> None:
+        self._job, self._message, self.size = job, message, size
 
     def __call__(self) -> Outcome:
         """Do the work."""
@@ -60,8 +74,11 @@ class ClientLink(Protocol):
     def send(self, message: str | bytes) -> None:
         """Send a message."""
 
-    def send_data(self, frames: bytes, messages: int) -> None:
-        """Send whole frames with this number of messages of topics."""
+    def send_data(self, frames: bytes, messages: int) -> bool:
+        """Send whole frames with this number of messages of topics; False if they are left out."""
+
+    def is_slow(self) -> bool:
+        """Whether messages of topics are left out now."""
 
 
 class HubClient:
@@ -74,21 +91,50 @@ class HubClient:
         self.published: dict[int, DriverChannel] = {}
         self.parameters: set[str] | None = set()
         """Whose changes it gets; None = of all."""
-        self.frames: list[bytes] = []
+        self.missed: set[int] = set()
+        """Subscriptions of which messages were left out."""
+        self._frames: list[bytes] = []
+        self._framed: set[int] = set()
+        """Their subscriptions."""
+        self._warnings = 0
 
     def send(self, message: ServerMessage) -> None:
         """Send a text."""
         self.link.send(protocol.encode_text(message))
 
     def warn(self, text: str) -> None:
-        """Send an error to the user."""
-        self.send(protocol.Status(protocol.ERROR, text))
+        """Send an error to the user, unless there were many since `count_errors`."""
+        self._warnings += 1
+        if self._warnings <= MAX_WARNINGS:
+            self.send(protocol.Status(protocol.ERROR, text))
+
+    def warn_of(self, reasons: Iterable[str]) -> None:
+        """Send one error for all that is wrong in a message; empty reasons are none."""
+        wrong = [one for one in reasons if one]
+        if wrong:
+            more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
+            self.warn(f"{wrong[0]}{more}")
+
+    def count_errors(self) -> None:
+        """Send how many errors `warn` has left out since the last call."""
+        left_out, self._warnings = self._warnings - MAX_WARNINGS, 0
+        if left_out > 0:
+            text = f"{left_out} more errors"
+            self.send(protocol.Status(protocol.ERROR, text, ERRORS_ID))
+
+    def add_data(self, subscription: int, messages: Iterable[TimedPayload]) -> None:
+        """Collect messages of a topic."""
+        self._frames += [
+            protocol.frame_data(subscription, time_ns, payload) for time_ns, payload in messages
+        ]
+        self._framed.add(subscription)
 
     def flush(self) -> None:
-        """Send the collected frames at once."""
-        if self.frames:
-            self.link.send_data(b"".join(self.frames), len(self.frames))
-            self.frames = []
+        """Send the collected messages at once; note of which subscriptions they were left out."""
+        if self._frames:
+            if not self.link.send_data(b"".join(self._frames), len(self._frames)):
+                self.missed |= self._framed
+            self._frames, self._framed = [], set()
 
 
 class LiveHub:
@@ -124,6 +170,9 @@ class LiveHub:
         self._subscribers: dict[int, dict[HubClient, int]] = {}
         self._clock: BusSubscription | None = None
         self._now_ns = 0
+        self._unfetched: dict[int, Callable[[], None]] = {}
+        """Queries for latched messages that wait, by number of the topic."""
+        self._fetchers = BoundedSemaphore(FETCHERS)
 
     @property
     def has_clients(self) -> bool:
@@ -162,22 +211,28 @@ class LiveHub:
         for link in [*self._clients]:
             self.leave(link)
 
-    def receive(self, link: ClientLink, raw: str | bytes) -> list[Job]:
+    def receive(self, link: ClientLink, raw: str | bytes) -> list[ClientJob]:
         """Handle a message of a client; return the work that blocks."""
         client = self._clients[link]
         try:
             message = protocol.decode_client_message(raw)
-            return [ClientJob(job, message) for job in self._handle(client, message)]
+            return [ClientJob(job, message, len(raw)) for job in self._handle(client, message)]
         except protocol.MalformedMessage as error:
             client.warn(str(error))
             return []
 
     def take_jobs(self) -> Sequence[Job]:
         """Take the work that the hub itself needs to be done."""
-        return self._watch.take_jobs() if self._watch is not None else []
+        jobs: list[Job] = [*self._watch.take_jobs()] if self._watch is not None else []
+        while self._unfetched and self._fetchers.acquire(blocking=False):
+            numbers = [*islice(self._unfetched, FETCHED_TOGETHER)]
+            jobs.append(partial(self._fetch, [self._unfetched.pop(one) for one in numbers]))
+        return jobs
 
     def tick(self) -> None:
         """Send what is new since the last call."""
+        for client in self._clients.values():
+            client.count_errors()
         if self._watch is None:
             return
         if (topics := self._watch.take()) is not None:
@@ -188,13 +243,30 @@ class LiveHub:
         for number, source in self._sources.items():
             self._collect(self._subscribers[number], source.take(self._now_ns))
         for client in self._clients.values():
+            self._resend(client)
             client.flush()
 
     def _collect(self, subscribers: dict[HubClient, int], messages: list[TimedPayload]) -> None:
         for client, subscription in subscribers.items() if messages else ():
-            client.frames += [
-                protocol.frame_data(subscription, time_ns, payload) for time_ns, payload in messages
-            ]
+            client.add_data(subscription, messages)
+
+    def _resend(self, client: HubClient) -> None:
+        """Send again what is sent once, as soon as a slow link has caught up."""
+        if not client.missed or client.link.is_slow():
+            return
+        missed, client.missed = client.missed, set()
+        for subscription in missed & client.subscriptions.keys():
+            source = self._sources[client.subscriptions[subscription]]
+            client.add_data(subscription, source.take_latched(self._now_ns))
+
+    def _fetch(self, fetches: Iterable[Callable[[], None]]) -> None:
+        """Query latched messages; blocks."""
+        try:
+            for fetch in fetches:
+                with suppress(*FAILURES):
+                    fetch()
+        finally:
+            self._fetchers.release()
 
     def _make_info(self) -> protocol.ServerInfo:
         has_control = self._control is not None
@@ -264,12 +336,13 @@ class LiveHub:
         """Handle a message; return the work that blocks."""
         match message:
             case protocol.Subscribe():
-                return [
-                    job for one in message.subscriptions for job in self._subscribe(client, one)
-                ]
+                client.warn_of([self._subscribe(client, one) for one in message.subscriptions])
             case protocol.Unsubscribe():
-                for number in message.subscription_ids:
+                known = [*filter(client.subscriptions.__contains__, {*message.subscription_ids})]
+                for number in known:
                     self._unsubscribe(client, number)
+                if unknown := len(message.subscription_ids) - len(known):
+                    client.warn(f"{unknown} of the subscriptions do not exist")
             case protocol.FetchAsset():
                 return [partial(self._fetch_asset, message)]
             case protocol.SubscribeConnectionGraph() | protocol.UnsubscribeConnectionGraph():
@@ -287,7 +360,8 @@ class LiveHub:
         else:
             client.warn(CONTROL_IS_OFF)
 
-    def _subscribe(self, client: HubClient, wanted: protocol.ChannelSubscription) -> Iterator[Job]:
+    def _subscribe(self, client: HubClient, wanted: protocol.ChannelSubscription) -> str:
+        """Subscribe; return why not, if it is refused."""
         number, subscription = wanted.channel_id, wanted.id
         topic = self._topics.get(number)
         subscribers = self._subscribers.get(number, {})
@@ -299,35 +373,32 @@ class LiveHub:
             or len(client.subscriptions) >= MAX_SUBSCRIPTIONS
         ):
             reason = "no such channel" if topic is None else "subscribed already, or too many"
-            client.warn(f"subscription {subscription} to channel {number} is refused: {reason}")
-            return
+            return f"subscription {subscription} to channel {number} is refused: {reason}"
         known = self._sources.get(number)
         try:
             source = known or make_source(self._bus, topic, self._watch)
             if self._clock is None:
                 self._clock = self._bus.subscribe(CLOCK.key(self._world))
         except FAILURES as error:
-            client.warn(f"subscription {subscription} is refused: {_to_text(error)}")
-            return
+            return f"subscription {subscription} is refused: {_to_text(error)}"
         client.subscriptions[subscription] = number
         subscribers = self._subscribers.setdefault(number, {})
         subscribers[client] = subscription
         self._sources[number] = source
         if known is not None:
             self._collect({client: subscription}, known.take_latched(self._now_ns))
-            return
-        if (fetch := getattr(source, "fetch", None)) is not None:
-            yield fetch
+        elif (fetch := getattr(source, "fetch", None)) is not None:
+            self._unfetched[number] = fetch
+        return ""
 
     def _unsubscribe(self, client: HubClient, subscription: int) -> None:
-        number = client.subscriptions.pop(subscription, None)
-        if number is None:
-            client.warn(f"there is no subscription {subscription}")
-            return
+        number = client.subscriptions.pop(subscription)
+        client.missed.discard(subscription)
         subscribers = self._subscribers[number]
         del subscribers[client]
         if not subscribers:
             del self._subscribers[number]
+            self._unfetched.pop(number, None)
             self._sources.pop(number).close()
         if not self._sources and self._clock is not None:
             self._clock.close()
@@ -349,8 +420,7 @@ class LiveHub:
             case protocol.ClientData():
                 self._publish(client, message)
             case protocol.ClientAdvertise():
-                for channel in message.channels:
-                    self._open(client, channel, control)
+                client.warn_of([self._open(client, one, control) for one in message.channels])
             case protocol.ClientUnadvertise():
                 for number in message.channel_ids:
                     if (publisher := client.published.pop(number, None)) is not None:
@@ -387,14 +457,15 @@ class LiveHub:
 
     def _open(
         self, client: HubClient, channel: protocol.ClientChannel, control: WorldControl
-    ) -> None:
+    ) -> str:
+        """Declare a topic that a client publishes; return why not, if it is refused."""
         if channel.id in client.published or len(client.published) >= MAX_PUBLISHED:
-            client.warn(f"channel {channel.id} is advertised already, or there are {MAX_PUBLISHED}")
-            return
+            return f"channel {channel.id} is advertised already, or there are {MAX_PUBLISHED}"
         try:
             client.published[channel.id] = control.open_publisher(channel)
         except FAILURES as error:
-            client.warn(_to_text(error))
+            return _to_text(error)
+        return ""
 
     def _set(
         self, client: HubClient, control: WorldControl, message: protocol.SetParameters

@@ -9,6 +9,7 @@ import msgspec
 from zensim.foxglove.foxglove_protocol import ROS_SCHEMA, AdvertisedChannel
 from zensim.foxglove.scene_messages import SceneUpdate
 from zensim.proto.messages.standard_messages import Clock, OccupancyGrid, TFMessage
+from zensim.proto.names import is_topic_name
 from zensim.proto.ros2.message_definitions import write_definition
 from zensim.proto.schema import list_cdr_types
 from zensim.proto.topic_catalog import (
@@ -83,9 +84,10 @@ def _list_world_topics(world: str) -> Iterator[LiveTopic]:
 
 
 def _make_robot_topic(fact: TopicFacts, domain: int | None) -> LiveTopic | None:
-    """Make the topic of a robot; None if its messages are of an unknown type, or merged in /tf."""
+    """Make the topic of a robot; None if ROS 2 has no such name or type, or it is merged in /tf."""
     spec = find_robot_topic(fact.key)
-    if fact.key.startswith(WORLD_PREFIX) or spec in (TF, TF_STATIC):
+    is_of_robot = is_topic_name(fact.key) and not fact.key.startswith(WORLD_PREFIX)
+    if not is_of_robot or spec in (TF, TF_STATIC):
         return None
     kinds = (one.strip() for one in fact.ros_type.split(","))
     kind = next((found for one in kinds if (found := KIND_OF_TYPE.get(one)) is not None), None)

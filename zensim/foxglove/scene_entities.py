@@ -39,10 +39,14 @@ class FramedShapes(msgspec.Struct, frozen=True):
     shapes: tuple[tuple[Origin, Shape], ...]
 
 
-def make_scene(models: GetModelsResponse) -> dict[str, SceneEntity]:
+def make_scene(models: GetModelsResponse, poses: Mapping[str, Pose]) -> dict[str, SceneEntity]:
     """Make the entities of a world, by their ids.
 
-    A robot with an agent has an entity for each frame in tf; another entity is where it was put.
+    A robot with an agent has an entity for each frame in tf.
+
+    Args:
+        models: Of the server.
+        poses: Of others, in the world, by name; those that are missing are where they began.
     """
     of_model = [_group_shapes(model) for model in models.models]
     fixed = [_place_all_shapes(model) for model in models.models]
@@ -52,7 +56,8 @@ def make_scene(models: GetModelsResponse) -> dict[str, SceneEntity]:
             groups = of_model[entity.model]
         else:
             groups = (FramedShapes("", fixed[entity.model]),)
-        for one in _make_entities(entity, groups):
+        root = _to_origin(poses.get(entity.entity, entity.initial_pose))
+        for one in _make_entities(entity, groups, root):
             found[one.id] = one
     return found
 
@@ -69,7 +74,9 @@ def whole_scene(now: Mapping[str, SceneEntity]) -> SceneUpdate:
     return SceneUpdate((SceneEntityDeletion(type=1),), tuple(now.values()))
 
 
-def _make_entities(entity: EntityModel, groups: tuple[FramedShapes, ...]) -> Iterator[SceneEntity]:
+def _make_entities(
+    entity: EntityModel, groups: tuple[FramedShapes, ...], root: Origin
+) -> Iterator[SceneEntity]:
     facts = (KeyValuePair("entity", entity.entity), KeyValuePair("namespace", entity.namespace))
     for group in groups:
         if not group.shapes:
@@ -79,7 +86,6 @@ def _make_entities(entity: EntityModel, groups: tuple[FramedShapes, ...]) -> Ite
         frame = f"{entity.namespace}/{group.frame}"
         if not group.frame:
             frame = WORLD_FRAME
-            root = _to_origin(entity.initial_pose)
             shapes = tuple((compose(root, origin), shape) for origin, shape in shapes)
         yield _draw(SceneEntity(frame_id=frame, id=name, frame_locked=True, metadata=facts), shapes)
 

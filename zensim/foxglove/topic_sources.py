@@ -1,7 +1,8 @@
 """Messages of topics from the network, subscribed while a client subscribes to them."""
 
-from collections.abc import Callable, Mapping
-from typing import Final, Protocol, TypeAlias
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from typing import Final, Protocol, TypeAlias, TypeVar
 
 import msgspec
 
@@ -26,6 +27,7 @@ from zensim.proto.messages.standard_messages import (
     time_from_ns,
 )
 
+Item = TypeVar("Item")
 TimedPayload: TypeAlias = tuple[int, bytes]
 """Time [ns] and bytes of a message."""
 DEPTH: Final = 256
@@ -102,29 +104,34 @@ class LatchedSource(MessageSource):
         super().__init__(bus, topic)
         self._bus, self._keys = bus, topic.keys
         self._last: bytes | None = None
-        self._has_last_been_sent = True
+        self._fetched: deque[bytes] = deque()
+        """Of another thread."""
 
     def fetch(self) -> None:
         """Query the message that was published before; blocks for `LATCHED_TIMEOUT_S` at most."""
         for key in self._keys:
-            for sample in self._bus.get(key, LATCHED_TIMEOUT_S):
-                if self._last is None and "*" not in sample.key:
-                    self._last = to_cdr(self._kind, sample.payload)
-                    self._has_last_been_sent = False
+            samples = self._bus.get(key, LATCHED_TIMEOUT_S)
+            self._fetched += [one.payload for one in samples if "*" not in one.key]
 
     def take(self, now_ns: int) -> list[TimedPayload]:
         """See `TopicSource`; a message that is known already is left out."""
+        fetched = [to_cdr(self._kind, one) for one in take_all(self._fetched)]
         found = [one for one in self.take_payloads() if one != self._last]
+        if self._last is None and not found:
+            found = [one for one in fetched if one is not None][:1]
         if found:
             self._last = found[-1]
-        elif not self._has_last_been_sent and self._last is not None:
-            found = [self._last]
-        self._has_last_been_sent = True
         return [(now_ns, one) for one in found]
 
     def take_latched(self, now_ns: int) -> list[TimedPayload]:
         """See `TopicSource`."""
         return [] if self._last is None else [(now_ns, self._last)]
+
+
+def take_all(queue: deque[Item]) -> Iterator[Item]:
+    """Take what is in a queue that another thread fills."""
+    for _ in range(len(queue)):
+        yield queue.popleft()
 
 
 class WorldFacts(Protocol):
@@ -218,7 +225,8 @@ class StaticTransformSource:
         self._bus, self._suffix, self._facts = bus, topic.keys[0], facts
         self._transforms = RobotTransforms(bus, topic.keys[0], facts)
         self._known: dict[bytes, bytes] = {}
-        self._fetched: list[tuple[str, bytes]] = []
+        self._fetched: deque[tuple[str, bytes]] = deque()
+        """Of another thread."""
 
     def fetch(self) -> None:
         """Query the transforms of each agent; blocks for `LATCHED_TIMEOUT_S` at most."""
@@ -246,7 +254,7 @@ class StaticTransformSource:
         self._transforms.close()
 
     def _read_fetched(self) -> list[Transform]:
-        fetched, self._fetched = self._fetched, []
+        fetched = [*take_all(self._fetched)]
         found = collect_transforms(one for key, one in fetched if key == self._suffix)
         for key, payload in fetched:
             namespace = key.removesuffix(f"/{self._suffix}")

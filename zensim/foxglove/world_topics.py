@@ -1,17 +1,26 @@
 """Follows which topics and entities a world has, while clients are connected."""
 
+import math
 import time
-from collections.abc import Callable, Sequence
-from typing import Final
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Final, TypeAlias
 
 from zensim.foxglove.live_topics import LiveTopic, list_live_topics
 from zensim.foxglove.merged_transforms import Transform, make_transform
 from zensim.foxglove.scene_entities import WORLD_FRAME, make_scene
+from zensim.foxglove.scene_messages import SceneEntity
 from zensim.proto import keys
 from zensim.proto.bus import Bus, BusError
 from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.messages.entity_messages import (
+    EntityFilters,
+    EntityState,
+    GetEntitiesStatesOrder,
+)
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.standard_messages import Vector3
 from zensim.proto.messages.telemetry_messages import (
     EntityModel,
     Event,
@@ -25,13 +34,18 @@ from zensim.proto.ros2.liveliness_tokens import (
     AnnouncedEndpoint,
     parse_endpoint_token,
 )
-from zensim.proto.service_catalog import GET_MODELS
+from zensim.proto.service_catalog import GET_ENTITIES_STATES, GET_MODELS
 from zensim.proto.topic_catalog import EVENTS, TF
 from zensim.proto.topic_discovery import PUBLISHER, TopicFacts, list_robot_topics, merge_endpoints
 
 CALL_TIMEOUT_S: Final = 2.0
 FETCH_PERIOD_S: Final = 0.3
 """Least time between two calls of `get_models`: robots are spawned and deleted in groups."""
+POSES_PERIOD_S: Final = 0.5
+"""The same for poses of entities without an agent, while one of them moves."""
+MOVING_M_S, MOVING_RAD_S = 0.01, 0.01
+MAX_NAMED: Final = 50
+"""Entities whose states are requested by name; of more, those of all are."""
 EVENTS_DEPTH: Final = 1024
 TOKENS_DEPTH: Final = 65_536
 CHANGES: Final = frozenset(
@@ -39,6 +53,9 @@ CHANGES: Final = frozenset(
 )
 """Kinds of events that change entities or agents."""
 FAILURES: Final = (BusError, ServiceError, TimeoutError, MalformedPayload)
+
+Update: TypeAlias = Callable[[], None]
+"""What remains to be done in the thread of the hub."""
 
 
 class WorldTopics:
@@ -61,8 +78,9 @@ class WorldTopics:
         self._models: GetModelsResponse | None = None
         self._is_changed = True
         self._needs_models = True
+        self._needs_poses = False
         self._next_fetch_s = 0.0
-        self.scene = make_scene(GetModelsResponse())
+        self.scene: Mapping[str, SceneEntity] = {}
         """See `WorldFacts`."""
         self.own_tf: frozenset[str] = frozenset()
         """See `WorldFacts`."""
@@ -80,26 +98,61 @@ class WorldTopics:
         self._find_own_tf()
         return list_live_topics(self._world, self._list_facts(), self._domain)
 
-    def take_jobs(self) -> Sequence[Callable[[], None]]:
-        """Take the work that blocks and is due."""
+    def take_jobs(self) -> Sequence[Callable[[], Update | None]]:
+        """Take the work that blocks and is due; what it returns is to be called in this thread."""
         now_s = time.monotonic()
-        if not self._needs_models or now_s < self._next_fetch_s:
+        if now_s < self._next_fetch_s:
             return []
-        self._needs_models, self._next_fetch_s = False, now_s + FETCH_PERIOD_S
-        return [self.fetch_models]
+        if self._needs_models:
+            self._needs_models, self._next_fetch_s = False, now_s + FETCH_PERIOD_S
+            return [self.fetch_models]
+        if self._needs_poses and self._models is not None:
+            self._needs_poses, self._next_fetch_s = False, now_s + POSES_PERIOD_S
+            return [partial(self._fetch_poses, self._models)]
+        return []
 
-    def fetch_models(self) -> None:
-        """Get the entities from the server; blocks for `CALL_TIMEOUT_S` at most."""
+    def fetch_models(self) -> Update | None:
+        """Get the entities from the server; blocks for `CALL_TIMEOUT_S` at most, twice."""
         try:
             models = self._bus.call(
                 GET_MODELS, GetModelsRequest(), world=self._world, timeout_s=CALL_TIMEOUT_S
             )
         except FAILURES:
             # Due again at the next event, or when a server starts.
-            return
-        self._models = models
-        self.scene = make_scene(models)
-        self._is_changed = True
+            return None
+        return self._fetch_poses(models)
+
+    def _fetch_poses(self, models: GetModelsResponse) -> Update:
+        """Get where entities without an agent are; without a reply, they are where they began."""
+        try:
+            states = self._get_states(find_unled(models))
+        except FAILURES:
+            states = {}
+        poses = {name: state.pose for name, state in states.items()}
+        is_moving = any(map(is_in_motion, states.values()))
+        return partial(self._update, models, make_scene(models, poses), is_moving=is_moving)
+
+    def _get_states(self, names: Sequence[str]) -> Mapping[str, EntityState]:
+        if not names:
+            return {}
+        pattern = f"^({'|'.join(names)})$" if len(names) <= MAX_NAMED else ""
+        request = GetEntitiesStatesOrder(EntityFilters(pattern))
+        found = self._bus.call(
+            GET_ENTITIES_STATES, request, world=self._world, timeout_s=CALL_TIMEOUT_S
+        )
+        return dict(zip(found.entities, found.states, strict=False))
+
+    def _update(
+        self,
+        models: GetModelsResponse,
+        scene: Mapping[str, SceneEntity],
+        *,
+        is_moving: bool,
+    ) -> None:
+        """Replace what is known of the world."""
+        self._is_changed |= models is not self._models
+        self._models, self.scene = models, scene
+        self._needs_poses = is_moving
 
     def close(self) -> None:
         """End the subscriptions."""
@@ -142,6 +195,25 @@ class WorldTopics:
     def _list_facts(self) -> list[TopicFacts]:
         announced = merge_endpoints(self._endpoints.values())
         return [*announced, *(list_robot_topics(self._models) if self._models is not None else ())]
+
+
+def find_unled(models: GetModelsResponse) -> list[str]:
+    """List the entities without an agent, but not what is fixed in the world."""
+    return [
+        one.entity
+        for one in models.entities
+        if not (one.agent and one.namespace) and not models.models[one.model].is_static
+    ]
+
+
+def is_in_motion(state: EntityState) -> bool:
+    """Whether an entity moves or turns."""
+    twist = state.twist
+    return _measure(twist.linear) > MOVING_M_S or _measure(twist.angular) > MOVING_RAD_S
+
+
+def _measure(vector: Vector3) -> float:
+    return math.hypot(vector.x, vector.y, vector.z)
 
 
 def _is_change(sample: Sample) -> bool:

@@ -1,12 +1,11 @@
 """Which topics of a recording are replayed, and under which names."""
 
-import re
 from collections.abc import Iterable
 from typing import Final
 
 import msgspec
 
-from zensim.proto.names import check_name, check_namespace
+from zensim.proto.names import check_name, check_namespace, is_topic_name
 from zensim.recording.recording_reader import StoredTopic
 from zensim.recording.topic_selection import (
     CLOCK_TOPIC,
@@ -19,9 +18,6 @@ WORLD_PART: Final = "sim"
 REPLAYED_WORLD_TOPICS: Final = frozenset(one.suffix for one in ROSTER_TOPICS)
 """Others of a world are for programs, and take effect there."""
 RULE: Final = ":="
-TOPIC_NAME: Final = re.compile(r"/*[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*/?")
-"""A name of ROS 2; others are wildcards of keys, or reach keys of other programs."""
-MAX_NAME_LENGTH: Final = 255
 
 
 class NameSettings(msgspec.Struct, frozen=True, kw_only=True):
@@ -107,7 +103,7 @@ def _split_names(topics: Iterable[StoredTopic]) -> tuple[list[StoredTopic], tupl
     """Split off the names that cannot be: a file may have any text there."""
     listed, left_out = [], []
     for one in topics:
-        if len(one.name) <= MAX_NAME_LENGTH and TOPIC_NAME.fullmatch(one.name):
+        if is_topic_name(one.name):
             listed.append(one)
         else:
             left_out.append(one.name)
