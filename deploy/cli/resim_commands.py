@@ -5,12 +5,12 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import msgspec
 import typer
 
-from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
+from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app, parse_finite
 from zensim.proto.codec.message_codec import Format, decode, make_encoding
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.messages.input_messages import Inputs
@@ -35,6 +35,8 @@ app = make_app()
 AXES = 3
 MAX_ROWS = 20
 """Of the table of distances."""
+TAIL_NS = NANOSECONDS
+"""Simulated and wall time after the log in which other topics may have messages."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +119,7 @@ def parse_gravity(text: str) -> tuple[float, float, float]:
         ValueError: It is no vector.
     """
     try:
-        x, y, z = (float(part) for part in text.split(","))
+        x, y, z = (parse_finite(part) for part in text.split(","))
     except ValueError:
         raise ValueError(
             f"--gravity {text[:40]!r} is not a vector; use X,Y,Z, as 0,0,-9.81"
@@ -135,16 +137,28 @@ def run_recording(path: Path, changes: "ResimChanges") -> "ResimResult":
     from zensim.sim_server.input_log.resimulation import Resimulation
 
     with TemporaryDirectory(prefix="zensim-resim-") as folder:
+        reader = RecordingReader(path)
+        for file in reader.unclosed:
+            print_note("resim", f"{file} was never closed, and is read in whole")
         run = Resimulation(Path(folder), changes)
         with closing(run):
-            for message in read_inputs(path):
+            last = LogTimes(0, 0)
+            for times, message in read_inputs(reader):
+                last = times
                 run.feed(message)
                 if run.is_decided:
                     break
-            return run.finish()
+            return run.finish(() if run.is_decided else find_cuts(reader, last))
 
 
-def read_inputs(path: Path) -> Iterator[Inputs]:
+class LogTimes(NamedTuple):
+    """Times of a message of the log [ns]."""
+
+    log_ns: int
+    publish_ns: int
+
+
+def read_inputs(reader: RecordingReader) -> Iterator[tuple[LogTimes, Inputs]]:
     """Read the log of inputs of a recording, in the order of its files.
 
     Raises:
@@ -153,16 +167,30 @@ def read_inputs(path: Path) -> Iterator[Inputs]:
     from zensim.sim_server.input_log.resimulation import check_topic
 
     found = ""
-    reader = RecordingReader(path)
-    for file in reader.unclosed:
-        print_note("resim", f"{file} was never closed, and is read in whole")
     bytes_encoding = make_encoding(UInt8MultiArray, Format.CDR)
     for chunk in reader.chunks(is_input_topic):
-        for topic, _, _, payload in chunk:
+        for topic, log_ns, publish_ns, payload in chunk:
             found = found or topic.name
             check_topic(topic.name, found)
             data = decode(UInt8MultiArray, payload, bytes_encoding).data
-            yield decode(Inputs, data, INPUTS.encoding)
+            yield LogTimes(log_ns, publish_ns), decode(Inputs, data, INPUTS.encoding)
+
+
+def find_cuts(reader: RecordingReader, last: LogTimes) -> list[str]:
+    """Find out why the end of the log is missing in a recording.
+
+    Args:
+        reader: The recording, of which all messages of the log were read.
+        last: Of the last one.
+    """
+    found = [f"{file.name} was never closed" for file in reader.unclosed]
+    if reader.damaged:
+        found.append(f"{reader.damaged} places of the recording are damaged")
+    # A paused world makes no inputs, and a fast one many seconds between two messages.
+    after = reader.runs[-1].messages(start_ns=last.log_ns + TAIL_NS)
+    if any(publish_ns > last.publish_ns + TAIL_NS for _, _, publish_ns, _ in after):
+        found.append("other topics go on after the last message of the log")
+    return found
 
 
 def is_input_topic(topic: StoredTopic) -> bool:
@@ -187,6 +215,7 @@ def format_result(path: Path, result: "ResimResult") -> list[str]:
         lines.append(f"lost: {result.lost_messages} messages of the log are not in the recording")
     if result.skipped_messages:
         lines.append(f"not run: {result.skipped_messages} messages, which no start precedes")
+    lines += [f"cut: {reason}; what was after it in the log is unknown" for reason in result.cuts]
     lines += [f"left out: {name}: {reason}" for name, reason in result.refused_models.items()]
     if (first := result.first_difference) is not None:
         lines += format_difference(first)
@@ -196,11 +225,17 @@ def format_result(path: Path, result: "ResimResult") -> list[str]:
         return lines
     if not result.control_steps:
         return [*lines, "not compared: no control step was recorded after a start"]
-    return [
-        *lines,
-        f"equal: {result.control_steps} control steps, {result.equal_states} states; "
-        f"the last has hash {result.digest}",
-    ]
+    counts = f"{result.control_steps} control steps, {result.equal_states} states"
+    return [*lines, f"{write_extent(result)}: {counts}; the last has hash {result.digest}"]
+
+
+def write_extent(result: "ResimResult") -> str:
+    """Write up to where the states are equal."""
+    if result.cuts:
+        return f"equal up to {result.simulated_s:.3f} s, where the log is cut"
+    if result.open_ends:
+        return f"equal up to {result.simulated_s:.3f} s, where the recording ends"
+    return "equal"
 
 
 def format_inexact(result: "ResimResult") -> list[str]:

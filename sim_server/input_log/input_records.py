@@ -5,18 +5,20 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.sim_server.physics.engine import BodyStates, Engine, IntArray
-from zensim.sim_server.physics.engine_calls import AnyCall
+from zensim.sim_server.physics.engine_calls import MAX_STEPS, AnyCall
 from zensim.sim_server.physics.engine_config import EngineConfig, EngineName, EngineOptions
+from zensim.sim_server.physics.engine_factory import MAX_PARALLEL_CELLS
 from zensim.sim_server.world_loading.world_loader import make_layered_engine
 
-FORMAT = 1
+FORMAT = 2
 """Number of the records; a reader refuses others."""
 MAX_MESSAGE_BYTES = 1 << 20
 """Of the records of a message; one record may be longer."""
@@ -43,8 +45,8 @@ class EngineRecipe(msgspec.Struct, frozen=True):
     """How the engine of a world is made."""
 
     options: EngineOptions
-    control_steps: int
-    step_ns: int
+    control_steps: Annotated[int, msgspec.Meta(ge=1, le=MAX_STEPS)]
+    step_ns: Annotated[int, msgspec.Meta(ge=1_000, le=NANOSECONDS)]
     gravity: tuple[float, float, float]
     has_ground: bool
     ground_friction: float
@@ -55,6 +57,10 @@ class EngineRecipe(msgspec.Struct, frozen=True):
         Raises:
             EngineMissing: Its library is not installed.
         """
+        workers = self.options.workers
+        options = msgspec.structs.replace(
+            self.options, workers=None if workers is None else min(workers, MAX_PARALLEL_CELLS)
+        )
         config = EngineConfig(
             self.step_ns,
             self.gravity,
@@ -63,7 +69,7 @@ class EngineRecipe(msgspec.Struct, frozen=True):
             mesh_folder,
             self.options.compiles_ahead,
         )
-        return make_layered_engine(config, self.options, control_steps=self.control_steps)
+        return make_layered_engine(config, options, control_steps=self.control_steps)
 
 
 class LogRecord(msgspec.Struct, frozen=True, array_like=True, tag=str.lower):
@@ -80,6 +86,10 @@ class LogStart(LogRecord, frozen=True):
     world: str
     epoch: int
     step: int
+
+
+class LogEnd(LogRecord, frozen=True):
+    """The last record of a log that its server has ended."""
 
 
 class StoredMesh(LogRecord, frozen=True):
@@ -132,7 +142,14 @@ class RecordedState(LogRecord, frozen=True):
 
 
 AnyRecord: TypeAlias = (
-    LogStart | StoredMesh | PresentBody | LoggedRoster | StateSums | RecordedState | AnyCall
+    LogStart
+    | LogEnd
+    | StoredMesh
+    | PresentBody
+    | LoggedRoster
+    | StateSums
+    | RecordedState
+    | AnyCall
 )
 _ENCODER = msgspec.msgpack.Encoder()
 _DECODER = msgspec.msgpack.Decoder(tuple[AnyRecord, ...])

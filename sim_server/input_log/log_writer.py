@@ -17,6 +17,7 @@ from zensim.sim_server.input_log.input_records import (
     MAX_MESSAGE_BYTES,
     AnyRecord,
     EngineRecipe,
+    LogEnd,
     LoggedRoster,
     LogStart,
     Origin,
@@ -139,9 +140,9 @@ class InputLog:
             self._records.append(self._record_state(states))
 
     def close(self) -> None:
-        """Publish what was logged, if there has been a subscriber."""
+        """Publish what was logged, with the end of the log, if there has been a subscriber."""
         if self.is_active:
-            self._flush()
+            self._finish()
             self._publish_waiting(MAX_KEPT_BYTES)
 
     def _begin(self) -> None:
@@ -154,6 +155,12 @@ class InputLog:
             return
         self._engine = self._world.engine = LoggedEngine(engine)
         self._note_present()
+
+    def _finish(self) -> None:
+        """Make messages of what was logged, with the end of the log."""
+        self._take_calls()
+        self._records.append(LogEnd())
+        self._flush()
 
     def _end(self) -> None:
         if self._engine is not None and self._world.engine is self._engine:
@@ -169,6 +176,7 @@ class InputLog:
             if isinstance(engine, LoggedEngine):
                 self._follow_engine(engine)
             else:
+                self._finish()
                 self._begin()
         elif self._epoch != self._world.clock.epoch:
             self._take_calls()

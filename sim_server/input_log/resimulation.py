@@ -1,5 +1,6 @@
 """Resimulation: runs the engine again with the inputs of a log, and compares the states."""
 
+from collections.abc import Iterable
 from functools import singledispatchmethod
 from pathlib import Path
 from typing import Final
@@ -14,6 +15,7 @@ from zensim.sim_server.input_log.input_records import (
     FORMAT,
     AnyRecord,
     EngineRecipe,
+    LogEnd,
     LoggedRoster,
     LogStart,
     PresentBody,
@@ -25,6 +27,7 @@ from zensim.sim_server.input_log.input_records import (
     read_records,
 )
 from zensim.sim_server.input_log.state_comparison import (
+    COLUMNS,
     Distance,
     StateDifference,
     compare_states,
@@ -54,6 +57,9 @@ from zensim.sim_server.physics.engine_config import (
     find_installed_engines,
 )
 
+FLOAT_BYTES, SUM_BYTES = 8, 4
+DISAGREEMENTS: Final = (ValueError, LookupError, TypeError, ArithmeticError)
+"""Of a record with those before it: bodies or models that there are not, arrays of another size."""
 MAX_SHOWN: Final = 8
 """Entities and inputs that a difference lists."""
 COUNTED: Final = (
@@ -69,6 +75,20 @@ class ResimRefused(ValueError):
     def __init__(self, message: str, *, slug: str) -> None:
         self.slug = slug
         super().__init__(f"{slug}: {message}")
+
+
+class MalformedRecords(ValueError):
+    """Numbers of a log do not agree with each other."""
+
+
+def require_size(data: bytes, size: int) -> None:
+    """Check the size of an array.
+
+    Raises:
+        MalformedRecords: It has another one.
+    """
+    if len(data) != size:
+        raise MalformedRecords(f"an array has {len(data)} bytes, and its entities {size}")
 
 
 class ResimChanges(msgspec.Struct, frozen=True, kw_only=True):
@@ -145,6 +165,11 @@ class ResimResult(msgspec.Struct, kw_only=True):
     """Not in the recording, as the numbers of those that are say."""
     skipped_messages: int = 0
     """Not run: no start was before them, or messages were lost since."""
+    open_ends: int = 0
+    """Logs without the end that their server writes: the recording ended first, or the server
+    did not end in order."""
+    cuts: tuple[str, ...] = ()
+    """Why more of the log is missing at its end, as far as the recording shows it."""
     starts: int = 0
     """How often the run began: at the start, at worlds that were loaded, after lost messages."""
     refused_models: dict[str, str] = {}
@@ -154,7 +179,7 @@ class ResimResult(msgspec.Struct, kw_only=True):
 
     @property
     def is_equal(self) -> bool:
-        """Whether states were compared bit by bit, all are equal, and no message is missing."""
+        """Whether states were compared bit by bit, all are equal, and nothing is known to miss."""
         return (
             self.is_exact
             and self.control_steps > 0
@@ -169,7 +194,7 @@ class ResimResult(msgspec.Struct, kw_only=True):
 
     @property
     def _is_whole(self) -> bool:
-        return not self.lost_messages and not self.skipped_messages
+        return not self.lost_messages and not self.skipped_messages and not self.cuts
 
 
 class RepeatedRun:
@@ -211,7 +236,16 @@ class RepeatedRun:
             load.make_on(self.target)
 
     def set_roster(self, roster: LoggedRoster) -> None:
-        """Set which entities the next states are of."""
+        """Set which entities the next states are of.
+
+        Raises:
+            MalformedRecords: Its numbers are not those of the bodies.
+        """
+        models = [self.target.model_of[body] for body in roster.bodies]
+        counts = tuple(len(model.joints) for model in models)
+        is_valid = len(roster.names) == len(counts) and roster.joint_counts == counts
+        if not is_valid or not {*roster.frozen} <= {*range(len(counts))}:
+            raise MalformedRecords("the numbers of a roster are not those of its bodies")
         self.roster = roster
         self.summer = StateSummer(np.array(roster.joint_counts, dtype=np.intp), roster.frozen)
 
@@ -225,8 +259,10 @@ class RepeatedRun:
     def find_different(self, recorded: StateSums) -> list[int]:
         """List the places of the entities whose states differ from recorded ones."""
         states, present = self.read()
-        if len(present) < len(self.roster.names):
-            return sorted(set(range(len(self.roster.names))) - set(present))
+        count = len(self.roster.names)
+        require_size(recorded.sums, count * SUM_BYTES)
+        if len(present) < count:
+            return sorted(set(range(count)) - set(present))
         known = np.frombuffer(recorded.sums, dtype="<u4")
         places: list[int] = np.flatnonzero(self.summer.sum(states) != known).tolist()
         return places
@@ -274,6 +310,8 @@ class Resimulation:
         """Whether the run goes on where the log offers a start: its bodies are left out."""
         self._recent: list[str] = []
         """Inputs since the last control step."""
+        self._is_ended = True
+        """Whether the present log has its end, or there is none yet."""
 
     @property
     def is_decided(self) -> bool:
@@ -291,31 +329,54 @@ class Resimulation:
             return  # it is in two files of a recording
         if (message.log, message.sequence) != (self._log, self._next):
             self._note_gap(message)
+        if message.log != self._log:
+            self.result.open_ends += not self._is_ended
+            self._is_ended = False
         self._log, self._next = message.log, message.sequence + 1
         try:
             records = read_records(message.records) if message.records else ()
         except msgspec.DecodeError as error:
             text = f"message {message.sequence} of the log is damaged, or of another version"
             raise ResimRefused(f"{text}: {error}", slug="resim.malformed") from error
-        for record in records:
-            if isinstance(record, LogStart):
-                self._begin(record)
-            elif self._run is not None:
-                self._take(record, self._run)
+        self._run_records(records)
         if self._run is None and records:
             self.result.skipped_messages += 1
+
+    def _run_records(self, records: Iterable[AnyRecord]) -> None:
+        for record in records:
+            if isinstance(record, LogEnd):
+                self._is_ended = True
+            elif isinstance(record, LogStart):
+                self._begin(record)
+            elif self._run is not None:
+                self._take_checked(record, self._run)
+
+    def _take_checked(self, record: AnyRecord, run: RepeatedRun) -> None:
+        try:
+            self._take(record, run)
+        except DISAGREEMENTS as error:
+            text = f"message {self._next - 1} of the log is damaged: {type(record).__name__}"
+            raise ResimRefused(
+                f"{text}: {type(error).__name__}: {error}", slug="resim.malformed"
+            ) from error
 
     def close(self) -> None:
         """Free the engine."""
         self._end_run()
 
-    def finish(self) -> ResimResult:
+    def finish(self, cuts: Iterable[str] = ()) -> ResimResult:
         """End the run.
+
+        Args:
+            cuts: Why the end of the log is missing, if that is known.
 
         Raises:
             ResimRefused: No log begins in the messages.
         """
         self._end_run()
+        self.result.open_ends += not self._is_ended
+        self._is_ended = True
+        self.result.cuts = tuple(cuts)
         if not self.result.starts:
             raise ResimRefused(
                 "no log of inputs begins in this recording; record with 'zensim up --record', or "
@@ -359,7 +420,12 @@ class Resimulation:
         assert isinstance(record, EngineCall)
         self._note_input(record, run)
         record.make_on(run.target)
-        if isinstance(record, Add) and (reason := run.target.refusals.get(record.body)):
+        if isinstance(record, Add):
+            self._note_refusal(record, run)
+
+    def _note_refusal(self, record: Add | PresentBody, run: RepeatedRun) -> None:
+        """Note that this engine refuses a model that the other one accepted."""
+        if (reason := run.target.refusals.get(record.body)) is not None:
             self.result.refused_models[run.target.models[record.model].name] = reason
 
     @_take.register
@@ -381,6 +447,7 @@ class Resimulation:
         if self._goes_on:
             return
         run.target.add(record.model, read_floats(record.base), record.body)
+        self._note_refusal(record, run)
         if (own := run.target.bodies.get(record.body)) is not None:
             joints = read_floats(record.positions), read_floats(record.velocities)
             run.target.engine.set_state(own, read_floats(record.base), *joints)
@@ -411,6 +478,10 @@ class Resimulation:
     @_take.register
     def _(self, record: RecordedState, run: RepeatedRun) -> None:
         result, (states, present) = self.result, run.read()
+        joints = sum(run.roster.joint_counts)
+        require_size(record.base, len(run.roster.names) * COLUMNS * FLOAT_BYTES)
+        require_size(record.positions, joints * FLOAT_BYTES)
+        require_size(record.velocities, joints * FLOAT_BYTES)
         result.states += 1
         result.digest = run.hash(record)
         result.equal_states += result.digest == record.digest

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import TypeAlias
+from typing import Annotated, TypeAlias
 
 import msgspec
 import numpy as np
@@ -13,6 +13,8 @@ from zensim.sim_server.physics.engine import Engine, EngineRefused, FloatArray, 
 
 REFUSED = -1
 """Body of a model that the engine refused."""
+MAX_STEPS = 1_000_000
+"""Between two records; a log has one for each control step at least."""
 
 
 def write_floats(values: FloatArray) -> bytes:
@@ -54,7 +56,8 @@ class CallTarget:
         try:
             own = self.engine.add(self.models[model], base)
         except EngineRefused as refused:
-            self.refusals[body] = str(refused)
+            if body != REFUSED:
+                self.refusals[body] = str(refused)
             return
         if body == REFUSED:
             self.engine.remove(own)
@@ -108,7 +111,7 @@ class BodyCall(EngineCall, frozen=True):
 class Steps(EngineCall, frozen=True):
     """Calls of `step`, one after another."""
 
-    count: int
+    count: Annotated[int, msgspec.Meta(ge=0, le=MAX_STEPS)]
 
     def make_on(self, target: CallTarget) -> None:
         """See `EngineCall`."""
@@ -319,8 +322,6 @@ AnyCall: TypeAlias = (
     | Hide
     | Show
 )
-LOADS = (ApplyLinkWrench, ApplyJointEffort)
-"""Calls whose effect ends with the next step."""
 
 
 def to_places(places: Sequence[Place]) -> tuple[Place, ...]:

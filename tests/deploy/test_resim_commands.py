@@ -14,7 +14,12 @@ from zensim.deploy.cli.resim_commands import MAX_ROWS, app, format_distances
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.messages.input_messages import Inputs
-from zensim.proto.messages.standard_messages import Header, Odometry, UInt8MultiArray
+from zensim.proto.messages.standard_messages import (
+    NANOSECONDS,
+    Header,
+    Odometry,
+    UInt8MultiArray,
+)
 from zensim.proto.network_protocols import Sample
 from zensim.proto.ros2.message_definitions import write_definition
 from zensim.proto.topic_catalog import INPUTS
@@ -29,8 +34,15 @@ from zensim.sim_server.physics.engine_calls import Command
 SECONDS = 2
 
 
-def write_log(path: Path, messages: Sequence[Inputs], other_world: str = "") -> None:
-    """Write a recording as the recorder does, with another topic beside the log."""
+def write_log(
+    path: Path,
+    messages: Sequence[Inputs],
+    other_world: str = "",
+    *,
+    is_closed: bool = True,
+    until_s: float = 0.0,
+) -> None:
+    """Write a recording as the recorder does, with another topic beside the log, or after it."""
     output = OutputFile(path)
     writer = McapWriter(output)
     table = TopicTable("default", lambda _: True)
@@ -49,7 +61,11 @@ def write_log(path: Path, messages: Sequence[Inputs], other_world: str = "") -> 
         if other_world:
             writer.write_message(3, message.step, message.step, topic.to_cdr(sample))
         writer.write_message(2, message.step, message.step, encode(Odometry(Header()), Format.CDR))
+    late_ns = messages[-1].step + round(until_s * NANOSECONDS)
+    writer.write_message(2, late_ns, late_ns, encode(Odometry(Header()), Format.CDR))
     writer.flush()
+    if is_closed:
+        writer.close()
     output.close()
 
 
@@ -92,6 +108,7 @@ def test_equal_run_has_status_0(messages: list[Inputs], tmp_path: Path) -> None:
     assert status == ExitCode.OK
     assert result["is_equal"]
     assert result["engine"] == "mujoco"
+    assert result["open_ends"] == 0
     assert result["states"] == result["equal_states"] == SECONDS + 1
     assert result["steps"] == SECONDS * STEPS_PER_S
 
@@ -164,6 +181,38 @@ def test_log_that_joined_later_has_status_1_without_report(tmp_path: Path) -> No
     assert "--report" in CliRunner().invoke(app, [str(tmp_path / "run.mcap")]).stdout
 
 
+def test_log_that_is_cut_at_its_end_is_not_equal(messages: list[Inputs], tmp_path: Path) -> None:
+    write_log(tmp_path / "run.mcap", messages[:-1], is_closed=False)
+
+    status, result = resim(tmp_path / "run.mcap")
+
+    text = CliRunner().invoke(app, [str(tmp_path / "run.mcap")]).stdout
+    assert (status, result["is_equal"]) == (ExitCode.FAILED, False)
+    assert result["first_difference"] is None
+    assert len(result["cuts"]) == 1
+    assert "equal: " not in text
+
+
+def test_log_that_ends_before_other_topics_is_cut(messages: list[Inputs], tmp_path: Path) -> None:
+    write_log(tmp_path / "run.mcap", messages[:-1], until_s=5.0)
+
+    status, result = resim(tmp_path / "run.mcap")
+
+    assert (status, len(result["cuts"])) == (ExitCode.FAILED, 1)
+
+
+def test_recording_that_ended_before_the_server_says_how_far_it_is_equal(
+    messages: list[Inputs], tmp_path: Path
+) -> None:
+    write_log(tmp_path / "run.mcap", messages[:-1])
+
+    status, result = resim(tmp_path / "run.mcap")
+
+    text = CliRunner().invoke(app, [str(tmp_path / "run.mcap")]).stdout
+    assert (status, result["open_ends"]) == (ExitCode.OK, 1)
+    assert "equal: " not in text
+
+
 def test_recording_of_two_worlds_is_refused(messages: list[Inputs], tmp_path: Path) -> None:
     write_log(tmp_path / "run.mcap", messages, other_world="moon")
 
@@ -184,7 +233,15 @@ def test_recording_without_a_log_is_refused(messages: list[Inputs], tmp_path: Pa
 
 @pytest.mark.parametrize(
     "wrong",
-    [("--gravity", "down"), ("--gravity", "1,2"), ("--step-hz", "0"), ("--engine", "ode")],
+    [
+        ("--gravity", "down"),
+        ("--gravity", "1,2"),
+        ("--gravity", "0,0,nan"),
+        ("--step-hz", "0"),
+        ("--step-hz", "inf"),
+        ("--ground-friction", "inf"),
+        ("--engine", "ode"),
+    ],
     ids="=".join,
 )
 def test_wrong_options_are_refused(
@@ -196,6 +253,7 @@ def test_wrong_options_are_refused(
 
     assert done.exit_code == ExitCode.USAGE
     assert wrong[1] in done.stderr
+    assert done.exception is None or isinstance(done.exception, SystemExit)
 
 
 def test_missing_file_has_status_3(tmp_path: Path) -> None:

@@ -3,13 +3,14 @@
 from collections.abc import Callable, Sequence
 from hashlib import sha256
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+from tests.engines import ObedientEngine
 from tests.models import a_body, a_state
 from tests.sim_server.fakes import a_spawn
 from tests.sim_server.input_log.logged_worlds import (
@@ -31,9 +32,11 @@ from zensim.sim_server.input_log.input_records import (
     MAX_MESSAGE_BYTES,
     AnyRecord,
     HostVersions,
+    LoggedRoster,
     LogStart,
     RecordedState,
     StateSummer,
+    StateSums,
     StoredMesh,
     read_records,
     write_records,
@@ -44,9 +47,16 @@ from zensim.sim_server.input_log.resimulation import (
     ResimResult,
     Resimulation,
 )
-from zensim.sim_server.physics.engine import BodyStates
-from zensim.sim_server.physics.engine_calls import Command
-from zensim.sim_server.physics.engine_config import EngineName
+from zensim.sim_server.physics.engine import BodyStates, EngineRefused, FloatArray
+from zensim.sim_server.physics.engine_calls import (
+    REFUSED,
+    Add,
+    CallTarget,
+    Command,
+    CommandGroup,
+    Steps,
+)
+from zensim.sim_server.physics.engine_config import EngineConfig, EngineName
 from zensim.sim_server.physics.logged_engine import LoggedEngine
 
 ENGINES: tuple[EngineName, ...] = ("pybullet", "mujoco")
@@ -553,3 +563,110 @@ def test_requests_are_noted_with_their_step() -> None:
     assert (request.step, request.service, request.client) == (4, "delete_entity", "me")
     assert msgspec.json.decode(request.request)["entity"] == "r1"
     assert (request.code, request.message) == (2, "no such entity")
+
+
+def test_log_has_an_end_when_its_server_ends(busy: LoggedWorld, tmp_path: Path) -> None:
+    whole = resim(busy.messages, tmp_path)
+    cut = resim(busy.messages[:-1], tmp_path)
+
+    assert (whole.open_ends, cut.open_ends) == (0, 1)
+
+
+def test_second_log_after_one_without_an_end_is_noted(busy: LoggedWorld, tmp_path: Path) -> None:
+    second = [msgspec.structs.replace(one, log="second") for one in busy.messages]
+
+    assert resim([*busy.messages[:-1], *second], tmp_path).open_ends == 1
+
+
+HUGE = 1 << 40
+
+
+def change_records(
+    messages: Sequence[Inputs], kind: type[AnyRecord], change: Callable[[Any], AnyRecord]
+) -> list[Inputs]:
+    """Change the first record of a kind."""
+    changed, is_done = [], False
+    for message in messages:
+        records = list(read_records(message.records)) if message.records else []
+        for place, record in enumerate(records):
+            if isinstance(record, kind) and not is_done:
+                records[place], is_done = change(record), True
+        (data,) = list(write_records(records)) or [b""]
+        changed.append(msgspec.structs.replace(message, records=data))
+    assert is_done
+    return changed
+
+
+def replacing(**fields: object) -> Callable[[Any], AnyRecord]:
+    return lambda record: msgspec.structs.replace(record, **fields)
+
+
+def with_recipe(**fields: object) -> Callable[[Any], AnyRecord]:
+    return lambda record: msgspec.structs.replace(
+        record, recipe=msgspec.structs.replace(record.recipe, **fields)
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "change"),
+    [
+        (LoggedRoster, lambda one: replacing(joint_counts=(HUGE,) * len(one.bodies))(one)),
+        (LoggedRoster, lambda one: replacing(joint_counts=(-1,) * len(one.bodies))(one)),
+        (LoggedRoster, lambda one: replacing(names=one.names[:-1])(one)),
+        (LoggedRoster, replacing(frozen=(HUGE,))),
+        (LoggedRoster, replacing(bodies=(HUGE,), joint_counts=(0,), names=("r",))),
+        (StateSums, replacing(sums=b"\0")),
+        (RecordedState, replacing(base=b"")),
+        (RecordedState, replacing(positions=b"\0" * 8)),
+        (Steps, replacing(count=HUGE)),
+        (Steps, replacing(count=-1)),
+        (LogStart, with_recipe(control_steps=0)),
+        (LogStart, with_recipe(step_ns=0)),
+        (LogStart, with_recipe(step_ns=HUGE)),
+        (Add, replacing(model=99)),
+        (Add, replacing(base=b"\0" * 8)),
+        (CommandGroup, replacing(number=99)),
+        (Command, replacing(group=99)),
+    ],
+)
+def test_records_that_do_not_agree_are_refused(
+    busy: LoggedWorld,
+    tmp_path: Path,
+    kind: type[AnyRecord],
+    change: Callable[[Any], AnyRecord],
+) -> None:
+    messages = change_records(busy.messages, kind, change)
+
+    with pytest.raises(ResimRefused) as refused:
+        resim(messages, tmp_path)
+
+    assert refused.value.slug == "resim.malformed"
+
+
+@pytest.mark.parametrize("head", [b"\xdd", b"\xdd\0\0\0\1\xdd"], ids=["records", "fields"])
+def test_count_that_the_bytes_do_not_have_is_refused(
+    busy: LoggedWorld, tmp_path: Path, head: bytes
+) -> None:
+    data = head + b"\xff\xff\xff\xff"
+    first = msgspec.structs.replace(busy.messages[0], records=data)
+
+    with pytest.raises(ResimRefused) as refused:
+        resim([first], tmp_path)
+
+    assert refused.value.slug == "resim.malformed"
+
+
+class RefusingEngine(ObedientEngine):
+    """An engine that accepts no model."""
+
+    def add(self, model: Model, base: FloatArray) -> int:
+        raise EngineRefused(f"{model.name} is refused at {base[:3]}")
+
+
+def test_model_that_both_engines_refused_is_not_reported() -> None:
+    target = CallTarget(RefusingEngine(EngineConfig(4_000_000)))
+    target.models[1] = BOX
+
+    target.add(1, np.zeros(13), REFUSED)
+
+    assert target.refusals == {}
