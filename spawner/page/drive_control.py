@@ -4,17 +4,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from zensim.proto.messages.drive_messages import (
-    AckermannDrive,
-    DiffDrive,
-    Drive,
-    Limits,
-    OmniDrive,
-    PlanarMove,
-    SteeringDrive,
-)
+from zensim.proto.messages.drive_messages import Drive
 from zensim.proto.path_following import PathController
-from zensim.spawner.teleop.drive_twists import find_drive_style
+from zensim.spawner.teleop.drive_twists import find_drive_style, find_full_speeds, make_twist
+from zensim.spawner.teleop.key_bindings import Direction
 
 HOLD_S: Final = 0.2
 """An input counts for this time; a page repeats it each 50 ms while a key is held."""
@@ -26,11 +19,7 @@ KEEP_S: Final = 3.0
 """A visitor that has stopped keeps its robot for this time."""
 PATH_HOLD_S: Final = 0.5
 """A command along a path counts for this time; without newer poses the robot stops."""
-USUAL_SPEED_M_S: Final = 0.5
-USUAL_TURN_RAD_S: Final = 1.5
-"""Of drives without a limit."""
-TURN_RADIUS_M: Final = 1.0
-"""Assumed of steered robots that are commanded by turn rate: turn by speed at full lock."""
+ALL_FULL: Final = Direction(1.0, 1.0, 1.0)
 
 
 class Velocity(NamedTuple):
@@ -208,30 +197,7 @@ def _stop(hold: Hold, now_s: float) -> None:
 
 def find_scale(drive: Drive | None) -> Velocity:
     """Find the velocities at full deflection: the limits of a drive, else usual ones."""
-    match drive:
-        case None:
-            return STOP
-        case DiffDrive():
-            return Velocity(_find_most(drive.linear_limits), 0.0, _find_turn(drive.angular_limits))
-        case OmniDrive():
-            return Velocity(
-                _find_most(drive.linear_limits),
-                _find_most(drive.lateral_limits),
-                _find_turn(drive.angular_limits),
-            )
-        case PlanarMove():
-            return Velocity(USUAL_SPEED_M_S, USUAL_SPEED_M_S, USUAL_TURN_RAD_S)
-        case AckermannDrive() | SteeringDrive():
-            speed = min(drive.max_speed, USUAL_SPEED_M_S * 2.0)
-            angle = find_drive_style(drive).max_angle_rad
-            return Velocity(speed, 0.0, speed / TURN_RADIUS_M if angle is None else angle)
-    angle = find_drive_style(drive).max_angle_rad
-    return Velocity(USUAL_SPEED_M_S, 0.0, USUAL_TURN_RAD_S if angle is None else angle)
-
-
-def _find_most(limits: Limits) -> float:
-    return limits.max_velocity or USUAL_SPEED_M_S
-
-
-def _find_turn(limits: Limits) -> float:
-    return limits.max_velocity or USUAL_TURN_RAD_S
+    if drive is None:
+        return STOP
+    full = make_twist(ALL_FULL, find_full_speeds(drive), find_drive_style(drive))
+    return Velocity(full.linear.x, full.linear.y, full.angular.z)

@@ -14,7 +14,9 @@ from zensim.spawner.teleop.key_bindings import STILL, Direction
 EVENT: Final = struct.Struct("<IhBB")
 """Time [ms], value, type, number."""
 BUTTON, AXIS = 0x01, 0x02
-"""Types of events; those of states at the time of opening have 0x80 added."""
+"""Types of events."""
+STATE: Final = 0x80
+"""Added to the type of a state: of everything, when a gamepad is opened, or events were lost."""
 FULL: Final = 32767
 DEAD_ZONE: Final = 0.1
 """Share of the deflection in which a stick is at rest."""
@@ -38,6 +40,9 @@ class PadState:
         self._buttons: set[int] = set()
         self._pending = b""
         self._is_stopped = False
+        """Whether nothing is commanded until all sticks were at rest."""
+        self._has_events = False
+        """Whether more came than the states at the time of opening."""
 
     def feed(self, data: bytes) -> list[int]:
         """Take events, which may be cut anywhere; return the buttons that were pressed."""
@@ -46,11 +51,14 @@ class PadState:
         self._pending = data[whole:]
         pressed: list[int] = []
         for _, value, kind, number in EVENT.iter_unpack(data[:whole]):
-            if kind == AXIS:
+            self._has_events |= not kind & STATE
+            if not self._has_events:
+                self.stop()  # a stick that is held already moves nothing
+            if kind & ~STATE == AXIS:
                 self._axes[number] = _apply_dead_zone(value / FULL)
-            elif kind == BUTTON:
+            elif kind & ~STATE == BUTTON:
                 self._note_button(number, is_down=bool(value))
-                if value:
+                if kind == BUTTON and value:
                     pressed.append(number)
         return pressed
 

@@ -16,6 +16,8 @@ from tests.recording.replays import (
     write_run,
 )
 from zensim.recording.recording_reader import RecordingReader
+from zensim.recording.replay.replay_clock import MAX_RATE
+from zensim.recording.replay.replay_keyboard import ReplayKeyboard
 from zensim.recording.replay.replay_timeline import ReplayTimeline
 from zensim.recording.replay.replayer import Replayer, ReplaySettings
 
@@ -215,3 +217,43 @@ def test_replay_reads_ahead_no_more_than_it_may(make_trial: MakeTrial) -> None:
 
     assert trial.sink.odometry == [make_odometry(number) for number in range(101)]
     assert trial.replayer.lateness.quantile_s(1.0) <= 0.011
+
+
+@pytest.mark.parametrize("rate", [1.0, 0.0])
+def test_delay_is_before_the_first_message_but_not_before_latched_ones(
+    make_trial: MakeTrial, rate: float
+) -> None:
+    trial = make_trial(delay_s=5.0, rate=rate)
+
+    trial.run(4.9)
+    waiting = [name for name, _ in trial.sink.messages]
+    trial.run(0.2)
+
+    assert set(waiting) == set(LATCHED_TOPICS)
+    assert trial.sink.odometry[:1] == [make_odometry(0)]
+    assert trial.is_clock_in_order
+
+
+@pytest.mark.parametrize(
+    ("key", "start", "least", "most"),
+    [("up", 1e5, 1e6, MAX_RATE), ("down", 1.0, 1e-3, 0.1), ("down", 1e-9, 1e-9, 1e-9)],
+)
+def test_keys_keep_the_rate_within_bounds(
+    make_trial: MakeTrial, key: str, start: float, least: float, most: float
+) -> None:
+    trial = make_trial(rate=start)
+    keyboard = ReplayKeyboard(trial.replayer, 0)
+
+    for _ in range(100):
+        keyboard.take({"up": b"\x1b[A", "down": b"\x1b[B"}[key])
+
+    assert least <= trial.replayer.rate <= most
+
+
+def test_keys_leave_a_replay_without_a_pace_as_it_is(make_trial: MakeTrial) -> None:
+    trial = make_trial(rate=0.0)
+    keyboard = ReplayKeyboard(trial.replayer, 0)
+
+    keyboard.take(b"\x1b[A\x1b[B")
+
+    assert trial.replayer.rate == 0.0

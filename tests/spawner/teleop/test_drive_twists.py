@@ -6,6 +6,7 @@ from zensim.proto.messages.drive_messages import (
     AckermannDrive,
     DiffDrive,
     Drive,
+    Limits,
     OmniDrive,
     PlanarMove,
     SteeringDrive,
@@ -14,9 +15,12 @@ from zensim.proto.messages.drive_messages import (
 from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.spawner.teleop.drive_twists import (
     MAX_TRICYCLE_STEER_RAD,
+    USUAL_SPEED_M_S,
+    USUAL_TURN_RAD_S,
     DriveStyle,
     Speeds,
     find_drive_style,
+    find_full_speeds,
     make_twist,
 )
 from zensim.spawner.teleop.key_bindings import Direction
@@ -59,3 +63,22 @@ def test_steering_angle_is_no_greater_than_the_drive_allows() -> None:
 
 def test_speeds_are_scaled_apart() -> None:
     assert Speeds(0.5, 1.0).scale(2.0, 0.5) == Speeds(1.0, 0.5)
+    assert Speeds(0.5, 1.0, 0.2).scale(2.0, 0.5) == Speeds(1.0, 0.5, 0.4)
+
+
+@pytest.mark.parametrize(
+    ("drive", "speeds"),
+    [
+        (DiffDrive(linear_limits=Limits(max_velocity=0.3)), Speeds(0.3, USUAL_TURN_RAD_S)),
+        (
+            OmniDrive(lateral_limits=Limits(max_velocity=0.2)),
+            Speeds(USUAL_SPEED_M_S, USUAL_TURN_RAD_S, 0.2),
+        ),
+        (PlanarMove(), Speeds(USUAL_SPEED_M_S, USUAL_TURN_RAD_S)),
+        (AckermannDrive(max_speed=0.7, max_steer=0.4), Speeds(0.7, 0.4)),
+        (TricycleDrive(), Speeds(USUAL_SPEED_M_S, MAX_TRICYCLE_STEER_RAD)),
+    ],
+    ids=lambda one: type(one).__name__,
+)
+def test_full_speeds_are_those_that_the_drive_permits(drive: Drive, speeds: Speeds) -> None:
+    assert find_full_speeds(drive) == speeds

@@ -30,6 +30,11 @@ def button(number: int, *, is_down: bool = True) -> bytes:
     return EVENT.pack(0, int(is_down), BUTTON, number)
 
 
+def state(kind: int, number: int, value: int) -> bytes:
+    """What Linux sends for each axis and button when it is opened, and after lost events."""
+    return EVENT.pack(0, value, kind | 0x80, number)
+
+
 def test_stick_ahead_is_ahead() -> None:
     pad = PadState()
 
@@ -76,7 +81,40 @@ def test_stick_nearly_at_rest_is_at_rest() -> None:
 def test_states_from_before_it_was_opened_do_nothing() -> None:
     pad = PadState()
 
-    pad.feed(EVENT.pack(0, -FULL, AXIS | 0x80, LEFT_Y))
+    pad.feed(state(AXIS, LEFT_Y, -FULL))
+
+    assert pad.find_direction(is_holonomic=False) == STILL
+
+
+def test_stick_that_was_held_when_it_was_opened_acts_after_it_was_at_rest() -> None:
+    pad = PadState()
+    pad.feed(state(AXIS, LEFT_Y, -FULL))
+
+    pad.feed(axis(LEFT_Y, 0.0))
+    pad.find_direction(is_holonomic=False)
+    pad.feed(axis(LEFT_Y, -1.0))
+
+    assert pad.find_direction(is_holonomic=False) == Direction(ahead=1.0)
+
+
+@pytest.mark.parametrize(("share", "ahead"), [(0.0, 0.0), (1.0, -1.0)])
+def test_states_after_lost_events_replace_what_was_known(share: float, ahead: float) -> None:
+    pad = PadState(enable_button=5)
+    pad.feed(button(5) + axis(LEFT_Y, -1.0))
+    before = pad.find_direction(is_holonomic=False)
+
+    pressed = pad.feed(state(BUTTON, 5, 1) + state(AXIS, LEFT_Y, round(share * FULL)))
+
+    assert before == Direction(ahead=1.0)
+    assert pad.find_direction(is_holonomic=False) == Direction(ahead=ahead)
+    assert pressed == []
+
+
+def test_button_whose_release_was_lost_is_not_held() -> None:
+    pad = PadState(enable_button=5)
+    pad.feed(button(5) + axis(LEFT_Y, -1.0))
+
+    pad.feed(state(BUTTON, 5, 0) + state(AXIS, LEFT_Y, -FULL))
 
     assert pad.find_direction(is_holonomic=False) == STILL
 

@@ -4,9 +4,12 @@ from typing import Final
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.terminal_keys import KeyParser
+from zensim.recording.replay.replay_clock import MAX_RATE
 from zensim.recording.replay.replayer import Replayer
 
 RATE_STEP: Final = 1.1
+LEAST_RATE: Final = 0.01
+"""Keys go no further down, and not to 0, which is as fast as possible."""
 BACK_S: Final = 5.0
 HELP: Final = "space: pause; right: next message; up, down: rate; left: 5 s back; Ctrl-C: end"
 
@@ -47,9 +50,9 @@ class ReplayKeyboard:
             case "right":
                 replayer.play_next()
             case "up":
-                replayer.set_rate(replayer.rate * RATE_STEP)
-            case "down":
-                replayer.set_rate(replayer.rate / RATE_STEP)
+                replayer.set_rate(min(MAX_RATE, replayer.rate * RATE_STEP))
+            case "down" if replayer.rate > LEAST_RATE:
+                replayer.set_rate(max(LEAST_RATE, replayer.rate / RATE_STEP))
             case "left":
                 back_ns = replayer.find_position() - round(BACK_S * NANOSECONDS)
                 replayer.seek(max(self._start_ns, back_ns))

@@ -44,6 +44,8 @@ class ReplaySettings(msgspec.Struct, frozen=True, kw_only=True):
     is_loop: bool = False
     clock_hz: float = 40.0
     """Of wall time; 0 = no clock."""
+    delay_s: float = 0.0
+    """Wall time before the first message, which latched ones do not wait for."""
 
 
 class Lateness:
@@ -119,8 +121,8 @@ class Replayer:
         self.lateness = Lateness()
         self.is_done = False
         """Whether the end was reached, and there is no loop."""
-        self._started_s, self._ended_s = wall(), 0.0
-        self._begin(settings.start_ns)
+        self._started_s, self._ended_s = wall() + settings.delay_s, 0.0
+        self._begin(settings.start_ns, settings.delay_s)
 
     @property
     def wall_s(self) -> float:
