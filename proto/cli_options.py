@@ -19,11 +19,19 @@ from zensim.proto.join_tokens import TOKEN_VARIABLE
 from zensim.proto.ros2.ros_settings import BRIDGED_COMMANDS, RosSettings, parse_ros_settings
 from zensim.proto.topic_catalog import select_ros_topics
 from zensim.proto.verbosity import print_old_spelling, set_verbosity
+from zensim.proto.web_access import (
+    PageAccess,
+    check_certificate,
+    check_page_exposure,
+    read_page_token,
+)
 
 Choice = TypeVar("Choice", bound=str)
 Value = TypeVar("Value")
 Options = TypeVar("Options")
 
+MAX_NUMBER = 1e18
+"""Greatest number of an option."""
 # In help texts a unit is written r"\[m]": Rich reads a plain [m] as markup and drops it.
 flag = partial(typer.Option, metavar="")
 """An option without a value; typer would show the type of its value as <bool>."""
@@ -64,6 +72,8 @@ def expand_options(action: Callable[..., None]) -> Callable[..., None]:
 
     def command(**given: object) -> None:
         _apply_verbosity(action.__name__, given, added)
+        with exit_on_failure(action.__name__):
+            _require_finite(given)
         for name, group in groups.items():
             given[name] = group(**{f.name: given.pop(f.name) for f in dataclasses.fields(group)})
         action(**given)
@@ -83,6 +93,18 @@ def expand_options(action: Callable[..., None]) -> Callable[..., None]:
         [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in expanded]
     )
     return command
+
+
+def _require_finite(given: Mapping[str, object]) -> None:
+    """Refuse numbers that are none, not finite, or none of nanoseconds: typer accepts them.
+
+    Raises:
+        ValueError: One is.
+    """
+    for name, value in given.items():
+        if isinstance(value, float) and not abs(value) <= MAX_NUMBER:
+            option = f"--{name.replace('_', '-')}"
+            raise ValueError(f"{option} {value:g} is not valid; use at most {MAX_NUMBER:g}")
 
 
 def _list_missing_switches(names: Sequence[str]) -> list[inspect.Parameter]:
@@ -120,7 +142,7 @@ def _make_parameters(group: type) -> list[inspect.Parameter]:
     ]
 
 
-def _parse_finite(word: str) -> float:
+def parse_finite(word: str) -> float:
     """Read a number.
 
     Raises:
@@ -133,8 +155,8 @@ def _parse_finite(word: str) -> float:
 
 PLAIN_TYPES: dict[object, Callable[[str], object]] = {
     str: str,
-    float: _parse_finite,
-    float | None: _parse_finite,
+    float: parse_finite,
+    float | None: parse_finite,
     Path | None: Path,
     list[str] | None: str,
     list[Path] | None: Path,
@@ -514,6 +536,57 @@ class ConnectionOptions:
 
     connect: ConnectOption = ""
     world_name: WorldNameOption = "default"
+
+
+_access = partial(typer.Option, rich_help_panel="Access")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AccessOptions:
+    """Who may open what a program serves."""
+
+    secure: Annotated[
+        bool, _access("--secure", metavar="", help="Serve only clients that have the token.")
+    ] = False
+    insecure: Annotated[
+        bool, _access("--insecure", metavar="", help="Serve every client, also of other hosts.")
+    ] = False
+    certificate: Annotated[
+        Path | None, _access("--certificate", metavar="FILE", help="Certificate and chain, PEM.")
+    ] = None
+    key: Annotated[
+        Path | None, _access("--key", metavar="FILE", help="Private key of the certificate, PEM.")
+    ] = None
+    page_token: Annotated[
+        Path | None,
+        _access(
+            "--page-token",
+            metavar="FILE",
+            help="File of the token, made if it is missing, so that the address stays the same.",
+        ),
+    ] = None
+
+    def make_access(self, command: str, host: str) -> PageAccess:
+        """Make the access to what is served.
+
+        Args:
+            command: To type, with its verb.
+            host: Address to serve.
+
+        Raises:
+            Exposed: It would be open to other hosts, and no option permits it.
+            ValueError: Options contradict each other.
+            OSError: The file of the token cannot be used.
+        """
+        check_page_exposure(
+            command,
+            host,
+            has_tls=check_certificate(self.certificate, self.key),
+            is_secure=self.secure,
+            is_insecure=self.insecure,
+        )
+        token = read_page_token(self.page_token) if self.secure else ""
+        return PageAccess(token, str(self.certificate or ""), str(self.key or ""))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,16 +5,14 @@ import webbrowser
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from functools import partial
 from importlib.util import find_spec
-from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 from zensim.proto.bus import Bus, BusConfig, BusError, open_bus
-from zensim.proto.cli_options import ConnectionOptions, JsonOption
+from zensim.proto.cli_options import AccessOptions, ConnectionOptions, JsonOption, flag
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, is_port_taken
 from zensim.proto.messages.result_messages import ServiceError
@@ -27,13 +25,7 @@ from zensim.proto.security.roles import ROLES
 from zensim.proto.service_catalog import INFO, SPAWN_ENTITY
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.verbosity import print_note
-from zensim.proto.web_access import (
-    PageAccess,
-    check_certificate,
-    check_page_exposure,
-    make_page_url,
-    read_page_token,
-)
+from zensim.proto.web_access import make_page_url
 
 if TYPE_CHECKING:
     from zensim.spawner.page.robot_driver import RobotDriver
@@ -41,7 +33,6 @@ if TYPE_CHECKING:
 
 PAGE_NICENESS = 5
 """A third of the CPU share of niceness 0, so that visitors do not delay the simulation."""
-_access = partial(typer.Option, rich_help_panel="Access")
 INFO_TIMEOUT_S = 2.0
 VIEWER_EXTRA = ("viser", "websockets")
 
@@ -70,7 +61,7 @@ def check_page(port: int) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewOptions(ConnectionOptions):
+class ViewOptions(AccessOptions, ConnectionOptions):
     """All options of `zensim view`."""
 
     host: Annotated[str, typer.Option(metavar="ADDRESS", help="Address to serve the page on.")] = (
@@ -83,30 +74,13 @@ class ViewOptions(ConnectionOptions):
     open_page: Annotated[
         bool, typer.Option("--open/--no-open", metavar="", help="Open the page in a browser.")
     ] = False
-    secure: Annotated[
-        bool, _access("--secure", metavar="", help="Serve only browsers that have the token.")
-    ] = False
-    insecure: Annotated[
-        bool, _access("--insecure", metavar="", help="Serve every browser, also of other hosts.")
-    ] = False
-    certificate: Annotated[
-        Path | None,
-        _access("--certificate", metavar="FILE", help="Certificate and chain of HTTPS, PEM."),
-    ] = None
-    key: Annotated[
-        Path | None, _access("--key", metavar="FILE", help="Private key of the certificate, PEM.")
-    ] = None
-    page_token: Annotated[
-        Path | None,
-        _access(
-            "--page-token",
-            metavar="FILE",
-            help="File of the token, made if it is missing, so that the page keeps its address.",
-        ),
-    ] = None
     read_only: Annotated[
         bool,
-        _access("--read-only", metavar="", help="Visitors look; nothing can be changed or driven."),
+        flag(
+            "--read-only",
+            help="Visitors look; nothing can be changed or driven.",
+            rich_help_panel="Access",
+        ),
     ] = False
     as_json: JsonOption = False
 
@@ -135,15 +109,7 @@ def serve_page(given: ViewOptions, open_source: SourceOpener, stop: StopFlag) ->
         OSError: A port or a file cannot be used.
     """
     check_name(given.world_name, "world")
-    check_page_exposure(
-        "zensim view",
-        given.host,
-        has_tls=check_certificate(given.certificate, given.key),
-        is_secure=given.secure,
-        is_insecure=given.insecure,
-    )
-    token = read_page_token(given.page_token) if given.secure else ""
-    access = PageAccess(token, str(given.certificate or ""), str(given.key or ""))
+    access = given.make_access("zensim view", given.host)
     try:
         from zensim.spawner.page.viewer_loop import Viewer
         from zensim.spawner.page.viewer_page import ViewerPage
@@ -159,7 +125,7 @@ def serve_page(given: ViewOptions, open_source: SourceOpener, stop: StopFlag) ->
         page = ViewerPage(given.host, given.port, access, source.driver, source.panels)
         stack.enter_context(closing(page))
         viewer = Viewer(source.network, page, source.world)
-        _announce(given, page.port, token)
+        _announce(given, page.port, access.token)
         while not stop.is_set:
             viewer.tick()
 

@@ -4,13 +4,13 @@ import json
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from zensim.proto.bus import BusConfig, open_bus
 from zensim.proto.cli_options import (
+    AccessOptions,
     ConnectionOptions,
     JsonOption,
     RosDomainOption,
@@ -26,20 +26,13 @@ from zensim.proto.process_limits import raise_niceness
 from zensim.proto.ros2.rmw_keys import parse_domain
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.verbosity import print_note
-from zensim.proto.web_access import (
-    PageAccess,
-    check_certificate,
-    check_page_exposure,
-    make_page_url,
-    read_page_token,
-)
+from zensim.proto.web_access import PageAccess, make_page_url
 
 app = make_app()
 
 NICENESS = 5
 """A third of the share of others: clients do not delay the simulation where cores are busy."""
 EXTRA = "websockets"
-_access = partial(typer.Option, rich_help_panel="Access")
 
 
 class MissingFoxgloveExtra(Exception):
@@ -47,7 +40,7 @@ class MissingFoxgloveExtra(Exception):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FoxgloveOptions(ConnectionOptions):
+class FoxgloveOptions(AccessOptions, ConnectionOptions):
     """All options of `zensim foxglove`."""
 
     host: Annotated[str, typer.Option(metavar="ADDRESS", help="Address to serve on.")] = "127.0.0.1"
@@ -64,29 +57,10 @@ class FoxgloveOptions(ConnectionOptions):
     ] = False
     allow_origin: Annotated[
         list[str] | None,
-        _access(
+        typer.Option(
             metavar="ORIGIN",
             help="Admit the page of another site, such as https://app.foxglove.dev; repeatable.",
-        ),
-    ] = None
-    secure: Annotated[
-        bool, _access("--secure", metavar="", help="Serve only clients that have the token.")
-    ] = False
-    insecure: Annotated[
-        bool, _access("--insecure", metavar="", help="Serve every client, also on other hosts.")
-    ] = False
-    certificate: Annotated[
-        Path | None, _access("--certificate", metavar="FILE", help="Certificate and chain, PEM.")
-    ] = None
-    key: Annotated[
-        Path | None, _access("--key", metavar="FILE", help="Private key of the certificate, PEM.")
-    ] = None
-    page_token: Annotated[
-        Path | None,
-        _access(
-            "--page-token",
-            metavar="FILE",
-            help="File of the token, made if it is missing, so that the address stays the same.",
+            rich_help_panel="Access",
         ),
     ] = None
     layout: Annotated[bool, flag("--layout", help="Print a layout for Foxglove, and exit.")] = False
@@ -117,17 +91,10 @@ def foxglove(given: FoxgloveOptions) -> None:
             raise MissingFoxgloveExtra(
                 f"{EXTRA} is not installed; use pip install 'zensim[foxglove]'"
             )
-        check_page_exposure(
-            "zensim foxglove",
-            given.host,
-            has_tls=check_certificate(given.certificate, given.key),
-            is_secure=given.secure,
-            is_insecure=given.insecure,
-        )
-        _serve(given, read_page_token(given.page_token) if given.secure else "")
+        _serve(given, given.make_access("zensim foxglove", given.host))
 
 
-def _serve(given: FoxgloveOptions, token: str) -> None:
+def _serve(given: FoxgloveOptions, access: PageAccess) -> None:
     from zensim.foxglove.foxglove_server import FoxgloveServer, ServedAddress
     from zensim.foxglove.live_hub import LiveHub
     from zensim.foxglove.mesh_files import MeshFiles
@@ -135,7 +102,6 @@ def _serve(given: FoxgloveOptions, token: str) -> None:
 
     stop = StopFlag(is_armed=False)
     world, domain = given.world_name, parse_domain(given.ros_domain)
-    access = PageAccess(token, str(given.certificate or ""), str(given.key or ""))
     address = ServedAddress(given.host, given.port, access, tuple(given.allow_origin or ()))
     raise_niceness(NICENESS)
     with open_bus(BusConfig(connect=(given.connect or DEFAULT_ENDPOINT,))) as bus:
@@ -145,7 +111,7 @@ def _serve(given: FoxgloveOptions, token: str) -> None:
         server = FoxgloveServer(hub, address, partial(print_note, "foxglove"))
         stop.arm()
         url = make_page_url(
-            given.host, server.port, token, has_tls=given.certificate is not None, protocol="ws"
+            given.host, server.port, access.token, has_tls=bool(access.certificate), protocol="ws"
         )
         print_lines(json.dumps({"foxglove": url}) if given.as_json else f"foxglove {url}")
         server.run(stop)

@@ -13,6 +13,15 @@ from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import print_note
 from zensim.recording.byte_sizes import parse_size
+from zensim.recording.cli.recording_options import (
+    ExcludeRegexOption,
+    ExcludeTopicsOption,
+    MaxBagDurationOption,
+    MaxBagSizeOption,
+    RegexOption,
+    StartOffsetOption,
+    find_end_ns,
+)
 from zensim.recording.conversion import PRESETS, ConversionSettings, convert_recordings
 from zensim.recording.recording_parts import PartSettings
 from zensim.recording.recording_reader import LAST_NS, RecordingReader
@@ -45,53 +54,18 @@ class ConvertOptions:
         list[str] | None,
         typer.Option(metavar="TOPIC", help="Only this topic, such as '*/odom'; repeatable."),
     ] = None
-    regex: Annotated[
-        str,
-        typer.Option(
-            "--regex", "-e", metavar="EXPRESSION", help="Only topics whose name has a match."
-        ),
-    ] = ""
-    exclude_regex: Annotated[
-        str,
-        typer.Option(
-            "--exclude-regex", "-x", metavar="EXPRESSION", help="Leave out topics with a match."
-        ),
-    ] = ""
-    exclude_topics: Annotated[
-        list[str] | None,
-        typer.Option(metavar="TOPIC", help="Leave out a topic; repeatable."),
-    ] = None
-    start_offset: Annotated[
-        float,
-        typer.Option(
-            min=0.0, metavar="SECONDS", help=r"Begin so long after the first message \[s]."
-        ),
-    ] = 0.0
+    regex: RegexOption = ""
+    exclude_regex: ExcludeRegexOption = ""
+    exclude_topics: ExcludeTopicsOption = None
+    start_offset: StartOffsetOption = 0.0
     duration: Annotated[
         float | None,
         typer.Option(
             metavar="SECONDS", help=r"Recorded time to copy \[s].", show_default="to the end"
         ),
     ] = None
-    max_bag_size: Annotated[
-        str,
-        typer.Option(
-            "--max-bag-size",
-            "-b",
-            metavar="BYTES",
-            help="Begin a new file at this size, such as 500MB; 0 = never.",
-        ),
-    ] = "0"
-    max_bag_duration: Annotated[
-        float,
-        typer.Option(
-            "--max-bag-duration",
-            "-d",
-            min=0.0,
-            metavar="SECONDS",
-            help=r"Begin a new file after this log time \[s]; 0 = never.",
-        ),
-    ] = 0.0
+    max_bag_size: MaxBagSizeOption = "0"
+    max_bag_duration: MaxBagDurationOption = 0.0
     storage_preset_profile: Annotated[
         str,
         typer.Option(
@@ -131,9 +105,7 @@ def make_conversion_settings(given: ConvertOptions) -> ConversionSettings:
     preset = parse_choice("--storage-preset-profile", given.storage_preset_profile, tuple(PRESETS))
     start_ns, end_ns = round(given.start_offset * NANOSECONDS), LAST_NS
     if given.duration is not None:
-        if not given.duration > 0:
-            raise ValueError(f"--duration {given.duration:g} is not valid; use more than 0")
-        end_ns = start_ns + round(given.duration * NANOSECONDS)
+        end_ns = find_end_ns("--duration", given.start_offset, given.duration)
     is_named = bool(given.topics or given.regex)
     selection = TopicSelection(
         topics=tuple(given.topics or ()),

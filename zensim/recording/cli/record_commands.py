@@ -34,6 +34,15 @@ from zensim.proto.ros2.rmw_keys import parse_domain
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.verbosity import CURRENT, print_announcement, print_note, set_verbosity
 from zensim.recording.byte_sizes import parse_size
+from zensim.recording.cli.recording_options import (
+    FILES_PANEL,
+    TOPICS_PANEL,
+    ExcludeRegexOption,
+    ExcludeTopicsOption,
+    MaxBagDurationOption,
+    MaxBagSizeOption,
+    RegexOption,
+)
 from zensim.recording.entity_files import EntityFiles
 from zensim.recording.recorder import Recorder, RecorderSettings, TimeBase
 from zensim.recording.recording_parts import PartSettings
@@ -58,8 +67,8 @@ OPEN_TIMEOUT_S = 2.0
 SNAPSHOT_S = 30.0
 MAX_NAMES_SHOWN = 5
 
-_topics = {"rich_help_panel": "Topics"}
-_files = {"rich_help_panel": "Files"}
+_topics = {"rich_help_panel": TOPICS_PANEL}
+_files = {"rich_help_panel": FILES_PANEL}
 _snapshots = {"rich_help_panel": "Snapshots"}
 
 
@@ -78,24 +87,9 @@ class RecordOptions(ConnectionOptions):
         bool,
         flag("--all", "-a", help="All topics of robots, and clock, events, stats, map.", **_topics),
     ] = False
-    regex: Annotated[
-        str,
-        typer.Option(
-            "--regex",
-            "-e",
-            metavar="EXPRESSION",
-            help="Topics whose name has a match, such as '^/r[0-9]+/odom$'.",
-            **_topics,
-        ),
-    ] = ""
-    exclude_regex: Annotated[
-        str,
-        typer.Option(metavar="EXPRESSION", help="Leave out topics with a match.", **_topics),
-    ] = ""
-    exclude_topics: Annotated[
-        list[str] | None,
-        typer.Option(metavar="TOPIC", help="Leave out a topic; repeatable.", **_topics),
-    ] = None
+    regex: RegexOption = ""
+    exclude_regex: ExcludeRegexOption = ""
+    exclude_topics: ExcludeTopicsOption = None
     output: Annotated[
         Path | None,
         typer.Option(
@@ -110,27 +104,8 @@ class RecordOptions(ConnectionOptions):
     storage: Annotated[
         str, typer.Option("--storage", "-s", metavar="mcap", help="Format of files.", **_files)
     ] = "mcap"
-    max_bag_size: Annotated[
-        str,
-        typer.Option(
-            "--max-bag-size",
-            "-b",
-            metavar="BYTES",
-            help="Begin a new file at this size, such as 500MB; 0 = never.",
-            **_files,
-        ),
-    ] = "0"
-    max_bag_duration: Annotated[
-        float,
-        typer.Option(
-            "--max-bag-duration",
-            "-d",
-            min=0.0,
-            metavar="SECONDS",
-            help=r"Begin a new file after this log time \[s]; 0 = never.",
-            **_files,
-        ),
-    ] = 0.0
+    max_bag_size: MaxBagSizeOption = "0"
+    max_bag_duration: MaxBagDurationOption = 0.0
     keep_last: Annotated[
         str,
         typer.Option(

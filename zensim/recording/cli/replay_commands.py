@@ -33,6 +33,14 @@ from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.topic_endpoints import make_topic_factory
 from zensim.proto.verbosity import CURRENT, print_announcement, print_note
+from zensim.recording.cli.recording_options import (
+    TIME_PANEL,
+    TOPICS_PANEL,
+    ExcludeRegexOption,
+    RegexOption,
+    StartOffsetOption,
+    find_end_ns,
+)
 from zensim.recording.recording_reader import RecordingReader
 from zensim.recording.replay.living_topics import require_unused
 from zensim.recording.replay.replay_clock import UNLIMITED_NS
@@ -63,8 +71,8 @@ SETTLE_S: Final = 0.3
 LIST_OPTIONS: Final = ("--topics", "--exclude-topics", "--remap", "-m")
 CLOCK_OPTION: Final = "--clock"
 
-_time = {"rich_help_panel": "Time"}
-_topics = {"rich_help_panel": "Topics"}
+_time = {"rich_help_panel": TIME_PANEL}
+_topics = {"rich_help_panel": TOPICS_PANEL}
 
 
 class ReplayCommand(TyperCommand):
@@ -121,12 +129,7 @@ class ReplayOptions(RosOptions):
     loop: Annotated[
         bool, flag("--loop", "-l", help="Begin again at the end, until Ctrl-C.", **_time)
     ] = False
-    start_offset: Annotated[
-        float,
-        typer.Option(
-            min=0.0, metavar="SECONDS", help=r"Start so long after the first message \[s].", **_time
-        ),
-    ] = 0.0
+    start_offset: StartOffsetOption = 0.0
     playback_duration: Annotated[
         float | None,
         typer.Option(
@@ -143,7 +146,7 @@ class ReplayOptions(RosOptions):
             "-d",
             min=0.0,
             metavar="SECONDS",
-            help=r"Wait before the start \[s].",
+            help=r"Wait before the start \[s]; latched topics are there.",
             **_time,
         ),
     ] = 0.0
@@ -168,26 +171,8 @@ class ReplayOptions(RosOptions):
             **_topics,
         ),
     ] = None
-    regex: Annotated[
-        str,
-        typer.Option(
-            "--regex",
-            "-e",
-            metavar="EXPRESSION",
-            help="Only topics whose name has a match.",
-            **_topics,
-        ),
-    ] = ""
-    exclude_regex: Annotated[
-        str,
-        typer.Option(
-            "--exclude-regex",
-            "-x",
-            metavar="EXPRESSION",
-            help="Leave out topics with a match.",
-            **_topics,
-        ),
-    ] = ""
+    regex: RegexOption = ""
+    exclude_regex: ExcludeRegexOption = ""
     exclude_topics: Annotated[
         list[str] | None,
         typer.Option(metavar="TOPIC...", help="Leave out these topics.", **_topics),
@@ -261,12 +246,8 @@ def make_replay_settings(given: ReplayOptions) -> ReplaySettings:
         ValueError: The duration is not more than 0.
     """
     start_ns, end_ns = round(given.start_offset * NANOSECONDS), UNLIMITED_NS
-    if given.playback_duration is not None:
-        if not given.playback_duration > 0:
-            raise ValueError(
-                f"--playback-duration {given.playback_duration:g} is not valid; use more than 0"
-            )
-        end_ns = start_ns + round(given.playback_duration * NANOSECONDS)
+    if (duration_s := given.playback_duration) is not None:
+        end_ns = find_end_ns("--playback-duration", given.start_offset, duration_s)
     return ReplaySettings(
         start_ns=start_ns,
         end_ns=end_ns,
@@ -274,6 +255,7 @@ def make_replay_settings(given: ReplayOptions) -> ReplaySettings:
         is_paused=given.start_paused,
         is_loop=given.loop,
         clock_hz=given.clock,
+        delay_s=given.delay,
     )
 
 
@@ -345,7 +327,7 @@ def run_program(
         publishers.prepare()
         # The reply follows the declarations of subscribers that the router sends.
         bus.list_tokens(keys.alive_replay(names.world))
-        time.sleep(MATCH_S + given.delay)
+        time.sleep(MATCH_S)
         replayer = Replayer(timeline, publishers, settings)
         requests = ReplayRequests(bus, names.world, replayer)
         with closing(requests), open_wait(given, replayer, settings, stop) as waiting:
