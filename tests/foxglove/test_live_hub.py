@@ -33,6 +33,7 @@ from zensim.proto.messages.telemetry_messages import (
     GetModelsResponse,
     WorldClock,
 )
+from zensim.proto.network_protocols import Sample
 from zensim.proto.topic_catalog import CLOCK, EVENTS
 
 WORLD = "w"
@@ -425,7 +426,12 @@ def test_topic_that_is_subscribed_again_and_again_is_queried_once(bus: FakeBus) 
     hub = make_hub(bus)
     link, channels = join(hub)
     queries: list[str] = []
-    bus.get = lambda key, _timeout_s=0.0: queries.append(key) or []  # type: ignore[assignment,method-assign,func-returns-value]
+
+    def get(key: str, _timeout_s: float = 0.0) -> list[Sample]:
+        queries.append(key)
+        return []
+
+    bus.get = get  # type: ignore[method-assign]
     wanted = {"id": 5, "channelId": channels["/r1/robot_description"]}
 
     jobs: list[Job] = []

@@ -32,7 +32,7 @@ class InterruptedKey(str):
 def test_models_that_come_while_tokens_are_read_are_not_lost() -> None:
     bus, tokens, key = FakeBus(), FakeTokens(), InterruptedKey("gone")
     servers = FakeTokens()
-    bus.watch_tokens = lambda key, _depth=0: tokens if "**" in key else servers  # type: ignore[method-assign]
+    bus.watch_tokens = lambda _key, _depth=0: tokens if "**" in _key else servers  # type: ignore[method-assign]
     watch = WorldTopics(bus.as_bus, "w", DOMAIN)
     tokens.changes = [(make_endpoint_token(PUBLISHER), True)]
     watch.take()
