@@ -124,10 +124,9 @@ class HubClient:
 
     def add_data(self, subscription: int, messages: Iterable[TimedPayload]) -> None:
         """Collect messages of a topic."""
-        self._frames += [
-            protocol.frame_data(subscription, time_ns, payload) for time_ns, payload in messages
-        ]
-        self._framed.add(subscription)
+        for time_ns, payload in messages:
+            self._frames.append(protocol.frame_data(subscription, time_ns, payload))
+            self._framed.add(subscription)
 
     def flush(self) -> None:
         """Send the collected messages at once; note of which subscriptions they were left out."""
