@@ -4,6 +4,7 @@ import inspect
 import json
 import sys
 from enum import IntEnum
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import TypeVar
@@ -79,6 +80,18 @@ def list_cdr_types() -> dict[str, type[msgspec.Struct]]:
         for kind in list_messages().values()
         if hasattr(kind, "ros_type") and supports_format(kind, Format.CDR)
     }
+
+
+@cache
+def find_cdr_type(ros_type: str) -> type[msgspec.Struct] | None:
+    """Find the message of a ROS type, if CDR can express it; to try all takes a while."""
+    named = [kind for kind in _list_all() if getattr(kind, "ros_type", "") == ros_type]
+    return next((kind for kind in reversed(named) if supports_format(kind, Format.CDR)), None)
+
+
+@cache
+def _list_all() -> tuple[type[msgspec.Struct], ...]:
+    return tuple(list_messages().values())
 
 
 def list_top_level_types() -> list[type[msgspec.Struct]]:

@@ -37,7 +37,7 @@ from zensim.proto.ros2.liveliness_tokens import (
 )
 from zensim.proto.ros2.message_definitions import write_definition
 from zensim.proto.ros2.type_hash import hash_type
-from zensim.proto.schema import list_cdr_types
+from zensim.proto.schema import find_cdr_type
 from zensim.proto.topic_catalog import CLOCK, CMD_VEL, EVENTS, INPUTS, MAP, find_robot_topic
 from zensim.recording.topic_selection import CLOCK_TOPIC, ROSTER_TOPICS, name_requests_topic
 
@@ -131,9 +131,6 @@ def _find_policy(numbers: dict[Word, int], written: str, default: Word) -> Word:
     )
 
 
-KIND_OF_TYPE: Final = list_cdr_types()
-
-
 def make_clock_topic() -> RecordedTopic:
     """Make the topic `/clock`."""
     return RecordedTopic(CLOCK_TOPIC, Clock, CLOCK.qos, make_stamp_reader(Clock), _encode_clock)
@@ -184,7 +181,7 @@ def make_topic(sample: Sample, world: str, step_ns: int = 0) -> RecordedTopic | 
 
 def _find_kind(sample: Sample) -> type[msgspec.Struct] | None:
     if schema := parse_schema_name(sample.encoding):
-        return KIND_OF_TYPE.get(schema)
+        return find_cdr_type(schema)
     spec = find_robot_topic(sample.key)
     if spec is CMD_VEL and detect_format(sample.payload, sample.encoding) is Format.CDR:
         return TwistStamped if len(sample.payload) >= MIN_STAMPED_BYTES else Twist

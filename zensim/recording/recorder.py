@@ -36,9 +36,9 @@ from zensim.recording.topic_selection import (
     name_requests_topic,
 )
 
-RING_DEPTH: Final = 16_384
-"""Messages of one key expression between two takes: 0.3 s of a thousand robots. A longer queue
-takes more memory, as each of its places is used in turn."""
+RING_DEPTH: Final = 8192
+"""Messages of one key expression between two takes: 1.6 s of a hundred robots. A longer queue
+takes more memory, as each of its places is used in turn: 0.4 kB a place."""
 EVENTS_DEPTH: Final = 1024
 CLOCK_TIMEOUT_S: Final = 2.0
 LATCHED_TIMEOUT_S: Final = 0.5

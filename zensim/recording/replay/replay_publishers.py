@@ -18,6 +18,7 @@ from zensim.proto.network_protocols import TopicNetwork
 from zensim.proto.ros2.liveliness_tokens import LATCHED
 from zensim.proto.ros2.rmw_keys import make_data_key
 from zensim.proto.ros2.ros_graph import RosTopic
+from zensim.proto.schema import find_cdr_type
 from zensim.proto.topic_catalog import CLOCK
 from zensim.proto.topic_endpoints import (
     KeyPublisher,
@@ -26,7 +27,7 @@ from zensim.proto.topic_endpoints import (
     TopicPublisher,
 )
 from zensim.recording.latched_messages import SHARED_TOPIC
-from zensim.recording.recorded_topics import HASH_METADATA, KIND_OF_TYPE
+from zensim.recording.recorded_topics import HASH_METADATA
 from zensim.recording.recording_reader import StoredTopic
 from zensim.recording.replay.replayed_names import ReplayedNames, is_world_topic
 
@@ -78,7 +79,7 @@ class ReplayPublishers:
     def _declare(self, topic: StoredTopic, key: str) -> Send:
         if is_world_topic(key):
             return partial(_send_text, self._network.advertise(key, Format.JSON.value).send)
-        kind = KIND_OF_TYPE.get(topic.ros_type)
+        kind = find_cdr_type(topic.ros_type)
         if kind is None or not topic.is_latched:
             publisher = (
                 self._declare_unknown(topic, key)
