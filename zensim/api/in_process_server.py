@@ -174,10 +174,8 @@ class InProcessServer:
         loaded, self.config = load_initial_world(config, None, load_trusted_world)
         self.world = make_initial_world(self.config, loaded, store)
         self._cleanup.callback(self.world.close)
-        parser = InProcessParser(store)
-        self.parts: ServerParts = make_parts(
-            self.config, loaded, self.world, parser, store=store, now_ns=read_no_time
-        )
+        parts = self.config, loaded, self.world, InProcessParser(store)
+        self.parts: ServerParts = make_parts(*parts, store=store, now_ns=read_no_time)
         self.parts.agents.alive.add(POOL)
         self.parts.pacing.lease.alive.add(CLIENT)
         self._handlers = ServiceHandlers(self.parts)

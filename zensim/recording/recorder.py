@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable
+from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from typing import Final, Literal, Protocol
 
@@ -142,6 +143,12 @@ class RecordedKeys(msgspec.Struct, frozen=True, eq=False):
         return len(samples) >= RING_DEPTH and self.newest is None
 
 
+def list_left_out(settings: RecorderSettings) -> AbstractSet[str]:
+    """List the topics of which the host decides how many are published, where files are equal."""
+    by_wall = settings.is_reproducible and not settings.is_in_process
+    return list_paced_topics(settings.world) if by_wall else frozenset()
+
+
 class Recorder:
     """Subscriptions of a recording."""
 
@@ -158,9 +165,7 @@ class Recorder:
             TimeoutError: No server of the world is running.
         """
         self._bus, self._chosen, self._settings, self._sink = bus, chosen, settings, sink
-        # How many of them are published depends on the host.
-        by_wall = settings.is_reproducible and not settings.is_in_process
-        self._left_out = list_paced_topics(settings.world) if by_wall else ()
+        self._left_out = list_left_out(settings)
         self._table = TopicTable(settings.world, self._accepts, settings.step_ns)
         self._clock_topic = make_clock_topic() if self._accepts(CLOCK_TOPIC) else None
         self._inputs_key = INPUTS.key(settings.world)
