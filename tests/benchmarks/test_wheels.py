@@ -6,6 +6,17 @@ from benchmarks.bench_wheels import WITHIN, measure_robot
 from benchmarks.wheel_models import list_robots
 
 ROBOTS = {robot.name: robot for robot in list_robots()}
+OF_EACH_DRIVE = (
+    *("mass_ratio_1", "com_behind"),
+    *(f"radius_{size}_m" for size in ("0.01", "0.03", "0.1", "0.3")),
+    *(f"mass_{mass}_kg" for mass in ("0.1", "1", "20", "100", "500")),
+    *("light_wheels_20_g", "mu_10", "mu_100", "diameter_10_percent_off", "track_10_off"),
+    *("skid_square", "skid_500_kg", "skid_small", "skid_six_wheels", "skid_eight_wheels"),
+    *("skid_fdir1_ahead", "car_model", "car_20_kg", "car_500_kg", "car_light_wheels"),
+    *("tricycle_small", "tricycle_20_kg", "tricycle_200_kg", "mover_box"),
+    *("car_by_turn_rate", "tricycle_by_turn_rate", "mecanum", "omni_wheels"),
+)
+"""One robot of each drive and command: a kinematic robot has no masses, contacts and friction."""
 MOST_CREEP_MM_S = 1.0
 MOST_TILT_OFF_RAD = 0.005
 MOST_KINEMATIC_OFF = 0.01
@@ -49,6 +60,12 @@ def test_robots_of_the_benchmark_have_different_names() -> None:
     assert len(ROBOTS) == len(list_robots()) >= 60
 
 
+def test_one_robot_of_each_drive_and_command_is_kinematic() -> None:
+    every = {name: repr((robot.model().drive, robot.turn)) for name, robot in ROBOTS.items()}
+
+    assert {every[name] for name in OF_EACH_DRIVE} == set(every.values())
+
+
 @pytest.mark.short_form
 @pytest.mark.parametrize(("engine", "name"), CASES)
 def test_robot_drives_as_friction_allows(engine: str, name: str) -> None:
@@ -59,7 +76,7 @@ def test_robot_drives_as_friction_allows(engine: str, name: str) -> None:
     assert abs(row.tilt_rad - row.predicted_tilt_rad) <= MOST_TILT_OFF_RAD
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", OF_EACH_DRIVE)
 def test_kinematic_robot_drives_as_friction_allows(name: str) -> None:
     (row,) = measure_robot(ROBOTS[name], ["kinematic"])
 

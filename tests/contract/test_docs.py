@@ -75,7 +75,7 @@ def test_installed_command_prints_the_same_help() -> None:
         check=True,
         capture_output=True,
         text=True,
-        timeout=30,
+        timeout=120,
         env={**os.environ, **PLAIN},
     )
 

@@ -27,12 +27,12 @@ PLACES = make_fleet_layout("r", 3, "row", 1.0)
 
 @pytest.fixture
 def playing() -> Iterator[Sim]:
-    with launch(rtf=1.0) as sim:
+    with launch(rtf=1.0, timeout_s=120.0) as sim:
         sim.spawn_fleet("box_bot", poses=[(one.x, one.y) for one in PLACES], prefix="r")
         yield sim
 
 
-def update_until(demo: FleetDemo, condition: Callable[[], bool], within_s: float = 20.0) -> None:
+def update_until(demo: FleetDemo, condition: Callable[[], bool], within_s: float = 120.0) -> None:
     deadline = time.monotonic() + within_s
     while not condition():
         assert time.monotonic() < deadline

@@ -9,10 +9,9 @@ from functools import partial
 import pytest
 import zenoh
 
-from tests.integration.processes import eventually
+from tests.integration.processes import eventually, free_endpoint
 from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, open_bus
-from zensim.proto.endpoints import with_free_port
 from zensim.proto.network_protocols import Closable
 from zensim.proto.security.roles import ROLES, Operation, User, list_keys
 from zensim.sim_server.security.router_process import secured_router
@@ -79,7 +78,7 @@ USERS = {user.name: user for user in map(a_user, ROLES)}
 def sessions(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sessions]:
     with pytest.MonkeyPatch.context() as patch, ExitStack() as stack:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
-        endpoint = with_free_port("tls/127.0.0.1:0")
+        endpoint = free_endpoint("tls")
         folder = prepare_secure_folder(SecureSettings(WORLD, DOMAIN, endpoint))
         folder.ensure(USERS.values())
         router = stack.enter_context(secured_router(folder, "test"))

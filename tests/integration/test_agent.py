@@ -118,7 +118,7 @@ def test_agent_publishes_to_late_joiners_within_its_memory_limit(server: Server)
         listener = server.bus.subscribe("r4/tf_static")
 
         eventually(lambda: server.bus.get("r4/odom") != [], 5.0, "odometry")
-        responses = server.bus.get("r4/*")
+        responses = server.bus.get("r4/*", END_S)
         parse_publisher_token = eventually(listener.newest, 5.0, "tf_static")
         memory_bytes = psutil.Process(agents["r4"].pid).memory_info().rss
 

@@ -76,7 +76,7 @@ SPEECHLESS = {
 
 def ask(session: zenoh.Session, service: str, payload: bytes, encoding: str = "") -> dict[str, Any]:
     replies = session.get(
-        f"sim/default/{service}", payload=payload, encoding=encoding or None, timeout=5.0
+        f"sim/default/{service}", payload=payload, encoding=encoding or None, timeout=60.0
     )
     samples = [reply.ok for reply in replies if reply.ok]
     assert len(samples) == 1

@@ -23,7 +23,7 @@ def test_plain_zenoh_program_drives_and_reads_robots() -> None:
                 [sys.executable, str(EXAMPLE), server.endpoint, "box_bot3"],
                 capture_output=True,
                 text=True,
-                timeout=30,
+                timeout=120,
                 check=True,
             )
 

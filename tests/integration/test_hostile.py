@@ -104,5 +104,5 @@ def reply_to_bytes(server: Server, payload: bytes) -> bytes:
     config.insert_json5("connect/endpoints", f'["{server.endpoint}"]')
     config.insert_json5("scouting/multicast/enabled", "false")
     with zenoh.open(config) as session:
-        replies = list(session.get("sim/default/spawn_entity", payload=payload, timeout=20.0))
+        replies = list(session.get("sim/default/spawn_entity", payload=payload, timeout=60.0))
     return b"".join(bytes(reply.ok.payload.to_bytes()) for reply in replies if reply.ok)

@@ -20,7 +20,7 @@ from tests.integration.processes import (
     wait_for_agents,
     zensim,
 )
-from tests.integration.robots import robot
+from tests.integration.robots import last_motion, robot, speed
 from zensim.proto.messages.simulation_messages import ResetScope
 
 MOVING_M_S = 0.05
@@ -41,11 +41,6 @@ def server(playing: Server) -> Server:
     return playing
 
 
-def speed(server: Server, name: str) -> float:
-    twist = server.client.entity_state(name).twist
-    return abs(twist.linear.x) + abs(twist.linear.y)
-
-
 def test_robot_stops_and_can_be_claimed_when_its_agent_is_killed(server: Server) -> None:
     server.zensim("spawn", "box_bot", "--name", "r1")
     with running_agents(server, "r1") as agents:
@@ -58,8 +53,7 @@ def test_robot_stops_and_can_be_claimed_when_its_agent_is_killed(server: Server)
         eventually(is_moving, 10.0, "moving")
         agents["r1"].kill()
         killed_at = server.steps()
-        eventually(lambda: speed(server, "r1") < 0.01, 5.0, "stopping")
-        assert server.steps() - killed_at <= STOP_STEPS
+        assert last_motion(server, ["r1"], least_m_s=0.01) - killed_at <= STOP_STEPS
 
     with running_agents(server, "r1"):
         driver = robot(server.bus, "r1")

@@ -13,7 +13,7 @@ MAX_LINES = 60
 
 
 def test_plain_agent_drives_its_robot_in_lockstep() -> None:
-    with zensim.launch(agents=0) as sim:
+    with zensim.launch(agents=0, timeout_s=120.0) as sim:
         robot = sim.spawn("box_bot", name="r1", agent="external")
         agent = subprocess.Popen(
             [sys.executable, str(EXAMPLE), sim.endpoint, "r1"], stdout=subprocess.PIPE, text=True

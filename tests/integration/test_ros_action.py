@@ -47,7 +47,7 @@ def server() -> Iterator[Server]:
         yield found
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def observe(server: Server) -> Iterator[CallObserver]:
     with run_observer(server, 0) as found:
         yield found
@@ -115,9 +115,15 @@ def test_goal_is_accepted_reports_progress_and_succeeds(
         "status",
     )
     assert told_of(observe("received", topic=STATUS), 1) == [EXECUTING, SUCCEEDED]
-    last = observe("received", topic=FEEDBACK)[-1]
-    assert last["goal_id"] == goal_of(1)
-    assert (last["completed_steps"], last["remaining_steps"]) == (30, 0)
+    eventually(lambda: is_complete(observe("received", topic=FEEDBACK)), DISCOVERY_S, "feedback")
+    assert observe("received", topic=FEEDBACK)[-1]["goal_id"] == goal_of(1)
+
+
+def is_complete(feedback: list[dict[str, object]]) -> bool:
+    """Whether the newest feedback is that of the last of 30 steps."""
+    return bool(feedback) and [
+        feedback[-1][one] for one in ("completed_steps", "remaining_steps")
+    ] == [30, 0]
 
 
 def test_feedback_follows_rmw_rules_and_matches_rosbags_bytes(
@@ -125,6 +131,7 @@ def test_feedback_follows_rmw_rules_and_matches_rosbags_bytes(
 ) -> None:
     with session_of(server) as session:
         channel = session.declare_subscriber(f"0{FEEDBACK}/*/*", zenoh.handlers.FifoChannel(64))
+        publishers_of(session, FEEDBACK)  # the router replies after it took the subscription
         send(make_service_call(observe), 5, 20)
         samples = [to_received_sample(channel.recv())]
         channel.undeclare()

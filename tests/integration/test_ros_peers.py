@@ -17,7 +17,6 @@ from tests.integration.processes import (
     zensim,
 )
 from tests.integration.rmw_sessions import open_rmw_session
-from zensim.proto.endpoints import with_free_port
 
 SAMPLES = 10
 KEY = "0/chatter/std_msgs::msg::dds_::String_/RIHS01_0"
@@ -63,7 +62,7 @@ def up(*_: object) -> Iterator[Deployment]:
 def secured(folder: object, patch: pytest.MonkeyPatch) -> Iterator[Deployment]:
     """Run a secured server; its ROS 2 hosts use what `zensim token` prints for them."""
     patch.setenv("XDG_STATE_HOME", str(folder))
-    endpoint = with_free_port("tls/127.0.0.1:0")
+    endpoint = free_endpoint("tls")
     with running("serve", "--secure", "--listen", endpoint, "--announce", *ROBOTLESS) as process:
         assert process.stdout is not None
         assert process.stdout.readline()

@@ -10,8 +10,8 @@ from tests.integration.processes import (
     wait_for_agents,
     zensim,
 )
-from tests.integration.robots import robot
-from tests.integration.test_lifecycle import MOVING_M_S, speed
+from tests.integration.robots import robot, speed
+from tests.integration.test_lifecycle import MOVING_M_S
 from zensim.spawner.client.sim_client import SimClient
 
 BACK_S = 20.0

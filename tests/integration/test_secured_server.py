@@ -17,7 +17,13 @@ import zenoh
 
 import zensim as api
 from tests.integration.page_user import PageUser
-from tests.integration.processes import eventually, read_json_line, run_in_process, running
+from tests.integration.processes import (
+    eventually,
+    free_endpoint,
+    read_json_line,
+    run_in_process,
+    running,
+)
 from tests.integration.processes import zensim as run_zensim
 from tests.node_peers.foxglove_peer import connect_peer
 from zensim.proto import keys
@@ -31,7 +37,6 @@ from zensim.proto.bus import (
     open_bus,
 )
 from zensim.proto.codec.message_codec import Format, decode, encode
-from zensim.proto.endpoints import with_free_port
 from zensim.proto.join_tokens import parse_join_token
 from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand, DriveState
 from zensim.proto.messages.result_messages import ServiceError
@@ -105,7 +110,7 @@ class Secured:
 def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
     with pytest.MonkeyPatch.context() as patch, ExitStack() as stack:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
-        settings = SecureSettings(WORLD, 0, with_free_port("tls/127.0.0.1:0"))
+        settings = SecureSettings(WORLD, 0, free_endpoint("tls"))
         folder = prepare_secure_folder(settings)
         folder.ensure(User(name, "agent", (name,)) for name in ROBOTS)
         journal = tmp_path_factory.mktemp("journal")
@@ -165,7 +170,7 @@ def test_newcomer_needs_the_token_only(secured: Secured) -> None:
     token = secured.token("operator")
 
     listed = run_in_process("list", "--join", token, "--json")
-    with api.connect(token=token) as sim:
+    with api.connect(token=token, timeout_s=120.0) as sim:
         world = sim.info.world
 
     assert [one["name"] for one in json.loads(listed.stdout)] == list(ROBOTS)
@@ -203,7 +208,7 @@ def test_foxglove_has_the_rights_of_its_role(
 
 @pytest.mark.parametrize("role", ["operator", "observer", "spawner"])
 def test_python_client_reads_its_role(secured: Secured, role: str) -> None:
-    with api.connect(token=secured.token(role)) as sim:
+    with api.connect(token=secured.token(role), timeout_s=120.0) as sim:
         found = sim.role
 
     assert found == role
@@ -211,7 +216,7 @@ def test_python_client_reads_its_role(secured: Secured, role: str) -> None:
 
 def test_python_client_is_denied_what_the_router_drops_without_a_reply(secured: Secured) -> None:
     refusals = []
-    with api.connect(token=secured.token("observer")) as sim:
+    with api.connect(token=secured.token("observer"), timeout_s=120.0) as sim:
         robot = sim.robots["r1"]
         for call in (
             lambda: robot.drive(0.1),
@@ -234,7 +239,7 @@ def test_agent_is_told_that_its_role_cannot_use_the_api(secured: Secured) -> Non
 
 
 def test_operator_steps_from_python(secured: Secured) -> None:
-    with api.connect(token=secured.token("operator")) as sim:
+    with api.connect(token=secured.token("operator"), timeout_s=120.0) as sim:
         before_s = sim.time
         sim.run_for(0.1)
 
@@ -481,7 +486,7 @@ def test_joined_endpoint_needs_no_token(
 
     assert refused.returncode != 0
     assert run_in_process("list", "--connect", endpoint).returncode == 0
-    with api.connect(endpoint) as sim:
+    with api.connect(endpoint, timeout_s=120.0) as sim:
         assert sim.info.world == WORLD
     assert (file.stat().st_mode & 0o777, file.parent.stat().st_mode & 0o777) == (0o600, 0o700)
     assert secured.token("operator") not in kept.stdout
@@ -548,9 +553,7 @@ def test_failures_to_join_are_told_apart(
     token = parse_join_token(secured.token("operator"))
     other = type(token)(token.endpoint, token.user, bytes(16), token.fingerprint)
     wrong_authority = type(token)(token.endpoint, token.user, token.password, bytes(32))
-    nothing = type(token)(
-        with_free_port("tls/127.0.0.1:0"), token.user, token.password, token.fingerprint
-    )
+    nothing = type(token)(free_endpoint("tls"), token.user, token.password, token.fingerprint)
     assert find_reason(token.write()) == "admitted"
     assert find_reason(other.write()) == "user"
     assert find_reason(wrong_authority.write()) == "other_authority"
@@ -561,7 +564,7 @@ def test_failures_to_join_are_told_apart(
         assert find_reason(plain.write()) == "no_tls"
 
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    folder = prepare_secure_folder(SecureSettings(WORLD, None, with_free_port("tls/127.0.0.1:0")))
+    folder = prepare_secure_folder(SecureSettings(WORLD, None, free_endpoint("tls")))
     config = folder.make_router_config(folder.settings.endpoint)
     expire_router_certificate(folder)
     with open_bus(config):

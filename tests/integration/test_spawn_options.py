@@ -147,7 +147,7 @@ def test_description_is_read_from_standard_input(server: Server, source: str, te
         input=text,
         capture_output=True,
         text=True,
-        timeout=30,
+        timeout=120,
         check=False,
     )
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from zensim.proto.endpoints import with_free_port
+from tests.integration.processes import free_endpoint
 
 TEXT = (
     "zensim: 1\nrobots:\n  - {name: r, model: box_bot, count: 2, layout: {spacing: 2 m}}\n"
@@ -17,7 +17,7 @@ TEXT = (
 
 
 def up(*words: str) -> "subprocess.CompletedProcess[str]":
-    listen = ("--listen", with_free_port("tcp/127.0.0.1:0"), "--no-viewer")
+    listen = ("--listen", free_endpoint(), "--no-viewer")
     return subprocess.run(
         [sys.executable, "-m", "zensim", "up", *words, *listen],
         capture_output=True,

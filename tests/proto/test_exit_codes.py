@@ -164,6 +164,6 @@ def test_command_exits_with_ok_on_a_broken_pipe() -> None:
     process.stdout.readline()
 
     process.stdout.close()
-    _, complaint = process.communicate(timeout=20.0)
+    _, complaint = process.communicate(timeout=120.0)
 
     assert (process.returncode, complaint) == (ExitCode.OK, b"")

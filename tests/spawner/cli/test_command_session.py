@@ -20,7 +20,7 @@ def complete(line: str, endpoint: str) -> list[str]:
         [sys.executable, "-m", "zensim"],
         capture_output=True,
         text=True,
-        timeout=30,
+        timeout=120,
         check=True,
         env={**os.environ, **variables},
     )

@@ -10,7 +10,7 @@ import zensim
 from tests.integration.processes import eventually
 from zensim.proto.messages.standard_messages import LaserScan
 
-SLACK_S = 2.0
+SLACK_S = 20.0
 """Of wall times on a machine with other work."""
 
 
@@ -30,7 +30,7 @@ def test_server_outlives_the_thread_that_launched_it(capfd: pytest.CaptureFixtur
 
 def test_failed_start_says_why_and_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(zensim.Error) as caught:
-        zensim.launch("no_such_world")
+        zensim.launch("no_such_world", timeout_s=120.0)
 
     assert caught.value.slug == "launch_failed"
     assert "no_such_world" in caught.value.message

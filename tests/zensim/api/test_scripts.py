@@ -71,7 +71,7 @@ def test_controller_gives_the_same_hash_in_each_run() -> None:
 
 
 def test_callback_of_a_sensor() -> None:
-    with zensim.launch(rtf=4) as sim:
+    with zensim.launch(rtf=4, timeout_s=120.0) as sim:
         robot = sim.spawn("box_bot_lidar", name="r1")
         robot.topic("scan").read(timeout_s=60.0)
         run_script("Sensors and callbacks", sim.endpoint)

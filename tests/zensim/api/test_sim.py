@@ -27,7 +27,7 @@ from zensim.proto.service_catalog import SIMULATE_STEPS
 
 STEPPER = """
 import sys, zensim
-sim = zensim.connect(sys.argv[1])
+sim = zensim.connect(sys.argv[1], timeout_s=120.0)
 sim.spawn("box_bot", name="own", bond=True, x=3.0)
 robot = sim.robots["r1"]
 robot.drive(0.3, 0.0)
@@ -188,7 +188,10 @@ def test_exception_of_a_callback_reaches_the_caller_once(sim: zensim.Sim) -> Non
 def test_second_client_cannot_step(sim: zensim.Sim) -> None:
     sim.step()
 
-    with zensim.connect(sim.endpoint) as other, pytest.raises(zensim.SteppedElsewhere) as caught:
+    with (
+        zensim.connect(sim.endpoint, timeout_s=120.0) as other,
+        pytest.raises(zensim.SteppedElsewhere) as caught,
+    ):
         other.step()
 
     assert caught.value.slug == "stepped_elsewhere"
@@ -253,7 +256,7 @@ def test_no_server_is_unreachable_with_its_endpoint() -> None:
 
 
 def test_closed_simulation_refuses(sim: zensim.Sim) -> None:
-    with zensim.connect(sim.endpoint) as other:
+    with zensim.connect(sim.endpoint, timeout_s=120.0) as other:
         other.close()
         for use in (lambda: other.time, other.pause, lambda: other.run_for(1.0)):
             with pytest.raises(zensim.Error) as caught:
@@ -354,9 +357,9 @@ def test_lost_request_of_steps_is_repeated_and_counts_once() -> None:
         channel = StepChannel(bus, "default", name)
 
         assert lost.call(request, timeout_s=0.2) is None
-        first = channel.call(request, timeout_s=10.0)
+        first = channel.call(request, timeout_s=60.0)
         again = bus.call(
-            SIMULATE_STEPS, request, world="default", request_id=channel.request_id, timeout_s=10.0
+            SIMULATE_STEPS, request, world="default", request_id=channel.request_id, timeout_s=60.0
         )
 
         assert first is not None
@@ -369,7 +372,7 @@ def test_lost_request_of_steps_is_repeated_and_counts_once() -> None:
 def is_accepted(bus: Bus, request: SimulateStepsRequest) -> bool:
     """Request steps, which are refused until the server has the token."""
     try:
-        bus.call(SIMULATE_STEPS, request, world="default", timeout_s=10.0)
+        bus.call(SIMULATE_STEPS, request, world="default", timeout_s=60.0)
     except ServiceError:
         return False
     return True
@@ -397,7 +400,7 @@ def test_recording_is_read_by_topic_and_as_a_table(sim: zensim.Sim, tmp_path: Pa
 def test_page_of_the_world_is_served_until_it_is_closed(sim: zensim.Sim) -> None:
     page = sim.show(timeout_s=90.0)
     try:
-        with urllib.request.urlopen(page.url, timeout=30.0) as reply:
+        with urllib.request.urlopen(page.url, timeout=120.0) as reply:
             assert reply.status == 200
         assert page.url in page._repr_html_()
     finally:

@@ -14,7 +14,7 @@ STEPS = 150
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[Sim]:
-    with launch("walls", engine="mujoco", sensors=1, seed=3) as sim:
+    with launch("walls", engine="mujoco", sensors=1, seed=3, timeout_s=120.0) as sim:
         yield sim
 
 
