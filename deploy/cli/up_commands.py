@@ -398,9 +398,9 @@ def secure_deployment(config: LaunchConfig) -> LaunchConfig:
         for program, account in zip(users, accounts, strict=True)
     }
     # The address of a page that only shows must not become that of one that acts.
-    secret = "page_operator.secret" if config.page_role == "operator" else "page.secret"
+    file = "page_operator.secret" if config.page_role == "operator" else "page.secret"
     return msgspec.structs.replace(
-        config, join_addresses=addresses, page_token=str(folder.path / secret)
+        config, join_addresses=addresses, page_token=str(folder.path / file)
     )
 
 

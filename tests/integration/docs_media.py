@@ -1,7 +1,7 @@
 """`python -m tests.integration.docs_media` makes the pictures of the page in docs/images anew.
 
 Ten robots drive circles. For the film the world is paused and stepped, so that it looks the same on
-slow machines; WebGL runs in software.
+slow machines; WebGL runs in software. The picture of a phone shows a recording of the same run.
 """
 
 import io
@@ -9,13 +9,15 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from PIL import Image
 
 from tests.contract.repository import ROOT
 from tests.integration.chromium import Chromium, Tab
-from tests.integration.processes import running_up
+from tests.integration.processes import running, running_up
+from zensim.proto.bus import Bus
 from zensim.proto.messages.simulation_messages import State, StepSimulationRequest
 from zensim.proto.service_catalog import STEP_SIMULATION
 from zensim.spawner.client.sim_client import SimClient
@@ -101,27 +103,37 @@ def make_palette(picture: Image.Image) -> Image.Image:
 
 
 def make_media() -> None:
-    """Make all pictures."""
-    with running_up("--robots", "10", "--viewer-port", "0", "--behaviour", "circle") as ready:
-        _, announced, bus = ready
-        url, client = str(announced["viewer"]), SimClient(bus)
-        time.sleep(WARM_UP_S)
-        with Chromium() as browser:
-            tab = show(browser, url, WIDE, "dark")
-            draw_trails(tab)
-            save(tab, "page_dark")
-            client.set_simulation_state(State.PAUSED)
-            order = StepSimulationRequest(steps=STEPS_OF_FRAME)
-            film(tab, lambda: bus.call(STEP_SIMULATION, order, world="default", timeout_s=30.0))
-            client.set_simulation_state(State.PLAYING)
-        for name, size, scheme in (
-            ("page_light", WIDE, "light"),
-            ("page_phone", PHONE, "light"),
-        ):
+    """Make all pictures: of a world, and on a phone of its recording."""
+    with TemporaryDirectory() as folder:
+        recording = Path(folder) / "run.mcap"
+        options = ("--robots", "10", "--behaviour", "circle", "--record", str(recording))
+        with running_up(*options, "--viewer-port", "0") as (_, announced, bus):
+            make_pictures(str(announced["viewer"]), bus)
+        with running("view", "--recording", str(recording), "--port", "0") as process:
+            assert process.stdout is not None
+            url = process.stdout.readline().split()[-1]
             with Chromium() as browser:
-                save(show(browser, url, size, scheme), name)
+                save(show(browser, url, PHONE, "light"), "page_phone")
     for path in sorted(Path(IMAGES).glob("page*")):
         sys.stdout.write(f"{path.name} {path.stat().st_size}\n")
+
+
+def make_pictures(url: str, bus: Bus) -> None:
+    """Make the pictures and the film of a world whose robots drive circles."""
+    client = SimClient(bus)
+    time.sleep(WARM_UP_S)
+    with Chromium() as browser:
+        tab = show(browser, url, WIDE, "dark")
+        draw_trails(tab)
+        save(tab, "page_dark")
+        client.set_simulation_state(State.PAUSED)
+        order = StepSimulationRequest(steps=STEPS_OF_FRAME)
+        film(tab, lambda: bus.call(STEP_SIMULATION, order, world="default", timeout_s=30.0))
+        client.set_simulation_state(State.PLAYING)
+    with Chromium() as browser:
+        tab = show(browser, url, WIDE, "light")
+        draw_trails(tab)
+        save(tab, "page_light")
 
 
 if __name__ == "__main__":

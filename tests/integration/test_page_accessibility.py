@@ -191,6 +191,7 @@ def phone(url: str) -> Iterator[Tab]:
     with Chromium() as browser:
         found = show(browser, url, PHONE, "light")
         found.call("Emulation.setTouchEmulationEnabled", enabled=True)
+        found.until(SELECT % ROBOT, PATIENCE_S)
         yield found
 
 
@@ -257,7 +258,6 @@ def test_tab_reaches_every_control(tab: Tab, title: str) -> None:
 
 @pytest.mark.parametrize("title", TABS)
 def test_targets_are_large_on_a_phone(phone: Tab, title: str) -> None:
-    phone.until(SELECT % ROBOT, PATIENCE_S)
     turn_to(phone, title)
 
     assert find(phone, SMALL % {"px": LEAST_TARGET_PX}) == []
