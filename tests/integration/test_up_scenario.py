@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+import zensim
 from tests.integration.processes import free_endpoint
 
 TEXT = (
@@ -48,3 +49,16 @@ def test_scenario_with_mistakes_starts_nothing(text: str, status: int, tmp_path:
 
     assert done.returncode == status
     assert "serve" not in done.stderr
+
+
+def test_scenario_is_recorded_with_the_commands_of_its_world(tmp_path: Path) -> None:
+    file = tmp_path / "a.scenario.yaml"
+    file.write_text(TEXT + "record: {to: 'runs/{name}-{seed}.mcap', keep: on_failure}\n")
+
+    done = up(str(file))
+
+    assert done.returncode == 0, done.stderr
+    recording = zensim.Recording(tmp_path / "runs" / "a-0.mcap")
+    assert recording.is_closed
+    assert recording.counts["/r0/odom"] > 50
+    assert {"/sim/default/requests", "/sim/default/inputs", "/clock"} <= set(recording.topics)

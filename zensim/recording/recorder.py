@@ -15,6 +15,7 @@ from zensim.proto.messages.standard_messages import ns_from_time
 from zensim.proto.messages.telemetry_messages import Event, WorldClock
 from zensim.proto.network_protocols import Closable, Sample, Subscription
 from zensim.proto.ros2.liveliness_tokens import TOKEN_SPACE, parse_endpoint_token
+from zensim.proto.service_catalog import SIMULATE_STEPS
 from zensim.proto.topic_catalog import CLOCK, EVENTS, INPUTS
 from zensim.proto.topic_endpoints import to_plain_sample
 from zensim.recording.recorded_topics import (
@@ -321,7 +322,8 @@ class Recorder:
     ) -> None:
         if (topic := self._requests_topic) is not None:
             settings = self._settings
-            for request in requests:
+            # Each control step has a request for steps, which are no change of their own.
+            for request in (one for one in requests if one.service != SIMULATE_STEPS.name):
                 payload = write_request(request)
                 log_ns = choose_time(topic.read_stamp(payload), self._now_ns)
                 log_ns = received_ns if settings.time_base == "wall" else log_ns
@@ -339,7 +341,9 @@ class Recorder:
             now_ns = max(0, ns_from_time(clock.clock))
             log_ns = received_ns if self._settings.time_base == "wall" else now_ns
             publish_ns = log_ns if self._settings.is_reproducible else received_ns
-            if clock.epoch != self._epoch or now_ns < self._now_ns:
+            # On the network, the first time that was read may be later than what waits here.
+            is_back = self._settings.is_in_process and now_ns < self._now_ns
+            if clock.epoch != self._epoch or is_back:
                 # What has arrived is of the time before.
                 self._take_samples(received_ns, batch, is_due=True)
                 batch = []
