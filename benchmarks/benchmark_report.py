@@ -36,6 +36,7 @@ NAMES = (
     "world",
     "world_loading",
     "scenarios",
+    "sweep",
     "resim",
     "sensors",
     "casting",

@@ -4,12 +4,14 @@ A process imports everything once, and runs each scenario in a copy of itself: n
 the next one, and none waits for imports.
 """
 
+import shlex
+import signal
 import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import closing, suppress
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -34,17 +36,23 @@ from zensim.proto.child_process import (
     write_frame,
 )
 from zensim.proto.endpoints import with_free_port
-from zensim.proto.process_limits import die_with_parent
+from zensim.proto.process_limits import KILLED_STATUS, die_with_parent
 from zensim.proto.ros2.ros_settings import NO_ROS
+from zensim.scenario.run_host import describe_host
 from zensim.scenario.scenario_loading import open_world
 from zensim.scenario.scenario_nodes import ScenarioInvalid
 from zensim.scenario.scenario_reader import Scenario, read_scenario
 from zensim.scenario.scenario_recording import find_recording
 from zensim.scenario.scenario_runner import RunReport, ScenarioFailed, run_scenario
+from zensim.scenario.scenario_sources import write_setting
 
 RUN_COMMAND = make_module_command("zensim.deploy.scenario_process")
+KILLED = (KILLED_STATUS, -signal.SIGTERM)
+"""Statuses of processes that others ended, such as a kernel without memory."""
 POLL_S = 0.005
-START_TIMEOUT_S = 60.0
+NOT_STARTED = 1
+"""Status that stands for a process that did not start in time."""
+START_TIMEOUT_S = 600.0
 """Wall time of the imports, which does not count as time of a run."""
 SETTINGS_OF_UP = ("listen", "connect", "wait", "journal", "viewer", "rtf", "lockstep")
 """Options whose keys do not count in tests."""
@@ -60,31 +68,52 @@ class RunRequest(msgspec.Struct, frozen=True):
     """By a server process of its own, instead of in process."""
     timeout_s: float = 600.0
     """Wall time."""
+    failure_recording: str = ""
+    """MCAP file for a run that fails, which runs again for it; empty = none."""
+    recorded_topics: tuple[str, ...] = ()
 
     @property
     def repeat(self) -> str:
         """Command line that repeats the run."""
-        words = [f"--set {setting}" for setting in self.settings]
-        return " ".join(["zensim test", self.file, *words, *(["--server"] * self.is_served)])
+        words = [word for setting in self.settings for word in ("--set", setting)]
+        return shlex.join(["zensim", "test", self.file, *words, *(["--server"] * self.is_served)])
 
 
 def run_request(request: RunRequest) -> RunReport:
     """Run a scenario in this process; an error of any kind is part of the report."""
+    began_s = time.process_time()
+    report = _run(request)
+    report = msgspec.structs.replace(
+        report, cpu_s=time.process_time() - began_s, host=describe_host()
+    )
+    if request.failure_recording and not report.is_passed:
+        return msgspec.structs.replace(report, recording=_record_again(request))
+    return report
+
+
+def _record_again(request: RunRequest) -> str:
+    """Run a scenario again for its recording; return its file, empty if it was not recorded."""
+    section = {
+        # Words in braces are replaced.
+        "to": request.failure_recording.replace("{", "{{").replace("}", "}}"),
+        "topics": request.recorded_topics,
+    }
+    recorded = write_setting("record", section)
+    return _run(msgspec.structs.replace(request, settings=(*request.settings, recorded))).recording
+
+
+def _run(request: RunRequest) -> RunReport:
     try:
         scenario = read_scenario(request.file, request.settings)
-    except ScenarioInvalid as error:
+    except (ScenarioInvalid, OSError) as error:
         return RunReport(request.file, request.file, 0, "", error=str(error))
     try:
-        return _run(scenario, request)
+        with _open_world(scenario, request) as sim:
+            return run_scenario(
+                scenario, sim, allows_python=request.allows_python, repeat=request.repeat
+            )
     except Exception as error:  # noqa: BLE001  the world's and the author's, whatever they are
         return _make_failed_report(scenario, request, _describe(error))
-
-
-def _run(scenario: Scenario, request: RunRequest) -> RunReport:
-    with _open_world(scenario, request) as sim:
-        return run_scenario(
-            scenario, sim, allows_python=request.allows_python, repeat=request.repeat
-        )
 
 
 def _open_world(scenario: Scenario, request: RunRequest) -> Simulation:
@@ -148,16 +177,35 @@ class ScenarioWorker:
         self._process: FramedProcess | None = None
         self._is_stopped = threading.Event()
 
-    def run(self, request: RunRequest) -> RunReport:
-        """Run a scenario; whatever happens to the process is part of the report."""
+    def run(self, request: RunRequest, attempts: int = 1) -> RunReport:
+        """Run a scenario; whatever happens to the process is part of the report.
+
+        Args:
+            request: The scenario.
+            attempts: Most runs of it, while its process is killed by others.
+        """
+        for _ in range(attempts):
+            outcome = self._run_once(request)
+            if outcome is None or outcome.status not in KILLED:
+                break
+        return _make_report(request, outcome)
+
+    def _run_once(self, request: RunRequest) -> CopyOutcome | None:
+        """Run a scenario; None at the timeout."""
         if self._process is None or self._process.poll() is not None:
             self._process = FramedProcess(RUN_COMMAND, stderr=None)
-            self._await_frame(self._process, time.monotonic() + START_TIMEOUT_S)
+            # A late first frame would pass for the outcome.
+            found = self._await_frame(self._process, time.monotonic() + START_TIMEOUT_S)
+            if not isinstance(found, bytes):
+                self.close()
+                return CopyOutcome(found or NOT_STARTED, b"")
         self._process.send([encode_frame(msgspec.msgpack.encode(request))])
         found = self._await_frame(self._process, time.monotonic() + request.timeout_s)
         if found is None or not CAN_COPY:
             self.close()
-        return _read_outcome(request, found)
+        if isinstance(found, bytes):
+            return msgspec.msgpack.decode(found, type=CopyOutcome)
+        return None if found is None else CopyOutcome(found, b"")
 
     def stop(self) -> None:
         """Let the present run end at once, from another thread; close the worker after that."""
@@ -184,16 +232,20 @@ class ScenarioWorker:
         return None
 
 
-def _read_outcome(request: RunRequest, found: bytes | int | None) -> RunReport:
-    failure = f"timeout: not over after {request.timeout_s:g} s of wall time"
-    if isinstance(found, bytes):
-        outcome = msgspec.msgpack.decode(found, type=CopyOutcome)
-        if not outcome.status:
-            return msgspec.msgpack.decode(outcome.report, type=RunReport)
-        found = outcome.status
-    if found is not None:
-        failure = f"its process ended with status {found}"
-    return _make_failed_report(read_scenario(request.file, request.settings), request, failure)
+def _make_report(request: RunRequest, outcome: CopyOutcome | None) -> RunReport:
+    if outcome is None:
+        failure = f"timeout: not over after {request.timeout_s:g} s of wall time"
+    elif outcome.status or not outcome.report:
+        failure = f"its process ended with status {outcome.status}"
+    else:
+        return msgspec.msgpack.decode(outcome.report, type=RunReport)
+    return make_error_report(request, failure)
+
+
+def make_error_report(request: RunRequest, error: str) -> RunReport:
+    """Make the report of a run that did not end, and of which nothing else is known."""
+    scenario = read_scenario(request.file, request.settings)
+    return _make_failed_report(scenario, request, error)
 
 
 def run_in_process(request: RunRequest) -> RunReport:
@@ -215,6 +267,30 @@ def run_all(
         jobs: Number at once.
         on_run: Called in order, as soon as possible.
     """
+    runs: list[RunReport] = []
+    early: dict[int, RunReport] = {}
+    with closing(run_in_processes(requests, jobs=jobs)) as ended:
+        for number, report in ended:
+            early[number] = report
+            while len(runs) in early:
+                runs.append(early.pop(len(runs)))
+                on_run(runs[-1])
+    return runs
+
+
+def run_in_processes(
+    requests: Sequence[RunRequest], *, jobs: int, attempts: int = 1
+) -> Generator[tuple[int, RunReport], None, None]:
+    """Run scenarios, several at once; each report comes when its run has ended.
+
+    Args:
+        requests: Scenarios without mistakes.
+        jobs: Number at once.
+        attempts: Most runs of each, while its process is killed by others.
+
+    Yields:
+        Number of the request, and its report. Closing ends the processes at once.
+    """
     workers = [ScenarioWorker() for _ in range(min(jobs, len(requests)))]
     free: SimpleQueue[ScenarioWorker] = SimpleQueue()
     for worker in workers:
@@ -223,24 +299,21 @@ def run_all(
     def run(request: RunRequest) -> RunReport:
         worker = free.get()
         try:
-            return worker.run(request)
+            return worker.run(request, attempts)
         finally:
             free.put(worker)
 
-    runs = []
     with ThreadPoolExecutor(max(1, len(workers))) as pool:
-        outcomes = [pool.submit(run, one) for one in requests]
+        numbers = {pool.submit(run, one): number for number, one in enumerate(requests)}
         try:
-            for outcome in outcomes:
-                runs.append(outcome.result())
-                on_run(runs[-1])
+            for future in as_completed(numbers):
+                yield numbers[future], future.result()
         finally:
             for worker in workers:
                 worker.stop()
             pool.shutdown(cancel_futures=True)
             for worker in workers:
                 worker.close()
-    return runs
 
 
 def main() -> None:
@@ -263,6 +336,7 @@ def _run_encoded(request: RunRequest) -> bytes:
 
 def _import_libraries() -> None:
     """Import what a world in process needs, before the copies are made."""
+    describe_host()
     # What is missing is reported by the run that needs it.
     with suppress(ImportError):
         import_module("zensim.api.in_process_world")

@@ -190,6 +190,11 @@ VERBS: dict[str, Verb] = {
         "zensim.deploy.cli.scenario_test_commands",
         "Run scenario files and report their checks.",
     ),
+    "sweep": Verb(
+        "Scenarios",
+        "zensim.deploy.cli.sweep_commands",
+        "Run a scenario with many values, seeds and repeats.",
+    ),
     "scenario": Verb(
         "Scenarios",
         "zensim.deploy.cli.scenario_commands",

@@ -31,6 +31,7 @@ NAMES = (
     "history",
     "damage",
     "recording",
+    "sweep",
 )
 HEAD = """# Faults
 

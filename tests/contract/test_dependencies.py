@@ -22,6 +22,8 @@ EXTRA_OF = {
     "zensim/envs/": {"", "rl"},
     "zensim/recording/series_chart.py": {"", "plot"},
     "zensim/recording/table_files.py": {"", "dataset"},
+    "deploy/sweep/sweep_folder.py": {"", "dataset"},
+    "deploy/sweep/sweep_plots.py": {"", "plot"},
     # A plug-in that pytest loads.
     "zensim/testing.py": {"", "dev"},
 }
@@ -68,7 +70,7 @@ def importable(extras: set[str]) -> set[str]:
 def extras_of(path: Path) -> set[str]:
     name = shown(path)
     if name.startswith("tests/"):
-        return {"", "server", "mujoco", "viewer", "top", "rl", "dev"}
+        return {"", "server", "mujoco", "viewer", "top", "dataset", "rl", "dev"}
     return next((ours for part, ours in EXTRA_OF.items() if name.startswith(part)), {""})
 
 

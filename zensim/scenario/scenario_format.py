@@ -762,5 +762,6 @@ class ScenarioFormat(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     record: Annotated[RecordSection, described("A recording.")] | None = None
     end: Annotated[EndSection, described("The end of the run.")] = EndSection()
     vary: Annotated[
-        dict[str, Any], described("Values by key path, for sweeps; `seeds` is their number.")
+        dict[str, Any],
+        described("Values by key path for sweeps; `random`, `list`, `seeds`, `repeats`."),
     ] = {}

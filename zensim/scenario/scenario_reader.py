@@ -20,9 +20,10 @@ from zensim.scenario.scenario_format import (
     ScenarioFormat,
     Selector,
 )
-from zensim.scenario.scenario_nodes import Issue, Place, ScenarioInvalid
+from zensim.scenario.scenario_nodes import Issue, Place, ScenarioInvalid, ScenarioNode
 from zensim.scenario.scenario_references import ReferenceCheck
 from zensim.scenario.scenario_sources import read_merged_nodes
+from zensim.scenario.scenario_variations import Variations
 from zensim.scenario.typed_reading import TypedReader
 
 SUFFIXES = (".scenario.yaml", ".scenario.yml", ".scenario.json")
@@ -41,6 +42,8 @@ class Scenario(msgspec.Struct, frozen=True):
     """All values with their draws, SI."""
     places: Mapping[str, Place]
     """Places of all key paths."""
+    variations: Variations = Variations()
+    """What varies between the runs of a sweep."""
 
     @property
     def name(self) -> str:
@@ -60,8 +63,7 @@ class Scenario(msgspec.Struct, frozen=True):
     @property
     def sha256(self) -> str:
         """Digest of all values; equal for files that differ in form only."""
-        text = json.dumps(self.plain, sort_keys=True, default=_encode_draw)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return digest_values(self.plain)
 
     def select(self, selector: Selector) -> list[str]:
         """Select robots by a selector of the file."""
@@ -129,7 +131,7 @@ def read_scenario(file: str, settings: Sequence[str] = ()) -> Scenario:
         ScenarioInvalid: With all mistakes.
     """
     with _paused_collection():
-        return _read(file, settings)
+        return make_scenario(file, read_merged_nodes(file, settings))
 
 
 @contextmanager
@@ -144,8 +146,12 @@ def _paused_collection() -> Iterator[None]:
             gc.enable()
 
 
-def _read(file: str, settings: Sequence[str]) -> Scenario:
-    root = read_merged_nodes(file, settings)
+def make_scenario(file: str, root: ScenarioNode) -> Scenario:
+    """Make a scenario of the nodes of a file, with all that it includes.
+
+    Raises:
+        ScenarioInvalid: With all mistakes.
+    """
     reader = TypedReader()
     plain = reader.read(root, inspect.type_info(ScenarioFormat), "") or {}
     seed = (plain.get("time") or {}).get("seed") or 0
@@ -156,7 +162,12 @@ def _read(file: str, settings: Sequence[str]) -> Scenario:
         raise ScenarioInvalid(_sort_issues(issues))
     resolved = resolve_draws(plain, seed, "run") if reader.has_draws else plain
     return Scenario(
-        file, msgspec.convert(resolved, ScenarioFormat), tuple(check.robots), plain, reader.places
+        file,
+        msgspec.convert(resolved, ScenarioFormat),
+        tuple(check.robots),
+        plain,
+        reader.places,
+        check.variations,
     )
 
 
@@ -168,6 +179,12 @@ def _sort_issues(issues: Sequence[Issue]) -> tuple[Issue, ...]:
             unique, key=lambda one: (files.index(one.place.file), one.place.line, one.place.column)
         )
     )
+
+
+def digest_values(plain: Mapping[str, Any]) -> str:
+    """Digest values of a scenario, with their draws; SHA-256 in hexadecimal digits."""
+    text = json.dumps(plain, sort_keys=True, default=_encode_draw)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _encode_draw(value: object) -> object:

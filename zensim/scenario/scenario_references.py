@@ -1,7 +1,7 @@
 """Checks across the keys of a scenario: names, selectors, files, and values that must agree."""
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from string import Formatter
 from typing import Any
@@ -16,10 +16,8 @@ from zensim.scenario.robot_places import (
     read_pose_file,
 )
 from zensim.scenario.robot_selectors import SelectorInvalid, select_robots
-from zensim.scenario.scenario_format import ScenarioFormat
 from zensim.scenario.scenario_nodes import Issue, Place, ScenarioInvalid, ScenarioNode
-from zensim.scenario.scenario_sources import split_path
-from zensim.scenario.typed_reading import TypedReader, find_type
+from zensim.scenario.scenario_variations import VariationReader, Variations
 from zensim.sim_server.description.builtin_models import list_builtin_models, list_builtin_worlds
 
 MODEL_SUFFIXES = (".urdf", ".xacro", ".sdf", ".xml")
@@ -35,6 +33,7 @@ class ReferenceCheck:
     ) -> None:
         self.issues: list[Issue] = []
         self.robots: list[ScenarioRobot] = []
+        self.variations = Variations()
         self._root = root
         self._plain = plain
         self._places = places
@@ -247,45 +246,9 @@ class ReferenceCheck:
                 self._refuse("record.to", f"`{{{name}}}` is not known; one of {{name}}, {{seed}}")
 
     def _check_variations(self) -> None:
-        vary = self._root.items.get("vary")
-        for key, values in (vary.items if vary is not None else {}).items():
-            place = vary.key_places[key] if vary is not None else self._root.place
-            for mistake in self._vary_mistakes(key, values):
-                path = f"vary.{key}"
-                self.issues.append(
-                    mistake if isinstance(mistake, Issue) else Issue(place, path, str(mistake))
-                )
-
-    def _vary_mistakes(self, key: str, values: ScenarioNode) -> Iterator[Issue | str]:
-        if key == "seeds":
-            if not isinstance(values.value, int) or isinstance(values.value, bool):
-                yield "is not a whole number of seeds"
-            elif values.value < 1:
-                yield f"`{values.value}` is out of range; >= 1"
-            return
-        words = split_path(key)
-        kind = find_type(ScenarioFormat, words)
-        if kind is None or not self._has_entry(words):
-            yield "there is no such key; write it as in the file, such as robots.cart.count"
-            return
-        listed = list(values.elements)
-        if values.is_map:
-            yield from _find_range_mistakes(values)
-            listed = [values.items[word] for word in ("from", "to") if word in values.items]
-        elif not listed:
-            yield "is not a list of values, nor {from: …, to: …, steps: …}"
-        reader = TypedReader()
-        for index, one in enumerate(listed):
-            reader.read(one, kind, f"vary.{key}[{index}]")
-        yield from reader.issues
-
-    def _has_entry(self, words: Sequence[str]) -> bool:
-        """Whether the entry of a list that a key path names exists."""
-        listed = self._plain.get(words[0])
-        if not isinstance(listed, list) or len(words) < 2:  # noqa: PLR2004
-            return True
-        names = self._list_names(words[0])
-        return words[1] in names or (words[1].isdigit() and int(words[1]) < len(listed))
+        reader = VariationReader(self._root, self._plain)
+        self.variations = reader.read()
+        self.issues += reader.issues
 
 
 def _is_file(path: Path) -> bool:
@@ -294,14 +257,6 @@ def _is_file(path: Path) -> bool:
     except (OSError, ValueError):
         # A name that is too long, or has characters that no file has.
         return False
-
-
-def _find_range_mistakes(values: ScenarioNode) -> Iterator[str]:
-    if set(values.items) != {"from", "to", "steps"}:
-        yield "needs exactly the keys from, to and steps"
-    steps = values.items.get("steps")
-    if steps is not None and (not isinstance(steps.value, int) or steps.value < 1):
-        yield "`steps` is not a whole number >= 1"
 
 
 def _find_time_mistakes(entry: Entry) -> Iterator[tuple[str, str]]:

@@ -54,6 +54,7 @@ from zensim.scenario.robot_behaviours import (
     make_motions,
 )
 from zensim.scenario.robot_places import ScenarioRobot
+from zensim.scenario.run_host import RunHost
 from zensim.scenario.scenario_faults import CommandFaults, FaultRun, FaultSchedule
 from zensim.scenario.scenario_format import (
     AGENT_FAULTS,
@@ -119,6 +120,9 @@ class RunReport(msgspec.Struct, frozen=True):
     """Command that repeats the run."""
     recording: str = ""
     """File or folder of its recording, if there is one."""
+    cpu_s: float = 0.0
+    """CPU time of its process, with reading the file."""
+    host: RunHost = RunHost()
 
     @property
     def is_passed(self) -> bool:

@@ -1,5 +1,6 @@
 """Files of a scenario: included files, merged values, and values that the command line sets."""
 
+import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,9 +13,11 @@ from zensim.scenario.scenario_nodes import (
     fail_at,
     name_of,
     read_nodes,
+    resolve_scalar,
 )
 
 MAX_INCLUDES = 100
+_PLAIN_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9_./-]*")
 _WORD = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
 
@@ -28,10 +31,34 @@ def read_merged_nodes(file: str, settings: Sequence[str] = ()) -> ScenarioNode:
     Raises:
         ScenarioInvalid: A file is missing, includes itself or is not YAML; a setting has no place.
     """
-    node = _read_with_includes(Path(file), (), Place(file), [0])
+    return apply_settings(_read_with_includes(Path(file), (), Place(file), [0]), settings)
+
+
+def apply_settings(node: ScenarioNode, settings: Sequence[str]) -> ScenarioNode:
+    """Set values of a scenario.
+
+    Args:
+        node: The whole scenario.
+        settings: `KEY.PATH=VALUE`, as of `--set`.
+
+    Raises:
+        ScenarioInvalid: A setting has no place.
+    """
     for setting in settings:
         node = _apply_setting(node, setting)
     return node
+
+
+def write_setting(path: str, value: object) -> str:
+    """Write a setting that sets a plain value: SI numbers, texts, lists and maps."""
+    if isinstance(value, str) and _is_plain(value):
+        return f"{path}={value}"
+    return f"{path}={json.dumps(value, ensure_ascii=False)}"
+
+
+def _is_plain(text: str) -> bool:
+    """Whether YAML reads a text without quotes as that text."""
+    return _PLAIN_TEXT.fullmatch(text) is not None and resolve_scalar(text) == text
 
 
 def _read_with_includes(

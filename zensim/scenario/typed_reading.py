@@ -393,27 +393,31 @@ def to_plain(node: ScenarioNode, refuse: Callable[[Place, str], None]) -> PlainV
     return node.value
 
 
-def find_type(cls: type, path: Sequence[str]) -> inspect.Type | None:
+def find_type(cls: type, path: Sequence[str], tag: str = "") -> inspect.Type | None:
     """Find the type of a key below a struct; entries of lists are passed by name or index.
 
-    For entries of several kinds, it is the first kind that has the key.
+    Args:
+        cls: The struct.
+        path: Words of the key path.
+        tag: Kind of the entry, where entries are of several kinds; empty = the first kind that
+            has the key.
     """
     kinds: list[inspect.Type] = [inspect.type_info(cls)]
     for word in path:
-        kinds = [found for kind in kinds for found in _descend(kind, word)]
+        kinds = [found for kind in kinds for found in _descend(kind, word, tag)]
     return kinds[0] if kinds else None
 
 
-def _descend(kind: inspect.Type, word: str) -> list[inspect.Type]:
+def _descend(kind: inspect.Type, word: str, tag: str) -> list[inspect.Type]:
     bare = kind.type if isinstance(kind, inspect.Metadata) else kind
     if isinstance(bare, inspect.UnionType):
-        return [found for one in bare.types for found in _descend(one, word)]
+        return [found for one in bare.types for found in _descend(one, word, tag)]
     if isinstance(bare, inspect.VarTupleType | inspect.ListType):
         return [bare.item_type]
     if isinstance(bare, inspect.DictType):
         return [bare.value_type]
     if isinstance(bare, inspect.TupleType) and word.isdigit():
         return list(bare.item_types[int(word) : int(word) + 1])
-    if isinstance(bare, inspect.StructType):
+    if isinstance(bare, inspect.StructType) and (not tag or bare.tag in (None, tag)):
         return [field.type for name, field in _index_fields(bare.cls).items() if name == word]
     return []

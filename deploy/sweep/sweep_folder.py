@@ -1,0 +1,138 @@
+"""The folder of a sweep: a file for each run that has ended, and the table of all."""
+
+import os
+import socket
+from collections.abc import Collection, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+import msgspec
+
+from zensim.deploy.sweep.sweep_plan import SweepPlan
+from zensim.deploy.sweep.sweep_rows import SweepRow, make_columns
+
+FORMAT_VERSION = 1
+RUNS, RECORDINGS = "runs", "recordings"
+PLAN_FILE = "sweep.json"
+TABLE, LINES = "results.parquet", "results.jsonl"
+
+
+class StoredPlan(msgspec.Struct, frozen=True):
+    """What a folder says of its sweep."""
+
+    version: int
+    name: str
+    file: str
+    sha256: str
+    paths: tuple[str, ...]
+    ids: tuple[str, ...]
+
+
+class SweepFolder:
+    """Reads and writes the files of a sweep; a file has its name only when it is whole."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def open(self, plan: SweepPlan) -> None:
+        """Make the folder, and write what the sweep is.
+
+        Raises:
+            OSError: A file cannot be written.
+        """
+        (self.path / RUNS).mkdir(parents=True, exist_ok=True)
+        stored = StoredPlan(
+            FORMAT_VERSION,
+            plan.name,
+            plan.file,
+            plan.sha256,
+            plan.paths,
+            tuple(run.id for run in plan.runs),
+        )
+        self._write(self.path / PLAN_FILE, msgspec.json.encode(stored))
+
+    def read_plan(self) -> StoredPlan:
+        """Read what the sweep is.
+
+        Raises:
+            OSError: There is no sweep.
+            ValueError: The file is damaged, or of another version.
+        """
+        file = self.path / PLAN_FILE
+        try:
+            plan = msgspec.json.decode(file.read_bytes(), type=StoredPlan)
+        except msgspec.DecodeError as error:
+            raise ValueError(f"{file} is not that of a sweep: {error}") from error
+        if plan.version != FORMAT_VERSION:
+            raise ValueError(f"{file} has version {plan.version}, not {FORMAT_VERSION}")
+        return plan
+
+    def read_rows(self, ids: Collection[str]) -> list[SweepRow]:
+        """Read the rows of runs that have ended, sorted by id; a damaged file is no row."""
+        found = (self._read_row(name) for name in sorted(ids))
+        return [row for row in found if row is not None]
+
+    def write_row(self, row: SweepRow) -> None:
+        """Keep a row; it is there in whole, or not at all, whatever ends this process.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        self._write(self._find_file(row.id), msgspec.json.encode(row))
+
+    def find_recording(self, run_id: str) -> Path:
+        """Find the path of the recording of a run that fails."""
+        return self.path.resolve() / RECORDINGS / f"{run_id}.mcap"
+
+    def write_results(self, rows: Sequence[SweepRow]) -> Path:
+        """Write the table of all rows: Parquet, or JSON lines where pyarrow is not installed.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        has_arrow = find_spec("pyarrow") is not None
+        file = self.path / (TABLE if has_arrow else LINES)
+        part = _name_part(file)
+        plan = self.read_plan()
+        if has_arrow:
+            _write_parquet(rows, part, plan)
+        else:
+            _write_lines(rows, part)
+        part.replace(file)
+        (self.path / (LINES if has_arrow else TABLE)).unlink(missing_ok=True)
+        return file
+
+    def _find_file(self, run_id: str) -> Path:
+        return self.path / RUNS / f"{run_id}.json"
+
+    def _read_row(self, run_id: str) -> SweepRow | None:
+        try:
+            row = msgspec.json.decode(self._find_file(run_id).read_bytes(), type=SweepRow)
+        except (FileNotFoundError, msgspec.DecodeError):
+            return None
+        return row if row.id == run_id else None
+
+    def _write(self, file: Path, content: bytes) -> None:
+        part = _name_part(file)
+        part.write_bytes(content)
+        part.replace(file)
+
+
+def _name_part(file: Path) -> Path:
+    """Name a file that is not whole yet; programs that share a folder have their own."""
+    return file.with_name(f"{file.name}.{socket.gethostname()}.{os.getpid()}.part")
+
+
+def _write_parquet(rows: Sequence[SweepRow], file: Path, plan: StoredPlan) -> None:
+    import pyarrow as pa  # noqa: PLC0415  120 MB, in an extra
+    from pyarrow import parquet  # noqa: PLC0415
+
+    metadata = {"zensim.sweep": msgspec.json.encode(msgspec.structs.replace(plan, ids=()))}
+    table = pa.table(make_columns(rows)).replace_schema_metadata(metadata)
+    parquet.write_table(table, file, compression="zstd")
+
+
+def _write_lines(rows: Sequence[SweepRow], file: Path) -> None:
+    columns = make_columns(rows)
+    lines = (dict(zip(columns, one, strict=True)) for one in zip(*columns.values(), strict=True))
+    file.write_bytes(b"".join(msgspec.json.encode(one) + b"\n" for one in lines))

@@ -1,0 +1,108 @@
+"""Runs what is left of a sweep; each row is kept as soon as its run has ended."""
+
+import signal
+import threading
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import NoReturn
+
+from zensim.deploy.scenario_process import RunRequest, make_error_report, run_request
+from zensim.deploy.sweep.sweep_folder import SweepFolder
+from zensim.deploy.sweep.sweep_plan import SweepRun
+from zensim.deploy.sweep.sweep_rows import SweepRow, make_row
+from zensim.scenario.scenario_runner import RunReport
+
+ATTEMPTS = 4
+"""Of a run whose process is killed by others."""
+
+EndedRuns = Generator[tuple[int, RunReport], None, None]
+"""Numbers of requests and their reports, in the order in which they end."""
+Runner = Callable[[Sequence[RunRequest]], EndedRuns]
+
+
+class ScenarioChanged(ValueError):
+    """The file of a sweep is another one than at its start."""
+
+
+class _TimeIsOver(BaseException):
+    """The wall time of a run in this process is over; no code of its author catches it."""
+
+
+def run_sweep(
+    runs: Sequence[SweepRun],
+    requests: Sequence[RunRequest],
+    folder: SweepFolder,
+    runner: Runner,
+    on_row: Callable[[SweepRow], None],
+) -> None:
+    """Run a part of a sweep.
+
+    Args:
+        runs: Without a row.
+        requests: One for each run.
+        folder: For the rows.
+        runner: Performs the requests.
+        on_row: Called after a row was kept.
+
+    Raises:
+        ScenarioChanged: The file was changed since the plan was made.
+        OSError: A row cannot be kept.
+    """
+    with closing(runner(requests)) as ended:
+        for number, report in ended:
+            run, request = runs[number], requests[number]
+            if report.sha256 != run.sha256:
+                raise ScenarioChanged(
+                    f"{request.file} has changed, or is gone, since the sweep began: "
+                    "start it again; runs that are still part of it are kept"
+                )
+            row = make_row(run, report, _find_recording(report, folder))
+            folder.write_row(row)
+            on_row(row)
+
+
+def _find_recording(report: RunReport, folder: SweepFolder) -> str:
+    """Find the recording of a run in a folder; on another host there may be none here."""
+    path = Path(report.recording)
+    return (
+        str(path.relative_to(folder.path.resolve())) if report.recording and path.exists() else ""
+    )
+
+
+def run_here(requests: Sequence[RunRequest]) -> EndedRuns:
+    """Run scenarios in this process, one after another."""
+    for number, request in enumerate(requests):
+        yield number, run_within_time(request)
+
+
+def run_within_time(request: RunRequest) -> RunReport:
+    """Run a scenario in this process, and interrupt its Python code at the timeout.
+
+    Only the main thread can do that, and not on Windows; elsewhere there is no timeout.
+    """
+    try:
+        with _limited_time(request.timeout_s):
+            return run_request(request)
+    except _TimeIsOver:
+        failure = f"timeout: not over after {request.timeout_s:g} s of wall time"
+        return make_error_report(request, failure)
+
+
+@contextmanager
+def _limited_time(seconds: float) -> Iterator[None]:
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or not hasattr(signal, "setitimer"):
+        yield
+        return
+    before = signal.signal(signal.SIGALRM, _end_time)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def _end_time(_number: int, _frame: object) -> NoReturn:
+    raise _TimeIsOver
