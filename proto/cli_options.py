@@ -2,7 +2,6 @@
 
 import dataclasses
 import inspect
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -146,9 +145,9 @@ def parse_finite(word: str) -> float:
     """Read a number.
 
     Raises:
-        ValueError: It is none, or not finite.
+        ValueError: It is none, not finite, or greater than those of options.
     """
-    if math.isfinite(number := float(word)):
+    if abs(number := float(word)) <= MAX_NUMBER:
         return number
     raise ValueError(word)
 

@@ -108,6 +108,7 @@ def test_options_are_parsed_alike_with_and_without_typer(words: list[str]) -> No
 
 RECORD_WORDS = (
     "r1/odom", "*/tf", "--all", "-a", "-o", "run", "--rate", "10", "1e2", "nan", "--duration", "-1",
+    "1e300",
     "--exclude-topics", "--quiet", "--json", "--max-bag-size", "5MB", "--snapshot-duration", "--",
 )  # fmt: skip
 

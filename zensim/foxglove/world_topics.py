@@ -44,8 +44,8 @@ FETCH_PERIOD_S: Final = 0.3
 POSES_PERIOD_S: Final = 0.5
 """The same for poses of entities without an agent, while one of them moves."""
 MOVING_M_S, MOVING_RAD_S = 0.01, 0.01
-MAX_NAMED: Final = 50
-"""Entities whose states are requested by name; of more, those of all are."""
+MAX_PATTERN: Final = 500
+"""Characters of a filter by names; instead of a longer one, the states of all are requested."""
 EVENTS_DEPTH: Final = 1024
 TOKENS_DEPTH: Final = 65_536
 CHANGES: Final = frozenset(
@@ -135,10 +135,13 @@ class WorldTopics:
     def _get_states(self, names: Sequence[str]) -> Mapping[str, EntityState]:
         if not names:
             return {}
-        pattern = f"^({'|'.join(names)})$" if len(names) <= MAX_NAMED else ""
-        request = GetEntitiesStatesOrder(EntityFilters(pattern))
+        pattern = f"^({'|'.join(names)})$"
+        filters = EntityFilters(pattern if len(pattern) <= MAX_PATTERN else "")
         found = self._bus.call(
-            GET_ENTITIES_STATES, request, world=self._world, timeout_s=CALL_TIMEOUT_S
+            GET_ENTITIES_STATES,
+            GetEntitiesStatesOrder(filters),
+            world=self._world,
+            timeout_s=CALL_TIMEOUT_S,
         )
         return dict(zip(found.entities, found.states, strict=False))
 
