@@ -95,12 +95,9 @@ def _drive(user: PageUser, commands: Subscription) -> float:
 
 
 def _measure_browser(server: Server, url: str, count: int) -> Iterator[Figure]:
-    try:
-        with open_page(url) as tab:
-            tab.until("!!window.zensimDrives && !!window.__viserMutable.sendMessage", 120.0)
-            yield from _measure_keys(server, tab, count)
-    except FileNotFoundError:
-        return
+    with open_page(url) as tab:
+        tab.until("!!window.zensimDrives && !!window.__viserMutable.sendMessage", 120.0)
+        yield from _measure_keys(server, tab, count)
 
 
 def _measure_keys(server: Server, tab: Tab, count: int) -> Iterator[Figure]:
@@ -231,11 +228,9 @@ def _is_drawn(url: str, name: str) -> bool:
 
 
 def _select(user: PageUser) -> None:
-    def is_selected() -> bool:
-        user.send("ZensimSelect", entity=ROBOT)
-        return f"{ROBOT}: driven by" in user.texts()
-
-    eventually(is_selected, 30.0, "selecting the robot")
+    user.wait_for_row(ROBOT)
+    user.send("ZensimSelect", entity=ROBOT)
+    eventually(lambda: f"{ROBOT}: driven by" in user.texts(), 30.0, "selecting the robot")
 
 
 def _read(commands: Subscription) -> list[Twist]:

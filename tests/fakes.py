@@ -41,6 +41,17 @@ class ManualClock:
         self.now_s += duration_s
 
 
+class StandingClock:
+    """The monotonic clock, which stands until it is let go: nothing ends by itself meanwhile."""
+
+    def __init__(self) -> None:
+        self._began_s = time.monotonic()
+        self.stands = True
+
+    def __call__(self) -> float:
+        return self._began_s if self.stands else time.monotonic()
+
+
 class MemoryBus:
     """In-memory replacement of `zensim.proto.bus.Bus`; all its users share one session.
 

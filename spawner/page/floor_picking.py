@@ -62,9 +62,14 @@ class FloorPicker:
         elif before[0] != purpose:
             before[2]()
 
+    @property
+    def purpose(self) -> str:
+        """Purpose that the next click serves; empty = none."""
+        return self._wanted[0] if self._wanted is not None else ""
+
     def cancel(self, purpose: str) -> None:
         """Stop waiting for a click for this purpose."""
-        if self._wanted is not None and self._wanted[0] == purpose:
+        if self.purpose == purpose:
             self._stop()
 
     def _stop(self) -> None:

@@ -1,11 +1,11 @@
 """The demo of `zensim up` moves its robots until something commands them."""
 
-import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
 
+from tests.integration.processes import eventually
 from zensim.api.connections import connect, launch
 from zensim.api.sim import Sim
 from zensim.deploy.fleet_demo import (
@@ -32,12 +32,12 @@ def playing() -> Iterator[Sim]:
         yield sim
 
 
-def update_until(demo: FleetDemo, condition: Callable[[], bool], within_s: float = 120.0) -> None:
-    deadline = time.monotonic() + within_s
-    while not condition():
-        assert time.monotonic() < deadline
+def update_until(demo: FleetDemo, condition: Callable[[], bool]) -> None:
+    def look() -> bool:
         demo.update()
-        time.sleep(0.02)
+        return condition()
+
+    eventually(look, 120.0, "what the demo does")
 
 
 @pytest.mark.parametrize(

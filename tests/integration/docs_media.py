@@ -6,7 +6,6 @@ slow machines; WebGL runs in software. The picture of a phone shows a recording 
 
 import io
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,11 +15,13 @@ from PIL import Image
 
 from tests.contract.repository import ROOT
 from tests.integration.chromium import Chromium, Tab
-from tests.integration.processes import running, running_up
+from tests.integration.processes import eventually, running, running_up
 from zensim.proto.bus import Bus
 from zensim.proto.messages.simulation_messages import State, StepSimulationRequest
 from zensim.proto.service_catalog import STEP_SIMULATION
 from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.page.motion_overlays import TRAIL_PERIOD_S
+from zensim.spawner.page.side_panel import format_clock
 
 IMAGES = ROOT / "docs" / "images"
 WIDE, PHONE = (1280, 800), (390, 844)
@@ -30,9 +31,10 @@ FILM_COLOURS = 160
 LEAST_CHROMA = 40
 """Difference of the channels of a colourful pixel."""
 MOST_BYTES = 3_000_000
+ROBOTS = 10
 PATIENCE_S = 120.0
 WARM_UP_S = 8.0
-"""Of trails; in wall time, since the world runs as fast as it can."""
+"""Length of trails, and simulation time before the first picture."""
 HAS_ROBOTS = "Object.keys(window.__viserSceneTree.getState()).some(p => p.startsWith('/robots/'))"
 HIDE_NOTE = """
 const style = document.createElement("style");
@@ -40,7 +42,30 @@ style.textContent = ".mantine-Notifications-root { display: none }";
 document.head.append(style);
 """
 """The notice of rendering in software."""
-SETTLED = "new Promise(done => setTimeout(done, %d))"
+IS_STILL = """
+(() => {
+  const now = window.__viserMutable.camera.matrixWorld.elements.join();
+  window.zensimStill = window.zensimCamera === now ? window.zensimStill + 1 : 0;
+  window.zensimCamera = now;
+  return window.zensimStill >= 20;
+})()
+"""
+"""Whether the camera has not moved while this was asked 20 times."""
+HAS_TRAILS = """
+(() => {
+  const {points} = window.__viserSceneTree.getState()["/trails"].message.props;
+  const ends = points instanceof Float32Array ? points : new Float32Array(
+    points.buffer.slice(points.byteOffset, points.byteOffset + points.byteLength));
+  let drawn = 0;
+  for (let i = 0; i < ends.length; i += 6) {
+    drawn += Math.hypot(ends[i] - ends[i + 3], ends[i + 1] - ends[i + 4]) > 0.001;
+  }
+  return drawn >= %d;
+})()
+"""
+"""Whether trails have so many segments."""
+DRAWN = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))"
+"""Two frames of the browser: what came before the first is visible."""
 CLICK_LABEL = "[...document.querySelectorAll('label')].find(l => l.innerText === '%s').click()"
 
 
@@ -54,7 +79,8 @@ def show(browser: Chromium, url: str, size: tuple[int, int], scheme: str) -> Tab
     tab.until(HAS_ROBOTS, PATIENCE_S)
     tab.until(f"document.documentElement.dataset.mantineColorScheme === '{scheme}'", PATIENCE_S)
     tab.evaluate(HIDE_NOTE)
-    tab.evaluate(SETTLED % 3000)
+    tab.until(IS_STILL, PATIENCE_S)
+    tab.evaluate(DRAWN)
     return tab
 
 
@@ -63,9 +89,10 @@ def draw_trails(tab: Tab) -> None:
     tab.turn_to("See")
     tab.until(f"!!({CLICK_LABEL.replace('.click()', '')})" % "Trails", PATIENCE_S)
     tab.evaluate(CLICK_LABEL % "Trails")
-    tab.evaluate(SETTLED % (1000 * WARM_UP_S))
+    tab.until(HAS_TRAILS % (ROBOTS * WARM_UP_S / TRAIL_PERIOD_S), PATIENCE_S)
     tab.turn_to("Entities")
-    tab.evaluate(SETTLED % 1000)
+    tab.until("document.body.innerText.includes('Show all')", PATIENCE_S)
+    tab.evaluate(DRAWN)
 
 
 def save(tab: Tab, name: str) -> None:
@@ -74,12 +101,13 @@ def save(tab: Tab, name: str) -> None:
     picture.save(IMAGES / f"{name}.png", optimize=True)
 
 
-def film(tab: Tab, step: Callable[[], object]) -> None:
-    """Save a film, one picture after each step."""
+def film(tab: Tab, step: Callable[[], float]) -> None:
+    """Save a film, one picture after each step, which returns the simulation time [s]."""
     pictures = []
     for _ in range(FRAMES):
-        step()
-        tab.evaluate(SETTLED % 300)
+        shown = format_clock(step())
+        tab.until(f"document.body.innerText.includes('{shown}')", PATIENCE_S)
+        tab.evaluate(DRAWN)
         picture = Image.open(io.BytesIO(tab.screenshot())).convert("RGB")
         pictures.append(picture.resize(FILM_SIZE, Image.Resampling.LANCZOS))
     palette = make_palette(pictures[-1])
@@ -106,7 +134,7 @@ def make_media() -> None:
     """Make all pictures: of a world, and on a phone of its recording."""
     with TemporaryDirectory() as folder:
         recording = Path(folder) / "run.mcap"
-        options = ("--robots", "10", "--behaviour", "circle", "--record", str(recording))
+        options = ("--robots", str(ROBOTS), "--behaviour", "circle", "--record", str(recording))
         with running_up(*options, "--viewer-port", "0") as (_, announced, bus):
             make_pictures(str(announced["viewer"]), bus)
         with running("view", "--recording", str(recording), "--port", "0") as process:
@@ -121,14 +149,19 @@ def make_media() -> None:
 def make_pictures(url: str, bus: Bus) -> None:
     """Make the pictures and the film of a world whose robots drive circles."""
     client = SimClient(bus)
-    time.sleep(WARM_UP_S)
+    eventually(lambda: client.info().sim_time_s >= WARM_UP_S, PATIENCE_S, "driving")
     with Chromium() as browser:
         tab = show(browser, url, WIDE, "dark")
         draw_trails(tab)
         save(tab, "page_dark")
         client.set_simulation_state(State.PAUSED)
-        order = StepSimulationRequest(steps=STEPS_OF_FRAME)
-        film(tab, lambda: bus.call(STEP_SIMULATION, order, world="default", timeout_s=30.0))
+
+        def step() -> float:
+            order = StepSimulationRequest(steps=STEPS_OF_FRAME)
+            bus.call(STEP_SIMULATION, order, world="default", timeout_s=30.0)
+            return client.info().sim_time_s
+
+        film(tab, step)
         client.set_simulation_state(State.PLAYING)
     with Chromium() as browser:
         tab = show(browser, url, WIDE, "light")

@@ -88,6 +88,28 @@ def encode_share_request() -> bytes:
     return _encoded("ShareUrlRequest")
 
 
+def encode_drive(forward: float = 0.0, left: float = 0.0, turn: float = 0.0) -> bytes:
+    """Encode what keys or a gamepad give; zeros when they are released."""
+    return _encoded("ZensimDrive", forward=forward, left=left, turn=turn)
+
+
+def encode_leave() -> bytes:
+    """Encode that the page was hidden."""
+    return _encoded("ZensimLeave")
+
+
+def encode_floor_click(x: float, y: float, height_m: float = 5.0) -> bytes:
+    """Encode a click on a point of the floor from a height above it; from below it is the sky."""
+    return _encoded(
+        "ScenePointerMessage",
+        event_type="click",
+        ray_origin=(x, y, height_m),
+        ray_direction=(0.0, 0.0, -1.0),
+        screen_pos=((0.5, 0.5),),
+        modifier=None,
+    )
+
+
 def _encoded(kind: str, **fields: object) -> bytes:
     return msgspec.msgpack.encode({"type": kind, **fields})
 
@@ -147,9 +169,20 @@ class PageVisitor:
         self.read()
         return " ".join(one.get("content") or "" for one in self.controls.values())
 
+    def was_notified(self, text: str) -> bool:
+        """Whether a notification has a text."""
+        self.read()
+        return any(text in notice for notice in self.notices)
+
     def set(self, label: str, value: object) -> None:
         """Set the value of a control."""
         self._connection.send(encode_update(self.find(label), value=value))
+
+    def hold(self, label: str) -> None:
+        """Send what a held button sends once."""
+        uuid = self.find(label)
+        (frequency,) = self.controls[uuid]["_hold_callback_freqs"]
+        self._connection.send(_encoded("GuiButtonHoldMessage", uuid=uuid, frequency=frequency))
 
     def _take(self, message: dict[str, Any]) -> None:
         kind = message["type"]

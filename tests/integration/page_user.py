@@ -1,5 +1,6 @@
 """PageUser: a visitor of the page without a browser, which uses its controls by their labels."""
 
+import re
 import threading
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
 
 HEADER_BYTES = 16
+LIST_TEXT = re.compile("[0-9] of [0-9]+ found|The world is empty")
 
 
 class PageUser:
@@ -45,8 +47,9 @@ class PageUser:
         self.connection.send(encode_camera())
 
     def __enter__(self) -> "PageUser":
-        # A control is sent before its callback is registered; texts are filled after all are.
-        eventually(lambda: "playing" in self.texts() or "paused" in self.texts(), 20.0, "a state")
+        # The state is common to all visitors. The text of the list is filled after all controls
+        # of this visitor are there, with their callbacks.
+        eventually(lambda: LIST_TEXT.search(self.texts()), 20.0, "the list of entities")
         return self
 
     def __exit__(
@@ -97,6 +100,11 @@ class PageUser:
     def options_of(self, label: str) -> list[str]:
         """Return what a dropdown offers."""
         return list(self.control(label)["props"]["options"])
+
+    def wait_for_row(self, entity: str) -> None:
+        """Wait until an entity is in the list of the page, which has the first 50."""
+        row = f"{entity} · "
+        eventually(lambda: any(o.startswith(row) for o in self.list_labels()), 20.0, row)
 
     def texts(self) -> str:
         """Return the content of all texts."""

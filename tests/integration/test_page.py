@@ -44,6 +44,7 @@ from zensim.spawner.page.render_state import (
     make_frame,
 )
 from zensim.spawner.page.robot_driver import RobotDriver
+from zensim.spawner.page.shortcuts import LOOK_SHORTCUTS, SHORTCUTS
 from zensim.spawner.page.viewer_page import ViewerPage
 
 TOKEN = "7f3a-page"
@@ -279,6 +280,50 @@ def test_page_with_a_token_needs_it_once(page_with_token: ViewerPage) -> None:
         assert response.status == 200
     with closing(connect_page(url, cookie=f"a=b; zensim_token={TOKEN}")) as connection:
         find_control(connection, "GuiButtonGroupMessage")
+
+
+class KeepRedirect(urllib.request.HTTPRedirectHandler):
+    """Follows no redirection."""
+
+    def redirect_request(self, *_: object) -> None:
+        return None
+
+
+def test_the_cookie_is_sent_for_links_in_mails_and_not_for_requests_of_other_sites(
+    page_with_token: ViewerPage,
+) -> None:
+    url = url_of(page_with_token)
+    opener = urllib.request.build_opener(KeepRedirect())
+
+    with pytest.raises(HTTPError, match="303") as answer:
+        opener.open(f"{url}/?robot=r1&zensim_token={TOKEN}&theme=dark")
+
+    answer.value.close()
+    attributes = {one.strip() for one in answer.value.headers["Set-Cookie"].split(";")}
+    assert attributes >= {"HttpOnly", "SameSite=Lax", "Path=/"}
+    assert answer.value.headers["Location"] == "/?robot=r1&theme=dark"
+
+
+def test_the_page_of_another_site_is_refused_even_with_the_cookie(
+    page_with_token: ViewerPage,
+) -> None:
+    with pytest.raises(InvalidStatus, match="403"):
+        connect_page(url_of(page_with_token), "http://evil.example", f"zensim_token={TOKEN}")
+
+
+def read_page(page: ViewerPage) -> str:
+    with urllib.request.urlopen(url_of(page)) as response:
+        return str(response.read().decode())
+
+
+def test_help_has_the_keys_that_the_page_has(page: ViewerPage) -> None:
+    with closing(ViewerPage("127.0.0.1", 0)) as watching:
+        seen, acting = read_page(watching), read_page(page)
+
+    assert [shortcut.what in acting for shortcut in SHORTCUTS] == [True] * len(SHORTCUTS)
+    assert [one.what for one in SHORTCUTS if one.what in seen] == [
+        one.what for one in LOOK_SHORTCUTS
+    ]
 
 
 def make_certificate(folder: Path) -> tuple[str, str]:

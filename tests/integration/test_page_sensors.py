@@ -11,7 +11,7 @@ import pytest
 from tests.integration.chromium import Tab, open_page
 from tests.integration.processes import START_S, Server, eventually, serving
 from tests.integration.sensor_runs import running_sensors
-from tests.integration.test_view import viewing
+from tests.integration.test_view import CLICK_MS, WITHIN, viewing
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntitiesOrder, SpawnEntity
@@ -74,18 +74,6 @@ PICTURES = """
 })
 """
 """Pixels of the pictures of cameras in the panel."""
-WITHIN = """
-new Promise((resolve) => {
-  const end = performance.now() + %d;
-  const look = () => {
-    const found = (%s);
-    if (found || performance.now() > end) resolve(found); else setTimeout(look, 50);
-  };
-  look();
-})
-"""
-"""Whether an expression becomes true within a time [ms]."""
-CLICK_MS = 5000
 LABEL = "[...document.querySelectorAll('label')].find((one) => one.innerText === '%s')"
 HOSTILE_SCANS = (
     b"",
@@ -213,7 +201,7 @@ def test_switch_shows_a_picture_until_switched_off(shown: Shown, label: str) -> 
 
     shown.switch(label)
     shown.wait_until_unsubscribed()
-    assert shown.tab.evaluate(PICTURES) == []
+    shown.tab.until(f"{PICTURES}.length === 0", 120.0)
 
 
 def test_page_goes_on_when_others_publish_hostile_scans(shown: Shown) -> None:

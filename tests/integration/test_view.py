@@ -35,7 +35,7 @@ Object.entries(window.__viserSceneTree.getState())
   .filter(([path, node]) => node.message.props.batched_positions)
   .map(([path, node]) => [path, node.message.props.batched_positions.length / 3])
 """
-TABS = ("Entities", "See", "Drive", "Edit", "Time")
+TABS = ("Entities", "See", "Plots", "Drive", "Edit", "Time")
 CONTROL_ROLES = {
     *("button", "checkbox", "combobox", "img", "image", "link", "menuitem", "radio", "slider"),
     *("spinbutton", "switch", "tab", "textbox", "toolbar", "Canvas"),
@@ -117,6 +117,18 @@ SELECT_BOX_BOT1 = """
   document.body.innerText.includes("box_bot1: driven by"))
 """
 VISIBLE = "[...document.querySelectorAll('%s')].find(one => one.checkVisibility())"
+WITHIN = """
+new Promise((resolve) => {
+  const end = performance.now() + %d;
+  const look = () => {
+    const found = (%s);
+    if (found || performance.now() > end) resolve(found); else setTimeout(look, 50);
+  };
+  look();
+})
+"""
+"""Whether an expression becomes true within a time [ms]."""
+CLICK_MS = 5000
 LEFT_BUTTON = {"button": "left", "clickCount": 1}
 
 
@@ -194,10 +206,12 @@ def test_page_requests_only_from_its_server(shown: Shown) -> None:
 
 @pytest.mark.browser
 def test_page_has_every_robot_in_view(shown: Shown) -> None:
-    places = [shown.tab.evaluate(PLACE % number) for number in range(ROBOTS)]
+    def are_in_view() -> bool:
+        places = [shown.tab.evaluate(PLACE % number) for number in range(ROBOTS)]
+        width = max(x for x, _ in places) - min(x for x, _ in places)
+        return width > WIDTH / 4.0 and all(0.0 < x < WIDTH and 0.0 < y < HEIGHT for x, y in places)
 
-    assert all(0.0 < x < WIDTH and 0.0 < y < HEIGHT for x, y in places)
-    assert max(x for x, _ in places) - min(x for x, _ in places) > WIDTH / 4.0
+    eventually(are_in_view, 20.0, "all robots in a wide view")
 
 
 @pytest.mark.browser
@@ -209,15 +223,28 @@ def test_page_shows_state_and_number_of_robots(shown: Shown) -> None:
 
 @pytest.mark.browser
 def test_name_appears_when_the_pointer_is_over_a_robot(shown: Shown) -> None:
-    name = "document.getElementById('zensim-name')"
-    x, y = shown.tab.evaluate(PLACE % 2)
+    tip = "document.getElementById('zensim-name')"
+    name = f"{tip}.style.display === 'block' && {tip}.textContent"
 
-    shown.tab.point(x, y)
-    shown.tab.until(f"{name}.style.display === 'block'")
+    def is_named() -> bool:
+        """Point at a robot; the camera may still move."""
+        shown.tab.point(*shown.tab.evaluate(PLACE % 2))
+        return bool(shown.tab.evaluate(name) == "box_bot2")
 
-    assert shown.tab.evaluate(f"{name}.textContent") == "box_bot2"
-    shown.tab.point(x, 30.0)
-    shown.tab.until(f"{name}.style.display === 'none'")
+    eventually(is_named, 20.0, "a name")
+    shown.tab.point(WIDTH / 2.0, 30.0)
+    shown.tab.until(f"{tip}.style.display === 'none'")
+
+
+def click_robot(tab: Tab, number: int) -> None:
+    """Click a robot until it is selected; the camera may still move."""
+    is_selected = f"document.body.innerText.includes('Namespace\\nbox_bot{number}\\n')"
+
+    def click() -> bool:
+        tab.click(*tab.evaluate(PLACE % number))
+        return bool(tab.evaluate(WITHIN % (CLICK_MS, is_selected)))
+
+    eventually(click, 60.0, f"selecting box_bot{number}")
 
 
 @pytest.mark.browser
@@ -225,8 +252,7 @@ def test_camera_follows_a_robot_when_it_is_clicked(shown: Shown) -> None:
     tab, bus = shown.tab, shown.server.bus
     cmd_vel = bus.advertise(CMD_VEL.key("box_bot1"), make_encoding(Twist, Format.CDR))
 
-    tab.click(*tab.evaluate(PLACE % 1))
-    tab.until("document.body.innerText.includes('Stop following')")
+    click_robot(tab, 1)
     eventually(lambda: cmd_vel.is_matched, 5.0, "listening to its commands")
     cmd_vel.send(encode(Twist(Vector3(x=0.2), Vector3(z=-0.5)), Format.CDR))
     tab.until("document.body.innerText.includes('v 0.20 m/s  w -0.50 rad/s')")
@@ -311,6 +337,7 @@ def test_names_appear_above_all_robots_when_enabled(shown: Shown) -> None:
     label = "[...document.querySelectorAll('label')].find(l => l.innerText === 'Names')"
     labels = f"{NODES}.filter(path => path.startsWith('/names/')).length"
     shown.tab.turn_to("See")
+    shown.tab.until(f"!!{label}")
 
     shown.tab.evaluate(f"{label}.click()")
     shown.tab.until(f"{labels} === {ROBOTS}")
@@ -424,8 +451,7 @@ def test_link_gives_the_same_camera_robot_and_theme_in_another_browser(shown: Sh
     tab.until("document.getElementById('zensim-tools').innerText.includes('Dark')")
     tab.press("Dark")
     tab.until("document.getElementById('zensim-tools').innerText.includes('Light')")
-    tab.click(*tab.evaluate(PLACE % 1))
-    tab.until("document.body.innerText.includes('Stop following')")
+    click_robot(tab, 1)
     eventually(lambda: is_still(tab), 30.0, "a camera that has followed")
     tab.press("Link")
     before, link = tab.evaluate(CAMERA), tab.evaluate("location.href")

@@ -1,11 +1,12 @@
 """RobotDriver: velocity commands on the bus, from a thread of its own."""
 
+import threading
 from collections.abc import Iterator
 from contextlib import closing
 
 import pytest
 
-from tests.fakes import MemoryBus
+from tests.fakes import MemoryBus, StandingClock
 from tests.integration.processes import eventually
 from zensim.proto.cmd_vel_decoding import decode_twist
 from zensim.proto.messages.standard_messages import Twist
@@ -27,6 +28,19 @@ def bus() -> MemoryBus:
 def driver(bus: MemoryBus) -> Iterator[RobotDriver]:
     with closing(RobotDriver(bus)) as found:
         yield found
+
+
+@pytest.fixture
+def clock() -> StandingClock:
+    return StandingClock()
+
+
+@pytest.fixture
+def lasting(bus: MemoryBus, clock: StandingClock) -> Iterator[RobotDriver]:
+    """Make a driver whose commands last, as its clock stands."""
+    with closing(RobotDriver(bus, clock)) as found:
+        yield found
+        clock.stands = False
 
 
 @pytest.fixture
@@ -58,13 +72,19 @@ def test_a_held_velocity_is_published_and_ends_with_stops(
 
 
 def test_the_last_commands_of_a_driver_that_is_closed_are_stops(
-    bus: MemoryBus, commands: Subscription
+    bus: MemoryBus, clock: StandingClock, commands: Subscription
 ) -> None:
-    with closing(RobotDriver(bus)) as driver:
-        driver.drive(ANN, "r1", Velocity(0.5))
-        take(commands)
+    driver = RobotDriver(bus, clock)
+    driver.drive(ANN, "r1", Velocity(0.5))
+    take(commands)
 
-    assert take(commands, STOP_COMMANDS)[-1] == Twist()
+    closer = threading.Thread(target=driver.close)
+    closer.start()
+
+    assert take(commands, 1)[-1] == Twist()
+    clock.stands = False
+    closer.join()
+    assert take(commands, STOP_COMMANDS - 1)[-1] == Twist()
 
 
 class FailingNetwork:
@@ -118,14 +138,22 @@ def test_of_two_visitors_one_drives_until_the_other_takes_over(driver: RobotDriv
 
 
 @pytest.mark.parametrize("end", ["stop_all", "release", "leave"])
-def test_every_end_stops_the_robot(driver: RobotDriver, commands: Subscription, end: str) -> None:
-    driver.drive(ANN, "r1", Velocity(0.5))
+def test_every_end_stops_the_robot(lasting: RobotDriver, commands: Subscription, end: str) -> None:
+    lasting.drive(ANN, "r1", Velocity(0.5))
     take(commands)
 
     if end == "stop_all":
-        driver.stop_all(["r1"])
+        lasting.stop_all(["r1"])
     else:
-        getattr(driver, end)(ANN)
+        getattr(lasting, end)(ANN)
 
     assert take(commands, 1)[-1] == Twist()
-    driver.drive(ANN, "r1", STOP)
+
+
+def test_a_velocity_of_zero_stops_the_robot(lasting: RobotDriver, commands: Subscription) -> None:
+    lasting.drive(ANN, "r1", Velocity(0.5))
+    take(commands)
+
+    lasting.drive(ANN, "r1", STOP)
+
+    assert take(commands, 1)[-1] == Twist()
