@@ -1,12 +1,15 @@
 """A recording as the network of a page: snapshots, models, files and topics of its robots."""
 
+import logging
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import Any, Final, cast
 
 import msgspec
 
+from zensim.deploy.recorded_models import RecordedModels
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
 from zensim.proto.messages.asset_messages import (
@@ -37,12 +40,13 @@ from zensim.proto.service_catalog import (
     Service,
 )
 from zensim.proto.topic_catalog import SNAPSHOT
-from zensim.recording.entity_files import MESHES_FOLDER, MODELS_FOLDER
+from zensim.recording.entity_files import MESHES_FOLDER
 from zensim.recording.mcap_records import MalformedRecord
-from zensim.recording.recording_reader import RecordingReader, RecordingRun, StoredMessage
+from zensim.recording.recording_reader import RecordingReader, accept_all
+from zensim.recording.replay.replay_clock import ReplayClock
+from zensim.recording.replay.replay_timeline import ReplayTimeline, TimedMessage
 
-MAX_DIGITS: Final = 20
-"""Of the number in the name of a file with models."""
+LOG = logging.getLogger(__name__)
 LOOK_BACK_NS: Final = 2 * NANOSECONDS
 """How old a message may be that is shown after a jump; a paused server publishes at 2 Hz."""
 REPEAT_S: Final = 0.4
@@ -58,92 +62,116 @@ class NotForThePage(ValueError):
     """A recording lacks what the page draws."""
 
 
-class RecordingClock:
-    """Position in a recording, whose runs follow each other; for one thread.
+class RecordedPlayback:
+    """The `ReplayClock` of a page: it pauses at the end of the recording, or begins again.
 
     Attributes:
-        rate: Recorded time per wall time.
-        loops: Whether it starts again at its end, rather than pause there.
+        duration_ns: Position of the end.
+        loops: Whether it begins again at the end.
         jumps: Number of jumps so far, also at the end of a loop.
     """
 
-    def __init__(self, length_ns: int, clock: MonotonicClock = time.monotonic) -> None:
-        self.length_ns = length_ns
-        self.rate = 1.0
+    def __init__(self, duration_ns: int, wall: MonotonicClock = time.monotonic) -> None:
+        """Pause at the start.
+
+        Args:
+            duration_ns: Of the recording.
+            wall: Reads the wall time [s].
+        """
+        self.duration_ns = duration_ns
         self.loops = False
         self.jumps = 0
-        self._clock = clock
-        self._is_playing = False
-        self._from_ns, self._from_s = 0, clock()
+        self._wall = wall
+        self._clock = ReplayClock(1.0, wall(), is_paused=True)
 
     @property
-    def is_playing(self) -> bool:
-        """Whether the position moves."""
-        return self._is_playing
+    def is_paused(self) -> bool:
+        """Whether the position stays."""
+        return self._clock.is_paused
+
+    @property
+    def rate(self) -> float:
+        """Recorded time per wall time."""
+        return self._clock.rate
 
     @property
     def position_ns(self) -> int:
-        """Time since the start of the recording, 0 to `length_ns`."""
-        if not self._is_playing:
-            return self._from_ns
-        passed_s = self._clock() - self._from_s
-        position = self._from_ns + round(passed_s * self.rate * NANOSECONDS)
-        if position < self.length_ns:
-            return position
+        """Time since the start of the recording, 0 to `duration_ns`."""
+        position = self._clock.read(self._wall())
+        if position < self.duration_ns or self.is_paused:
+            return min(position, self.duration_ns)
         if self.loops:
-            self.seek(position % max(self.length_ns, 1))
+            self.seek(position % max(self.duration_ns, 1))
         else:
-            self._is_playing, self._from_ns = False, self.length_ns
-        return self._from_ns
+            self._clock.pause(self.duration_ns, self._wall())
+        return min(self._clock.read(self._wall()), self.duration_ns)
 
     def play(self) -> None:
         """Play, from the start if the end was reached."""
-        if self._from_ns >= self.length_ns:
+        if self.position_ns >= self.duration_ns:
             self.seek(0)
-        self._from_ns, self._from_s = self.position_ns, self._clock()
-        self._is_playing = True
+        self._clock.resume(self._wall())
 
     def pause(self) -> None:
         """Pause at this position."""
-        self._from_ns = self.position_ns
-        self._is_playing = False
+        self._clock.pause(self.position_ns, self._wall())
 
     def seek(self, position_ns: int) -> None:
         """Jump to a position."""
-        self._from_ns = min(max(position_ns, 0), self.length_ns)
-        self._from_s = self._clock()
+        self._clock.move(min(max(position_ns, 0), self.duration_ns), self._wall())
         self.jumps += 1
 
     def set_rate(self, rate: float) -> None:
-        """Set recorded time per wall time."""
-        self._from_ns, self._from_s = self.position_ns, self._clock()
-        self.rate = min(max(RATES[0], rate), RATES[1])
+        """Set recorded time per wall time, within `RATES`; 0 = the greatest.
+
+        Raises:
+            ValueError: It is negative, or not a number.
+        """
+        within = min(max(RATES[0], rate), RATES[1]) if rate > 0.0 else rate or RATES[1]
+        self._clock.set_rate(within, self.position_ns, self._wall())
 
 
 class RecordedSubscription:
-    """The messages of a key expression up to the position of a clock."""
+    """The messages of a key expression up to the position of a playback.
 
-    def __init__(self, network: "RecordedNetwork", key: str) -> None:
-        self._network, self._key = network, key
-        self._jumps = -1
-        self._messages: Iterator[tuple[int, StoredMessage]] = iter(())
-        self._next: tuple[int, StoredMessage] | None = None
+    Attributes:
+        run: Number of the run of the last message that was taken.
+    """
+
+    def __init__(
+        self, timeline: ReplayTimeline, playback: RecordedPlayback, depth: int = 1
+    ) -> None:
+        """Read nothing yet.
+
+        Args:
+            timeline: Of the topics.
+            playback: Its position is that of the newest message.
+            depth: Number of messages that wait; older ones are dropped.
+        """
+        self._timeline, self._playback, self._depth = timeline, playback, depth
+        self._jumps, self._reached_ns = -1, 0
+        self._messages: Iterator[TimedMessage] = iter(())
+        self._next: TimedMessage | None = None
+        self.run = 0
 
     def take(self) -> list[Sample]:
         """Take the messages since the last call; after a jump the last one before its target."""
-        clock = self._network.clock
-        position = clock.position_ns
-        has_jumped = clock.jumps != self._jumps
-        if has_jumped:
-            self._jumps = clock.jumps
-            self._messages = self._network.messages(self._key, position - LOOK_BACK_NS)
-            self._next = next(self._messages, None)
-        taken = []
+        position = self._playback.position_ns
+        has_jumped = self._playback.jumps != self._jumps
+        # What nobody took for a while is not read: it would stall the caller.
+        if has_jumped or position - self._reached_ns > LOOK_BACK_NS:
+            self._jumps = self._playback.jumps
+            self._messages = self._timeline.messages(
+                position - LOOK_BACK_NS, self._timeline.duration_ns
+            )
+            self._pull()
+        self._reached_ns = position
+        taken: deque[Sample] = deque(maxlen=1 if has_jumped else self._depth)
         while self._next is not None and self._next[0] <= position:
-            topic, _, _, payload = self._next[1]
+            _, self.run, topic, payload = self._next
             taken.append(Sample(topic.name.strip("/"), payload, Format.CDR.value))
-            self._next = next(self._messages, None)
-        return taken[-1:] if has_jumped else taken
+            self._pull()
+        return list(taken)
 
     def newest(self) -> Sample | None:
         """Take all messages and return the last."""
@@ -153,6 +181,14 @@ class RecordedSubscription:
     def close(self) -> None:
         """End the subscription."""
         self._messages, self._next = iter(()), None
+
+    def _pull(self) -> None:
+        """Read the next message; a file that cannot be read has no further ones."""
+        try:
+            self._next = next(self._messages, None)
+        except (OSError, ValueError) as error:
+            LOG.warning("the recording cannot be read on: %s", error)
+            self.close()
 
 
 class RecordedSnapshots:
@@ -167,19 +203,17 @@ class RecordedSnapshots:
         """Return the newest snapshot, if it is new or due to be repeated."""
         snapshot, now = self._read(), self._network.now()
         if snapshot is not None:
-            self._last = snapshot
-            self._network.roster = snapshot.roster
-            self._network.names = snapshot.names
+            self._last = self._network.enter(self._samples.run, snapshot)
         elif now < self._next_at:
             return None
         if self._last is None:
             return None
         self._next_at = now + REPEAT_S
-        clock = self._network.clock
+        playback = self._network.playback
         shown = msgspec.structs.replace(
             self._last,
-            state="playing" if clock.is_playing else "paused",
-            real_time_factor=clock.rate if clock.is_playing else 0.0,
+            state="paused" if playback.is_paused else "playing",
+            real_time_factor=0.0 if playback.is_paused else playback.rate,
         )
         return Sample("", encode(shown, Format.MSGPACK), Format.MSGPACK.value)
 
@@ -219,10 +253,8 @@ class RecordedNetwork:
     """A recording as the network of a page: topics, files, and services that control the replay.
 
     Attributes:
-        clock: Of the replay.
+        playback: Position, rate and state of the replay.
         world: Name of the recorded world.
-        roster: Of the last snapshot.
-        names: Its entities.
     """
 
     def __init__(self, reader: RecordingReader, clock: MonotonicClock = time.monotonic) -> None:
@@ -232,19 +264,20 @@ class RecordedNetwork:
             NotForThePage: It has no snapshots, or no models.
         """
         worlds = _list_worlds(reader)
-        self._models = _find_models(reader)
-        if not worlds or not self._models:
+        self._models = RecordedModels(reader)
+        if not worlds or not self._models.has_any:
             missing = "snapshots" if not worlds else "models"
             raise NotForThePage(
                 f"{reader.path} has no {missing}, which the page draws; "
                 "record with 'zensim record --all'"
             )
         self._reader, self.world, self.now = reader, worlds[0], clock
-        self._starts = _find_starts(reader.runs)
-        self.clock = RecordingClock(self._starts[-1], clock)
+        self._timeline = ReplayTimeline(reader.runs, accept_all)
+        self.playback = RecordedPlayback(self._timeline.duration_ns, clock)
         self._has_begun = False
-        self.roster = 0
-        self.names: tuple[str, ...] = ()
+        self._rosters: dict[tuple[int, int], int] = {}
+        self._entered: tuple[int, int, tuple[str, ...]] = (0, 0, ())
+        self._asset = ("", b"")
         self._answers: Mapping[str, Callable[[Any], msgspec.Struct | None]] = {
             GET_MODELS.name: self._get_models,
             GET_ASSET.name: self._get_asset,
@@ -259,17 +292,29 @@ class RecordedNetwork:
         self, key: str, depth: int = 1, max_bytes: int = 0
     ) -> "RecordedSubscription | RecordedSnapshots":
         """Subscribe to a key expression; the first subscription starts the replay."""
-        del depth, max_bytes  # nothing waits
+        del max_bytes  # nothing waits
         if not self._has_begun:
             self._has_begun = True
-            self.clock.play()
-        samples = RecordedSubscription(self, key)
+            self.playback.play()
+        timeline = ReplayTimeline(
+            self._reader.runs, lambda topic: keys.intersect(key, topic.name.strip("/"))
+        )
+        samples = RecordedSubscription(timeline, self.playback, depth)
         return RecordedSnapshots(self, samples) if key == SNAPSHOT.key(self.world) else samples
 
     def watch_tokens(self, key: str, depth: int = 0) -> AliveToken:
         """Watch the token of the server, which is alive."""
         del depth
         return AliveToken(key)
+
+    def enter(self, run: int, snapshot: Snapshot) -> Snapshot:
+        """Go on to a snapshot of a run; `get_models` describes its entities from here on.
+
+        Returns:
+            It with a roster that no other run has: each server counts from 0.
+        """
+        self._entered = run, snapshot.roster, snapshot.names
+        return msgspec.structs.replace(snapshot, roster=self._find_roster(run, snapshot.roster))
 
     def call(
         self,
@@ -283,7 +328,7 @@ class RecordedNetwork:
         """Call a service of the replay, of files or of models.
 
         Raises:
-            ServiceError: A recording has no such service, or no such file.
+            ServiceError: A recording has no such service or file, or the request is not valid.
         """
         del world, timeout_s, request_id
         answer = self._answers.get(service.name)
@@ -293,64 +338,51 @@ class RecordedNetwork:
             return cast("Response", answer(request) or service.response())
         except KeyError as error:
             raise _refuse(service, f"the recording has no {error}") from error
-        except MalformedRecord as error:
+        except (MalformedRecord, OSError, ValueError) as error:
             raise _refuse(service, str(error)) from error
 
-    def messages(self, key: str, start_ns: int) -> Iterator[tuple[int, StoredMessage]]:
-        """Read the messages of a key expression from a position [ns] on, with their positions."""
-        for run, offset in zip(self._reader.runs, self._starts, strict=False):
-            begin = start_ns - offset + run.start_ns
-            if run.end_ns < begin:
-                continue
-            for message in run.messages(
-                lambda topic: keys.intersect(key, topic.name.strip("/")), start_ns=max(begin, 0)
-            ):
-                yield message[1] - run.start_ns + offset, message
+    def _find_roster(self, run: int, roster: int) -> int:
+        return self._rosters.setdefault((run, roster), len(self._rosters) + 1)
 
     def _get_models(self, _: GetModelsRequest) -> GetModelsResponse:
-        """Find the first models that have all entities of the last snapshot, or else the last."""
-        found: GetModelsResponse | None = None
-        for roster in sorted(self._models):
-            try:
-                content = self._reader.read_attachment(self._models[roster])
-                found = msgspec.json.decode(content, type=GetModelsResponse)
-            except (MalformedRecord, msgspec.DecodeError, UnicodeDecodeError):
-                continue
-            if {member.entity for member in found.entities} >= set(self.names):
-                break
-        if found is None:
-            raise _refuse(GET_MODELS, "all models of the recording are malformed")
-        return msgspec.structs.replace(found, roster=self.roster)
+        run, roster, names = self._entered
+        found = self._models.find(run, roster, names)
+        return msgspec.structs.replace(found, roster=self._find_roster(run, roster))
 
     def _get_asset(self, request: GetAssetRequest) -> GetAssetResponse:
-        content = self._reader.read_attachment(f"{MESHES_FOLDER}{request.sha256}")
+        name = f"{MESHES_FOLDER}{request.sha256}"
+        if name != self._asset[0]:
+            self._asset = name, self._reader.read_attachment(name)
+        content = self._asset[1]
         part = content[request.offset : request.offset + MAX_CHUNK_BYTES]
         return GetAssetResponse(data=part, total=len(content))
 
     def _pause(self, _: ReplayRequest) -> ReplayReport:
-        self.clock.pause()
+        self.playback.pause()
         return self._report()
 
     def _resume(self, _: ReplayRequest) -> ReplayReport:
-        self.clock.play()
+        self.playback.play()
         return self._report()
 
     def _seek(self, request: ReplaySeekRequest) -> ReplayReport:
         # Before rounding: not a number, and what is too large for an integer.
-        position_s = min(max(0.0, request.position_s), self.clock.length_ns / NANOSECONDS)
-        self.clock.seek(round(position_s * NANOSECONDS))
+        position_s = min(max(0.0, request.position_s), self.playback.duration_ns / NANOSECONDS)
+        self.playback.seek(round(position_s * NANOSECONDS))
         return self._report()
 
     def _set_rate(self, request: ReplaySetRateRequest) -> ReplayReport:
-        self.clock.set_rate(request.rate or RATES[1])
+        self.playback.set_rate(request.rate)
         return self._report()
 
     def _report(self, _: ReplayRequest | None = None) -> ReplayReport:
+        position = self.playback.position_ns
         return ReplayReport(
-            is_paused=not self.clock.is_playing,
-            rate=self.clock.rate,
-            position_s=self.clock.position_ns / NANOSECONDS,
-            duration_s=self.clock.length_ns / NANOSECONDS,
+            is_paused=self.playback.is_paused,
+            rate=self.playback.rate,
+            position_s=position / NANOSECONDS,
+            duration_s=self.playback.duration_ns / NANOSECONDS,
+            time_ns=self._timeline.find_log_ns(position, self._timeline.find_run(position)),
         )
 
 
@@ -367,21 +399,6 @@ def read_snapshot(payload: bytes) -> Snapshot:
         raise MalformedPayload(f"the recorded snapshot is malformed: {error}") from error
 
 
-def _find_models(reader: RecordingReader) -> dict[int, str]:
-    """Find the names of the files with models, by number of the roster."""
-    numbers = {
-        one.name.removeprefix(MODELS_FOLDER).removesuffix(".json"): one.name
-        for one in reader.attachments
-        if one.name.startswith(MODELS_FOLDER)
-    }
-    # Python converts no number of thousands of digits.
-    return {
-        int(number): name
-        for number, name in numbers.items()
-        if number.isdecimal() and len(number) <= MAX_DIGITS
-    }
-
-
 def _list_worlds(reader: RecordingReader) -> list[str]:
     """List the worlds that have snapshots."""
     return [
@@ -389,14 +406,6 @@ def _list_worlds(reader: RecordingReader) -> list[str]:
         for topic, count in reader.counts.items()
         if count and keys.intersect(SNAPSHOT.key("*"), topic.name.strip("/"))
     ]
-
-
-def _find_starts(runs: tuple[RecordingRun, ...]) -> list[int]:
-    """Find the position at which each run starts, and the end of the last."""
-    starts = [0]
-    for run in runs:
-        starts.append(starts[-1] + run.end_ns - run.start_ns)
-    return starts
 
 
 def _refuse(service: Service[Any, Any], message: str) -> ServiceError:

@@ -70,7 +70,7 @@ def open_recording(given: PageOptions, stack: ExitStack) -> PageSource:
     del stack  # files are closed after each reading
     assert given.recording is not None
     network = RecordedNetwork(RecordingReader(given.recording))
-    network.clock.loops = given.loop
+    network.playback.loops = given.loop
     return PageSource(network, network.world, panels={"Recording": ReplayPanel})
 
 

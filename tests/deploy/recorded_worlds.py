@@ -57,12 +57,12 @@ def write_world(
         )
         if number % 20 == 19:
             writer.flush()
+    for name, content in models.items():
+        writer.attach(AttachedFile(f"models/{name}.json", "application/json", content))
     if has_models:
         for roster, names in ((4, ("r1",)), (9, ("r1", "r2"))):
             content = msgspec.json.encode(make_models(roster, **dict.fromkeys(names, make_robot())))
             writer.attach(AttachedFile(f"models/{roster}.json", "application/json", content))
-    for name, content in models.items():
-        writer.attach(AttachedFile(f"models/{name}.json", "application/json", content))
     writer.attach(AttachedFile(f"meshes/{MESH_NAME}", "application/octet-stream", MESH))
     writer.flush()
     writer.close()

@@ -175,6 +175,15 @@ class RecordingRun:
         self._latched_until_ns = -1
         """Up to this log time, latched messages were read."""
 
+    @property
+    def attachments(self) -> tuple[AttachmentPlace, ...]:
+        """Files that are attached to the files of this run, in their order."""
+        return tuple(one for file in self._files for one in file.index.attachments)
+
+    def read_attachment(self, name: str) -> bytes:
+        """Read an attached file of this run; see `RecordingReader.read_attachment`."""
+        return _read_attachment(self._files, name)
+
     def messages(
         self, accepts: Accepts = accept_all, *, start_ns: int = 0, end_ns: int = LAST_NS
     ) -> Iterator[StoredMessage]:
@@ -358,11 +367,7 @@ class RecordingReader:
             OSError: The file cannot be read.
             MalformedRecord: It is damaged.
         """
-        for file in reversed(self._files):
-            for place in reversed(file.index.attachments):
-                if place.name == name:
-                    return file.read_attachment(place).content
-        raise KeyError(name)
+        return _read_attachment(self._files, name)
 
 
 class RunSpan(msgspec.Struct, frozen=True):
@@ -388,6 +393,14 @@ def list_spans(runs: Sequence[RecordingRun], start_ns: int, end_ns: int) -> Iter
         if first <= end_ns and last >= start_ns:
             yield RunSpan(number, run, shift, max(run.start_ns, start_ns - shift), end_ns - shift)
         first = last
+
+
+def _read_attachment(files: Sequence[RecordedFile], name: str) -> bytes:
+    for file in reversed(files):
+        for place in reversed(file.index.attachments):
+            if place.name == name:
+                return file.read_attachment(place).content
+    raise KeyError(name)
 
 
 def _require_room(waiting: Sequence[Ordered]) -> None:
