@@ -13,7 +13,7 @@ from http.cookies import CookieError, SimpleCookie
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
-from urllib.parse import SplitResult, parse_qs, urlsplit
+from urllib.parse import SplitResult, parse_qs, parse_qsl, urlencode, urlsplit
 
 from zensim.proto.endpoints import Exposed, is_loopback
 
@@ -103,6 +103,16 @@ def has_token(cookies: Sequence[str], token: str) -> bool:
 def has_token_in_address(path: str, token: str) -> bool:
     """Whether a requested path has the secret in its query."""
     return _is_equal(parse_qs(split_url(path).query).get(TOKEN_NAME, [""])[0], token)
+
+
+def remove_token(path: str) -> str:
+    """Return the address of the first page with the query of a requested path, without the secret.
+
+    Args:
+        path: As requested, with its query.
+    """
+    kept = [one for one in parse_qsl(split_url(path).query) if one[0] != TOKEN_NAME]
+    return f"/?{urlencode(kept)}" if kept else "/"
 
 
 def check_certificate(certificate: Path | None, key: Path | None) -> bool:

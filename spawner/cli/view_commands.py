@@ -125,6 +125,7 @@ def serve_page(given: ViewOptions, open_source: SourceOpener, stop: StopFlag) ->
         page = ViewerPage(given.host, given.port, access, source.driver, source.panels)
         stack.enter_context(closing(page))
         viewer = Viewer(source.network, page, source.world)
+        stack.callback(viewer.end)
         _announce(given, page.port, access.token)
         while not stop.is_set:
             viewer.tick()

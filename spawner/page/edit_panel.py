@@ -2,7 +2,6 @@
 
 import base64
 import math
-import time
 from collections.abc import Callable
 from html import escape
 from importlib.resources import files
@@ -33,6 +32,7 @@ from zensim.proto.service_catalog import (
     SET_ENTITY_STATE,
     SPAWN_ENTITIES,
 )
+from zensim.spawner.page.pending_deletions import UNDO_S, PendingDeletions
 from zensim.spawner.page.shortcuts import DELETE, UNDO
 from zensim.spawner.page.viewer_client import PageState, Panel, ViewerClient
 from zensim.spawner.spawn.spawn_poses import LAYOUTS, FleetLayout, make_fleet_layout, make_pose
@@ -43,9 +43,8 @@ SCHEME: Final = "zensim://"
 MAX_COUNT: Final = 1000
 """Robots of one request of the page."""
 MAX_POSITION_M: Final = 1e5
-UNDO_S: Final = 5.0
-"""Time in which a deletion can be undone; the entity is deleted after it."""
 SPAWN_TIMEOUT_S: Final = 60.0
+DELETE_TIMEOUT_S: Final = 10.0
 GIZMO_SCALE_M: Final = 0.6
 MOVED_M: Final = 1e-3
 """Handles follow an entity that has moved farther."""
@@ -57,7 +56,7 @@ class EditPanel(Panel):
     def __init__(self, client: ViewerClient) -> None:
         """Add the controls, and request the models."""
         self._client = client
-        self._doomed: dict[str, float] = {}
+        self._deletions = PendingDeletions()
         self._gizmo: viser.TransformControlsHandle | None = None
         self._is_dragged = False
         self._entity = ""
@@ -102,7 +101,8 @@ class EditPanel(Panel):
 
     def draw(self, state: PageState) -> None:
         """Move the handles with the entity, and delete what is due."""
-        self._delete_due()
+        for due in self._deletions.take_due(self._client.now_s()):
+            self._delete(due)
         entity = self._find_entity()
         if self._gizmo is None or self._is_dragged or not entity:
             return
@@ -123,9 +123,8 @@ class EditPanel(Panel):
 
     def close(self) -> None:
         """Delete at once the entities that the visitor could still keep by `undo`."""
-        for entity in self._doomed:
+        for entity in self._deletions.take_all():
             self._delete(entity)
-        self._doomed.clear()
 
     def pick_place(self) -> None:
         """Take the place of the spawn form from the next click on the floor."""
@@ -161,24 +160,18 @@ class EditPanel(Panel):
         """Delete the selected entities after `UNDO_S`."""
         if not self._require_entity():
             return
-        for entity in self._client.selected:
-            self._doomed.setdefault(entity, time.monotonic() + UNDO_S)
+        self._deletions.add(self._client.selected, self._client.now_s())
         names = ", ".join(self._client.selected)
         self._client.inform(f"{names}: deleted in {UNDO_S:g} s; Undo ({UNDO.keys}) keeps it")
 
     def undo(self) -> None:
         """Keep what is about to be deleted."""
-        kept, self._doomed = self._doomed, {}
+        kept = self._deletions.undo()
         self._client.inform(f"{', '.join(kept)}: kept" if kept else "nothing is being deleted")
 
-    def _delete_due(self) -> None:
-        due = [name for name, at in self._doomed.items() if time.monotonic() >= at]
-        for entity in due:
-            del self._doomed[entity]
-            self._delete(entity)
-
     def _delete(self, entity: str) -> None:
-        self._client.call(DELETE_ENTITY, DeleteEntityRequest(entity))
+        request = DeleteEntityRequest(entity)
+        self._client.call(DELETE_ENTITY, request, timeout_s=DELETE_TIMEOUT_S)
 
     def _ask_for_models(self) -> None:
         request = GetSpawnablesRequest()

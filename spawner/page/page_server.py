@@ -32,15 +32,15 @@ from zensim.proto.web_access import (
     has_token_in_address,
     is_own_origin,
     open_listener,
+    remove_token,
 )
 from zensim.spawner.page.page_messages import is_offered, note_control, read_page_message
-from zensim.spawner.page.page_tools import make_tools_script
+from zensim.spawner.page.page_tools import Rows, make_tools_script
 from zensim.spawner.page.script_messages import (
     DRIVE_SCRIPT,
     ScriptMessage,
     read_script_message,
 )
-from zensim.spawner.page.shortcuts import SHORTCUTS
 
 HOVER_SCRIPT: Final = """
 (() => {
@@ -202,6 +202,19 @@ NamesProvider = Callable[[], bytes]
 ScriptCallback = Callable[[int, ScriptMessage], None]
 
 
+@dataclass(frozen=True)
+class PageContent:
+    """What the page has besides that of viser.
+
+    Attributes:
+        names: Body of `GET /names`.
+        shortcuts: Keys and what they do, for its help.
+    """
+
+    names: NamesProvider
+    shortcuts: Rows
+
+
 class PageConnection(ServerConnection):
     """Websocket of a page: messages that no page sends are dropped, frequent ones wait."""
 
@@ -328,6 +341,7 @@ def open_server(
     names: NamesProvider,
     access: PageAccess = OPEN_ACCESS,
     on_script: ScriptCallback = ignore_script,
+    shortcuts: Rows = (),
 ) -> LocalViserServer:
     """Serve a page on exactly this port; 0 = any free port.
 
@@ -337,6 +351,7 @@ def open_server(
         names: Body of `GET /names`: robot names by scene node as JSON.
         access: Who may open it.
         on_script: Called with the id of a viser client and a message of its script.
+        shortcuts: Keys and what they do, for the help of the page.
 
     Raises:
         OSError: See `PageAccess.make_tls_context`.
@@ -348,7 +363,8 @@ def open_server(
     rich.reconfigure(stderr=True)  # viser prints with it; stdout has the address only
     # A client may disconnect during a write.
     warnings.filterwarnings("ignore", message=r"Queued a \w+ on a closed connection")
-    process_response = partial(_process_response, host=host, names=names, access=access)
+    content = PageContent(names, shortcuts)
+    process_response = partial(_process_response, host=host, content=content, access=access)
     _replace_message_buffer()
     relay = ScriptRelay(on_script)
     with _patch_serve(listener, process_response, tls, relay) as used, _suppress_stderr():
@@ -409,7 +425,7 @@ def _process_response(
     response: Response,
     *,
     host: str,
-    names: NamesProvider,
+    content: PageContent,
     access: PageAccess,
 ) -> Response | None:
     """Check origin and token, then add headers, title and script to the response of viser."""
@@ -421,11 +437,11 @@ def _process_response(
     if response.status_code == http.HTTPStatus.SWITCHING_PROTOCOLS:
         return _refuse_crowd(connection)
     if request.path == NAMES_PATH:
-        return _make_json_response(names())
+        return _make_json_response(content.names())
     response.headers["Content-Security-Policy"] = CONTENT_SECURITY_POLICY.format(host=hosts[0])
     response.headers["X-Content-Type-Options"] = "nosniff"
     if "html" in response.headers.get("Content-Type", ""):
-        _replace_title(response)
+        _replace_title(response, content.shortcuts)
     return None
 
 
@@ -440,23 +456,25 @@ def _exchange_token(connection: ServerConnection, request: Request, access: Page
     if not has_token_in_address(request.path, access.token):
         return connection.respond(http.HTTPStatus.UNAUTHORIZED, NO_TOKEN)
     response = connection.respond(http.HTTPStatus.SEE_OTHER, "")
-    response.headers["Location"] = "/"
-    attributes = "HttpOnly; SameSite=Strict; Path=/" + ("; Secure" if access.certificate else "")
+    response.headers["Location"] = remove_token(request.path)
+    # Lax: a link to a view in a mail opens the page. Requests of other sites have no cookie, but
+    # for such a link, which only reads; see also `is_own_origin`.
+    attributes = "HttpOnly; SameSite=Lax; Path=/" + ("; Secure" if access.certificate else "")
     response.headers["Set-Cookie"] = f"{TOKEN_NAME}={access.token}; {attributes}"
     return response
 
 
-def _replace_title(response: Response) -> None:
+def _replace_title(response: Response, shortcuts: Rows) -> None:
     is_packed = response.headers.get("Content-Encoding") == "gzip"
-    response.body = _with_title(bytes(response.body), is_packed=is_packed)
+    response.body = _with_title(bytes(response.body), shortcuts, is_packed=is_packed)
     del response.headers["Content-Length"]
     response.headers["Content-Length"] = str(len(response.body))
 
 
-@lru_cache(maxsize=2)
-def _with_title(body: bytes, *, is_packed: bool) -> bytes:
+@lru_cache(maxsize=4)
+def _with_title(body: bytes, shortcuts: Rows, *, is_packed: bool) -> bytes:
     page = gzip.decompress(body) if is_packed else body
-    parts = (HOVER_SCRIPT, DRIVE_SCRIPT, make_tools_script(SHORTCUTS))
+    parts = (HOVER_SCRIPT, DRIVE_SCRIPT, make_tools_script(shortcuts))
     scripts = "".join(f"<script>{part}</script>" for part in parts)
     head = f"<title>{TITLE}</title>{scripts}".encode()
     titled = page.replace(b"<title>Viser</title>", head, 1)

@@ -67,6 +67,8 @@ GAP_M: Final = 0.06
 """Between two characters, and between them and the axis."""
 
 Segments = list[tuple[tuple[float, float], tuple[float, float]]]
+READ_ALONG: Final = (0.5**0.5, 0.5**0.5)
+"""Horizontal direction of a camera that sees characters upright: midway, as first views differ."""
 _PLACES: Final = {
     **{"a": (0.0, 2.0), "b": (1.0, 2.0), "c": (0.0, 1.0), "d": (1.0, 1.0)},
     **{"e": (0.0, 0.0), "f": (1.0, 0.0), "g": (0.5, 0.0), "h": (0.5, 1.0)},
@@ -103,30 +105,38 @@ def _draw_axis(*, is_x: bool) -> Iterator[tuple[tuple[float, float], tuple[float
 
 
 def _draw_numerals() -> Segments:
-    below = -TICK_M - GAP_M - 2.0 * STROKE_M
     drawn: Segments = []
     for at in NUMBERED_M:
         text = f"{at} m"
-        drawn += _draw_text(text, at - _find_width(text) / 2.0, below)
-        drawn += _draw_text(text, -TICK_M - GAP_M - _find_width(text), at - STROKE_M)
-    drawn += _draw_text("x", SCALE_M + 2.0 * GAP_M, -STROKE_M / 2.0)
-    return drawn + _draw_text("y", -STROKE_M / 2.0, SCALE_M + 2.0 * GAP_M)
+        beside = TICK_M + GAP_M + _find_reach(text)
+        drawn += _draw_text(text, (float(at), -beside))
+        drawn += _draw_text(text, (-beside, float(at)))
+    ahead = SCALE_M + GAP_M + _find_reach("x")
+    return [*drawn, *_draw_text("x", (ahead, 0.0)), *_draw_text("y", (0.0, ahead))]
 
 
 def _find_width(text: str) -> float:
     return len(text) * (STROKE_M + GAP_M) - GAP_M
 
 
-def _draw_text(text: str, x: float, y: float) -> Segments:
-    """Draw characters from left to right, upright for a camera that looks along y."""
+def _find_reach(text: str) -> float:
+    """Find how far a text reaches from its middle, along x and y alike."""
+    return (_find_width(text) / 2.0 + STROKE_M) * READ_ALONG[0]
+
+
+def _draw_text(text: str, middle: tuple[float, float]) -> Segments:
+    """Draw characters about a point, upright for a camera that looks along `READ_ALONG`."""
     drawn: Segments = []
     for number, character in enumerate(text):
-        left = x + number * (STROKE_M + GAP_M)
+        left = number * (STROKE_M + GAP_M) - _find_width(text) / 2.0
         for stroke in _STROKES.get(character, ()):
-            drawn.append((_place(left, y, stroke[0]), _place(left, y, stroke[1])))
+            start, end = (_place(middle, left, corner) for corner in stroke)
+            drawn.append((start, end))
     return drawn
 
 
-def _place(left: float, y: float, corner: str) -> tuple[float, float]:
+def _place(middle: tuple[float, float], left: float, corner: str) -> tuple[float, float]:
     right, up = _PLACES[corner]
-    return left + right * STROKE_M, y + up * STROKE_M
+    across, above = left + right * STROKE_M, (up - 1.0) * STROKE_M
+    x, y = READ_ALONG
+    return middle[0] + across * y + above * x, middle[1] - across * x + above * y

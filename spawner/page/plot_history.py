@@ -1,7 +1,10 @@
 """What plots show: numbers over simulation time of robots and of messages. NumPy only."""
 
+import csv
+import io
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from math import hypot, inf, isfinite
 from typing import Final
 
@@ -16,6 +19,8 @@ PLOT_POINTS: Final = 300
 """60 s at 5 Hz."""
 MAX_FIELDS: Final = 6
 """Of a message; further ones are not plotted."""
+MAX_NAME: Final = 60
+"""Characters of the name of a field that are shown."""
 TIME_COLUMN: Final = "simulation time [s]"
 FACTOR: Final = "real-time factor"
 
@@ -51,10 +56,12 @@ class PlotHistory:
         return tuple(chosen[np.isfinite(chosen).all(axis=1)].T.copy())
 
     def make_csv(self) -> bytes:
-        """Write all rows as CSV, with a line of titles."""
-        lines = [",".join((TIME_COLUMN, *self.columns))]
-        lines += [",".join(f"{number:.6g}" for number in row) for row in self._rows]
-        return ("\n".join(lines) + "\n").encode()
+        """Write all rows as CSV of RFC 4180, with a line of titles."""
+        text = io.StringIO()
+        writer = csv.writer(text)
+        writer.writerow((TIME_COLUMN, *self.columns))
+        writer.writerows([f"{number:.6g}" for number in row] for row in self._rows)
+        return text.getvalue().encode()
 
 
 def name_robot_columns(name: str) -> dict[str, tuple[str, str]]:
@@ -89,13 +96,13 @@ def read_numbers(message: msgspec.Struct) -> dict[str, float]:
     Of a scan it is the nearest distance, of joint states the positions.
     """
     if isinstance(message, LaserScan):
-        hits = [r for r in message.ranges if message.range_min <= r <= message.range_max]
-        return {"nearest [m]": min(hits, default=inf)}
+        ranges = np.array(message.ranges, dtype=np.float64)
+        hits = ranges[(ranges >= message.range_min) & (ranges <= message.range_max)]
+        return {"nearest [m]": float(hits.min(initial=inf))}
+    found: Iterator[tuple[str, float]] = _walk(message, "")
     if isinstance(message, JointState):
         found = zip(message.name, message.position, strict=False)
-    else:
-        found = _walk(message, "")  # type: ignore[assignment]
-    return dict(number for number, _ in zip(found, range(MAX_FIELDS), strict=False))
+    return {name[:MAX_NAME]: number for name, number in islice(found, MAX_FIELDS)}
 
 
 def _walk(message: msgspec.Struct, prefix: str) -> Iterator[tuple[str, float]]:

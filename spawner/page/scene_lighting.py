@@ -16,7 +16,7 @@ SCALE_LINE_M: Final = 0.012
 """Width of the lines of the scale."""
 FADE_DISTANCE_M: Final = 45.0
 """Distance at which the ground fades out."""
-START_CAMERA: Final = ((-1.5, -1.6, 1.1), (3.0, 0.2, 0.0))
+START_CAMERA: Final = ((-1.6, -1.6, 1.6), (1.6, 1.6, 0.0))
 """Position and target of the camera before there is a robot."""
 FOV_RAD: Final = float(np.radians(45.0))
 

@@ -53,8 +53,10 @@ COMMANDS: Final = (
     DELETE,
     UNDO,
 )
+LOOK_SHORTCUTS: Final = (Shortcut("Ctrl+K", "command palette"),)
+"""Of a page whose visitors may look only."""
 SHORTCUTS: Final = (
     *DRIVE_SHORTCUTS,
     *(Shortcut(one.keys, one.label) for one in COMMANDS),
-    Shortcut("Ctrl+K", "command palette"),
+    *LOOK_SHORTCUTS,
 )

@@ -8,6 +8,7 @@ from typing import Final
 import msgspec
 
 from zensim.proto.messages.simulation_messages import (
+    CancelStepsRequest,
     ResetScope,
     ResetSimulationRequest,
     RunToRequest,
@@ -21,6 +22,7 @@ from zensim.proto.messages.standard_messages import NANOSECONDS, time_from_ns
 from zensim.proto.messages.telemetry_messages import Stats
 from zensim.proto.printable_text import printable
 from zensim.proto.service_catalog import (
+    CANCEL_STEPS,
     RESET_SIMULATION,
     RUN_TO,
     SET_SIMULATION_STATE,
@@ -30,6 +32,7 @@ from zensim.proto.service_catalog import (
 from zensim.spawner.page.shortcuts import PLAY_OR_PAUSE, RESET, STEP_ONCE
 from zensim.spawner.page.side_panel import AMBER
 from zensim.spawner.page.viewer_client import PageState, Panel, ViewerClient
+from zensim.spawner.page.world_run import RunActive, WorldRun
 
 SHORT: Final = 0.95
 """Share of the wanted real-time factor below which it counts as not reached."""
@@ -51,9 +54,14 @@ RESETS: Final = {
 class TimePanel(Panel):
     """Controls the time of the world."""
 
-    def __init__(self, client: ViewerClient) -> None:
-        """Add the controls."""
-        self._client = client
+    def __init__(self, client: ViewerClient, run: WorldRun) -> None:
+        """Add the controls.
+
+        Args:
+            client: The visitor.
+            run: Of the world, to a time; all visitors share it.
+        """
+        self._client, self._run = client, run
         self._wanted_factor = 1.0
         self._before: Stats | None = None
         self._step_s = 0.0
@@ -73,6 +81,8 @@ class TimePanel(Panel):
         self._speed.on_update(client.defer(self.set_factor))
         self._goal = gui.add_number("Time [s]", 10.0, min=0.0, max=1e9, step=0.1)
         self._add_button("Run to this time", self.run_to, "Pauses there.")
+        self._add_button("Cancel run", self.cancel_run, "Also that of another visitor.")
+        self._run_text = gui.add_html("")
         self._what = gui.add_dropdown("What", tuple(RESETS), hint="What a reset resets.")
         self._add_button("Reset", self.reset, f"Of time and poses also {RESET.keys}")
         client.add_command(PLAY_OR_PAUSE, self.play_or_pause)
@@ -81,6 +91,7 @@ class TimePanel(Panel):
 
     def update(self, state: PageState) -> None:
         """Show the wanted and the reached real-time factor, and why it is not reached."""
+        self._show_run()
         stats = state.status.stats
         if stats is None or time.monotonic() < self._settled_at:
             return
@@ -101,10 +112,10 @@ class TimePanel(Panel):
 
     def step(self, label: str) -> None:
         """Pause, and advance by a label of `STEPS`."""
-        self._pause()
         if label == STEPS[-1]:
             self._run_to(self._client.state.status.sim_time_s + 1.0)
         else:
+            self._pause()
             request = StepSimulationRequest(steps=int(label.partition(" ")[0]))
             self._client.call(STEP_SIMULATION, request)
 
@@ -125,12 +136,25 @@ class TimePanel(Panel):
 
     def run_to(self) -> None:
         """Pause, and advance to the time in the form."""
-        self._pause()
         self._run_to(self._goal.value)
+
+    def cancel_run(self) -> None:
+        """End the run to a time, and all other requests for steps."""
+        self._run.cancel()
+        self._client.call(CANCEL_STEPS, CancelStepsRequest())
 
     def reset(self) -> None:
         """Reset what the form selects."""
         self._reset(RESETS[self._what.value])
+
+    def _show_run(self) -> None:
+        """Say that the world runs to a time, and for whom."""
+        text, visitor = "", self._run.visitor
+        if visitor is not None:
+            who = "" if visitor == self._client.client.client_id else ", for another visitor"
+            text = _make_text_html(f"Running to {self._run.goal_s:g} s{who}")
+        if self._run_text.content != text:
+            self._run_text.content = text
 
     @property
     def _is_playing(self) -> bool:
@@ -145,9 +169,18 @@ class TimePanel(Panel):
         self._client.call(SET_SIMULATION_STATE, request)
 
     def _run_to(self, time_s: float) -> None:
-        time_ns = round(time_s * NANOSECONDS)
-        request = RunToRequest(time_from_ns(time_ns))
-        self._client.call(RUN_TO, request, timeout_s=RUN_TIMEOUT_S)
+        try:
+            number = self._run.begin(self._client.client.client_id, time_s)
+        except RunActive as active:
+            self._client.warn(str(active))
+            return
+        self._pause()
+        request = RunToRequest(time_from_ns(round(time_s * NANOSECONDS)))
+
+        def end(_: object) -> None:
+            self._run.end(number)
+
+        self._client.call(RUN_TO, request, end, RUN_TIMEOUT_S, end)
 
     def _reset(self, scope: int) -> None:
         self._client.call(RESET_SIMULATION, ResetSimulationRequest(scope=scope))
@@ -165,10 +198,11 @@ def make_factor_html(stats: Stats, step_s: float) -> str:
     colour = f"color:{AMBER};" if reason else ""
     text = f"Real-time factor {stats.real_time_factor:.2f} {goal}"
     note = f": {reason}" if reason else ""
-    return (
-        f'<div style="{colour}padding:.15em .7em;font-size:.85em">'
-        f"{escape(printable(text + note))}</div>"
-    )
+    return _make_text_html(text + note, colour)
+
+
+def _make_text_html(text: str, style: str = "") -> str:
+    return f'<div style="{style}padding:.15em .7em;font-size:.85em">{escape(printable(text))}</div>'
 
 
 def explain_shortfall(stats: Stats, step_s: float) -> str:

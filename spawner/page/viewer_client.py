@@ -1,6 +1,7 @@
 """A visitor of the page: camera, selection and the panels of its tabs."""
 
 import json
+import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -113,6 +114,7 @@ class ViewerClient:
         scenery: Its ground and background.
         picker: Takes clicks on the floor, for one panel at a time.
         state: What is drawn.
+        now_s: Reads the monotonic time [s].
         receive: Called with each message of the page's script, by the thread that receives.
         notify: Notifies another visitor.
     """
@@ -122,6 +124,7 @@ class ViewerClient:
         client: viser.ClientHandle,
         post: Callable[[Act], None],
         call: Callable[[WorldCall], None],
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Make a visitor.
 
@@ -129,7 +132,9 @@ class ViewerClient:
             client: Handle of viser.
             post: Queues a function for the thread that draws; ignored once the visitor has left.
             call: Queues a call of a service.
+            clock: Reads the monotonic time [s].
         """
+        self.now_s = clock
         self.client, self.gui, self.scene = client, client.gui, client.scene
         self.post, self._call = post, call
         self.sensors = SensorDisplay(client.scene, client.gui)
@@ -172,6 +177,7 @@ class ViewerClient:
         request: msgspec.Struct,
         on_reply: Callable[[Any], None] = ignore,
         timeout_s: float = 0.0,
+        on_error: Callable[[str], None] = ignore,
     ) -> None:
         """Call a service of the world; the visitor is notified of a refusal.
 
@@ -180,8 +186,14 @@ class ViewerClient:
             request: Of this service.
             on_reply: Called with the response in the thread that draws.
             timeout_s: Time limit of a long call, made on a thread of its own; 0 = a short call.
+            on_error: Called with the reason of a refusal, before the visitor is notified.
         """
-        self._call(WorldCall(service, request, on_reply, self.warn, timeout_s))
+
+        def fail(reason: str) -> None:
+            on_error(reason)
+            self.warn(reason)
+
+        self._call(WorldCall(service, request, on_reply, fail, timeout_s))
 
     def add_command(self, command: PageCommand, act: Act) -> None:
         """Add a command to the palette, with its key."""

@@ -71,7 +71,6 @@ from zensim.spawner.page.render_state import (
     make_frame,
 )
 from zensim.spawner.page.sensor_views import (
-    MAX_SCAN_BYTES,
     SensedFrame,
     SensorChoice,
     SensorView,
@@ -352,6 +351,8 @@ class SensorMonitors:
 
 WATCH_PERIOD_S: Final = 0.1
 """Minimum time between two messages of a watched topic."""
+MAX_WATCHED_BYTES: Final = 512 << 10
+"""Of a message of a watched topic: 100,000 rays, decoded while nothing is drawn."""
 
 
 class WatchMonitor:
@@ -424,8 +425,8 @@ def read_watched(watch: WatchedTopic, sample: Sample) -> msgspec.Struct:
     Raises:
         MalformedPayload: It is of another type, or too large.
     """
-    if len(sample.payload) > MAX_SCAN_BYTES:
-        raise MalformedPayload(f"{len(sample.payload)} bytes; at most {MAX_SCAN_BYTES} are read")
+    if len(sample.payload) > MAX_WATCHED_BYTES:
+        raise MalformedPayload(f"{len(sample.payload)} bytes; at most {MAX_WATCHED_BYTES} are read")
     return decode(find_topic(watch.topic).messages[0], sample.payload, sample.encoding)
 
 
@@ -638,6 +639,9 @@ class PageProtocol(Protocol):
     def move_cameras(self) -> None:
         """Move each camera towards the robot that it follows."""
 
+    def end_visits(self) -> list[Order]:
+        """End what clients have begun, and return their last orders."""
+
     def show_disconnected(self) -> None:
         """Show that no server replies."""
 
@@ -688,6 +692,12 @@ class Viewer:
             call.on_error(LATE)
         else:
             self._calls.make(call)
+
+    def end(self) -> None:
+        """Request what clients have ordered and can no longer undo, and close all subscriptions."""
+        orders = self._page.end_visits()
+        self._calls.make_last(order for order in orders if isinstance(order, WorldCall))
+        self.close()
 
     def close(self) -> None:
         """Close all subscriptions."""

@@ -31,6 +31,7 @@ from zensim.spawner.page.robot_driver import RobotDriver
 from zensim.spawner.page.scene_lighting import SceneLighting, set_up_scene
 from zensim.spawner.page.script_messages import ScriptMessage, ZensimSelect, ZensimTheme
 from zensim.spawner.page.sensor_views import SensedFrame, SensorChoice
+from zensim.spawner.page.shortcuts import LOOK_SHORTCUTS, SHORTCUTS
 from zensim.spawner.page.side_panel import (
     BUTTONS,
     Button,
@@ -46,6 +47,7 @@ from zensim.spawner.page.viewer_client import (
     PanelFactory,
     ViewerClient,
 )
+from zensim.spawner.page.world_run import WorldRun
 
 PANELS: Final[Mapping[str, PanelFactory]] = MappingProxyType(
     {"Entities": EntityPanel, "See": ViewPanel, "Plots": PlotPanel}
@@ -104,6 +106,7 @@ class ViewerPage:
         access: PageAccess = OPEN_ACCESS,
         driver: RobotDriver | None = None,
         more_panels: Mapping[str, PanelFactory] = MappingProxyType({}),
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Serve a page; see `open_server`.
 
@@ -113,8 +116,10 @@ class ViewerPage:
             access: Who may open it.
             driver: Publishes commands; None = visitors may look only.
             more_panels: Panels beside `PANELS`, before them.
+            clock: Reads the monotonic time [s] at which what visitors can undo takes effect.
         """
-        self._driver, self._more_panels = driver, more_panels
+        self._driver, self._more_panels, self._clock = driver, more_panels, clock
+        self._run = WorldRun()
         self._events: SimpleQueue[ClientEvent | Button] = SimpleQueue()
         self._orders: list[Order] = []
         self._clients: dict[int, ViewerClient] = {}
@@ -122,7 +127,10 @@ class ViewerPage:
         self._names = b"{}"
         self._is_grey = False
         self._next_text_at, self._has_new_text = 0.0, False
-        self._server = open_server(host, port, lambda: self._names, access, self._receive)
+        shortcuts = SHORTCUTS if driver is not None else LOOK_SHORTCUTS
+        self._server = open_server(
+            host, port, lambda: self._names, access, self._receive, shortcuts
+        )
         set_up_scene(self._server)
         self._lighting = SceneLighting(self._server.scene)
         self._lighting.show(Scene())
@@ -233,6 +241,15 @@ class ViewerPage:
         for client in self._connected_clients():
             client.warn(text)
 
+    def end_visits(self) -> list[Order]:
+        """End what visitors have begun, as nobody can undo it any more; return their orders."""
+        orders = self.wait_for_input(0.0)
+        for client in self._clients.values():
+            client.close()
+        self._clients.clear()
+        last, self._orders = self._orders, []
+        return [*orders, *last]
+
     def close(self) -> None:
         """Stop serving."""
         close_server(self._server)
@@ -300,14 +317,14 @@ class ViewerPage:
 
     def _welcome(self, handle: viser.ClientHandle) -> ViewerClient:
         post: Callable[[Act], None] = partial(self._use, handle.client_id)
-        client = ViewerClient(handle, post, self._order)
+        client = ViewerClient(handle, post, self._order, self._clock)
         client.state, client.notify = self._state, self._notify
         acting: dict[str, PanelFactory] = {}
         if self._driver is not None:
             acting = {
                 "Drive": partial(DrivePanel, driver=self._driver),
                 "Edit": EditPanel,
-                "Time": TimePanel,
+                "Time": partial(TimePanel, run=self._run),
             }
         client.add_tabs({**self._more_panels, **PANELS, **acting})
         if self._is_grey:

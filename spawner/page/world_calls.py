@@ -1,7 +1,8 @@
 """WorldCalls: calls of services for visitors; long ones do not stop the drawing."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Final
@@ -14,6 +15,8 @@ from zensim.spawner.page.side_panel import WorldCall, ignore
 
 CALL_TIMEOUT_S: Final = 0.8
 """Short, so that Ctrl-C takes effect within a second."""
+LAST_CALLS_S: Final = 1.0
+"""Time limit of all calls at the end of the program."""
 MAX_LONG_CALLS: Final = 64
 """At the same time; a further one is refused."""
 
@@ -36,6 +39,12 @@ class WorldCalls:
         else:
             self._running += 1
             threading.Thread(target=self._run, args=(call,), daemon=True).start()
+
+    def make_last(self, calls: Iterable[WorldCall]) -> None:
+        """Make calls at the end of the program; wait for their replies at most `LAST_CALLS_S`."""
+        executor = ThreadPoolExecutor(MAX_LONG_CALLS)
+        wait([executor.submit(self._call, call, LAST_CALLS_S) for call in calls], LAST_CALLS_S)
+        executor.shutdown(wait=False, cancel_futures=True)
 
     def settle(self) -> None:
         """Run the callbacks of the long calls that are over."""

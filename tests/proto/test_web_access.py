@@ -15,6 +15,7 @@ from zensim.proto.web_access import (
     is_own_origin,
     make_page_url,
     read_page_token,
+    remove_token,
 )
 
 OWN = socket.gethostname().lower()
@@ -152,3 +153,18 @@ def test_file_without_a_token_is_refused(tmp_path: Path) -> None:
 )
 def test_address_has_the_token(host: str, token: str, url: str, *, has_tls: bool) -> None:
     assert make_page_url(host, 80, token, has_tls=has_tls) == url
+
+
+@pytest.mark.parametrize(
+    ("path", "kept"),
+    [
+        ("/?zensim_token=a", "/"),
+        ("/", "/"),
+        ("/?robot=r1&zensim_token=a&theme=dark", "/?robot=r1&theme=dark"),
+        ("/?robot=%0d%0aSet-Cookie:%20a&zensim_token=a", "/?robot=%0D%0ASet-Cookie%3A+a"),
+        ("//evil.example/?zensim_token=a&robot=r1", "/?robot=r1"),
+        ("//[::1/?zensim_token=a", "/"),
+    ],
+)
+def test_an_address_without_the_secret_keeps_the_rest(path: str, kept: str) -> None:
+    assert remove_token(path) == kept

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from zensim.spawner.page.page_theme import DARK, LIGHT, SCALE_M, PageTheme, make_scale
-from zensim.spawner.page.robot_colours import ROBOT_COLOURS, Rgb
+from zensim.spawner.page.render_state import View, fit_camera
+from zensim.spawner.page.robot_colours import ROBOT_COLOURS, Rgb, to_linear
+from zensim.spawner.page.scene_lighting import FOV_RAD, START_CAMERA
 
 THEMES = {"dark": DARK, "light": LIGHT}
 
@@ -38,6 +40,53 @@ def test_scale_has_a_tick_at_each_metre_of_both_axes(theme: PageTheme) -> None:
         assert set(range(1, SCALE_M + 1)) <= set(crossing[:, 0, axis].tolist())
     assert colours.shape == points.shape
     assert (points[:, :, 2] > 0.0).all()
+
+
+def find_camera(extent: tuple[float, float], aspect: float) -> tuple[np.ndarray, np.ndarray]:
+    """Find position and target of the first camera on robots that stand in a rectangle."""
+    corners = np.array([(0.0, 0.0, 0.0), (*extent, 0.1)])
+    return fit_camera(View(corners), aspect=aspect, fov_rad=FOV_RAD)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        START_CAMERA,
+        *(
+            find_camera(extent, aspect)
+            for extent in ((9.0, 0.1), (0.1, 9.0), (3.0, 3.0))
+            for aspect in (1.6, 0.46)
+        ),
+    ],
+)
+def test_numerals_are_read_from_left_to_right_in_first_views(
+    camera: tuple[np.ndarray, np.ndarray],
+) -> None:
+    points, colours = make_scale(DARK)
+    numerals = points[(colours[:, 0] == to_linear([DARK.numerals])[0]).all(axis=1)]
+    top, bottom = numerals[0]  # "1" of "1 m" is one stroke, from its top
+    ahead = np.subtract(camera[1], camera[0])
+    right = np.cross(ahead, (0.0, 0.0, 1.0))
+    screen_up = np.cross(right, ahead)
+
+    stroke = top - bottom
+    up = stroke @ screen_up / np.linalg.norm(screen_up)
+    across = stroke @ right / np.linalg.norm(right)
+    reading = numerals[1:5].mean(axis=(0, 1)) - numerals[0].mean(axis=0)
+
+    assert up > 0.0
+    assert abs(across) < 1.3 * up
+    assert reading @ right > 0.8 * np.linalg.norm(reading) * np.linalg.norm(right)
+
+
+@pytest.mark.parametrize("theme", THEMES.values(), ids=THEMES)
+def test_numerals_are_beside_their_axis(theme: PageTheme) -> None:
+    points, colours = make_scale(theme)
+    numerals = points[(colours[:, 0] == to_linear([theme.numerals])[0]).all(axis=1)]
+    flat = numerals.reshape(-1, 3)[:, :2]
+
+    near = (np.abs(flat) < 0.05).any(axis=1)
+    assert (flat[near].max(axis=1) > SCALE_M).all()  # "x" and "y" at the ends
 
 
 def find_contrast(one: Rgb, other: Rgb) -> float:

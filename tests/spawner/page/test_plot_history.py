@@ -1,5 +1,8 @@
 """Numbers that plots show."""
 
+import csv
+import io
+
 import msgspec
 import numpy as np
 import pytest
@@ -8,6 +11,7 @@ from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.standard_messages import Imu, JointState, LaserScan, Range, Vector3
 from zensim.spawner.page.plot_history import (
     MAX_FIELDS,
+    MAX_NAME,
     PLOT_POINTS,
     PlotHistory,
     measure_robot,
@@ -57,6 +61,15 @@ def test_rows_that_are_not_finite_are_not_plotted() -> None:
     assert history.make_csv().decode().splitlines()[:2] == ["simulation time [s],a", "0,1"]
 
 
+def test_names_in_csv_are_quoted_so_that_readers_find_them_again() -> None:
+    history, name = PlotHistory(), 'joint "a", left\nwheel'
+    history.add(0.0, {name: 1.5, "b": 2.0})
+
+    rows = list(csv.reader(io.StringIO(history.make_csv().decode(), newline="")))
+
+    assert rows == [["simulation time [s]", name, "b"], ["0", "1.5", "2"]]
+
+
 def test_empty_history_has_empty_arrays() -> None:
     assert [len(array) for array in PlotHistory().make_arrays([])] == [0]
 
@@ -80,7 +93,10 @@ def test_columns_of_a_robot_are_speed_turn_rate_and_position() -> None:
             {"nearest [m]": 2.0},
         ),
         (LaserScan(range_min=0.1, range_max=9.0), {"nearest [m]": float("inf")}),
+        (LaserScan(range_max=9.0, ranges=(float("nan"), -1.0, 3.0)), {"nearest [m]": 3.0}),
         (JointState(name=("a", "b"), position=(0.1, 0.2)), {"a": 0.1, "b": 0.2}),
+        (JointState(name=("a" * 999,), position=(0.1,)), {"a" * MAX_NAME: 0.1}),
+        (JointState(name=("j",), position=()), {}),
     ],
 )
 def test_numbers_of_a_message(message: msgspec.Struct, numbers: dict[str, float]) -> None:

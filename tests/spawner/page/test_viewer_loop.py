@@ -6,6 +6,7 @@ import msgspec
 import pytest
 
 from tests.fakes import ManualClock, MemoryBus
+from tests.integration.processes import eventually
 from tests.spawner.page.builders import (
     FakeServer,
     make_models,
@@ -25,9 +26,10 @@ from zensim.proto.messages.simulation_messages import (
     State,
     StepSimulationRequest,
 )
+from zensim.proto.messages.spawn_messages import DeleteEntityRequest
 from zensim.proto.messages.standard_messages import Image, LaserScan
 from zensim.proto.messages.telemetry_messages import GetModelsRequest
-from zensim.proto.service_catalog import STEP_SIMULATION
+from zensim.proto.service_catalog import DELETE_ENTITY, STEP_SIMULATION
 from zensim.proto.topic_catalog import CONTACTS
 from zensim.spawner.page.render_state import (
     LastCommand,
@@ -56,6 +58,7 @@ class FakePage:
         self.shown: list[tuple[SimulationStatus, Mapping[str, LastCommand]]] = []
         self.warnings: list[str] = []
         self.losses = 0
+        self.last: list[Order] = []
         self._clock = clock
 
     def wait_for_input(self, timeout_s: float) -> list[Order]:
@@ -81,6 +84,9 @@ class FakePage:
 
     def move_cameras(self) -> None:
         pass
+
+    def end_visits(self) -> list[Order]:
+        return self.last
 
     def show_disconnected(self) -> None:
         self.losses += 1
@@ -141,6 +147,18 @@ def test_viewer_unsubscribes_without_clients() -> None:
     setup.page.is_watched = False
     setup.tick()
 
+    assert not setup.bus.has_subscriber("**")
+
+
+def test_viewer_requests_what_was_ordered_last_when_it_ends() -> None:
+    setup = Setup()
+    setup.tick("playing")
+    orders = [WorldCall(DELETE_ENTITY, DeleteEntityRequest(f"r{i}"), timeout_s=9.0) for i in (1, 2)]
+    setup.page.last = ["Play", *orders]
+
+    setup.viewer.end()
+
+    eventually(lambda: setup.server.count(DeleteEntityRequest) == 2, 5.0, "two requests")
     assert not setup.bus.has_subscriber("**")
 
 

@@ -17,7 +17,7 @@ from zensim.proto.messages.simulation_messages import (
 )
 from zensim.proto.service_catalog import RUN_TO, SET_SIMULATION_STATE
 from zensim.spawner.page.side_panel import WorldCall
-from zensim.spawner.page.world_calls import MAX_LONG_CALLS, WorldCalls
+from zensim.spawner.page.world_calls import LAST_CALLS_S, MAX_LONG_CALLS, WorldCalls
 
 
 class StubNetwork:
@@ -109,6 +109,24 @@ def test_a_state_that_is_there_already_is_no_refusal() -> None:
     WorldCalls(StubNetwork(lambda: raise_error(error)), "w").make(call)
 
     assert errors == []
+
+
+def test_the_last_calls_are_made_before_their_return() -> None:
+    network, answers = StubNetwork(RunToResponse), Answers()
+
+    WorldCalls(network, "w").make_last(answers.call(60.0) for _ in range(3))
+
+    assert network.timeouts == [LAST_CALLS_S] * 3
+
+
+def test_last_calls_without_a_reply_are_not_awaited_for_long() -> None:
+    gate, answers = threading.Event(), Answers()
+    network = StubNetwork(lambda: RunToResponse() if gate.wait(30.0) else None)
+
+    WorldCalls(network, "w").make_last(answers.call() for _ in range(2 * MAX_LONG_CALLS))
+
+    gate.set()
+    assert len(network.timeouts) == MAX_LONG_CALLS
 
 
 def test_more_long_calls_than_the_limit_are_refused_until_one_is_over() -> None:
