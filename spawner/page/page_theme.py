@@ -67,7 +67,7 @@ GAP_M: Final = 0.06
 """Between two characters, and between them and the axis."""
 
 Segments = list[tuple[tuple[float, float], tuple[float, float]]]
-READ_ALONG: Final = (0.5**0.5, 0.5**0.5)
+READ_ALONG: Final[tuple[float, float]] = (0.5**0.5, 0.5**0.5)
 """Horizontal direction of a camera that sees characters upright: midway, as first views differ."""
 _PLACES: Final = {
     **{"a": (0.0, 2.0), "b": (1.0, 2.0), "c": (0.0, 1.0), "d": (1.0, 1.0)},

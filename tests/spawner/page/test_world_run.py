@@ -17,7 +17,6 @@ def test_a_second_run_is_refused_until_the_first_is_over(visitor: int) -> None:
     assert (run.visitor, run.goal_s) == (ANN, 10.0)
     run.end(number)
 
-    assert run.visitor is None
     run.begin(visitor, 20.0)
     assert (run.visitor, run.goal_s) == (visitor, 20.0)
 
@@ -30,4 +29,4 @@ def test_the_end_of_a_canceled_run_does_not_end_the_next_one() -> None:
 
     run.end(first)
 
-    assert run.visitor == BOB
+    assert (run.visitor, run.goal_s) == (BOB, 20.0)
