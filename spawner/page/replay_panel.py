@@ -45,7 +45,10 @@ class ReplayPanel(Panel):
         del state
         if not self._is_asked:
             self._is_asked = True
-            self._client.call(GET_STATE, ReplayRequest(), self._show)
+            self._client.call(GET_STATE, ReplayRequest(), self._show, on_error=self._ask_again)
+
+    def _ask_again(self, _: str) -> None:
+        self._is_asked = False
 
     def _show(self, report: ReplayReport) -> None:
         self._is_asked, self._report = False, report

@@ -310,10 +310,9 @@ class ViewerPage:
             self._clients[event.client_id] = self._welcome(handle)
         elif isinstance(event, ControlUsed):
             event.act()
-        elif event.is_added:
-            self._clients[event.client_id].toggle(event.entity)
-        else:
-            self._clients[event.client_id].select(event.entity)
+        elif (client := self._clients.get(event.client_id)) is not None:
+            # A click may come before the event that its client has connected.
+            (client.toggle if event.is_added else client.select)(event.entity)
 
     def _welcome(self, handle: viser.ClientHandle) -> ViewerClient:
         post: Callable[[Act], None] = partial(self._use, handle.client_id)

@@ -168,6 +168,19 @@ def test_page_follows_no_robot_when_the_click_hits_none(
     wait_until_followed(page, "r1")
 
 
+def test_a_click_before_its_page_is_known_has_no_effect(page: ViewerPage) -> None:
+    page.show(*a_scene("r1"), STATUS, {})
+    page._pick(0, "r1", is_added=False)  # noqa: SLF001  before the event of the connection
+    page._pick(0, "r1", is_added=True)  # noqa: SLF001
+    with closing(connect_page(url_of(page))) as connection:
+        connection.send(encode_camera())
+        eventually(lambda: bool(page._server.get_clients()), 5.0, "a client")  # noqa: SLF001
+
+        wait_until(page, is_watched=True)
+
+        assert page.selected == frozenset()
+
+
 def test_page_keeps_working_when_a_following_client_disconnects(page: ViewerPage) -> None:
     page.show(*a_scene("r1"), STATUS, {})
     with closing(connect_page(url_of(page))) as connection:

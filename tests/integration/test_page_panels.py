@@ -1,9 +1,10 @@
 """Every control of the page, used by a visitor without a browser."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -36,6 +37,7 @@ from zensim.proto.cmd_vel_decoding import decode_twist
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.drive_messages import AckermannDrive
 from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.replay_messages import ReplayRequest
 from zensim.proto.messages.sensor_messages import Contacts
 from zensim.proto.messages.simulation_messages import (
     CancelStepsRequest,
@@ -58,10 +60,11 @@ from zensim.spawner.page.render_state import (
     make_fleet,
     make_frame,
 )
+from zensim.spawner.page.replay_panel import ReplayPanel
 from zensim.spawner.page.robot_driver import RobotDriver
 from zensim.spawner.page.sensor_views import SensorChoice
 from zensim.spawner.page.side_panel import Order, WatchedTopic, WorldCall
-from zensim.spawner.page.viewer_client import ViewerClient
+from zensim.spawner.page.viewer_client import PanelFactory, ViewerClient
 from zensim.spawner.page.viewer_page import ViewerPage
 
 WITHIN_S = 10.0
@@ -181,10 +184,14 @@ class Visit:
 
 @contextmanager
 def visiting(
-    driver: RobotDriver | None = None, clock: Callable[[], float] = time.monotonic
+    driver: RobotDriver | None = None,
+    clock: Callable[[], float] = time.monotonic,
+    more_panels: Mapping[str, PanelFactory] = MappingProxyType({}),
 ) -> Iterator[Visit]:
     with (
-        closing(ViewerPage("127.0.0.1", 0, driver=driver, clock=clock)) as page,
+        closing(
+            ViewerPage("127.0.0.1", 0, driver=driver, more_panels=more_panels, clock=clock)
+        ) as page,
         closing(connect_page(f"http://127.0.0.1:{page.port}")) as connection,
     ):
         connection.send(encode_camera())
@@ -712,6 +719,16 @@ def test_a_world_runs_to_one_time_at_a_time_for_all_visitors(acting: Visit) -> N
         acting.until(lambda: acting.list_requests(CancelStepsRequest), "a request")
         list_runs()[1].on_error("canceled")
         acting.until(lambda: other.was_notified("canceled"), "a notification")
+
+
+def test_a_time_line_goes_on_after_a_request_that_failed() -> None:
+    with visiting(more_panels={"Recording": ReplayPanel}) as visit:
+        visit.until(lambda: visit.list_requests(ReplayRequest), "a request for the position")
+        (asked,) = (one for one in visit.orders if isinstance(one, WorldCall))
+
+        asked.on_error("the server replies too late")
+
+        visit.until(lambda: len(visit.list_requests(ReplayRequest)) == 2, "the next request")
 
 
 def begin(visit: Visit, label: str, purpose: str) -> None:
