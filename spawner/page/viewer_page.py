@@ -310,9 +310,18 @@ class ViewerPage:
             self._clients[event.client_id] = self._welcome(handle)
         elif isinstance(event, ControlUsed):
             event.act()
-        elif (client := self._clients.get(event.client_id)) is not None:
-            # A click may come before the event that its client has connected.
-            (client.toggle if event.is_added else client.select)(event.entity)
+        else:
+            self._take_pick(event)
+
+    def _take_pick(self, event: EntityPicked) -> None:
+        """Select what was clicked; a click may come before the event of its connection."""
+        client = self._clients.get(event.client_id)
+        if client is None:
+            return
+        if event.is_added:
+            client.toggle(event.entity)
+        else:
+            client.select(event.entity)
 
     def _welcome(self, handle: viser.ClientHandle) -> ViewerClient:
         post: Callable[[Act], None] = partial(self._use, handle.client_id)
