@@ -177,8 +177,9 @@ def test_trajectory_of_a_ros_client_is_followed_with_feedback(
     assert result == (SUCCEEDED, 0)
     trial.wait_for("shoulder", 0, 0.5, 0.02)
     trial.wait_for("elbow", 0, -0.8, 0.02)
-    received = observe("received", topic=f"{UNDER}/feedback")
-    assert len(received) >= 10
+    eventually(
+        lambda: len(observe("received", topic=f"{UNDER}/feedback")) >= 10, WITHIN_S, "feedback"
+    )
 
 
 def test_trajectory_is_canceled(observe: CallObserver) -> None:
