@@ -34,6 +34,7 @@ NAMES = (
     "pools",
     "api",
     "world",
+    "envs",
     "world_loading",
     "scenarios",
     "sweep",

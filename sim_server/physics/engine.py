@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -366,14 +366,22 @@ class Engine(ABC):
         raise EngineRefused(f"{self.name} cannot step many worlds together; use MuJoCo")
 
 
+class SteppedTogether(Protocol):
+    """An engine, or several that make their steps together."""
+
+    def step(self) -> bool:
+        """Advance by one step; see `Engine.step`. Copies that have diverged rest."""
+
+
 class EngineReplicas(ABC):
     """Copies of an engine, each a world of its own; arrays have a row for each copy.
 
     A body that diverges ends its copy until that is restored: it is read as NaN.
     """
 
-    engines: Sequence[Engine]
-    """To step; all other calls go by this class."""
+    @abstractmethod
+    def make_groups(self, least: int) -> Sequence["SteppedTogether"]:
+        """Divide the copies into groups, `least` or more if there are so many copies."""
 
     @abstractmethod
     def read(self) -> BodyStates:

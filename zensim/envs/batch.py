@@ -60,6 +60,7 @@ class Batch:
         self._steps = np.zeros(worlds, np.int64)
         self._time_ns = 0
         self._is_diverged = np.zeros(worlds, np.bool_)
+        self._groups = self._replicas.make_groups(threads)
         self._threads = StepThreads(threads)
         self._drives = BatchDrives(self._layout.models, self._layout.first_joints, worlds)
         self._sensors = BatchSensors(server, self._layout, worlds, sensors)
@@ -198,10 +199,7 @@ class Batch:
     def _make_control_step(self, twists: FloatArray) -> None:
         self._drives.update(self._time_ns, (self._positions, self._velocities), twists)
         self._replicas.command(self._drives.targets)
-        engines = self._replicas.engines
-        if self._is_diverged.any():
-            engines = [engines[at] for at in np.flatnonzero(~self._is_diverged).tolist()]
-        is_ok = self._threads.step(engines, self._control_steps)
+        is_ok = self._threads.step(self._groups, self._control_steps)
         self._steps += self._control_steps
         self._time_ns += self._control_steps * self._step_ns
         self._read()

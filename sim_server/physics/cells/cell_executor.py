@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from zensim.sim_server.physics.cells.cell_worker_client import CellWorkerClient, RemoteCell
-from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
+from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray, SteppedTogether
 
 
 class CellReadRequest(NamedTuple):
@@ -68,7 +68,7 @@ class StepThreads:
         self.__dict__.update(state)
         self._pool = ThreadPoolExecutor(self._threads - 1) if self._threads > 1 else None
 
-    def step(self, engines: Sequence[Engine], steps: int) -> bool:
+    def step(self, engines: Sequence[SteppedTogether], steps: int) -> bool:
         """Advance each by some steps; each free thread, this one included, takes the next."""
         if self._pool is None:
             return _step_cells(engines, steps)
@@ -116,7 +116,7 @@ class InProcessCellExecutor:
         self._threads.close()
 
 
-def _step_cells(cells: Iterable[Engine], steps: int) -> bool:
+def _step_cells(cells: Iterable[SteppedTogether], steps: int) -> bool:
     # All steps of a cell in a row: its memory stays in the cache.
     is_ok = True
     for cell in cells:

@@ -141,15 +141,28 @@ def make_geom_friction(friction: float, *, is_static: bool, is_soft: bool = Fals
     return GeomFriction(bounded, -2 * round(bounded * PRIORITIES_PER_FRICTION) + is_soft)
 
 
-class MjContacts(Protocol):
+class MjRows(Protocol):
+    """Arrays of `mujoco.MjData.contact` about the rows of contacts."""
+
+    @property
+    def dim(self) -> ContactInts:
+        """Dimensions (n,)."""
+
+    @property
+    def efc_address(self) -> ContactInts:
+        """First rows (n,); -1 = none."""
+
+    @property
+    def friction(self) -> FloatArray:
+        """(n, 5)."""
+
+
+class MjContacts(MjRows, Protocol):
     """Arrays of `mujoco.MjData.contact`."""
 
-    dim: ContactInts
-    efc_address: ContactInts
     geom: ContactInts
     dist: FloatArray
     frame: FloatArray
-    friction: FloatArray
 
 
 class MjPlacedContacts(MjContacts, Protocol):
@@ -242,6 +255,11 @@ def _has_two_frictions(part: RigidPart) -> bool:
     return any(part.contact.direction) and max(part.friction, part.contact.friction_across) > 0.0
 
 
+def is_deep(depths: FloatArray, dt_s: float) -> bool:
+    """Whether the recovery of a penetration among some depths (n,) is limited; n > 0."""
+    return bool(depths.min() * RIGID_ERP < -MAX_PENETRATION_RECOVERY_MPS * dt_s)
+
+
 def limit_penetration_recovery(
     wanted: FloatArray, contacts: MjContacts, parameters: FloatArray, dt_s: float
 ) -> None:
@@ -254,7 +272,7 @@ def limit_penetration_recovery(
         dt_s: Length of a step.
     """
     addresses, depths = contacts.efc_address, contacts.dist
-    if depths.min() * RIGID_ERP < -MAX_PENETRATION_RECOVERY_MPS * dt_s:
+    if is_deep(depths, dt_s):
         is_solved = addresses >= 0
         rows = addresses[is_solved]
         pushes = -parameters[rows, 0] * parameters[rows, 2] * depths[is_solved]
@@ -283,16 +301,21 @@ class FrictionRows:
 
     def find_lifts(self, velocities: FloatArray) -> FloatArray:
         """Find the speed [m/s] at which convex friction lifts each contact; see `LiftIteration`."""
-        slips = self.find_slips(velocities)
-        lifts: FloatArray = np.sqrt(np.einsum("ij,ij->j", slips, slips))
+        along, across = self.find_slips(velocities)
+        # Not einsum: its bits depend on the number of contacts, which may be those of many worlds.
+        lifts: FloatArray = np.sqrt(along * along + across * across)
         return lifts
 
+    def take(self, chosen: npt.NDArray[np.bool_]) -> "FrictionRows":
+        """Select some contacts."""
+        return FrictionRows(self.normals[chosen], self.friction[chosen])
 
-def find_sliding_rows(contacts: MjContacts, velocities: FloatArray) -> FrictionRows | None:
+
+def find_sliding_rows(contacts: MjRows, velocities: FloatArray) -> FrictionRows | None:
     """Find the contacts that friction would lift; None = none, which is the usual case.
 
     Args:
-        contacts: In MuJoCo's order.
+        contacts: In MuJoCo's order; of one world, or of several one after another.
         velocities: Of each row, predicted for the end of the step.
     """
     has_friction = (contacts.dim == FRICTION_CONDIM) & (contacts.efc_address >= 0)
@@ -315,7 +338,7 @@ def predict_lifts(rows: FrictionRows, now: FloatArray, predicted: FloatArray) ->
         predicted: Likewise after the step, if accelerations stayed as they are.
     """
     slips, following = rows.find_slips(now), rows.find_slips(predicted)
-    continues = np.einsum("ij,ij->j", slips, following) > 0.0
+    continues = slips[0] * following[0] + slips[1] * following[1] > 0.0
     return np.where(continues, np.hypot(*following), 0.0)
 
 
@@ -349,20 +372,25 @@ class LiftIteration:
         """Write the corrected reference accelerations of the normals."""
         wanted[self._rows.normals] = self._wanted - self._lifts / self._dt_s
 
-    def refine(self, velocities: FloatArray) -> bool:
-        """Take the velocity of each row after a solve; return whether the lifts agree with it.
+    def refine(self, velocities: FloatArray) -> npt.NDArray[np.bool_]:
+        """Take the velocity of each row after a solve; find which lifts do not agree with it.
 
-        Otherwise the lifts of the next solve are found, per contact, by the secant method.
+        Those of the next solve are found by the secant method.
         """
         found = self._rows.find_lifts(velocities)
-        is_off = np.abs(found - self._lifts) > LIFT_TOLERANCE_MPS
-        if not is_off.any():
-            return True
+        is_off: npt.NDArray[np.bool_] = np.abs(found - self._lifts) > LIFT_TOLERANCE_MPS
         feedback = self._find_feedback(found)
         better = np.maximum((found - feedback * self._lifts) / (1.0 - feedback), 0.0)
         self._last = self._lifts, found
         self._lifts = np.where(is_off, better, self._lifts)
-        return False
+        return is_off
+
+    def keep(self, chosen: npt.NDArray[np.bool_]) -> None:
+        """Go on with some contacts."""
+        self._rows, self._wanted = self._rows.take(chosen), self._wanted[chosen]
+        self._lifts = self._lifts[chosen]
+        if self._last is not None:
+            self._last = self._last[0][chosen], self._last[1][chosen]
 
     def _find_feedback(self, found: FloatArray) -> FloatArray:
         """Find by how much the lift after a solve grows with the lift that was subtracted."""

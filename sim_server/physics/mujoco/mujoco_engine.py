@@ -9,7 +9,7 @@ from copy import copy, deepcopy
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache, partial
 from heapq import heappop, heappush
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import mujoco
 import numpy as np
@@ -32,6 +32,7 @@ from zensim.sim_server.physics.engine import (
     EngineReplicas,
     FloatArray,
     Place,
+    SteppedTogether,
     concatenate_contacts,
     make_unknown_efforts,
 )
@@ -50,6 +51,7 @@ from zensim.sim_server.physics.mujoco.mujoco_contact import (
     FrictionAxes,
     LiftIteration,
     find_sliding_rows,
+    is_deep,
     limit_penetration_recovery,
     make_contact_parameters,
     make_friction_axes,
@@ -926,16 +928,7 @@ class MujocoEngine(Engine):
 
     def step(self) -> bool:
         """See `Engine.step`; releases the interpreter's lock."""
-        model, data = self._model, self._data
-        if self._is_changed:
-            self._update_step_inputs()
-        inputs = self._step_inputs
-        if len(inputs.twisted_roots.free):
-            inputs.impose_twists(self._targets, data.qpos, data.qvel)
-        self._make_constraints()
-        self._solved_motors = inputs.motors
-        if len(inputs.link_forces):
-            inputs.link_forces.apply(data, model.body_rootid)
+        data, inputs = self._data, self.begin_step()
         self._drive_motors(inputs)
         if data.ncon:
             self._solve_contacts()
@@ -948,6 +941,20 @@ class MujocoEngine(Engine):
         if not math.isfinite(data.qvel.sum()):
             self._find_diverged()
         return not self._diverged
+
+    def begin_step(self) -> StepInputs:
+        """Make the constraints of a step, and apply all but motors."""
+        model, data = self._model, self._data
+        if self._is_changed:
+            self._update_step_inputs()
+        inputs = self._step_inputs
+        if len(inputs.twisted_roots.free):
+            inputs.impose_twists(self._targets, data.qpos, data.qvel)
+        self._make_constraints()
+        self._solved_motors = inputs.motors
+        if len(inputs.link_forces):
+            inputs.link_forces.apply(data, model.body_rootid)
+        return inputs
 
     def replicate(self, bodies: Sequence[int], count: int) -> EngineReplicas:
         """See `Engine.replicate`; the copies share one model, and no body of them sleeps."""
@@ -1133,7 +1140,7 @@ class MujocoEngine(Engine):
             iteration.correct(wanted)
             start = self._solve()
             mujoco.mj_mulJacVec(model, data, velocities, data.qvel)
-            if iteration.refine(velocities):
+            if not iteration.refine(velocities).any():
                 return
             data.qpos[:], data.qvel[:] = start
         iteration.correct(wanted)
@@ -1156,9 +1163,15 @@ class MujocoEngine(Engine):
             square = change.dot(change)
         if square <= MAX_SPEED_CHANGE**2 or np.abs(change).max() <= MAX_SPEED_CHANGE:
             return positions, velocities
+        self._solve_again((positions, velocities), change)
+        return positions, velocities
+
+    def _solve_again(self, start: tuple[FloatArray, FloatArray], change: FloatArray) -> None:
+        """Solve by the second solver what changed its speed too much, from qpos and qvel."""
+        model, data = self._model, self._data
         solved = data.qpos.copy(), data.qvel.copy(), data.qacc.copy()
         is_solved = find_solved_dofs(change, data.dof_island, model.dof_treeid)
-        data.qpos[:], data.qvel[:] = positions, velocities
+        data.qpos[:], data.qvel[:] = start
         self._step_by_fallback()
         # The others keep their bits, as if this had not happened.
         for body in self._bodies.values():
@@ -1167,7 +1180,6 @@ class MujocoEngine(Engine):
                 data.qpos[address.positions] = solved[0][address.positions]
                 data.qvel[address.velocities] = solved[1][address.velocities]
                 data.qacc[address.velocities] = solved[2][address.velocities]
-        return positions, velocities
 
     def _step_by_fallback(self) -> None:
         options = self._model.opt
@@ -1227,14 +1239,41 @@ class ReplicatedEngine(MujocoEngine):
         self._is_sleep_changed = False
 
     @property
-    def numbers(self) -> tuple[FloatArray, FloatArray]:
-        """Views of qpos and qvel."""
-        return self._data.qpos, self._data.qvel
+    def data(self) -> mujoco.MjData:
+        """Its state."""
+        return self._data
 
     @property
     def is_diverged(self) -> bool:
         """Whether a body has diverged."""
         return bool(self._diverged)
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """Of all copies."""
+        return self._model
+
+    @property
+    def dt_s(self) -> float:
+        """Length of a step."""
+        return self._dt_s
+
+    def drive_motors(self) -> None:
+        """See `MujocoEngine`."""
+        self._drive_motors(self._step_inputs)
+
+    def solve_again(self, start: tuple[FloatArray, FloatArray], change: FloatArray) -> None:
+        """See `MujocoEngine`."""
+        self._solve_again(start, change)
+
+    def end_step(self, inputs: StepInputs, *, is_finite: bool) -> None:
+        """Clear the loads of a step; note whether its state is finite."""
+        if self._has_loads or len(inputs.link_forces):
+            self._data.xfrc_applied[:] = 0.0
+            self._data.qfrc_applied[:] = 0.0
+            self._has_loads = False
+        if not is_finite:
+            self._find_diverged()
 
     def restore(self, saved: SavedState) -> None:
         """Load a state of the engine that is copied."""
@@ -1274,10 +1313,169 @@ class ReplicatedEngine(MujocoEngine):
 
 
 NO_OWNERS = np.zeros(0, np.intp)
+GROUP_SIZE = 16
+"""Copies that are stepped together: few enough for the cache."""
+
+
+class StackedContacts(NamedTuple):
+    """Rows of the contacts of several worlds, one after another; see `MjRows`."""
+
+    dim: npt.NDArray[np.int32]
+    efc_address: npt.NDArray[np.int32]
+    friction: FloatArray
+
+
+class ReplicaGroup:
+    """Copies that make their steps together, each with the bits of `MujocoEngine.step`.
+
+    What is computed between two calls of MuJoCo is computed for all of them at once.
+    """
+
+    def __init__(self, engines: Sequence[ReplicatedEngine], speeds: FloatArray) -> None:
+        """Prepare arrays.
+
+        Args:
+            engines: Of one model.
+            speeds: (engines or more, degrees of freedom) their `ActuatorTargets.speeds`.
+        """
+        self._engines = engines
+        self._all_speeds = speeds[: len(engines)]
+
+    def step(self) -> bool:
+        """See `SteppedTogether`."""
+        live = [one for one, engine in enumerate(self._engines) if not engine.is_diverged]
+        if not live:
+            return False
+        engines = [self._engines[one] for one in live]
+        inputs = [engine.begin_step() for engine in engines]
+        _drive_replicas(engines, inputs[0], self._all_speeds[live])
+        solver = ReplicaSolver(engines)
+        solver.solve_contacts()
+        is_finite = np.isfinite(np.array([data.qvel.sum() for data in solver.states]))
+        for engine, own, is_good in zip(engines, inputs, is_finite.tolist(), strict=True):
+            engine.end_step(own, is_finite=is_good)
+        return len(live) == len(self._engines) and bool(is_finite.all())
+
+
+def _drive_replicas(
+    engines: Sequence[ReplicatedEngine], inputs: StepInputs, speeds: FloatArray
+) -> None:
+    """Apply the targets of motors to the step of each engine; see `MujocoEngine`."""
+    if len(inputs.position_motors) or len(inputs.pushed):
+        for engine in engines:
+            engine.drive_motors()
+    elif len(inputs.motors):
+        wanted = speeds[:, inputs.motors]
+        wanted /= engines[0].dt_s
+        for engine, row in zip(engines, wanted, strict=True):
+            data = engine.data
+            first = data.ne
+            data.efc_aref[first : first + data.nf] += row
+
+
+class ReplicaSolver:
+    """Solves one step of several copies, as `MujocoEngine._solve_contacts` does of one.
+
+    Attributes:
+        states: Of the copies.
+    """
+
+    def __init__(self, engines: Sequence[ReplicatedEngine]) -> None:
+        """Take the copies, whose constraints are made."""
+        self._engines = engines
+        self._model, self._dt_s = engines[0].model, engines[0].dt_s
+        self.states = [engine.data for engine in engines]
+        # qpos and qvel before, to start again.
+        count = len(engines)
+        self._positions = np.concatenate([data.qpos for data in self.states]).reshape(count, -1)
+        self._velocities = np.concatenate([data.qvel for data in self.states]).reshape(count, -1)
+
+    def solve_contacts(self) -> None:
+        """Solve and integrate; again while contacts slide otherwise than assumed."""
+        starts, wanted, velocities, contacts = self._read_rows()
+        rows = find_sliding_rows(contacts, velocities) if len(contacts.dim) else None
+        if rows is None:
+            self._solve(range(len(self.states)))
+            return
+        owners = np.searchsorted(starts, rows.normals, side="right") - 1
+        sliding = set(owners.tolist())
+        self._solve([one for one in range(len(self.states)) if one not in sliding])
+        now = np.concatenate([data.efc_vel for data in self.states])
+        lifts = predict_lifts(rows, now, velocities)
+        iteration = LiftIteration(rows, wanted, lifts, self._dt_s)
+        for _ in range(MAX_SOLVES - 1):
+            active = np.unique(owners).tolist()
+            self._correct(iteration, wanted, starts, active)
+            for one in active:
+                own = velocities[starts[one] : starts[one + 1]]
+                mujoco.mj_mulJacVec(self._model, self.states[one], own, self.states[one].qvel)
+            is_open = np.isin(owners, owners[iteration.refine(velocities)])
+            if not is_open.any():
+                return
+            iteration.keep(is_open)
+            owners = owners[is_open]
+            for one in np.unique(owners).tolist():
+                self.states[one].qpos[:] = self._positions[one]
+                self.states[one].qvel[:] = self._velocities[one]
+        self._correct(iteration, wanted, starts, np.unique(owners).tolist())
+
+    def _correct(
+        self, iteration: LiftIteration, wanted: FloatArray, starts: IndexArray, active: list[int]
+    ) -> None:
+        iteration.correct(wanted)
+        for one in active:
+            self.states[one].efc_aref[:] = wanted[starts[one] : starts[one + 1]]
+        self._solve(active)
+
+    def _read_rows(self) -> tuple[IndexArray, FloatArray, FloatArray, StackedContacts]:
+        """Read first rows (n + 1,), wished accelerations, predicted velocities, and contacts."""
+        states, contacts = self.states, [data.contact for data in self.states]
+        counts = [data.nefc for data in states]
+        starts = np.concatenate([np.zeros(1, np.intp), np.cumsum(counts, dtype=np.intp)])
+        depths = np.concatenate([contact.dist for contact in contacts])
+        if len(depths) and is_deep(depths, self._dt_s):
+            for data, contact in zip(states, contacts, strict=True):
+                if len(contact.dist):
+                    limit_penetration_recovery(data.efc_aref, contact, data.efc_KBIP, self._dt_s)
+        accelerations = np.concatenate([data.qacc for data in states])
+        predicted = self._velocities + self._dt_s * accelerations.reshape(len(states), -1)
+        velocities = np.empty(starts[-1])
+        # Predicted: friction stops what a step of a curve adds to the velocity of a wheel.
+        for one, data in enumerate(states):
+            own = velocities[starts[one] : starts[one + 1]]
+            mujoco.mj_mulJacVec(self._model, data, own, predicted[one])
+        addresses = [contact.efc_address for contact in contacts]
+        offsets = np.repeat(starts[:-1], [len(own) for own in addresses])
+        first = np.concatenate(addresses)
+        stacked = StackedContacts(
+            np.concatenate([contact.dim for contact in contacts]),
+            np.where(first >= 0, first + offsets, first).astype(np.int32),
+            np.concatenate([contact.friction for contact in contacts]),
+        )
+        return starts, np.concatenate([data.efc_aref for data in states]), velocities, stacked
+
+    def _solve(self, chosen: Sequence[int]) -> None:
+        """Solve and integrate some copies; see `MujocoEngine._solve`."""
+        chosen = list(chosen)
+        if not chosen:
+            return
+        for one in chosen:
+            mujoco.mj_step2(self._model, self.states[one])
+        after = np.concatenate([self.states[one].qvel for one in chosen])
+        change = after.reshape(len(chosen), -1) - self._velocities[chosen]
+        is_good = np.abs(change).max(axis=1) <= MAX_SPEED_CHANGE
+        for row in np.flatnonzero(~is_good).tolist():
+            one = chosen[row]
+            start = self._positions[one], self._velocities[one]
+            self._engines[one].solve_again(start, change[row])
 
 
 class MujocoReplicas(EngineReplicas):
-    """Many data of one model; states and targets of all are single arrays."""
+    """Many data of one model; states and targets of all are single arrays.
+
+    Attributes:
+        engines: The copies.
+    """
 
     def __init__(
         self, shared: dict[str, Any], saved: SavedState, bodies: Sequence[int], count: int
@@ -1296,14 +1494,14 @@ class MujocoReplicas(EngineReplicas):
         fallback.opt.solver, fallback.opt.iterations = FALLBACK_SOLVER
         stacked = [np.tile(getattr(targets, one.name), (count, 1)) for one in fields(targets)]
         self._targets = ActuatorTargets(*(values.reshape(-1) for values in stacked))
-        self._engines = [
+        self.engines = [
             ReplicatedEngine(shared, ActuatorTargets(*rows), fallback)
             for rows in zip(*stacked, strict=True)
         ]
-        self.engines = self._engines
+        self._speeds = stacked[[one.name for one in fields(targets)].index("speeds")]
         self.restore(range(count))
-        views = [engine.numbers for engine in self._engines]
-        self._views = [qpos for qpos, _ in views], [qvel for _, qvel in views]
+        states = [engine.data for engine in self.engines]
+        self._views = [data.qpos for data in states], [data.qvel for data in states]
         self._numbers = np.empty(count * model.nq), np.empty(count * model.nv)
         known: dict[int, MujocoBody] = shared["_bodies"]
         self._bodies = len(bodies)
@@ -1316,6 +1514,15 @@ class MujocoReplicas(EngineReplicas):
                 for body in bodies
             ]
         )
+
+    def make_groups(self, least: int) -> Sequence[SteppedTogether]:
+        """See `EngineReplicas.make_groups`."""
+        count = len(self.engines)
+        parts = np.array_split(np.arange(count), min(count, max(least, -(-count // GROUP_SIZE))))
+        return [
+            ReplicaGroup([self.engines[at] for at in part.tolist()], self._speeds[part[0] :])
+            for part in parts
+        ]
 
     def read(self) -> BodyStates:
         """See `EngineReplicas.read`."""
@@ -1330,27 +1537,27 @@ class MujocoReplicas(EngineReplicas):
             gather.gather_joints(qpos, gather.positions),
             gather.gather_joints(qvel, gather.velocities),
         )
-        for copied, engine in enumerate(self._engines):
+        for copied, engine in enumerate(self.engines):
             if engine.is_diverged:
                 for rows in (found.base, found.joint_positions, found.joint_velocities):
-                    rows.reshape(len(self._engines), -1)[copied] = np.nan
+                    rows.reshape(len(self.engines), -1)[copied] = np.nan
         return found
 
     def command(self, targets: FloatArray) -> None:
         """See `EngineReplicas.command`."""
         if self._selection.scatter.apply(self._targets, targets.reshape(-1)):
-            for engine in self._engines:
+            for engine in self.engines:
                 engine.note_new_modes()
 
     def restore(self, copies: Iterable[int]) -> None:
         """See `EngineReplicas.restore`."""
         for copied in copies:
-            self._engines[copied].restore(self._saved)
+            self.engines[copied].restore(self._saved)
 
     def find_touching(self) -> BoolArray:
         """See `EngineReplicas.find_touching`."""
-        found = np.zeros((len(self._engines), self._bodies + 1), np.bool_)
-        for row, engine in zip(found, self._engines, strict=True):
+        found = np.zeros((len(self.engines), self._bodies + 1), np.bool_)
+        for row, engine in zip(found, self.engines, strict=True):
             touching = engine.list_touching()
             if len(touching):
                 row[self._columns[touching]] = True  # of the others: the last

@@ -1,0 +1,133 @@
+"""Environments
+
+Batches of worlds with ten box_bots, all of which drive along curves, with one thread. Each
+repetition is compared with MuJoCo alone, which steps the same model and as many worlds, as often,
+one world after another: `mj_step1`, constant target speeds of the wheels, `mj_step2`; and with
+`mj_step` of robots that stand. All are CPU times of this process, in turn. A restart is of one
+world with ten robots among 16.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+
+import mujoco
+import numpy as np
+
+import zensim
+from benchmarks.figures import Figure, Limit, table
+from zensim.api.in_process_world import get_server
+from zensim.envs.batch import Batch
+from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoReplicas
+
+__all__ = ["rows", "table"]
+
+ROBOTS = 10
+WORLDS = (16, 256)
+REPEATS = 7
+WORLD_STEPS = 1024
+"""Control steps of all worlds in a repetition."""
+SETTLING_STEPS = 20
+ENGINE_STEPS = 3
+"""Of a control step."""
+RESTARTS = 50
+WHEEL_SPEEDS, STEP_HZ = (8.0, 9.0), 240.0
+"""Left and right [rad/s]: 0.3 m/s."""
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Measure steps and restarts."""
+    with zensim.World() as world:
+        world.spawn_fleet("box_bot", count=ROBOTS)
+        for worlds in (2,) if is_short else WORLDS:
+            yield from _steps(world, worlds, repeats=1 if is_short else REPEATS)
+        yield _restarts(world, 2 if is_short else RESTARTS)
+
+
+def _steps(world: zensim.World, worlds: int, *, repeats: int) -> Iterator[Figure]:
+    batch = Batch(world, worlds)
+    alone, standing = _make_driven(world, worlds), _make_standing(world, worlds)
+    phases = np.arange(worlds * ROBOTS, dtype=np.float64).reshape(worlds, ROBOTS)
+    numbers = iter(range(10**9))
+
+    def drive() -> None:
+        turns = np.sin(0.05 * next(numbers) + phases)
+        batch.step(np.stack([np.full_like(turns, 0.3), 0.0 * turns, turns], axis=-1))
+
+    for _ in range(SETTLING_STEPS):
+        drive()
+        alone()
+        standing()
+    count = max(2, WORLD_STEPS // worlds)
+    shares, rests, rates = [], [], []
+    for _ in range(repeats):
+        own_s = _measure(drive, count)
+        shares.append(100.0 * _measure(alone, count) / own_s)
+        rests.append(100.0 * _measure(standing, count) / own_s)
+        rates.append(count * worlds / own_s)
+    batch.close()
+    what = f"{worlds} worlds of {ROBOTS} robots"
+    limit = Limit("median", ">=", 50.0, is_timed=True)
+    shown = f"{what}, speed against MuJoCo alone"
+    yield Figure(what=shown, unit="%", samples=tuple(shares), limit=limit)
+    shown = f"{what}, speed against MuJoCo with robots that stand"
+    yield Figure(what=shown, unit="%", samples=tuple(rests))
+    yield Figure(what=f"{what}, control steps of a world", unit="1/s of CPU", samples=tuple(rates))
+
+
+Pairs = list[tuple[mujoco.MjModel, mujoco.MjData]]
+
+
+def _copy(world: zensim.World, worlds: int) -> Pairs:
+    simulated = get_server(world).world
+    bodies = tuple(entity.body for entity in simulated.entities)
+    replicas = simulated.engine.replicate(bodies, worlds)
+    assert isinstance(replicas, MujocoReplicas)
+    return [(engine.model, engine.data) for engine in replicas.engines]
+
+
+def _make_driven(world: zensim.World, worlds: int) -> Callable[[], None]:
+    """Make the control step of MuJoCo alone, with robots that drive along circles."""
+    pairs = _copy(world, worlds)
+    wheels = np.tile(WHEEL_SPEEDS, ROBOTS) * STEP_HZ
+
+    def step() -> None:
+        for model, data in pairs:
+            for _ in range(ENGINE_STEPS):
+                mujoco.mj_step1(model, data)
+                data.efc_aref[data.ne : data.ne + data.nf] += wheels
+                mujoco.mj_step2(model, data)
+
+    return step
+
+
+def _make_standing(world: zensim.World, worlds: int) -> Callable[[], None]:
+    """Make the control step of MuJoCo alone, with robots that stand."""
+    pairs = _copy(world, worlds)
+
+    def step() -> None:
+        for model, data in pairs:
+            for _ in range(ENGINE_STEPS):
+                mujoco.mj_step(model, data)
+
+    return step
+
+
+def _measure(call: Callable[[], None], count: int) -> float:
+    began_s = time.process_time()
+    for _ in range(count):
+        call()
+    return time.process_time() - began_s
+
+
+def _restarts(world: zensim.World, count: int) -> Figure:
+    batch = Batch(world, 16)
+    mask = np.arange(16) == 0
+    twists = np.full((16, ROBOTS, 3), 0.2)
+    samples = []
+    for _ in range(count):
+        batch.step(twists)
+        samples.append(1e3 * _measure(lambda: batch.restart(mask), 1))
+    batch.close()
+    limit = Limit("median", "<=", 1.0, is_timed=True)
+    what = f"restart of a world of {ROBOTS} robots"
+    return Figure(what=what, unit="ms", samples=tuple(samples), limit=limit)
