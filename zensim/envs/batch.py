@@ -59,7 +59,7 @@ class Batch:
         self._start_steps = simulated.clock.steps
         self._steps = np.zeros(worlds, np.int64)
         self._time_ns = 0
-        self._is_diverged = np.zeros(worlds, np.bool_)
+        self._is_diverged: BoolArray = np.zeros(worlds, np.bool_)
         self._groups = self._replicas.make_groups(threads)
         self._threads = StepThreads(threads)
         self._drives = BatchDrives(self._layout.models, self._layout.first_joints, worlds)
@@ -204,7 +204,7 @@ class Batch:
         self._time_ns += self._control_steps * self._step_ns
         self._read()
         if not is_ok:
-            self._is_diverged = ~np.isfinite(self._base).all(axis=(1, 2))
+            self._is_diverged = np.asarray(~np.isfinite(self._base).all(axis=(1, 2)))
         times_ns = (self._steps * self._step_ns).tolist()
         self._sensors.take(times_ns, self._base, (self._positions, self._velocities))
 

@@ -221,7 +221,7 @@ class BatchImus:
         """Of each world, which has a time of its own."""
         gx, gy, gz = environment.gravity
         self._at_rest = np.array([*IDENTITY, 0.0, 0.0, 0.0, -gx, -gy, -gz])
-        self.numbers = np.tile(self._at_rest, (worlds, len(self._sensors), 1))
+        self.numbers: FloatArray = np.tile(self._at_rest, (worlds, len(self._sensors), 1))
 
     def restart(self, world: int, seed: int) -> None:
         """See `BatchSensors.restart`."""

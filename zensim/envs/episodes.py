@@ -139,7 +139,7 @@ class Episodes:
         if restarted is not None and restarted.any():
             self.restart(restarted)
             view, ends = self._view_before, ends & ~restarted
-        terminated = self._is_over.all(axis=1)
+        terminated = np.asarray(self._is_over.all(axis=1))
         return Outcome(
             observations=self._observe(view),
             rewards=np.where(is_live, judgement.rewards, 0.0),

@@ -4,14 +4,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from zensim.api.api_errors import Invalid
 from zensim.envs.env_settings import find_task, make_settings
 from zensim.envs.episodes import ACTION_COLUMNS, Episodes, Observations
 from zensim.envs.robot_task import RobotTask
-from zensim.envs.vector_env import make_spaces, spawn_seeds
+from zensim.envs.vector_env import Space, make_spaces, spawn_seeds
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -27,10 +26,11 @@ def parallel_env(
     task: str | RobotTask = "avoid", **options: "Unpack[EnvKeywords]"
 ) -> "ZensimParallelEnv":
     """Make a world whose robots are agents; four robots unless `count` is given."""
-    return ZensimParallelEnv(task, **{"count": 4, **options})
+    options.setdefault("count", 4)
+    return ZensimParallelEnv(task, **options)
 
 
-class ZensimParallelEnv(ParallelEnv[str, Observations, Actions]):
+class ZensimParallelEnv(ParallelEnv[str, Observations, Actions]):  # type: ignore[misc]
     """One world; each robot that learns is an agent until its own episode ends.
 
     A robot whose episode has ended stands still. `batch` has the arrays.
@@ -60,11 +60,11 @@ class ZensimParallelEnv(ParallelEnv[str, Observations, Actions]):
         """The world as arrays."""
         return self._episodes.batch
 
-    def observation_space(self, agent: str) -> spaces.Box:
+    def observation_space(self, agent: str) -> Space:
         """Find the space of the observations of a robot."""
         return self._spaces[agent][0]
 
-    def action_space(self, agent: str) -> spaces.Box:
+    def action_space(self, agent: str) -> Space:
         """Find the space of the actions of a robot."""
         return self._spaces[agent][1]
 

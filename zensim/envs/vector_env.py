@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 
 MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
 Infos = dict[str, Any]
+Space = spaces.Space[Any]
 
 
-def make_spaces(episodes: Episodes, shape: tuple[int, ...]) -> tuple[spaces.Box, spaces.Box]:
+def make_spaces(episodes: Episodes, shape: tuple[int, ...]) -> tuple[Space, Space]:
     """Make the spaces of observations and actions of `shape` robots."""
     low, high = (np.tile(limit, (*shape, 1)) if shape else limit for limit in episodes.limits)
     actions = spaces.Box(-1.0, 1.0, (*shape, ACTION_COLUMNS), np.float32)
@@ -84,7 +85,7 @@ class ZensimVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]
         """The worlds as arrays."""
         return self._episodes.batch
 
-    def reset(  # type: ignore[override]
+    def reset(
         self,
         *,
         seed: int | Sequence[int | None] | None = None,

@@ -7,6 +7,7 @@ import pytest
 
 import zensim
 from zensim.envs.batch import Batch
+from zensim.proto.messages.model_messages import Dynamics
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoReplicas
 
 ROBOTS = 3
@@ -185,7 +186,9 @@ def test_world_without_robots_is_refused() -> None:
     ("engine", "model", "dynamics"),
     [("pybullet", "box_bot", ""), ("mujoco", "box_bot", "kinematic")],
 )
-def test_world_that_cannot_be_copied_is_refused(engine: str, model: str, dynamics: str) -> None:
+def test_world_that_cannot_be_copied_is_refused(
+    engine: str, model: str, dynamics: Dynamics
+) -> None:
     with zensim.World(engine=engine) as own:
         own.spawn(model, name="r1", dynamics=dynamics)
         with pytest.raises(zensim.Unsupported) as refused:
