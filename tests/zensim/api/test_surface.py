@@ -72,7 +72,7 @@ METHODS = {
     "up": "launch",
     "bag": "Recording",
     "down": "Sim.close",
-    "record": "Sim.record",
+    "record": "Simulation.record",
     "serve": "launch",
     "agent": "Simulation.attach",
     "spawn": "Simulation.spawn",
