@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from typing import cast
 
 import msgspec
 import pytest
@@ -14,7 +15,7 @@ from zensim.proto.messages.telemetry_messages import Event, WorldClock
 from zensim.proto.ros2.liveliness_tokens import GraphEndpoint, GraphNode, make_endpoint_token
 from zensim.proto.topic_catalog import CLOCK, INPUTS
 from zensim.recording.recorded_topics import RecordedMessage
-from zensim.recording.recorder import Recorder, RecorderSettings
+from zensim.recording.recorder import MessageNetwork, Recorder, RecorderSettings
 from zensim.recording.topic_selection import TopicFilter, TopicSelection
 
 WORLD = "default"
@@ -70,7 +71,8 @@ def make(bus: MemoryBus) -> Make:
         chosen = TopicFilter(msgspec.convert(selected, TopicSelection))
         settings = RecorderSettings(world=WORLD, domain=0, step_ns=STEP_NS)
         sink = MessageList()
-        return Recorder(bus, chosen, settings, sink), sink
+        # It thins nothing here.
+        return Recorder(cast("MessageNetwork", bus), chosen, settings, sink), sink
 
     return make
 
