@@ -50,7 +50,6 @@ from zensim.proto.messages.standard_messages import LaserScan, Twist
 from zensim.proto.messages.telemetry_messages import Stats
 from zensim.proto.network_protocols import Subscription
 from zensim.proto.topic_catalog import CMD_VEL
-from zensim.spawner.page.drive_control import USUAL_SPEED_M_S, USUAL_TURN_RAD_S
 from zensim.spawner.page.entity_panel import MAX_ROWS
 from zensim.spawner.page.pending_deletions import UNDO_S
 from zensim.spawner.page.render_state import (
@@ -66,6 +65,7 @@ from zensim.spawner.page.sensor_views import SensorChoice
 from zensim.spawner.page.side_panel import Order, WatchedTopic, WorldCall
 from zensim.spawner.page.viewer_client import PanelFactory, ViewerClient
 from zensim.spawner.page.viewer_page import ViewerPage
+from zensim.spawner.teleop.drive_twists import USUAL_SPEED_M_S, USUAL_TURN_RAD_S
 
 WITHIN_S = 10.0
 
