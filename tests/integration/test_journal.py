@@ -18,6 +18,7 @@ from tests.integration.processes import (
     Server,
     eventually,
     free_endpoint,
+    run_in_process,
     running_agents,
     serving,
     wait_for_agents,
@@ -103,7 +104,7 @@ def test_terminated_server_closes_its_journal(tmp_path: Path) -> None:
 
         assert server.process.wait(END_S) == 0
     assert not (tmp_path / f"{DATABASE}-wal").exists()
-    verified = zensim("journal", "verify", str(tmp_path))
+    verified = run_in_process("journal", "verify", str(tmp_path))
     assert (verified.returncode, verified.stdout.count("\n")) == (0, 1)
 
 
@@ -111,8 +112,8 @@ def test_journal_is_shown_and_exported_while_its_server_runs(tmp_path: Path) -> 
     with serving_with_journal(tmp_path, free_endpoint()) as server:
         server.zensim("spawn", "box_bot", "--name", "r0", "-x", "2")
 
-        shown = zensim("journal", "show", str(tmp_path))
-        exported = json.loads(zensim("journal", "export", str(tmp_path)).stdout)
+        shown = run_in_process("journal", "show", str(tmp_path))
+        exported = json.loads(run_in_process("journal", "export", str(tmp_path)).stdout)
 
         assert "r0  ns=r0  model=box_bot  at 2.000 0.000 0.060" in shown.stdout
         assert exported["entities"][0]["name"] == "r0"
@@ -160,7 +161,7 @@ def test_damaged_journal_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / DATABASE).write_bytes(data)
 
     served = zensim("serve", "--listen", free_endpoint(), "--journal", str(tmp_path))
-    verified = zensim("journal", "verify", str(tmp_path))
+    verified = run_in_process("journal", "verify", str(tmp_path))
 
     for done in (served, verified):
         assert done.returncode == 1
@@ -330,7 +331,7 @@ def test_journal_on_a_read_only_disk_refuses_a_start_in_one_line_and_is_shown(
         remount(disk, "ro")
 
         refused = zensim("serve", "--listen", endpoint, "--journal", str(disk / "j"))
-        shown = zensim("journal", "show", str(disk / "j"))
+        shown = run_in_process("journal", "show", str(disk / "j"))
         remount(disk, "rw")
 
         assert refused.returncode == 1

@@ -42,7 +42,7 @@ WITHIN_S = 30.0
 
 @pytest.fixture(scope="module")
 def sim() -> Iterator[api.Sim]:
-    with api.launch(engine="mujoco") as sim:
+    with api.launch(engine="mujoco", timeout_s=120.0) as sim:
         sim.spawn("box_bot", name="r1")
         sim.play()
         yield sim
