@@ -134,7 +134,7 @@ def make_media() -> None:
     """Make all pictures: of a world, and on a phone of its recording."""
     with TemporaryDirectory() as folder:
         recording = Path(folder) / "run.mcap"
-        options = ("--robots", str(ROBOTS), "--behaviour", "circle", "--record", str(recording))
+        options = ("--robots", str(ROBOTS), "--agents", "pooled", "--record", str(recording))
         with running_up(*options, "--viewer-port", "0") as (_, announced, bus):
             make_pictures(str(announced["viewer"]), bus)
         with running("view", "--recording", str(recording), "--port", "0") as process:

@@ -8,7 +8,7 @@ import pytest
 from tests.integration.chromium import Chromium, Tab
 from tests.integration.docs_media import PHONE, WIDE, show
 from tests.integration.processes import Server, eventually, serving
-from tests.integration.test_view import list_unnamed, read, viewing
+from tests.integration.test_view import SELECT, list_unnamed, read, viewing
 from zensim.proto.messages.standard_messages import Twist
 from zensim.proto.topic_catalog import CMD_VEL
 
@@ -134,10 +134,7 @@ list().filter((one) => !window.zensimReached.has(one)).filter((one) => {
     [...tabs.querySelectorAll("[role=tab]")].some((tab) => window.zensimReached.has(tab)));
 }).map(nameOf)
 """
-SELECT = """
-(window.__viserMutable.sendMessage({type: "ZensimSelect", entity: "%s"}),
-  document.body.innerText.includes("Stop following"))
-"""
+SELECT_ROBOT = SELECT % (ROBOT, "Stop following")
 PLACE_OF_TAB = """
 (() => {
   const tab = [...document.querySelectorAll("[role=tab]")].find(
@@ -181,7 +178,7 @@ def tab(request: pytest.FixtureRequest, url: str) -> Iterator[Tab]:
     size, scheme = request.param
     with Chromium() as browser:
         found = show(browser, url, size, scheme)
-        found.until(SELECT % ROBOT, PATIENCE_S)
+        found.until(SELECT_ROBOT, PATIENCE_S)
         yield found
 
 
@@ -191,7 +188,7 @@ def phone(url: str) -> Iterator[Tab]:
     with Chromium() as browser:
         found = show(browser, url, PHONE, "light")
         found.call("Emulation.setTouchEmulationEnabled", enabled=True)
-        found.until(SELECT % ROBOT, PATIENCE_S)
+        found.until(SELECT_ROBOT, PATIENCE_S)
         yield found
 
 

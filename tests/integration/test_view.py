@@ -112,10 +112,13 @@ MIDDLE_OF_FORWARD = """
   return [box.left + box.width / 2, box.top + box.height / 2];
 })()
 """
-SELECT_BOX_BOT1 = """
-(window.__viserMutable.sendMessage({type: "ZensimSelect", entity: "box_bot1"}),
-  document.body.innerText.includes("box_bot1: driven by"))
+SELECT = """
+(window.zensimAskedAt > performance.now() - 3000 || (window.zensimAskedAt = performance.now(),
+  window.__viserMutable.sendMessage({type: "ZensimSelect", entity: "%s"})),
+  document.body.innerText.includes("%s"))
 """
+"""Selects an entity, and says whether a text is there; asks again rarely, as it has an effect."""
+SELECT_BOX_BOT1 = SELECT % ("box_bot1", "box_bot1: driven by")
 VISIBLE = "[...document.querySelectorAll('%s')].find(one => one.checkVisibility())"
 WITHIN = """
 new Promise((resolve) => {
