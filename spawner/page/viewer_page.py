@@ -127,22 +127,24 @@ class ViewerPage:
         self._names = b"{}"
         self._is_grey = False
         self._next_text_at, self._has_new_text = 0.0, False
-        shortcuts = SHORTCUTS if driver is not None else LOOK_SHORTCUTS
-        self._server = open_server(
-            host, port, lambda: self._names, access, self._receive, shortcuts
-        )
+        keys = SHORTCUTS if driver is not None else LOOK_SHORTCUTS
+        self._server = open_server(host, port, lambda: self._names, access, self._receive, keys)
         set_up_scene(self._server)
         self._lighting = SceneLighting(self._server.scene)
         self._lighting.show(Scene())
         self._fleet_nodes = FleetNodes(self._server.scene, self._pick)
         self._status = self._server.gui.add_html(make_status_html(SimulationStatus()))
         if driver is not None:
-            buttons = self._server.gui.add_button_group("Simulation", BUTTONS)
-            buttons.on_click(lambda event: self._events.put(cast("Button", event.target.value)))
+            self._add_buttons()
         self._server.on_client_connect(
             lambda client: self._events.put(ClientConnected(client.client_id))
         )
         self._server.on_client_disconnect(self._handle_leave)
+
+    def _add_buttons(self) -> None:
+        """Add the buttons of the simulation, which all visitors share."""
+        buttons = self._server.gui.add_button_group("Simulation", BUTTONS)
+        buttons.on_click(lambda event: self._events.put(cast("Button", event.target.value)))
 
     @property
     def port(self) -> int:
