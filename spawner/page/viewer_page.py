@@ -124,8 +124,7 @@ class ViewerPage:
         self._orders: list[Order] = []
         self._clients: dict[int, ViewerClient] = {}
         self._state = PageState()
-        self._names = b"{}"
-        self._is_grey = False
+        self._names, self._is_grey = b"{}", False
         self._next_text_at, self._has_new_text = 0.0, False
         keys = SHORTCUTS if driver is not None else LOOK_SHORTCUTS
         self._server = open_server(host, port, lambda: self._names, access, self._receive, keys)
