@@ -50,6 +50,7 @@ packages: # Debian packages that the tests use
 	@sh .ci/need chromium chromium chromium-browser google-chrome
 	@sh .ci/need iproute2 ip
 	@sh .ci/need strace strace
+	@sh .ci/need systemd systemd-analyze
 	@sh .ci/need nodejs node
 	@sh .ci/need npm npm
 	@for library in libegl1 libgl1-mesa-dri; do \

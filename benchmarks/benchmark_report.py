@@ -25,6 +25,7 @@ NAMES = (
     "secured_floods",
     "services",
     "journal",
+    "operation",
     "flat_out",
     "fleet",
     "fleet_spawn",

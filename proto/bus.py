@@ -21,6 +21,7 @@ import zenoh
 from zenoh.handlers import Callback, FifoChannel, RingChannel
 
 from zensim.proto import keys
+from zensim.proto.bus_traffic import BusTraffic
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_endpoint, with_free_port
 from zensim.proto.join_tokens import (
@@ -59,8 +60,9 @@ EMPTY_PAYLOAD: Final = zenoh.ZBytes(b"")
 class BusPublisher:
     """Publisher on one key. Never blocks: a congested network drops messages."""
 
-    def __init__(self, publisher: zenoh.Publisher) -> None:
+    def __init__(self, publisher: zenoh.Publisher, traffic: BusTraffic) -> None:
         self._publisher = publisher
+        self._traffic = traffic
         self._put = publisher.put
         self._changes: zenoh.MatchingListener[Handler[zenoh.MatchingStatus]] | None = None
         self._was_matched = False
@@ -79,6 +81,8 @@ class BusPublisher:
 
     def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
         """Publish a message; subscribers drop a second one with the same timestamp."""
+        self._traffic.sent += 1
+        self._traffic.sent_bytes += len(payload)
         # Each argument costs a tenth of the put.
         if stamp is not None:
             self._put(
@@ -100,10 +104,14 @@ class BusSubscription:
     """Subscription on a key expression; a full queue drops the oldest messages."""
 
     def __init__(
-        self, subscriber: "zenoh.Subscriber[Handler[zenoh.Sample]]", max_bytes: int
+        self,
+        subscriber: "zenoh.Subscriber[Handler[zenoh.Sample]]",
+        max_bytes: int,
+        traffic: BusTraffic,
     ) -> None:
         self._subscriber = subscriber
         self._max_bytes = max_bytes
+        self._traffic = traffic
 
     def take(self) -> list[Sample]:
         """Take all queued messages, oldest first."""
@@ -111,6 +119,9 @@ class BusSubscription:
         while (sample := receive()) is not None:
             if len(sample.payload) <= max_bytes:  # before it is copied
                 found.append(to_sample(sample))
+        if found:
+            self._traffic.received += len(found)
+            self._traffic.received_bytes += sum([len(one.payload) for one in found])
         return found
 
     def take_payloads(self) -> list[bytes]:
@@ -119,6 +130,9 @@ class BusSubscription:
         while (sample := self._subscriber.try_recv()) is not None:
             if len(sample.payload) <= self._max_bytes:
                 found.append(sample.payload.to_bytes())
+        if found:
+            self._traffic.received += len(found)
+            self._traffic.received_bytes += sum(map(len, found))
         return found
 
     def newest(self) -> Sample | None:
@@ -127,7 +141,11 @@ class BusSubscription:
         while (sample := receive()) is not None:
             if len(sample.payload) <= self._max_bytes:
                 last = sample
-        return to_sample(last) if last is not None else None
+        if last is None:
+            return None
+        self._traffic.received += 1
+        self._traffic.received_bytes += len(last.payload)
+        return to_sample(last)
 
     def close(self) -> None:
         """Undeclare the subscription."""
@@ -144,9 +162,11 @@ class NewestSubscription:
         self,
         subscriber: "zenoh.Subscriber[Handler[zenoh.Sample]]",
         keeps_all: Callable[[str], bool],
+        traffic: BusTraffic,
     ) -> None:
         self._subscriber = subscriber
         self._keeps_all = keeps_all
+        self._traffic = traffic
         self._newest: dict[str, zenoh.Sample] = {}
         self._all: list[zenoh.Sample] = []
 
@@ -165,6 +185,8 @@ class NewestSubscription:
         self.collect()
         kept = [*self._all, *self._newest.values()]
         self._all, self._newest = [], {}
+        self._traffic.received += len(kept)
+        self._traffic.received_bytes += sum(len(one.payload) for one in kept)
         return [to_sample(one) for one in kept if len(one.payload) <= MAX_MESSAGE_BYTES]
 
     def close(self) -> None:
@@ -198,9 +220,10 @@ class BusReceiver:
 class BusQuery:
     """A query that waits for its reply. Replies leave from other threads and never block."""
 
-    def __init__(self, query: zenoh.Query, sender: ReplySender) -> None:
+    def __init__(self, query: zenoh.Query, sender: ReplySender, traffic: BusTraffic) -> None:
         self._query = query
         self._sender = sender
+        self._traffic = traffic
         self._has_replies = False
         self.key = str(query.key_expr)
         source = query.source_info
@@ -224,6 +247,7 @@ class BusQuery:
     def payload(self) -> bytes:
         """Bytes of the request; empty if it is too large, as it is refused by its size."""
         payload = self._query.payload
+        self._traffic.received_bytes += self.size
         return payload.to_bytes() if payload and self.size <= MAX_REQUEST_BYTES else b""
 
     @cached_property
@@ -295,6 +319,8 @@ class BusQuery:
             self._sender.finish(self._query.drop)
 
     def _send(self, size: int, send: Send, finish: Send | None = None) -> None:
+        self._traffic.sent += 1
+        self._traffic.sent_bytes += size
         self._sender.send(self.client, size + REPLY_BYTES, send, finish or self._query.drop)
 
     def _finish_with(self, replies: Iterable[Callable[[], None]]) -> None:
@@ -313,10 +339,14 @@ class BusQueryQueue:
     """Queue of queries on a key expression; a full queue drops the oldest without a reply."""
 
     def __init__(
-        self, queryable: "zenoh.Queryable[Handler[zenoh.Query]]", sender: ReplySender
+        self,
+        queryable: "zenoh.Queryable[Handler[zenoh.Query]]",
+        sender: ReplySender,
+        traffic: BusTraffic,
     ) -> None:
         self._queryable = queryable
         self._sender = sender
+        self._traffic = traffic
 
     def take(self) -> list[BusQuery]:
         """Take queued queries, oldest first, `MAX_TAKEN` at most; none while replies pile up."""
@@ -324,7 +354,8 @@ class BusQueryQueue:
         if self._sender.is_full:
             return calls
         while len(calls) < MAX_TAKEN and (query := self._queryable.try_recv()) is not None:
-            calls.append(BusQuery(query, self._sender))
+            calls.append(BusQuery(query, self._sender, self._traffic))
+        self._traffic.received += len(calls)
         return calls
 
     def close(self) -> None:
@@ -600,6 +631,7 @@ class Bus:
         # Names this session in its requests: a server shares its time among sessions.
         self._source = zenoh.SourceInfo(session.id, 0)
         self.config = config
+        self.traffic = BusTraffic()
 
     def __enter__(self) -> "Bus":
         """Return the bus."""
@@ -647,7 +679,10 @@ class Bus:
             BusError: See `open_bus`.
         """
         at = self.config.listen if self.config.mode == "router" else self.config.connect
-        return open_bus(msgspec.structs.replace(self.config, mode="client", connect=at, listen=()))
+        config = msgspec.structs.replace(self.config, mode="client", connect=at, listen=())
+        opened = open_bus(config)
+        opened.traffic = self.traffic
+        return opened
 
     def close(self) -> None:
         """Send the replies that wait, and close the session and all that it declared."""
@@ -676,7 +711,7 @@ class Bus:
             encoding=encoding,
             congestion_control=zenoh.CongestionControl.DROP,
         )
-        return BusPublisher(declared)
+        return BusPublisher(declared, self.traffic)
 
     def subscribe(
         self, key: str, depth: int = LATEST, max_bytes: int = MAX_MESSAGE_BYTES
@@ -689,7 +724,7 @@ class Bus:
             max_bytes: Larger messages are dropped.
         """
         declared = self._session.declare_subscriber(_to_key_expression(key), RingChannel(depth))
-        return BusSubscription(declared, max_bytes)
+        return BusSubscription(declared, max_bytes, self.traffic)
 
     def subscribe_newest(
         self, key: str, depth: int, keeps_all: Callable[[str], bool]
@@ -702,7 +737,7 @@ class Bus:
             keeps_all: Whether all messages of a key are kept.
         """
         declared = self._session.declare_subscriber(_to_key_expression(key), RingChannel(depth))
-        return NewestSubscription(declared, keeps_all)
+        return NewestSubscription(declared, keeps_all, self.traffic)
 
     def receive(self, key: str) -> BusReceiver:
         """Subscribe to a key, for a caller that waits for each message."""
@@ -724,7 +759,7 @@ class Bus:
         declared = self._session.declare_queryable(
             _to_key_expression(key), RingChannel(depth), complete=is_complete
         )
-        return BusQueryQueue(declared, self._sender)
+        return BusQueryQueue(declared, self._sender, self.traffic)
 
     def token(self, key: str) -> LivelinessToken:
         """Declare a liveliness token."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Annotated, Any, Final, TypeVar, get_args
 
 import msgspec
 import typer
@@ -17,7 +17,7 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import TOKEN_VARIABLE
 from zensim.proto.ros2.ros_settings import BRIDGED_COMMANDS, RosSettings, parse_ros_settings
 from zensim.proto.topic_catalog import select_ros_topics
-from zensim.proto.verbosity import print_old_spelling, set_verbosity
+from zensim.proto.verbosity import LOG_FORMAT_VARIABLE, print_old_spelling, set_verbosity
 from zensim.proto.web_access import (
     PageAccess,
     check_certificate,
@@ -51,16 +51,26 @@ def make_app(name: str = "", *, has_default: bool = False) -> typer.Typer:
     )
 
 
-def is_from_environment(context: typer.Context, parameter: str) -> bool:
-    """Whether the value of an option is that of a variable: a given flag takes precedence."""
+SOURCES: Final = ("DEFAULT", "DEFAULT_MAP", "ENVIRONMENT", "COMMANDLINE")
+"""Of values: default, file, variable, flag; later ones take precedence."""
+
+
+def find_source(context: typer.Context, parameter: str) -> str:
+    """Find the source of the value of an option; one of `SOURCES`."""
     source = context.get_parameter_source(parameter)
-    return source is not None and source.name == "ENVIRONMENT"
+    return source.name if source is not None and source.name in SOURCES else SOURCES[0]
+
+
+def takes_precedence(context: typer.Context, parameter: str, *, over: str) -> bool:
+    """Whether the value of an option comes from a stronger source than that of another."""
+    strength = [SOURCES.index(find_source(context, name)) for name in (parameter, over)]
+    return strength[0] > strength[1]
 
 
 def expand_options(action: Callable[..., None]) -> Callable[..., None]:
     """Replace each parameter that is a dataclass by one option per field.
 
-    A command without `--quiet` or `--verbose` gets them.
+    A command without `--quiet`, `--verbose` or `--log-format` gets them.
     """
     parameters = inspect.signature(action).parameters.values()
     groups = {
@@ -108,8 +118,8 @@ def _require_finite(given: Mapping[str, object]) -> None:
 
 def _list_missing_switches(names: Sequence[str]) -> list[inspect.Parameter]:
     return [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=option)
-        for name, option in (("quiet", QuietOption), ("verbose", VerboseOption))
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=option)
+        for name, option, default in ADDED_SWITCHES
         if name not in names
     ]
 
@@ -119,11 +129,15 @@ def _apply_verbosity(
 ) -> None:
     """Apply the switches; those that were added to a command are taken out of its arguments."""
     chosen = {name: bool(given.get(name)) for name in ("quiet", "verbose", "as_json")}
+    log_format = str(given.get("log_format") or "")
     for parameter in added:
         del given[parameter.name]
     with exit_on_failure(command):
         set_verbosity(
-            is_quiet=chosen["quiet"], is_verbose=chosen["verbose"], is_json=chosen["as_json"]
+            is_quiet=chosen["quiet"],
+            is_verbose=chosen["verbose"],
+            is_json=chosen["as_json"],
+            log_format=log_format,
         )
 
 
@@ -178,7 +192,7 @@ def parse_plain_options(
     """
     options = _index_options(group)
     left = [field for field in _list_fields(group) if _is_argument(field)]
-    if any(name in environment for _, info in options.values() for name in _list_variables(info)):
+    if any(environment.get(name) for _, info in options.values() for name in _list_variables(info)):
         return None
     given: dict[str, Any] = {}
     rest = list(words)
@@ -324,6 +338,35 @@ VerboseOption = Annotated[
         "-v",
         help="Log at level INFO, and print where a failure came from.",
         rich_help_panel="Output",
+    ),
+]
+
+
+LogFormatOption = Annotated[
+    str,
+    typer.Option(
+        "--log-format",
+        metavar="text|json",
+        help="Log lines of text, or objects of JSON.",
+        show_default="text",
+        envvar=LOG_FORMAT_VARIABLE,
+        rich_help_panel="Output",
+    ),
+]
+ADDED_SWITCHES: Final = (
+    ("quiet", QuietOption, False),
+    ("verbose", VerboseOption, False),
+    ("log_format", LogFormatOption, ""),
+)
+"""Options that each command has: name, type, default."""
+MetricsOption = Annotated[
+    str,
+    typer.Option(
+        "--metrics",
+        metavar="[HOST:]PORT",
+        help="Serve /livez, /readyz and /metrics by http here; without a host on 127.0.0.1.",
+        show_default="not served",
+        rich_help_panel="Operation",
     ),
 ]
 

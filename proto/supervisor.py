@@ -4,7 +4,7 @@ import math
 import os
 import subprocess
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from zensim.proto.child_process import (
@@ -14,6 +14,7 @@ from zensim.proto.child_process import (
     start_process,
 )
 from zensim.proto.process_limits import PARENT_PID_VARIABLE
+from zensim.proto.verbosity import CURRENT, LOG_FORMAT_VARIABLE
 
 TERMINATE_TIMEOUT_S = 1.2
 """Grace period before SIGKILL; all processes but recorders must end within 2 s."""
@@ -29,6 +30,15 @@ CLI_MODULE, PREPARED_START_MODULE = "zensim", "zensim.api.prepared_start"
 
 class ProgramDied(Exception):
     """A process exited that is not restarted."""
+
+
+SETTINGS_PREFIXES = ("ZENSIM_CONFIG", "ZENSIM_SERVE_", "ZENSIM_VIEW_", "ZENSIM_RECORD_")
+"""Of variables of programs that get all settings as arguments."""
+
+
+def hide_settings(environment: Mapping[str, str]) -> dict[str, str]:
+    """Empty the variables that would be settings of supervised programs."""
+    return {name: "" for name in environment if name.startswith(SETTINGS_PREFIXES)}
 
 
 @dataclass
@@ -116,5 +126,9 @@ class Supervisor:
             make_module_command(program.module, *program.arguments),
             stdout=subprocess.PIPE,
             stderr=self.errors,
-            environment={PARENT_PID_VARIABLE: str(os.getpid())},
+            environment={
+                PARENT_PID_VARIABLE: str(os.getpid()),
+                **({LOG_FORMAT_VARIABLE: CURRENT.log_format} if CURRENT.log_format else {}),
+                **hide_settings(os.environ),
+            },
         )

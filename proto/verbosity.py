@@ -2,13 +2,19 @@
 
 import json
 import logging
+import os
 import sys
 from collections.abc import Mapping
+from typing import Final
 
+from zensim.proto.json_logs import JsonFormatter, RepeatLimit
 from zensim.proto.printable_text import PrintableFormatter, print_lines
 
 LOG = logging.getLogger("zensim")
 LOG_FORMAT = "%(levelname)s %(name)s %(message)s"
+LOG_FORMATS: Final = ("text", "json")
+LOG_FORMAT_VARIABLE: Final = "ZENSIM_LOG_FORMAT"
+"""Of `--log-format`; programs hand their choice to those that they start."""
 
 
 class Verbosity:
@@ -17,18 +23,25 @@ class Verbosity:
     is_quiet = False
     is_verbose = False
     is_json = False
+    log_format = ""
+    """Of `LOG_FORMATS`; empty = as the variable says."""
 
 
 CURRENT = Verbosity()
 
 
-def set_verbosity(*, is_quiet: bool, is_verbose: bool, is_json: bool) -> None:
+def set_verbosity(*, is_quiet: bool, is_verbose: bool, is_json: bool, log_format: str = "") -> None:
     """Choose how much this process prints, from now on.
 
     Raises:
-        ValueError: Quiet and verbose exclude each other.
+        ValueError: Quiet and verbose exclude each other, or the format is unknown.
     """
     CURRENT.is_quiet, CURRENT.is_verbose, CURRENT.is_json = is_quiet, False, is_json
+    CURRENT.log_format = log_format
+    if log_format not in ("", *LOG_FORMATS):
+        raise ValueError(
+            f"--log-format must be one of {', '.join(LOG_FORMATS)}; got {log_format[:40]!r}"
+        )
     if is_quiet and is_verbose:
         raise ValueError("--quiet and --verbose exclude each other; give one of them")
     CURRENT.is_verbose = is_verbose
@@ -42,7 +55,9 @@ def configure_logging(usual_level: int = logging.WARNING) -> None:
     elif CURRENT.is_verbose:
         level = min(usual_level, logging.INFO)
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(PrintableFormatter(LOG_FORMAT))
+    is_json = (CURRENT.log_format or os.environ.get(LOG_FORMAT_VARIABLE)) == "json"
+    handler.setFormatter(JsonFormatter() if is_json else PrintableFormatter(LOG_FORMAT))
+    handler.addFilter(RepeatLimit())
     logging.basicConfig(handlers=[handler])
     LOG.setLevel(level)
 

@@ -5,7 +5,7 @@ import math
 import signal
 import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, suppress
 from typing import Protocol
 
@@ -14,13 +14,22 @@ import msgspec
 from zensim.proto import keys
 from zensim.proto.bus import BusConfig, open_bus_with_retry
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
+from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
 from zensim.proto.messages.process_messages import AgentStats
 from zensim.proto.messages.sensor_messages import Contacts
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.metric_families import (
+    DurationHistogram,
+    MetricFamily,
+    make_counter,
+    make_gauge,
+)
 from zensim.proto.network_protocols import AgentNetwork, Subscription
+from zensim.proto.operation_server import served_status
 from zensim.proto.poll_schedule import MAX_PAUSE_S, PollSchedule
 from zensim.proto.process_limits import set_niceness
+from zensim.proto.program_status import ProgramStatus, make_program_status
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.rosout import Rosout
 from zensim.proto.stats_publisher import StatsPublisher, read_process_usage
@@ -241,6 +250,8 @@ class Agent:
         self._state_order = StateOrder()
         self._housekeeping = Housekeeping(self._robots)
         self._answered, self._claims = 0, b""
+        self._cycles = DurationHistogram()
+        """Wall times from a state to its answer."""
         self._stats = StatsPublisher(
             network, AGENT_STATS, AGENT_STATS.key(world, agent), self.make_stats
         )
@@ -289,6 +300,21 @@ class Agent:
             states=self._answered,
             malformed=self.malformed,
             usage=read_process_usage(),
+        )
+
+    def list_metrics(self) -> Iterator[MetricFamily]:
+        """List the metrics of this process; another thread calls it."""
+        yield make_gauge(
+            "zensim_agent_robots", "Robots claimed now.", len(self._claims) // CLAIM_BYTES
+        )
+        yield make_counter(
+            "zensim_agent_commands_total", "Drive states that were answered.", self._answered
+        )
+        yield make_counter(
+            "zensim_agent_malformed_total", "Messages that could not be read.", self.malformed
+        )
+        yield self._cycles.make_family(
+            "zensim_agent_cycle_seconds", "Wall time to handle a drive state."
         )
 
     def _do_housekeeping(self, now_s: float) -> None:
@@ -348,6 +374,7 @@ class Agent:
         if sample is None:
             self._revise()
             return False
+        began_ns = time.perf_counter_ns()
         try:
             state = decode(DriveState, sample.payload, sample.encoding)
             self._poll_schedule.note_state(self._now_s, is_awaited=state.is_awaited)
@@ -355,6 +382,7 @@ class Agent:
             self._follow(state)
         except MalformedPayload as error:
             self._note_malformed("drive_state", error)
+        self._cycles.add(time.perf_counter_ns() - began_ns)
         return True
 
     def _note_malformed(self, subject: str, error: MalformedPayload) -> None:
@@ -418,6 +446,7 @@ def run_agent(
     *,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
+    status: ProgramStatus | None = None,
 ) -> None:
     """Claim and drive entities until `should_stop`, or until they cannot be claimed.
 
@@ -427,8 +456,11 @@ def run_agent(
         TimeoutError: See there.
         MalformedPayload: See there.
     """
+    status = status or ProgramStatus()
     with closing(Agent(network, config)) as agent:
+        status.sources.append(agent.list_metrics)
         while not should_stop():
+            status.note_turn()
             agent.poll(clock())
             sleep(agent.pause_s(clock()))
 
@@ -474,6 +506,7 @@ def run_agent_process(start: AgentProcessConfig) -> None:
 
     Raises:
         EndpointUnreachable: Nothing accepts connections at the endpoint.
+        UnusableMetrics: Metrics cannot be served.
         ServiceError: See `run_agent`, as for the others.
     """
     configure_logging(logging.WARNING if start.is_quiet else logging.INFO)
@@ -481,15 +514,22 @@ def run_agent_process(start: AgentProcessConfig) -> None:
     # Opening does not return to Python; until a token exists, a signal just ends the process.
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_DFL)
+    status = make_program_status(config.world)
+    CONTEXT.world = config.world
     deadline_s = time.monotonic() + config.wait_s
-    with open_bus_with_retry(BusConfig(connect=(start.endpoint,)), config.wait_s) as bus:
+    with (
+        served_status(start.metrics, status),
+        open_bus_with_retry(BusConfig(connect=(start.endpoint,)), config.wait_s) as bus,
+    ):
+        status.sources.append(bus.traffic.list_metrics)
         left_s = max(0.0, deadline_s - time.monotonic())
         # On a secured server an agent can only be the user of its token.
         name = bus.user or config.agent or _make_agent_name(config)
         # An interrupt in a callback of Python is lost: the flag is read, too.
         with suppress(KeyboardInterrupt):
-            stop = StopFlag(is_armed=False)
-            run_agent(bus, msgspec.structs.replace(config, agent=name, wait_s=left_s), stop)
+            stop = StopFlag(is_armed=False, on_stop=status.drain)
+            config = msgspec.structs.replace(config, agent=name, wait_s=left_s)
+            run_agent(bus, config, stop, status=status)
 
 
 def _make_agent_name(config: AgentConfig) -> str:

@@ -80,3 +80,5 @@ class AgentProcessConfig(msgspec.Struct, frozen=True, kw_only=True):
     config: AgentConfig
     is_quiet: bool = False
     """Whether only warnings are logged."""
+    metrics: str = ""
+    """`[HOST:]PORT` at which health and metrics are offered by http; empty = they are not."""

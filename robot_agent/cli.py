@@ -8,6 +8,7 @@ import typer
 from zensim.proto.cli_options import (
     ConnectOption,
     JsonOption,
+    MetricsOption,
     OdomHzOption,
     RosTfOptions,
     TfHzOption,
@@ -82,6 +83,7 @@ class AgentOptions(RosTfOptions):
             rich_help_panel="Connection",
         ),
     ] = "default"
+    metrics: MetricsOption = ""
     old_world: Annotated[str | None, typer.Option("--world", hidden=True)] = None
     wait: Annotated[
         float,
@@ -116,7 +118,12 @@ def agent(given: AgentOptions) -> None:
             }
             print_announcement("agent", "", facts, as_json=True)
         run_agent_process(
-            AgentProcessConfig(endpoint=endpoint, config=_make_config(given), is_quiet=given.quiet)
+            AgentProcessConfig(
+                endpoint=endpoint,
+                config=_make_config(given),
+                is_quiet=given.quiet,
+                metrics=given.metrics,
+            )
         )
 
 

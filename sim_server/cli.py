@@ -20,6 +20,7 @@ from zensim.proto.cli_options import (
     InsecureOption,
     JsonOption,
     LockstepOption,
+    MetricsOption,
     ModelPathOption,
     RealTimeFactorOption,
     RosOptions,
@@ -30,9 +31,9 @@ from zensim.proto.cli_options import (
     WorldOption,
     expand_options,
     flag,
-    is_from_environment,
     make_app,
     parse_choice,
+    takes_precedence,
 )
 from zensim.proto.endpoints import (
     DEFAULT_ENDPOINT,
@@ -139,6 +140,7 @@ class ServeOptions(RosOptions):
             show_default="descriptions name them as given",
         ),
     ] = ""
+    metrics: MetricsOption = ""
     wait: Annotated[
         float,
         _connection(min=0.0, metavar="SECONDS", help=r"Timeout of connecting to the router \[s]."),
@@ -191,9 +193,11 @@ class ServeOptions(RosOptions):
 def serve(context: typer.Context, given: ServeOptions) -> None:
     """Start a simulation server, until Ctrl-C."""
     configure_logging()
-    if given.listen and is_from_environment(context, "connect"):
+    if given.listen and takes_precedence(context, "listen", over="connect"):
         # An exported ZENSIM_CONNECT is meant for clients.
         given = replace(given, connect="")
+    elif given.connect and takes_precedence(context, "connect", over="listen"):
+        given = replace(given, listen="")
     stop = StopFlag()
     with exit_on_failure("serve", MissingServerExtra, ProgramDied, BusError), ExitStack() as stack:
         config = _make_server_config(given)
@@ -253,6 +257,7 @@ def _make_server_config(given: ServeOptions) -> ServerConfig:
         lockstep=LockstepSettings(given.lockstep, given.lockstep_timeout, on_miss),
         ros=given.ros,
         mesh_http=given.mesh_http,
+        metrics=given.metrics,
         physics=EngineOptions(
             engine=parse_engine_name(given.engine),
             clusters=parse_choice("--clusters", given.clusters, CLUSTERINGS),

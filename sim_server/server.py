@@ -6,6 +6,7 @@ import gc
 import logging
 import time
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,9 +22,12 @@ from zensim.proto.bus import (
     open_bus_with_retry,
     require_free_endpoints,
 )
+from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import InfoRequest
+from zensim.proto.operation_server import served_status
 from zensim.proto.process_limits import limit_malloc_arenas
+from zensim.proto.program_status import ProgramStatus, make_program_status
 from zensim.proto.ros2.node_services import NodeParameter, ParameterContent
 from zensim.proto.rosout import LogCollector
 from zensim.proto.service_catalog import INFO
@@ -32,10 +36,12 @@ from zensim.sim_server.journal.server_journal import open_journal
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.mesh_server import MeshServer, PublishedFiles
 from zensim.sim_server.parser_process.parser_client import ParserClient
+from zensim.sim_server.physics.engine_config import choose_engine, find_installed_engines
 from zensim.sim_server.ros2_node.server_node import start_server_node
 from zensim.sim_server.runtime.loop import ServerLoop, request_short_time_slice
 from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
 from zensim.sim_server.runtime.memory_trimmer import MemoryTrimmer
+from zensim.sim_server.runtime.server_metrics import ServerMetrics
 from zensim.sim_server.runtime.step_topics import StepTopics
 from zensim.sim_server.security.admitted_users import AdmittedUsers
 from zensim.sim_server.security.secure_folder import SecureFolder
@@ -50,6 +56,7 @@ from zensim.sim_server.world_loading.world_loader import LoadedWorld, make_world
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from zensim.proto.stop_signal import StopFlag
     from zensim.sim_server.journal.server_journal import ChangeTracker, Journal
     from zensim.sim_server.service_parts import ServerParts
 
@@ -74,12 +81,21 @@ class HostClock:
         time.sleep(seconds)
 
 
+@dataclass(frozen=True)
+class ServerHooks:
+    """What a running server calls, and where it notes its status."""
+
+    stop: StopFlag
+    on_ready: Callable[[Bus, ServerConfig], None]
+    status: ProgramStatus
+
+
 def run_server(
     config: ServerConfig,
-    should_stop: Callable[[], bool],
+    stop: StopFlag,
     on_ready: Callable[[Bus, ServerConfig], None],
 ) -> None:
-    """Run a server until `should_stop` returns True.
+    """Run a server until a signal stops it; it finishes the requests that it has accepted.
 
     Raises:
         ConfigError: The configuration is not valid.
@@ -89,6 +105,9 @@ def run_server(
     """
     config = msgspec.structs.replace(validate_config(config), requested=config)
     limit_malloc_arenas()
+    status = make_program_status(config.world)
+    CONTEXT.world = config.world
+    stop.on_stop = status.drain
     with ExitStack() as cleanup:
         collector = LogCollector()
         if config.ros.domain is not None:
@@ -104,7 +123,10 @@ def run_server(
                     make_world_engine, _in_one_process(config), loaded.model, str(journal.files)
                 )
             )
-        make = partial(_make_parts, config, loaded, journal, cleanup, should_stop)
+            status.phase = "restoring"
+        # A fork of this process, as above, must have no other threads.
+        cleanup.enter_context(served_status(config.metrics, status))
+        make = partial(_make_parts, config, loaded, journal, cleanup, stop)
         if journal is not None and journal.contents is not None and _listens(config):
             # Clients that reach a server expect replies, and a large world takes seconds.
             require_free_endpoints(config.bus or BusConfig())
@@ -113,7 +135,7 @@ def run_server(
         else:
             bus = _open_network(config, cleanup)
             made = make()
-        _run(config, made, bus, collector, should_stop, on_ready)
+        _run(config, made, bus, collector, ServerHooks(stop, on_ready, status))
 
 
 def _listens(config: ServerConfig) -> bool:
@@ -212,8 +234,7 @@ def _run(
     made: tuple[ServerParts, ChangeTracker | None],
     bus: Bus,
     collector: LogCollector,
-    should_stop: Callable[[], bool],
-    on_ready: Callable[[Bus, ServerConfig], None],
+    hooks: ServerHooks,
 ) -> None:
     parts, tracker = made
     with ExitStack() as cleanup:
@@ -226,15 +247,22 @@ def _run(
         sources = (*node.sources, StepTopics(bus, config.world))
         inbox = BusInbox(bus, config.world, sources, is_secured=users is not None)
         publisher = BusWorldPublisher(bus, config.world, node.topics, node.on_progress)
+        status = hooks.status
         loop = ServerLoop(parts, inbox, publisher, HostClock(), tracker, users)
+        loop.status = status
+        CONTEXT.read_time_ns = lambda: parts.world.clock.time_ns
+        engine = choose_engine(config.physics, find_installed_engines())
+        metrics = ServerMetrics(parts, engine, loop.request_counts, tracker, config.journal)
+        status.sources += [metrics.list_metrics, bus.traffic.list_metrics]
         cleanup.callback(loop.close)
         cleanup.callback(bus.token(keys.alive_server(config.world)).close)
         trimmer = MemoryTrimmer()
         trimmer.start()
         cleanup.callback(trimmer.close)
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
-        on_ready(bus, config)
-        loop.run(should_stop)
+        hooks.on_ready(bus, config)
+        loop.run(hooks.stop)
+        loop.drain(lambda: hooks.stop.is_urgent)
 
 
 def _freeze_garbage_collector() -> None:

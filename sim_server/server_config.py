@@ -73,6 +73,8 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     ros: RosSettings = NO_ROS
     mesh_http: str = ""
     """`HOST:PORT` at which meshes of descriptions are offered by http; empty = they are not."""
+    metrics: str = ""
+    """`[HOST:]PORT` at which health and metrics are offered by http; empty = they are not."""
     secure_folder: str = ""
     """Folder with the users of a secured server; empty = everybody may do everything."""
 

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeVar
 
+from zensim.deploy.cli.setting_variables import has_variables
 from zensim.proto.process_limits import die_with_supervisor
 
 if TYPE_CHECKING:
@@ -210,6 +211,11 @@ VERBS: dict[str, Verb] = {
         "zensim.deploy.cli.journal_commands",
         "Show, verify or export a server journal.",
     ),
+    "config": Verb(
+        "Diagnostics",
+        "zensim.deploy.cli.config_commands",
+        "Show the settings of a command, and where they come from.",
+    ),
     "version": Verb(
         "Diagnostics", "zensim.deploy.cli.version_commands", "Print the versions of all parts."
     ),
@@ -273,9 +279,10 @@ def print_version() -> None:
 def build(called: str) -> "typer.Typer":
     """Build the command line with one verb loaded; the others have their help line only."""
     import typer
-    from typer.core import TyperGroup
 
-    class RootGroup(TyperGroup):
+    from zensim.deploy.cli.command_settings import SettingsGroup
+
+    class RootGroup(SettingsGroup):
         """The verbs, with the help text of this module."""
 
         def format_help(self, *_: object) -> None:
@@ -351,6 +358,8 @@ def main() -> None:
 
 def _run_plainly(arguments: Sequence[str]) -> bool:
     """Run a command if its options can be parsed without typer; say whether it ran."""
+    if not arguments or has_variables(arguments[0], os.environ):
+        return False
     if arguments[:1] == ["model"]:
         from zensim.deploy.cli.model_commands import ModelOptions, print_model
 

@@ -11,6 +11,7 @@ import typer
 from zensim.proto.cli_options import expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.stop_signal import StopFlag
+from zensim.proto.verbosity import configure_logging
 from zensim.spawner.cli.view_commands import (
     MissingViewerExtra,
     PageSource,
@@ -49,6 +50,7 @@ class PageOptions(ViewOptions):
 @expand_options
 def view(given: PageOptions) -> None:
     """Serve a web page that shows the world in 3D, until Ctrl-C."""
+    configure_logging()
     stop = StopFlag()
     with exit_on_failure("view", MissingViewerExtra):
         _check_options(given)

@@ -11,7 +11,7 @@ from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_exposure
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.printable_text import print_lines
 from zensim.proto.stop_signal import StopFlag
-from zensim.proto.verbosity import print_announcement
+from zensim.proto.verbosity import configure_logging, print_announcement
 
 POLL_S = 0.05
 
@@ -54,6 +54,7 @@ def router(
         if print_config:
             print_lines(to_zenoh_json(config))
             return
+        configure_logging()
         stop = StopFlag()
         with open_bus(config) as bus:
             at = bus.config.listen

@@ -8,6 +8,7 @@ import typer
 from zensim.proto.cli_options import (
     ConnectOption,
     JsonOption,
+    MetricsOption,
     RosOptions,
     WorldNameOption,
     expand_options,
@@ -41,6 +42,7 @@ class SensorRunOptions(RosOptions):
     as_json: JsonOption = False
     connect: ConnectOption = ""
     world_name: WorldNameOption = "default"
+    metrics: MetricsOption = ""
     wait: Annotated[
         float,
         typer.Option(
@@ -76,5 +78,6 @@ def run(given: SensorRunOptions) -> None:
                 wait_s=given.wait,
                 ros=given.ros,
                 is_quiet=given.quiet,
+                metrics=given.metrics,
             )
         )

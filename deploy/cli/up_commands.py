@@ -36,6 +36,7 @@ from zensim.api.local_deployment import (
     supervise,
 )
 from zensim.deploy.cli.scenario_commands import SetOption
+from zensim.deploy.cli.setting_variables import name_variable
 from zensim.deploy.fleet_demo import (
     DEMO_BEHAVIOURS,
     DemoBehaviour,
@@ -52,7 +53,7 @@ from zensim.proto.cli_options import (
     TfHzOption,
     complete_models,
     expand_options,
-    is_from_environment,
+    find_source,
     make_app,
     parse_choice,
 )
@@ -214,8 +215,7 @@ class UpOptions(RosTfOptions, ServeOptions):
 def up(context: typer.Context, given: UpOptions) -> None:
     """Start a server, robots, agents and the viewer on this host, until Ctrl-C."""
     began_s = time.monotonic()
-    if is_from_environment(context, "connect"):
-        # An exported ZENSIM_CONNECT is meant for clients.
+    if is_exported_for_clients(context):
         given = replace(given, connect="")
     with exit_on_failure("up", LaunchFailed, ProgramDied, MissingViewerExtra, MissingServerExtra):
         plan = _make_plan(context, given)
@@ -342,6 +342,7 @@ def _make_server_config(given: UpOptions) -> LaunchConfig:
         uses_certificates=given.client_certificates,
         is_insecure=given.insecure,
         mesh_http=given.mesh_http,
+        metrics=given.metrics,
         wait_s=given.wait,
         is_paused=given.paused,
         seed=given.seed,
@@ -354,6 +355,12 @@ def _make_server_config(given: UpOptions) -> LaunchConfig:
         engine_workers=given.engine_workers,
         ros=given.ros,
     )
+
+
+def is_exported_for_clients(context: typer.Context) -> bool:
+    """Whether the endpoint comes from ZENSIM_CONNECT, which is meant for clients."""
+    is_exported = find_source(context, "connect") == "ENVIRONMENT"
+    return is_exported and not os.environ.get(name_variable("up", "connect"))
 
 
 def require_no_recording(config: LaunchConfig) -> None:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Protocol
 import msgspec
 
 from zensim.proto.messages.model_messages import Model
+from zensim.proto.metric_families import DurationHistogram
 from zensim.proto.process_limits import sync_folder
 from zensim.sim_server.journal.journal_records import (
     ENCODER,
@@ -220,7 +221,8 @@ class WriterThread:
     def __init__(self, sink: RecordSink, position: int) -> None:
         self.durable = position
         """Position up to which all records are durable."""
-        self.commits = 0
+        self.commits = self.failures = 0
+        self.commit_times = DurationHistogram()
         self.failure: tuple[int, str] | None = None
         """Generation of the last records that could not be written, and the reason."""
         self._sink = sink
@@ -265,14 +267,17 @@ class WriterThread:
         return batch
 
     def _write(self, records: list[JournalRecord]) -> None:
+        began_ns = time.monotonic_ns()
         try:
             self._sink.write(records)
         except (sqlite3.Error, OSError) as error:
+            self.failures += 1
             self._failed_generation = records[-1].generation
             self.failure = (self._failed_generation, _format_reason(error))
             return
         self.durable = records[-1].position
         self.commits += 1
+        self.commit_times.add(time.monotonic_ns() - began_ns)
 
 
 def _format_reason(error: Exception) -> str:

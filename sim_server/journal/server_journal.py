@@ -51,6 +51,7 @@ from zensim.sim_server.world.spawn_request import ValidatedSpawn
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    from zensim.proto.metric_families import DurationHistogram
     from zensim.sim_server.parser_process.asset_store import AssetStore
     from zensim.sim_server.physics.engine import Engine, FloatArray
     from zensim.sim_server.service_parts import ServerParts
@@ -73,6 +74,8 @@ class RecordQueue(Protocol):
 
     durable: int
     commits: int
+    failures: int
+    commit_times: DurationHistogram
     failure: tuple[int, str] | None
 
     @property
@@ -121,6 +124,16 @@ class ChangeTracker:
         self._is_failing = False
         self._commits = 0
         self._bonds_due_ns = parts.pacing.now_ns() + round(BOND_TIMEOUT_S * NANOSECONDS)
+
+    @property
+    def commit_times(self) -> DurationHistogram:
+        """Wall times of commits."""
+        return self._writer.commit_times
+
+    @property
+    def failures(self) -> int:
+        """Number of commits that failed."""
+        return self._writer.failures
 
     @property
     def durable(self) -> int:

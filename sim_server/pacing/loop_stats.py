@@ -1,6 +1,7 @@
 """Statistics of the loop over windows of one second: real-time factor, step times, lateness."""
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.metric_families import DurationHistogram
 
 STEP_SHARE = 4
 
@@ -18,6 +19,12 @@ class LoopStats:
         self.requests = 0
         self.refused = self.accepted = self.joined = 0
         """Of a secured server: see `Stats`."""
+        self.steps = DurationHistogram()
+        """Wall times of all steps."""
+        self.lateness = DurationHistogram()
+        """Delays of all steps after their deadlines."""
+        self.late_steps = 0
+        """Steps that began later than a step's time after their deadline."""
         self._since_ns = now_ns
         self._simulated_ns = 0
         self._steps = 0
@@ -45,6 +52,9 @@ class LoopStats:
         self._stepping_ns += took_ns
         self._longest_ns = max(self._longest_ns, took_ns)
         self._latest_ns = max(self._latest_ns, late_ns)
+        self.steps.add(took_ns)
+        self.lateness.add(late_ns)
+        self.late_steps += late_ns > simulated_ns
 
     def work_budget_ns(self, least_ns: int) -> int:
         """Return the time [ns] that divisible work may take in a turn, at least `least_ns`.

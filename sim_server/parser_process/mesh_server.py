@@ -9,16 +9,15 @@ import posixpath
 import re
 import secrets
 import socket
-import threading
-import time
 from collections import OrderedDict
 from contextlib import suppress
 from hashlib import sha256
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from socketserver import TCPServer
+from http.server import BaseHTTPRequestHandler
 from typing import TYPE_CHECKING, Final
 from urllib.parse import quote, unquote, urlsplit
+
+from zensim.proto.bounded_http_server import BoundedHttpRequest, BoundedHttpServer
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,14 +28,6 @@ MAX_BUNDLES: Final = 1024
 """Sets of files of descriptions; the least recently spawned ones are forgotten first."""
 MAX_TEXTS: Final = 64
 """Descriptions that are kept with their URLs."""
-MAX_CONNECTIONS: Final = 32
-"""At a time; further ones are closed at once."""
-ACCEPT_PAUSE_S: Final = 0.002
-"""After each connection: whoever opens them as fast as possible must not delay steps."""
-IDLE_S: Final = 5.0
-"""After which a client that neither sends nor receives is cut off."""
-LONGEST_S: Final = 60.0
-"""For which a connection lasts at most."""
 EVERY_ADDRESS: Final = ("0.0.0.0", "::")
 BUNDLE_DIGITS: Final = 16
 URL_VALUE: Final = re.compile(r"""(?<=["'>])[^"'<>]{1,4096}(?=["'<])""")
@@ -98,11 +89,8 @@ class PublishedFiles:
         return URL_VALUE.sub(replace, text)
 
 
-class MeshServer(ThreadingHTTPServer):
+class MeshServer(BoundedHttpServer):
     """Serves the files of spawned descriptions, and nothing else, in threads."""
-
-    daemon_threads = True
-    request_queue_size = MAX_CONNECTIONS
 
     def __init__(self, address: str, folder: str, *, has_secret: bool = False) -> None:
         """Listen, and serve from now on.
@@ -117,18 +105,14 @@ class MeshServer(ThreadingHTTPServer):
         """
         host, _, port = address.rpartition(":")
         host = host.strip("[]")
-        if ":" in host:
-            self.address_family = socket.AF_INET6
         self._folder = folder
-        self._began_s: dict[socket.socket, float] = {}
-        super().__init__((host, int(port)), FileRequest)
+        super().__init__(host, int(port), FileRequest)
         shown = socket.gethostname() if host in EVERY_ADDRESS else host
         shown = f"[{shown}]" if ":" in shown else shown
         self.secret = secrets.token_urlsafe() if has_secret else ""
         start = f"{self.secret}/" if has_secret else ""
-        self.files = PublishedFiles(f"http://{shown}:{self.server_address[1]}/{start}")
-        self._thread = threading.Thread(target=self.serve_forever, name="meshes", daemon=True)
-        self._thread.start()
+        self.files = PublishedFiles(f"http://{shown}:{self.port}/{start}")
+        self.start("meshes")
 
     def open_file(self, path: str) -> int | None:
         """Open the file at a URL's path for reading; None if no description has it."""
@@ -141,58 +125,11 @@ class MeshServer(ThreadingHTTPServer):
             return os.open(f"{self._folder}/{name}.stl", os.O_RDONLY | os.O_NOFOLLOW)
         return None  # evicted
 
-    def count_connections(self) -> int:
-        """Count the connections that are served now."""
-        return len(self._began_s)
 
-    def server_bind(self) -> None:
-        """Bind without a look-up of the host's name, which can take seconds."""
-        TCPServer.server_bind(self)
-
-    def get_request(self) -> tuple[socket.socket, object]:
-        """Accept a connection; not too many at a time."""
-        time.sleep(ACCEPT_PAUSE_S)
-        return super().get_request()
-
-    def process_request(self, request: socket.socket, client_address: object) -> None:  # type: ignore[override]
-        """Serve a connection in a thread, or close it if there are too many."""
-        if self.count_connections() >= MAX_CONNECTIONS:
-            self.shutdown_request(request)
-            return
-        self._began_s[request] = time.monotonic()
-        super().process_request(request, client_address)
-
-    def process_request_thread(self, request: socket.socket, client_address: object) -> None:  # type: ignore[override]
-        """Serve a connection to its end."""
-        try:
-            super().process_request_thread(request, client_address)
-        finally:
-            self._began_s.pop(request, None)
-
-    def service_actions(self) -> None:
-        """End connections that last too long; called twice a second."""
-        oldest_s = time.monotonic() - LONGEST_S
-        for request, began_s in tuple(self._began_s.items()):
-            if began_s < oldest_s:
-                with suppress(OSError):
-                    request.shutdown(socket.SHUT_RDWR)
-
-    def handle_error(self, request: object, client_address: object) -> None:
-        """Ignore what a client does to its connection."""
-
-    def close(self) -> None:
-        """Stop listening."""
-        self.shutdown()
-        self.server_close()
-        self._thread.join()
-
-
-class FileRequest(BaseHTTPRequestHandler):
+class FileRequest(BoundedHttpRequest, BaseHTTPRequestHandler):
     """One request; the connection is closed after it."""
 
     server: MeshServer
-    timeout = IDLE_S
-    server_version, sys_version = "zensim", ""
 
     def do_GET(self) -> None:
         """Send a file."""
@@ -201,9 +138,6 @@ class FileRequest(BaseHTTPRequestHandler):
     def do_HEAD(self) -> None:
         """Send the length of a file."""
         self._send(has_body=False)
-
-    def log_message(self, format: str, *args: object) -> None:
-        """Log nothing: clients decide what would be logged."""
 
     def _send(self, *, has_body: bool) -> None:
         path = urlsplit(self.path).path

@@ -18,6 +18,7 @@ from zensim.proto.messages.agent_messages import DriveCommand, DriveState, Twist
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.network_protocols import Sample, ServiceCall
+from zensim.proto.program_status import ProgramStatus
 from zensim.proto.topic_catalog import AUDIT, CONTACTS, EVENTS, INPUTS, STATS, STEPS_PROGRESS
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.input_log.log_writer import InputLog
@@ -28,6 +29,7 @@ from zensim.sim_server.runtime.audit_trail import AuditedUsers, AuditTrail
 from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
 from zensim.sim_server.runtime.loop_channels import Inbox, WorldPublisher
 from zensim.sim_server.runtime.request_authorization import RequestAuthorization
+from zensim.sim_server.runtime.request_counts import RequestCounts
 from zensim.sim_server.runtime.request_dispatcher import RequestDispatcher
 from zensim.sim_server.runtime.request_queue import (
     REQUEST_FEE_NS,
@@ -296,7 +298,7 @@ class AgentSessions:
             commands = decode(TwistCommands, sample.payload, sample.encoding)
             self._world.commanded_twists.order(self._world.entities.index, commands)
         except MalformedPayload as error:
-            self._world.claims.dropped += 1
+            self._world.claims.rejected["malformed"] += 1
             LOG.debug("twists dropped reason=%s", error)
 
     def _command(self, sample: Sample) -> None:
@@ -305,11 +307,11 @@ class AgentSessions:
         try:
             command = decode(DriveCommand, sample.payload, sample.encoding)
         except MalformedPayload as error:
-            self._world.claims.dropped += 1
+            self._world.claims.rejected["malformed"] += 1
             LOG.debug("drive command dropped agent=%s reason=%s", agent, error)
             return
         if not self._lockstep.record_answer(agent, command):
-            self._world.claims.dropped += 1
+            self._world.claims.rejected["step"] += 1
         elif self._world.command(agent, command):
             now_ns = self._pacing.now_ns()
             self._note_command(agent, command.claims, now_ns)
@@ -328,6 +330,8 @@ MAX_TURN_REFUSALS = 64
 """The same in a turn, so that a thousand requests at once do not delay a step."""
 MAX_EVENTS_PER_TURN = 128
 """Events published per turn; spawning many robots makes more than fit between two steps."""
+MAX_DRAIN_NS = 10_000_000_000
+"""Longest time that the end of a server waits for requests that are not finished."""
 MAX_LAG_NS = 50_000_000
 """Most that the loop catches up; beyond that the deadline moves."""
 
@@ -367,6 +371,8 @@ class ServerLoop:
         users: AuditedUsers | None = None,
     ) -> None:
         self._world, self._pacing = parts.world, parts.pacing
+        self.status = ProgramStatus()
+        """Notes each turn."""
         self._descriptions = parts.descriptions
         self._loop_stats = parts.pacing.loop_stats
         self._inbox = inbox
@@ -408,10 +414,36 @@ class ServerLoop:
         made.inputs = self._inputs
         return made
 
+    @property
+    def request_counts(self) -> RequestCounts:
+        """Counts of handled requests."""
+        return self._dispatcher.counts
+
     def run(self, should_stop: Callable[[], bool]) -> None:
         """Run until `should_stop`, or until a request to quit has its reply."""
         while not (should_stop() or self._has_quit):
             self.turn()
+
+    def drain(self, ends_at_once: Callable[[], bool]) -> None:
+        """Finish the requests that were accepted, for `MAX_DRAIN_NS` at most; refuse new changes.
+
+        Args:
+            ends_at_once: Whether to leave the rest.
+        """
+        self.status.drain()
+        LOG.info("stopping world=%s", self._world.name)
+        self._dispatcher.is_draining = True
+        end_ns = self._clock.now_ns() + MAX_DRAIN_NS
+        while not (self._is_drained or self._has_quit):
+            if ends_at_once() or self._clock.now_ns() >= end_ns:
+                LOG.warning("stopped with open requests world=%s", self._world.name)
+                break
+            self.turn()
+        self._inbox.settle_replies(SETTLE_S)
+
+    @property
+    def _is_drained(self) -> bool:
+        return self._requests.is_idle and not self._dispatcher.has_open_requests
 
     def close(self) -> None:
         """Publish the last inputs; keep what the audit has not kept yet."""
@@ -426,6 +458,7 @@ class ServerLoop:
     def turn(self) -> None:
         """Serve the input received, then step if one is due, else sleep."""
         began_ns, self._paced_ns = self._clock.used_ns(), 0
+        self.status.note_turn()
         self.serve()
         if self._agent_sessions.must_wait():
             self._clock.sleep(POLL_S)
@@ -455,11 +488,13 @@ class ServerLoop:
     def _queue(self, call: ServiceCall, *, may_refuse: bool) -> bool:
         """Let a request wait, refuse it or end it without a value; return whether it is refused."""
         if not may_refuse and not self._requests.has_room(call.client):
+            self.request_counts.refused_unread += 1
             call.drop()  # unread
             return False
         try:
             self._requests.add(call)
         except RequestBusy as error:
+            self.request_counts.refused_unread += 1
             if not may_refuse:
                 call.drop()
                 return False

@@ -1,6 +1,7 @@
 """Dispatch of requests: decode, handle once for all retries, reply when the journal is durable."""
 
 import logging
+import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -18,15 +19,24 @@ from zensim.proto.codec.message_codec import (
     encode,
     make_encoding,
 )
+from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.result_messages import Result, ResultCode, SpawnCode
 from zensim.proto.network_protocols import MAX_REQUEST_ID_BYTES, ServiceCall
-from zensim.proto.service_catalog import CLAIM_ENTITY, CLAIM_SHARE, SERVICES, SPAWN_ENTITY
+from zensim.proto.service_catalog import (
+    CLAIM_ENTITY,
+    CLAIM_SHARE,
+    SERVICES,
+    SIMULATE_STEPS,
+    SPAWN_ENTITY,
+    STEP_SIMULATION,
+)
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.input_log.log_writer import InputLog
 from zensim.sim_server.journal_protocol import ChangeJournal, JournaledResponse
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.physics.engine import EngineLost, describe_fault
 from zensim.sim_server.runtime.request_authorization import RequestAuthorization
+from zensim.sim_server.runtime.request_counts import RequestCounts
 from zensim.sim_server.runtime.request_queue import MAX_WAITING, RequestBudget, RequestBusy
 from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, WorldTelemetry
 from zensim.sim_server.service_parts import DeferredResponse
@@ -158,6 +168,8 @@ JOURNALED_SERVICES = frozenset(
     }
 )
 """Services that wait while the journal cannot be written, and are refused if it stays so."""
+REFUSED_AT_END = frozenset({*JOURNALED_SERVICES, STEP_SIMULATION.name, SIMULATE_STEPS.name})
+"""Services that are refused while the server ends."""
 
 
 @dataclass
@@ -166,6 +178,8 @@ class _PendingRequest:
 
     call: ServiceCall
     deferred: DeferredResponse[Any]
+    began_ns: int
+    """Wall time at which its handling began."""
 
     def is_ready(self) -> bool:
         """Whether the response can be made; also if that failed."""
@@ -209,6 +223,9 @@ class RequestDispatcher:
         journal: ChangeJournal | None,
         authorization: RequestAuthorization | None = None,
     ) -> None:
+        self.counts = RequestCounts()
+        self.is_draining = False
+        """Whether the server ends: what it has accepted is finished, and nothing new is changed."""
         self.inputs: InputLog | None = None
         """Notes requests that change the world."""
         self._handlers = handlers
@@ -225,6 +242,11 @@ class RequestDispatcher:
         self._reason = ""
 
     @property
+    def has_open_requests(self) -> bool:
+        """Whether a request is not finished, or its reply waits for the journal."""
+        return bool(self._pending or self._parked or len(self._reply_queue))
+
+    @property
     def has_unsent_replies(self) -> bool:
         """Whether a reply waits for the journal."""
         return len(self._reply_queue) > 0
@@ -232,10 +254,12 @@ class RequestDispatcher:
     def take(self, call: ServiceCall) -> None:
         """Handle a request; reply now, or when its response is ready and durable."""
         self._loop_stats.requests += 1
+        CONTEXT.request = call.request_id
         if len(call.request_id) > MAX_REQUEST_ID_BYTES:
             self.refuse(call, RequestIdTooLong())
         else:
             self._take(call)
+        CONTEXT.request = b""
 
     def refuse(self, call: ServiceCall, error: SimError) -> None:
         """Refuse a request now, unread; it has changed nothing."""
@@ -257,7 +281,7 @@ class RequestDispatcher:
             with budget.charge(client):
                 if pending.is_ready():
                     self._pending.remove(pending)
-                    self._reply(pending.call, self._outcome(pending))
+                    self._reply(pending.call, self._outcome(pending), pending.began_ns)
         self._settle()
         return is_complete
 
@@ -289,6 +313,8 @@ class RequestDispatcher:
     def _handle(self, call: ServiceCall) -> msgspec.Struct | DeferredResponse[Any]:
         _check_size(call)
         self._check_pending(call)
+        if self.is_draining and call.name in REFUSED_AT_END:
+            raise ServerEnds(call.name)
         request = call.read(_request_type(call.name))
         if self._authorization is not None:
             self._authorization.check(call, request)
@@ -306,12 +332,13 @@ class RequestDispatcher:
     def _execute(
         self, call: ServiceCall, handle: Callable[[], msgspec.Struct | DeferredResponse[Any]]
     ) -> None:
+        began_ns = time.monotonic_ns()
         self._flush_unrelated_changes()
         response = _refuse_failures(call, handle)
         if isinstance(response, DeferredResponse):
-            self._pending.append(_PendingRequest(call, response))
+            self._pending.append(_PendingRequest(call, response, began_ns))
         else:
-            self._reply(call, response)
+            self._reply(call, response, began_ns)
 
     def _outcome(self, pending: _PendingRequest) -> msgspec.Struct:
         self._flush_unrelated_changes()
@@ -323,7 +350,8 @@ class RequestDispatcher:
         if self._journal is not None:
             self._journal.record()
 
-    def _reply(self, call: ServiceCall, response: msgspec.Struct) -> None:
+    def _reply(self, call: ServiceCall, response: msgspec.Struct, began_ns: int) -> None:
+        self.counts.add(call.name, response, time.monotonic_ns() - began_ns)
         if self._authorization is not None:
             response = self._authorization.add_role(call, response)
             self._authorization.note_response(call, response)
@@ -425,6 +453,16 @@ class RequestTooLarge(SimError):
         )
         if name == SPAWN_ENTITY.name:
             self.code = SpawnCode.RESOURCE_PARSE_ERROR
+
+
+class ServerEnds(SimError):
+    """The server ends, and accepts no further changes."""
+
+    code = ResultCode.INCORRECT_STATE
+    slug = "server.ends"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"the server ends and accepts no {name}; call the next one")
 
 
 class RequestIdTooLong(SimError):

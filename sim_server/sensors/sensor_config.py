@@ -20,3 +20,5 @@ class SensorProcessConfig(msgspec.Struct, frozen=True, kw_only=True):
     ros: RosSettings = NO_ROS
     is_quiet: bool = False
     """Whether only warnings are logged."""
+    metrics: str = ""
+    """`[HOST:]PORT` at which health and metrics are offered by http; empty = they are not."""

@@ -15,6 +15,7 @@ import numpy as np
 from zensim.proto import keys
 from zensim.proto.bus import BusConfig, BusError, open_bus_with_retry
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
+from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.sensor_messages import (
     CameraSensor,
@@ -25,8 +26,11 @@ from zensim.proto.messages.sensor_messages import (
     SensorStats,
 )
 from zensim.proto.messages.telemetry_messages import Event, GetModelsRequest
+from zensim.proto.metric_families import MetricFamily, make_counter, make_gauge
 from zensim.proto.network_protocols import AgentNetwork, Sample
+from zensim.proto.operation_server import served_status
 from zensim.proto.poll_schedule import PollSchedule
+from zensim.proto.program_status import ProgramStatus, make_program_status
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.rosout import Rosout
 from zensim.proto.sensor_libraries import (
@@ -421,6 +425,22 @@ class SensorProcess:
             usage=usage,
         )
 
+    def list_metrics(self) -> Iterator[MetricFamily]:
+        """List the metrics of this process; another thread calls it."""
+        share = self._share
+        yield make_gauge("zensim_sensors", "Sensors of this process.", len(share.sensors))
+        yield make_gauge(
+            "zensim_unmeasured_sensors", "Sensors of no process.", len(share.unmeasured)
+        )
+        yield make_counter(
+            "zensim_sensor_messages_total", "Published measurements.", self.counts.total
+        )
+        yield make_counter(
+            "zensim_sensor_late_messages_total",
+            "Measurements that were late, or not made.",
+            self.counts.total_late,
+        )
+
     def _make_figures(self, sensor: SceneSensor, *, is_measured: bool) -> SensorFigures:
         counts, topics, addresses = self.counts, self._share.topics, list_addresses(sensor)
         fault = self._share.find_fault(sensor, self.name)
@@ -566,10 +586,14 @@ def run_sensor_process(
     *,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
+    status: ProgramStatus | None = None,
 ) -> None:
     """Publish sensors until `should_stop`."""
+    status = status or ProgramStatus()
     with closing(SensorProcess(network, config)) as process:
+        status.sources.append(process.list_metrics)
         while not should_stop():
+            status.note_turn()
             process.poll(clock())
             sleep(process.pause_s(clock()))
 
@@ -579,16 +603,24 @@ def start_sensor_process(config: SensorProcessConfig) -> None:
 
     Raises:
         EndpointUnreachable: Nothing accepts connections at the endpoint.
+        UnusableMetrics: Metrics cannot be served.
     """
     configure_logging(logging.WARNING if config.is_quiet else logging.INFO)
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_DFL)
-    with open_bus_with_retry(BusConfig(connect=(config.endpoint,)), config.wait_s) as bus:
+    status = make_program_status(config.world)
+    CONTEXT.world = config.world
+    with (
+        served_status(config.metrics, status),
+        open_bus_with_retry(BusConfig(connect=(config.endpoint,)), config.wait_s) as bus,
+    ):
+        status.sources.append(bus.traffic.list_metrics)
         name = bus.user or config.name or f"sensors_{uuid.uuid4().hex[:8]}"
         # An interrupt in a callback of Python is lost: the flag is read, too.
         with suppress(KeyboardInterrupt):
-            stop = StopFlag(is_armed=False)
-            run_sensor_process(bus, msgspec.structs.replace(config, name=name), stop)
+            stop = StopFlag(is_armed=False, on_stop=status.drain)
+            config = msgspec.structs.replace(config, name=name)
+            run_sensor_process(bus, config, stop, status=status)
 
 
 def _list_all_addresses(sensors: Iterable[SceneSensor]) -> list[SensorAddress]:

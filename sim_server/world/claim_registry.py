@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -54,12 +55,16 @@ class ClaimedEntities:
         )
 
 
+RejectionReason = Literal["malformed", "claims", "step"]
+"""Why a command has no effect: its bytes, claims that are none of its agent's, or a former step."""
+
+
 class ClaimRegistry:
     """Claims by entity; each entity has at most one driver."""
 
     def __init__(self) -> None:
-        self.dropped = 0
-        """Counts commands that did not match the claims of their agent."""
+        self.rejected: Counter[RejectionReason] = Counter()
+        """Counts commands without effect, by reason."""
         self.taken = 0
         """Counts commands that did."""
         self.changes = 0
@@ -76,6 +81,11 @@ class ClaimRegistry:
 
     def __len__(self) -> int:
         return len(self._claims)
+
+    @property
+    def dropped(self) -> int:
+        """Number of commands without effect."""
+        return sum(self.rejected.values())
 
     @property
     def newest(self) -> int:
@@ -168,7 +178,7 @@ class ClaimRegistry:
         """Keep the targets of an agent until they are taken, if they match its claims."""
         targets = None if claimed is None else _decode_targets(claimed, command)
         if targets is None:
-            self.dropped += 1
+            self.rejected["claims"] += 1
             return False
         self._targets[agent] = targets
         self.silent.discard(agent)

@@ -9,7 +9,7 @@ from tests.contract.repository import ROOT
 
 WITHOUT_EXTRAS = """
 import sys, pkgutil, importlib
-for name in ("pybullet", "scipy", "trimesh", "lxml", "viser", "websockets"):
+for name in ("pybullet", "scipy", "trimesh", "lxml", "viser", "websockets", "prometheus_client"):
     sys.modules[name] = None
 """
 IMPORT_ALL = """
@@ -63,6 +63,7 @@ def test_help_is_shown_when_no_extra_is_installed() -> None:
         (("test", "first_minutes"), "server"),
         (("view",), "viewer"),
         (("foxglove",), "foxglove"),
+        (("record", "--all", "--metrics", "9464"), "metrics"),
     ],
 )
 def test_command_names_the_extra_when_it_is_not_installed(

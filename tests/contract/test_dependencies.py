@@ -17,6 +17,7 @@ EXTRA_OF = {
     "sim_server/scene/camera_rendering.py": {"", "server", "cameras"},
     "sim_server/": {"", "server"},
     "spawner/page/": {"", "viewer"},
+    "proto/operation_server.py": {"", "metrics"},
     "zensim/foxglove/": {"", "foxglove"},
     "spawner/top/top_app.py": {"", "top"},
     "zensim/envs/": {"", "rl"},
@@ -70,7 +71,7 @@ def importable(extras: set[str]) -> set[str]:
 def extras_of(path: Path) -> set[str]:
     name = shown(path)
     if name.startswith("tests/"):
-        return {"", "server", "mujoco", "viewer", "top", "dataset", "rl", "dev"}
+        return {"", "server", "mujoco", "viewer", "top", "dataset", "rl", "metrics", "dev"}
     return next((ours for part, ours in EXTRA_OF.items() if name.startswith(part)), {""})
 
 

@@ -26,6 +26,7 @@ CHANGED: dict[str, object] = {
     "client_certificates": True,
     "insecure": True,
     "mesh_http": "127.0.0.1:0",
+    "metrics": "9464",
     "wait": 3.0,
     "world_name": "other",
     "engine": "mujoco",

@@ -36,6 +36,18 @@ def test_flag_interrupts_once_before_it_is_armed() -> None:
     assert stop()
 
 
+def test_second_signal_is_urgent() -> None:
+    calls: list[str] = []
+    stop = StopFlag(on_stop=lambda: calls.append("stop"))
+
+    signal.raise_signal(signal.SIGTERM)
+    was_urgent = stop.is_urgent
+    signal.raise_signal(signal.SIGTERM)
+
+    assert (was_urgent, stop.is_urgent) == (False, True)
+    assert calls == ["stop"]
+
+
 def test_flag_no_longer_interrupts_when_armed() -> None:
     stop = StopFlag(is_armed=False)
     stop.arm()

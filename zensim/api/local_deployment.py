@@ -127,6 +127,8 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Whether the server may admit everybody from other hosts."""
     mesh_http: str = ""
     """`HOST:PORT` at which the server offers meshes; empty = it does not."""
+    metrics: str = ""
+    """`[HOST:]PORT` at which the server offers health and metrics; empty = it does not."""
     wait_s: float = 30.0
     """Timeout of the server's connection to the router."""
     journal: str = ""
@@ -332,6 +334,7 @@ def _list_values(config: LaunchConfig) -> dict[str, object]:
         "--on-miss": config.on_miss,
         "--wait": config.wait_s,
         "--mesh-http": config.mesh_http,
+        "--metrics": config.metrics,
     }
 
 

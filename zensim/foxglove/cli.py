@@ -25,7 +25,7 @@ from zensim.proto.printable_text import print_lines
 from zensim.proto.process_limits import raise_niceness
 from zensim.proto.ros2.rmw_keys import parse_domain
 from zensim.proto.stop_signal import StopFlag
-from zensim.proto.verbosity import print_note
+from zensim.proto.verbosity import configure_logging, print_note
 from zensim.proto.web_access import PageAccess, make_page_url
 
 app = make_app()
@@ -100,6 +100,7 @@ def _serve(given: FoxgloveOptions, access: PageAccess) -> None:
     from zensim.foxglove.mesh_files import MeshFiles
     from zensim.foxglove.world_control import WorldControl
 
+    configure_logging()
     stop = StopFlag(is_armed=False)
     world, domain = given.world_name, parse_domain(given.ros_domain)
     address = ServedAddress(given.host, given.port, access, tuple(given.allow_origin or ()))

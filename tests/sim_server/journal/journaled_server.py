@@ -12,6 +12,7 @@ from tests.sim_server.fakes import (
     a_world,
     make_parts,
 )
+from zensim.proto.metric_families import DurationHistogram
 from zensim.sim_server.journal.batch_writer import BatchWriter
 from zensim.sim_server.journal.journal_contents import JournalContents, read_contents
 from zensim.sim_server.journal.journal_records import JournalRecord
@@ -28,7 +29,8 @@ class Disk:
 
     def __init__(self, batch_writer: BatchWriter, position: int) -> None:
         self.durable = position
-        self.commits = 0
+        self.commits = self.failures = 0
+        self.commit_times = DurationHistogram()
         self.failure: tuple[int, str] | None = None
         self.is_alive = True
         self.is_slow = False

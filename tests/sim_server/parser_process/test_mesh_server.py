@@ -12,11 +12,11 @@ from urllib.request import Request, urlopen
 import pytest
 
 from tests.integration.processes import eventually
+from zensim.proto import bounded_http_server
+from zensim.proto.bounded_http_server import MAX_CONNECTIONS
 from zensim.proto.messages.asset_messages import AssetRef
-from zensim.sim_server.parser_process import mesh_server
 from zensim.sim_server.parser_process.mesh_server import (
     MAX_BUNDLES,
-    MAX_CONNECTIONS,
     MeshServer,
     PublishedFiles,
 )
@@ -161,7 +161,7 @@ def test_silent_connections_are_bounded_and_end(
         for _ in range(2 * MAX_CONNECTIONS):
             stack.enter_context(socket.create_connection(server.server_address[:2], 5.0))  # type: ignore[arg-type]
         eventually(lambda: server.count_connections() == MAX_CONNECTIONS, WITHIN_S, "connections")
-        monkeypatch.setattr(mesh_server, "LONGEST_S", 0.0)
+        monkeypatch.setattr(bounded_http_server, "LONGEST_S", 0.0)
         eventually(lambda: server.count_connections() == 0, WITHIN_S, "their end")
         monkeypatch.undo()
 

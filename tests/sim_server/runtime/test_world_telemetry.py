@@ -171,7 +171,7 @@ def test_clock_has_time_step_and_epoch() -> None:
 def test_stats_contain_the_loop_statistics() -> None:
     world, loop_stats = a_world("r0", "r1"), LoopStats(0)
     world.claim("a", ("r0",), "stop")
-    world.claims.dropped, world.claims.taken, loop_stats.requests = 3, 4, 5
+    world.claims.rejected["claims"], world.claims.taken, loop_stats.requests = 3, 4, 5
     loop_stats.note_step(simulated_ns=SECOND // 2, took_ns=2 * MILLISECOND, late_ns=MILLISECOND)
     loop_stats.slipped_ns = SECOND
     loop_stats.close_window(SECOND)

@@ -2,7 +2,7 @@
 
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime
@@ -16,6 +16,8 @@ from zensim.proto.bus import Bus, BusConfig, open_bus
 from zensim.proto.cli_options import (
     ConnectionOptions,
     JsonOption,
+    LogFormatOption,
+    MetricsOption,
     QuietOption,
     RosDomainOption,
     VerboseOption,
@@ -25,14 +27,29 @@ from zensim.proto.cli_options import (
     parse_choice,
 )
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import EventKind
+from zensim.proto.metric_families import (
+    MetricFamily,
+    make_counter,
+    make_gauge,
+    make_labelled,
+)
 from zensim.proto.names import check_name
+from zensim.proto.operation_server import served_status
 from zensim.proto.printable_text import print_lines
 from zensim.proto.process_limits import limit_malloc_arenas
+from zensim.proto.program_status import ProgramStatus, make_program_status
 from zensim.proto.ros2.rmw_keys import parse_domain
 from zensim.proto.stop_signal import StopFlag
-from zensim.proto.verbosity import CURRENT, print_announcement, print_note, set_verbosity
+from zensim.proto.verbosity import (
+    CURRENT,
+    configure_logging,
+    print_announcement,
+    print_note,
+    set_verbosity,
+)
 from zensim.recording.byte_sizes import parse_size
 from zensim.recording.cli.recording_options import (
     FILES_PANEL,
@@ -189,10 +206,12 @@ class RecordOptions(ConnectionOptions):
             **_snapshots,
         ),
     ] = ""
+    metrics: MetricsOption = ""
     ros_domain: RosDomainOption = "0"
     as_json: JsonOption = False
     quiet: QuietOption = False
     verbose: VerboseOption = False
+    log_format: LogFormatOption = ""
 
 
 @app.command(
@@ -210,7 +229,13 @@ def record(given: RecordOptions) -> None:
 def record_topics(given: RecordOptions) -> None:
     """Record as the options say."""
     with exit_on_failure("record"):
-        set_verbosity(is_quiet=given.quiet, is_verbose=given.verbose, is_json=given.as_json)
+        set_verbosity(
+            is_quiet=given.quiet,
+            is_verbose=given.verbose,
+            is_json=given.as_json,
+            log_format=given.log_format,
+        )
+        configure_logging()
         parse_choice("--storage", given.storage, STORAGES)
         chosen = TopicFilter(make_selection(given))
         settings = make_session_settings(given)
@@ -221,13 +246,17 @@ def record_topics(given: RecordOptions) -> None:
             period_ns=round(NANOSECONDS / given.rate) if given.rate else 0,
             is_reproducible=given.reproducible,
         )
-        stop = StopFlag(is_armed=False)
+        status = make_program_status(given.world_name)
+        CONTEXT.world = given.world_name
+        stop = StopFlag(is_armed=False, on_stop=status.drain)
         limit_malloc_arenas()
         connect = (given.connect,) if given.connect else ()
         config = BusConfig(connect=connect, open_timeout_s=OPEN_TIMEOUT_S)
-        with open_bus(config) as bus:
+        with served_status(given.metrics, status), open_bus(config) as bus:
             stop.arm()
             program = RecordProgram(bus, chosen, recorder_settings, settings)
+            program.status = status
+            status.sources += [program.list_metrics, bus.traffic.list_metrics]
             path = str(settings.parts.path)
             print_announcement(
                 "record", f"recording to {path}", {"recording": path}, as_json=given.as_json
@@ -352,6 +381,7 @@ class RecordProgram:
             lambda reason: print_note("record", reason),
         )
         self._wants_snapshot = False
+        self.status = ProgramStatus()
         self._figures: RecordingFigures | None = None
         if (user_signal := getattr(signal, "SIGUSR1", None)) is not None:
             signal.signal(user_signal, self._ask_for_snapshot)
@@ -375,6 +405,7 @@ class RecordProgram:
         period_s = TAKE_PERIODS_S[self._start.time_base]
         while not should_stop() and session.failure is None:
             now_s = time.monotonic()
+            self.status.note_turn()
             recorder.take()
             if self._wants_snapshot:
                 self._wants_snapshot = False
@@ -386,6 +417,24 @@ class RecordProgram:
             if duration_s and now_s - began_s >= duration_s:
                 break
             time.sleep(period_s)
+
+    def list_metrics(self) -> Iterator[MetricFamily]:
+        """List the metrics of the recording; another thread calls it."""
+        figures = self._session.read_figures(self._recorder)
+        yield make_counter(
+            "zensim_recorder_messages_total",
+            "Messages that were written.",
+            figures.messages + figures.deleted,
+        )
+        yield make_gauge("zensim_recorder_bytes", "Size of the files.", figures.bytes)
+        yield make_gauge("zensim_recorder_topics", "Recorded topics.", figures.topics)
+        yield make_labelled(
+            "zensim_dropped_total",
+            "counter",
+            "Messages that were not written: before they were taken, and before the disk.",
+            {("queue",): figures.missing, ("disk",): figures.lost},
+            "where",
+        )
 
     def print_end(self, *, as_json: bool) -> None:
         """Print what was recorded."""

@@ -1,0 +1,170 @@
+"""Settings of commands: each option also has a variable, and a key of the file of `--config`.
+
+Both derive from the option's spelling, so that no list of them is kept. A flag takes precedence,
+then a variable, then the file, then the default.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+from typer.main import get_command
+
+from zensim.deploy.cli.setting_variables import CONFIG_VARIABLE, name_variable
+from zensim.proto.exit_codes import exit_on_failure
+
+if TYPE_CHECKING:
+    from zensim.scenario.scenario_nodes import ScenarioNode
+
+Command = Any
+"""A command or group of click, which typer has inside under a name that changed."""
+Option = Any
+
+
+@dataclass(frozen=True)
+class CommandSettings:
+    """The options of one command.
+
+    Attributes:
+        name: As it is typed, such as `sensors run`.
+        options: By key, which is the spelling without dashes.
+    """
+
+    name: str
+    options: Mapping[str, Option]
+
+
+def find_key(option: Option) -> str:
+    """Find the key of an option: its first long spelling without dashes; empty without one."""
+    return next((one[2:] for one in option.opts if one.startswith("--")), "")
+
+
+def list_options(command: Command) -> dict[str, Option]:
+    """List the options of a command by key, without arguments and hidden options."""
+    options = (one for one in command.params if one.param_type_name == "option" and not one.hidden)
+    return {find_key(one): one for one in options if find_key(one) not in {"", "config", "help"}}
+
+
+def list_commands(command: Command, name: str) -> Iterator[tuple[str, Command]]:
+    """List a command, and those of a group, by the words that are typed."""
+    yield name, command
+    for word, inner in getattr(command, "commands", {}).items():
+        yield from list_commands(inner, f"{name} {word}")
+
+
+def add_settings(command: Command, name: str) -> None:
+    """Give each option of a command, or of those in a group, its variable; add `--config`."""
+    for words, one in list_commands(command, name):
+        options = list_options(one)
+        for key, option in options.items():
+            variable = name_variable(words, key)
+            shared = option.envvar or []
+            names = [shared] if isinstance(shared, str) else list(shared)
+            if variable not in names:
+                option.show_envvar = bool(names)
+                option.envvar = [variable, *names]
+        if not any("--config" in parameter.opts for parameter in one.params):
+            one.params.append(make_config_option(CommandSettings(words, options)))
+
+
+def make_config_option(settings: CommandSettings) -> Option:
+    """Make the option `--config`, which is read before all others."""
+    app = typer.Typer()
+
+    def load(context: typer.Context, value: Path | None) -> Path | None:
+        if value is not None:
+            with exit_on_failure(settings.name):
+                context.default_map = read_settings(value, settings)
+        return value
+
+    @app.command()
+    def dummy(
+        *,
+        config: Annotated[
+            Path | None,
+            typer.Option(
+                "--config",
+                metavar="FILE",
+                help="YAML file with a section for each command, and keys as its options.",
+                envvar=CONFIG_VARIABLE,
+                is_eager=True,
+                expose_value=False,
+                callback=load,
+                show_default="none",
+                rich_help_panel="Output",
+            ),
+        ] = None,
+    ) -> None:
+        del config
+
+    return next(one for one in get_command(app).params if one.name == "config")
+
+
+def read_settings(file: Path, settings: CommandSettings) -> dict[str, object]:
+    """Read the section of a command; values by the names of parameters.
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: It has an unknown command or key, or a value that is no text, number or list.
+    """
+    from zensim.scenario.scenario_nodes import read_nodes
+
+    sections = read_nodes(file.read_text(encoding="utf-8"), str(file))
+    _require_known(sections, list_sections(), "command")
+    section = sections.items.get(settings.name)
+    if section is None or section.value is None:
+        return {}
+    _require_known(section, tuple(settings.options), f"option of 'zensim {settings.name}'")
+    return {
+        settings.options[key].name: _read_value_of(settings.options[key], node, key)
+        for key, node in section.items.items()
+    }
+
+
+def list_sections() -> tuple[str, ...]:
+    """List the first words of all commands."""
+    from zensim.deploy.cli import VERBS
+
+    return tuple(VERBS)
+
+
+def _require_known(node: "ScenarioNode", known: Sequence[str], what: str) -> None:
+    from zensim.scenario.scenario_nodes import fail_at
+
+    if not node.is_map:
+        raise fail_at(node.place, "", f"a map of keys is needed; each is a {what}")
+    for key in node.items:
+        word = key.split(" ")[0] if what == "command" else key
+        if word not in known:
+            place = node.key_places.get(key, node.place)
+            raise fail_at(place, key, f"no {what}; there are {', '.join(known)}")
+
+
+def _read_value_of(option: Option, node: "ScenarioNode", key: str) -> object:
+    value = _read_value(node, key)
+    return [value] if option.multiple and not isinstance(value, list) else value
+
+
+def _read_value(node: "ScenarioNode", key: str) -> object:
+    from zensim.scenario.scenario_nodes import fail_at
+
+    if node.is_map:
+        raise fail_at(node.place, key, "a text, number, true, false or a list is needed")
+    if isinstance(node.value, list):
+        return [_read_value(one, key) for one in node.elements]
+    # A path may look like a number; a switch is true or false.
+    return node.value if node.value is None or isinstance(node.value, bool) else str(node.value)
+
+
+class SettingsGroup(TyperGroup):
+    """A group whose commands have settings."""
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401
+        """Find a command, with its settings."""
+        command = super().get_command(ctx, cmd_name)
+        if command is not None:
+            add_settings(command, cmd_name)
+        return command

@@ -1,0 +1,144 @@
+"""`zensim config`: the settings of commands, and where each comes from."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import msgspec
+import typer
+from typer.main import get_command
+
+from zensim.deploy.cli.command_settings import add_settings, list_options
+from zensim.deploy.cli.setting_variables import CONFIG_VARIABLE
+from zensim.proto.cli_options import JsonOption, expand_options, make_app
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.join_tokens import hide_token
+from zensim.proto.printable_text import print_lines
+
+app = make_app("config")
+WIDTH: Final = 22
+
+
+class ShownSetting(msgspec.Struct, frozen=True):
+    """An option of a command, with its value and where it comes from."""
+
+    option: str
+    value: object
+    source: str
+    """`variable NAME`, `file NAME` or `default`."""
+    variables: tuple[str, ...]
+
+
+@app.callback()
+def config() -> None:
+    """Show settings of commands."""
+
+
+@app.command(
+    "show",
+    epilog="""Examples:
+  zensim config show serve
+  ZENSIM_SERVE_RTF=2 zensim config show serve
+  zensim config show sensors run""",
+)
+@expand_options
+def show(
+    words: Annotated[
+        list[str], typer.Argument(metavar="COMMAND...", help="Command, such as 'serve'.")
+    ],
+    *,
+    file: Annotated[
+        Path | None,
+        typer.Option(
+            "--config",
+            metavar="FILE",
+            help="File as of '--config' of the command.",
+            envvar=CONFIG_VARIABLE,
+            show_default="none",
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show each option of a command with its value, and where that comes from."""
+    with exit_on_failure("config show"):
+        found = list(list_settings(words, file))
+    if as_json:
+        print_lines(msgspec.json.encode(found).decode())
+        return
+    for one in found:
+        print_lines(f"{'--' + one.option:<{WIDTH}} {format_value(one.value):<{WIDTH}} {one.source}")
+
+
+def list_settings(words: list[str], file: Path | None) -> Iterator[ShownSetting]:
+    """List the settings that a command would have now.
+
+    Raises:
+        ValueError: There is no such command, or a value is not valid.
+    """
+    command = find_command(words)
+    command.no_args_is_help = False
+    for parameter in command.params:
+        parameter.required = False
+    name = " ".join(words)
+    try:
+        context = command.make_context(name, [] if file is None else ["--config", str(file)])
+    except Exception as error:
+        if not hasattr(error, "format_message"):
+            raise
+        raise ValueError(error.format_message()) from error
+    for key, option in list_options(command).items():
+        source = context.get_parameter_source(option.name)
+        yield ShownSetting(
+            key,
+            _to_plain(context.params.get(option.name)),
+            describe_source(option, source.name if source is not None else "", file),
+            tuple(option.envvar),
+        )
+
+
+def find_command(words: list[str]) -> Any:  # noqa: ANN401
+    """Find a command by the words that are typed, with its settings.
+
+    Raises:
+        ValueError: There is none.
+    """
+    from zensim.deploy.cli import VERBS, build
+
+    name = " ".join(words)
+    if words[0] not in VERBS:
+        raise ValueError(f"{name!r} is no command; 'zensim --help' lists all")
+    found: Any = get_command(build(words[0]))
+    for word in words:
+        found = getattr(found, "commands", {}).get(word)
+        if found is None:
+            raise ValueError(f"{name!r} is no command; 'zensim {words[0]} --help' lists some")
+    add_settings(found, name)
+    return found
+
+
+def describe_source(option: Any, source: str, file: Path | None) -> str:  # noqa: ANN401
+    """Describe where the value of an option comes from."""
+    if source == "ENVIRONMENT":
+        return f"variable {next((one for one in option.envvar if os.environ.get(one)), '')}"
+    if source == "DEFAULT_MAP":
+        return f"file {file}"
+    return "default"
+
+
+def format_value(value: object) -> str:
+    """Write a value in a table."""
+    if value is None or value == "":
+        return "-"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return " ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def _to_plain(value: object) -> object:
+    """Convert a value to what JSON has; tokens are hidden."""
+    if isinstance(value, (list, tuple)):
+        return [_to_plain(one) for one in value]
+    if value is None or isinstance(value, (bool, int, float)):
+        return value
+    return hide_token(str(value))

@@ -1,0 +1,35 @@
+"""Messages and bytes that a session has sent and received."""
+
+from collections.abc import Iterator
+
+from zensim.proto.metric_families import MetricFamily, make_labelled
+
+
+class BusTraffic:
+    """Counts of a session and of those opened from it, since the start.
+
+    Threads of one session may lose a count.
+    """
+
+    def __init__(self) -> None:
+        self.sent = self.sent_bytes = 0
+        """Published, and replied."""
+        self.received = self.received_bytes = 0
+        """Taken from subscriptions, and requests whose bytes were read."""
+
+    def list_metrics(self) -> Iterator[MetricFamily]:
+        """List the counts by direction."""
+        yield make_labelled(
+            "zensim_bus_messages_total",
+            "counter",
+            "Messages, requests and replies of this program.",
+            {("sent",): self.sent, ("received",): self.received},
+            "direction",
+        )
+        yield make_labelled(
+            "zensim_bus_bytes_total",
+            "counter",
+            "Their payloads.",
+            {("sent",): self.sent_bytes, ("received",): self.received_bytes},
+            "direction",
+        )

@@ -1,0 +1,168 @@
+"""Health checks and metrics of a program by http: /livez, /readyz, /healthz and /metrics."""
+
+from __future__ import annotations
+
+import re
+from contextlib import contextmanager
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler
+from importlib.metadata import version
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Final
+from urllib.parse import urlsplit
+
+from zensim.proto.bounded_http_server import BoundedHttpRequest, BoundedHttpServer
+from zensim.proto.metric_families import MetricFamily, MetricSample
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from prometheus_client import CollectorRegistry
+    from prometheus_client.core import Metric
+
+    from zensim.proto.program_status import HealthCheck, ProgramStatus
+
+ADDRESS_PATTERN: Final = re.compile(r"(?:(?P<host>\[[0-9a-fA-F:.]+\]|[^\s:/]+):)?(?P<port>\d{1,5})")
+LOOPBACK: Final = "127.0.0.1"
+MAX_PORT: Final = 65535
+EXTRA: Final = "prometheus_client"
+TEXT_TYPE: Final = "text/plain; charset=utf-8"
+
+
+class UnusableMetrics(ValueError):
+    """Metrics cannot be served at the address, or their library is missing."""
+
+
+def parse_metrics_address(text: str) -> tuple[str, int]:
+    """Split `[HOST:]PORT`; without a host it is that of loopback.
+
+    Raises:
+        UnusableMetrics: It is not one.
+    """
+    match = ADDRESS_PATTERN.fullmatch(text)
+    if match is None or int(match["port"]) > MAX_PORT:
+        raise UnusableMetrics(
+            f"--metrics {text[:80]!r} is not valid; use PORT or HOST:PORT, as 9464"
+        )
+    return (match["host"] or LOOPBACK).strip("[]"), int(match["port"])
+
+
+class FamilyCollector:
+    """Hands metrics of a program to the client library of Prometheus, as it asks for them."""
+
+    def __init__(self, status: ProgramStatus) -> None:
+        self._status = status
+
+    def collect(self) -> Iterator[Metric]:
+        """List the metrics now."""
+        from prometheus_client.core import Metric  # noqa: PLC0415
+
+        labels = {"world": self._status.world}
+        for family in (make_build_info(), *self._status.list_metrics()):
+            base = family.name.removesuffix("_total") if family.kind == "counter" else family.name
+            found = Metric(base, family.documentation, family.kind)
+            for one in family.samples:
+                found.add_sample(family.name + one.suffix, {**labels, **one.labels}, one.value)
+            yield found
+
+
+def make_build_info() -> MetricFamily:
+    """Make the family that names the version."""
+    sample = MetricSample(1.0, {"version": version("zensim")})
+    return MetricFamily("zensim_build_info", "gauge", "Version of zensim.", (sample,))
+
+
+def make_registry(status: ProgramStatus) -> CollectorRegistry:
+    """Make the registry of a program: its metrics, and those of its process.
+
+    Raises:
+        UnusableMetrics: The client library is not installed.
+    """
+    if find_spec(EXTRA) is None:
+        raise UnusableMetrics(f"{EXTRA} is not installed; use pip install 'zensim[metrics]'")
+    from prometheus_client import CollectorRegistry, ProcessCollector  # noqa: PLC0415
+
+    registry = CollectorRegistry(auto_describe=False)
+    ProcessCollector(registry=registry)
+    registry.register(FamilyCollector(status))
+    return registry
+
+
+class OperationServer(BoundedHttpServer):
+    """Serves the status of a program in threads; the program never waits for it."""
+
+    def __init__(self, host: str, port: int, status: ProgramStatus) -> None:
+        """Listen, and serve from now on.
+
+        Raises:
+            OSError: The address cannot be used.
+            UnusableMetrics: The client library is not installed.
+        """
+        self.status = status
+        self.registry = make_registry(status)
+        super().__init__(host, port, StatusRequest)
+        self.start("operation")
+
+
+class StatusRequest(BoundedHttpRequest, BaseHTTPRequestHandler):
+    """A request for the status of a program."""
+
+    server: OperationServer
+
+    def do_GET(self) -> None:
+        """Send a page."""
+        path, status = urlsplit(self.path).path, self.server.status
+        pages: dict[str, Callable[[], None]] = {
+            "/livez": lambda: self._send_check(status.check_alive()),
+            "/healthz": lambda: self._send_check(status.check_alive()),
+            "/readyz": lambda: self._send_check(status.check_ready()),
+            "/metrics": self._send_metrics,
+        }
+        if (send := pages.get(path)) is None:
+            self._send(HTTPStatus.NOT_FOUND, TEXT_TYPE, f"{' '.join(pages)}\n".encode())
+        else:
+            send()
+
+    def _send_check(self, check: HealthCheck) -> None:
+        code = HTTPStatus.SERVICE_UNAVAILABLE if check.fault else HTTPStatus.OK
+        self._send(code, TEXT_TYPE, f"{check.line}\n".encode())
+
+    def _send_metrics(self) -> None:
+        from prometheus_client import CONTENT_TYPE_LATEST, generate_latest  # noqa: PLC0415
+
+        self._send(HTTPStatus.OK, CONTENT_TYPE_LATEST, generate_latest(self.server.registry))
+
+    def _send(self, code: HTTPStatus, kind: str, body: bytes) -> None:
+        self.send_response(code)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(body)))
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.end_headers()
+        self.wfile.write(body)
+
+
+@contextmanager
+def served_status(address: str, status: ProgramStatus) -> Iterator[OperationServer | None]:
+    """Serve the status of a program while the block runs; nothing if the address is empty.
+
+    Args:
+        address: `[HOST:]PORT` of `--metrics`.
+        status: Of the program.
+
+    Raises:
+        UnusableMetrics: The address cannot be used, or the client library is not installed.
+    """
+    if not address:
+        yield None
+        return
+    host, port = parse_metrics_address(address)
+    try:
+        server = OperationServer(host, port, status)
+    except OSError as error:
+        raise UnusableMetrics(
+            f"--metrics {address} cannot be used: {error.strerror}; use another port"
+        ) from error
+    try:
+        yield server
+    finally:
+        server.close()

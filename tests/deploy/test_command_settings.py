@@ -1,0 +1,196 @@
+"""Every option has a variable and a key; a flag beats a variable, a variable the file."""
+
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.main import get_command
+
+from zensim.deploy.cli import VERBS, build
+from zensim.deploy.cli.command_settings import (
+    Command,
+    CommandSettings,
+    Option,
+    add_settings,
+    find_key,
+    list_commands,
+    list_options,
+    read_settings,
+)
+from zensim.deploy.cli.setting_variables import has_variables, name_variable
+from zensim.scenario.scenario_nodes import ScenarioInvalid
+
+Context = Any
+
+
+@pytest.fixture(autouse=True)
+def _no_variables(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in list(os.environ):
+        if name.startswith("ZENSIM_"):
+            monkeypatch.delenv(name)
+
+
+def find_verb(verb: str) -> Command:
+    command = get_command(build(verb)).commands[verb]  # type: ignore[attr-defined]
+    add_settings(command, verb)
+    return command
+
+
+def list_all_commands() -> Iterator[tuple[str, Command]]:
+    for verb in VERBS:
+        yield from list_commands(find_verb(verb), verb)
+
+
+def find_value(command: Command, option: Option, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Find a value that an option accepts as a variable, and leave the variable unset."""
+    if option.is_flag:
+        return "false" if option.default is True else "true"
+    for text in ("2", "0.5", "2 2 2", "nav2"):
+        monkeypatch.setenv(option.envvar[0], text)
+        with suppress(Exception):
+            parse(command, [])
+            monkeypatch.delenv(option.envvar[0])
+            return text
+    raise AssertionError(option.opts)
+
+
+def to_yaml(text: str) -> str:
+    return f"[{', '.join(text.split())}]" if " " in text else text
+
+
+def parse(command: Command, words: list[str]) -> Context:
+    command.no_args_is_help = False
+    for parameter in command.params:
+        parameter.required = False
+    return command.make_context("x", words)
+
+
+def sources_of(context: Context, options: dict[str, Option]) -> dict[str, str]:
+    return {key: context.get_parameter_source(one.name).name for key, one in options.items()}
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_option_has_a_variable_that_is_read(
+    verb: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, command in list_commands(find_verb(verb), verb):
+        options = list_options(command)
+        for key, option in options.items():
+            assert option.envvar[0] == name_variable(name, key)
+            monkeypatch.setenv(option.envvar[0], find_value(command, option, monkeypatch))
+        context = parse(command, [])
+
+        assert set(sources_of(context, options).values()) <= {"ENVIRONMENT"}
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_option_is_a_key_of_the_file(
+    verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, command in list_commands(find_verb(verb), verb):
+        if name == "config show":  # its --config is that of the command that it shows
+            continue
+        options = list_options(command)
+        found = {key: find_value(command, one, monkeypatch) for key, one in options.items()}
+        lines = [f"  {key}: {to_yaml(text)}" for key, text in found.items()]
+        file = tmp_path / "zensim.yaml"
+        file.write_text("\n".join([f'"{name}":', *lines]))
+        context = parse(command, ["--config", str(file)])
+
+        assert set(sources_of(context, options).values()) <= {"DEFAULT_MAP"}
+
+
+def test_variables_are_unique() -> None:
+    names = [
+        option.envvar[0]
+        for _, command in list_all_commands()
+        for option in list_options(command).values()
+    ]
+
+    assert len(names) > 300
+    assert len(names) == len(set(names))
+
+
+def test_keys_are_the_spellings_of_options() -> None:
+    for _, command in list_all_commands():
+        for key, option in list_options(command).items():
+            assert f"--{key}" in option.opts
+            assert key == find_key(option)
+
+
+@pytest.mark.parametrize(
+    ("flag", "variable", "file", "expected"),
+    [
+        ("4", "3", "2", (4.0, "COMMANDLINE")),
+        ("", "3", "2", (3.0, "ENVIRONMENT")),
+        ("", "", "2", (2.0, "DEFAULT_MAP")),
+        ("", "", "", (None, "DEFAULT")),
+    ],
+)
+def test_flag_then_variable_then_file_then_default(
+    flag: str,
+    variable: str,
+    file: str,
+    expected: tuple[float | None, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    path = tmp_path / "zensim.yaml"
+    path.write_text(f"serve: {{rtf: {file}}}" if file else "agent: {pool: 1}")
+    monkeypatch.setenv("ZENSIM_SERVE_RTF", variable)
+    monkeypatch.setenv("ZENSIM_CONFIG", str(path))
+
+    context = parse(find_verb("serve"), ["--rtf", flag] if flag else [])
+
+    assert (context.params["rtf"], context.get_parameter_source("rtf").name) == expected
+
+
+def test_variable_of_the_command_beats_the_shared_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ZENSIM_JOURNAL", "shared")
+    monkeypatch.setenv("ZENSIM_SERVE_JOURNAL", "own")
+
+    context = parse(find_verb("serve"), [])
+
+    assert context.params["journal"] == Path("own")
+
+
+def test_list_in_a_file_is_a_repeated_option(tmp_path: Path) -> None:
+    file = tmp_path / "zensim.yaml"
+    file.write_text("serve:\n  model-path: [a, b]\n  paused: true\n")
+
+    context = parse(find_verb("serve"), ["--config", str(file)])
+
+    assert context.params["model_path"] == [Path("a"), Path("b")]
+    assert context.params["paused"] is True
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "serv: {rtf: 1}",
+        "serve: {rtff: 1}",
+        "serve: {rtf: {a: 1}}",
+        "serve: 3",
+        "- serve",
+        "serve: {rtf: 1, rtf: 2}",
+        "serve: ]",
+    ],
+)
+def test_mistake_in_a_file_has_its_place(text: str, tmp_path: Path) -> None:
+    file = tmp_path / "zensim.yaml"
+    file.write_text(text)
+    settings = CommandSettings("serve", list_options(find_verb("serve")))
+
+    with pytest.raises(ScenarioInvalid) as caught:
+        read_settings(file, settings)
+
+    assert caught.value.issues[0].place.line == 1
+
+
+def test_variables_of_a_command_are_noticed() -> None:
+    assert has_variables("record", {"ZENSIM_RECORD_SYNC": "1"})
+    assert has_variables("record", {"ZENSIM_CONFIG": "x"})
+    assert not has_variables("record", {"ZENSIM_RECORD_SYNC": "", "ZENSIM_SERVE_RTF": "1"})

@@ -1,0 +1,131 @@
+"""Health and metrics by http, as a client of Prometheus reads them."""
+
+from collections.abc import Iterator
+from http.client import HTTPConnection
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from zensim.proto.bus_traffic import BusTraffic
+from zensim.proto.metric_families import DurationHistogram, make_counter
+from zensim.proto.operation_server import (
+    OperationServer,
+    UnusableMetrics,
+    parse_metrics_address,
+    served_status,
+)
+from zensim.proto.program_status import ProgramStatus
+
+HISTOGRAM = DurationHistogram()
+HISTOGRAM.add(3_000_000)
+
+
+@pytest.fixture
+def status() -> ProgramStatus:
+    status = ProgramStatus()
+    status.world = "lab"
+    return status
+
+
+@pytest.fixture
+def server(status: ProgramStatus) -> Iterator[OperationServer]:
+    with served_status("0", status) as found:
+        assert found is not None
+        yield found
+
+
+def get(server: OperationServer, path: str) -> tuple[int, str]:
+    connection = HTTPConnection("127.0.0.1", server.port, timeout=10.0)
+    connection.request("GET", path)
+    response = connection.getresponse()
+    found = response.status, response.read().decode()
+    connection.close()
+    return found
+
+
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [
+        ("9464", ("127.0.0.1", 9464)),
+        ("0.0.0.0:9464", ("0.0.0.0", 9464)),
+        ("[::1]:0", ("::1", 0)),
+        ("pods.example:80", ("pods.example", 80)),
+    ],
+)
+def test_address_has_an_optional_host(text: str, address: tuple[str, int]) -> None:
+    assert parse_metrics_address(text) == address
+
+
+@pytest.mark.parametrize("text", ["", "host", "host:", ":", "70000", "::1:80", "1.2.3.4:x", "-1"])
+def test_what_is_no_address_is_refused(text: str) -> None:
+    with pytest.raises(UnusableMetrics):
+        parse_metrics_address(text)
+
+
+def test_nothing_is_served_without_an_address(status: ProgramStatus) -> None:
+    with served_status("", status) as server:
+        assert server is None
+
+
+def test_port_in_use_is_refused(server: OperationServer) -> None:
+    with pytest.raises(UnusableMetrics), served_status(str(server.port), ProgramStatus()):
+        pass
+
+
+def test_checks_follow_the_phases_of_the_program(
+    server: OperationServer, status: ProgramStatus
+) -> None:
+    starting = get(server, "/readyz")[0]
+    status.note_turn()
+    ready = get(server, "/readyz")
+    status.drain()
+
+    assert (starting, ready) == (503, (200, "[+] phase: ok\n"))
+    assert get(server, "/readyz")[0] == 503
+    assert get(server, "/livez") == get(server, "/healthz") == (200, "[+] loop: ok\n")
+
+
+def test_stuck_loop_is_not_alive(server: OperationServer) -> None:
+    times = iter([0.0, 6.0, 6.0])
+    stuck = ProgramStatus(lambda: next(times))
+    stuck.note_turn()
+    server.status = stuck
+
+    assert get(server, "/livez")[0] == 503
+    assert get(server, "/healthz")[0] == 503
+
+
+def test_unknown_path_is_not_found(server: OperationServer) -> None:
+    assert get(server, "/")[0] == 404
+
+
+def test_metrics_are_what_a_client_of_prometheus_reads(
+    server: OperationServer, status: ProgramStatus
+) -> None:
+    traffic = BusTraffic()
+    traffic.sent, traffic.received_bytes = 3, 70
+    status.sources += [
+        lambda: [make_counter("zensim_late_steps_total", "Late.", 2)],
+        lambda: [HISTOGRAM.make_family("zensim_step_duration_seconds", "Time.")],
+        traffic.list_metrics,
+    ]
+
+    code, text = get(server, "/metrics")
+
+    families = {one.name: one for one in text_string_to_metric_families(text)}
+    values = {
+        (sample.name, *sorted(sample.labels.items())): sample.value
+        for family in families.values()
+        for sample in family.samples
+    }
+    world = ("world", "lab")
+    assert code == 200
+    assert families["zensim_late_steps"].type == "counter"
+    assert families["zensim_step_duration_seconds"].type == "histogram"
+    assert values["zensim_late_steps_total", world] == 2
+    assert values["zensim_step_duration_seconds_bucket", ("le", "0.005"), world] == 1
+    assert values["zensim_step_duration_seconds_sum", world] == 0.003
+    assert values["zensim_bus_messages_total", ("direction", "sent"), world] == 3
+    assert values["zensim_bus_bytes_total", ("direction", "received"), world] == 70
+    assert "process_cpu_seconds" in families
+    assert "zensim_build_info" in families
