@@ -2,7 +2,6 @@
 
 import os
 import signal
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,7 +34,7 @@ from zensim.scenario.scenario_reader import find_scenario_file
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 
 NOTE_EVERY_S = 5.0
-"""Wall time between lines of progress where they are no terminal."""
+"""Wall time between lines of progress."""
 
 
 class DefaultCommandGroup(TyperGroup):
@@ -191,10 +190,7 @@ def _run_rest(
     requests = [_make_request(plan, run, folder, given) for run in left]
     failed = sum(not row.is_passed for row in kept)
     shown = ProgressLine(SweepProgress(len(share), len(kept), failed), as_json=given.as_json)
-    try:
-        run_sweep(left, requests, folder, runner, shown.show_row)
-    finally:
-        shown.close()
+    run_sweep(left, requests, folder, runner, shown.show_row)
 
 
 def _make_request(
@@ -243,9 +239,7 @@ class ProgressLine:
         self._as_json = as_json
         self._began_s = time.monotonic()
         self._shown_s = self._began_s
-        self._is_terminal = sys.stderr.isatty()
-        self._is_open = False
-        self._show(is_last=progress.done == progress.total)
+        self._show()
 
     def show_row(self, row: SweepRow) -> None:
         """Count a row, and show it."""
@@ -261,29 +255,14 @@ class ProgressLine:
             }
             print_lines(msgspec.json.encode(line).decode())
         is_last = self._progress.done == self._progress.total
-        if self._is_terminal or is_last or time.monotonic() - self._shown_s >= NOTE_EVERY_S:
-            self._show(is_last=is_last)
+        if is_last or time.monotonic() - self._shown_s >= NOTE_EVERY_S:
+            self._show()
 
-    def close(self) -> None:
-        """End the line of a terminal."""
-        if self._is_open:
-            print_lines(err=True)
-            self._is_open = False
-
-    def _show(self, *, is_last: bool) -> None:
+    def _show(self) -> None:
         if CURRENT.is_quiet:
             return
         self._shown_s = time.monotonic()
-        text = f"zensim sweep: {self._progress}"
-        if not self._is_terminal:
-            print_lines(text, err=True)
-            return
-        # printable_lines escapes what moves the cursor.
-        sys.stderr.write(f"\r{text:<78}")
-        sys.stderr.flush()
-        self._is_open = True
-        if is_last:
-            self.close()
+        print_lines(f"zensim sweep: {self._progress}", err=True)
 
 
 @dataclass(frozen=True, kw_only=True)
