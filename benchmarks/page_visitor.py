@@ -92,9 +92,8 @@ def visit(url: str, count: int, entity: str, labels: frozenset[str]) -> NoReturn
                 (one.updates - updates, one.drawings - drawings, one.bytes - size)
                 for one, (updates, drawings, size) in zip(visitors, before, strict=True)
             ]
-            second = Second(
-                *(share * sum(column) for column in zip(*gained, strict=True)), first_bytes
-            )
+            updates, drawings, size = (share * sum(column) for column in zip(*gained, strict=True))
+            second = Second(updates, drawings, size, first_bytes)
             sys.stdout.write(msgspec.json.encode(second).decode() + "\n")
             sys.stdout.flush()
 

@@ -89,7 +89,7 @@ class Batch:
     @property
     def is_diverged(self) -> BoolArray:
         """Worlds (worlds,) with a state that is not finite: they rest until a restart."""
-        return self._is_diverged.copy()
+        return np.array(self._is_diverged)
 
     @property
     def states(self) -> FloatArray:

@@ -103,7 +103,7 @@ class BatchSensors:
         """See `Batch.imu`."""
         if self._imus is None:
             raise Invalid("this batch measures no imu", hint="make it with sensors=('imu',)")
-        return self._imus.numbers.copy()
+        return np.array(self._imus.numbers)
 
     def measure_scans(
         self, steps: Sequence[int], base: FloatArray, positions: FloatArray

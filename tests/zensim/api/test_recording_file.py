@@ -1,6 +1,7 @@
 """`zensim.Recording`: topics, messages, tables and attachments of a recording."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -67,9 +68,7 @@ def test_errors_say_what_is_missing(recording: zensim.Recording, tmp_path: Path)
 
 
 @pytest.mark.parametrize("span", [{"start": float("nan")}, {"end": float("inf")}, {"end": "1"}])
-def test_times_that_are_none_are_invalid(
-    recording: zensim.Recording, span: dict[str, float]
-) -> None:
+def test_times_that_are_none_are_invalid(recording: zensim.Recording, span: dict[str, Any]) -> None:
     with pytest.raises(zensim.Invalid):
         recording.messages(**span)
     with pytest.raises(zensim.Invalid):

@@ -108,6 +108,8 @@ WITHOUT_METHOD = {
     "doctor": "diagnoses why nothing connects",
     "check": "a report on a folder of robots, for terminals",
     "test": "runs files; in Python, tests use zensim.testing",
+    "sweep": "runs files; in Python, a loop over zensim.load",
+    "config": "shows the settings of commands",
     "scenario": "checks and lists files",
     "token": "for operators of secured servers, whose folder it reads",
     "join": "keeps a token for later; in Python, connect(token=...)",

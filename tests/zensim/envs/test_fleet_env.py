@@ -12,7 +12,7 @@ from zensim.envs import parallel_env
 def test_env_passes_the_test_of_pettingzoo(task: str) -> None:
     env = parallel_env(task, count=3, time_limit_s=3.0)
 
-    parallel_api_test(env, num_cycles=100)  # type: ignore[no-untyped-call]
+    parallel_api_test(env, num_cycles=100)
 
     env.close()
 

@@ -1,6 +1,7 @@
 """ZensimVectorEnv: seeds, ends, and restarts of worlds."""
 
 from collections.abc import Iterator
+from typing import Any, Final
 
 import gymnasium
 import numpy as np
@@ -11,7 +12,7 @@ import zensim
 from zensim.envs import ZensimEnv, ZensimVectorEnv
 
 LIMIT_S = 1.0
-SHORT = {"time_limit_s": LIMIT_S, "rate_hz": 10.0}
+SHORT: Final[dict[str, Any]] = {"time_limit_s": LIMIT_S, "rate_hz": 10.0}
 
 
 @pytest.fixture(scope="module")
@@ -23,8 +24,9 @@ def env() -> Iterator[ZensimVectorEnv]:
 
 def act(env: ZensimVectorEnv, step: int) -> np.ndarray:
     """Actions that differ by world and robot."""
-    phases = np.arange(np.prod(env.action_space.shape)).reshape(env.action_space.shape)
-    return np.sin(0.3 * step + phases).astype(np.float32)
+    sample = env.action_space.sample()
+    phases = np.arange(sample.size).reshape(sample.shape)
+    return np.asarray(np.sin(0.3 * step + phases), np.float32)
 
 
 def test_spaces_hold_what_is_returned(env: ZensimVectorEnv) -> None:
@@ -74,7 +76,7 @@ def test_reset_without_a_seed_goes_on_with_the_random_numbers(env: ZensimVectorE
 
 def test_ended_world_restarts_in_the_next_step(env: ZensimVectorEnv) -> None:
     env.reset(seed=1)
-    still = np.zeros(env.action_space.shape, np.float32)
+    still = np.zeros_like(env.action_space.sample())
     ends = [env.step(still)[2:4] for _ in range(round(LIMIT_S * 10.0))]
 
     observations, rewards, terminated, truncated, _ = env.step(still)
@@ -90,10 +92,10 @@ def test_ended_world_restarts_in_the_next_step(env: ZensimVectorEnv) -> None:
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED])
 def test_vector_env_does_what_single_ones_do(mode: AutoresetMode) -> None:
-    options = {"time_limit_s": 0.8, "task": "reach"}
-    own = ZensimVectorEnv(2, autoreset_mode=mode, threads=1, **options)  # type: ignore[arg-type]
+    options: dict[str, Any] = {"time_limit_s": 0.8, "task": "reach"}
+    own = ZensimVectorEnv(2, autoreset_mode=mode, threads=1, **options)
     reference: SyncVectorEnv = SyncVectorEnv(
-        [lambda: ZensimEnv(**options)] * 2,  # type: ignore[arg-type]
+        [lambda: ZensimEnv(**options)] * 2,
         autoreset_mode=mode,
     )
     found, expected = own.reset(seed=[4, 8])[0][:, 0], reference.reset(seed=[4, 8])[0]
@@ -147,9 +149,15 @@ def test_wrong_arguments_are_refused(env: ZensimVectorEnv) -> None:
         env.reset(seed=[1, 2])
     with pytest.raises(zensim.Invalid):
         env.step(np.zeros((3, 2)))
-    for options in ({"rate_hz": 7.0}, {"count": 0}, {"task": "fly"}, {"task": "avoid", "count": 1}):
+    wrong: tuple[dict[str, Any], ...] = (
+        {"rate_hz": 7.0},
+        {"count": 0},
+        {"task": "fly"},
+        {"task": "avoid", "count": 1},
+    )
+    for options in wrong:
         with pytest.raises(zensim.Invalid):
-            ZensimVectorEnv(1, **options)  # type: ignore[arg-type]
+            ZensimVectorEnv(1, **options)
     with pytest.raises(TypeError):
         ZensimVectorEnv(1, robots=3)  # type: ignore[call-arg]
     with pytest.raises(zensim.Invalid):
