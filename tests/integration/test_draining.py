@@ -17,7 +17,7 @@ from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
 from zensim.proto.service_catalog import SIMULATE_STEPS, SPAWN_ENTITY
 
 WITHIN_S = 30.0
-STEPS, MANY_STEPS, MANY = 5_000, 10_000_000, 10_000
+STEPS, MANY_STEPS, MANY = 1_000, 10_000_000, 10_000
 
 
 def simulate(endpoint: str, steps: int, results: list[int]) -> None:
