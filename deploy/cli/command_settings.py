@@ -14,7 +14,6 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from zensim.deploy.cli.setting_variables import CONFIG_VARIABLE, name_variable
-from zensim.proto.exit_codes import exit_on_failure
 
 if TYPE_CHECKING:
     from zensim.scenario.scenario_nodes import ScenarioNode
@@ -76,6 +75,9 @@ def make_config_option(settings: CommandSettings) -> Option:
 
     def load(context: typer.Context, value: Path | None) -> Path | None:
         if value is not None:
+            # The messages of services, which it imports, take longer than help texts.
+            from zensim.proto.exit_codes import exit_on_failure
+
             with exit_on_failure(settings.name):
                 context.default_map = read_settings(value, settings)
         return value
