@@ -67,6 +67,11 @@ def takes_precedence(context: typer.Context, parameter: str, *, over: str) -> bo
     return strength[0] > strength[1]
 
 
+RUNNING_CONTEXT: Final = inspect.Parameter(
+    "running_context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context
+)
+
+
 def expand_options(action: Callable[..., None]) -> Callable[..., None]:
     """Replace each parameter that is a dataclass by one option per field.
 
@@ -80,8 +85,10 @@ def expand_options(action: Callable[..., None]) -> Callable[..., None]:
     }
 
     def command(**given: object) -> None:
-        _apply_verbosity(action.__name__, given, added)
-        with exit_on_failure(action.__name__):
+        context = given[own_context] if own_context else given.pop(RUNNING_CONTEXT.name)
+        name = _name_running_command(context) or action.__name__
+        _apply_verbosity(name, given, added)
+        with exit_on_failure(name):
             _require_finite(given)
         for name, group in groups.items():
             given[name] = group(**{f.name: given.pop(f.name) for f in dataclasses.fields(group)})
@@ -95,13 +102,24 @@ def expand_options(action: Callable[..., None]) -> Callable[..., None]:
         )
     ]
     added = _list_missing_switches([one.name for one in expanded])
-    expanded += added
+    own_context = next((one.name for one in expanded if one.annotation is typer.Context), "")
+    expanded += [*added] if own_context else [*added, RUNNING_CONTEXT]
     command.__name__ = action.__name__
     command.__doc__ = action.__doc__
     command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in expanded]
     )
     return command
+
+
+def _name_running_command(context: Any) -> str:  # noqa: ANN401
+    """Name a command as it was typed, without the program."""
+    words: list[str] = []
+    level = context
+    while level.parent is not None:
+        words.insert(0, level.info_name or "")
+        level = level.parent
+    return " ".join(words)
 
 
 def _require_finite(given: Mapping[str, object]) -> None:

@@ -113,16 +113,10 @@ def run_server(
         if config.ros.domain is not None:
             collector.start()
         cleanup.callback(collector.stop)
-        journal = open_journal(config.journal) if config.journal else None
-        if journal is not None:
-            cleanup.callback(journal.close)
+        journal = _open_journal(config, cleanup)
         loaded, config = load_initial_world(config, journal)
         if journal is not None:
-            journal.exclude_crashing(
-                partial(
-                    make_world_engine, _in_one_process(config), loaded.model, str(journal.files)
-                )
-            )
+            _exclude_crashing(journal, config, loaded)
             status.phase = "restoring"
         # A fork of this process, as above, must have no other threads.
         cleanup.enter_context(served_status(config.metrics, status))
@@ -136,6 +130,23 @@ def run_server(
             bus = _open_network(config, cleanup)
             made = make()
         _run(config, made, bus, collector, ServerHooks(stop, on_ready, status))
+
+
+def _open_journal(config: ServerConfig, cleanup: ExitStack) -> Journal | None:
+    """Open the journal that is configured, until the end."""
+    if not config.journal:
+        return None
+    journal = open_journal(config.journal)
+    cleanup.callback(journal.close)
+    return journal
+
+
+def _exclude_crashing(journal: Journal, config: ServerConfig, loaded: LoadedWorld) -> None:
+    """Set aside entities of a journal with which an engine crashes."""
+    files = str(journal.files)
+    journal.exclude_crashing(
+        partial(make_world_engine, _in_one_process(config), loaded.model, files)
+    )
 
 
 def _listens(config: ServerConfig) -> bool:

@@ -30,6 +30,8 @@ class CommandedTwists:
     def order(self, index: EntityIndex, commands: TwistCommands) -> None:
         """Take orders; entities that do not exist are left out.
 
+        A row of NaN ends the order of this client, not one that another client gave after it.
+
         Raises:
             MalformedPayload: The twists do not fit the entities, or are infinite.
         """
@@ -42,8 +44,11 @@ class CommandedTwists:
             raise MalformedPayload("a twist is infinite")
         self._follow(index)
         rows, places = self._find_rows(index, commands.entities)
+        client = self._number_of(commands.client)
+        counts = ~np.isnan(twists[places]).any(axis=1) | (self._owners[rows] == client)
+        rows, places = rows[counts], places[counts]
         self._twists[rows] = twists[places]
-        self._owners[rows] = self._number_of(commands.client)
+        self._owners[rows] = client
         self._is_used = True
         self.changes += 1
 

@@ -79,6 +79,9 @@ def test_robots_move_each_until_it_is_commanded(playing: Sim) -> None:
         with connect(endpoint) as other:
             other.robots["r1"].drive(-0.1, 0.0)
             update_until(demo, lambda: bool(fleet.twists()[1, 0] < -0.05))
+            seen_s = playing.time
+            update_until(demo, lambda: playing.time > seen_s + 0.5)
+            assert fleet.twists()[1, 0] < -0.05
 
         assert fleet.twists()[2, 0] > 0.2
         assert not demo.is_over

@@ -175,7 +175,7 @@ def test_spawn_is_refused_with_its_code(
 def test_spawn_is_refused_when_a_number_is_not_finite(server: Server, number: float) -> None:
     done = server.zensim("spawn", "box_bot", "-n", "r", "-x", str(number))
 
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert done.stderr.startswith("zensim spawn: ")
 
 

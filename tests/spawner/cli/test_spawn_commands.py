@@ -172,7 +172,7 @@ def test_spawn_refuses_an_invalid_endpoint() -> None:
     ("arguments", "status", "value"),
     [
         (("tank",), ExitCode.NOT_FOUND, "box_bot"),
-        (("box_bot", "-x", "nan"), ExitCode.FAILED, ""),
+        (("box_bot", "-x", "nan"), ExitCode.USAGE, ""),
         (("box_bot", "-x", "1e9"), ExitCode.FAILED, ""),
         (("box_bot", "--frame", "r7"), ExitCode.NOT_FOUND, "'r7'"),
     ],
