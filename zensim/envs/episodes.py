@@ -12,7 +12,6 @@ from zensim.envs.env_settings import EnvSettings, count_control_steps, make_batc
 from zensim.envs.robot_task import FleetView, RobotTask
 
 Observations = npt.NDArray[np.float32]
-TIME_TOLERANCE_S = 1e-6
 MAX_SEED = 1 << 62
 """Of the noise of sensors, which differs by episode."""
 ACTION_COLUMNS = 2
@@ -134,7 +133,9 @@ class Episodes:
             is_live[restarted] = False
         self._is_success |= is_live & judgement.is_success
         self._is_over |= is_live & (judgement.is_success | judgement.is_failure)
-        is_late = view.times >= self._settings.time_limit_s - TIME_TOLERANCE_S
+        # Steps are whole nanoseconds: their sum differs from the limit.
+        limit_s = self._settings.time_limit_s - self.batch.control_period / 2.0
+        is_late = view.times >= limit_s
         ends = is_late | is_lost
         if restarted is not None and restarted.any():
             self.restart(restarted)
