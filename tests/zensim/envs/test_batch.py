@@ -142,6 +142,18 @@ def test_robot_that_drives_against_a_wall_touches_it() -> None:
     assert batch.is_touching.tolist() == [[True]]
 
 
+def test_restarted_world_touches_what_it_touched_at_its_start() -> None:
+    with zensim.World() as own:
+        own.spawn_fleet("box_bot", poses=[(0.0, 0.0, 0.0), (0.5, 0.0, np.pi)])
+        batch = Batch(own, 2)
+    batch.step(np.tile([0.5, 0.0, 0.0], (2, 2, 1)), control_steps=80)
+    assert batch.is_touching.all()
+
+    batch.restart(np.array([True, False]))
+
+    assert batch.is_touching.tolist() == [[False, False], [True, True]]
+
+
 def test_diverged_world_rests_until_its_restart(world: zensim.World) -> None:
     batch = Batch(world, 2)
     healthy = Batch(world, 2)
