@@ -68,6 +68,19 @@ def test_time_limit_is_kept_whatever_the_length_of_a_step(step_hz: float, limit_
     assert found == [False] * (steps - 1) + [True]
 
 
+def test_step_before_reset_and_actions_that_are_not_finite_are_refused() -> None:
+    env = ZensimEnv("reach")
+    with pytest.raises(zensim.Invalid) as refused:
+        env.step(np.zeros(2, np.float32))
+    assert refused.value.slug == "not_reset"
+    env.reset(seed=1)
+
+    with pytest.raises(zensim.Invalid) as refused:
+        env.step(np.array([np.nan, 0.0], np.float32))
+
+    assert refused.value.slug == "not_finite"
+
+
 def test_several_robots_that_learn_are_refused() -> None:
     with pytest.raises(zensim.Invalid):
         ZensimEnv("avoid", count=3)
