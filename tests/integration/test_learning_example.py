@@ -12,7 +12,7 @@ PNG = b"\x89PNG"
 
 def test_example_learns_and_draws_its_curve(tmp_path: Path) -> None:
     picture = tmp_path / "curve.png"
-    options = ["--updates", "3", "--worlds", "1", "--picture", str(picture)]
+    options = ["--updates", "2", "--worlds", "1", "--picture", str(picture)]
 
     done = subprocess.run(
         [sys.executable, str(EXAMPLE), *options],
@@ -22,5 +22,5 @@ def test_example_learns_and_draws_its_curve(tmp_path: Path) -> None:
         timeout=250,
     )
 
-    assert done.stdout.splitlines()[-1].startswith("update=3 steps=384 reached=")
+    assert done.stdout.splitlines()[-1].startswith("update=2 steps=256 reached=")
     assert picture.read_bytes().startswith(PNG)
