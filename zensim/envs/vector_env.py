@@ -91,7 +91,7 @@ class ZensimVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]
     def reset(
         self,
         *,
-        seed: int | Sequence[int | None] | None = None,
+        seed: int | np.integer[Any] | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Observations, Infos]:
         """Start new episodes.

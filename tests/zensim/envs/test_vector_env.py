@@ -116,7 +116,7 @@ def test_vector_env_does_what_single_ones_do(mode: AutoresetMode) -> None:
 
 def test_seed_of_numpy_is_that_of_python(env: ZensimVectorEnv) -> None:
     drawn = np.int64(5)
-    assert (env.reset(seed=drawn)[0] == env.reset(seed=5)[0]).all()  # type: ignore[arg-type]
+    assert (env.reset(seed=drawn)[0] == env.reset(seed=5)[0]).all()
 
     single = ZensimEnv("reach")
 
