@@ -12,6 +12,8 @@ from zensim.sim_server.physics.engine import (
     BodyStates,
     ContactPoints,
     Engine,
+    EngineRefused,
+    EngineReplicas,
     FloatArray,
     Place,
     concatenate_contacts,
@@ -90,6 +92,12 @@ class IsolatingEngine(EngineLayer):
         """See `Engine.find_overlaps_async`; finds them now."""
         found = self.find_overlaps(body)
         return lambda: found
+
+    def replicate(self, bodies: Sequence[int], count: int) -> EngineReplicas:
+        """See `Engine.replicate`; refuses a world with bodies that are set aside."""
+        if self._set_aside:
+            raise EngineRefused("a world with bodies that are set aside cannot be copied")
+        return self._inner.replicate(bodies, count)
 
     def read(self, bodies: Sequence[int]) -> BodyStates:
         """See `Engine.read`; bodies that are set aside have NaN."""

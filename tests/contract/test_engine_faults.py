@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.engines import PHYSICAL, STEP_NS, MakeEngine, advance, running
-from tests.faulty_engines import ALWAYS, FAULTY_ENGINES, make_culprit
+from tests.faulty_engines import ALWAYS, CONFIG, FAULTY_ENGINES, FaultyEngine, make_culprit
 from tests.hostile.mutants import a_nested_model, an_arm_of_all_joints
 from tests.models import a_box, a_box_bot, a_cart, a_state, an_arm, box_bot_at, on_ground
 from tests.sim_server.fakes import a_command, a_spawn, names_in
@@ -14,6 +14,7 @@ from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.sim_server.description.pipeline import read_robot
 from zensim.sim_server.physics.engine import EngineRefused, FloatArray
+from zensim.sim_server.physics.isolating_engine import IsolatingEngine
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
 from zensim.sim_server.world.simulated_world import SimulatedWorld
 
@@ -202,6 +203,20 @@ def test_body_that_the_engine_fails_to_put_to_sleep_ends_no_other(
 
     assert not world.divergence_guard.is_frozen("good")
     assert_drives(world)
+
+
+def test_engine_with_a_body_that_is_set_aside_is_not_copied() -> None:
+    engine = IsolatingEngine(FaultyEngine(MujocoEngine(CONFIG)))
+    culprit = engine.add(make_culprit(a_cart(), "command"), on_ground())
+    good = engine.add(a_cart(), on_ground(2.0))
+    engine.command([culprit], np.zeros(2))
+
+    with pytest.raises(EngineRefused):
+        engine.replicate([good], 1)
+
+    engine.remove(culprit)
+    assert engine.replicate([good], 1).read().base.shape == (1, 13)
+    engine.close()
 
 
 def test_frozen_entity_is_restored_by_a_reset_or_stays_frozen(world: SimulatedWorld) -> None:

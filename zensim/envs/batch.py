@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.api.api_errors import Invalid, Unsupported
-from zensim.api.argument_checks import check_limits
+from zensim.api.argument_checks import check_limits, check_range
 from zensim.api.in_process_world import World, get_server
 from zensim.envs.batch_drives import BatchDrives
 from zensim.envs.batch_sensors import BatchSensors, SensorName
@@ -21,6 +21,7 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 STATE_COLUMNS = 13
 TWIST_COLUMNS = 3
+MAX_WORLDS, MAX_THREADS = 65536, 1024
 
 
 class Batch:
@@ -37,17 +38,17 @@ class Batch:
 
         Args:
             world: With robots; their drives start anew in the copies.
-            worlds: Number of copies; > 0.
-            threads: That step the copies; results do not depend on it.
+            worlds: Number of copies, 1 to 65536.
+            threads: That step the copies, 1 to 1024; results do not depend on it.
             sensors: That are measured: `scan`, `imu`.
 
         Raises:
-            Invalid: A number is not positive, or there is no robot, or one without such a sensor.
+            Invalid: A number is out of range, or there is no robot, or one without such a sensor.
             Unsupported: The engine is not MuJoCo, the world has several cells or kinematic
                 robots, or joints are controlled.
         """
-        if min(worlds, threads) < 1:
-            raise Invalid(f"{worlds} worlds and {threads} threads", hint="use 1 or more of each")
+        check_range("worlds", worlds, 1, MAX_WORLDS)
+        check_range("threads", threads, 1, MAX_THREADS)
         server = get_server(world)
         simulated = server.world
         self._layout = make_world_layout(simulated)
@@ -148,8 +149,10 @@ class Batch:
             control_steps: In which the drives are updated; > 0.
 
         Raises:
-            Invalid: The shape is wrong, or a number is not finite.
+            Invalid: The shape is wrong, or a number is not finite, or there is no control step.
         """
+        if control_steps < 1:
+            raise Invalid(f"control_steps={control_steps} is out of range", hint="use 1 or more")
         wanted = np.asarray(twists, np.float64)
         if wanted.shape != (*self.shape, TWIST_COLUMNS):
             raise Invalid(
@@ -169,6 +172,9 @@ class Batch:
         Args:
             worlds: Mask (worlds,); None = all.
             seeds: Of the noise of their sensors, by world; None = the row of each.
+
+        Raises:
+            Invalid: The mask has a wrong shape or type, or a seed is of a world outside it.
         """
         chosen = np.ones(len(self._steps), np.bool_) if worlds is None else np.asarray(worlds)
         if chosen.shape != self._steps.shape or chosen.dtype != np.bool_:
@@ -177,17 +183,21 @@ class Batch:
                 slug="wrong_shape",
                 hint=f"use {self._steps.shape} of bool",
             )
-        self._replicas.restore(np.flatnonzero(chosen).tolist())
+        rows = np.flatnonzero(chosen).tolist()
+        if others := sorted(set(seeds or ()).difference(rows)):
+            raise Invalid(
+                f"seeds of worlds {others[:5]}, which do not restart", hint="give those of the mask"
+            )
+        self._replicas.restore(rows)
         self._drives.restart(chosen)
         self._steps[chosen] = 0
         self._is_diverged[chosen] = False
         self._read()
-        rows = np.flatnonzero(chosen).tolist()
         self._sensors.restart(dict(zip(rows, rows, strict=True)) if seeds is None else seeds)
 
     def digest(self, world: int = 0) -> str:
-        """Hash the state of a world, as `World.state_hash()` does."""
-        chosen = slice(world, world + 1)
+        """Hash the state of a world, as `World.state_hash()` does; IndexError if there is none."""
+        chosen = [world]
         base, positions = self._layout.fill_in(self._base[chosen], self._positions[chosen])
         time_ns = int(self._start_steps + self._steps[world]) * self._step_ns
         return hash_states(time_ns, self._layout.entities, base.tobytes(), positions.tobytes())

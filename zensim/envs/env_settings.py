@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
@@ -35,7 +36,8 @@ class EnvKeywords(TypedDict, total=False):
     """Settings of environments, as keyword arguments."""
 
     world: str | Path | World
-    """Name of a shipped world, an SDF file, or a world with robots, which is copied."""
+    """Name of a shipped world, an SDF file, or a world with robots, which is copied as it is:
+    `model`, `count` and `spacing` have no effect then."""
     model: str
     """Of the robots; name of a shipped model, or a file."""
     count: int
@@ -93,13 +95,13 @@ def make_settings(given: Mapping[str, object]) -> EnvSettings:
 
 
 def find_task(task: str | RobotTask) -> RobotTask:
-    """Find a task by its name.
+    """Find a task by its name; copy a given one, as each environment has goals of its own.
 
     Raises:
         Invalid: There is none of this name.
     """
     if isinstance(task, RobotTask):
-        return task
+        return deepcopy(task)
     if task not in TASKS:
         raise Invalid(f"task '{task}' is unknown", hint=f"use {', '.join(TASKS)}, or a RobotTask")
     return TASKS[task]()

@@ -12,7 +12,6 @@ from zensim.envs.env_settings import EnvSettings, count_control_steps, make_batc
 from zensim.envs.robot_task import FleetView, RobotTask
 
 Observations = npt.NDArray[np.float32]
-TIME_TOLERANCE_S = 1e-6
 MAX_SEED = 1 << 62
 """Of the noise of sensors, which differs by episode."""
 ACTION_COLUMNS = 2
@@ -67,6 +66,7 @@ class Episodes:
         self._limits = self._find_limits(robots)
         self._is_over = np.zeros((worlds, len(self._agents)), np.bool_)
         self._is_success = self._is_over.copy()
+        self._view_before: FleetView | None = None
         self._streams: list[np.random.Generator] = []
         self.seed(np.random.SeedSequence().spawn(worlds))
 
@@ -88,13 +88,15 @@ class Episodes:
             for seed, stream in zip(seeds, kept, strict=True)
         ]
 
-    def restart(self, worlds: BoolArray) -> None:
-        """Start new episodes in some worlds (worlds,)."""
+    def restart(self, worlds: BoolArray) -> FleetView:
+        """Start new episodes in some worlds (worlds,); return the view of all."""
         chosen = np.flatnonzero(worlds)
         seeds = {at: int(self._streams[at].integers(MAX_SEED)) for at in chosen.tolist()}
         self.batch.restart(worlds, seeds)
         self._is_over[worlds] = self._is_success[worlds] = False
-        self._task.restart(chosen, self._view(), self._streams)
+        view = self._view()
+        self._task.restart(chosen, view, self._streams)
+        return view
 
     def observe(self) -> Observations:
         """Make the observations (worlds, agents, d)."""
@@ -106,19 +108,28 @@ class Episodes:
         Args:
             actions: (worlds, agents, 2).
             restarted: Worlds (worlds,) that start new episodes instead; None = none does.
+
+        Raises:
+            Invalid: No episode was started, or the shape is wrong, or an action of a robot whose
+                episode goes on is not finite.
         """
+        if self._view_before is None:
+            raise Invalid("no episode was started", slug="not_reset", hint="call reset()")
         if actions.shape != (*self._is_over.shape, ACTION_COLUMNS):
             raise Invalid(
                 f"actions have shape {actions.shape}",
                 slug="wrong_shape",
                 hint=f"use {(*self._is_over.shape, ACTION_COLUMNS)}: worlds, robots, v and w",
             )
-        chosen = self._task.drive(self._view_before)
+        chosen = np.nan_to_num(self._task.drive(self._view_before))  # NaN of lost worlds
         limited = np.clip(actions, -1.0, 1.0) * self._scale
-        chosen[:, self._agents] = np.where(self._is_over[..., None], 0.0, limited)
+        is_still = self._is_over
+        if restarted is not None:
+            is_still = is_still | restarted[:, None]
+        chosen[:, self._agents] = np.where(is_still[..., None], 0.0, limited)
         twists = np.zeros((*self.batch.shape, TWIST_COLUMNS))
         twists[..., 0], twists[..., 2] = chosen[..., 0], chosen[..., 1]
-        self.batch.step(np.nan_to_num(twists), self._control_steps)
+        self.batch.step(twists, self._control_steps)
         return self._judge(self._view(), restarted)
 
     def close(self) -> None:
@@ -134,11 +145,12 @@ class Episodes:
             is_live[restarted] = False
         self._is_success |= is_live & judgement.is_success
         self._is_over |= is_live & (judgement.is_success | judgement.is_failure)
-        is_late = view.times >= self._settings.time_limit_s - TIME_TOLERANCE_S
+        # Steps are whole nanoseconds: their sum differs from the limit.
+        limit_s = self._settings.time_limit_s - self.batch.control_period / 2.0
+        is_late = view.times >= limit_s
         ends = is_late | is_lost
         if restarted is not None and restarted.any():
-            self.restart(restarted)
-            view, ends = self._view_before, ends & ~restarted
+            view, ends = self.restart(restarted), ends & ~restarted
         terminated = np.asarray(self._is_over.all(axis=1))
         return Outcome(
             observations=self._observe(view),

@@ -12,6 +12,7 @@ from zensim.envs.robot_task import (
     IntArray,
     Judgement,
     RobotTask,
+    find_distances,
     find_in_robot,
 )
 
@@ -91,8 +92,7 @@ class FollowFormation(RobotTask):
 
     def judge(self, view: FleetView) -> Judgement:
         """See `RobotTask`."""
-        away = self._find_places(view) - view.poses[:, 1:, :2]
-        errors = np.hypot(away[..., 0], away[..., 1])
+        errors = find_distances(view.poses[:, 1:], self._find_places(view))
         touching = view.is_touching[:, 1:]
         rewards = np.maximum(1.0 - errors / ERROR_SCALE_M, 0.0) + COLLISION * touching
         return Judgement(rewards, np.zeros_like(touching), touching | (errors > LOST_M))

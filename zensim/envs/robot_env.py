@@ -52,6 +52,7 @@ class ZensimEnv(gymnasium.Env[Observations, npt.NDArray[np.float32]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
         """Start a new episode."""
+        seed = None if seed is None else int(seed)  # Gymnasium refuses integers of NumPy
         super().reset(seed=seed, options=options)
         if seed is not None:
             self._episodes.seed(spawn_seeds(seed, 1))

@@ -23,7 +23,8 @@ class FleetView:
     Attributes:
         poses: x, y [m] and heading [rad] in the world, (worlds, robots, 3).
         velocities: Forward [m/s] and turn [rad/s], (worlds, robots, 2).
-        is_touching: Whether a robot touches something that does not carry it, (worlds, robots).
+        is_touching: Whether a robot touches something that does not carry it, (worlds, robots);
+            at this moment: a contact that ends before is not seen.
         times: Seconds since each world was restarted, (worlds,).
     """
 

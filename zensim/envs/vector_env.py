@@ -10,6 +10,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from zensim.api.api_errors import Invalid
+from zensim.api.argument_checks import check_range
+from zensim.envs.batch import MAX_WORLDS
 from zensim.envs.env_settings import find_task, make_settings
 from zensim.envs.episodes import ACTION_COLUMNS, Episodes, Observations
 from zensim.envs.robot_task import RobotTask
@@ -56,8 +58,8 @@ class ZensimVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]
         """Make the worlds.
 
         Args:
-            num_envs: Number of worlds.
-            task: `reach`, `avoid`, `formation`, or one of your own.
+            num_envs: Number of worlds, 1 to 65536.
+            task: `reach`, `avoid`, `formation`, or one of your own, which is copied.
             autoreset_mode: NEXT_STEP: the step after the end of an episode restarts its world and
                 ignores its action. DISABLED: `reset(options={"reset_mask": mask})` does.
             options: See `EnvKeywords`.
@@ -66,6 +68,7 @@ class ZensimVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]
             Invalid: A setting is not valid.
             Unsupported: The worlds cannot be copied; see `Batch`.
         """
+        check_range("num_envs", num_envs, 1, MAX_WORLDS)
         if autoreset_mode not in MODES:
             names = " or ".join(mode.name for mode in MODES)
             raise Invalid(f"autoreset mode {autoreset_mode}", hint=f"use {names}")
@@ -88,7 +91,7 @@ class ZensimVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]
     def reset(
         self,
         *,
-        seed: int | Sequence[int | None] | None = None,
+        seed: int | np.integer[Any] | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Observations, Infos]:
         """Start new episodes.
@@ -101,6 +104,8 @@ class ZensimVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]
             Invalid: The mask or the number of seeds does not fit.
         """
         chosen = self._read_mask(options or {})
+        if isinstance(seed, np.integer):
+            seed = int(seed)
         if isinstance(seed, int):
             super().reset(seed=seed)
         if seed is not None:

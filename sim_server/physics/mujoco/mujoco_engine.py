@@ -1280,6 +1280,8 @@ class ReplicatedEngine(MujocoEngine):
         kind = mujoco.mjtState.mjSTATE_INTEGRATION
         mujoco.mj_setState(self._model, self._data, saved.numbers, kind)
         self._data.qacc[:] = saved.accelerations
+        self._data.ncon = 0  # a state has no contacts; the next step finds them
+        self._has_loads = True  # of the state that is copied
         self._diverged.clear()
 
     def note_new_modes(self) -> None:
@@ -1298,11 +1300,14 @@ class ReplicatedEngine(MujocoEngine):
         pairs = np.flatnonzero(is_pair)
         if not len(pairs):
             return NO_OWNERS
-        owners, upward = owners[pairs], np.abs(data.contact.frame[pairs, 2])
-        is_static = [
-            any(self._bodies[body].archetype.is_static for body in pair) for pair in owners.tolist()
-        ]
-        return np.asarray(owners[~(np.array(is_static) & (upward > SUPPORT_NORMAL_Z))].ravel())
+        # A normal points to the second body: upward if the first one carries it.
+        owners, upward = owners[pairs], data.contact.frame[pairs, 2]
+        is_static = np.array(
+            [[self._bodies[body].archetype.is_static for body in pair] for pair in owners.tolist()]
+        )
+        upward = np.stack([upward, -upward], axis=1)
+        is_carried = (is_static & (upward > SUPPORT_NORMAL_Z)).any(axis=1)
+        return np.asarray(owners[~is_carried].ravel())
 
     def _step_by_fallback(self) -> None:
         mujoco.mj_step2(self._fallback, self._data)

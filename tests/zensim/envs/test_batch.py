@@ -80,7 +80,7 @@ def test_restarted_world_repeats_its_bits_while_others_go_on(world: zensim.World
 
     batch.restart(np.array([False, True, False]))
 
-    assert batch.digest(1) == start
+    assert batch.digest(1) == batch.digest(-2) == start
     assert batch.digest(0) == first[0]
     assert batch.times.tolist() == pytest.approx([0.25, 0.0, 0.25])
     assert run(batch, 20)[1] == first[1]
@@ -142,6 +142,18 @@ def test_robot_that_drives_against_a_wall_touches_it() -> None:
     assert batch.is_touching.tolist() == [[True]]
 
 
+def test_restarted_world_touches_what_it_touched_at_its_start() -> None:
+    with zensim.World() as own:
+        own.spawn_fleet("box_bot", poses=[(0.0, 0.0, 0.0), (0.5, 0.0, np.pi)])
+        batch = Batch(own, 2)
+    batch.step(np.tile([0.5, 0.0, 0.0], (2, 2, 1)), control_steps=80)
+    assert batch.is_touching.all()
+
+    batch.restart(np.array([True, False]))
+
+    assert batch.is_touching.tolist() == [[False, False], [True, True]]
+
+
 def test_diverged_world_rests_until_its_restart(world: zensim.World) -> None:
     batch = Batch(world, 2)
     healthy = Batch(world, 2)
@@ -169,8 +181,15 @@ def test_wrong_arguments_are_refused(world: zensim.World) -> None:
     for mask in (np.ones(3, np.bool_), np.zeros(2)):
         with pytest.raises(zensim.Invalid):
             batch.restart(mask)
+    for worlds, threads in ((0, 1), (10**7, 1), (1, 0), (1, 10**7)):
+        with pytest.raises(zensim.Invalid):
+            Batch(world, worlds, threads=threads)
     with pytest.raises(zensim.Invalid):
-        Batch(world, 0)
+        batch.step(np.zeros((2, ROBOTS, 3)), control_steps=0)
+    with pytest.raises(zensim.Invalid):
+        batch.restart(np.array([True, False]), seeds={1: 7})
+    with pytest.raises(IndexError):
+        batch.digest(2)
     with pytest.raises(zensim.Invalid):
         batch.scans  # noqa: B018
     with pytest.raises(zensim.Invalid):

@@ -1,5 +1,7 @@
 """Lidars and inertial units of a batch."""
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
@@ -11,10 +13,10 @@ AHEAD = [0.3, 0.0, 0.0]
 
 
 @pytest.fixture(scope="module")
-def world() -> zensim.World:
-    found = zensim.World("walls")
-    found.spawn_fleet(MODEL, poses=[(0.0, 0.0), (1.0, 0.0)])
-    return found
+def world() -> Iterator[zensim.World]:
+    with zensim.World("walls") as found:
+        found.spawn_fleet(MODEL, poses=[(0.0, 0.0), (1.0, 0.0)])
+        yield found
 
 
 def test_scan_sees_the_other_robot_and_walls(world: zensim.World) -> None:

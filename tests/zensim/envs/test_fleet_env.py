@@ -20,6 +20,8 @@ def test_env_passes_the_test_of_pettingzoo(task: str) -> None:
 def test_script_of_the_documents_runs_to_its_end() -> None:
     env = parallel_env(model="box_bot", count=4, task="reach", time_limit_s=2.0)
     observations, infos = env.reset(seed=0)
+    for seed, name in enumerate(env.possible_agents):
+        env.action_space(name).seed(seed)
     steps = 0
     while env.agents:
         actions = {name: env.action_space(name).sample() for name in env.agents}

@@ -55,6 +55,32 @@ def test_robot_that_stands_is_truncated_and_loses_a_little() -> None:
     assert sum(one[1] for one in found) == pytest.approx(-0.2, abs=0.01)
 
 
+@pytest.mark.parametrize(("step_hz", "limit_s"), [(700.0, 10.0), (240.0, 0.3)])
+def test_time_limit_is_kept_whatever_the_length_of_a_step(step_hz: float, limit_s: float) -> None:
+    with zensim.World(step_hz=step_hz, control_hz=100.0) as world:
+        world.spawn("box_bot")
+        env = ZensimEnv("reach", world=world, rate_hz=10.0, time_limit_s=limit_s)
+    env.reset(seed=1)
+    steps = round(limit_s * 10.0)
+
+    found = [env.step(np.zeros(2, np.float32))[3] for _ in range(steps)]
+
+    assert found == [False] * (steps - 1) + [True]
+
+
+def test_step_before_reset_and_actions_that_are_not_finite_are_refused() -> None:
+    env = ZensimEnv("reach")
+    with pytest.raises(zensim.Invalid) as refused:
+        env.step(np.zeros(2, np.float32))
+    assert refused.value.slug == "not_reset"
+    env.reset(seed=1)
+
+    with pytest.raises(zensim.Invalid) as refused:
+        env.step(np.array([np.nan, 0.0], np.float32))
+
+    assert refused.value.slug == "not_finite"
+
+
 def test_several_robots_that_learn_are_refused() -> None:
     with pytest.raises(zensim.Invalid):
         ZensimEnv("avoid", count=3)

@@ -9,7 +9,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import zensim
-from zensim.envs import ZensimEnv, ZensimVectorEnv
+from zensim.envs import ReachGoal, ZensimEnv, ZensimVectorEnv
 
 LIMIT_S = 1.0
 SHORT: Final[dict[str, Any]] = {"time_limit_s": LIMIT_S, "rate_hz": 10.0}
@@ -114,6 +114,38 @@ def test_vector_env_does_what_single_ones_do(mode: AutoresetMode) -> None:
     reference.close()
 
 
+def test_seed_of_numpy_is_that_of_python(env: ZensimVectorEnv) -> None:
+    drawn = np.int64(5)
+    assert (env.reset(seed=drawn)[0] == env.reset(seed=5)[0]).all()
+
+    single = ZensimEnv("reach")
+
+    assert (single.reset(seed=drawn)[0] == single.reset(seed=5)[0]).all()  # type: ignore[arg-type]
+
+
+def test_environments_of_one_task_have_goals_of_their_own() -> None:
+    task = ReachGoal()
+    first, second = (ZensimVectorEnv(worlds, task=task, threads=1) for worlds in (2, 3))
+    before, _ = first.reset(seed=1)
+    second.reset(seed=2)
+
+    after = first.step(np.zeros((2, 1, 2), np.float32))[0]
+
+    assert after[..., :2] == pytest.approx(before[..., :2], abs=0.01)
+
+
+def test_action_of_a_world_that_restarts_is_ignored(env: ZensimVectorEnv) -> None:
+    env.reset(seed=1)
+    still = np.zeros_like(env.action_space.sample())
+    while not env.step(still)[3].all():
+        pass
+
+    observations = env.step(np.full_like(still, np.nan))[0]
+
+    assert np.isfinite(observations).all()
+    assert env.batch.times.tolist() == [0.0] * 3
+
+
 def test_mask_resets_chosen_worlds_only() -> None:
     env = ZensimVectorEnv(3, autoreset_mode=AutoresetMode.DISABLED, threads=1, **SHORT)
     env.reset(seed=1)
@@ -158,6 +190,9 @@ def test_wrong_arguments_are_refused(env: ZensimVectorEnv) -> None:
     for options in wrong:
         with pytest.raises(zensim.Invalid):
             ZensimVectorEnv(1, **options)
+    for worlds in (0, 10**7):
+        with pytest.raises(zensim.Invalid):
+            ZensimVectorEnv(worlds)
     with pytest.raises(TypeError):
         ZensimVectorEnv(1, robots=3)  # type: ignore[call-arg]
     with pytest.raises(zensim.Invalid):

@@ -305,3 +305,38 @@ def test_place_and_rotation_that_are_set_are_read() -> None:
 
     engine.close()
     assert found == pytest.approx(state)
+
+
+@pytest.mark.parametrize(("height_m", "is_touching"), [(0.299, True), (-0.099, False)])
+def test_copy_touches_what_is_fixed_above_it_and_not_what_carries_it(
+    height_m: float, *, is_touching: bool
+) -> None:
+    engine = MujocoEngine(CONFIG)
+    engine.add(a_box("block", is_static=True), a_state((0.0, 0.0, height_m)))
+    replicas = engine.replicate([engine.add(a_box(), a_state((0.0, 0.0, 0.1)))], 2)
+
+    for group in replicas.make_groups(1):
+        group.step()
+
+    assert replicas.find_touching().tolist() == [[is_touching]] * 2
+    engine.close()
+
+
+def test_restored_copy_touches_nothing_and_keeps_no_loads() -> None:
+    engine = MujocoEngine(CONFIG)
+    bodies = [engine.add(a_box(), a_state((0.25 * at, 0.0, 0.1))) for at in range(2)]
+    for body, push in zip(bodies, (20.0, -20.0), strict=True):
+        engine.apply_link_wrench(body, 0, np.array([push, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    replicas = engine.replicate(bodies, 1)
+    (group,) = replicas.make_groups(1)
+    states = []
+    for _ in range(2):
+        for _ in range(60):
+            group.step()
+        states.append(replicas.read().base.tobytes())
+        replicas.restore([0])
+
+        assert not replicas.find_touching().any()
+
+    assert states[0] == states[1]
+    engine.close()
