@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -65,6 +66,17 @@ def takes_precedence(context: typer.Context, parameter: str, *, over: str) -> bo
     """Whether the value of an option comes from a stronger source than that of another."""
     strength = [SOURCES.index(find_source(context, name)) for name in (parameter, over)]
     return strength[0] > strength[1]
+
+
+def is_exported_for_clients(context: typer.Context, own_variable: str) -> bool:
+    """Whether the endpoint to connect to comes from ZENSIM_CONNECT, which is meant for clients.
+
+    Args:
+        context: Of a command that need not connect.
+        own_variable: Names the endpoint for that command only.
+    """
+    is_exported = find_source(context, "connect") == "ENVIRONMENT"
+    return is_exported and not os.environ.get(own_variable)
 
 
 def expand_options(action: Callable[..., None]) -> Callable[..., None]:
