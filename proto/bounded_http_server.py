@@ -67,12 +67,10 @@ class BoundedHttpServer(ThreadingHTTPServer):
         self._began_s[request] = time.monotonic()
         super().process_request(request, client_address)
 
-    def process_request_thread(self, request: socket.socket, client_address: object) -> None:  # type: ignore[override]
-        """Serve a connection to its end."""
-        try:
-            super().process_request_thread(request, client_address)
-        finally:
-            self._began_s.pop(request, None)
+    def shutdown_request(self, request: socket.socket) -> None:  # type: ignore[override]
+        """End a connection, also one whose thread could not start."""
+        self._began_s.pop(request, None)
+        super().shutdown_request(request)
 
     def service_actions(self) -> None:
         """End connections that last too long; called twice a second."""

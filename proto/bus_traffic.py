@@ -22,7 +22,7 @@ class BusTraffic:
         yield make_labelled(
             "zensim_bus_messages_total",
             "counter",
-            "Messages, requests and replies of this program.",
+            "Messages published and received, requests received and answered.",
             {("sent",): self.sent, ("received",): self.received},
             "direction",
         )

@@ -105,23 +105,32 @@ def run_process(
 
 
 def end_processes(grace_s: Mapping["subprocess.Popen[bytes]", float]) -> None:
-    """Send SIGTERM in this order, SIGKILL to each after its time [s], and reap all."""
+    """Send SIGTERM in this order, again at half of each time [s], SIGKILL after it; reap all.
+
+    At the second SIGTERM a server ends without finishing the requests that it has accepted.
+    """
     began_s = time.monotonic()
     for process in grace_s:
         process.terminate()
-    left = dict(grace_s)
+    left, patient = dict(grace_s), dict(grace_s)
     while left:
         passed_s = time.monotonic() - began_s
-        for process, most_s in tuple(left.items()):
-            if process.poll() is not None:
-                del left[process]
-            elif passed_s >= most_s:
-                process.kill()
-                process.wait()
+        for process in [one for one, most_s in patient.items() if passed_s >= most_s / 2]:
+            del patient[process]
+            process.terminate()  # nothing is sent to one that has ended
+        left = {one: most_s for one, most_s in left.items() if not _end(one, most_s - passed_s)}
         if left:
             time.sleep(END_POLL_S)
     for process in grace_s:
         close_pipes(process)
+
+
+def _end(process: "subprocess.Popen[bytes]", left_s: float) -> bool:
+    """Kill a process that has no time left; return whether it has ended."""
+    if process.poll() is None and left_s <= 0.0:
+        process.kill()
+        process.wait()
+    return process.returncode is not None
 
 
 def close_pipes(process: "subprocess.Popen[bytes]") -> None:

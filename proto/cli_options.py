@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -70,6 +71,17 @@ def takes_precedence(context: typer.Context, parameter: str, *, over: str) -> bo
 RUNNING_CONTEXT: Final = inspect.Parameter(
     "running_context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context
 )
+
+
+def is_exported_for_clients(context: typer.Context, own_variable: str) -> bool:
+    """Whether the endpoint to connect to comes from ZENSIM_CONNECT, which is meant for clients.
+
+    Args:
+        context: Of a command that need not connect.
+        own_variable: Names the endpoint for that command only.
+    """
+    is_exported = find_source(context, "connect") == "ENVIRONMENT"
+    return is_exported and not os.environ.get(own_variable)
 
 
 def expand_options(action: Callable[..., None]) -> Callable[..., None]:

@@ -84,15 +84,15 @@ class RepeatLimit(logging.Filter):
             return True
         if self._now_s() - self._began_s >= PERIOD_S:
             self._began_s = self._now_s()
-            self._left_out = {
-                key: self._left_out.get(key, 0) + count - REPEATS_PER_PERIOD
-                for key, count in self._counts.items()
-                if count > REPEATS_PER_PERIOD
-            }
-            self._counts.clear()
+            # Other threads filter at the same time.
+            counts, self._counts = self._counts, {}
+            for repeated, total in tuple(counts.items()):
+                if total > REPEATS_PER_PERIOD:
+                    left_out = self._left_out.get(repeated, 0) + total - REPEATS_PER_PERIOD
+                    self._left_out[repeated] = left_out
         key = (record.name, str(record.msg))
-        self._counts[key] = self._counts.get(key, 0) + 1
-        if self._counts[key] > REPEATS_PER_PERIOD:
+        count = self._counts[key] = self._counts.get(key, 0) + 1
+        if count > REPEATS_PER_PERIOD:
             return False
         if left_out := self._left_out.pop(key, 0):
             record.msg, record.args = f"{record.getMessage()} left_out={left_out}", ()

@@ -31,6 +31,7 @@ from zensim.proto.cli_options import (
     WorldOption,
     expand_options,
     flag,
+    is_exported_for_clients,
     make_app,
     parse_choice,
     takes_precedence,
@@ -193,8 +194,8 @@ class ServeOptions(RosOptions):
 def serve(context: typer.Context, given: ServeOptions) -> None:
     """Start a simulation server, until Ctrl-C."""
     configure_logging()
-    if given.listen and takes_precedence(context, "listen", over="connect"):
-        # An exported ZENSIM_CONNECT is meant for clients.
+    is_for_clients = is_exported_for_clients(context, "ZENSIM_SERVE_CONNECT")
+    if given.listen and (is_for_clients or takes_precedence(context, "listen", over="connect")):
         given = replace(given, connect="")
     elif given.connect and takes_precedence(context, "connect", over="listen"):
         given = replace(given, listen="")

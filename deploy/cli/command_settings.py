@@ -4,10 +4,11 @@ Both derive from the option's spelling, so that no list of them is kept. A flag 
 then a variable, then the file, then the default.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 from typer.core import TyperGroup
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 Command = Any
 """A command or group of click, which typer has inside under a name that changed."""
 Option = Any
+WRITTEN_VALUE: Final = re.compile(r"(?:&\S+ +)?([-+.0-9eE]+|[Tt]\w+|[Ff]\w+)(?!\w)")
+"""A decimal number or a truth value, after its anchor."""
 
 
 @dataclass(frozen=True)
@@ -114,23 +117,29 @@ def read_settings(file: Path, settings: CommandSettings) -> dict[str, object]:
     """
     from zensim.scenario.scenario_nodes import read_nodes
 
-    sections = read_nodes(file.read_text(encoding="utf-8"), str(file))
-    _require_known(sections, list_sections(), "command")
+    text = file.read_text(encoding="utf-8")
+    sections = read_nodes(text, str(file))
+    _require_known(sections, list_sections(sections.items), "command")
     section = sections.items.get(settings.name)
     if section is None or section.value is None:
         return {}
     _require_known(section, tuple(settings.options), f"option of 'zensim {settings.name}'")
+    lines = text.splitlines()
     return {
-        settings.options[key].name: _read_value_of(settings.options[key], node, key)
+        settings.options[key].name: _read_value_of(settings.options[key], node, key, lines)
         for key, node in section.items.items()
     }
 
 
-def list_sections() -> tuple[str, ...]:
-    """List the first words of all commands."""
-    from zensim.deploy.cli import VERBS
+def list_sections(keys: Iterable[str]) -> tuple[str, ...]:
+    """List all commands of one word, and those of several words whose first is in the keys."""
+    from zensim.deploy.cli import VERBS, build
 
-    return tuple(VERBS)
+    found = list(VERBS)
+    for verb in sorted({key.split(" ")[0] for key in keys if " " in key} & VERBS.keys()):
+        app: Any = get_command(build(verb))
+        found += [words for words, _ in list_commands(app.commands[verb], verb) if words != verb]
+    return tuple(found)
 
 
 def _require_known(node: "ScenarioNode", known: Sequence[str], what: str) -> None:
@@ -139,26 +148,30 @@ def _require_known(node: "ScenarioNode", known: Sequence[str], what: str) -> Non
     if not node.is_map:
         raise fail_at(node.place, "", f"a map of keys is needed; each is a {what}")
     for key in node.items:
-        word = key.split(" ")[0] if what == "command" else key
-        if word not in known:
+        if key not in known:
             place = node.key_places.get(key, node.place)
             raise fail_at(place, key, f"no {what}; there are {', '.join(known)}")
 
 
-def _read_value_of(option: Option, node: "ScenarioNode", key: str) -> object:
-    value = _read_value(node, key)
+def _read_value_of(option: Option, node: "ScenarioNode", key: str, lines: Sequence[str]) -> object:
+    if isinstance(node.value, bool) and (option.is_flag or option.count):
+        return node.value
+    value = _read_value(node, key, lines)
     return [value] if option.multiple and not isinstance(value, list) else value
 
 
-def _read_value(node: "ScenarioNode", key: str) -> object:
+def _read_value(node: "ScenarioNode", key: str, lines: Sequence[str]) -> object:
+    """Read a value as its text in the lines of the file: a name may be 1.10, a folder 007."""
     from zensim.scenario.scenario_nodes import fail_at
 
     if node.is_map:
         raise fail_at(node.place, key, "a text, number, true, false or a list is needed")
     if isinstance(node.value, list):
-        return [_read_value(one, key) for one in node.elements]
-    # A path may look like a number; a switch is true or false.
-    return node.value if node.value is None or isinstance(node.value, bool) else str(node.value)
+        return [_read_value(one, key, lines) for one in node.elements]
+    if node.value is None or isinstance(node.value, str):
+        return node.value
+    written = WRITTEN_VALUE.match(lines[node.place.line - 1], node.place.column - 1)
+    return written[1] if written is not None else str(node.value)
 
 
 class SettingsGroup(TyperGroup):

@@ -53,7 +53,7 @@ from zensim.proto.cli_options import (
     TfHzOption,
     complete_models,
     expand_options,
-    find_source,
+    is_exported_for_clients,
     make_app,
     parse_choice,
 )
@@ -215,7 +215,7 @@ class UpOptions(RosTfOptions, ServeOptions):
 def up(context: typer.Context, given: UpOptions) -> None:
     """Start a server, robots, agents and the viewer on this host, until Ctrl-C."""
     began_s = time.monotonic()
-    if is_exported_for_clients(context):
+    if is_exported_for_clients(context, name_variable("up", "connect")):
         given = replace(given, connect="")
     with exit_on_failure("up", LaunchFailed, ProgramDied, MissingViewerExtra, MissingServerExtra):
         plan = _make_plan(context, given)
@@ -355,12 +355,6 @@ def _make_server_config(given: UpOptions) -> LaunchConfig:
         engine_workers=given.engine_workers,
         ros=given.ros,
     )
-
-
-def is_exported_for_clients(context: typer.Context) -> bool:
-    """Whether the endpoint comes from ZENSIM_CONNECT, which is meant for clients."""
-    is_exported = find_source(context, "connect") == "ENVIRONMENT"
-    return is_exported and not os.environ.get(name_variable("up", "connect"))
 
 
 def require_no_recording(config: LaunchConfig) -> None:

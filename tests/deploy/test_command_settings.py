@@ -48,7 +48,7 @@ def find_value(command: Command, option: Option, monkeypatch: pytest.MonkeyPatch
     """Find a value that an option accepts as a variable, and leave the variable unset."""
     if option.is_flag:
         return "false" if option.default is True else "true"
-    for text in ("2", "0.5", "2 2 2", "nav2"):
+    for text in ("2", "0.5", "2 2 2", "nav2", "here"):
         monkeypatch.setenv(option.envvar[0], text)
         with suppress(Exception):
             parse(command, [])
@@ -168,6 +168,39 @@ def test_list_in_a_file_is_a_repeated_option(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("1.10", "1.10"),
+        ("007", "007"),
+        ("true", "true"),
+        ("0x10", "16"),
+        ("&name 1.10", "1.10"),
+        ("'1.10'", "1.10"),
+        ("ab", "ab"),
+    ],
+)
+def test_text_in_a_file_keeps_its_spelling(text: str, expected: str, tmp_path: Path) -> None:
+    file = tmp_path / "zensim.yaml"
+    file.write_text(
+        f"agent: {{pool: 1}}\nserve: {{rtf: 2, world-name: {text}, seed: 0x10, paused: true}}\n"
+    )
+
+    context = parse(find_verb("serve"), ["--config", str(file)])
+
+    assert context.params["world_name"] == expected
+    assert (context.params["seed"], context.params["paused"]) == (16, True)
+
+
+def test_section_of_another_command_of_a_group_is_ignored(tmp_path: Path) -> None:
+    file = tmp_path / "zensim.yaml"
+    file.write_text('"sensors run": {always: true}\nserve: {rtf: 2}\n')
+
+    context = parse(find_verb("serve"), ["--config", str(file)])
+
+    assert context.params["rtf"] == 2.0
+
+
+@pytest.mark.parametrize(
     "text",
     [
         "serv: {rtf: 1}",
@@ -175,6 +208,9 @@ def test_list_in_a_file_is_a_repeated_option(tmp_path: Path) -> None:
         "serve: {rtf: {a: 1}}",
         "serve: 3",
         "- serve",
+        '"serve foo": {rtf: 1}',
+        '"sensors walk": {always: true}',
+        '"sensors  run": {always: true}',
         "serve: {rtf: 1, rtf: 2}",
         "serve: ]",
     ],

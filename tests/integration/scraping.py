@@ -6,14 +6,14 @@ from collections.abc import Mapping
 
 from prometheus_client.parser import text_string_to_metric_families
 
-from zensim.proto.endpoints import with_free_port
+from tests.integration.processes import free_endpoint
 
 TIMEOUT_S = 10.0
 
 
 def find_free_port() -> str:
     """Find an unused TCP port of loopback."""
-    return with_free_port("tcp/127.0.0.1:0").rpartition(":")[2]
+    return free_endpoint().rpartition(":")[2]
 
 
 def probe(port: str, path: str) -> int:

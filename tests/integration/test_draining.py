@@ -70,7 +70,7 @@ def spawn_until_refused(endpoint: str, acknowledged: list[str]) -> None:
     with open_bus(BusConfig(connect=(endpoint,))) as bus, ended:
         for number in range(MANY):
             order = make_order(number)
-            bus.call(SPAWN_ENTITY, order, world="default", timeout_s=2.0)
+            bus.call(SPAWN_ENTITY, order, world="default", timeout_s=20.0)
             acknowledged.append(order.name)
 
 

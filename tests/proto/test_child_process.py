@@ -137,6 +137,25 @@ def test_process_with_more_time_ends_by_itself_when_others_are_killed() -> None:
     assert (patient.returncode, hasty.returncode) == (3, -signal.SIGKILL)
 
 
+def test_process_that_is_not_finished_at_half_its_time_gets_a_second_signal() -> None:
+    drains = """
+import signal, time
+signals = []
+signal.signal(signal.SIGTERM, lambda *_: signals.append(1))
+print()
+while len(signals) < 2:
+    time.sleep(0.01)
+raise SystemExit(4)
+"""
+    process = start_process(run_code(drains), stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.readline()
+
+    end_processes({process: 2.0})
+
+    assert process.returncode == 4
+
+
 def test_frames_are_answered_in_order(echo: FramedProcess) -> None:
     for payload in (b"abc", b"", b"xy"):
         echo.send([encode_frame(payload)])

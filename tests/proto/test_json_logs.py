@@ -1,13 +1,15 @@
 """Log lines as JSON, and warnings that repeat."""
 
+import itertools
 import json
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import datetime
 
 import pytest
 
+from tests.fakes import ManualClock
 from zensim.proto.json_logs import (
     CONTEXT,
     PERIOD_S,
@@ -88,19 +90,12 @@ def test_request_is_text_or_digits(request_id: bytes, text: str) -> None:
     assert format_request(request_id) == text
 
 
-class Times:
-    now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
 def test_warning_that_repeats_is_left_out_and_counted() -> None:
-    times = Times()
-    limit = RepeatLimit(times)
+    clock = ManualClock()
+    limit = RepeatLimit(clock)
     passed = [limit.filter(a_record("fault body=%d", number)) for number in range(100)]
 
-    times.now_s += PERIOD_S
+    clock.now_s += PERIOD_S
     record = a_record("fault body=%d", 7)
     passes_later = limit.filter(record)
 
@@ -110,9 +105,53 @@ def test_warning_that_repeats_is_left_out_and_counted() -> None:
 
 
 def test_other_warnings_and_all_notes_pass() -> None:
-    limit = RepeatLimit(Times())
+    limit = RepeatLimit(ManualClock())
     for number in range(100):
         limit.filter(a_record("fault body=%d", number))
 
     assert limit.filter(a_record("other fault"))
     assert all(limit.filter(a_record("note", level=logging.INFO)) for _ in range(100))
+
+
+def test_count_of_what_was_left_out_is_kept_until_it_is_written() -> None:
+    clock = ManualClock()
+    limit = RepeatLimit(clock)
+    for number in range(100):
+        limit.filter(a_record("fault body=%d", number))
+    for _ in range(2):
+        clock.sleep(PERIOD_S)
+        limit.filter(a_record("other fault"))
+    record = a_record("fault body=%d", 7)
+    limit.filter(record)
+
+    assert record.getMessage() == f"fault body=7 left_out={100 - REPEATS_PER_PERIOD}"
+
+
+class Name(str):
+    """A logger's name; another thread logs whenever it is looked up."""
+
+    __slots__ = ()
+    log_meanwhile: Callable[[], object] = staticmethod(lambda: None)
+
+    def __hash__(self) -> int:
+        type(self).log_meanwhile()
+        return super().__hash__()
+
+
+def test_another_thread_logs_while_warnings_are_counted() -> None:
+    clock = ManualClock()
+    limit = RepeatLimit(clock)
+    record = a_record("fault")
+    record.name = Name("zensim.x")
+    for _ in range(100):
+        limit.filter(record)
+    others = itertools.count()
+    clock.sleep(PERIOD_S)
+    Name.log_meanwhile = lambda: limit.filter(a_record(f"other fault {next(others)}"))
+    try:
+        assert limit.filter(record)
+    finally:
+        Name.log_meanwhile = lambda: None
+
+    assert record.getMessage() == f"fault left_out={100 - REPEATS_PER_PERIOD}"
+    assert next(others) > 0

@@ -1,5 +1,7 @@
 """`zensim serve` with wrong options."""
 
+from pathlib import Path
+
 import pytest
 
 from tests.integration.processes import free_endpoint, run_in_process, zensim
@@ -39,6 +41,33 @@ def test_serve_is_refused_with_listen_and_connect() -> None:
 
     assert done.returncode == ExitCode.USAGE
     assert "--listen" in done.stderr
+
+
+@pytest.mark.parametrize("is_in_file", [True, False])
+def test_serve_listens_as_set_where_clients_have_an_exported_endpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, is_in_file: bool
+) -> None:
+    file = tmp_path / "zensim.yaml"
+    file.write_text("serve: {listen: here}\n" if is_in_file else "serve: {}\n")
+    monkeypatch.setenv("ZENSIM_SERVE_LISTEN", "" if is_in_file else "here")
+    monkeypatch.setenv("ZENSIM_CONNECT", "there")
+
+    done = run_in_process("serve", "--config", str(file), "--wait", "0")
+
+    assert done.returncode == ExitCode.USAGE
+    assert "endpoint 'here' is not valid" in done.stderr
+
+
+def test_variable_of_serve_beats_the_endpoint_in_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "zensim.yaml"
+    file.write_text("serve: {listen: here}\n")
+    monkeypatch.setenv("ZENSIM_SERVE_CONNECT", "there")
+
+    done = run_in_process("serve", "--config", str(file), "--wait", "0")
+
+    assert "endpoint 'there' is not valid" in done.stderr
 
 
 def test_serve_fails_without_a_router_to_connect_to() -> None:

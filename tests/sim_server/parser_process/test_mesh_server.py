@@ -2,6 +2,7 @@
 
 import http.client
 import socket
+import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from hashlib import sha256
@@ -151,6 +152,22 @@ def test_secret_is_a_part_of_each_url(folder: Path) -> None:
         assert get(server, bare) == 404
         assert get(server, f"/{server.secret[:-1]}{bare}") == 404
         assert get(server, f"/{bare}") == 404
+
+
+def test_connections_whose_threads_cannot_start_are_forgotten(
+    server: MeshServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: object) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", refuse)
+        for _ in range(MAX_CONNECTIONS):
+            with socket.create_connection(server.server_address[:2], WITHIN_S) as client:  # type: ignore[arg-type]
+                assert client.recv(1) == b""
+
+    assert server.count_connections() == 0
+    assert read(find_url(server)) == BASE
 
 
 def test_silent_connections_are_bounded_and_end(
