@@ -80,7 +80,7 @@ class RecordedModels:
         source = self._reader.runs[run] if self._servers[run] else self._reader
         try:
             return msgspec.json.decode(source.read_attachment(name), type=GetModelsResponse)
-        except (MalformedRecord, KeyError, OSError, msgspec.DecodeError, UnicodeDecodeError):
+        except (MalformedRecord, KeyError, OSError, ValueError, RecursionError):
             return None
 
 

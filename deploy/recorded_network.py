@@ -395,7 +395,7 @@ def read_snapshot(payload: bytes) -> Snapshot:
     text = decode(String, payload, Format.CDR.value).data
     try:
         return msgspec.json.decode(text, type=Snapshot)
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, RecursionError) as error:
         raise MalformedPayload(f"the recorded snapshot is malformed: {error}") from error
 
 

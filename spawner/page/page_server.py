@@ -284,10 +284,14 @@ class LoopMessageBuffer(viser.infra._async_message_buffer.AsyncMessageBuffer):  
     """Number of messages at the end of the last atomic block that woke the loop."""
 
     def atomic_end(self) -> None:
-        """End an atomic block; without new messages, the loop is not woken."""
+        """End an atomic block; without messages that wait, the loop is not woken."""
         with self.buffer_lock:
             self.atomic_counter -= 1
-            has_new = self.atomic_counter == 0 and self.message_counter != self.woken_for
+            last = self.message_counter - 1
+            # A sender that was woken before may have looked while this block lasted.
+            is_behind = min((*self.generator_cursors.values(),), default=last) < last
+            is_new = is_behind or self.message_counter != self.woken_for
+            has_new = self.atomic_counter == 0 and is_new
             if has_new:
                 self.woken_for = self.message_counter
         if has_new:

@@ -11,6 +11,7 @@ from zensim.proto.bus import BusError
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.result_messages import ServiceError, SetSimulationStateCode
 from zensim.proto.network_protocols import CallingNetwork
+from zensim.proto.service_catalog import SET_SIMULATION_STATE
 from zensim.spawner.page.side_panel import WorldCall, ignore
 
 CALL_TIMEOUT_S: Final = 0.8
@@ -57,7 +58,7 @@ class WorldCalls:
             finish()
 
     def _run(self, call: WorldCall) -> None:
-        finish: Callable[[], None] = partial(ignore, call)
+        finish: Callable[[], None] = partial(call.on_error, "internal error")
         try:
             finish = self._call(call, call.timeout_s)
         finally:
@@ -70,7 +71,7 @@ class WorldCalls:
                 call.service, call.request, world=self._world, timeout_s=timeout_s
             )
         except ServiceError as error:
-            if error.code == SetSimulationStateCode.ALREADY_IN_TARGET_STATE:
+            if is_in_state_already(call, error):
                 return partial(ignore, call)
             if getattr(error.response, "results", ()):
                 # A refusal with a reason for each of many entities.
@@ -79,3 +80,9 @@ class WorldCalls:
         except (BusError, TimeoutError, MalformedPayload) as error:
             return partial(call.on_error, str(error))
         return partial(call.on_reply, response)
+
+
+def is_in_state_already(call: WorldCall, error: ServiceError) -> bool:
+    """Whether a world has the state that was requested; the code has other meanings elsewhere."""
+    already = SetSimulationStateCode.ALREADY_IN_TARGET_STATE
+    return call.service is SET_SIMULATION_STATE and error.code == already

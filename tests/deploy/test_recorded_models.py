@@ -77,7 +77,9 @@ def test_a_run_without_models_has_those_of_the_recording(tmp_path: Path) -> None
 
 
 def test_files_that_are_malformed_or_missing_are_skipped(tmp_path: Path) -> None:
-    files = {"1": b"{", "2": b'{"entities": 3}', "3": b"\xff"} | make_files({7: {"a": ROBOT}})
+    deep = b'{"more":' + b"[" * 100_000
+    files = {"0": deep, "1": b"{", "2": b'{"entities": 3}', "3": b"\xff"}
+    files |= make_files({7: {"a": ROBOT}})
     write_world(tmp_path / "a.mcap", has_models=False, models=files)
     models = RecordedModels(RecordingReader(tmp_path / "a.mcap"))
     assert find(models, 3, "a") == {"a": ROBOT}

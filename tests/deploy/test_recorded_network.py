@@ -205,7 +205,15 @@ def test_a_recording_without_models_is_refused(tmp_path: Path) -> None:
         RecordedNetwork(RecordingReader(path))
 
 
-@pytest.mark.parametrize("payload", [b"\x00\x01\x00\x00", encode(String("{"), Format.CDR)])
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"\x00\x01\x00\x00",
+        encode(String("{"), Format.CDR),
+        encode(String('{"more":' + "[" * 100_000), Format.CDR),
+    ],
+    ids=["cut", "malformed", "deep"],
+)
 def test_the_last_snapshot_stays_where_later_ones_are_malformed(
     tmp_path: Path, payload: bytes
 ) -> None:

@@ -450,17 +450,18 @@ def test_links_of_robots_are_sent_when_they_move_and_their_parts_share_poses(
     for at_x in (1.0, 1.0 + 1e-6):
         page.show(fleet, make_frame(fleet, make_snapshot("r1", joints=1, at_x=at_x)), STATUS, {})
 
-    sent = read_updates(visitor)
+    sent = read_updates(visitor, least=3)
     assert sorted(sent) == ["/robots/0/0/0", "/robots/0/0/1", "/robots/0/1/0"]
     assert sent["/robots/0/0/0"] == sent["/robots/0/0/1"] != sent["/robots/0/1/0"]
 
 
-def read_updates(visitor: ClientConnection) -> dict[str, object]:
-    """Read what comes until nothing does for a moment; return the updates of robots by path."""
+def read_updates(visitor: ClientConnection, least: int = 0) -> dict[str, object]:
+    """Read until there are so many, and nothing comes for a moment; updates of robots by path."""
     found: dict[str, object] = {}
     with suppress(TimeoutError):
         while True:
-            for message in read_messages(visitor.recv(timeout=0.5)):
+            within_s = 0.5 if len(found) >= least else 60.0
+            for message in read_messages(visitor.recv(timeout=within_s)):
                 if message["type"] == "SceneNodeUpdateMessage" and "/robots/" in message["name"]:
                     assert message["name"] not in found
                     found[message["name"]] = message["updates"]

@@ -25,6 +25,7 @@ from tests.recording.recordings import count_by_mcap, count_by_rosbags
 from zensim.api.recorder_process import RecorderProcess
 from zensim.proto.bus import Bus, BusConfig, BusError, open_bus
 from zensim.proto.exit_codes import ExitCode
+from zensim.proto.topic_catalog import INPUTS
 from zensim.recording.cli.record_commands import RecordProgram
 from zensim.recording.recorder import RecorderSettings
 from zensim.recording.recording_parts import PartSettings
@@ -235,11 +236,13 @@ def test_recorder_that_finds_no_clock_leaves_no_file(bus: Bus, tmp_path: Path) -
     assert list(tmp_path.iterdir()) == []
 
 
-def test_recording_has_the_requests_of_the_server(sim: api.Sim, tmp_path: Path) -> None:
-    with sim.record(tmp_path / "run.mcap", "sim/default/requests", timeout_s=90.0) as recorder:
+def test_recording_has_the_requests_of_the_server(sim: api.Sim, bus: Bus, tmp_path: Path) -> None:
+    path, topic = tmp_path / "run.mcap", "/sim/default/requests"
+    with sim.record(path, topic, timeout_s=90.0) as recorder:
+        wait_for_messages(bus, INPUTS.key("default"), 1)  # a log that has begun
         sim.spawn("box_bot", name="asked").delete()
-        path = recorder.path
-        eventually(lambda: path.stat().st_size > 1000, WITHIN_S, "requests in the file")
+        has_both = lambda: api.Recording(path).counts.get(topic, 0) > 1  # noqa: E731
+        eventually(has_both, WITHIN_S, "requests in the file")
 
     texts = [json.loads(one.data.data) for one in recorder.read().messages()]  # type: ignore[attr-defined]
     assert [one["service"] for one in texts][:1] == ["spawn_entity"]

@@ -280,7 +280,7 @@ def test_clicks_hit_robots_that_are_15_pixels_high(shown: Shown) -> None:
 
         eventually(is_small, 30.0, "a robot 15 pixels high")
         tab.click(*tab.evaluate(PLACE % robot))
-        tab.until(f"document.body.innerText.includes('Namespace\\nbox_bot{robot}\\n')", 10.0)
+        tab.until(f"document.body.innerText.includes('Namespace\\nbox_bot{robot}\\n')", 60.0)
         tab.press("Stop following")
         tab.until("!document.body.innerText.includes('Stop following')")
     tab.press("Show all")

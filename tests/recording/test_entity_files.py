@@ -1,5 +1,6 @@
 """Files of a world for a recording: those of the server, and no others of the host."""
 
+import hashlib
 import os
 from pathlib import Path
 from typing import cast
@@ -16,8 +17,6 @@ from zensim.recording import entity_files
 from zensim.recording.entity_files import EntityFiles, FileRefused, read_world_file
 from zensim.recording.mcap_records import AttachedFile
 
-SHA256 = "ab" * 32
-
 
 def name_world(uri: str, text: str = "") -> WorldResource:
     return WorldResource(world_resource=Resource(uri, text))
@@ -28,6 +27,7 @@ class OwnServer:
 
     def __init__(self, mesh: bytes, total: int, uri: str = "empty") -> None:
         self.mesh, self.total, self.uri = mesh, total, uri
+        self.sha256 = hashlib.sha256(mesh[:total]).hexdigest()
         self.calls = 0
 
     def call(
@@ -46,7 +46,7 @@ class OwnServer:
             assert isinstance(request, GetAssetRequest)
             part = self.mesh[request.offset : request.offset + 10]
             return cast("Response", GetAssetResponse(data=part, total=self.total))
-        shape = Shape("mesh", mesh=SHA256)
+        shape = Shape("mesh", mesh=self.sha256)
         model = Model(name="m", links=(Link(name="base", visuals=(shape,)),))
         return cast("Response", GetModelsResponse(models=(model,)))
 
@@ -68,6 +68,17 @@ def test_world_models_and_meshes_are_attached_once() -> None:
     assert [one.name.split("/")[0] for one in attached] == ["world.sdf", "models", "meshes"]
     assert attached[-1].content == server.mesh
     assert refused == []
+
+
+@pytest.mark.parametrize("sent", [b"0123456789abcdX", b"0123456789", b""])
+def test_mesh_whose_bytes_are_others_is_left_out(sent: bytes) -> None:
+    server = OwnServer(b"0123456789abcde", 15)
+    server.mesh = sent
+
+    attached, refused = attach(server)
+
+    assert [one.name for one in attached if one.name.startswith("meshes/")] == []
+    assert len(refused) == 1
 
 
 def test_mesh_beyond_the_limit_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:

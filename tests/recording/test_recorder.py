@@ -121,6 +121,7 @@ def test_topic_that_comes_back_is_subscribed_to_again(bus: MemoryBus, make: Make
 
 REQUEST = ServiceRequest(90, "spawn_entity", "client_1", '{"name":"r1"}')
 STEPS = ServiceRequest(91, "simulate_steps", "client_1", '{"steps":1}')
+DEEP = ServiceRequest(95, "load_world", "", "[" * 100_000)
 CUT = ServiceRequest(95, "load_world", "", '{"uri":"wal', 1)
 
 
@@ -154,6 +155,18 @@ def test_requests_are_readable_texts_at_their_steps(
     assert times == [90 * STEP_NS, 95 * STEP_NS]
     inputs_count = sum(topic.name == "/sim/default/inputs" for topic, *_ in sink.messages)
     assert inputs_count == (selected == {"wants_all": True})
+
+
+def test_request_whose_json_is_too_deep_remains_a_text(bus: MemoryBus, make: Make) -> None:
+    recorder, sink = make(wants_all=True)
+
+    inputs = Inputs("log", 0, 0, 100, (DEEP, REQUEST), b"")
+    bus.put_message(INPUTS.key(WORLD), inputs, Format.MSGPACK)
+    recorder.take()
+
+    deep, other = map(json.loads, sink.texts_of("/sim/default/requests"))
+    assert (deep["request"], deep["is_cut"]) == (DEEP.request, True)
+    assert other["request"] == {"name": "r1"}
 
 
 def test_requests_are_left_out_on_demand(bus: MemoryBus, make: Make) -> None:

@@ -121,6 +121,23 @@ def test_only_the_last_files_are_kept_with_what_the_first_had(tmp_path: Path) ->
     assert parts.written_bytes == read_info(tmp_path / "run").size
 
 
+def test_file_that_was_moved_away_ends_no_recording_that_keeps_the_last(tmp_path: Path) -> None:
+    path = tmp_path / "run"
+    parts: RecordingParts[RecordedTopic] = RecordingParts(
+        PartSettings(path=path, max_duration_ns=SECOND, keep_ns=round(1.7 * SECOND))
+    )
+    for number in range(100):
+        parts.write(odometry_at(number / 10))
+        if number == 15:
+            (path / "run_0.mcap").rename(tmp_path / "archived.mcap")
+    close(parts)
+
+    files = sorted(one.name for one in path.glob("*.mcap"))
+    assert files == ["run_7.mcap", "run_8.mcap", "run_9.mcap"]
+    assert parts.written_bytes == read_info(path).size
+    assert (tmp_path / "archived.mcap").exists()
+
+
 def test_equal_messages_give_equal_files(tmp_path: Path) -> None:
     for name, pause_s in (("one", 0.01), ("two", 0.4)):
         path = tmp_path / f"{name}.mcap"

@@ -1,8 +1,9 @@
 """A reader gives the messages of a recording by time and topic, whatever files it has."""
 
 import random
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
@@ -12,7 +13,7 @@ from tests.recording.recordings import define_topics, write_recording
 from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_10
 from zensim.recording import recording_reader
 from zensim.recording.file_index import ChunkPlace
-from zensim.recording.mcap_records import AttachedFile, Channel, Metadata, Schema
+from zensim.recording.mcap_records import AttachedFile, Channel, MalformedRecord, Metadata, Schema
 from zensim.recording.mcap_writer import McapWriter
 from zensim.recording.output_file import OutputFile
 from zensim.recording.recorded_topics import QOS_METADATA, read_qos_profile, write_qos_profiles
@@ -20,6 +21,7 @@ from zensim.recording.recording_reader import (
     Ordered,
     RecordedFile,
     RecordingReader,
+    StoredMessage,
     StoredTopic,
 )
 
@@ -265,6 +267,31 @@ def test_seeks_read_latched_messages_once(tmp_path: Path, monkeypatch: pytest.Mo
 
     assert found == [b"10", b"19", b"2", b"10", b"0"]
     assert len(read) <= 11
+
+
+def test_latched_messages_are_counted_once_after_an_error_between_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.mcap"
+    write_times(path, [[0, 5], [10, 15], [20, 25]], "/r1/robot_description")
+    monkeypatch.setattr(recording_reader, "MAX_LATCHED_BYTES", 6)
+    (run,) = RecordingReader(path).runs
+    list_messages, ends, begun = run.messages, [MalformedRecord("damaged")], [0]
+
+    def fail_once(*arguments: Any, **options: Any) -> Iterator[StoredMessage]:  # noqa: ANN401
+        begun[0] += 1
+        yield from list(list_messages(*arguments, **options))[:3]
+        if ends:
+            raise ends.pop()
+        yield from list(list_messages(*arguments, **options))[3:]
+
+    monkeypatch.setattr(run, "messages", fail_once)
+    with pytest.raises(MalformedRecord):
+        run.latched_at(25)
+    found = [run.latched_at(at)[0][3] for at in (25, 3, 12, 25)]
+
+    assert found == [b"5", b"0", b"2", b"5"]
+    assert begun == [2]
 
 
 def test_latched_messages_beyond_the_limit_are_read_again(

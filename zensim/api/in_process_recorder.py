@@ -65,9 +65,14 @@ class InProcessRecorder(WorldRecorder):
         self.note_call()
         server.recorders.append(self)
 
+    @property
+    def _is_recording(self) -> bool:
+        """Whether it goes on, in the process that began it: a fork writes to the same file."""
+        return self._session.failure is None and os.getpid() == self._process_id
+
     def note_call(self) -> None:
         """See `StepRecorder`: time that goes back begins a file; files of new entities come in."""
-        if self._session.failure is not None:
+        if not self._is_recording:
             return
         clock, roster = self._server.world.clock, self._server.world.entities.roster_number
         before, self._epoch = self._epoch, clock.epoch
@@ -82,12 +87,12 @@ class InProcessRecorder(WorldRecorder):
 
     def note_request(self, request: ServiceRequest) -> None:
         """See `StepRecorder`."""
-        if self._session.failure is None:
+        if self._is_recording:
             self._recorder.note_requests((request,))
 
     def take(self) -> None:
         """See `StepRecorder`."""
-        if self._session.failure is None:
+        if self._is_recording:
             self._time_ns = self._server.world.clock.time_ns
             self._recorder.take()
 

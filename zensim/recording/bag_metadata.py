@@ -18,6 +18,8 @@ class PartFacts(msgspec.Struct, frozen=True, kw_only=True):
     """First and last log time [ns]."""
     topics: Mapping[tuple[str, str, str], int]
     """Number of messages, by name, type and QoS profiles."""
+    bytes: int
+    """Length of the file."""
 
     @property
     def messages(self) -> int:

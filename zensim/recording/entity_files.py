@@ -159,7 +159,7 @@ class EntityFiles:
         """Read the next part of a mesh, and attach it with its last one.
 
         Raises:
-            FileRefused: It is too large.
+            FileRefused: It is too large, or is not what its sha256 says.
         """
         if not self._mesh:
             self._mesh, self._content = self._meshes.pop(), bytearray()
@@ -177,6 +177,8 @@ class EntityFiles:
         if part.data and len(content) < part.total:
             return
         self._mesh = ""
+        if hashlib.sha256(content).hexdigest() != sha256:
+            raise FileRefused(f"mesh {sha256[:16]} is left out: the server sent other bytes")
         self._attach_once(f"{MESHES_FOLDER}{sha256}", "application/octet-stream", bytes(content))
 
     def _note(self, reason: str) -> None:

@@ -148,9 +148,10 @@ def write_request(request: ServiceRequest) -> bytes:
     fields = msgspec.structs.asdict(request)
     try:
         fields["request"] = msgspec.json.decode(request.request) if request.request else {}
-    except msgspec.DecodeError:
-        fields["is_cut"] = True
-    return encode(String(msgspec.json.encode(fields).decode()), Format.CDR)
+        text = msgspec.json.encode(fields)
+    except (msgspec.DecodeError, RecursionError):
+        text = msgspec.json.encode({**fields, "request": request.request, "is_cut": True})
+    return encode(String(text.decode()), Format.CDR)
 
 
 def make_topic(sample: Sample, world: str, step_ns: int = 0) -> RecordedTopic | None:

@@ -13,7 +13,7 @@ from zensim.proto.message_times import choose_time, count_missing
 from zensim.proto.messages.input_messages import Inputs, ServiceRequest
 from zensim.proto.messages.standard_messages import ns_from_time
 from zensim.proto.messages.telemetry_messages import Event, WorldClock
-from zensim.proto.network_protocols import Closable, Sample, Subscription
+from zensim.proto.network_protocols import Closable, Sample, Subscription, TokenWatch
 from zensim.proto.ros2.liveliness_tokens import TOKEN_SPACE, parse_endpoint_token
 from zensim.proto.service_catalog import SIMULATE_STEPS
 from zensim.proto.topic_catalog import CLOCK, EVENTS, INPUTS
@@ -76,16 +76,6 @@ class NewestMessages(Closable, Protocol):
         """Take what is queued, so that the queue does not fill."""
 
 
-class AnnouncedTokens(Protocol):
-    """Changes of liveliness tokens."""
-
-    def take(self) -> list[tuple[str, bool]]:
-        """Take keys, and whether they are alive."""
-
-    def close(self) -> None:
-        """Watch no more."""
-
-
 class MessageNetwork(Protocol):
     """Where a recorder subscribes: the network, or the world of this process."""
 
@@ -100,7 +90,7 @@ class MessageNetwork(Protocol):
     def get(self, key: str, timeout_s: float = 1.0) -> list[Sample]:
         """Get the last messages of a key expression."""
 
-    def watch_tokens(self, key: str) -> AnnouncedTokens:
+    def watch_tokens(self, key: str) -> TokenWatch:
         """Watch liveliness tokens, beginning with the present ones."""
 
 

@@ -128,6 +128,7 @@ class Part:
                 )
                 for topic, number in self.channels.items()
             },
+            bytes=self.output.position,
         )
 
 
@@ -365,8 +366,8 @@ class RecordingParts(Generic[Topic]):
         while done and sum(one.duration_ns for one in done[1:]) >= keep_ns:
             oldest = done.pop(0)
             self.deleted += oldest.messages
-            self._bytes -= (self._folder / oldest.file).stat().st_size
-            (self._folder / oldest.file).unlink()
+            self._bytes -= oldest.bytes
+            (self._folder / oldest.file).unlink(missing_ok=True)  # it may have been moved away
             self._write_metadata()
 
     def _open(self) -> Part:

@@ -243,15 +243,19 @@ class RecordingRun:
             return self.messages(is_latched, end_ns=time_ns)
         if time_ns >= first_ns:
             last = {topic: payload for topic, _, _, payload in self._latched}
+            # What an error ends is read again by the next seek.
+            found, length = list[StoredMessage](), self._latched_bytes
             for message in self.messages(is_latched, start_ns=first_ns, end_ns=time_ns):
                 if last.get(message[0]) != message[3]:
                     last[message[0]] = message[3]
-                    self._latched.append(message)
-                    self._latched_bytes += len(message[3])
-                if self._latched_bytes > MAX_LATCHED_BYTES:
+                    found.append(message)
+                    length += len(message[3])
+                if length > MAX_LATCHED_BYTES:
                     self._latched.clear()
+                    self._latched_bytes = length
                     return self._list_latched(time_ns)
-            self._latched_until_ns = time_ns
+            self._latched.extend(found)
+            self._latched_bytes, self._latched_until_ns = length, time_ns
         return self._latched
 
     def _list_chunks(self, accepts: Accepts, span: range) -> Iterator[LoadableChunk]:

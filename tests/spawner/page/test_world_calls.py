@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any
 
 import msgspec
+import pytest
 
 from tests.integration.processes import eventually
 from zensim.proto.bus import NoServer
@@ -109,6 +110,31 @@ def test_a_state_that_is_there_already_is_no_refusal() -> None:
     WorldCalls(StubNetwork(lambda: raise_error(error)), "w").make(call)
 
     assert errors == []
+
+
+def test_the_same_code_of_another_service_is_a_refusal() -> None:
+    error = ServiceError("spawn_entity", 101, "NAME_NOT_UNIQUE", "r1 is taken")
+    answers = Answers()
+
+    WorldCalls(StubNetwork(lambda: raise_error(error)), "w").make(answers.call())
+
+    assert answers.errors == [str(error)]
+
+
+def test_a_long_call_that_ends_by_a_defect_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = Answers()
+    defects: list[object] = []
+    monkeypatch.setattr(threading, "excepthook", defects.append)
+    calls = WorldCalls(StubNetwork(lambda: raise_error(KeyError("defect"))), "w")
+
+    def look() -> bool:
+        calls.settle()
+        return bool(answers.errors and defects)
+
+    calls.make(answers.call(60.0))
+    eventually(look, 10.0, "an error")
+
+    assert answers.errors == ["internal error"]
 
 
 def test_the_last_calls_are_made_before_their_return() -> None:

@@ -1,6 +1,7 @@
 """`World.record`: what a world in process writes, and that equal runs write equal files."""
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -108,6 +109,34 @@ def test_recorder_ends_before_its_world(tmp_path: Path) -> None:
     assert zensim.Recording(tmp_path / "run.mcap").counts["/r1/odom"] == count
 
 
+def test_fork_that_steps_its_copy_of_the_world_writes_nothing(tmp_path: Path) -> None:
+    with zensim.World() as world:
+        world.spawn("box_bot", "r1")
+        with world.record(tmp_path / "run.mcap") as recorder:
+            world.run_for(1.0)
+            child = os.fork()
+            if child == 0:
+                step_and_end(world)
+            _, status = os.waitpid(child, 0)
+            world.run_for(1.0)
+
+    assert os.waitstatus_to_exitcode(status) == 0
+    counts = recorder.read().counts
+    assert counts == count_by_mcap(recorder.path)
+    assert 155 <= counts["/r1/odom"] <= 165
+
+
+def step_and_end(world: zensim.World) -> None:
+    """Change and step a world; end the process without any more."""
+    code = 1
+    try:
+        world.spawn("box_bot", "r2")
+        world.run_for(2.0)
+        code = 0
+    finally:
+        os._exit(code)
+
+
 def test_time_that_a_snapshot_brings_back_begins_a_file(tmp_path: Path) -> None:
     file = tmp_path / "run.mcap"
     with zensim.World() as world:
@@ -139,6 +168,7 @@ def test_full_disk_ends_the_recording_and_not_the_world(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "run.mcap"
+    monkeypatch.setattr(recording_parts, "FLUSH_PERIOD_S", 0.0)  # space is checked at each step
     world = zensim.World()
     world.spawn("box_bot", "r1")
     recorder = world.record(file, "*/odom", "clock")
@@ -147,7 +177,6 @@ def test_full_disk_ends_the_recording_and_not_the_world(
     def refuse(_parts: RecordingParts[object]) -> None:  # type: ignore[type-var]
         raise DiskFull("1 MiB is free")
 
-    monkeypatch.setattr(recording_parts, "FLUSH_PERIOD_S", 0.0)
     monkeypatch.setattr(RecordingParts, "_check_space", refuse)
     world.run_for(2.0)
     time = world.time

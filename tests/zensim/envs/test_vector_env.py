@@ -120,7 +120,7 @@ def test_seed_of_numpy_is_that_of_python(env: ZensimVectorEnv) -> None:
 
     single = ZensimEnv("reach")
 
-    assert (single.reset(seed=drawn)[0] == single.reset(seed=5)[0]).all()  # type: ignore[arg-type]
+    assert (single.reset(seed=drawn)[0] == single.reset(seed=5)[0]).all()
 
 
 def test_environments_of_one_task_have_goals_of_their_own() -> None:
