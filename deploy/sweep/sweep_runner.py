@@ -2,6 +2,7 @@
 
 import signal
 import threading
+import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -15,6 +16,7 @@ from zensim.scenario.scenario_runner import RunReport
 
 ATTEMPTS = 4
 """Of a run whose process is killed by others."""
+ALARM_AT_ONCE_S = 0.001
 
 EndedRuns = Generator[tuple[int, RunReport], None, None]
 """Numbers of requests and their reports, in the order in which they end."""
@@ -96,12 +98,16 @@ def _limited_time(seconds: float) -> Iterator[None]:
         yield
         return
     before = signal.signal(signal.SIGALRM, _end_time)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    began_s = time.monotonic()
+    left_s, _ = signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
+        if left_s:  # an alarm of the caller; 0 would stop it
+            passed_s = time.monotonic() - began_s
+            signal.setitimer(signal.ITIMER_REAL, max(left_s - passed_s, ALARM_AT_ONCE_S))
 
 
 def _end_time(_number: int, _frame: object) -> NoReturn:
