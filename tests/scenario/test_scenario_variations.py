@@ -129,6 +129,14 @@ def test_more_samples_keep_the_first_ones(tmp_path: Path) -> None:
         ("{random: {samples: 3, robots.cart.count: [1]}}", "vary.random.robots.cart.count"),
         ("{random: {samples: 3, world.load: {uniform: [1, 2]}}}", "vary.random.world.load"),
         (
+            "{random: {samples: 3, robots.cart.count: {uniform: [5, 2]}}}",
+            "vary.random.robots.cart.count",
+        ),
+        (
+            "{random: {samples: 3, robots.cart.yaw: {uniform: [{uniform: [0, 1]}, 2]}}}",
+            "vary.random.robots.cart.yaw",
+        ),
+        (
             "{random: {samples: 3, robots.cart.count: {uniform: [1]}}}",
             "vary.random.robots.cart.count",
         ),
