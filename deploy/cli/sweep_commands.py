@@ -179,7 +179,7 @@ def _choose_share(runs: Sequence[SweepRun], only: str) -> list[SweepRun]:
     if not only:
         return list(runs)
     index, _, count = only.partition("/")
-    if not (index.isdigit() and count.isdigit() and 1 <= int(index) <= int(count)):
+    if not (index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count)):
         raise ValueError(f"--only {only} is no share; use I/N with I from 1 to N, such as 3/10")
     return list(runs[int(index) - 1 :: int(count)])
 
@@ -229,7 +229,7 @@ def _report_end(rows: Sequence[SweepRow], share: Sequence[SweepRun], folder: Swe
     """Print what failed, and return whether nothing did."""
     ids = {run.id for run in share}
     failed = [row for row in rows if row.id in ids and not row.is_passed]
-    unequal = find_unequal_repeats(rows)
+    unequal = [one for one in find_unequal_repeats(rows) if not ids.isdisjoint(one)]
     for row in failed[:10]:
         reason = row.error or f"failed: {', '.join(row.failed)}"
         print_note("sweep", f"{row.id}: {' '.join(reason.split())}; repeat: {row.command}")

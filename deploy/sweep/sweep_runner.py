@@ -48,16 +48,17 @@ def run_sweep(
         on_row: Called after a row was kept.
 
     Raises:
-        ScenarioChanged: The file was changed since the plan was made.
+        ScenarioChanged: The file was changed since the plan was made, or cannot be read.
         OSError: A row cannot be kept.
     """
     with closing(runner(requests)) as ended:
         for number, report in ended:
             run, request = runs[number], requests[number]
             if report.sha256 != run.sha256:
+                reason = "has changed since the sweep began" if report.sha256 else report.error
                 raise ScenarioChanged(
-                    f"{request.file} has changed, or is gone, since the sweep began: "
-                    "start it again; runs that are still part of it are kept"
+                    f"{request.file}: {reason}; start the sweep again: "
+                    "runs that are still part of it are kept"
                 )
             row = make_row(run, report, _find_recording(report, folder))
             folder.write_row(row)

@@ -149,6 +149,18 @@ def test_shares_are_all_runs_and_the_last_one_writes_the_table(tmp_path: Path) -
     assert table_of(folder)["id"] == ids_in(folder)
 
 
+def test_unequal_repeats_count_where_the_share_has_one_of_them(tmp_path: Path) -> None:
+    words = (write_scenario(tmp_path, "{seeds: 2, repeats: 2}"), "--output", str(tmp_path / "out"))
+    call_here(*words)
+    rows = [json.loads(one.read_bytes()) for one in (tmp_path / "out" / "runs").iterdir()]
+    row = next(one for one in rows if (one["number"], one["repeat"]) == (0, 1))
+    (tmp_path / "out" / "runs" / f"{row['id']}.json").write_text(json.dumps(row | {"digest": "x"}))
+
+    codes = [call_here(*words, "--only", share).exit_code for share in ("1/4", "3/4")]
+
+    assert codes == [ExitCode.PARTIAL, ExitCode.OK]
+
+
 def test_error_of_a_run_is_a_row_and_can_be_retried(tmp_path: Path) -> None:
     (tmp_path / "broken_team.py").write_text(
         "import os\nfrom pathlib import Path\nclass Control:\n"

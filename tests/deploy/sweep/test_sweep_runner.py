@@ -61,6 +61,14 @@ def test_runner_is_closed_when_a_row_cannot_be_used(folder: SweepFolder) -> None
     assert folder.read_rows(["a", "b"]) == []
 
 
+def test_file_that_a_run_cannot_read_is_named_with_its_error(folder: SweepFolder) -> None:
+    def run(_: Sequence[RunRequest]) -> EndedRuns:
+        yield 0, make_report(sha256="", error="[Errno 24] Too many open files")
+
+    with pytest.raises(ScenarioChanged, match="Too many open files"):
+        run_sweep(RUNS, REQUESTS, folder, run, lambda _: None)
+
+
 def test_runs_here_are_those_of_the_plan(tmp_path: Path) -> None:
     file = write_scenario(tmp_path, "{behaviours.go.v: [0.1, 0.3]}")
     runs = make_plan(file).runs
