@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
-from math import cos, log, pi, sqrt
+from math import cos, isfinite, log, pi, sqrt
 from typing import Any
 
 import msgspec
@@ -175,6 +175,9 @@ class VariationReader:
                 self._refuse(place, path, "`from` and `to` are not numbers; use a list of values")
             return []
         low, high = ends
+        if not isfinite(high - low):
+            self._refuse(place, path, "`to` is too far from `from`")
+            return []
         share = [one / max(1, steps - 1) for one in range(steps)]
         values = [float(f"{low + one * (high - low):.{DIGITS}g}") for one in share]
         if not (isinstance(low, int) and isinstance(high, int)):
@@ -278,7 +281,7 @@ class VariationReader:
     def _find_entry(self, words: Sequence[str]) -> ScenarioNode | None:
         listed = self._list_entries(words)
         word = words[1] if len(words) > 1 else ""
-        if word.isdigit() and int(word) < len(listed):
+        if word.isdecimal() and int(word) < len(listed):
             return listed[int(word)]
         return next((one for one in listed if word and name_of(one) == word), None)
 
