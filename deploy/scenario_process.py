@@ -312,7 +312,8 @@ def run_in_processes(
         numbers = {pool.submit(run, one): number for number, one in enumerate(requests)}
         try:
             for future in as_completed(numbers):
-                yield numbers[future], future.result()
+                # Popped: reports of up to 100,000 runs are not kept.
+                yield numbers.pop(future), future.result()
         finally:
             for worker in workers:
                 worker.stop()
