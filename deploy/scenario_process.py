@@ -78,7 +78,8 @@ class RunRequest(msgspec.Struct, frozen=True):
     def repeat(self) -> str:
         """Command line that repeats the run."""
         words = [word for setting in self.settings for word in ("--set", setting)]
-        return shlex.join(["zensim", "test", self.file, *words, *(["--server"] * self.is_served)])
+        flags = ["--server"] * self.is_served + ["--no-python"] * (not self.allows_python)
+        return shlex.join(["zensim", "test", self.file, *words, *flags])
 
 
 def run_request(request: RunRequest) -> RunReport:

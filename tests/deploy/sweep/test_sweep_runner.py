@@ -99,6 +99,13 @@ def test_run_in_this_process_ends_at_its_time(tmp_path: Path) -> None:
     assert not run_within_time(usual).error
 
 
+def test_command_that_repeats_a_run_allows_no_more_than_the_run() -> None:
+    request = RunRequest("a.scenario.yaml", ("time.seed=3",), allows_python=False)
+
+    assert request.repeat == "zensim test a.scenario.yaml --set time.seed=3 --no-python"
+    assert RunRequest("a.scenario.yaml").repeat == "zensim test a.scenario.yaml"
+
+
 def test_alarm_of_the_caller_is_kept(tmp_path: Path) -> None:
     request = RunRequest(write_scenario(tmp_path))
     before_s, _ = signal.setitimer(signal.ITIMER_REAL, 1000.0)
