@@ -50,6 +50,8 @@ RUN_COMMAND = make_module_command("zensim.deploy.scenario_process")
 KILLED = (KILLED_STATUS, -signal.SIGTERM)
 """Statuses of processes that others ended, such as a kernel without memory."""
 POLL_S = 0.005
+SHARE_BEFORE_RECORDING = 1 / 3
+"""Of its timeout, that a failed run may have taken to run again for its recording, more slowly."""
 NOT_STARTED = 1
 """Status that stands for a process that did not start in time."""
 START_TIMEOUT_S = 600.0
@@ -76,17 +78,21 @@ class RunRequest(msgspec.Struct, frozen=True):
     def repeat(self) -> str:
         """Command line that repeats the run."""
         words = [word for setting in self.settings for word in ("--set", setting)]
-        return shlex.join(["zensim", "test", self.file, *words, *(["--server"] * self.is_served)])
+        flags = ["--server"] * self.is_served + ["--no-python"] * (not self.allows_python)
+        return shlex.join(["zensim", "test", self.file, *words, *flags])
 
 
 def run_request(request: RunRequest) -> RunReport:
     """Run a scenario in this process; an error of any kind is part of the report."""
-    began_s = time.process_time()
+    began_s, began_wall_s = time.process_time(), time.monotonic()
     report = _run(request)
     report = msgspec.structs.replace(
         report, cpu_s=time.process_time() - began_s, host=describe_host()
     )
-    if request.failure_recording and not report.is_passed:
+    # The timeout is of both runs: the verdict of the first must not be lost.
+    spent_s = time.monotonic() - began_wall_s
+    has_time = spent_s < request.timeout_s * SHARE_BEFORE_RECORDING
+    if request.failure_recording and has_time and not report.is_passed:
         return msgspec.structs.replace(report, recording=_record_again(request))
     return report
 
@@ -307,7 +313,8 @@ def run_in_processes(
         numbers = {pool.submit(run, one): number for number, one in enumerate(requests)}
         try:
             for future in as_completed(numbers):
-                yield numbers[future], future.result()
+                # Popped: reports of up to 100,000 runs are not kept.
+                yield numbers.pop(future), future.result()
         finally:
             for worker in workers:
                 worker.stop()

@@ -3,7 +3,8 @@
 import os
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -125,13 +126,12 @@ def run_command(given: SweepOptions) -> None:
     Exit status: 0 if every run passed, 6 if one did not, 2 if the file has mistakes, 130 if it
     was interrupted. The word `run` may be left out.
     """
-    signal.signal(signal.SIGTERM, _interrupt)
-    with exit_on_failure("sweep", MissingServerExtra):
+    with exit_on_failure("sweep", MissingServerExtra), _interrupted_by_sigterm():
         with server_extra():
             from zensim.sim_server.description import strict_parsing  # noqa: F401  # for runs
         runner = _choose_runner(given)
         plan = _make_plan(given)
-        folder = SweepFolder(given.output or Path(f"{plan.name}.sweep"))
+        folder = SweepFolder(given.output or Path(f"{plan.name.replace('/', '_')}.sweep"))
         share = _choose_share(plan.runs, given.only)
         folder.open(plan)
         try:
@@ -141,6 +141,15 @@ def run_command(given: SweepOptions) -> None:
         is_good = _report_end(rows, share, folder)
     if not is_good:
         raise typer.Exit(ExitCode.PARTIAL)
+
+
+@contextmanager
+def _interrupted_by_sigterm() -> Iterator[None]:
+    before = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:
@@ -170,7 +179,7 @@ def _choose_share(runs: Sequence[SweepRun], only: str) -> list[SweepRun]:
     if not only:
         return list(runs)
     index, _, count = only.partition("/")
-    if not (index.isdigit() and count.isdigit() and 1 <= int(index) <= int(count)):
+    if not (index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count)):
         raise ValueError(f"--only {only} is no share; use I/N with I from 1 to N, such as 3/10")
     return list(runs[int(index) - 1 :: int(count)])
 
@@ -220,7 +229,7 @@ def _report_end(rows: Sequence[SweepRow], share: Sequence[SweepRun], folder: Swe
     """Print what failed, and return whether nothing did."""
     ids = {run.id for run in share}
     failed = [row for row in rows if row.id in ids and not row.is_passed]
-    unequal = find_unequal_repeats(rows)
+    unequal = [one for one in find_unequal_repeats(rows) if not ids.isdisjoint(one)]
     for row in failed[:10]:
         reason = row.error or f"failed: {', '.join(row.failed)}"
         print_note("sweep", f"{row.id}: {' '.join(reason.split())}; repeat: {row.command}")

@@ -10,6 +10,7 @@ import msgspec
 
 from zensim.deploy.sweep.sweep_plan import SweepPlan
 from zensim.deploy.sweep.sweep_rows import SweepRow, make_columns
+from zensim.proto.process_limits import sync_folder
 
 FORMAT_VERSION = 1
 RUNS, RECORDINGS = "runs", "recordings"
@@ -114,8 +115,15 @@ class SweepFolder:
 
     def _write(self, file: Path, content: bytes) -> None:
         part = _name_part(file)
-        part.write_bytes(content)
-        part.replace(file)
+        try:
+            with part.open("wb") as stream:
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
+            part.replace(file)
+        finally:
+            part.unlink(missing_ok=True)
+        sync_folder(file.parent)
 
 
 def _name_part(file: Path) -> Path:

@@ -13,6 +13,8 @@ from zensim.scenario.scenario_runner import RunReport
 
 INPUT, MARGIN = "in.", "margin."
 """Beginnings of the names of columns."""
+WHOLE_LIMIT = 2**63
+"""Above all whole numbers of a column; larger ones are text."""
 
 
 class SweepRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -53,7 +55,8 @@ def make_row(run: SweepRun, report: RunReport, recording: str = "") -> SweepRow:
         inputs=dict(run.inputs),
         is_passed=report.is_passed,
         failed=tuple(check.name for check in report.checks if check.is_failure),
-        error=report.error,
+        # Bytes of paths that are no text cannot be written.
+        error=report.error.encode(errors="replace").decode(),
         digest=report.state_hash,
         margins={
             check.name: check.margin if math.isfinite(check.margin) else None
@@ -118,7 +121,8 @@ def _list_keys(maps: Iterable[Mapping[str, Any]]) -> list[str]:
 def _align(values: Sequence[Any]) -> list[Any]:
     """Give the values of a column one type: numbers, truth values, or text."""
     kinds = {type(one) for one in values if one is not None}
-    if kinds <= {int, float}:
+    fits = all(abs(one) < WHOLE_LIMIT for one in values if isinstance(one, int))
+    if kinds <= {int, float} and fits:
         whole = kinds == {int}
         return [one if one is None or whole else float(one) for one in values]
     if kinds in ({str}, {bool}):

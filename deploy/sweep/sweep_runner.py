@@ -2,6 +2,7 @@
 
 import signal
 import threading
+import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -15,6 +16,7 @@ from zensim.scenario.scenario_runner import RunReport
 
 ATTEMPTS = 4
 """Of a run whose process is killed by others."""
+ALARM_AT_ONCE_S = 0.001
 
 EndedRuns = Generator[tuple[int, RunReport], None, None]
 """Numbers of requests and their reports, in the order in which they end."""
@@ -46,16 +48,17 @@ def run_sweep(
         on_row: Called after a row was kept.
 
     Raises:
-        ScenarioChanged: The file was changed since the plan was made.
+        ScenarioChanged: The file was changed since the plan was made, or cannot be read.
         OSError: A row cannot be kept.
     """
     with closing(runner(requests)) as ended:
         for number, report in ended:
             run, request = runs[number], requests[number]
             if report.sha256 != run.sha256:
+                reason = "has changed since the sweep began" if report.sha256 else report.error
                 raise ScenarioChanged(
-                    f"{request.file} has changed, or is gone, since the sweep began: "
-                    "start it again; runs that are still part of it are kept"
+                    f"{request.file}: {reason}; start the sweep again: "
+                    "runs that are still part of it are kept"
                 )
             row = make_row(run, report, _find_recording(report, folder))
             folder.write_row(row)
@@ -96,12 +99,16 @@ def _limited_time(seconds: float) -> Iterator[None]:
         yield
         return
     before = signal.signal(signal.SIGALRM, _end_time)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    began_s = time.monotonic()
+    left_s, _ = signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
+        if left_s:  # an alarm of the caller; 0 would stop it
+            passed_s = time.monotonic() - began_s
+            signal.setitimer(signal.ITIMER_REAL, max(left_s - passed_s, ALARM_AT_ONCE_S))
 
 
 def _end_time(_number: int, _frame: object) -> NoReturn:

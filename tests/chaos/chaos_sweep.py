@@ -11,6 +11,7 @@ import signal
 import subprocess
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import psutil
@@ -86,8 +87,12 @@ def _disturb(folder: Path, place: str, runs: int) -> set[str]:
     output = folder / place
     with running(*_command(folder, place, place)) as driver:
         eventually(lambda: len(_list_ids(output)) >= runs // 4, END_S, "a quarter")
-        for worker in eventually(lambda: _list_workers(driver.pid, place)[:2], END_S, "a worker"):
-            worker.send_signal(signal.SIGKILL)
+        workers = eventually(
+            lambda: _list_workers(driver.pid, place)[:2] or None, END_S, "a worker"
+        )
+        for worker in workers:
+            with suppress(psutil.NoSuchProcess):
+                worker.send_signal(signal.SIGKILL)
         eventually(lambda: len(_list_ids(output)) >= runs // 2, END_S, "half")
         family = psutil.Process(driver.pid).children(recursive=True)
         os.kill(driver.pid, signal.SIGKILL)

@@ -50,6 +50,7 @@ def test_junit_counts_checks_and_names_place_and_margin() -> None:
         "sha256": "ff",
         "version": "",
         "repeat": "zensim test a.yaml",
+        "recording": "",
     }
     failure = suite.findall("testcase")[1][0]
     assert (failure.tag, failure.get("message")) == ("failure", "missed <b>")

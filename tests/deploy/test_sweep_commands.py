@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import psutil
@@ -21,7 +22,20 @@ from zensim.proto.exit_codes import ExitCode
 
 RUNNER = CliRunner()
 WORKER = RUN_COMMAND[-1]
-MANY = "{behaviours.go.v: [0.2, 0.3], seeds: 3}"
+MANY = "{behaviours.go.args.v: [0.2, 0.3], seeds: 3}"
+HELD = SHORT.replace("do: drive, v: 0.3", "do: python, call: 'held_team:Go', args: {v: 0.3}")
+HELD_TEAM = """import threading
+from pathlib import Path
+HERE = Path(__file__).parent
+class Go:
+    def __init__(self, sim, robots, v):
+        self.v = v
+    def step(self, now, state):
+        while any(HERE.glob("out/runs/*.json")) and not (HERE / "go").exists():
+            threading.Event().wait(0.01)
+        return [[self.v, 0.0]]
+"""
+"""Once a run has ended, the others wait for the file `go`."""
 ENDED_S = 240.0
 
 
@@ -74,6 +88,28 @@ def test_sweep_passes_when_all_runs_pass(tmp_path: Path) -> None:
     assert "4/4 done, 0 failed" in done.stderr
 
 
+def test_sweep_leaves_the_handling_of_signals_as_it_was(tmp_path: Path) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+
+    call_here(write_scenario(tmp_path), "--output", str(tmp_path / "out"))
+
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_name_of_a_scenario_is_no_way_out_of_the_present_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "deep").mkdir()
+    monkeypatch.chdir(tmp_path / "deep")
+    text = SHORT.replace("name: short", "name: ../evil")
+
+    done = call_here(write_scenario(tmp_path, text=text))
+
+    assert done.exit_code == ExitCode.OK, done.output
+    assert [one.name for one in Path().iterdir()] == [".._evil.sweep"]
+    assert not (tmp_path / "evil.sweep").exists()
+
+
 def test_second_call_runs_only_what_is_left(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     call_here(write_scenario(tmp_path, "{behaviours.go.v: [0.2]}"), "--output", str(folder))
@@ -111,6 +147,18 @@ def test_shares_are_all_runs_and_the_last_one_writes_the_table(tmp_path: Path) -
 
     assert (len(first), len(ids_in(folder)), has_table) == (2, 3, False)
     assert table_of(folder)["id"] == ids_in(folder)
+
+
+def test_unequal_repeats_count_where_the_share_has_one_of_them(tmp_path: Path) -> None:
+    words = (write_scenario(tmp_path, "{seeds: 2, repeats: 2}"), "--output", str(tmp_path / "out"))
+    call_here(*words)
+    rows = [json.loads(one.read_bytes()) for one in (tmp_path / "out" / "runs").iterdir()]
+    row = next(one for one in rows if (one["number"], one["repeat"]) == (0, 1))
+    (tmp_path / "out" / "runs" / f"{row['id']}.json").write_text(json.dumps(row | {"digest": "x"}))
+
+    codes = [call_here(*words, "--only", share).exit_code for share in ("1/4", "3/4")]
+
+    assert codes == [ExitCode.PARTIAL, ExitCode.OK]
 
 
 def test_error_of_a_run_is_a_row_and_can_be_retried(tmp_path: Path) -> None:
@@ -166,19 +214,25 @@ def test_mistake_of_a_combination_is_printed_with_its_line(tmp_path: Path) -> No
     assert not (tmp_path / "out").exists()
 
 
+def command_of(process: psutil.Process) -> str:
+    """Find a command line; empty of a process that has ended, and of a zombie."""
+    with suppress(psutil.Error):
+        return " ".join(process.cmdline())
+    return ""
+
+
 def workers_of(driver: int) -> list[psutil.Process]:
     """List the processes that run scenarios, with the copies of them that do now."""
     return [
-        one
-        for one in psutil.Process(driver).children(recursive=True)
-        if WORKER in " ".join(one.cmdline())
+        one for one in psutil.Process(driver).children(recursive=True) if WORKER in command_of(one)
     ]
 
 
 @pytest.fixture
 def started(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
     """Start a sweep, of which a part has ended."""
-    file = write_scenario(tmp_path, MANY)
+    (tmp_path / "held_team.py").write_text(HELD_TEAM)
+    file = write_scenario(tmp_path, MANY, HELD)
     with running(
         "sweep", file, "--jobs", "2", "--output", str(tmp_path / "out"), "--quiet"
     ) as process:
@@ -188,6 +242,7 @@ def started(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
 
 def finish(tmp_path: Path) -> "subprocess.CompletedProcess[str]":
     file = str(tmp_path / "short.scenario.yaml")
+    (tmp_path / "go").touch()
     return subprocess.run(
         command_line(["sweep", file, "--output", str(tmp_path / "out"), "--json"]),
         capture_output=True,
@@ -210,8 +265,10 @@ def check_that_all_ran_once(
 
 
 def test_killed_workers_lose_nothing(started: "subprocess.Popen[str]", tmp_path: Path) -> None:
-    for worker in eventually(lambda: workers_of(started.pid)[:2], ENDED_S, "a worker"):
-        worker.send_signal(signal.SIGKILL)
+    for worker in eventually(lambda: workers_of(started.pid)[:2] or None, ENDED_S, "a worker"):
+        with suppress(psutil.NoSuchProcess):
+            worker.send_signal(signal.SIGKILL)
+    (tmp_path / "go").touch()
 
     assert started.wait(ENDED_S) == ExitCode.OK, started.communicate()
     check_that_all_ran_once(tmp_path, ids_in(tmp_path / "out"), finish(tmp_path))
@@ -220,10 +277,10 @@ def test_killed_workers_lose_nothing(started: "subprocess.Popen[str]", tmp_path:
 def test_killed_driver_loses_nothing_and_its_workers_end(
     started: "subprocess.Popen[str]", tmp_path: Path
 ) -> None:
-    workers = eventually(lambda: workers_of(started.pid), ENDED_S, "a worker")
+    workers = eventually(lambda: workers_of(started.pid) or None, ENDED_S, "a worker")
     os.kill(started.pid, signal.SIGKILL)
     started.wait()
-    eventually(lambda: not any(one.is_running() for one in workers), ENDED_S, "the workers' end")
+    eventually(lambda: not any(map(command_of, workers)), ENDED_S, "the workers' end")
     before = ids_in(tmp_path / "out")
 
     check_that_all_ran_once(tmp_path, before, finish(tmp_path))
@@ -243,11 +300,12 @@ def test_interrupted_sweep_keeps_what_has_ended(
 def test_report_prints_a_table_and_draws(tmp_path: Path) -> None:
     file = write_scenario(tmp_path, "{behaviours.go.v: [0.1, 0.3], seeds: 2}")
     folder, picture = tmp_path / "out", tmp_path / "margins.png"
-    call_here(file, "--output", str(folder))
+    swept = call_here(file, "--output", str(folder))
 
     text = call("report", str(folder), "--plot", str(picture))
     whole = call("report", str(folder), "--json")
 
+    assert swept.exit_code == ExitCode.PARTIAL, (swept.output, swept.exception)
     assert text.exit_code == ExitCode.OK, text.output
     assert len(text.stdout.splitlines()) == 4
     assert picture.stat().st_size > 1000

@@ -109,6 +109,8 @@ def test_more_samples_keep_the_first_ones(tmp_path: Path) -> None:
     [
         ("{robots.cart.cout: [1]}", "vary.robots.cart.cout"),
         ("{robots.nobody.count: [1]}", "vary.robots.nobody.count"),
+        ("{robots.².count: [1]}", "vary.robots.².count"),
+        ("{robots.cart.yaw: {from: -1e308, to: 1e308, steps: 3}}", "vary.robots.cart.yaw"),
         ("{robots.cart.count: [two]}", "vary.robots.cart.count[0]"),
         ("{robots.cart.count: 3}", "vary.robots.cart.count"),
         ("{robots.cart.count: {from: 1, to: 2}}", "vary.robots.cart.count"),
@@ -128,6 +130,14 @@ def test_more_samples_keep_the_first_ones(tmp_path: Path) -> None:
         ("{random: {robots.cart.count: {uniform: [1, 2]}}}", "vary.random.samples"),
         ("{random: {samples: 3, robots.cart.count: [1]}}", "vary.random.robots.cart.count"),
         ("{random: {samples: 3, world.load: {uniform: [1, 2]}}}", "vary.random.world.load"),
+        (
+            "{random: {samples: 3, robots.cart.count: {uniform: [5, 2]}}}",
+            "vary.random.robots.cart.count",
+        ),
+        (
+            "{random: {samples: 3, robots.cart.yaw: {uniform: [{uniform: [0, 1]}, 2]}}}",
+            "vary.random.robots.cart.yaw",
+        ),
         (
             "{random: {samples: 3, robots.cart.count: {uniform: [1]}}}",
             "vary.random.robots.cart.count",

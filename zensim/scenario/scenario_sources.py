@@ -186,4 +186,4 @@ def find_entry(node: ScenarioNode, word: str) -> int | None:
     for index, one in enumerate(node.elements):
         if name_of(one) == word:
             return index
-    return int(word) if word.isdigit() and int(word) < len(node.elements) else None
+    return int(word) if word.isdecimal() and int(word) < len(node.elements) else None

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
-from math import cos, log, pi, sqrt
+from math import cos, isfinite, log, pi, sqrt
 from typing import Any
 
 import msgspec
@@ -20,6 +20,7 @@ WORDS = (*COUNTS, "random", "list")
 FIXED = ("zensim", "include", "vary")
 """Keys that cannot vary."""
 RANGE_KEYS = {"from", "to", "steps"}
+PAIRS = {"uniform": "[lowest, highest]", "normal": "[mean, deviation]"}
 MAX_RUNS = 100_000
 DIGITS = 12
 """Significant digits of the values of a range."""
@@ -174,6 +175,9 @@ class VariationReader:
                 self._refuse(place, path, "`from` and `to` are not numbers; use a list of values")
             return []
         low, high = ends
+        if not isfinite(high - low):
+            self._refuse(place, path, "`to` is too far from `from`")
+            return []
         share = [one / max(1, steps - 1) for one in range(steps)]
         values = [float(f"{low + one * (high - low):.{DIGITS}g}") for one in share]
         if not (isinstance(low, int) and isinstance(high, int)):
@@ -213,10 +217,12 @@ class VariationReader:
             self._refuse(place, path, f"has no numbers; use choice: [...] instead of {word}")
             return None
         if not elements or (word != "choice" and len(elements) != PAIR):
-            form = {"uniform": "[lowest, highest]", "normal": "[mean, deviation]"}
-            self._refuse(node.items[word].place, path, f"needs {form.get(word, 'a list')}")
+            self._refuse(node.items[word].place, path, f"needs {PAIRS.get(word, 'a list')}")
             return None
         values = self._read_values(elements, bound, f"{path}.{word}")
+        if None not in values and not _can_draw(word, values):
+            self._refuse(node.items[word].place, path, f"needs two numbers, {PAIRS[word]}")
+            values = [None]
         is_whole = word != "choice" and all(isinstance(one, int) for one in values)
         return None if None in values else RandomInput(key, word, tuple(values), is_whole)
 
@@ -275,7 +281,7 @@ class VariationReader:
     def _find_entry(self, words: Sequence[str]) -> ScenarioNode | None:
         listed = self._list_entries(words)
         word = words[1] if len(words) > 1 else ""
-        if word.isdigit() and int(word) < len(listed):
+        if word.isdecimal() and int(word) < len(listed):
             return listed[int(word)]
         return next((one for one in listed if word and name_of(one) == word), None)
 
@@ -300,6 +306,14 @@ def _find_count(node: ScenarioNode | None, default: int | None) -> int | None:
 
 def _is_number(value: PlainValue) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _can_draw(kind: str, values: Sequence[PlainValue]) -> bool:
+    """Whether a kind of draw can draw from its values."""
+    if kind not in PAIRS:
+        return True
+    first, second = values
+    return _is_number(first) and _is_number(second) and (kind != "uniform" or first <= second)
 
 
 def _write_draws(value: PlainValue) -> PlainValue:

@@ -416,7 +416,7 @@ def _descend(kind: inspect.Type, word: str, tag: str) -> list[inspect.Type]:
         return [bare.item_type]
     if isinstance(bare, inspect.DictType):
         return [bare.value_type]
-    if isinstance(bare, inspect.TupleType) and word.isdigit():
+    if isinstance(bare, inspect.TupleType) and word.isdecimal():
         return list(bare.item_types[int(word) : int(word) + 1])
     if isinstance(bare, inspect.StructType) and (not tag or bare.tag in (None, tag)):
         return [field.type for name, field in _index_fields(bare.cls).items() if name == word]

@@ -1,6 +1,7 @@
 """The folder of a sweep: whole rows only, and equal tables of equal rows."""
 
 import json
+import os
 from importlib import util
 from pathlib import Path
 
@@ -47,6 +48,27 @@ def test_file_that_was_not_renamed_is_no_row(folder: SweepFolder) -> None:
     whole.rename(whole.with_name("a.json.host.1.part"))
 
     assert folder.read_rows(["a"]) == []
+
+
+def test_row_that_cannot_be_written_leaves_no_file(folder: SweepFolder) -> None:
+    (folder.path / "runs" / "a.json").mkdir()
+
+    with pytest.raises(OSError, match=r"a\.json"):
+        folder.write_row(make_sweep_row("a"))
+
+    assert [one.name for one in (folder.path / "runs").iterdir()] == ["a.json"]
+
+
+def test_row_and_its_name_are_on_the_disk(
+    folder: SweepFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: list[int] = []
+    monkeypatch.setattr(os, "fsync", lambda handle: synced.append(os.fstat(handle).st_ino))
+
+    folder.write_row(make_sweep_row("a"))
+
+    runs = folder.path / "runs"
+    assert synced == [(runs / "a.json").stat().st_ino, runs.stat().st_ino]
 
 
 def test_results_are_a_table_with_its_sweep(folder: SweepFolder) -> None:

@@ -35,6 +35,18 @@ def test_column_of_mixed_values_has_one_type() -> None:
     assert columns["in.m"] == ["x", "3", '{"uniform": [0, 1]}']
 
 
+def test_whole_numbers_beyond_64_bits_are_text() -> None:
+    rows = [make_sweep_row("a", inputs={"g": 2**64}), make_sweep_row("b", inputs={"g": 1})]
+
+    assert make_columns(rows)["in.g"] == [str(2**64), "1"]
+
+
+def test_error_that_is_no_text_can_be_written() -> None:
+    row = make_row(make_run(), make_report(error="no file \udcff"))
+
+    assert row.error == "no file ?"
+
+
 def test_repeats_with_unequal_states_are_found() -> None:
     rows = [
         make_sweep_row("a", inputs={"v": 1}, digest="x"),
