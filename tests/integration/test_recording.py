@@ -238,15 +238,24 @@ def test_recorder_that_finds_no_clock_leaves_no_file(bus: Bus, tmp_path: Path) -
 
 def test_recording_has_the_requests_of_the_server(sim: api.Sim, bus: Bus, tmp_path: Path) -> None:
     path, topic = tmp_path / "run.mcap", "/sim/default/requests"
-    with sim.record(path, topic, timeout_s=90.0) as recorder:
+    with sim.record(path, topic, timeout_s=90.0):
         wait_for_messages(bus, INPUTS.key("default"), 1)  # a log that has begun
         sim.spawn("box_bot", name="asked").delete()
-        has_both = lambda: api.Recording(path).counts.get(topic, 0) > 1  # noqa: E731
-        eventually(has_both, WITHIN_S, "requests in the file")
+        found = eventually(
+            lambda: find_requests(path, topic) or None, WITHIN_S, "requests in the file"
+        )
 
-    texts = [json.loads(one.data.data) for one in recorder.read().messages()]  # type: ignore[attr-defined]
-    assert [one["service"] for one in texts][:1] == ["spawn_entity"]
-    assert texts[0]["request"]["name"] == "asked"
+    assert found["spawn_entity"]["name"] == found["delete_entity"]["entity"] == "asked"
+
+
+def find_requests(path: Path, topic: str) -> dict[str, dict[str, object]]:
+    """Find the last request of each service in a file, once entities were spawned and deleted."""
+    recording = api.Recording(path)
+    if not recording.counts.get(topic):
+        return {}
+    texts = [json.loads(one.data.data) for one in recording.messages(topic)]  # type: ignore[attr-defined]
+    found = {one["service"]: one["request"] for one in texts}
+    return found if {"spawn_entity", "delete_entity"} <= set(found) else {}
 
 
 def test_recorder_that_was_killed_is_an_error(sim: api.Sim, tmp_path: Path) -> None:
