@@ -205,7 +205,7 @@ def _measure_search(page: Page) -> Iterator[Figure]:
     """Search robots by name; measure until the camera moves."""
     delays = []
     with PageUser(page.url) as user:
-        eventually(lambda: f" of {page.robots} found" in user.texts(), PATIENCE_S, "a list")
+        eventually(lambda: _find_row(user, "box_bot0"), PATIENCE_S, "a list")
         for number in range(SEARCHES_WHEN_SHORT if page.is_short else SEARCHES):
             delays.append(_time_search(user, f"box_bot{page.robots - 1 - number}"))
             _stop_following(user)
