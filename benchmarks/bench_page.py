@@ -48,7 +48,7 @@ SHOWN_OF_ONE = {"Speed": 0.02, "Show scan": 0.03}
 """The same for what is shown of a selected robot: a plot, and its lidar of 360 rays at 10 Hz."""
 LEAST_DRAWINGS = {"Speed": 4.0, "Show scan": 8.0}
 LIDAR_BOT, LIDAR_AT = "lidar_bot", (-3.0, -3.0)
-SEARCHES, SEARCHES_WHEN_SHORT = 20, 2
+SEARCHES = 20
 MOST_SEARCH_MS = 300.0
 POLL_S = 0.001
 Found = TypeVar("Found")
@@ -118,7 +118,8 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             yield from _measure_driving(page)
             if robots < MANY:
                 yield from _measure_shown_of_one(page, server)
-            yield from _measure_search(page)
+            if not is_short:
+                yield from _measure_search(page)
     robots = FLEETS_WHEN_SHORT[0] if is_short else FLEETS[0]
     with serving() as quiet, _serve_page(quiet.endpoint) as (url, pid):
         spawn(quiet.client, robots)
@@ -206,7 +207,7 @@ def _measure_search(page: Page) -> Iterator[Figure]:
     delays = []
     with PageUser(page.url) as user:
         eventually(lambda: _find_row(user, "box_bot0"), PATIENCE_S, "a list")
-        for number in range(SEARCHES_WHEN_SHORT if page.is_short else SEARCHES):
+        for number in range(SEARCHES):
             delays.append(_time_search(user, f"box_bot{page.robots - 1 - number}"))
             _stop_following(user)
     yield Figure(
