@@ -1,11 +1,13 @@
 """Cost of the 3D page
 
-The process of `zensim view` beside a server whose robots drive circles in real time, or stand.
+The process of `zensim view` beside a server whose robots drive circles in real time, or stand; 1000
+robots with `--dynamics auto --step-hz 100`, as PyBullet is too slow for that with full dynamics.
 Visitors are programs that read all that a browser would get, on the same cores. CPU and bytes are
 those of each second, of the page's process and of one visitor. `more` is the CPU of a second in
 which one visitor shows what is named, less the median of the seconds without it; for charts and the
-lidar of a robot, of seconds in which that robot is selected. The search is what a visitor does:
-give a name, press its row, and see the camera move.
+lidar of a robot, of seconds in which that robot is selected. The lidar stands in a room, so that
+all its rays meet a wall. The search is what a visitor does: give a name, press its row, and see the
+camera move.
 """
 
 import statistics
@@ -36,6 +38,9 @@ WARM_UP_S, WARM_UP_WHEN_SHORT_S = 5.0, 0.5
 FLEETS, FLEETS_WHEN_SHORT = (100, 1000), (3,)
 MANY = 1000
 """Robots from which on the limits of large fleets hold."""
+OF_MANY = ("--dynamics", "auto", "--step-hz", "100")
+"""With full dynamics a step of them takes more time than it simulates, and no page gets more
+snapshots than there are steps."""
 VISITORS = 5
 KILOBYTES, MEGABYTES = 1e-3, 1e-6
 LEAST_UPDATES = 20.0
@@ -47,7 +52,9 @@ SHOWN = {"Trails": 0.02, "Names": 0.02, "Real-time factor": 0.02}
 SHOWN_OF_ONE = {"Speed": 0.02, "Show scan": 0.03}
 """The same for what is shown of a selected robot: a plot, and its lidar of 360 rays at 10 Hz."""
 LEAST_DRAWINGS = {"Speed": 4.0, "Show scan": 8.0}
-LIDAR_BOT, LIDAR_AT = "lidar_bot", (-3.0, -3.0)
+LIDAR_BOT, LIDAR_AT, ROOM_M = "lidar_bot", (-3.0, -3.0), 3.0
+WALL = """<collision name="{name}"><pose>{x} {y} 0.5 0 0 0</pose><geometry><box>
+<size>{length} {width} 1</size></box></geometry></collision>"""
 SEARCHES = 20
 MOST_SEARCH_MS = 300.0
 POLL_S = 0.001
@@ -109,22 +116,36 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure the page without visitors, with one, with five, and what they may show."""
     for robots in FLEETS_WHEN_SHORT if is_short else FLEETS:
         with (
-            run_fleet_server(robots, "--rtf", "1") as server,
+            run_fleet_server(robots, "--rtf", "1", *_choose_options(robots)) as server,
             _serve_page(server.endpoint) as (url, pid),
         ):
             page = Page(url, pid, robots, is_short)
             yield from _measure_standing(page, "the world is paused")
             server.client.set_simulation_state(State.PLAYING)
             yield from _measure_driving(page)
+            yield _read_factor(page, server)
             if robots < MANY:
                 yield from _measure_shown_of_one(page, server)
-            if not is_short:
-                yield from _measure_search(page)
+            yield from _measure_search(page)
     robots = FLEETS_WHEN_SHORT[0] if is_short else FLEETS[0]
     with serving() as quiet, _serve_page(quiet.endpoint) as (url, pid):
         spawn(quiet.client, robots)
         page = Page(url, pid, robots, is_short)
         yield from _measure_standing(page, "time passes")
+
+
+def _choose_options(robots: int) -> tuple[str, ...]:
+    return OF_MANY if robots >= MANY else ()
+
+
+def _read_factor(page: Page, server: FleetServer) -> Figure:
+    """Read the real-time factor, which says whether the server gives as much as it should."""
+    factor = server.client.info().real_time_factor
+    return Figure(
+        what=f"{page.robots} robots drive: real-time factor of the server",
+        unit="",
+        samples=(factor,),
+    )
 
 
 @contextmanager
@@ -180,13 +201,7 @@ def _measure_shown(page: Page, without: float) -> Iterator[Figure]:
 
 def _measure_shown_of_one(page: Page, server: FleetServer) -> Iterator[Figure]:
     """Measure a plot and the scans of a robot with a lidar, beside the others that drive."""
-    text = Resource(resource_string=read_builtin_model("box_bot_lidar"))
-    x, y = LIDAR_AT
-    pose = PoseStamped(pose=Pose(Point(x, y, 0.06)))
-    order = SpawnEntity(
-        name=LIDAR_BOT, entity_namespace=LIDAR_BOT, entity_resource=text, initial_pose=pose
-    )
-    server.client.spawn_all(SpawnEntitiesOrder((order,)))
+    server.client.spawn_all(SpawnEntitiesOrder((*_order_lidar(),)))
     without = statistics.median(page.measure_visits(1, entity=LIDAR_BOT).cores)
     with running("sensors", "run", "--name", "s1", "--quiet", "--connect", server.endpoint):
         for label, most in SHOWN_OF_ONE.items():
@@ -202,12 +217,37 @@ def _measure_shown_of_one(page: Page, server: FleetServer) -> Iterator[Figure]:
             )
 
 
+def _order_lidar() -> Iterator[SpawnEntity]:
+    """Order a robot with a lidar, and a room around it."""
+    pose = PoseStamped(pose=Pose(Point(*LIDAR_AT, 0.0)))
+    robot = Resource(resource_string=read_builtin_model("box_bot_lidar"))
+    yield SpawnEntity(
+        name=LIDAR_BOT, entity_namespace=LIDAR_BOT, entity_resource=robot, initial_pose=pose
+    )
+    half = ROOM_M / 2.0
+    walls = [
+        WALL.format(name=f"{axis}{side:+.0f}", **size, x=side * half * x, y=side * half * (1 - x))
+        for axis, x, size in (
+            ("x", 1, {"length": 0.1, "width": ROOM_M}),
+            ("y", 0, {"length": ROOM_M, "width": 0.1}),
+        )
+        for side in (-1, 1)
+    ]
+    room = (
+        '<sdf version="1.9"><model name="room"><static>true</static><link name="link">'
+        f"{''.join(walls)}</link></model></sdf>"
+    )
+    yield SpawnEntity(
+        name="room", entity_resource=Resource(resource_string=room), initial_pose=pose
+    )
+
+
 def _measure_search(page: Page) -> Iterator[Figure]:
     """Search robots by name; measure until the camera moves."""
     delays = []
     with PageUser(page.url) as user:
-        eventually(lambda: _find_row(user, "box_bot0"), PATIENCE_S, "a list")
-        for number in range(SEARCHES):
+        _wait_for(lambda: _find_row(user, "box_bot0"), "a list")
+        for number in range(min(SEARCHES, page.robots)):
             delays.append(_time_search(user, f"box_bot{page.robots - 1 - number}"))
             _stop_following(user)
     yield Figure(
@@ -222,8 +262,8 @@ def _time_search(user: PageUser, name: str) -> float:
     """Search an entity and select it; return the time [ms] until the camera moves."""
     began, before = time.perf_counter(), user.camera_messages
     user.give("Search", name)
-    user.press(_wait_for(lambda: _find_row(user, name)))
-    _wait_for(lambda: user.camera_messages > before)
+    user.press(_wait_for(lambda: _find_only_row(user, name), f"the row of {name}"))
+    _wait_for(lambda: user.camera_messages > before, f"a camera that moves to {name}")
     return 1e3 * (time.perf_counter() - began)
 
 
@@ -232,15 +272,26 @@ def _find_row(user: PageUser, name: str) -> str:
     return next((one for one in user.list_labels() if one.startswith(f"{name} · ")), "")
 
 
+def _find_only_row(user: PageUser, name: str) -> str:
+    """Find the row of an entity once the list has no other: its rows have moved then."""
+    return _find_row(user, name) if ">1 of " in user.texts() else ""
+
+
 def _stop_following(user: PageUser) -> None:
     user.press("Stop following")
     eventually(lambda: "Stop following" not in user.list_labels(), 10.0, "no selection")
 
 
-def _wait_for(find: Callable[[], Found]) -> Found:
-    """Wait until something is found, without the delay of polling rarely."""
+def _wait_for(find: Callable[[], Found], what: str) -> Found:
+    """Wait until something is found, without the delay of polling rarely.
+
+    Raises:
+        TimeoutError: It was not within `PATIENCE_S`.
+    """
     ends_at = time.perf_counter() + PATIENCE_S
-    while not (found := find()) and time.perf_counter() < ends_at:
+    while not (found := find()):
+        if time.perf_counter() >= ends_at:
+            raise TimeoutError(f"no {what} within {PATIENCE_S:g} s")
         time.sleep(POLL_S)
     return found
 

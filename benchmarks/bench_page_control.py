@@ -2,8 +2,9 @@
 
 Delays from what a visitor does to its effect: commands as a subscriber of `cmd_vel` receives them,
 states and names as the page shows them. Visitors are programs that send what the page's script and
-controls send; the rows of Chromium press real keys in a headless browser that renders in software.
-`silent` is a page whose messages end while its connection stays.
+controls send; the rows of Chromium press real keys in a headless browser that renders in software,
+in a small window, as a key waits for the frame that is being drawn. `silent` is a page whose
+messages end while its connection stays.
 """
 
 import signal
@@ -15,6 +16,7 @@ from functools import partial
 
 from benchmarks.figures import Figure, Limit, Statistic, table
 from tests.integration.chromium import Tab, open_page
+from tests.integration.docs_media import HAS_ROBOTS, IS_STILL
 from tests.integration.page_user import PageUser
 from tests.integration.processes import Server, eventually, free_endpoint, running, serving
 from zensim.proto.cmd_vel_decoding import decode_twist
@@ -37,6 +39,7 @@ ROBOT = "r1"
 AHEAD = {"forward": 1.0, "left": 0.0, "turn": 0.0}
 STOP = dict.fromkeys(AHEAD, 0.0)
 Claim = Callable[[Info], bool]
+SMALL_WINDOW = (700, 440)
 KEY = {"code": "KeyW", "key": "w", "windowsVirtualKeyCode": 87}
 
 
@@ -96,7 +99,10 @@ def _drive(user: PageUser, commands: Subscription) -> float:
 
 def _measure_browser(server: Server, url: str, count: int) -> Iterator[Figure]:
     with open_page(url) as tab:
+        tab.set_size(*SMALL_WINDOW)
         tab.until("!!window.zensimDrives && !!window.__viserMutable.sendMessage", 120.0)
+        tab.until(HAS_ROBOTS, 120.0)
+        tab.until(IS_STILL, 120.0)
         yield from _measure_keys(server, tab, count)
 
 

@@ -75,7 +75,9 @@ class EntityPanel(Panel):
         state, text = self._client.state, self._text.value
         statuses = find_statuses(state.fleet, state.frame, state.commands)
         found = search_entities(state.fleet, statuses, text, self._choice.value)
-        summary = make_summary_html(found.count, len(state.fleet.names))
+        summary = make_summary_html(
+            found.count, len(state.fleet.names), can_act=self._client.can_act
+        )
         if self._summary.content != summary:
             self._summary.content = summary
         self._show_rows(found, dict(zip(state.fleet.names, statuses, strict=True)))
@@ -207,10 +209,16 @@ class EntityDetails:
         self._client.post(lambda: self._client.sensors.switch(choice, is_on=is_on))
 
 
-def make_summary_html(found: int, total: int) -> str:
-    """Say how many entities were found, and how many of them are listed."""
+def make_summary_html(found: int, total: int, *, can_act: bool) -> str:
+    """Say how many entities were found, and how many of them are listed.
+
+    Args:
+        found: Number.
+        total: Number of all entities of the world.
+        can_act: Whether the visitor may spawn some.
+    """
     if not total:
-        text = "The world is empty."
+        text = "The world is empty" + (": spawn a model in the tab Edit." if can_act else ".")
     elif found > MAX_ROWS:
         text = f"{found} of {total} found, the first {MAX_ROWS} listed"
     else:

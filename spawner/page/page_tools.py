@@ -86,6 +86,8 @@ STYLE: Final = """
   #zensim-tools { bottom: auto; top: 12px; flex-direction: column-reverse; }
 }
 .mantine-Slider-markLabel { color: var(--mantine-color-dimmed) !important; }
+/* Six tabs in one row of a panel 320 pixels wide. */
+[data-dock-strip] > [data-dock-tab] { padding: 0 .6em !important; }
 .zensim-fold:focus-visible { outline: 3px solid #4a90e2; }
 /* Targets of fingers: 44 pixels; viser sets smaller ones in the elements. */
 @media (max-width: 640px) {

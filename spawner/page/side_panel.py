@@ -52,6 +52,8 @@ AMBER: Final = "var(--zensim-amber)"
 """Of what is not as wanted; the style sheet of the page has a tone for each theme."""
 STATE_COLOURS: Final = {"playing": "var(--zensim-green)", "paused": AMBER}
 """Colours of the state; any other state is red."""
+SHORT: Final = 0.95
+"""Share of the wanted real-time factor below which it counts as not reached."""
 STALE_S: Final = 1.0
 """A command older than this is shown with its age."""
 
@@ -59,7 +61,7 @@ PanelRows = list[tuple[str, str]]
 
 
 def make_status_html(status: SimulationStatus) -> str:
-    """Format state, simulation time, real-time factor and number of robots."""
+    """Format state, simulation time, real-time factor beside the wanted one, and robots."""
     colour = STATE_COLOURS.get(status.state, "var(--zensim-red)")
     others = status.entities - status.robots
     robots = f"{status.robots}" + (f" + {others} without drive" if others else "")
@@ -71,11 +73,25 @@ def make_status_html(status: SimulationStatus) -> str:
                 f'<span style="color:{colour}">&#9679;</span> {escape(printable(status.state))}',
             ),
             ("Simulation time", format_clock(status.sim_time_s)),
-            ("Real-time factor", f"{status.real_time_factor:.2f}"),
+            ("Real-time factor", _write_factor(status)),
             ("Robots", robots),
             *malformed,
         ]
     )
+
+
+def is_short(state: str, reached: float, wanted: float) -> bool:
+    """Whether a simulation is slower than wanted; 0 wanted = as fast as possible."""
+    return state == "playing" and 0.0 < reached < SHORT * wanted
+
+
+def _write_factor(status: SimulationStatus) -> str:
+    reached = status.real_time_factor
+    wanted = status.stats.target_real_time_factor if status.stats is not None else 0.0
+    text = f"{reached:.2f}" + (f" of {wanted:.2f}" if wanted else "")
+    if not is_short(status.state, reached, wanted):
+        return text
+    return f'<span style="color:{AMBER}">{text}</span>'
 
 
 def make_robot_html(member: EntityModel, state: Array, command: LastCommand | None) -> str:

@@ -30,12 +30,10 @@ from zensim.proto.service_catalog import (
     STEP_SIMULATION,
 )
 from zensim.spawner.page.shortcuts import PLAY_OR_PAUSE, RESET, STEP_ONCE
-from zensim.spawner.page.side_panel import AMBER
+from zensim.spawner.page.side_panel import AMBER, is_short
 from zensim.spawner.page.viewer_client import PageState, Panel, ViewerClient
 from zensim.spawner.page.world_run import RunActive, WorldRun
 
-SHORT: Final = 0.95
-"""Share of the wanted real-time factor below which it counts as not reached."""
 ENGINE_SHARE: Final = 0.7
 """Share of the wall time of a step above which the engine is the reason."""
 MAX_FACTOR: Final = 10.0
@@ -213,7 +211,7 @@ def explain_shortfall(stats: Stats, step_s: float) -> str:
         step_s: Simulation time of a step; 0 = unknown.
     """
     wanted, reached = stats.target_real_time_factor, stats.real_time_factor
-    if stats.state != "playing" or not 0.0 < reached < SHORT * wanted:
+    if not is_short(stats.state, reached, wanted):
         return ""
     wall_s = step_s / reached
     if wall_s and stats.step_time_s >= ENGINE_SHARE * wall_s:

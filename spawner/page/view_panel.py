@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import Final, Literal, Protocol, get_args
+from typing import TYPE_CHECKING, Final, Literal, Protocol, get_args
 
 import msgspec
 import numpy as np
@@ -12,6 +12,7 @@ import viser
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.sensor_messages import Contacts
 from zensim.spawner.page.floor_picking import PointCallback
+from zensim.spawner.page.instance_updates import MOVED, place_node
 from zensim.spawner.page.motion_overlays import Trails, VelocityArrows
 from zensim.spawner.page.robot_colours import find_robot_colour, to_linear
 from zensim.spawner.page.sensor_display import ContactMarks
@@ -19,6 +20,9 @@ from zensim.spawner.page.sensor_views import read_contacts
 from zensim.spawner.page.shape_overlays import CollisionShapes, FrameAxes
 from zensim.spawner.page.side_panel import WatchedTopic
 from zensim.spawner.page.viewer_client import PageState, Panel, ViewerClient
+
+if TYPE_CHECKING:
+    from zensim.spawner.page.model_visuals import Array
 
 MAX_NAMES: Final = 20
 """Of the robots nearest to the camera; each label costs messages while its robot moves."""
@@ -199,24 +203,34 @@ class NameLabels:
     def __init__(self, scene: viser.SceneApi) -> None:
         self._scene = scene
         self._labels: dict[str, viser.LabelHandle] = {}
+        self._places: dict[str, Array] = {}
+        """Positions that the visitor has, by entity."""
 
     def show(self, names: Sequence[str], state: PageState) -> None:
         """Show exactly the names of these entities that are there."""
         shown = [name for name in names if name in state.fleet.rows]
         for gone in self._labels.keys() - shown:
             self._labels.pop(gone).remove()
+            del self._places[gone]
         for name in shown:
             if name not in self._labels:
+                top = self._places[name] = state.find_top(name)
                 self._labels[name] = self._scene.add_label(
-                    f"/names/{name}", name, anchor="bottom-center"
+                    f"/names/{name}", name, anchor="bottom-center", position=top
                 )
         self.move(shown, state)
 
     def move(self, names: Sequence[str], state: PageState) -> None:
-        """Move shown names to their entities."""
-        for name in names:
-            if name in self._labels and name in state.fleet.rows:
-                self._labels[name].position = state.find_top(name)
+        """Move shown names to their entities, if they have moved visibly."""
+        shown = [name for name in names if name in self._labels and name in state.fleet.rows]
+        if not shown:
+            return
+        tops = np.array([state.find_top(name) for name in shown])
+        before = np.array([self._places[name] for name in shown])
+        for number in np.flatnonzero(np.abs(tops - before).max(axis=1) > MOVED):
+            name = shown[number]
+            self._places[name] = tops[number]
+            place_node(self._scene, self._labels[name].name, tops[number])
 
 
 def find_nearest(state: PageState, position: np.ndarray, count: int) -> list[str]:

@@ -115,6 +115,7 @@ class ViewerClient:
         picker: Takes clicks on the floor, for one panel at a time.
         state: What is drawn.
         now_s: Reads the monotonic time [s].
+        can_act: Whether it may change the world.
         receive: Called with each message of the page's script, by the thread that receives.
         notify: Notifies another visitor.
     """
@@ -125,6 +126,8 @@ class ViewerClient:
         post: Callable[[Act], None],
         call: Callable[[WorldCall], None],
         clock: Callable[[], float] = time.monotonic,
+        *,
+        can_act: bool = False,
     ) -> None:
         """Make a visitor.
 
@@ -133,8 +136,9 @@ class ViewerClient:
             post: Queues a function for the thread that draws; ignored once the visitor has left.
             call: Queues a call of a service.
             clock: Reads the monotonic time [s].
+            can_act: Whether it may change the world.
         """
-        self.now_s = clock
+        self.now_s, self.can_act = clock, can_act
         self.client, self.gui, self.scene = client, client.gui, client.scene
         self.post, self._call = post, call
         self.sensors = SensorDisplay(client.scene, client.gui)

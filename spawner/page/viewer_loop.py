@@ -40,6 +40,7 @@ from zensim.proto.network_protocols import (
 )
 from zensim.proto.se3 import transform_points
 from zensim.proto.service_catalog import (
+    DELETE_ENTITY,
     GET_ASSET,
     GET_MODELS,
     RESET_SIMULATION,
@@ -213,6 +214,8 @@ def _make_mesh(shape: Shape, files: Mapping[str, bytes]) -> TriangleMesh | None:
 
 MIN_FRAME_PERIOD_S: Final = 0.025
 """Minimum time between frames: 30 snapshots/s are all shown, of 60/s every other."""
+STILL_PERIOD_S: Final = 0.1
+"""Time between two views of a world that plays while nothing in it moves."""
 MODELS_RETRY_S: Final = 0.2
 CLAIMS_PERIOD_S: Final = 1.0
 """Minimum time between two requests for the agents of entities."""
@@ -278,7 +281,10 @@ class SensorMonitor:
         """Return the newest message, if there is one and the period has passed."""
         sample = self._samples.newest() if now >= self._next_at else None
         if sample is not None:
-            self._next_at = now + (PICTURE_PERIOD_S if self.view.is_picture else SCAN_PERIOD_S)
+            period_s = PICTURE_PERIOD_S if self.view.is_picture else SCAN_PERIOD_S
+            # From when it was due, as views come at times of their own; unless that is long ago.
+            due = self._next_at + period_s
+            self._next_at = due if due > now else now + period_s
         return sample
 
     def close(self) -> None:
@@ -451,6 +457,9 @@ class ViewerDataSource:
         self._fleet_inputs: _FleetInputs | None = None
         self._frame: tuple[RenderedFleet, bytes, bytes, RenderedFrame] | None = None
         """Of the last snapshot, with what it was made of."""
+        self._shown: tuple[RenderedFrame, str] | None = None
+        """Frame and state of the last view."""
+        self._still_until = 0.0
         self._monitors: dict[str, CommandMonitor] = {}
         self._sensors = SensorMonitors(network)
         self._watches = WatchMonitors(network, world)
@@ -473,8 +482,12 @@ class ViewerDataSource:
         for monitor in self._monitors.values():
             monitor.close()
 
-    def newest(self) -> ViewState | None:
-        """Return the newest valid snapshot, if there is one and the frame period has passed."""
+    def newest(self, *, is_still_shown: bool = False) -> ViewState | None:
+        """Return the newest valid snapshot, if there is one and the frame period has passed.
+
+        Args:
+            is_still_shown: Whether a world in which nothing moves is returned as often as another.
+        """
         self._watch_server()
         if not self.is_silent:
             self._fetcher.fetch()
@@ -487,9 +500,20 @@ class ViewerDataSource:
         self._next_frame_at = self._received_at + MIN_FRAME_PERIOD_S
         try:
             snapshot = decode(Snapshot, sample.payload, sample.encoding)
-            return self._view(snapshot)
+            view = self._view(snapshot)
+            return None if view is None or self._is_repeated(view, is_still_shown) else view
         except (MalformedPayload, UnknownEntity, MismatchedSnapshot):
             return None
+
+    def _is_repeated(self, view: ViewState, is_still_shown: bool) -> bool:  # noqa: FBT001
+        """Whether nothing but the time differs from the last view, which is not long ago."""
+        shown = view.frame, view.status.state
+        is_same = self._shown is not None and self._shown[0] is shown[0]
+        is_playing = self._shown is not None and self._shown[1] == shown[1] == "playing"
+        if is_same and is_playing and not is_still_shown and self._received_at < self._still_until:
+            return True
+        self._shown, self._still_until = shown, self._received_at + STILL_PERIOD_S
+        return False
 
     def commands(self, entities: frozenset[str]) -> dict[str, LastCommand]:
         """Subscribe to the commands of those entities that have topics; return the last of each."""
@@ -694,9 +718,10 @@ class Viewer:
             self._calls.make(call)
 
     def end(self) -> None:
-        """Request what clients have ordered and can no longer undo, and close all subscriptions."""
-        orders = self._page.end_visits()
-        self._calls.make_last(order for order in orders if isinstance(order, WorldCall))
+        """Request the deletions that clients can no longer undo, and close all subscriptions."""
+        calls = [one for one in self._page.end_visits() if isinstance(one, WorldCall)]
+        # What else was ordered a moment ago would act on a world that the client no longer sees.
+        self._calls.make_last(call for call in calls if call.service is DELETE_ENTITY)
         self.close()
 
     def close(self) -> None:
@@ -710,7 +735,9 @@ class Viewer:
         return self._data_source
 
     def _update(self, source: ViewerDataSource) -> None:
-        view = source.newest()
+        # Sensors and watched topics are drawn with the views.
+        is_sensing = bool(self._page.shown_sensors or self._page.watched)
+        view = source.newest(is_still_shown=is_sensing)
         if view is not None:
             self._state = view.status.state
             commands = source.commands(self._page.selected)

@@ -326,7 +326,8 @@ class ViewerPage:
 
     def _welcome(self, handle: viser.ClientHandle) -> ViewerClient:
         post: Callable[[Act], None] = partial(self._use, handle.client_id)
-        client = ViewerClient(handle, post, self._order, self._clock)
+        can_act = self._driver is not None
+        client = ViewerClient(handle, post, self._order, self._clock, can_act=can_act)
         client.state, client.notify = self._state, self._notify
         acting: dict[str, PanelFactory] = {}
         if self._driver is not None:

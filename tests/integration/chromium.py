@@ -175,7 +175,11 @@ class Chromium:
             stderr=subprocess.PIPE,
             text=True,
         )
-        self._connection = connect(self._endpoint(), max_size=None, compression=None)
+        try:
+            self._connection = connect(self._endpoint(), max_size=None, compression=None)
+        except BaseException:
+            self._end()
+            raise
 
     def __enter__(self) -> "Chromium":
         """Return the browser itself."""
@@ -198,8 +202,11 @@ class Chromium:
         return Tab(self._connection, session["sessionId"])
 
     def close(self) -> None:
-        """End the browser and delete its profile."""
+        """Close the connection, end the browser and delete its profile."""
         self._connection.close()
+        self._end()
+
+    def _end(self) -> None:
         self._process.terminate()
         self._process.wait(timeout=10.0)
         if self._process.stderr is not None:

@@ -112,9 +112,9 @@ class PageUser:
         return "\n".join(map(str, found))
 
     def list_labels(self) -> frozenset[str]:
-        """Return the labels of all controls."""
-        controls = list(self._controls.values())
-        return frozenset(str(one["props"].get("label", "")) for one in controls) - {""}
+        """Return the labels of all visible controls; a hidden row keeps its last one."""
+        shown = [one["props"] for one in list(self._controls.values()) if is_visible(one)]
+        return frozenset(str(props.get("label", "")) for props in shown) - {""}
 
     def list_controls(self) -> list[dict[str, Any]]:
         """List the messages that added the controls which are there."""
@@ -125,7 +125,8 @@ class PageUser:
         return list(self._commands.values())
 
     def _find(self, label: str) -> dict[str, Any] | None:
-        found = [o for o in list(self._controls.values()) if o["props"].get("label") == label]
+        controls = [one for one in list(self._controls.values()) if is_visible(one)]
+        found = [one for one in controls if one["props"].get("label") == label]
         return found[-1] if found else None
 
     def _read(self) -> None:
@@ -174,3 +175,8 @@ class PageUser:
                 control["value"] = value
             else:
                 control["props"][name] = value
+
+
+def is_visible(control: dict[str, Any]) -> bool:
+    """Whether a control is shown, as far as it says so itself."""
+    return bool(control["props"].get("visible", True))

@@ -1,7 +1,7 @@
 """Every control of the page, used by a visitor without a browser."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -297,6 +297,18 @@ def test_list_is_limited_and_search_finds_the_rest(visit: Visit) -> None:
     visit.until_selected("r299")
 
 
+def test_an_empty_world_says_how_to_begin_where_a_visitor_may_act(acting: Visit) -> None:
+    acting.set_world()
+
+    acting.until(lambda: "empty: spawn a model in the tab Edit" in acting.visitor.texts(), "a hint")
+
+
+def test_an_empty_world_does_not_offer_a_tab_that_is_not_there(visit: Visit) -> None:
+    visit.set_world()
+
+    visit.until(lambda: "The world is empty." in visit.visitor.texts(), "a note")
+
+
 def test_shift_click_adds_and_removes(visit: Visit) -> None:
     visit.click("r1")
     visit.until_selected("r1")
@@ -367,8 +379,30 @@ def test_names_are_shown_above_robots_as_switched(visit: Visit) -> None:
     visit.until(lambda: {"/names/r1", "/names/s1"} <= visit.visitor.nodes.keys(), "names")
     assert "/names/w1" not in visit.visitor.nodes
 
+    visit.base_x = 5.0
+    visit.until(lambda: place_of(visit, "/names/r1")[0] > 4.9, "a name that moves along")
     visit.set("Names", value=False)
     visit.until(lambda: "/names/r1" not in visit.visitor.nodes, "no names")
+
+
+def test_names_of_robots_that_stand_are_sent_once(visit: Visit) -> None:
+    visit.set("Names", value=True)
+    visit.until(lambda: "/names/s1" in visit.visitor.nodes, "names")
+    node = visit.visitor.nodes["/names/r1"]
+    node["position"] = None
+
+    shown_s = visit.time_s
+    visit.until(lambda: visit.time_s > shown_s + 1.0, "further frames")
+    assert node["position"] is None
+
+    visit.base_x = 2.0
+    visit.until(lambda: place_of(visit, "/names/r1")[0] > 1.9, "a name that moves again")
+
+
+def place_of(visit: Visit, path: str) -> Sequence[float]:
+    """Return the position that the visitor has of a node; zeros before it has one."""
+    place: Sequence[float] = visit.visitor.nodes[path].get("position") or (0.0, 0.0, 0.0)
+    return place
 
 
 @pytest.mark.parametrize(

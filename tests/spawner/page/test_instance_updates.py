@@ -2,12 +2,15 @@
 
 import numpy as np
 import pytest
+from viser._messages import SetPositionMessage
 
 from zensim.spawner.page.instance_updates import (
     MOVED,
     InstanceUpdateMessage,
+    PlaceMessage,
     has_moved,
     move_instances,
+    place_node,
 )
 
 
@@ -15,9 +18,9 @@ class Scene:
     """Keeps the messages that would be sent."""
 
     def __init__(self) -> None:
-        self.messages: list[InstanceUpdateMessage] = []
+        self.messages: list[InstanceUpdateMessage | PlaceMessage] = []
 
-    def _queue_scene_message(self, message: InstanceUpdateMessage) -> None:
+    def _queue_scene_message(self, message: InstanceUpdateMessage | PlaceMessage) -> None:
         self.messages.append(message)
 
 
@@ -64,6 +67,17 @@ def test_a_later_update_of_a_node_replaces_an_earlier_one() -> None:
         move_instances(scene, ["/a", "/b"], make_poses(1))  # type: ignore[arg-type]
 
     assert len({message.redundancy_key() for message in scene.messages}) == 2
+
+
+def test_a_place_is_the_message_that_viser_would_send() -> None:
+    scene = Scene()
+    place_node(scene, "/names/r1", np.array([1.0, -2.0, 0.5]))  # type: ignore[arg-type]
+    (message,) = scene.messages
+
+    assert message.as_serializable_dict([]) == (
+        SetPositionMessage("/names/r1", (1.0, -2.0, 0.5)).as_serializable_dict([])
+    )
+    assert message.entity_state_key() == ("scene", "/names/r1")
 
 
 @pytest.mark.parametrize(("change", "is_visible"), [(0.9 * MOVED, False), (1.1 * MOVED, True)])

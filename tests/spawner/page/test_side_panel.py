@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from zensim.proto.messages.telemetry_messages import EntityModel
+from zensim.proto.messages.telemetry_messages import EntityModel, Stats
 from zensim.spawner.page.render_state import LastCommand, SimulationStatus
 from zensim.spawner.page.side_panel import (
+    AMBER,
     format_clock,
     format_command,
     make_robot_html,
@@ -37,6 +38,34 @@ def test_status_shows_state_time_factor_and_robots() -> None:
 
     for text in ("playing", "1:01.50", "0.99", ">10<"):
         assert text in html
+
+
+@pytest.mark.parametrize(
+    ("state", "reached", "wanted", "text", "is_amber"),
+    [
+        ("playing", 0.66, 1.0, "0.66 of 1.00", True),
+        ("playing", 0.99, 1.0, "0.99 of 1.00", False),
+        ("playing", 1.2, 2.0, "1.20 of 2.00", True),
+        ("playing", 7.5, 0.0, "7.50", False),
+        ("paused", 0.5, 1.0, "0.50 of 1.00", False),
+    ],
+)
+def test_status_warns_of_a_real_time_factor_below_the_wanted_one(
+    state: str,
+    reached: float,
+    wanted: float,
+    text: str,
+    is_amber: bool,  # noqa: FBT001  a parameter of pytest
+) -> None:
+    stats = Stats(target_real_time_factor=wanted)
+
+    (line,) = make_status_html(SimulationStatus(state, 1.0, reached, stats=stats)).split(
+        "Real-time factor"
+    )[1:]
+
+    value = line.split("Robots")[0]
+    assert f">{text}<" in value
+    assert (AMBER in value) is is_amber
 
 
 def test_status_counts_entities_without_drive() -> None:

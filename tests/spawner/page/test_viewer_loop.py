@@ -154,11 +154,13 @@ def test_viewer_requests_what_was_ordered_last_when_it_ends() -> None:
     setup = Setup()
     setup.tick("playing")
     orders = [WorldCall(DELETE_ENTITY, DeleteEntityRequest(f"r{i}"), timeout_s=9.0) for i in (1, 2)]
-    setup.page.last = ["Play", *orders]
+    step = WorldCall(STEP_SIMULATION, StepSimulationRequest(steps=1))
+    setup.page.last = ["Play", step, *orders]
 
     setup.viewer.end()
 
     eventually(lambda: setup.server.count(DeleteEntityRequest) == 2, 5.0, "two requests")
+    assert setup.server.count(StepSimulationRequest) == 0
     assert not setup.bus.has_subscriber("**")
 
 
@@ -363,8 +365,8 @@ def test_scans_and_pictures_are_limited_in_rate() -> None:
 
     span_s = 40 * (0.05 + POLL_S)
     sensed = setup.page.sensed[started:]
-    assert 5.0 < sum(bool(one.points) for one in sensed) / span_s <= 10.0
-    assert 3.0 < sum(bool(one.pictures) for one in sensed) / span_s <= 5.0
+    assert 9.0 < sum(bool(one.points) for one in sensed) / span_s <= 10.0
+    assert 4.0 < sum(bool(one.pictures) for one in sensed) / span_s <= 5.0
 
 
 def test_malformed_messages_of_sensors_are_counted() -> None:

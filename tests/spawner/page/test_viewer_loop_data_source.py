@@ -33,6 +33,7 @@ from zensim.spawner.page.viewer_loop import (
     MIN_FRAME_PERIOD_S,
     MODELS_RETRY_S,
     SERVER_TIMEOUT_S,
+    STILL_PERIOD_S,
     MeshFetcher,
     ViewerDataSource,
     ViewState,
@@ -94,6 +95,37 @@ def test_frame_is_the_same_object_until_something_moves() -> None:
     first, second, third = (view.frame for view in views if view is not None)
     assert first is second
     assert second is not third
+
+
+def receive_soon(
+    setup: Setup, *, is_still_shown: bool = False, at_x: float = 0.0, state: str = "playing"
+) -> bool:
+    """Publish a snapshot a frame later; return whether it is shown."""
+    setup.clock.sleep(1.5 * MIN_FRAME_PERIOD_S)
+    setup.server.publish(make_snapshot("r1", joints=1, at_x=at_x, state=state))
+    return setup.source.newest(is_still_shown=is_still_shown) is not None
+
+
+def test_a_world_in_which_nothing_moves_is_shown_less_often() -> None:
+    setup = Setup()
+    setup.receive("r1")
+
+    shown = [receive_soon(setup) for _ in range(20)]
+
+    passed_s = 20 * 1.5 * MIN_FRAME_PERIOD_S
+    assert 1 < sum(shown) <= passed_s / STILL_PERIOD_S
+    assert all(receive_soon(setup, is_still_shown=True) for _ in range(5))
+
+
+def test_what_moves_or_another_state_is_shown_at_once() -> None:
+    setup = Setup()
+    setup.receive("r1")
+    assert not receive_soon(setup)
+
+    assert receive_soon(setup, at_x=1.0)
+    assert not receive_soon(setup, at_x=1.0)
+    assert receive_soon(setup, at_x=1.0, state="paused")
+    assert receive_soon(setup, at_x=1.0, state="paused")  # a step, for its time
 
 
 def test_models_are_requested_again_when_the_roster_changes() -> None:
@@ -195,7 +227,7 @@ def test_frame_rate_is_limited() -> None:
     setup.receive("r1", "r2")
 
     setup.clock.sleep(MIN_FRAME_PERIOD_S / 2.0)
-    setup.server.publish(make_snapshot("r1", "r2", joints=2))
+    setup.server.publish(make_snapshot("r1", "r2", joints=2, at_x=1.0))
     too_early = setup.source.newest()
     setup.clock.sleep(MIN_FRAME_PERIOD_S)
 
