@@ -580,7 +580,7 @@ class ServerLoop:
             if self._publisher.is_wanted(STATS):
                 self._publisher.publish(STATS, self._telemetry.stats())
         for topic in self._telemetry.due(now_ns):
-            if self._publisher.is_wanted(topic):
+            if self._publisher.is_wanted(topic) and self._telemetry.can_make(topic):
                 self._publisher.publish(topic, self._telemetry.message(topic))
         self._world_map.poll(now_ns)
         self._inputs.poll(now_ns)

@@ -156,6 +156,14 @@ class WorldTelemetry:
             self._shown = seen
             yield SNAPSHOT
 
+    def can_make(self, topic: TopicSpec) -> bool:
+        """Whether a topic that is due can be made without a change of the world.
+
+        It is due by wall time: what diverges between control steps is found at the next one.
+        """
+        world = self._world
+        return topic is CLOCK or world.is_control_step or world.read_if_valid()
+
     def _are_control_steps_rare(self) -> bool:
         """Whether the world is so slow that snapshots are due more often than control steps."""
         world, factor = self._world, self._loop_stats.real_time_factor

@@ -160,13 +160,16 @@ class DivergenceGuard:
         self._diverged_ns.clear()
         self._index = self._states = None
 
-    def remember(self, index: EntityIndex, states: BodyStates) -> BodyStates:
-        """Store valid states; return them with the joint positions of frozen entities filled in."""
+    def complete(self, index: EntityIndex, states: BodyStates) -> BodyStates:
+        """Fill in the joint positions of frozen entities."""
         for name, rest in self._frozen.items():
             states.joint_positions[index.joints_of(name)] = rest.positions
+        return states
+
+    def remember(self, index: EntityIndex, states: BodyStates) -> None:
+        """Store states as the last valid ones."""
         self._index, self._states = index, states
         self._new_names.clear()
-        return states
 
     def _last(self, name: str) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         index, states = self._index, self._states
@@ -619,12 +622,39 @@ class SimulatedWorld:
         self.clock.add_event("reset", message=f"scope={scope}")
 
     def states(self) -> BodyStates:
-        """Read the states of all entities, at most once a step; those that diverged recover."""
-        if self._states is None or not self._is_read:
-            states = self._read_valid_states()
-            self._states = self.divergence_guard.remember(self.entities.index, states)
-            self._states_step = self.clock.steps
-        return self._states
+        """Read the states of all entities, at most once a step; those that diverged recover.
+
+        Only states of control steps are kept as the last valid ones: when others are read may
+        depend on wall time.
+        """
+        if self._states is not None and self._is_read:
+            return self._states
+        states = self._keep(self._read_valid_states())
+        if self.is_control_step:
+            self.divergence_guard.remember(self.entities.index, states)
+        return states
+
+    def read_if_valid(self) -> bool:
+        """Read the states of all entities for `states`, if none has diverged; recover none.
+
+        For what is paced by wall time: an entity recovers at the same step in each run.
+
+        Returns:
+            Whether `states` returns them without a change of the world.
+        """
+        if self._is_read:
+            return True
+        states = self.engine.read(self.entities.index.bodies)
+        if self._has_invalid_body or not is_valid_state(states):
+            return False
+        self._keep(states)
+        return True
+
+    def _keep(self, states: BodyStates) -> BodyStates:
+        """Keep states until the next step or change; return them."""
+        found = self._states = self.divergence_guard.complete(self.entities.index, states)
+        self._states_step = self.clock.steps
+        return found
 
     def _read_valid_states(self) -> BodyStates:
         """Read the states of all entities until those that diverged or failed are set aside."""

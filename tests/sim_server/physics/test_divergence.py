@@ -111,6 +111,44 @@ def test_diverged_robot_causes_one_warning_and_releases_its_claim(world: Simulat
         world.claim("agent_b", ("b",), "stop")
 
 
+def test_place_of_a_frozen_robot_does_not_depend_on_readings_between_control_steps(
+    world: SimulatedWorld,
+) -> None:
+    at_control_step = position_of(world, "b")
+    world.step()
+    world.step()
+    assert world.read_if_valid()
+    shown = world.snapshot(1.0)
+    world.states()
+    moved = position_of(world, "b")
+
+    world.engine.set_base_state(world.entities.find("b").body, broken_row(moved))
+    drive(world, 30)
+
+    assert np.frombuffer(shown.base).reshape(-1, 13)[1, 0] == moved[0] != at_control_step[0]
+    assert position_of(world, "b") == pytest.approx(at_control_step, abs=1e-12)
+
+
+def test_diverged_robot_is_not_frozen_by_a_reading_that_wall_time_paces(
+    world: SimulatedWorld,
+) -> None:
+    world.step()
+    far = box_bot_at(-2e6, 1.0)
+    world.engine.set_base_state(world.entities.find("b").body, far)
+
+    is_valid = world.read_if_valid()
+
+    assert not is_valid
+    assert world.divergence_guard.frozen == ()
+    assert world.engine.read((world.entities.find("b").body,)).base[0, 0] == far[0]
+
+
+def broken_row(position: FloatArray) -> FloatArray:
+    row = np.zeros(13)
+    row[:3], row[6], row[7] = position, 1.0, np.nan
+    return row
+
+
 def test_diverged_robot_keeps_its_wheel_positions(world: SimulatedWorld) -> None:
     joints = slice(2, 4)
     turned = world.states().joint_positions[joints].copy()

@@ -20,7 +20,7 @@ from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
 from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.proto.messages.standard_messages import Time
 from zensim.proto.messages.telemetry_messages import Snapshot, Stats, WorldClock
-from zensim.proto.topic_catalog import CLOCK, SNAPSHOT, STATS, TopicSpec
+from zensim.proto.topic_catalog import CLOCK, MODEL_STATES, SNAPSHOT, STATS, TopicSpec
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.runtime.world_map import WorldMap
 from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, WorldTelemetry
@@ -133,6 +133,24 @@ def test_snapshot_is_published_between_the_control_steps_of_a_slow_world() -> No
 
     assert server.world.clock.steps <= 6 * 40
     assert 4 * 20 <= len(server.publisher.on("snapshot")) <= 4 * 30
+
+
+def test_snapshot_waits_for_the_control_step_at_which_a_diverged_robot_recovers() -> None:
+    world = a_world("r0")
+    telemetry = make_telemetry(world)
+    world.step()
+    world.engine.set_base_state(world.entities.find("r0").body, on_ground(2e6))
+
+    between = [telemetry.can_make(one) for one in (CLOCK, SNAPSHOT, MODEL_STATES)]
+    frozen_between = world.divergence_guard.frozen
+    while not world.is_control_step:
+        world.step()
+
+    assert between == [True, False, False]
+    assert frozen_between == ()
+    assert telemetry.can_make(SNAPSHOT)
+    assert isinstance(telemetry.message(SNAPSHOT), Snapshot)
+    assert world.divergence_guard.frozen == ("r0",)
 
 
 def test_telemetry_lists_the_due_topics_after_a_change() -> None:

@@ -159,7 +159,7 @@ def test_joints_of_a_frozen_entity_keep_their_positions() -> None:
     guard.freeze(ENTITIES[2])
     later = replace(valid_states(), joint_positions=np.zeros(4))
 
-    assert guard.remember(INDEX, later).joint_positions.tolist() == [0.0, 0.0, 2.0, 3.0]
+    assert guard.complete(INDEX, later).joint_positions.tolist() == [0.0, 0.0, 2.0, 3.0]
 
 
 def test_fastest_of_the_diverged_entities_is_the_cause() -> None:
