@@ -18,7 +18,7 @@ from urllib.parse import SplitResult, parse_qs, parse_qsl, urlencode, urlsplit
 from zensim.proto.endpoints import Exposed, is_loopback
 
 TOKEN_NAME: Final = "zensim_token"
-"""Name of the cookie, and of the parameter in the address."""
+"""Name of the parameter in the address; that of the cookie begins so."""
 TOKEN_BYTES: Final = 16
 TOKEN_PATTERN: Final = re.compile(r"[A-Za-z0-9_-]{22,}")
 ANY_ADDRESS: Final = {"0.0.0.0": "127.0.0.1", "::": "::1"}
@@ -88,11 +88,16 @@ def is_own_origin(
     )
 
 
-def has_token(cookies: Sequence[str], token: str) -> bool:
-    """Whether a Cookie header has the secret."""
+def name_cookie(port: int) -> str:
+    """Name the cookie of the server at a port: browsers send those of all ports of a host."""
+    return f"{TOKEN_NAME}_{port}"
+
+
+def has_token(cookies: Sequence[str], name: str, token: str) -> bool:
+    """Whether a Cookie header has the secret in the cookie with a name."""
     for header in cookies:
         try:
-            found = SimpleCookie(header).get(TOKEN_NAME)
+            found = SimpleCookie(header).get(name)
         except CookieError:
             continue
         if found is not None and _is_equal(found.value, token):

@@ -26,11 +26,11 @@ from websockets.http11 import Request, Response
 
 from zensim.proto.web_access import (
     OPEN_ACCESS,
-    TOKEN_NAME,
     PageAccess,
     has_token,
     has_token_in_address,
     is_own_origin,
+    name_cookie,
     open_listener,
     remove_token,
 )
@@ -436,8 +436,10 @@ def _process_response(
     hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
     if not is_own_origin(hosts, origins, bound_to=host):
         return connection.respond(http.HTTPStatus.FORBIDDEN, REFUSAL)
-    if access.token and not has_token(request.headers.get_all("Cookie"), access.token):
-        return _exchange_token(connection, request, access)
+    if access.token:
+        cookies, cookie = request.headers.get_all("Cookie"), name_cookie(find_port(connection))
+        if not has_token(cookies, cookie, access.token):
+            return _exchange_token(connection, request, access)
     if response.status_code == http.HTTPStatus.SWITCHING_PROTOCOLS:
         return _refuse_crowd(connection)
     if request.path == NAMES_PATH:
@@ -464,8 +466,14 @@ def _exchange_token(connection: ServerConnection, request: Request, access: Page
     # Lax: a link to a view in a mail opens the page. Requests of other sites have no cookie, but
     # for such a link, which only reads; see also `is_own_origin`.
     attributes = "HttpOnly; SameSite=Lax; Path=/" + ("; Secure" if access.certificate else "")
-    response.headers["Set-Cookie"] = f"{TOKEN_NAME}={access.token}; {attributes}"
+    cookie = name_cookie(find_port(connection))
+    response.headers["Set-Cookie"] = f"{cookie}={access.token}; {attributes}"
     return response
+
+
+def find_port(connection: ServerConnection) -> int:
+    """Find the port that a browser has connected to."""
+    return int(connection.local_address[1])
 
 
 def _replace_title(response: Response, shortcuts: Rows) -> None:

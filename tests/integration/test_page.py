@@ -8,6 +8,7 @@ from contextlib import ExitStack, closing, suppress
 from ipaddress import ip_address
 from pathlib import Path
 from urllib.error import HTTPError
+from urllib.parse import urlsplit
 
 import msgspec
 import pytest
@@ -30,7 +31,7 @@ from tests.integration.page_client import (
 from tests.integration.processes import eventually
 from tests.spawner.page.builders import make_models_by_name, make_robot, make_snapshot, make_wall
 from zensim.proto.messages.model_messages import Shape
-from zensim.proto.web_access import CannotListen, PageAccess, PortTaken
+from zensim.proto.web_access import CannotListen, PageAccess, PortTaken, name_cookie
 from zensim.spawner.page.page_server import (
     MAX_MESSAGE_BYTES,
     MAX_VISITORS,
@@ -47,7 +48,7 @@ from zensim.spawner.page.robot_driver import RobotDriver
 from zensim.spawner.page.shortcuts import LOOK_SHORTCUTS, SHORTCUTS
 from zensim.spawner.page.viewer_page import ViewerPage
 
-TOKEN = "7f3a-page"
+TOKEN, OTHER_TOKEN = "7f3a-page", "9c1e-page"
 STATUS = SimulationStatus("playing", 1.0, 1.0, robots=2, entities=3)
 
 
@@ -291,8 +292,23 @@ def test_page_with_a_token_needs_it_once(page_with_token: ViewerPage) -> None:
         assert b"<title>zensim</title>" in response.read()
     with opener.open(f"{url}/names") as response:
         assert response.status == 200
-    with closing(connect_page(url, cookie=f"a=b; zensim_token={TOKEN}")) as connection:
+    with closing(connect_page(url, cookie=f"a=b; {cookie_of(url)}")) as connection:
         find_control(connection, "GuiButtonGroupMessage")
+
+
+def cookie_of(url: str) -> str:
+    return f"{name_cookie(urlsplit(url).port or 0)}={TOKEN}"
+
+
+def test_a_browser_has_the_cookies_of_two_pages_of_a_host(page_with_token: ViewerPage) -> None:
+    opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+    with closing(ViewerPage("127.0.0.1", 0, PageAccess(OTHER_TOKEN))) as other:
+        for page, token in ((page_with_token, TOKEN), (other, OTHER_TOKEN)):
+            opener.open(f"{url_of(page)}/?zensim_token={token}").close()
+
+        for page in (page_with_token, other):
+            with opener.open(f"{url_of(page)}/names") as response:
+                assert response.status == 200
 
 
 class KeepRedirect(urllib.request.HTTPRedirectHandler):
@@ -320,8 +336,10 @@ def test_the_cookie_is_sent_for_links_in_mails_and_not_for_requests_of_other_sit
 def test_the_page_of_another_site_is_refused_even_with_the_cookie(
     page_with_token: ViewerPage,
 ) -> None:
+    url = url_of(page_with_token)
+
     with pytest.raises(InvalidStatus, match="403"):
-        connect_page(url_of(page_with_token), "http://evil.example", f"zensim_token={TOKEN}")
+        connect_page(url, "http://evil.example", cookie_of(url))
 
 
 def read_page(page: ViewerPage) -> str:

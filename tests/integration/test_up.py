@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
 
 import psutil
 import pytest
@@ -27,6 +28,7 @@ from tests.integration.processes import (
     zensim,
 )
 from zensim.proto.exit_codes import ExitCode
+from zensim.proto.web_access import name_cookie
 from zensim.recording.bag_info import read_info
 from zensim.sim_server.security.secure_folder import open_secure_folder
 from zensim.spawner.cli.view_commands import PAGE_NICENESS
@@ -235,7 +237,9 @@ def test_page_of_a_secured_up_acts_if_its_role_does(
 
     with up(*given, "--viewer-port", "0") as (_, ready):
         url, _, token = str(ready["viewer"]).partition("/?")
-        with PageUser(url, cookie=token) as visitor:
+        secret = token.partition("=")[2]
+        cookie = f"{name_cookie(urlsplit(url).port or 0)}={secret}"
+        with PageUser(url, cookie=cookie) as visitor:
             visitor.control("Search")
             labels = visitor.list_labels()
             if can_act:

@@ -14,6 +14,7 @@ from zensim.proto.web_access import (
     has_token_in_address,
     is_own_origin,
     make_page_url,
+    name_cookie,
     read_page_token,
     remove_token,
 )
@@ -74,18 +75,19 @@ def test_admitted_origin_is_accepted_at_a_name_of_this_host_only(
 @pytest.mark.parametrize(
     ("cookies", "is_known"),
     [
-        (["zensim_token=s"], True),
-        (["a=b; zensim_token=s"], True),
-        (["a=b", "zensim_token=s"], True),
-        (["zensim_token=S"], False),
-        (["zensim_token="], False),
+        (["zensim_token_80=s"], True),
+        (["a=b; zensim_token_80=s"], True),
+        (["a=b", "zensim_token_80=s"], True),
+        (["zensim_token_80=S"], False),
+        (["zensim_token_80="], False),
+        (["zensim_token_81=s"], False),
         (["token=s"], False),
-        (["zensim_token=s\u00e9"], False),
+        (["zensim_token_80=s\u00e9"], False),
         ([], False),
     ],
 )
-def test_cookie_has_the_token(cookies: list[str], *, is_known: bool) -> None:
-    assert has_token(cookies, "s") == is_known
+def test_cookie_of_a_port_has_the_token(cookies: list[str], *, is_known: bool) -> None:
+    assert has_token(cookies, name_cookie(80), "s") == is_known
 
 
 @pytest.mark.parametrize(
