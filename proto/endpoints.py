@@ -6,6 +6,7 @@ import os
 import re
 import socket
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Final
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
@@ -17,6 +18,8 @@ ENDPOINT_PATTERN = re.compile(
 MAX_PORT: Final = 65535
 STREAM_PROTOCOLS: Final = frozenset({"tcp", "tls", "ws"})
 """Protocols whose listener accepts a plain TCP connection."""
+CONNECT_TIMEOUT_S: Final = 1.0
+"""Of a connection to the own host."""
 
 
 def check_endpoint(endpoint: str) -> str:
@@ -103,13 +106,27 @@ def is_endpoint_taken(endpoint: str) -> bool:
 
 
 def with_free_port(endpoint: str) -> str:
-    """Replace port 0 by a free port of that host."""
+    """Replace port 0 by a free port of that host, which no other program gets for a minute."""
     match = ENDPOINT_PATTERN.fullmatch(check_endpoint(endpoint))
     if match is None or int(match["port"]) != 0:
         return endpoint
-    host = match["host"].strip("[]")
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family) as probe:
-        probe.bind((host, 0))
-        port = probe.getsockname()[1]
+    port = reserve_port(match["host"].strip("[]"))
     return endpoint[: match.start("port")] + str(port) + endpoint[match.end("port") :]
+
+
+def reserve_port(host: str) -> int:
+    """Find a free port; the system gives it to no program that asks for any for a minute.
+
+    A connection that this side has closed first keeps the port (TIME_WAIT), but not from a listener
+    with SO_REUSEADDR, as those of Zenoh are.
+    """
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as listener:
+        if os.name == "posix":  # elsewhere the option would share the port
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, 0))
+        port = int(listener.getsockname()[1])
+        listener.listen(1)
+        # A host on which nothing connects, as behind a firewall, has a free port all the same.
+        with suppress(OSError), socket.create_connection((host, port), CONNECT_TIMEOUT_S):
+            listener.accept()[0].close()
+    return port

@@ -1,5 +1,6 @@
 """The bus with real sessions over loopback."""
 
+import errno
 import socket
 import threading
 import time
@@ -420,6 +421,19 @@ def test_endpoint_is_refused_when_it_is_none(endpoint: str) -> None:
 def test_port_is_chosen_when_it_is_0() -> None:
     assert not with_free_port("tcp/127.0.0.1:0").endswith(":0")
     assert with_free_port("tcp/127.0.0.1:7447") == "tcp/127.0.0.1:7447"
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0", "[::1]"])
+def test_chosen_port_is_kept_for_a_router(host: str) -> None:
+    endpoint = with_free_port(f"tcp/{host}:0")
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+
+    with socket.socket(family) as other, pytest.raises(OSError) as refusal:  # noqa: PT011
+        other.bind((host.strip("[]"), int(endpoint.rpartition(":")[2])))
+
+    assert refusal.value.errno == errno.EADDRINUSE
+    with open_bus(BusConfig(mode="router", listen=(endpoint,))) as router:
+        assert router.endpoint == endpoint
 
 
 def test_endpoints_are_free_until_a_router_listens(router: Bus) -> None:
