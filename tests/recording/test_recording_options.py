@@ -8,6 +8,9 @@ from typer.testing import CliRunner
 
 from zensim.proto.exit_codes import ExitCode
 from zensim.recording.cli import bag_commands, record_commands, replay_commands
+from zensim.recording.cli.record_commands import RecordOptions, make_session_settings
+from zensim.recording.cli.recording_options import TOPIC_LISTS, repeat_options
+from zensim.recording.mcap_writer import PRESETS
 
 
 @pytest.mark.parametrize(
@@ -36,3 +39,49 @@ def test_number_that_is_no_time_is_refused(
     assert done.exit_code == ExitCode.USAGE
     assert isinstance(done.exception, SystemExit)
     assert [*tmp_path.iterdir()] == []
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        ("-a --exclude-topics /a /b -o new", "-a --exclude-topics /a --exclude-topics /b -o new"),
+        ("--topics /a /b", "--topics /a --topics /b"),
+        ("/a --topics /b", "/a --topics /b"),
+        ("--topics /a run.mcap", "--topics /a run.mcap"),
+        ("--topics /a bag", "--topics /a bag"),
+        ("--topics /a folder", "--topics /a --topics folder"),
+        ("--topics -o new", "--topics -o new"),
+    ],
+)
+def test_option_of_topics_takes_several_values_but_no_recording(
+    words: str, wanted: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for folder in ("bag", "folder"):
+        (tmp_path / folder).mkdir()
+    for file in ("run.mcap", "bag/bag_0.mcap"):
+        (tmp_path / file).touch()
+
+    assert " ".join(repeat_options(words.split(), TOPIC_LISTS)) == wanted
+
+
+def test_storage_profile_that_is_unknown_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    done = CliRunner().invoke(
+        record_commands.app, ("-a", "-o", "new", "--storage-preset-profile", "lz4")
+    )
+
+    assert done.exit_code == ExitCode.USAGE
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_storage_profile_sets_the_compression() -> None:
+    settings = [
+        make_session_settings(RecordOptions(all_topics=True, storage_preset_profile=one)).parts
+        for one in PRESETS
+    ]
+
+    assert [one.chunks for one in settings] == list(PRESETS.values())

@@ -5,12 +5,10 @@ import heapq
 from collections.abc import Iterable, Iterator, Sequence
 from operator import itemgetter
 from pathlib import Path
-from typing import Final
 
 import msgspec
 
 from zensim.recording.mcap_records import AttachedFile, Metadata
-from zensim.recording.mcap_writer import CHUNK_BYTES, ChunkSettings
 from zensim.recording.recording_parts import PartSettings, RecordingParts
 from zensim.recording.recording_reader import (
     LAST_NS,
@@ -23,13 +21,6 @@ from zensim.recording.recording_reader import (
 )
 from zensim.recording.staged_recording import staged_recording
 from zensim.recording.topic_selection import TopicFilter
-
-PRESETS: Final = {
-    "none": ChunkSettings(level=0),
-    "zstd_fast": ChunkSettings(level=1),
-    "zstd_small": ChunkSettings(size=4 * CHUNK_BYTES, level=19),
-}
-"""Storage presets of rosbag2, by name."""
 
 
 class ConversionSettings(msgspec.Struct, frozen=True, kw_only=True):

@@ -70,6 +70,13 @@ class ChunkSettings(msgspec.Struct, frozen=True):
 
 
 DEFAULT_CHUNKS: Final = ChunkSettings()
+DEFAULT_PRESET: Final = "zstd_fast"
+PRESETS: Final = {
+    "none": ChunkSettings(level=0),
+    DEFAULT_PRESET: DEFAULT_CHUNKS,
+    "zstd_small": ChunkSettings(size=4 * CHUNK_BYTES, level=19),
+}
+"""Storage presets of rosbag2, by name."""
 
 
 class McapWriter:

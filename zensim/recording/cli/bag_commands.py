@@ -14,6 +14,7 @@ from zensim.proto.verbosity import print_note
 from zensim.recording.bag_info import BagInfo, read_info
 from zensim.recording.cli.convert_commands import CONVERT_EXAMPLES, convert_command
 from zensim.recording.cli.plot_commands import plot_command
+from zensim.recording.cli.recording_options import TopicListCommand
 from zensim.recording.cli.table_commands import export_command
 from zensim.recording.recovery import RecoveryResult, recover_file
 
@@ -24,7 +25,7 @@ app.command(
   zensim bag export run.mcap --output tables
   zensim bag export run.mcap '*/odom' '*/cmd_vel' --to csv -o tables""",
 )(export_command)
-app.command("convert", epilog=CONVERT_EXAMPLES)(convert_command)
+app.command("convert", cls=TopicListCommand, epilog=CONVERT_EXAMPLES)(convert_command)
 app.command(
     "plot",
     epilog="""Examples:

@@ -20,9 +20,11 @@ from zensim.recording.cli.recording_options import (
     MaxBagSizeOption,
     RegexOption,
     StartOffsetOption,
+    StorageProfileOption,
     find_end_ns,
 )
-from zensim.recording.conversion import PRESETS, ConversionSettings, convert_recordings
+from zensim.recording.conversion import ConversionSettings, convert_recordings
+from zensim.recording.mcap_writer import DEFAULT_PRESET, PRESETS
 from zensim.recording.recording_parts import PartSettings
 from zensim.recording.recording_reader import LAST_NS, RecordingReader
 from zensim.recording.topic_selection import TopicFilter, TopicSelection
@@ -52,7 +54,7 @@ class ConvertOptions:
     ]
     topics: Annotated[
         list[str] | None,
-        typer.Option(metavar="TOPIC", help="Only this topic, such as '*/odom'; repeatable."),
+        typer.Option(metavar="TOPIC...", help="Only these topics, such as '*/odom'."),
     ] = None
     regex: RegexOption = ""
     exclude_regex: ExcludeRegexOption = ""
@@ -66,13 +68,7 @@ class ConvertOptions:
     ] = None
     max_bag_size: MaxBagSizeOption = "0"
     max_bag_duration: MaxBagDurationOption = 0.0
-    storage_preset_profile: Annotated[
-        str,
-        typer.Option(
-            metavar="none|zstd_fast|zstd_small",
-            help="Compression, as of rosbag2: none, fast, or small and slow.",
-        ),
-    ] = "zstd_fast"
+    storage_preset_profile: StorageProfileOption = DEFAULT_PRESET
     as_json: JsonOption = False
 
 

@@ -59,8 +59,11 @@ from zensim.recording.cli.recording_options import (
     MaxBagDurationOption,
     MaxBagSizeOption,
     RegexOption,
+    StorageProfileOption,
+    TopicListCommand,
 )
 from zensim.recording.entity_files import EntityFiles
+from zensim.recording.mcap_writer import DEFAULT_PRESET, PRESETS
 from zensim.recording.recorder import Recorder, RecorderSettings, TimeBase
 from zensim.recording.recording_parts import PartSettings
 from zensim.recording.recording_session import (
@@ -100,6 +103,10 @@ class RecordOptions(ConnectionOptions):
             help="Topics, such as r1/odom or '*/odom'; '*' is one part of a name, '**' any number.",
         ),
     ] = None
+    named_topics: Annotated[
+        list[str] | None,
+        typer.Option("--topics", metavar="TOPIC...", help="The same, as of rosbag2.", **_topics),
+    ] = None
     all_topics: Annotated[
         bool,
         flag("--all", "-a", help="All topics of robots, and clock, events, stats, map.", **_topics),
@@ -123,6 +130,7 @@ class RecordOptions(ConnectionOptions):
     ] = "mcap"
     max_bag_size: MaxBagSizeOption = "0"
     max_bag_duration: MaxBagDurationOption = 0.0
+    storage_preset_profile: StorageProfileOption = DEFAULT_PRESET
     keep_last: Annotated[
         str,
         typer.Option(
@@ -215,10 +223,11 @@ class RecordOptions(ConnectionOptions):
 
 
 @app.command(
+    cls=TopicListCommand,
     epilog="""Examples:
   zensim record --all --output run.mcap
   zensim record '*/odom' '*/scan' --output run --max-bag-size 500MB
-  zensim record --all --snapshot-mode --snapshot-duration 20 --snapshot-on touched"""
+  zensim record --all --snapshot-mode --snapshot-duration 20 --snapshot-on touched""",
 )
 @expand_options
 def record(given: RecordOptions) -> None:
@@ -285,7 +294,7 @@ def choose_time_base(given: RecordOptions) -> TimeBase:
 def make_selection(given: RecordOptions) -> TopicSelection:
     """Make the selection of the options."""
     return TopicSelection(
-        topics=tuple(given.topics or ()),
+        topics=(*(given.topics or ()), *(given.named_topics or ())),
         wants_all=given.all_topics,
         regex=given.regex,
         exclude_regex=given.exclude_regex,
@@ -310,6 +319,7 @@ def make_session_settings(given: RecordOptions) -> SessionSettings:
     max_duration_ns = round(given.max_bag_duration * NANOSECONDS)
     if keep_ns and not (max_bytes or max_duration_ns):
         max_duration_ns = keep_ns // PARTS_KEPT
+    preset = parse_choice("--storage-preset-profile", given.storage_preset_profile, tuple(PRESETS))
     output = given.output or Path(datetime.now().strftime("zensim_%Y_%m_%d-%H_%M_%S"))
     return SessionSettings(
         parts=PartSettings(
@@ -319,6 +329,7 @@ def make_session_settings(given: RecordOptions) -> SessionSettings:
             min_free_bytes=parse_size("--min-free", given.min_free),
             is_synchronous=given.sync,
             keep_ns=keep_ns,
+            chunks=PRESETS[preset],
             is_reproducible=given.reproducible,
         ),
         max_cache_bytes=parse_size("--max-cache-size", given.max_cache_size),
@@ -368,7 +379,7 @@ class RecordProgram:
         self._start = make_start(bus, recorder_settings)
         info = self._start.info
         recorder_settings = msgspec.structs.replace(recorder_settings, step_ns=info.step_ns)
-        self._session = RecordingSession(settings)
+        self._session = RecordingSession(settings, self._start)
         try:
             self._recorder = Recorder(bus, chosen, recorder_settings, self._session)
         except BaseException:
@@ -395,7 +406,7 @@ class RecordProgram:
                 self._recorder.take(is_last=True)
             finally:
                 # Whatever ends the loop, what was recorded is whole.
-                self._figures = self._session.close(self._recorder, self._start)
+                self._figures = self._session.close(self._recorder)
         return self._session.failure
 
     def _take_until(self, should_stop: Callable[[], bool], duration_s: float) -> None:

@@ -1,8 +1,11 @@
 """Options that several commands of recordings share, with the names of rosbag2."""
 
-from typing import Annotated
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Final
 
 import typer
+from typer.core import TyperCommand
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
 
@@ -31,9 +34,7 @@ ExcludeRegexOption = Annotated[
 ]
 ExcludeTopicsOption = Annotated[
     list[str] | None,
-    typer.Option(
-        metavar="TOPIC", help="Leave out a topic; repeatable.", rich_help_panel=TOPICS_PANEL
-    ),
+    typer.Option(metavar="TOPIC...", help="Leave out these topics.", rich_help_panel=TOPICS_PANEL),
 ]
 MaxBagSizeOption = Annotated[
     str,
@@ -56,6 +57,15 @@ MaxBagDurationOption = Annotated[
         rich_help_panel=FILES_PANEL,
     ),
 ]
+StorageProfileOption = Annotated[
+    str,
+    typer.Option(
+        "--storage-preset-profile",
+        metavar="none|zstd_fast|zstd_small",
+        help="Compression, as of rosbag2: none, fast, or small and slow.",
+        rich_help_panel=FILES_PANEL,
+    ),
+]
 StartOffsetOption = Annotated[
     float,
     typer.Option(
@@ -65,6 +75,39 @@ StartOffsetOption = Annotated[
         rich_help_panel=TIME_PANEL,
     ),
 ]
+
+
+TOPIC_LISTS: Final = ("--topics", "--exclude-topics")
+
+
+class TopicListCommand(TyperCommand):
+    """Takes several values after `--topics` and `--exclude-topics`, as rosbag2 does."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
+        """Parse the words after the name of the command."""
+        return super().parse_args(ctx, list(repeat_options(args, TOPIC_LISTS)))
+
+
+def repeat_options(words: Sequence[str], options: Collection[str]) -> Iterator[str]:
+    """Write an option with several values once for each; a recording is none of them."""
+    option = ""
+    for number, word in enumerate(words):
+        if word.startswith("-"):
+            option = word if word in options else ""
+            has_value = number + 1 < len(words) and is_topic(words[number + 1])
+            if not (option and has_value):
+                yield word
+        elif option and is_topic(word):
+            yield from (option, word)
+        else:
+            option = ""
+            yield word
+
+
+def is_topic(word: str) -> bool:
+    """Whether a word after an option of topics is one of them, and no option and no recording."""
+    path = Path(word)
+    return not (word.startswith("-") or path.is_file() or any(path.glob("*.mcap")))
 
 
 def find_end_ns(option: str, start_s: float, duration_s: float) -> int:

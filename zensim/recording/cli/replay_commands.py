@@ -35,11 +35,14 @@ from zensim.proto.topic_endpoints import make_topic_factory
 from zensim.proto.verbosity import CURRENT, print_announcement, print_note
 from zensim.recording.cli.recording_options import (
     TIME_PANEL,
+    TOPIC_LISTS,
     TOPICS_PANEL,
     ExcludeRegexOption,
+    ExcludeTopicsOption,
     RegexOption,
     StartOffsetOption,
     find_end_ns,
+    repeat_options,
 )
 from zensim.recording.recording_reader import RecordingReader
 from zensim.recording.replay.living_topics import require_unused
@@ -68,7 +71,7 @@ MATCH_S: Final = 0.1
 """Until publishers have the declarations of subscribers behind other routers."""
 SETTLE_S: Final = 0.3
 """Until what was sent last has left."""
-LIST_OPTIONS: Final = ("--topics", "--exclude-topics", "--remap", "-m")
+REMAP_OPTIONS: Final = ("--remap", "-m")
 CLOCK_OPTION: Final = "--clock"
 
 _time = {"rich_help_panel": TIME_PANEL}
@@ -91,18 +94,12 @@ def expand_words(words: list[str]) -> list[str]:
         word = rest.pop(0)
         if word == CLOCK_OPTION and not (rest and _is_number(rest[0])):
             expanded += [word, f"{DEFAULT_CLOCK_HZ:g}"]
-        elif word in LIST_OPTIONS:
-            while rest and _is_value_of(word, rest[0]):
+        elif word in REMAP_OPTIONS:
+            while rest and ":=" in rest[0]:
                 expanded += [word, rest.pop(0)]
         else:
             expanded.append(word)
-    return expanded
-
-
-def _is_value_of(option: str, word: str) -> bool:
-    if option in ("--remap", "-m"):
-        return ":=" in word
-    return not word.startswith("-") and not Path(word).is_file()
+    return list(repeat_options(expanded, TOPIC_LISTS))
 
 
 def _is_number(word: str) -> bool:
@@ -173,10 +170,7 @@ class ReplayOptions(RosOptions):
     ] = None
     regex: RegexOption = ""
     exclude_regex: ExcludeRegexOption = ""
-    exclude_topics: Annotated[
-        list[str] | None,
-        typer.Option(metavar="TOPIC...", help="Leave out these topics.", **_topics),
-    ] = None
+    exclude_topics: ExcludeTopicsOption = None
     remap: Annotated[
         list[str] | None,
         typer.Option(
