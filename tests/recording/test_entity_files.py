@@ -37,8 +37,9 @@ class OwnServer:
         *,
         world: str,
         timeout_s: float = 5.0,
+        request_id: str = "",
     ) -> Response:
-        del world, timeout_s
+        del world, timeout_s, request_id
         self.calls += 1
         if service is GET_CURRENT_WORLD:
             return cast("Response", GetCurrentWorldResponse(world=name_world(self.uri)))

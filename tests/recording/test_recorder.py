@@ -7,13 +7,14 @@ from typing import cast
 import msgspec
 import pytest
 
-from tests.fakes import MemoryBus, MemoryToken
+from tests.fakes import MemoryBus, MemoryToken, MemoryTokenWatch
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.input_messages import Inputs, ServiceRequest
 from zensim.proto.messages.standard_messages import Odometry, String, Time
 from zensim.proto.messages.telemetry_messages import Event, WorldClock
 from zensim.proto.ros2.liveliness_tokens import GraphEndpoint, GraphNode, make_endpoint_token
 from zensim.proto.topic_catalog import CLOCK, INPUTS
+from zensim.recording import recorder as recorder_module
 from zensim.recording.recorded_topics import RecordedMessage
 from zensim.recording.recorder import MessageNetwork, Recorder, RecorderSettings
 from zensim.recording.topic_selection import TopicFilter, TopicSelection
@@ -117,6 +118,44 @@ def test_topic_that_comes_back_is_subscribed_to_again(bus: MemoryBus, make: Make
         recorder.take()
 
     assert not any("chatter" in key for key in bus.subscribed_keys)
+
+
+class LateMessages:
+    """Watch of tokens; messages arrive before it is read, and after all else was."""
+
+    def __init__(self, watch: MemoryTokenWatch, arrive: Callable[[], object]) -> None:
+        self._watch, self._arrive = watch, arrive
+
+    def take(self) -> list[tuple[str, bool]]:
+        self._arrive()
+        return self._watch.take()
+
+    def close(self) -> None:
+        self._watch.close()
+
+
+def test_messages_of_an_ended_topic_are_known_to_be_too_many(
+    bus: MemoryBus, make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder_module, "RING_DEPTH", 3)
+    watch, sent = bus.watch_tokens, list[str]()
+    key = "0/chatter/std_msgs::msg::dds_::String_/RIHS01_0"
+
+    def arrive() -> None:
+        for text in sent:
+            bus.put(key, encode(String(text), Format.CDR))
+
+    monkeypatch.setattr(bus, "watch_tokens", lambda key: LateMessages(watch(key), arrive))
+    recorder, sink = make(wants_all=True)
+    token = announce(bus, "chatter", 1)
+    recorder.take()
+
+    sent += ["a", "b", "c", "d"]
+    token.close()
+    recorder.take()
+
+    assert sink.texts_of("/chatter") == ["b", "c", "d"]
+    assert recorder.overflows == 1
 
 
 REQUEST = ServiceRequest(90, "spawn_entity", "client_1", '{"name":"r1"}')

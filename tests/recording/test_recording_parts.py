@@ -21,8 +21,9 @@ from zensim.recording.recording_parts import (
     RecordingParts,
     remove_recording,
 )
+from zensim.recording.recording_reader import RecordingReader
 from zensim.recording.snapshot_ring import SnapshotRing
-from zensim.recording.write_queue import WriteQueue
+from zensim.recording.write_queue import DirectWriter, WriteQueue
 from zensim.recording.written_topics import OVERHEAD_BYTES
 
 SECOND = 1_000_000_000
@@ -297,12 +298,7 @@ def test_discarded_recording_leaves_nothing(tmp_path: Path) -> None:
 
 def test_removal_takes_the_files_of_one_recording_only(tmp_path: Path) -> None:
     for name in ("a.mcap", "b.mcap", "folder"):
-        parts: RecordingParts[RecordedTopic] = RecordingParts(
-            PartSettings(path=tmp_path / name, max_duration_ns=SECOND)
-        )
-        for number in range(3):
-            parts.write(odometry_at(number))
-        close(parts)
+        record_parts(tmp_path / name, 3)
     (tmp_path / "folder" / "mine.txt").touch()
 
     for name in ("a.mcap", "folder", "nothing.mcap"):
@@ -310,6 +306,102 @@ def test_removal_takes_the_files_of_one_recording_only(tmp_path: Path) -> None:
 
     left = sorted(one.name for one in tmp_path.rglob("*"))
     assert left == ["b.mcap", "b_1.mcap", "b_2.mcap", "folder", "mine.txt"]
+
+
+def record_parts(path: Path, count: int, *, seed: str = "1") -> RecordingParts[RecordedTopic]:
+    """Write a recording whose files have a message each."""
+    parts: RecordingParts[RecordedTopic] = RecordingParts(
+        PartSettings(path=path, max_duration_ns=SECOND), Metadata("zensim", {"seed": seed})
+    )
+    for number in range(count):
+        parts.write(odometry_at(number))
+    close(parts)
+    return parts
+
+
+def test_removal_leaves_recordings_whose_names_look_like_parts(tmp_path: Path) -> None:
+    for seed in (1, 2):
+        record_parts(tmp_path / f"short_{seed}.mcap", 2)
+    record_parts(tmp_path / "short.mcap", 3)
+    (tmp_path / "short_7.mcap").write_bytes(b"no MCAP file")
+    both = sorted(one.name for one in tmp_path.glob("*.mcap"))
+
+    remove_recording(tmp_path / "short.mcap")
+
+    left = sorted(one.name for one in tmp_path.glob("*.mcap"))
+    kept = ["short_1.mcap", "short_1_1.mcap", "short_2.mcap", "short_2_1.mcap", "short_7.mcap"]
+    assert left == kept
+    assert both == sorted([*kept, "short.mcap", "short_3.mcap", "short_4.mcap"])
+
+
+def test_removal_takes_what_is_left_of_a_recording_whose_first_files_are_deleted(
+    tmp_path: Path,
+) -> None:
+    for name in ("run.mcap", "run"):
+        record_parts(tmp_path / name, 4)
+    for file in ("run.mcap", "run_1.mcap", "run/run_0.mcap"):
+        (tmp_path / file).unlink()
+
+    for name in ("run.mcap", "run"):
+        remove_recording(tmp_path / name)
+
+    assert [one.name for one in tmp_path.iterdir()] == []
+
+
+def test_every_file_says_of_which_recording_it_is_also_before_its_end(tmp_path: Path) -> None:
+    parts: RecordingParts[RecordedTopic] = RecordingParts(
+        PartSettings(path=tmp_path / "run.mcap"), Metadata("zensim", {"seed": "3"})
+    )
+    parts.write(odometry_at(0.0))
+    parts.start_part(1, 1)
+
+    found = [RecordingReader(tmp_path / name).metadata for name in ("run.mcap", "run_1.mcap")]
+    parts.discard()
+
+    assert found == [{"zensim": {"seed": "3", "part": part}} for part in ("0", "1")]
+
+
+def test_number_of_messages_does_not_fall_while_a_file_is_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts: RecordingParts[RecordedTopic] = RecordingParts(
+        PartSettings(path=tmp_path / "run", max_duration_ns=SECOND, keep_ns=SECOND)
+    )
+    end, seen = McapWriter.close, list[int]()
+
+    def close_slowly(writer: McapWriter) -> None:
+        seen.append(parts.written)
+        end(writer)
+
+    monkeypatch.setattr(McapWriter, "close", close_slowly)
+    for number in range(4):
+        parts.write(odometry_at(number))
+    close(parts)
+
+    assert seen == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("is_direct", [True, False])
+def test_message_for_which_no_file_can_be_created_counts_as_lost(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    is_direct: bool,  # noqa: FBT001
+) -> None:
+    parts: RecordingParts[RecordedTopic] = RecordingParts(
+        PartSettings(path=tmp_path / "run.mcap", max_duration_ns=SECOND)
+    )
+    writer = DirectWriter(parts) if is_direct else WriteQueue(parts, max_bytes=1 << 20)
+
+    def fail() -> None:
+        raise OSError(24, "Too many open files")
+
+    monkeypatch.setattr(parts, "_open", fail)
+    writer.put([odometry_at(number) for number in range(3)])
+    writer.stop()
+    close(parts)
+
+    assert isinstance(writer.failure, OSError)
+    assert (parts.written, writer.lost + parts.offered - parts.written) == (1, 2)
 
 
 def test_metadata_of_a_recording_that_is_gone_is_replaced(tmp_path: Path) -> None:

@@ -106,7 +106,7 @@ class InProcessRecorder(WorldRecorder):
             if self._session.failure is None:
                 self._recorder.take(is_last=True)
         finally:
-            self._session.close(self._recorder, self._start)
+            self._session.close(self._recorder)
             self._network.close()
         if self._session.failure is not None:
             raise self._make_error("is not recorded to the end", self._session.failure)
@@ -114,7 +114,8 @@ class InProcessRecorder(WorldRecorder):
     def _create_files(self) -> RecordingSession:
         parts = PartSettings(path=self.path, min_free_bytes=MIN_FREE_BYTES, is_reproducible=True)
         try:
-            return RecordingSession(SessionSettings(parts=parts, max_cache_bytes=0, is_direct=True))
+            settings = SessionSettings(parts=parts, max_cache_bytes=0, is_direct=True)
+            return RecordingSession(settings, self._start)
         except OSError as error:
             raise self._make_error("cannot be recorded", error) from error
 
@@ -162,9 +163,10 @@ class RecordedWorld:
         *,
         world: str,
         timeout_s: float = 5.0,
+        request_id: str = "",
     ) -> Response:
         """Call a service that changes nothing."""
-        del world, timeout_s
+        del world, timeout_s, request_id
         return self._server.ask(service, request)
 
     def send_clock(self) -> None:

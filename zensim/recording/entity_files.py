@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import msgspec
 
@@ -20,14 +20,8 @@ from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.telemetry_messages import GetModelsRequest
 from zensim.proto.messages.world_messages import GetCurrentWorldRequest, WorldResource
-from zensim.proto.service_catalog import (
-    GET_ASSET,
-    GET_CURRENT_WORLD,
-    GET_MODELS,
-    Request,
-    Response,
-    Service,
-)
+from zensim.proto.network_protocols import CallingNetwork
+from zensim.proto.service_catalog import GET_ASSET, GET_CURRENT_WORLD, GET_MODELS
 from zensim.recording.mcap_records import AttachedFile
 
 SHA256: Final = re.compile("[0-9a-f]{64}")
@@ -50,24 +44,6 @@ MAX_MESHES_BYTES: Final = 1 << 30
 """Of all meshes and textures of a recording."""
 
 
-class WorldServices(Protocol):
-    """Calls services of a world: over the network, or in this process."""
-
-    def call(
-        self,
-        service: Service[Request, Response],
-        request: Request,
-        *,
-        world: str,
-        timeout_s: float = 5.0,
-    ) -> Response:
-        """Call a service.
-
-        Raises:
-            ServiceError: The request was refused.
-        """
-
-
 class FileRefused(Exception):
     """The server names a file that a recorder does not attach; the message says why."""
 
@@ -81,7 +57,7 @@ class EntityFiles:
 
     def __init__(
         self,
-        bus: WorldServices,
+        bus: CallingNetwork,
         world: str,
         attach: Callable[[AttachedFile], None],
         on_refusal: Callable[[str], None],

@@ -29,6 +29,7 @@ from zensim.recording.recorded_topics import (
 from zensim.recording.topic_selection import (
     ANY_ROS_TYPE,
     CLOCK_TOPIC,
+    LATCHED_SUFFIXES,
     PUBLISHER,
     TopicFilter,
     list_keys,
@@ -44,7 +45,6 @@ takes more memory, as each of its places is used in turn: 0.4 kB a place."""
 EVENTS_DEPTH: Final = 1024
 CLOCK_TIMEOUT_S: Final = 2.0
 LATCHED_TIMEOUT_S: Final = 0.5
-LATCHED_SUFFIXES: Final = ("tf_static", "robot_description", "map")
 PAUSED_PERIOD_S: Final = 1.0
 """Wall time after which thinned messages are taken while the clock stands still."""
 
@@ -247,14 +247,23 @@ class Recorder:
     ) -> None:
         """Append what was received to a batch, and hand it over."""
         for one in self._subscriptions:
-            samples = one.take(is_due=is_due)
-            start = len(batch)
-            self._convert(samples, received_ns, batch)
-            if one.is_overflown(samples):
-                self.overflows += 1
-                self.missing += self._count_missing(batch[start:])
-        self._last_ns.update({topic: log_ns for topic, log_ns, _, _ in batch})
+            self._take_one(one, received_ns, batch, is_due=is_due)
         self._hand_over(batch)
+
+    def _take_one(
+        self,
+        one: RecordedKeys,
+        received_ns: int,
+        batch: list[RecordedMessage],
+        *,
+        is_due: bool,
+    ) -> None:
+        """Append what a subscription received; estimate how many were lost if it was full."""
+        samples, start = one.take(is_due=is_due), len(batch)
+        self._convert(samples, received_ns, batch)
+        if one.is_overflown(samples):
+            self.overflows += 1
+            self.missing += self._count_missing(batch[start:])
 
     def _count_missing(self, batch: Iterable[RecordedMessage]) -> int:
         times: dict[RecordedTopic, list[int]] = {}
@@ -263,6 +272,7 @@ class Recorder:
         return sum(count_missing(self._last_ns.get(topic), one) for topic, one in times.items())
 
     def _hand_over(self, batch: list[RecordedMessage]) -> None:
+        self._last_ns.update({topic: log_ns for topic, log_ns, _, _ in batch})
         self.received += len(batch)
         self._sink.put(batch)
 
@@ -411,7 +421,7 @@ class Recorder:
         """Hand over the last messages of a subscription, and close it."""
         self._subscriptions.remove(one)
         batch: list[RecordedMessage] = []
-        self._convert(one.take(is_due=True), time.time_ns(), batch)
+        self._take_one(one, time.time_ns(), batch, is_due=True)
         self._hand_over(batch)
         one.subscription.close()
 

@@ -2,9 +2,11 @@
 
 import errno
 import json
+import re
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from operator import itemgetter
 from pathlib import Path
 from typing import Final, Generic
 
@@ -12,6 +14,7 @@ import msgspec
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.recording.bag_metadata import PartFacts, write_bag_metadata
+from zensim.recording.file_index import read_index
 from zensim.recording.latched_messages import LatchedMessages
 from zensim.recording.mcap_records import (
     RECORD_HEAD,
@@ -33,6 +36,8 @@ SUFFIX: Final = ".mcap"
 MAX_CHANNELS: Final = (1 << 16) - 1
 """Of a file: their numbers have 16 bits."""
 METADATA_FILE: Final = "metadata.yaml"
+PART: Final = "part"
+"""Of the facts in each file: its number, counted from 0."""
 
 
 class DiskFull(OSError):
@@ -135,6 +140,9 @@ class Part:
 def remove_recording(path: Path) -> None:
     """Remove the files of a recording: those that are written to this path, and no others.
 
+    `run_1.mcap` may be the second file of `run.mcap`, or a recording of its own: each file says
+    which it is.
+
     Raises:
         OSError: One cannot be removed.
     """
@@ -143,16 +151,44 @@ def remove_recording(path: Path) -> None:
         return
     metadata = (path if is_folder else path.parent) / METADATA_FILE
     is_own = is_folder or is_described(path)
-    number = 0
-    while (file := name_part(path, number)).exists():
+    for file in list(_list_own_files(path)):
         file.unlink()
         find_reserve(file).unlink(missing_ok=True)
-        number += 1
     if is_own:
         metadata.unlink(missing_ok=True)
     if is_folder:
         with suppress(OSError):  # others' files are in it
             path.rmdir()
+
+
+def _list_own_files(path: Path) -> Iterator[Path]:
+    """List the files of the recording at a path; the first may be deleted (`keep_ns`)."""
+    is_folder = path.suffix != SUFFIX
+    folder, stem = (path, path.name) if is_folder else (path.parent, path.stem)
+    if not is_folder and path.exists():
+        yield path
+    named = re.compile(rf"{re.escape(stem)}_([0-9]+){re.escape(SUFFIX)}")
+    found = [
+        (file, int(match[1])) for file in folder.glob("*") if (match := named.fullmatch(file.name))
+    ]
+    facts = None if is_folder or not path.exists() else _read_facts(path, 0)
+    for file, number in sorted(found, key=itemgetter(1)):
+        if is_folder:
+            yield file
+        elif (own := _read_facts(file, number)) is not None:
+            facts = facts or own
+            if own == facts:
+                yield file
+
+
+def _read_facts(file: Path, number: int) -> dict[str, str] | None:
+    """Read the facts of a recording in its file with a number; None if it is no such file."""
+    try:
+        metadata = read_index(file).metadata
+    except (OSError, ValueError):
+        return None
+    texts = {name: text for one in metadata for name, text in one.texts.items()}
+    return texts if texts.pop(PART, "") == str(number) else None
 
 
 def name_part(path: Path, number: int) -> Path:
@@ -184,13 +220,17 @@ def is_described(path: Path) -> bool:
 class RecordingParts(Generic[Topic]):
     """Writes messages to files; used by one thread."""
 
-    def __init__(self, settings: PartSettings) -> None:
+    def __init__(self, settings: PartSettings, facts: Metadata | None = None) -> None:
         """Create the first file.
+
+        Args:
+            settings: Where, and how large files are.
+            facts: Texts with which each file begins, and to which its number is added.
 
         Raises:
             OSError: It exists, or cannot be created.
         """
-        self._settings = settings
+        self._settings, self._facts = settings, facts
         self._is_limited = bool(settings.max_bytes or settings.max_duration_ns)
         self._is_folder = settings.path.suffix != SUFFIX
         self._folder = settings.path if self._is_folder else settings.path.parent
@@ -210,17 +250,20 @@ class RecordingParts(Generic[Topic]):
         """Messages in files that were deleted, as newer ones are kept."""
         self._flushed_ns = 0
         self._part = self._open()
+        self._tally: tuple[int, tuple[Part, ...]] = (0, (self._part,))
+        """Messages in closed files, also in deleted ones, and the open files; replaced at once,
+        as another thread reads it."""
 
     @property
     def written(self) -> int:
         """Messages that were written, also to files that are deleted."""
-        done = self.deleted + sum(one.messages for one in self._done)
-        return done if self._is_closed else done + self._part.writer.messages
+        closed, parts = self._tally
+        return closed + sum(one.writer.messages for one in parts)
 
     @property
     def written_bytes(self) -> int:
         """Bytes of all files."""
-        return self._bytes if self._is_closed else self._bytes + self._part.output.position
+        return self._bytes + sum(one.output.position for one in self._tally[1])
 
     @property
     def topics(self) -> int:
@@ -240,7 +283,7 @@ class RecordingParts(Generic[Topic]):
         if part.start_ns is None:
             part.start_ns = log_ns
         elif (self._is_limited and self._is_full(log_ns)) or not part.has_room(topic):
-            self.start_part(log_ns, publish_ns)
+            self._start_part_for(message)
             part = self._part
             if topic.is_latched:
                 return  # the new part begins with it
@@ -250,6 +293,14 @@ class RecordingParts(Generic[Topic]):
         if self._settings.is_reproducible and log_ns >= self._flushed_ns + FLUSH_PERIOD_NS:
             self._flushed_ns = log_ns
             part.writer.flush()
+
+    def _start_part_for(self, message: tuple[Topic, int, int, bytes]) -> None:
+        """Begin the next file for a message, which counts as offered if there is none."""
+        try:
+            self.start_part(*message[1:3])
+        except OSError:
+            self.offered += 1
+            raise
 
     def _is_full(self, log_ns: int) -> bool:
         settings, part = self._settings, self._part
@@ -265,6 +316,7 @@ class RecordingParts(Generic[Topic]):
             OSError: See `write`.
         """
         ended, self._part = self._part, self._open()
+        self._tally = self._tally[0], (ended, self._part)
         # The new file is the present one already: what fails here ends the recording there.
         self._close_part(ended)
         following = self._part
@@ -345,8 +397,12 @@ class RecordingParts(Generic[Topic]):
                 part.writer.close()
             finally:
                 part.output.close()
-                self._bytes += part.output.position
-                self._done.append(part.describe())
+                facts = part.describe()
+                self._done.append(facts)
+                closed, parts = self._tally
+                self._bytes += facts.bytes
+                left = tuple(one for one in parts if one is not part)
+                self._tally = closed + facts.messages, left
                 self._write_metadata()
 
     def _find_metadata_file(self) -> Path | None:
@@ -371,10 +427,14 @@ class RecordingParts(Generic[Topic]):
             self._write_metadata()
 
     def _open(self) -> Part:
-        path = name_part(self._settings.path, self._number)
-        self._number += 1
-        part = Part(path, self._settings)
+        while self._number and name_part(self._settings.path, self._number).exists():
+            self._number += 1  # of another recording, such as run_1.mcap beside run.mcap
+        number, self._number = self._number, self._number + 1
+        part = Part(name_part(self._settings.path, number), self._settings)
         try:
+            if (facts := self._facts) is not None:
+                texts = {**facts.texts, PART: str(number)}
+                part.writer.add_metadata(Metadata(facts.name, texts))
             part.output.reserve(part.writer.summary_bytes)
         except OSError:
             part.output.close()

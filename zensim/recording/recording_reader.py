@@ -14,7 +14,6 @@ import msgspec
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.ros2.liveliness_tokens import Qos
-from zensim.proto.topic_catalog import ROBOT_DESCRIPTION, TF_STATIC
 from zensim.recording.chunk_compression import DamagedChunk, decompress
 from zensim.recording.file_index import (
     AttachmentPlace,
@@ -36,12 +35,12 @@ from zensim.recording.mcap_records import (
 )
 from zensim.recording.mcap_scan import MAX_RECORD_BYTES
 from zensim.recording.recorded_topics import QOS_METADATA, read_qos_profile
+from zensim.recording.topic_selection import LATCHED_SUFFIXES
 from zensim.recording.written_topics import OVERHEAD_BYTES
 
 LAST_NS: Final = (1 << 63) - 1
 RESET_NS: Final = NANOSECONDS
 """A file that begins so long before the end of the last one is of another run."""
-LATCHED_SUFFIXES: Final = (TF_STATIC.suffix, ROBOT_DESCRIPTION.suffix)
 MAX_LATCHED_BYTES: Final = 64 << 20
 """Of latched messages that are kept for the next seek; beyond it each seek reads them again."""
 MESSAGE: Final = int(Opcode.MESSAGE)

@@ -7,8 +7,8 @@ import msgspec
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import Event, Info, InfoRequest
+from zensim.proto.network_protocols import CallingNetwork
 from zensim.proto.service_catalog import INFO
-from zensim.recording.entity_files import WorldServices
 from zensim.recording.mcap_records import AttachedFile, Metadata
 from zensim.recording.message_order import MessageOrder
 from zensim.recording.recorded_topics import RecordedMessage, RecordedTopic
@@ -71,15 +71,17 @@ class RecordingFigures(msgspec.Struct, frozen=True, kw_only=True):
 class RecordingSession:
     """Takes what the recorder hands over to the ring or to the thread that writes."""
 
-    def __init__(self, settings: SessionSettings) -> None:
+    def __init__(self, settings: SessionSettings, start: RecordingStart) -> None:
         """Create the first file.
 
         Raises:
             OSError: It exists, or cannot be created.
         """
-        self._settings = settings
+        self._settings, self._start = settings, start
         self._order = MessageOrder() if settings.parts.is_reproducible else None
-        self._parts: RecordingParts[RecordedTopic] = RecordingParts(settings.parts)
+        self._parts: RecordingParts[RecordedTopic] = RecordingParts(
+            settings.parts, make_metadata(start)
+        )
         self._queue: MessageWriter = (
             DirectWriter(self._parts)
             if settings.is_direct
@@ -135,11 +137,11 @@ class RecordingSession:
 
     def read_figures(self, recorder: Recorder) -> RecordingFigures:
         """Read the counts."""
-        parts = self._parts
+        parts, deleted = self._parts, self._parts.deleted
         return RecordingFigures(
             duration_s=round(time.monotonic() - self._began_s, 3),
-            messages=parts.written - parts.deleted,
-            deleted=parts.deleted,
+            messages=parts.written - deleted,
+            deleted=deleted,
             bytes=parts.written_bytes,
             topics=parts.topics,
             lost=self._queue.lost,
@@ -148,15 +150,13 @@ class RecordingSession:
             malformed=recorder.malformed,
         )
 
-    def close(self, recorder: Recorder, start: RecordingStart) -> RecordingFigures:
-        """Write what waits, and the facts of the recording; see `failure` afterwards."""
+    def close(self, recorder: Recorder) -> RecordingFigures:
+        """Write what waits, and the counts of the recording; see `failure` afterwards."""
         self._release()
         self._queue.stop()
-        content = self._write_facts(recorder, start)
+        content = self._write_facts(recorder)
         try:
-            self._parts.close(
-                [make_metadata(start)], [AttachedFile(FACTS_FILE, "application/json", content)]
-            )
+            self._parts.close(attachments=[AttachedFile(FACTS_FILE, "application/json", content)])
         except OSError as error:
             self._close_failure = error
         return msgspec.structs.replace(
@@ -174,14 +174,14 @@ class RecordingSession:
         if self._order is not None:
             self._queue.put(self._order.release())
 
-    def _write_facts(self, recorder: Recorder, start: RecordingStart) -> bytes:
+    def _write_facts(self, recorder: Recorder) -> bytes:
         figures = self.read_figures(recorder)
         if self._order is not None:
             figures = msgspec.structs.replace(figures, duration_s=0.0)
-        return msgspec.json.encode({"start": start, "recorded": figures})
+        return msgspec.json.encode({"start": self._start, "recorded": figures})
 
 
-def make_start(server: WorldServices, settings: RecorderSettings) -> RecordingStart:
+def make_start(server: CallingNetwork, settings: RecorderSettings) -> RecordingStart:
     """Describe the world, without what depends on the host if files are to be equal.
 
     Raises:

@@ -25,6 +25,10 @@ CLOCK_TOPIC: Final = f"/{CLOCK.suffix}"
 ANY_ROS_TYPE: Final = "*/*"
 """Type and type hash at the end of the keys of ROS 2."""
 PUBLISHER: Final = "MP"
+LATCHED_SUFFIXES: Final = tuple(
+    one.suffix for one in (*WORLD_TOPICS, *ROBOT_TOPICS.values()) if one.is_latched
+)
+"""Of topics whose late subscribers get the last message."""
 ROSTER_TOPICS: Final = (EVENTS, STATS, SNAPSHOT)
 """Of the world, recorded as texts with JSON."""
 
