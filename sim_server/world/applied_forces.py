@@ -106,6 +106,10 @@ class AppliedForces:
             )
         self._forces.append(force)
 
+    def has_left(self, time_ns: int) -> bool:
+        """Whether a force acts at a time, or will."""
+        return any(not one.span.is_over(time_ns) for one in self._forces)
+
     def apply(self, engine: Engine, entities: Mapping[str, Entity], time_ns: int) -> None:
         """Apply the active forces in the next step, and drop those that have ended."""
         self._forces = [force for force in self._forces if not force.span.is_over(time_ns)]

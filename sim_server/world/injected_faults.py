@@ -102,6 +102,11 @@ class InjectedFaults:
     def __len__(self) -> int:
         return len(self._bodies) + len(self._topics)
 
+    @property
+    def is_in_models(self) -> bool:
+        """Whether all faults are in the models of entities for ever: none of topics, none ends."""
+        return not self._topics and all(one.span.end_ns is None for one in self._bodies)
+
     def add_body_fault(self, fault: BodyFault, model: Model, replace: ReplaceModel) -> None:
         """Let a part of a body fail.
 

@@ -5,26 +5,26 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from zensim.api.api_errors import Invalid, Unsupported
+from zensim.api.api_errors import Closed, Invalid, Unsupported
 from zensim.api.argument_checks import check_limits, check_range
+from zensim.api.closed_on_exit import ClosedOnExit
 from zensim.api.in_process_world import World, get_server
 from zensim.envs.batch_drives import BatchDrives
 from zensim.envs.batch_sensors import BatchSensors, SensorName
-from zensim.envs.world_layout import make_world_layout
+from zensim.envs.world_layout import BoolArray, FloatArray, make_world_layout
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.se3 import conjugate, rotate, to_yaw
 from zensim.proto.state_hash import hash_states
 from zensim.sim_server.physics.cells.cell_executor import StepThreads
 from zensim.sim_server.physics.engine import EngineRefused
+from zensim.sim_server.world.simulated_world import SimulatedWorld
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 STATE_COLUMNS = 13
 TWIST_COLUMNS = 3
 MAX_WORLDS, MAX_THREADS = 65536, 1024
 
 
-class Batch:
+class Batch(ClosedOnExit):
     """Copies of a world, each with a time of its own; arrays are (worlds, robots, …).
 
     Engine and drives are those of the world: a copy has the bits that the world, or a server in
@@ -45,17 +45,19 @@ class Batch:
         Raises:
             Invalid: A number is out of range, or there is no robot, or one without such a sensor.
             Unsupported: The engine is not MuJoCo, the world has several cells or kinematic
-                robots, or joints are controlled.
+                robots, joints are controlled, or a force or a fault acts that a copy cannot have.
         """
         check_range("worlds", worlds, 1, MAX_WORLDS)
         check_range("threads", threads, 1, MAX_THREADS)
         server = get_server(world)
         simulated = server.world
+        _refuse_passing(simulated)
         self._layout = make_world_layout(simulated)
         try:
             self._replicas = simulated.engine.replicate(self._layout.bodies, worlds)
         except EngineRefused as refused:
             raise Unsupported(str(refused), slug="not_replicable") from refused
+        self._is_closed = False
         self._step_ns, self._control_steps = simulated.clock.step_ns, simulated.control_steps
         self._start_steps = simulated.clock.steps
         self._steps = np.zeros(worlds, np.int64)
@@ -150,7 +152,10 @@ class Batch:
 
         Raises:
             Invalid: The shape is wrong, or a number is not finite, or there is no control step.
+            Closed: The batch is closed.
         """
+        if self._is_closed:
+            raise Closed("this batch is closed", hint="make another Batch()")
         if control_steps < 1:
             raise Invalid(f"control_steps={control_steps} is out of range", hint="use 1 or more")
         wanted = np.asarray(twists, np.float64)
@@ -203,7 +208,8 @@ class Batch:
         return hash_states(time_ns, self._layout.entities, base.tobytes(), positions.tobytes())
 
     def close(self) -> None:
-        """End the threads."""
+        """End the threads; may be repeated. What was measured can still be read."""
+        self._is_closed = True
         self._threads.close()
 
     def _make_control_step(self, twists: FloatArray) -> None:
@@ -223,3 +229,23 @@ class Batch:
         self._base = found.base.reshape(worlds, -1, STATE_COLUMNS)
         self._positions = found.joint_positions.reshape(worlds, -1)
         self._velocities = found.joint_velocities.reshape(worlds, -1)
+
+
+def _refuse_passing(world: SimulatedWorld) -> None:
+    """Refuse a world with forces and faults that are no part of its engine.
+
+    Raises:
+        Unsupported: It has some.
+    """
+    if world.applied_forces.has_left(world.clock.time_ns):
+        raise Unsupported(
+            "a wrench or an effort acts in the world, which copies would not have",
+            slug="not_replicable",
+            hint="clear it, or step the world until it has ended",
+        )
+    if not world.injected_faults.is_in_models:
+        raise Unsupported(
+            "a fault of the world is of a topic or ends by itself, which copies would not have",
+            slug="not_replicable",
+            hint="use faults of bodies without a duration, or reset the world",
+        )

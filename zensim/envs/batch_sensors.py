@@ -4,11 +4,10 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from zensim.api.api_errors import Invalid, NotFound
 from zensim.api.in_process_server import InProcessServer
-from zensim.envs.world_layout import WorldLayout
+from zensim.envs.world_layout import FloatArray, WorldLayout
 from zensim.proto.messages.model_messages import IDENTITY, Model, Sensor
 from zensim.proto.messages.sensor_messages import Environment, ImuSensor, RaySensor
 from zensim.proto.messages.telemetry_messages import GetModelsRequest
@@ -27,7 +26,6 @@ from zensim.sim_server.sensors.scene_roster import (
     SensorPlaces,
 )
 
-FloatArray = npt.NDArray[np.float64]
 SensorName = Literal["scan", "imu"]
 SENSORS: dict[str, type] = {"scan": RaySensor, "imu": ImuSensor}
 IMU_LIMITS = np.array([1.0] * 4 + [100.0] * 3 + [1000.0] * 3)

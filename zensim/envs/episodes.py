@@ -7,9 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.api.api_errors import Invalid
-from zensim.envs.batch import TWIST_COLUMNS, BoolArray, FloatArray
+from zensim.envs.batch import TWIST_COLUMNS
 from zensim.envs.env_settings import EnvSettings, count_control_steps, make_batch
 from zensim.envs.robot_task import FleetView, RobotTask
+from zensim.envs.world_layout import BoolArray, FloatArray
 
 Observations = npt.NDArray[np.float32]
 MAX_SEED = 1 << 62

@@ -19,8 +19,9 @@ from zensim.envs.robot_task import RobotTask
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from zensim.envs.batch import Batch, BoolArray, FloatArray
+    from zensim.envs.batch import Batch
     from zensim.envs.env_settings import EnvKeywords
+    from zensim.envs.world_layout import BoolArray, FloatArray
 
 MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
 Infos = dict[str, Any]

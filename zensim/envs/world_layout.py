@@ -12,6 +12,7 @@ from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
+BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,16 @@
 """Batch: copies of a world in arrays."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import pytest
 
 import zensim
+from zensim.api.in_process_world import get_server
 from zensim.envs.batch import Batch
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoReplicas
+from zensim.sim_server.world.applied_forces import LinkWrench, TimeSpan
 
 ROBOTS = 3
 
@@ -214,3 +216,54 @@ def test_world_that_cannot_be_copied_is_refused(
             Batch(own, 1)
 
     assert refused.value.slug == "not_replicable"
+
+
+def pull(world: zensim.World, end_ns: int | None) -> None:
+    simulated = get_server(world).world
+    span = TimeSpan(simulated.clock.time_ns, end_ns)
+    simulated.applied_forces.add(LinkWrench("r1", 0, np.ones(6), span))
+
+
+@pytest.mark.parametrize(
+    "act",
+    [
+        lambda world: pull(world, None),
+        lambda world: world.inject("r1", "sensor_off", "lidar"),
+        lambda world: world.inject("r1", "wheel_slip", "left_wheel_joint", seconds=1.0),
+    ],
+    ids=["wrench", "fault of a topic", "fault that ends"],
+)
+def test_forces_and_faults_that_copies_cannot_have_are_refused(
+    act: Callable[[zensim.World], None],
+) -> None:
+    with zensim.World(engine="mujoco") as own:
+        own.spawn("box_bot_lidar", name="r1")
+        act(own)
+        with pytest.raises(zensim.Unsupported) as refused:
+            Batch(own, 1)
+
+    assert refused.value.slug == "not_replicable"
+
+
+def test_forces_that_are_over_and_faults_without_end_can_be_copied() -> None:
+    with zensim.World(engine="mujoco") as own:
+        own.spawn("box_bot", name="r1")
+        own.inject("r1", "motor_weak", "left_wheel_joint", value=0.5)
+        pull(own, 0)
+
+        with Batch(own, 2) as batch:
+            batch.step(np.zeros((2, 1, 3)))
+
+    assert batch.times.tolist() == [batch.control_period] * 2
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_closed_batch_does_not_step(world: zensim.World, threads: int) -> None:
+    with Batch(world, 2, threads=threads) as batch:
+        batch.step(twists_at(0, 2))
+        before = batch.digest(1)
+    batch.close()
+
+    with pytest.raises(zensim.Closed):
+        batch.step(twists_at(1, 2))
+    assert batch.digest(1) == before
