@@ -52,6 +52,8 @@ KILLED = (KILLED_STATUS, -signal.SIGTERM)
 POLL_S = 0.005
 SHARE_BEFORE_RECORDING = 1 / 3
 """Of its timeout, that a failed run may have taken to run again for its recording, more slowly."""
+FILE_TIME_ERROR_S = 0.1
+"""Wall time by which the time of a file may be early: kernels take it from their last tick."""
 NOT_STARTED = 1
 """Status that stands for a process that did not start in time."""
 START_TIMEOUT_S = 600.0
@@ -83,32 +85,53 @@ class RunRequest(msgspec.Struct, frozen=True):
 
 
 def run_request(request: RunRequest) -> RunReport:
-    """Run a scenario in this process; an error of any kind is part of the report."""
-    began_s, began_wall_s = time.process_time(), time.monotonic()
-    report = _run(request)
-    report = msgspec.structs.replace(
-        report, cpu_s=time.process_time() - began_s, host=describe_host()
-    )
+    """Run a scenario in this process, and again for its recording if it fails.
+
+    An error of any kind is part of the report.
+    """
+    began_s = time.monotonic()
+    report = run_once(request)
+    if not _needs_recording(request, report, time.monotonic() - began_s):
+        return report
+    return _add_recording(report, run_once(_make_recorded(request)))
+
+
+def _needs_recording(request: RunRequest, report: RunReport, spent_s: float) -> bool:
     # The timeout is of both runs: the verdict of the first must not be lost.
-    spent_s = time.monotonic() - began_wall_s
     has_time = spent_s < request.timeout_s * SHARE_BEFORE_RECORDING
-    if request.failure_recording and has_time and not report.is_passed:
-        return msgspec.structs.replace(report, recording=_record_again(request))
-    return report
+    return bool(request.failure_recording) and has_time and not report.is_passed
 
 
-def _record_again(request: RunRequest) -> str:
-    """Run a scenario again for its recording; return its file, empty if it was not recorded."""
+def _make_recorded(request: RunRequest) -> RunRequest:
     section = {
         # Words in braces are replaced.
         "to": request.failure_recording.replace("{", "{{").replace("}", "}}"),
         "topics": request.recorded_topics,
     }
     recorded = write_setting("record", section)
-    return _run(msgspec.structs.replace(request, settings=(*request.settings, recorded))).recording
+    return msgspec.structs.replace(request, settings=(*request.settings, recorded))
+
+
+def _add_recording(report: RunReport, repeated: RunReport) -> RunReport:
+    """Add the recording of a second run to the report of the first."""
+    hashes = {report.state_hash, repeated.state_hash} - {""}
+    is_other = len(hashes) > 1
+    error = "not deterministic: repeated for its recording, it ended in another state"
+    return msgspec.structs.replace(
+        report, recording=repeated.recording, error=error if is_other else report.error
+    )
+
+
+def run_once(request: RunRequest) -> RunReport:
+    """Run a scenario in this process; an error of any kind is part of the report."""
+    began_s = time.process_time()
+    report = _run(request)
+    spent_s = time.process_time() - began_s
+    return msgspec.structs.replace(report, cpu_s=spent_s, host=describe_host())
 
 
 def _run(request: RunRequest) -> RunReport:
+    began_s = time.time()
     try:
         scenario = read_scenario(request.file, request.settings)
     except (ScenarioInvalid, OSError) as error:
@@ -118,8 +141,8 @@ def _run(request: RunRequest) -> RunReport:
             return run_scenario(
                 scenario, sim, allows_python=request.allows_python, repeat=request.repeat
             )
-    except Exception as error:  # noqa: BLE001  the world's and the author's, whatever they are
-        return _make_failed_report(scenario, request, _describe(error))
+    except Exception as error:  # noqa: BLE001  code of the author can raise any, and is a row, too
+        return _make_failed_report(scenario, request, _describe(error), began_s)
 
 
 def _open_world(scenario: Scenario, request: RunRequest) -> Simulation:
@@ -148,7 +171,9 @@ def _describe(error: Exception) -> str:
     return f"{failure} ({own[-1].filename}:{own[-1].lineno})" if own else failure
 
 
-def _make_failed_report(scenario: Scenario, request: RunRequest, error: str) -> RunReport:
+def _make_failed_report(
+    scenario: Scenario, request: RunRequest, error: str, began_s: float
+) -> RunReport:
     return RunReport(
         scenario.name,
         scenario.file,
@@ -157,14 +182,17 @@ def _make_failed_report(scenario: Scenario, request: RunRequest, error: str) -> 
         robots=len(scenario.robots),
         error=error,
         repeat=request.repeat,
-        recording=_find_kept_recording(scenario),
+        recording=_find_kept_recording(scenario, began_s),
     )
 
 
-def _find_kept_recording(scenario: Scenario) -> str:
-    """Find what was recorded until a run failed, if anything was."""
+def _find_kept_recording(scenario: Scenario, began_s: float) -> str:
+    """Find what was recorded until a run failed, if anything was since it began."""
     path = find_recording(scenario)
-    return str(path) if path is not None and path.exists() else ""
+    is_own = (
+        path is not None and path.exists() and path.stat().st_mtime >= began_s - FILE_TIME_ERROR_S
+    )
+    return str(path) if is_own else ""
 
 
 class CopyOutcome(msgspec.Struct, frozen=True):
@@ -190,11 +218,12 @@ class ScenarioWorker:
             request: The scenario.
             attempts: Most runs of it, while its process is killed by others.
         """
+        began_s = time.time()
         for _ in range(attempts):
             outcome = self._run_once(request)
             if outcome is None or outcome.status not in KILLED:
                 break
-        return _make_report(request, outcome)
+        return _make_report(request, outcome, began_s)
 
     def _run_once(self, request: RunRequest) -> CopyOutcome | None:
         """Run a scenario; None at the timeout."""
@@ -238,20 +267,26 @@ class ScenarioWorker:
         return None
 
 
-def _make_report(request: RunRequest, outcome: CopyOutcome | None) -> RunReport:
+def _make_report(request: RunRequest, outcome: CopyOutcome | None, began_s: float) -> RunReport:
     if outcome is None:
         failure = f"timeout: not over after {request.timeout_s:g} s of wall time"
     elif outcome.status or not outcome.report:
         failure = f"its process ended with status {outcome.status}"
     else:
         return msgspec.msgpack.decode(outcome.report, type=RunReport)
-    return make_error_report(request, failure)
+    return make_error_report(request, failure, began_s)
 
 
-def make_error_report(request: RunRequest, error: str) -> RunReport:
-    """Make the report of a run that did not end, and of which nothing else is known."""
+def make_error_report(request: RunRequest, error: str, began_s: float) -> RunReport:
+    """Make the report of a run that did not end, and of which nothing else is known.
+
+    Args:
+        request: The run.
+        error: Why it did not end.
+        began_s: Wall time since the epoch when it began.
+    """
     scenario = read_scenario(request.file, request.settings)
-    return _make_failed_report(scenario, request, error)
+    return _make_failed_report(scenario, request, error, began_s)
 
 
 def run_in_process(request: RunRequest) -> RunReport:
@@ -330,15 +365,36 @@ def main() -> None:
     _import_libraries()
     write_frame(replies, b"")
     while (frame := read_frame(STDIN)) is not None:
-        request = msgspec.msgpack.decode(frame, type=RunRequest)
-        outcome = run_in_copy(partial(_run_encoded, request))
-        write_frame(replies, msgspec.msgpack.encode(CopyOutcome(*outcome)))
+        outcome = _run_in_copies(msgspec.msgpack.decode(frame, type=RunRequest))
+        write_frame(replies, msgspec.msgpack.encode(outcome))
         if not CAN_COPY:
             return
 
 
+def _run_in_copies(request: RunRequest) -> CopyOutcome:
+    """Run a scenario in a copy of this process, and for its recording in another one.
+
+    Whatever the second run does, the verdict of the first stays.
+    """
+    began_s = time.monotonic()
+    outcome, report = _run_in_copy(request)
+    if report is None or not _needs_recording(request, report, time.monotonic() - began_s):
+        return outcome
+    _, repeated = _run_in_copy(_make_recorded(request))
+    if repeated is None:
+        return outcome
+    return CopyOutcome(0, msgspec.msgpack.encode(_add_recording(report, repeated)))
+
+
+def _run_in_copy(request: RunRequest) -> tuple[CopyOutcome, RunReport | None]:
+    outcome = CopyOutcome(*run_in_copy(partial(_run_encoded, request)))
+    if outcome.status or not outcome.report:
+        return outcome, None
+    return outcome, msgspec.msgpack.decode(outcome.report, type=RunReport)
+
+
 def _run_encoded(request: RunRequest) -> bytes:
-    return msgspec.msgpack.encode(run_request(request))
+    return msgspec.msgpack.encode(run_once(request))
 
 
 def _import_libraries() -> None:

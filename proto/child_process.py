@@ -280,10 +280,11 @@ def run_in_copy(task: Callable[[], bytes]) -> ProcessOutcome:
     if not CAN_COPY:
         return ProcessOutcome(0, task())
     reader, writer = os.pipe()
+    parent = os.getpid()
     child = os.fork()
     if child == 0:
         os.close(reader)
-        die_with_parent()
+        die_with_parent(parent=parent)
         output = task()
         with os.fdopen(writer, "wb") as stream:
             stream.write(output)

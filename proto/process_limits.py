@@ -57,19 +57,29 @@ class ResourceLimits(NamedTuple):
     """Whether new file descriptors, file data, processes and threads are refused."""
 
 
-def die_with_parent(signal_number: signal.Signals = SIGKILL) -> None:
+def die_with_parent(signal_number: signal.Signals = SIGKILL, *, parent: int | None = None) -> None:
     """Send this process a signal when its parent ends.
 
     The kernel does it where prctl exists; elsewhere a thread looks twice a second. Windows does not
     report the end of a parent.
+
+    Args:
+        signal_number: To send.
+        parent: Process id of the parent, if it is known.
+
+    Raises:
+        SystemExit: That parent has ended already.
     """
     prctl = _find_prctl()
     if prctl is not None:
         prctl(PR_SET_PDEATHSIG, signal_number, 0, 0, 0)
-        return
-    threading.Thread(
-        target=_await_orphanhood, args=(os.getppid(), signal_number), daemon=True
-    ).start()
+    else:
+        threading.Thread(
+            target=_await_orphanhood, args=(os.getppid(), signal_number), daemon=True
+        ).start()
+    # Its end before the call above sends nothing.
+    if parent is not None and os.getppid() != parent:
+        sys.exit(1)
 
 
 def _find_prctl() -> Callable[..., int] | None:
@@ -91,9 +101,7 @@ def die_with_supervisor(environ: Mapping[str, str]) -> None:
     parent = environ.get(PARENT_PID_VARIABLE, "")
     if not parent.isdigit():
         return
-    die_with_parent(signal.SIGTERM)
-    if os.getppid() != int(parent):
-        sys.exit(1)
+    die_with_parent(signal.SIGTERM, parent=int(parent))
 
 
 def set_resource_limits(limits: ResourceLimits) -> None:

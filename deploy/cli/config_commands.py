@@ -18,6 +18,8 @@ from zensim.proto.printable_text import print_lines
 
 app = make_app("config")
 WIDTH: Final = 22
+USAGE_ERROR: Any = typer.BadParameter.__mro__[1]
+"""The class above it in click, which typer has inside under a name that changed."""
 
 
 class ShownSetting(msgspec.Struct, frozen=True):
@@ -83,9 +85,7 @@ def list_settings(words: list[str], file: Path | None) -> Iterator[ShownSetting]
     name = " ".join(words)
     try:
         context = command.make_context(name, [] if file is None else ["--config", str(file)])
-    except Exception as error:
-        if not hasattr(error, "format_message"):
-            raise
+    except USAGE_ERROR as error:
         raise ValueError(error.format_message()) from error
     for key, option in list_options(command).items():
         source = context.get_parameter_source(option.name)

@@ -34,6 +34,14 @@ SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Value that wins over the file; repeatable."),
 ]
+PythonOption = Annotated[
+    bool,
+    typer.Option("--python/--no-python", metavar="", help="Allow code of the file's author."),
+]
+RunTimeoutOption = Annotated[
+    float | None,
+    typer.Option("--timeout", min=0.1, metavar="SECONDS", help=r"Wall time of each run \[s]."),
+]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,13 @@ from typing import Annotated
 import msgspec
 import typer
 
-from zensim.deploy.cli.scenario_commands import FilesArgument, SetOption, collect_issues
+from zensim.deploy.cli.scenario_commands import (
+    FilesArgument,
+    PythonOption,
+    RunTimeoutOption,
+    SetOption,
+    collect_issues,
+)
 from zensim.deploy.scenario_process import RunRequest, run_all
 from zensim.deploy.scenario_report import format_markdown, format_run, to_json, to_junit
 from zensim.proto.cli_options import expand_options, flag, make_app
@@ -55,14 +61,8 @@ class ScenarioTestOptions:
         bool,
         typer.Option("--server/--in-process", metavar="", help="Run on a server of its own."),
     ] = False
-    python: Annotated[
-        bool,
-        typer.Option("--python/--no-python", metavar="", help="Allow code of the file's author."),
-    ] = True
-    timeout: Annotated[
-        float | None,
-        typer.Option("--timeout", min=0.1, metavar="SECONDS", help=r"Wall time of each run \[s]."),
-    ] = None
+    python: PythonOption = True
+    timeout: RunTimeoutOption = None
     junit: Annotated[Path | None, _output("--junit", help="File to write JUnit XML to.")] = None
     json_file: Annotated[Path | None, _output("--json", help="File to write JSON to.")] = None
     markdown: Annotated[

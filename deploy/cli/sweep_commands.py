@@ -16,7 +16,7 @@ import msgspec
 import typer
 from typer.core import TyperGroup
 
-from zensim.deploy.cli.scenario_commands import SetOption
+from zensim.deploy.cli.scenario_commands import PythonOption, RunTimeoutOption, SetOption
 from zensim.deploy.scenario_process import RunRequest, run_in_processes
 from zensim.deploy.sweep.sweep_folder import SweepFolder
 from zensim.deploy.sweep.sweep_plan import SweepPlan, SweepRun, make_plan
@@ -101,14 +101,8 @@ class SweepOptions:
             "--record/--no-record", metavar="", help="Run what failed again, and record it."
         ),
     ] = True
-    python: Annotated[
-        bool,
-        typer.Option("--python/--no-python", metavar="", help="Allow code of the file's author."),
-    ] = True
-    timeout: Annotated[
-        float | None,
-        typer.Option("--timeout", min=0.1, metavar="SECONDS", help=r"Wall time of each run \[s]."),
-    ] = None
+    python: PythonOption = True
+    timeout: RunTimeoutOption = None
     as_json: JsonOption = False
 
 
@@ -157,8 +151,9 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
 
 
 def _make_plan(given: SweepOptions) -> SweepPlan:
+    file, shown = find_scenario_file(given.file), PlanProgress()
     try:
-        return make_plan(find_scenario_file(given.file), given.settings or ())
+        return make_plan(file, given.settings or (), shown.count_run)
     except ScenarioInvalid as error:
         for issue in error.issues:
             print_lines(str(issue), err=True)
@@ -196,6 +191,9 @@ def _run_rest(
     kept = [row for row in known if not (given.retries_errors and row.error)]
     ids = {row.id for row in kept}
     left = [run for run in share if run.id not in ids]
+    for row in known:
+        if row.id not in ids:
+            folder.remove_recording(row.id)
     requests = [_make_request(plan, run, folder, given) for run in left]
     failed = sum(not row.is_passed for row in kept)
     shown = ProgressLine(SweepProgress(len(share), len(kept), failed), as_json=given.as_json)
@@ -216,7 +214,7 @@ def _make_request(
 
 
 def _write_results(plan: SweepPlan, folder: SweepFolder, *, is_share: bool) -> list[SweepRow]:
-    """Write the table; of shares, the one that ends last has all rows."""
+    """Write the table of all rows; a share writes it only if the rows of all shares are there."""
     rows = folder.read_rows([run.id for run in plan.runs])
     if rows and (not is_share or len(rows) == len(plan.runs)):
         file = folder.write_results(rows)
@@ -238,6 +236,21 @@ def _report_end(rows: Sequence[SweepRow], share: Sequence[SweepRun], folder: Swe
     for ids_of_equal in unequal:
         print_note("sweep", f"not deterministic: {', '.join(ids_of_equal)} ended in unequal states")
     return not failed and not unequal
+
+
+class PlanProgress:
+    """Progress of the making of runs, on standard error, if it takes long."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._shown_s = time.monotonic()
+
+    def count_run(self, _: SweepRun) -> None:
+        """Count a run that was validated."""
+        self._count += 1
+        if time.monotonic() - self._shown_s >= NOTE_EVERY_S:
+            self._shown_s = time.monotonic()
+            print_note("sweep", f"{self._count} runs validated so far")
 
 
 class ProgressLine:

@@ -1,16 +1,16 @@
 """The folder of a sweep: a file for each run that has ended, and the table of all."""
 
-import os
-import socket
 from collections.abc import Collection, Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import BinaryIO
 
 import msgspec
 
 from zensim.deploy.sweep.sweep_plan import SweepPlan
 from zensim.deploy.sweep.sweep_rows import SweepRow, make_columns
-from zensim.proto.process_limits import sync_folder
+from zensim.proto.whole_files import remove_abandoned, writing_whole
+from zensim.recording.recording_parts import remove_recording
 
 FORMAT_VERSION = 1
 RUNS, RECORDINGS = "runs", "recordings"
@@ -42,6 +42,8 @@ class SweepFolder:
             OSError: A file cannot be written.
         """
         (self.path / RUNS).mkdir(parents=True, exist_ok=True)
+        for folder in (self.path, self.path / RUNS):
+            remove_abandoned(folder)
         stored = StoredPlan(
             FORMAT_VERSION,
             plan.name,
@@ -82,8 +84,16 @@ class SweepFolder:
         self._write(self._find_file(row.id), msgspec.json.encode(row))
 
     def find_recording(self, run_id: str) -> Path:
-        """Find the path of the recording of a run that fails."""
-        return self.path.resolve() / RECORDINGS / f"{run_id}.mcap"
+        """Find the folder of the recording of a run that fails; each has metadata of its own."""
+        return self.path.resolve() / RECORDINGS / run_id
+
+    def remove_recording(self, run_id: str) -> None:
+        """Remove the recording of a run, if there is one.
+
+        Raises:
+            OSError: It cannot be removed.
+        """
+        remove_recording(self.find_recording(run_id))
 
     def write_results(self, rows: Sequence[SweepRow]) -> Path:
         """Write the table of all rows: Parquet, or JSON lines where pyarrow is not installed.
@@ -93,13 +103,12 @@ class SweepFolder:
         """
         has_arrow = find_spec("pyarrow") is not None
         file = self.path / (TABLE if has_arrow else LINES)
-        part = _name_part(file)
         plan = self.read_plan()
-        if has_arrow:
-            _write_parquet(rows, part, plan)
-        else:
-            _write_lines(rows, part)
-        part.replace(file)
+        with writing_whole(file) as stream:
+            if has_arrow:
+                _write_parquet(rows, stream, plan)
+            else:
+                _write_lines(rows, stream)
         (self.path / (LINES if has_arrow else TABLE)).unlink(missing_ok=True)
         return file
 
@@ -113,34 +122,22 @@ class SweepFolder:
             return None
         return row if row.id == run_id else None
 
-    def _write(self, file: Path, content: bytes) -> None:
-        part = _name_part(file)
-        try:
-            with part.open("wb") as stream:
-                stream.write(content)
-                stream.flush()
-                os.fsync(stream.fileno())
-            part.replace(file)
-        finally:
-            part.unlink(missing_ok=True)
-        sync_folder(file.parent)
+    @staticmethod
+    def _write(file: Path, content: bytes) -> None:
+        with writing_whole(file) as stream:
+            stream.write(content)
 
 
-def _name_part(file: Path) -> Path:
-    """Name a file that is not whole yet; programs that share a folder have their own."""
-    return file.with_name(f"{file.name}.{socket.gethostname()}.{os.getpid()}.part")
-
-
-def _write_parquet(rows: Sequence[SweepRow], file: Path, plan: StoredPlan) -> None:
+def _write_parquet(rows: Sequence[SweepRow], stream: BinaryIO, plan: StoredPlan) -> None:
     import pyarrow as pa  # noqa: PLC0415  120 MB, in an extra
     from pyarrow import parquet  # noqa: PLC0415
 
     metadata = {"zensim.sweep": msgspec.json.encode(msgspec.structs.replace(plan, ids=()))}
     table = pa.table(make_columns(rows)).replace_schema_metadata(metadata)
-    parquet.write_table(table, file, compression="zstd")
+    parquet.write_table(table, stream, compression="zstd")
 
 
-def _write_lines(rows: Sequence[SweepRow], file: Path) -> None:
+def _write_lines(rows: Sequence[SweepRow], stream: BinaryIO) -> None:
     columns = make_columns(rows)
     lines = (dict(zip(columns, one, strict=True)) for one in zip(*columns.values(), strict=True))
-    file.write_bytes(b"".join(msgspec.json.encode(one) + b"\n" for one in lines))
+    stream.writelines(msgspec.json.encode(one) + b"\n" for one in lines)

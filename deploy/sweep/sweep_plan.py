@@ -1,7 +1,7 @@
 """The runs of a sweep, each known by its content, and validated before the first one starts."""
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,12 @@ from typing import Any
 import msgspec
 
 from zensim.scenario.scenario_nodes import Issue, ScenarioInvalid, ScenarioNode
-from zensim.scenario.scenario_reader import Scenario, digest_values, make_scenario
+from zensim.scenario.scenario_reader import (
+    Scenario,
+    digest_values,
+    make_scenario,
+    paused_collection,
+)
 from zensim.scenario.scenario_sources import apply_settings, read_merged_nodes, write_setting
 
 NOT_CONTENT = ("vary", "record", "description", "include", "network", "ros", "viewer")
@@ -57,19 +62,28 @@ class SweepPlan(msgspec.Struct, frozen=True):
     recorded_topics: tuple[str, ...] = RECORDED_TOPICS
 
 
-def make_plan(file: str, settings: Sequence[str] = ()) -> SweepPlan:
+def make_plan(
+    file: str,
+    settings: Sequence[str] = (),
+    on_run: Callable[[SweepRun], None] = lambda _: None,
+) -> SweepPlan:
     """Make all runs of a scenario file.
 
     Args:
         file: Its path.
         settings: `KEY.PATH=VALUE`, which win over the file.
+        on_run: Called with each run that was validated; there may be 100,000.
 
     Raises:
         ScenarioInvalid: The file or a combination of its values has mistakes.
     """
     root = read_merged_nodes(file, settings)
     base = make_scenario(file, root)
-    runs = {run.id: run for run in _Planning(base, root, tuple(settings)).make_runs()}
+    runs: dict[str, SweepRun] = {}
+    with paused_collection():
+        for run in _Planning(base, root, tuple(settings)).make_runs():
+            runs[run.id] = run
+            on_run(run)
     record = base.format.record
     return SweepPlan(
         base.name,

@@ -18,7 +18,7 @@ SEED_NUMBER: Final = "number of the seed"
 
 
 def draw_margins(rows: Sequence[SweepRow], path: Path, *, title: str) -> int:
-    """Draw a panel for each check and each number that varied; a point is a run.
+    """Draw a panel for each pair of a check and a number that varied; each point is a run.
 
     Args:
         rows: At least one with a margin.
@@ -58,7 +58,7 @@ def draw_margins(rows: Sequence[SweepRow], path: Path, *, title: str) -> int:
 
 
 def _find_numbers(rows: Sequence[SweepRow]) -> list[str]:
-    """Find the inputs that are numbers, of which there are at least two."""
+    """Find the inputs that are numbers and have at least two values."""
     paths = dict.fromkeys(path for row in rows for path in row.inputs)
     return [path for path in paths if len({_read_input(row, path) for row in rows} - {None}) > 1]
 

@@ -84,12 +84,13 @@ def run_within_time(request: RunRequest) -> RunReport:
 
     Only the main thread can do that, and not on Windows; elsewhere there is no timeout.
     """
+    began_s = time.time()
     try:
         with _limited_time(request.timeout_s):
             return run_request(request)
     except _TimeIsOver:
         failure = f"timeout: not over after {request.timeout_s:g} s of wall time"
-        return make_error_report(request, failure)
+        return make_error_report(request, failure, began_s)
 
 
 @contextmanager

@@ -8,7 +8,6 @@ import hashlib
 import os
 import socket
 import ssl
-import tempfile
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
@@ -34,6 +33,7 @@ from zensim.proto.names import check_name
 from zensim.proto.process_limits import lock_file
 from zensim.proto.security.access_rules import make_access_rules
 from zensim.proto.security.roles import ROLES, SERVER_USER, RefusedUser, User, check_user
+from zensim.proto.whole_files import writing_whole
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -369,13 +369,8 @@ class SecureFolder:
     def _write(self, name: str, data: bytes) -> None:
         if _is_private_copy(self.path / name, data):
             return
-        # mkstemp makes files of mode 0600.
-        descriptor, temporary = tempfile.mkstemp(dir=self.path, prefix=f".{name}.")
-        with os.fdopen(descriptor, "wb") as stream:
+        with writing_whole(self.path / name, mode=0o600) as stream:
             stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        Path(temporary).replace(self.path / name)
 
     @contextmanager
     def routing(self, timeout_s: float = LOCK_TIMEOUT_S) -> "Iterator[None]":

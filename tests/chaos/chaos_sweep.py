@@ -1,8 +1,9 @@
 """Killed sweeps
 
-A sweep of short runs, in processes. In the middle of it two of its workers are killed
-with SIGKILL, later the driver; then the same command is started again. Each run must have one row,
-no run may have run twice, and all states must be those of a sweep without any disturbance.
+A sweep of short runs, in processes. After a quarter of the runs two of its workers are
+killed with SIGKILL, after a half of them the driver; then the same command is started again. Each
+run must have one row, no run may have run twice, and all states must be those of an undisturbed
+sweep. Until something is killed, the runs that are under way wait, so that it is in their midst.
 """
 
 import json
@@ -25,11 +26,27 @@ END_S = 3600.0
 SCENARIO = """zensim: 1
 name: killed
 robots: [{{name: r, model: box_bot, count: 4, layout: {{kind: circle, radius: 3 m}}}}]
-behaviours: [{{name: walk, robots: "r*", do: random_walk, speed: 0.3}}]
+behaviours:
+  - {{name: walk, robots: "r[1-3]", do: random_walk, speed: 0.3}}
+  - {{name: wait, robots: r0, do: python, call: "waiting_team:Wait"}}
 checks: [{{name: slow, that: speed, below: 1}}]
-end: {{at: 1 s}}
+end: {{at: 1 s, timeout: 1 h}}
 vary: {{seeds: {runs}}}
 """
+TEAM = """import threading
+from pathlib import Path
+GATE = Path(__file__).with_name("gate")
+class Wait:
+    def __init__(self, sim, robots):
+        pass
+    def step(self, now, state):
+        while GATE.exists() and is_closed(*GATE.read_text().split()):
+            threading.Event().wait(0.01)
+        return [[0.2, 0.0]]
+def is_closed(folder, most):
+    return len(list(Path(folder).glob("*.json"))) >= int(most)
+"""
+"""Runs wait while a folder has so many rows as the file `gate` says."""
 PLACES = {"processes": RUN_COMMAND[-1]}
 """What the command line of a worker contains, by `--on`."""
 
@@ -40,6 +57,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "killed.scenario.yaml").write_text(SCENARIO.format(runs=runs))
+        (folder / "waiting_team.py").write_text(TEAM)
         _run(folder, "processes", "calm")
         calm = _read_digests(folder / "calm")
         for place in PLACES:
@@ -85,20 +103,38 @@ def _run(folder: Path, place: str, output: str) -> set[str]:
 def _disturb(folder: Path, place: str, runs: int) -> set[str]:
     """Kill two workers after a quarter of the runs, and the driver after half of them."""
     output = folder / place
+    quarter, half = runs // 4, runs // 2
+    _close_gate(folder, output, quarter)
     with running(*_command(folder, place, place)) as driver:
-        eventually(lambda: len(_list_ids(output)) >= runs // 4, END_S, "a quarter")
-        workers = eventually(
-            lambda: _list_workers(driver.pid, place)[:2] or None, END_S, "a worker"
-        )
-        for worker in workers:
+        eventually(lambda: len(_list_ids(output)) >= quarter, END_S, "a quarter")
+        for worker in eventually(lambda: _find_two(driver.pid, place), END_S, "two workers"):
             with suppress(psutil.NoSuchProcess):
                 worker.send_signal(signal.SIGKILL)
-        eventually(lambda: len(_list_ids(output)) >= runs // 2, END_S, "half")
+        _close_gate(folder, output, half)
+        eventually(lambda: len(_list_ids(output)) >= half, END_S, "half")
         family = psutil.Process(driver.pid).children(recursive=True)
         os.kill(driver.pid, signal.SIGKILL)
         driver.wait()
         eventually(lambda: not any(map(_is_alive, family)), END_S, "the end of its processes")
+    (folder / "gate").unlink()
     return _list_ids(output)
+
+
+def _close_gate(folder: Path, output: Path, most: int) -> None:
+    """Let runs wait from so many rows on."""
+    new = folder / "gate.new"
+    new.write_text(f"{output / 'runs'} {most}")
+    new.replace(folder / "gate")
+
+
+def _find_two(driver: int, place: str) -> list[psutil.Process] | None:
+    """Find two workers, without the copies of them that run scenarios."""
+    found = _list_workers(driver, place)
+    numbers = {one.pid for one in found}
+    with suppress(psutil.NoSuchProcess):
+        own = [one for one in found if one.ppid() not in numbers]
+        return own[:2] if len(own) > 1 else None
+    return None
 
 
 def _list_workers(driver: int, place: str) -> list[psutil.Process]:

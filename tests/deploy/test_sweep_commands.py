@@ -74,6 +74,7 @@ def test_sweep_writes_the_same_rows_here_and_in_processes(tmp_path: Path) -> Non
         }
         recordings = [folder / str(one) for one in table["recording"] if one]
         assert [zensim.Recording(one).counts["/r/odom"] > 10 for one in recordings] == [True]
+        assert [(one / "metadata.yaml").is_file() for one in recordings] == [True]
         digests.append(dict(zip(table["id"], table["digest"], strict=True)))
     assert digests[0] == digests[1]
     assert len(set(digests[0].values())) == 2
@@ -172,6 +173,9 @@ def test_error_of_a_run_is_a_row_and_can_be_retried(tmp_path: Path) -> None:
     words = (write_scenario(tmp_path, text=text), "--output", str(tmp_path / "out"))
 
     first = call(*words)
+    recording = tmp_path / "out" / "recordings" / ids_in(tmp_path / "out")[0]
+    recording.mkdir(parents=True)
+    (recording / f"{recording.name}_0.mcap").touch()
     (tmp_path / "mended").touch()
     kept, retried = call(*words), call(*words, "--retry-errors")
 
@@ -181,6 +185,7 @@ def test_error_of_a_run_is_a_row_and_can_be_retried(tmp_path: Path) -> None:
         ExitCode.OK,
     ], retried.output
     assert "status 3" in first.stderr
+    assert not recording.exists()
 
 
 @pytest.mark.parametrize(

@@ -83,6 +83,28 @@ def test_program_without_a_supervisor_begins(parent: str) -> None:
     die_with_supervisor({})
 
 
+ORPHAN = """
+import sys
+from zensim.proto.process_limits import die_with_parent
+die_with_parent(parent=int(sys.argv[1]))
+print("begun")
+"""
+
+
+@pytest.mark.parametrize("is_there", [True, False])
+def test_process_ends_at_once_when_its_parent_has_gone_already(*, is_there: bool) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", ORPHAN, str(os.getpid() if is_there else 999999999)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+    assert (done.returncode, done.stdout.strip()) == ((0, "begun") if is_there else (1, ""))
+
+
 LIMITED = """
 import resource as r
 from zensim.proto.process_limits import ResourceLimits, allow_cpu_time, set_resource_limits

@@ -56,13 +56,15 @@ class InProcessRecorder(WorldRecorder):
         self._session = self._create_files()
         try:
             self._recorder = Recorder(self._network, chosen, settings, self._session)
+            self._files = EntityFiles(
+                self._network, settings.world, self._session.attach, LOG.warning
+            )
+            self._epoch, self._time_ns, self._roster = -1, 0, -1
+            self.note_call()
         except BaseException:
             self._network.close()
             self._session.discard()
             raise
-        self._files = EntityFiles(self._network, settings.world, self._session.attach, LOG.warning)
-        self._epoch, self._time_ns, self._roster = -1, 0, -1
-        self.note_call()
         server.recorders.append(self)
 
     @property

@@ -130,12 +130,12 @@ def read_scenario(file: str, settings: Sequence[str] = ()) -> Scenario:
     Raises:
         ScenarioInvalid: With all mistakes.
     """
-    with _paused_collection():
+    with paused_collection():
         return make_scenario(file, read_merged_nodes(file, settings))
 
 
 @contextmanager
-def _paused_collection() -> Iterator[None]:
+def paused_collection() -> Iterator[None]:
     """Collect no garbage: nothing that is read has cycles, and looking for them takes half."""
     was_enabled = gc.isenabled()
     gc.disable()

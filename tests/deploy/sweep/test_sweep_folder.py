@@ -42,12 +42,15 @@ def test_damaged_file_is_no_row(content: bytes, folder: SweepFolder) -> None:
     assert folder.read_rows(["a"]) == []
 
 
-def test_file_that_was_not_renamed_is_no_row(folder: SweepFolder) -> None:
+def test_file_that_was_not_renamed_is_no_row_and_is_removed_later(folder: SweepFolder) -> None:
     folder.write_row(make_sweep_row("a"))
     whole = folder.path / "runs" / "a.json"
-    whole.rename(whole.with_name("a.json.host.1.part"))
+    left = whole.rename(whole.with_name(".a.json.0123456789abcdef.part"))
+    os.utime(left, (1e9, 1e9))
 
     assert folder.read_rows(["a"]) == []
+    folder.open(make_plan(folder.read_plan().file))
+    assert not left.exists()
 
 
 def test_row_that_cannot_be_written_leaves_no_file(folder: SweepFolder) -> None:

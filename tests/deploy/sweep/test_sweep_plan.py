@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.deploy.sweep.sweep_samples import SHORT, write_scenario
-from zensim.deploy.sweep.sweep_plan import SweepPlan, make_plan
+from zensim.deploy.sweep.sweep_plan import SweepPlan, SweepRun, make_plan
 from zensim.scenario.scenario_nodes import ScenarioInvalid
 from zensim.scenario.scenario_reader import read_scenario
 
@@ -35,6 +35,14 @@ def test_settings_of_a_run_make_its_scenario_of_the_file(tmp_path: Path) -> None
         assert scenario.sha256 == run.sha256
         assert scenario.seed == run.seed
         assert scenario.format.end.at == 0.25
+
+
+def test_each_run_is_reported_when_it_was_validated(tmp_path: Path) -> None:
+    reported: list[SweepRun] = []
+
+    plan = make_plan(write_scenario(tmp_path, "{seeds: 3}"), on_run=reported.append)
+
+    assert tuple(reported) == plan.runs
 
 
 def test_run_without_seeds_has_the_seed_of_the_file(tmp_path: Path) -> None:

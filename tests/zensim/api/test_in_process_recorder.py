@@ -8,6 +8,7 @@ import pytest
 
 import zensim
 from tests.recording.recordings import count_by_mcap, count_by_rosbags
+from zensim.api import in_process_recorder
 from zensim.recording import recording_parts
 from zensim.recording.recording_parts import DiskFull, RecordingParts
 
@@ -40,6 +41,25 @@ def test_equal_runs_give_equal_files_and_a_recorder_changes_no_state(tmp_path: P
     assert len(states) == 1
     for first, second in (("a.mcap", "b.mcap"), ("a_1.mcap", "b_1.mcap")):
         assert (tmp_path / first).read_bytes() == (tmp_path / second).read_bytes()
+
+
+def test_recorder_that_cannot_begin_leaves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError("no more handles")
+
+    with zensim.World() as world:
+        with monkeypatch.context() as patched:
+            patched.setattr(in_process_recorder, "EntityFiles", refuse)
+            with pytest.raises(OSError, match="handles"):
+                world.record(tmp_path / "run.mcap")
+        left = list(tmp_path.iterdir())
+        world.record(tmp_path / "run.mcap")
+        world.run_for(0.1)
+
+    assert left == []
+    assert zensim.Recording(tmp_path / "run.mcap").counts["/clock"] > 5
 
 
 def test_readers_that_are_not_ours_find_all_topics(recorded: Path) -> None:
