@@ -27,8 +27,8 @@ HEAD = """zensim
 Copyright (c) 2026 the zensim authors
 
 zensim is distributed under the MIT license; see LICENSE. It contains no code of others. Its wheel
-depends on these packages, of which each brings the text of its licence; a part is needed by some
-extras and platforms only.
+depends on these packages. The text of each licence is in its package. Some extras and platforms
+need only a part of them.
 
 """
 

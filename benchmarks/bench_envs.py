@@ -1,10 +1,11 @@
 """Environments
 
-Batches of worlds with ten box_bots, all of which drive along curves, with one thread. Each
-repetition is compared with MuJoCo alone, which steps the same model and as many worlds, as often,
-one world after another: `mj_step1`, constant target speeds of the wheels, `mj_step2`; and with
-`mj_step` of robots that stand. All are CPU times of this process, in turn. A restart is of one
-world with ten robots among 16.
+A batch of worlds makes control steps with one thread; each world has ten box_bots that drive along
+curves. Each repetition is compared with MuJoCo alone. It steps the same model in the same number of
+worlds equally often, one world after another, in two ways: robots that drive (`mj_step1`, constant
+target speeds of the wheels, `mj_step2`), and robots that stand (`mj_step`). All figures are CPU
+times of this process, measured in turn. The restart is that of one world of ten robots in a batch
+of 16.
 """
 
 import time

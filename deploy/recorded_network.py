@@ -158,7 +158,7 @@ class RecordedSubscription:
         """Take the messages since the last call; after a jump the last one before its target."""
         position = self._playback.position_ns
         has_jumped = self._playback.jumps != self._jumps
-        # What nobody took for a while is not read: it would stall the caller.
+        # Messages that were not taken in time are skipped: reading them would stall the caller.
         if has_jumped or position - self._reached_ns > LOOK_BACK_NS:
             self._jumps = self._playback.jumps
             self._messages = self._timeline.messages(

@@ -180,7 +180,7 @@ def find_cuts(reader: RecordingReader, last: LogTimes) -> list[str]:
     """Find out why the end of the log is missing in a recording.
 
     Args:
-        reader: The recording, of which all messages of the log were read.
+        reader: Of the recording, after all messages of the log were read.
         last: Of the last one.
     """
     found = [f"{file.name} was never closed" for file in reader.unclosed]

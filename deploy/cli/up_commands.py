@@ -228,7 +228,7 @@ def up(context: typer.Context, given: UpOptions) -> None:
 
 @dataclass(frozen=True)
 class UpPlan:
-    """What is started.
+    """A deployment that will be started, and what drives its robots.
 
     Attributes:
         drive_robots: Makes what drives the robots once all programs run.
@@ -243,7 +243,7 @@ class UpPlan:
 
 
 def _make_plan(context: typer.Context, given: UpOptions) -> UpPlan:
-    """Choose what drives the robots: a scenario, which also completes the settings, or the demo."""
+    """Complete the settings, and choose what drives the robots: a scenario or the demo."""
     behaviour = parse_choice("--behaviour", given.behaviour, DEMO_BEHAVIOURS)
     config = make_config(given)
     if given.file:
@@ -276,7 +276,7 @@ def _refuse_two_endpoints(config: LaunchConfig, scenario: Scenario) -> None:
 
 
 def _list_written(context: typer.Context, given: UpOptions) -> dict[str, object]:
-    """List the options that were written, or that a variable gives, with their values."""
+    """List the options that the command line or a variable sets, with their values."""
     sources = {name: context.get_parameter_source(name) for name in vars(given)}
     written = {
         name: value
@@ -358,20 +358,20 @@ def _make_server_config(given: UpOptions) -> LaunchConfig:
 
 
 def require_no_recording(config: LaunchConfig) -> None:
-    """Check that a recording would not write over another.
+    """Check that the file of the recording does not exist yet.
 
     Raises:
-        FileExistsError: It would.
+        FileExistsError: It exists.
     """
     if config.recording and Path(config.recording).exists():
         raise FileExistsError(EEXIST, "--record exists; give another name", config.recording)
 
 
 def secure_deployment(config: LaunchConfig) -> LaunchConfig:
-    """Give each program a user of its own if the server is secured; refuse to be exposed else.
+    """Give each program a user of its own if the server is secured; else check the exposure.
 
     Raises:
-        Exposed: Other hosts would be admitted without a decision.
+        Exposed: Other hosts can connect to a server that is not secured, and no option allows it.
         ValueError: See `to_secure_endpoint`, `RefusedUser`.
     """
     listen = () if config.connect else (config.endpoint,)
