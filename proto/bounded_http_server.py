@@ -15,7 +15,6 @@ ACCEPT_PAUSE_S: Final = 0.002
 IDLE_S: Final = 5.0
 """After which a client that neither sends nor receives is cut off."""
 LONGEST_S: Final = 60.0
-"""For which a connection lasts at most."""
 
 
 class BoundedHttpServer(ThreadingHTTPServer):
@@ -23,6 +22,8 @@ class BoundedHttpServer(ThreadingHTTPServer):
 
     daemon_threads = True
     request_queue_size = MAX_CONNECTIONS
+    longest_s = LONGEST_S
+    """For which a connection lasts at most."""
 
     def __init__(self, host: str, port: int, handler: type[BaseHTTPRequestHandler]) -> None:
         """Listen; 0 = any free port.
@@ -74,7 +75,7 @@ class BoundedHttpServer(ThreadingHTTPServer):
 
     def service_actions(self) -> None:
         """End connections that last too long; called twice a second."""
-        oldest_s = time.monotonic() - LONGEST_S
+        oldest_s = time.monotonic() - self.longest_s
         for request, began_s in tuple(self._began_s.items()):
             if began_s < oldest_s:
                 with suppress(OSError):

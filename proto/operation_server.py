@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from contextlib import contextmanager
 from http import HTTPStatus
@@ -27,6 +28,9 @@ LOOPBACK: Final = "127.0.0.1"
 MAX_PORT: Final = 65535
 EXTRA: Final = "prometheus_client"
 TEXT_TYPE: Final = "text/plain; charset=utf-8"
+CONNECTION_S: Final = 5.0
+"""Wall time of a connection at most: clients that hold them must not keep probes out for long."""
+LOG = logging.getLogger(__name__)
 
 
 class UnusableMetrics(ValueError):
@@ -91,6 +95,8 @@ def make_registry(status: ProgramStatus) -> CollectorRegistry:
 class OperationServer(BoundedHttpServer):
     """Serves the status of a program in threads; the program never waits for it."""
 
+    longest_s = CONNECTION_S
+
     def __init__(self, host: str, port: int, status: ProgramStatus) -> None:
         """Listen, and serve from now on.
 
@@ -130,7 +136,14 @@ class StatusRequest(BoundedHttpRequest, BaseHTTPRequestHandler):
     def _send_metrics(self) -> None:
         from prometheus_client import CONTENT_TYPE_LATEST, generate_latest  # noqa: PLC0415
 
-        self._send(HTTPStatus.OK, CONTENT_TYPE_LATEST, generate_latest(self.server.registry))
+        try:
+            text = generate_latest(self.server.registry)
+        except Exception as error:
+            # Counters are read while another thread writes them, and health must not depend on it.
+            LOG.exception("metrics cannot be read")
+            self._send(HTTPStatus.INTERNAL_SERVER_ERROR, TEXT_TYPE, f"{error!r}\n".encode())
+            return
+        self._send(HTTPStatus.OK, CONTENT_TYPE_LATEST, text)
 
     def _send(self, code: HTTPStatus, kind: str, body: bytes) -> None:
         self.send_response(code)

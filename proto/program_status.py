@@ -11,8 +11,10 @@ import msgspec
 from zensim.proto.metric_families import ListMetrics, MetricFamily
 from zensim.proto.service_manager import ServiceManager
 
-MAX_TURN_S: Final = 5.0
-"""Wall time after which a loop without a turn counts as stuck."""
+SERVER_TURN_S: Final = 5.0
+"""Wall time after which the loop of a server counts as stuck without a turn."""
+CLIENT_TURN_S: Final = 30.0
+"""That of other programs: a turn may wait for some replies of a server that hangs, 5 s for each."""
 
 Phase = Literal["starting", "restoring", "ready", "draining"]
 WORDS: Final[dict[Phase, str]] = {
@@ -41,13 +43,17 @@ class ProgramStatus:
         self,
         now_s: Callable[[], float] = time.monotonic,
         manager: ServiceManager | None = None,
+        *,
+        max_turn_s: float = SERVER_TURN_S,
     ) -> None:
         """Start without a turn.
 
         Args:
             now_s: Wall time from any origin.
             manager: Is notified of phases, and of turns if it has a watchdog.
+            max_turn_s: Wall time after which a loop without a turn counts as stuck.
         """
+        self._max_turn_s = max_turn_s
         self._manager = manager
         self._notify_at_s = math.inf
         self.phase: Phase = "starting"
@@ -94,9 +100,11 @@ class ProgramStatus:
             yield from source()
 
     def check_alive(self) -> HealthCheck:
-        """Check that the loop is not stuck; before its first turn it is not."""
-        idle_s = 0.0 if self._turn_s is None else self._now_s() - self._turn_s
-        fault = f"no turn for {idle_s:.1f} s" if idle_s > MAX_TURN_S else ""
+        """Check that the loop is not stuck; before its first turn, and at the end, it is not."""
+        # The end has a time limit of its own, and closes files after the last turn.
+        turn_s = None if self.phase == "draining" else self._turn_s
+        idle_s = 0.0 if turn_s is None else self._now_s() - turn_s
+        fault = f"no turn for {idle_s:.1f} s" if idle_s > self._max_turn_s else ""
         return HealthCheck("loop", fault)
 
     def check_ready(self) -> HealthCheck:
@@ -104,8 +112,8 @@ class ProgramStatus:
         return HealthCheck("phase", WORDS.get(self.phase, ""))
 
 
-def make_program_status(world: str) -> ProgramStatus:
+def make_program_status(world: str, max_turn_s: float) -> ProgramStatus:
     """Make the status of this process, which notifies the service manager that started it."""
-    status = ProgramStatus(manager=ServiceManager(os.environ))
+    status = ProgramStatus(manager=ServiceManager(os.environ), max_turn_s=max_turn_s)
     status.world = world
     return status

@@ -14,6 +14,7 @@ from zensim.proto.child_process import (
     start_process,
 )
 from zensim.proto.process_limits import PARENT_PID_VARIABLE
+from zensim.proto.setting_variables import CONFIG_VARIABLE, name_variable
 from zensim.proto.verbosity import CURRENT, LOG_FORMAT_VARIABLE
 
 TERMINATE_TIMEOUT_S = 1.2
@@ -32,13 +33,15 @@ class ProgramDied(Exception):
     """A process exited that is not restarted."""
 
 
-SETTINGS_PREFIXES = ("ZENSIM_CONFIG", "ZENSIM_SERVE_", "ZENSIM_VIEW_", "ZENSIM_RECORD_")
-"""Of variables of programs that get all settings as arguments."""
+def hide_settings(environment: Mapping[str, str], verb: str) -> dict[str, str]:
+    """Empty the variables that would be settings of a program that gets all as arguments.
 
-
-def hide_settings(environment: Mapping[str, str]) -> dict[str, str]:
-    """Empty the variables that would be settings of supervised programs."""
-    return {name: "" for name in environment if name.startswith(SETTINGS_PREFIXES)}
+    Args:
+        environment: All variables.
+        verb: First argument of the program; empty for a module that has none.
+    """
+    hidden = (CONFIG_VARIABLE, *([name_variable(verb, "")] if verb else ()))
+    return {name: "" for name in environment if name.startswith(hidden)}
 
 
 @dataclass
@@ -122,6 +125,7 @@ class Supervisor:
 
     def _start_process(self, program: SupervisedProgram) -> "subprocess.Popen[bytes]":
         program.started_s = time.monotonic()
+        verb = program.arguments[0] if program.module == CLI_MODULE else ""
         return start_process(
             make_module_command(program.module, *program.arguments),
             stdout=subprocess.PIPE,
@@ -129,6 +133,6 @@ class Supervisor:
             environment={
                 PARENT_PID_VARIABLE: str(os.getpid()),
                 **({LOG_FORMAT_VARIABLE: CURRENT.log_format} if CURRENT.log_format else {}),
-                **hide_settings(os.environ),
+                **hide_settings(os.environ, verb),
             },
         )

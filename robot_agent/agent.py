@@ -29,7 +29,7 @@ from zensim.proto.network_protocols import AgentNetwork, Subscription
 from zensim.proto.operation_server import served_status
 from zensim.proto.poll_schedule import MAX_PAUSE_S, PollSchedule
 from zensim.proto.process_limits import set_niceness
-from zensim.proto.program_status import ProgramStatus, make_program_status
+from zensim.proto.program_status import CLIENT_TURN_S, ProgramStatus, make_program_status
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.rosout import Rosout
 from zensim.proto.stats_publisher import StatsPublisher, read_process_usage
@@ -514,7 +514,7 @@ def run_agent_process(start: AgentProcessConfig) -> None:
     # Opening does not return to Python; until a token exists, a signal just ends the process.
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_DFL)
-    status = make_program_status(config.world)
+    status = make_program_status(config.world, CLIENT_TURN_S)
     CONTEXT.world = config.world
     deadline_s = time.monotonic() + config.wait_s
     with (

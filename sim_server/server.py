@@ -27,7 +27,7 @@ from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.operation_server import served_status
 from zensim.proto.process_limits import limit_malloc_arenas
-from zensim.proto.program_status import ProgramStatus, make_program_status
+from zensim.proto.program_status import SERVER_TURN_S, ProgramStatus, make_program_status
 from zensim.proto.ros2.node_services import NodeParameter, ParameterContent
 from zensim.proto.rosout import LogCollector
 from zensim.proto.service_catalog import INFO
@@ -105,7 +105,7 @@ def run_server(
     """
     config = msgspec.structs.replace(validate_config(config), requested=config)
     limit_malloc_arenas()
-    status = make_program_status(config.world)
+    status = make_program_status(config.world, SERVER_TURN_S)
     CONTEXT.world = config.world
     stop.on_stop = status.drain
     with ExitStack() as cleanup:

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeVar
 
-from zensim.deploy.cli.setting_variables import has_variables
+from zensim.proto.setting_variables import has_variables
 from zensim.proto.process_limits import die_with_supervisor
 
 if TYPE_CHECKING:

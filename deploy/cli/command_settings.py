@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from zensim.deploy.cli.setting_variables import CONFIG_VARIABLE, name_variable
+from zensim.proto.setting_variables import CONFIG_VARIABLE, name_variable
 
 if TYPE_CHECKING:
     from zensim.scenario.scenario_nodes import ScenarioNode

@@ -36,7 +36,7 @@ from zensim.api.local_deployment import (
     supervise,
 )
 from zensim.deploy.cli.scenario_commands import SetOption
-from zensim.deploy.cli.setting_variables import name_variable
+from zensim.proto.setting_variables import name_variable
 from zensim.deploy.fleet_demo import (
     DEMO_BEHAVIOURS,
     DemoBehaviour,

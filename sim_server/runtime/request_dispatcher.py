@@ -3,8 +3,8 @@
 import logging
 import time
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -254,12 +254,11 @@ class RequestDispatcher:
     def take(self, call: ServiceCall) -> None:
         """Handle a request; reply now, or when its response is ready and durable."""
         self._loop_stats.requests += 1
-        CONTEXT.request = call.request_id
-        if len(call.request_id) > MAX_REQUEST_ID_BYTES:
-            self.refuse(call, RequestIdTooLong())
-        else:
-            self._take(call)
-        CONTEXT.request = b""
+        with _logged_with_id(call):
+            if len(call.request_id) > MAX_REQUEST_ID_BYTES:
+                self.refuse(call, RequestIdTooLong())
+            else:
+                self._take(call)
 
     def refuse(self, call: ServiceCall, error: SimError) -> None:
         """Refuse a request now, unread; it has changed nothing."""
@@ -278,7 +277,7 @@ class RequestDispatcher:
             if not budget.may_run(client):
                 is_complete = False
                 continue
-            with budget.charge(client):
+            with budget.charge(client), _logged_with_id(pending.call):
                 if pending.is_ready():
                     self._pending.remove(pending)
                     self._reply(pending.call, self._outcome(pending), pending.began_ns)
@@ -290,7 +289,12 @@ class RequestDispatcher:
             self._execute(call, lambda: self._telemetry.reply(topic))
         elif (cached := self._responses.find(call)) is not None:
             self._send(call, cached)
-        elif not (self._attach_to_pending(call) or self._defer_until_writable(call)):
+        elif self._attach_to_pending(call):
+            return
+        elif self.is_draining and call.name in REFUSED_AT_END:
+            # Not kept in the journal: a retry is for the next server.
+            self.refuse(call, ServerEnds(call.name))
+        elif not self._defer_until_writable(call):
             self._execute(call, lambda: self._handle(call))
 
     def _attach_to_pending(self, call: ServiceCall) -> bool:
@@ -313,8 +317,6 @@ class RequestDispatcher:
     def _handle(self, call: ServiceCall) -> msgspec.Struct | DeferredResponse[Any]:
         _check_size(call)
         self._check_pending(call)
-        if self.is_draining and call.name in REFUSED_AT_END:
-            raise ServerEnds(call.name)
         request = call.read(_request_type(call.name))
         if self._authorization is not None:
             self._authorization.check(call, request)
@@ -385,10 +387,11 @@ class RequestDispatcher:
         for call, attempt in self._parked[:]:
             if journal.is_decided(attempt):
                 self._parked.remove((call, attempt))
-                if journal.is_failing:
-                    self._refuse(call)
-                else:
-                    self._take(call)
+                with _logged_with_id(call):
+                    if journal.is_failing:
+                        self._refuse(call)
+                    else:
+                        self._take(call)
 
     def _reply_again(self, queued: QueuedReply) -> None:
         call = queued.call
@@ -410,6 +413,16 @@ class RequestDispatcher:
         journal = self._journal
         position = 0 if journal is None else journal.durable
         self._reply_queue.add(QueuedReply(call, _encode_response(call, response), position))
+
+
+@contextmanager
+def _logged_with_id(call: ServiceCall) -> Iterator[None]:
+    """Give what is logged in the block the id of a request."""
+    CONTEXT.request = call.request_id
+    try:
+        yield
+    finally:
+        CONTEXT.request = b""
 
 
 def _note_request(inputs: InputLog, call: ServiceCall, response: msgspec.Struct) -> None:

@@ -2,11 +2,14 @@
 
 import io
 import logging
-from collections.abc import Iterable, Sequence
+import math
+import time
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 import numpy as np
@@ -31,8 +34,11 @@ from zensim.sim_server.scene.scene import SceneLayout
 if TYPE_CHECKING:
     from zensim.sim_server.scene.broad_phase import IntArray
 
+T = TypeVar("T")
 LOG = logging.getLogger("zensim.sensors")
 ASSET_TIMEOUT_S = 5.0
+FETCH_S = 2.0
+"""Wall time after which a fetch leaves the rest for the next one: the program goes on meanwhile."""
 PLACE_BYTES = 8
 """Of the place of a corner in an image."""
 NO_CORNERS = np.zeros((3, 3), dtype=np.float32)
@@ -204,9 +210,24 @@ class SceneRoster:
 class SceneMeshes:
     """Triangles of meshes and files of textures, fetched from the server once."""
 
-    def __init__(self, network: CallingNetwork, world: str) -> None:
+    def __init__(
+        self,
+        network: CallingNetwork,
+        world: str,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Begin without files.
+
+        Args:
+            network: With a server.
+            world: Name of the world.
+            now_s: Wall time from any origin.
+        """
         self._network = network
         self._world = world
+        self._now_s = now_s
+        self._begun: dict[str, bytearray] = {}
+        """First bytes of files that the last fetch left."""
         self._corners: dict[str, npt.NDArray[np.floating]] = {}
         self._files: dict[str, bytes] = {}
 
@@ -219,10 +240,10 @@ class SceneMeshes:
         return name in self._corners
 
     def fetch(self, names: Iterable[str]) -> bool:
-        """Fetch missing meshes; return whether all are there."""
-        missing = [name for name in names if name not in self._corners]
-        found = [self._fetch_one(name) for name in missing]
-        return all(found)
+        """Fetch missing meshes, for a limited time; return whether all are there."""
+        wanted = tuple(names)
+        self._fetch_missing(wanted, self._corners, read_corners)
+        return all(name in self._corners for name in wanted)
 
     def find_picture(self, image: str) -> npt.NDArray[np.uint8] | None:
         """See `TextureFiles`."""
@@ -243,23 +264,28 @@ class SceneMeshes:
         return np.frombuffer(data, "<f4", len(data) // PLACE_BYTES * 2).reshape(-1, 2)
 
     def fetch_files(self, names: Iterable[str]) -> bool:
-        """Fetch missing files of textures; return whether all are there."""
+        """Fetch missing files of textures, for a limited time; return whether all are there."""
         wanted = tuple(names)
-        for name in wanted:
-            if name not in self._files and (data := self._fetch_bytes(name)):
-                self._files[name] = data
+        self._fetch_missing(wanted, self._files, bytes)
         return all(name in self._files for name in wanted)
 
-    def _fetch_one(self, name: str) -> bool:
-        try:
-            self._corners[name] = read_corners(self._fetch_bytes(name))
-        except ValueError:
-            return False
-        return True
+    def _fetch_missing(
+        self, names: Sequence[str], found: dict[str, T], read: Callable[[bytes], T]
+    ) -> None:
+        """Fetch what is missing until the time is over; what cannot be read stays missing."""
+        deadline_s = self._now_s() + FETCH_S
+        for name in names:
+            if name in found:
+                continue
+            if data := self._fetch_bytes(name, deadline_s):
+                with suppress(ValueError):
+                    found[name] = read(data)
+            if self._now_s() >= deadline_s:
+                return
 
-    def _fetch_bytes(self, name: str) -> bytes:
-        """Fetch a file; empty if that fails."""
-        data, total = bytearray(), 1
+    def _fetch_bytes(self, name: str, deadline_s: float) -> bytes:
+        """Fetch a file; empty if that fails, or needs another fetch."""
+        data, total = self._begun.pop(name, bytearray()), math.inf
         try:
             while len(data) < total:
                 request = GetAssetRequest(name, len(data))
@@ -267,7 +293,13 @@ class SceneMeshes:
                     GET_ASSET, request, world=self._world, timeout_s=ASSET_TIMEOUT_S
                 )
                 data, total = data + part.data, part.total if part.data else 0
-        except (BusError, ServiceError, TimeoutError, MalformedPayload):
+                if len(data) < total and self._now_s() >= deadline_s:
+                    self._begun[name] = data
+                    return b""
+        except TimeoutError:
+            self._begun[name] = data
+            return b""
+        except (BusError, ServiceError, MalformedPayload):
             return b""
         return bytes(data) if sha256(data).hexdigest() == name else b""
 

@@ -30,7 +30,7 @@ from zensim.proto.metric_families import MetricFamily, make_counter, make_gauge
 from zensim.proto.network_protocols import AgentNetwork, Sample
 from zensim.proto.operation_server import served_status
 from zensim.proto.poll_schedule import PollSchedule
-from zensim.proto.program_status import ProgramStatus, make_program_status
+from zensim.proto.program_status import CLIENT_TURN_S, ProgramStatus, make_program_status
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.rosout import Rosout
 from zensim.proto.sensor_libraries import (
@@ -608,7 +608,7 @@ def start_sensor_process(config: SensorProcessConfig) -> None:
     configure_logging(logging.WARNING if config.is_quiet else logging.INFO)
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_DFL)
-    status = make_program_status(config.world)
+    status = make_program_status(config.world, CLIENT_TURN_S)
     CONTEXT.world = config.world
     with (
         served_status(config.metrics, status),

@@ -107,6 +107,24 @@ def test_notice_names_the_licence_of_each_package() -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.parametrize("change", ["", "removed-package: MIT\n"], ids=["lacks", "has too many"])
+def test_notice_with_other_packages_is_refused(change: str, tmp_path: Path) -> None:
+    """What is no longer needed must not stay for ever."""
+    written = (ROOT / "NOTICE").read_text()
+    other = written + change if change else written.replace("numpy: ", "numbers: ")
+    (tmp_path / "NOTICE").write_text(other)
+    script = tmp_path / "ci" / "notices.py"
+    script.parent.mkdir()
+    script.write_text((ROOT / ".ci" / "notices.py").read_text())
+
+    done = subprocess.run(
+        [sys.executable, str(script), "--check"], capture_output=True, text=True, check=False
+    )
+
+    assert done.returncode == 1
+    assert ("removed-package" if change else "numpy") in done.stderr
+
+
 def test_wheel_and_proto_plus_are_both_complete(python: Path) -> None:
     code = (
         "import proto, zensim.proto.bus\n"

@@ -20,7 +20,7 @@ from zensim.deploy.cli.command_settings import (
     list_options,
     read_settings,
 )
-from zensim.deploy.cli.setting_variables import has_variables, name_variable
+from zensim.proto.setting_variables import has_variables, name_variable
 from zensim.scenario.scenario_nodes import ScenarioInvalid
 
 Context = Any

@@ -1,13 +1,17 @@
 """Health and metrics by http, as a client of Prometheus reads them."""
 
+import socket
 from collections.abc import Iterator
+from contextlib import ExitStack
 from http.client import HTTPConnection
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from tests.integration.processes import eventually
+from zensim.proto.bounded_http_server import IDLE_S, MAX_CONNECTIONS
 from zensim.proto.bus_traffic import BusTraffic
-from zensim.proto.metric_families import DurationHistogram, make_counter
+from zensim.proto.metric_families import DurationHistogram, MetricFamily, make_counter
 from zensim.proto.operation_server import (
     OperationServer,
     UnusableMetrics,
@@ -97,6 +101,34 @@ def test_stuck_loop_is_not_alive(server: OperationServer) -> None:
 
 def test_unknown_path_is_not_found(server: OperationServer) -> None:
     assert get(server, "/")[0] == 404
+
+
+def test_metrics_that_cannot_be_read_are_an_error_and_life_goes_on(
+    server: OperationServer, status: ProgramStatus, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail() -> list[MetricFamily]:
+        raise RuntimeError("dictionary changed size during iteration")
+
+    status.sources.append(fail)
+
+    code, _ = get(server, "/metrics")
+
+    assert code == 500
+    assert [record.levelname for record in caplog.records] == ["ERROR"]
+    assert get(server, "/livez")[0] == 200
+
+
+def test_connections_that_are_held_leave_room_for_probes_soon(server: OperationServer) -> None:
+    with ExitStack() as stack:
+        for _ in range(MAX_CONNECTIONS):
+            held = stack.enter_context(socket.create_connection(("127.0.0.1", server.port), 10.0))
+            held.sendall(b"G")
+        eventually(lambda: server.count_connections() == MAX_CONNECTIONS, 10.0, "connections")
+        server.longest_s = 0.0
+        eventually(lambda: server.count_connections() == 0, 10.0, "their end")
+
+        assert get(server, "/livez")[0] == 200
+    assert type(server).longest_s <= IDLE_S
 
 
 def test_metrics_are_what_a_client_of_prometheus_reads(

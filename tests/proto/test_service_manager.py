@@ -8,15 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.fakes import ManualClock
 from zensim.proto.program_status import ProgramStatus
 from zensim.proto.service_manager import ServiceManager
-
-
-class Times:
-    now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
 
 
 @pytest.fixture
@@ -40,7 +34,7 @@ def make_variables(manager_socket: socket.socket, **others: str) -> dict[str, st
 
 
 def test_manager_is_notified_of_start_turns_and_end(manager_socket: socket.socket) -> None:
-    times = Times()
+    times = ManualClock()
     variables = make_variables(manager_socket, WATCHDOG_USEC="30000000")
     status = ProgramStatus(times, ServiceManager(variables))
 

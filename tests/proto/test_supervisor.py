@@ -17,6 +17,7 @@ from zensim.proto.supervisor import (
     ProgramDied,
     SupervisedProgram,
     Supervisor,
+    hide_settings,
 )
 
 NOWHERE = "tcp/127.0.0.1:1"
@@ -80,6 +81,22 @@ def test_program_runs_in_its_own_session(supervisor: Supervisor) -> None:
     assert process.environ()[PARENT_PID_VARIABLE] == str(os.getpid())
     assert os.getsid(process.pid) == process.pid
     assert supervisor.programs == [program]
+
+
+def test_settings_of_the_started_command_are_hidden_and_others_stay() -> None:
+    given = {
+        "ZENSIM_CONFIG": "a.yaml",
+        "ZENSIM_SENSORS_RUN_METRICS": "9464",
+        "ZENSIM_SERVE_RTF": "2",
+        "ZENSIM_TOKEN": "@file",
+        "PATH": "/bin",
+    }
+
+    assert hide_settings(given, "sensors") == {
+        "ZENSIM_CONFIG": "",
+        "ZENSIM_SENSORS_RUN_METRICS": "",
+    }
+    assert hide_settings(given, "") == {"ZENSIM_CONFIG": ""}
 
 
 def test_output_of_a_program_is_readable(supervisor: Supervisor) -> None:

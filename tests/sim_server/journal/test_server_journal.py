@@ -34,6 +34,7 @@ from zensim.sim_server.journal.server_journal import (
     WriterEnded,
     find_crashing,
 )
+from zensim.sim_server.runtime.loop import MAX_DRAIN_NS
 
 
 def harmless() -> None:
@@ -294,6 +295,30 @@ def test_spawn_waits_for_a_successful_write_while_the_disk_is_full(server: Journ
     assert ("spawned", "r3") not in server.server.events()[events:]
     assert result_code(accepted) == ResultCode.OK
     assert [row.name for row in read_journal(server.folder).entities] == ["r0", "r1", "r4"]
+
+
+@pytest.mark.parametrize("is_full", [True, False], ids=["failing", "hanging"])
+def test_end_neither_waits_for_a_disk_nor_keeps_its_refusals(
+    server: JournaledServer, *, is_full: bool
+) -> None:
+    server.disk.is_full = is_full
+    spawn(server, "r2", "2")
+    turn(server, 3)
+    server.disk.is_slow = True
+    refused = spawn(server, "r3", "3")
+    began_ns = server.server.wall.ns
+
+    server.server.loop.drain(lambda: False)
+
+    waited_ns = server.server.wall.ns - began_ns
+    server.disk.is_full = False
+    server.close()
+    retried = JournaledServer(server.folder)
+    retry = spawn(retried, "r3", "3")
+    turn(retried, 3)
+    assert b"server.ends: " in refused.answers[0].payload
+    assert waited_ns < MAX_DRAIN_NS
+    assert result_code(retry) == ResultCode.OK
 
 
 def test_simulation_continues_while_the_disk_is_full(server: JournaledServer) -> None:

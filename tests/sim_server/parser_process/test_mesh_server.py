@@ -178,7 +178,7 @@ def test_silent_connections_are_bounded_and_end(
         for _ in range(2 * MAX_CONNECTIONS):
             stack.enter_context(socket.create_connection(server.server_address[:2], 5.0))  # type: ignore[arg-type]
         eventually(lambda: server.count_connections() == MAX_CONNECTIONS, WITHIN_S, "connections")
-        monkeypatch.setattr(bounded_http_server, "LONGEST_S", 0.0)
+        monkeypatch.setattr(server, "longest_s", 0.0)
         eventually(lambda: server.count_connections() == 0, WITHIN_S, "their end")
         monkeypatch.undo()
 

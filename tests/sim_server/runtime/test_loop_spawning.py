@@ -1,10 +1,15 @@
 """Loop: spawns that wait for parsing, and bonded robots."""
 
+import io
+import json
+import logging
+
 import pytest
 
 from tests.fakes import MemoryCall
 from tests.sim_server.fakes import InlineParser, ServerFixture, a_server, answer_of, names_in
 from tests.sim_server.orders import an_order
+from zensim.proto.json_logs import CONTEXT, JsonFormatter
 from zensim.proto.messages.result_messages import ResultCode, SpawnCode
 from zensim.proto.messages.spawn_messages import SpawnEntityReport
 from zensim.proto.messages.telemetry_messages import InfoRequest
@@ -95,6 +100,29 @@ def test_loop_replies_to_a_retry_in_place_of_a_pending_spawn() -> None:
     assert code_of(retry) == ResultCode.OK
     assert not first.is_over
     assert names_in(server.world) == ["r1"]
+
+
+def test_what_is_logged_of_a_deferred_spawn_has_its_request_id(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(*_: object) -> int:
+        raise RuntimeError("no room")
+
+    server, log = a_slow_server(), io.StringIO()
+    handler = logging.StreamHandler(log)
+    handler.setFormatter(JsonFormatter())
+    monkeypatch.setattr(logging.getLogger("zensim"), "handlers", [handler])
+    monkeypatch.setattr(server.engine, "add", fail)
+    call = request_spawn(server, "r1", request_id=b"spawn-1")
+    server.loop.turn()
+
+    descriptions_of(server).is_slow = False
+    server.loop.turn()
+
+    (line,) = log.getvalue().splitlines()
+    assert call.is_over
+    assert json.loads(line)["request"] == "spawn-1"
+    assert CONTEXT.request == b""
 
 
 @pytest.mark.parametrize("turns", [0, 1, 5])

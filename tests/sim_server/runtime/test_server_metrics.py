@@ -2,11 +2,22 @@
 
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from tests.sim_server.fakes import ServerFixture, a_server
+from zensim.proto.messages.result_messages import Result
 from zensim.proto.messages.telemetry_messages import InfoRequest
+from zensim.sim_server.runtime.request_counts import NAMES
 from zensim.sim_server.runtime.server_metrics import ServerMetrics, sum_file_sizes
+
+MAX_SERIES = 300
+"""Of a server, as docs/metrics.md says."""
+SERIES_OF_JOURNAL_AND_PROCESS = 25
+
+
+class Refused(msgspec.Struct, frozen=True):
+    result: Result
 
 
 def read(server: ServerFixture) -> dict[tuple[str, ...], float]:
@@ -71,6 +82,16 @@ def test_number_of_series_does_not_depend_on_robots() -> None:
     few, many = a_server("r1"), a_server(*(f"r{number}" for number in range(1000)))
 
     assert read(few).keys() == read(many).keys()
+
+
+def test_series_stay_few_with_all_services_and_more_results_than_are_counted() -> None:
+    server = a_server("r1")
+    for name in (*NAMES, *(f"unknown_{number}" for number in range(10))):
+        for code in range(10):
+            response = Refused(Result(code, ""))
+            server.loop.request_counts.add(name, response, 1_000_000)
+
+    assert len(read(server)) + SERIES_OF_JOURNAL_AND_PROCESS <= MAX_SERIES
 
 
 def test_file_sizes_are_those_of_the_folder_itself(tmp_path: Path) -> None:

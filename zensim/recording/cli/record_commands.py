@@ -40,7 +40,7 @@ from zensim.proto.names import check_name
 from zensim.proto.operation_server import served_status
 from zensim.proto.printable_text import print_lines
 from zensim.proto.process_limits import limit_malloc_arenas
-from zensim.proto.program_status import ProgramStatus, make_program_status
+from zensim.proto.program_status import CLIENT_TURN_S, ProgramStatus, make_program_status
 from zensim.proto.ros2.rmw_keys import parse_domain
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.verbosity import (
@@ -255,7 +255,7 @@ def record_topics(given: RecordOptions) -> None:
             period_ns=round(NANOSECONDS / given.rate) if given.rate else 0,
             is_reproducible=given.reproducible,
         )
-        status = make_program_status(given.world_name)
+        status = make_program_status(given.world_name, CLIENT_TURN_S)
         CONTEXT.world = given.world_name
         stop = StopFlag(is_armed=False, on_stop=status.drain)
         limit_malloc_arenas()
