@@ -53,6 +53,8 @@ packages: # Debian packages that the tests use
 	@sh .ci/need systemd systemd-analyze
 	@sh .ci/need nodejs node
 	@sh .ci/need npm npm
+	@sh .ci/need openssl openssl
+	@sh .ci/promtool >/dev/null
 	@for library in libegl1 libgl1-mesa-dri; do \
 		dpkg-query -W $$library >/dev/null 2>&1 || sh .ci/need $$library; \
 	done

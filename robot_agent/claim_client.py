@@ -18,7 +18,7 @@ from zensim.proto.messages.agent_messages import (
     expand_grants,
 )
 from zensim.proto.messages.result_messages import ClaimCode, ResultCode, ServiceError
-from zensim.proto.messages.telemetry_messages import Event
+from zensim.proto.messages.telemetry_messages import PROTOCOL, Event
 from zensim.proto.network_protocols import AgentNetwork, Subscription
 from zensim.proto.service_catalog import CLAIM_ENTITY, CLAIM_SHARE
 from zensim.proto.topic_catalog import EVENTS
@@ -203,7 +203,9 @@ class NamedClaimClient:
 
     def _call(self, entities: tuple[str, ...], now_s: float) -> tuple[Claim, ...]:
         settings, timeout_s = self._settings, self._retry.find_timeout_s(now_s)
-        request = ClaimEntityRequest(settings.agent, entities, settings.on_release)
+        request = ClaimEntityRequest(
+            settings.agent, entities, settings.on_release, protocol=PROTOCOL
+        )
         response = self._network.call(
             CLAIM_ENTITY, request, world=settings.world, timeout_s=timeout_s
         )
@@ -276,7 +278,7 @@ class ShareClaimClient:
 
     def _claim(self) -> tuple[Claim, ...]:
         settings = self._settings
-        request = ClaimShareRequest(settings.agent, settings.limit, settings.on_release)
+        request = ClaimShareRequest(settings.agent, settings.limit, settings.on_release, PROTOCOL)
         response = self._network.call(
             CLAIM_SHARE, request, world=settings.world, timeout_s=CALL_TIMEOUT_S
         )

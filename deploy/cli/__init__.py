@@ -10,8 +10,8 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeVar
 
-from zensim.proto.setting_variables import has_variables
 from zensim.proto.process_limits import die_with_supervisor
+from zensim.proto.setting_variables import has_variables
 
 if TYPE_CHECKING:
     import typer

@@ -10,11 +10,11 @@ import typer
 from typer.main import get_command
 
 from zensim.deploy.cli.command_settings import add_settings, list_options
-from zensim.proto.setting_variables import CONFIG_VARIABLE
 from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import hide_token
 from zensim.proto.printable_text import print_lines
+from zensim.proto.setting_variables import CONFIG_VARIABLE
 
 app = make_app("config")
 WIDTH: Final = 22

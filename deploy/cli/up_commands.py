@@ -36,7 +36,6 @@ from zensim.api.local_deployment import (
     supervise,
 )
 from zensim.deploy.cli.scenario_commands import SetOption
-from zensim.proto.setting_variables import name_variable
 from zensim.deploy.fleet_demo import (
     DEMO_BEHAVIOURS,
     DemoBehaviour,
@@ -63,6 +62,7 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
 from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import ROLES, User
+from zensim.proto.setting_variables import name_variable
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied, SupervisedProgram, Supervisor
 from zensim.proto.verbosity import CURRENT

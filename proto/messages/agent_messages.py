@@ -31,6 +31,8 @@ class ClaimEntityRequest(msgspec.Struct, frozen=True):
     on_release: OnRelease = "stop"
     state_format: StateFormat = "msgpack"
     """Of the drive states that this agent gets from now on; in JSON, bytes are base64."""
+    protocol: UInt32 = 1
+    """`PROTOCOL` of the agent; agents that do not say it know the first one."""
 
 
 class Claim(msgspec.Struct, frozen=True):
@@ -96,6 +98,8 @@ class ClaimShareRequest(msgspec.Struct, frozen=True):
     limit: UInt32 = 0
     """Maximum number of robots; 0 = unlimited."""
     on_release: OnRelease = "stop"
+    protocol: UInt32 = 1
+    """`PROTOCOL` of the agent; agents that do not say it know the first one."""
 
 
 class ClaimShareResponse(ClaimEntityResponse, frozen=True):

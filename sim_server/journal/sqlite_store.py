@@ -337,6 +337,8 @@ def _migrate(folder: Path, connection: sqlite3.Connection, mark: int) -> None:
         )
     if version == len(MIGRATIONS):
         return
+    if version > 0:
+        _keep_copy(folder, connection, version)
     connection.execute("BEGIN IMMEDIATE")
     for script in MIGRATIONS[version:]:
         for statement in filter(str.strip, script.split(";")):
@@ -348,6 +350,19 @@ def _migrate(folder: Path, connection: sqlite3.Connection, mark: int) -> None:
     # The tables must not be lost with the end of the log.
     connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     sync_folder(folder)
+
+
+def _keep_copy(folder: Path, connection: sqlite3.Connection, version: int) -> None:
+    """Copy the database before it is migrated; the version that wrote it can open the copy."""
+    copy = folder / name_copy(version)
+    copy.unlink(missing_ok=True)
+    connection.execute("VACUUM INTO ?", (str(copy),))
+    sync_folder(folder)
+
+
+def name_copy(version: int) -> str:
+    """Name the copy of a database of an older version."""
+    return f"journal.v{version}.db"
 
 
 def _lock_folder(folder: Path) -> int:

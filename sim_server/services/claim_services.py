@@ -1,12 +1,14 @@
 """Services that claim robots for agents: by name, or as a pool's share of all robots."""
 
 from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 
 from zensim.proto.codec.message_codec import Format
 from zensim.proto.messages import agent_messages
-from zensim.proto.messages.result_messages import ClaimCode, Result
+from zensim.proto.messages.result_messages import ClaimCode, Result, ResultCode
+from zensim.proto.messages.telemetry_messages import PROTOCOL
 from zensim.proto.names import InvalidName, check_name
-from zensim.sim_server.errors import IncorrectState, RequestRefused
+from zensim.sim_server.errors import IncorrectState, RequestRefused, SimError
 from zensim.sim_server.service_parts import (
     Agents,
     CurrentWorld,
@@ -72,6 +74,7 @@ def claim_entity(
     request: agent_messages.ClaimEntityRequest,
 ) -> agent_messages.ClaimEntityResponse:
     """Grant an agent the claim of entities, named by the agent."""
+    _check_protocol(request.protocol)
     agent = _check_agent(agents, request.agent)
     if not request.entities:
         raise RequestRefused(ClaimCode.NOT_DRIVABLE, "no entity was named; name at least one")
@@ -98,6 +101,7 @@ def claim_share(
     request: agent_messages.ClaimShareRequest,
 ) -> agent_messages.ClaimShareResponse:
     """Grant a pool the claims of its share of the robots."""
+    _check_protocol(request.protocol)
     agent = _check_agent(agents, request.agent)
     agents.pool_limits[agent] = request.limit or UNLIMITED
     moved = _find_share(world, agents.pool_limits, agent)
@@ -114,6 +118,25 @@ def claim_share(
         make_environment(world, current),
         is_more=len(names) < len(moved),
     )
+
+
+class WrongProtocol(SimError):
+    """The agent has messages that this server does not know, or no longer."""
+
+    code = ResultCode.FEATURE_UNSUPPORTED
+    slug = "agent.protocol"
+
+    def __init__(self, protocol: int) -> None:
+        super().__init__(
+            f"the agent has protocol {protocol}, and this server (zensim {version('zensim')}) "
+            f"{PROTOCOL}; install the same zensim on both hosts"
+        )
+
+
+def _check_protocol(protocol: int) -> None:
+    """Check the protocol of an agent: during an upgrade, agents of the one before go on."""
+    if not PROTOCOL - 1 <= protocol <= PROTOCOL:
+        raise WrongProtocol(protocol)
 
 
 def _check_agent(agents: Agents, name: str) -> str:

@@ -9,6 +9,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from tests.integration.processes import free_endpoint
 
 TIMEOUT_S = 10.0
+SUFFIXES = {"histogram": ("_bucket", "_count", "_sum"), "summary": ("_count", "_sum")}
 
 
 def find_free_port() -> str:
@@ -27,14 +28,30 @@ def probe(port: str, path: str) -> int:
         return 0
 
 
+def list_metric_names(port: str) -> set[str]:
+    """List the names of metrics, also of those without a value yet, and of their series."""
+    names = set()
+    for line in _read_metrics(port).splitlines():
+        if line.startswith("# TYPE "):
+            name, kind = line.split()[2:4]
+            names.add(name)
+            if kind in ("histogram", "summary"):
+                names |= {name + suffix for suffix in SUFFIXES[kind]}
+    return names
+
+
 def scrape(port: str) -> Mapping[tuple[str, ...], float]:
     """Read all values by name and labels, but that of the world."""
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=TIMEOUT_S) as found:
-        text = found.read().decode()
     return {
         (one.name, *(value for name, value in sorted(one.labels.items()) if name != "world")): (
             one.value
         )
-        for family in text_string_to_metric_families(text)
+        for family in text_string_to_metric_families(_read_metrics(port))
         for one in family.samples
     }
+
+
+def _read_metrics(port: str) -> str:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=TIMEOUT_S) as found:
+        text: str = found.read().decode()
+    return text

@@ -6,6 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.deploy.monitoring_rules import (
+    find_metrics,
+    list_alert_queries,
+    list_dashboard_queries,
+)
 from tests.integration.processes import (
     Server,
     eventually,
@@ -14,7 +19,7 @@ from tests.integration.processes import (
     serving,
     zensim,
 )
-from tests.integration.scraping import find_free_port, probe, scrape
+from tests.integration.scraping import find_free_port, list_metric_names, probe, scrape
 from zensim.proto.exit_codes import ExitCode
 
 WITHIN_S = 30.0
@@ -96,6 +101,16 @@ def test_series_are_few(programs: Programs, name: str) -> None:
     eventually(lambda: probe(programs.ports[name], "/readyz") == 200, WITHIN_S, "readiness")
 
     assert len(scrape(programs.ports[name])) <= MAX_SERIES
+
+
+def test_metrics_of_alerts_and_dashboard_are_those_of_the_programs(programs: Programs) -> None:
+    for port in programs.ports.values():
+        eventually(lambda port=port: probe(port, "/readyz") == 200, WITHIN_S, "readiness")
+    queries = [*list_alert_queries(), *list_dashboard_queries()]
+
+    found = set().union(*map(list_metric_names, programs.ports.values()))
+
+    assert set().union(*map(find_metrics, queries)) - found == set()
 
 
 def test_agent_that_waits_for_a_server_is_alive_and_not_ready() -> None:

@@ -16,6 +16,7 @@ from zensim.sim_server.journal.sqlite_store import (
     MIGRATIONS,
     JournalError,
     SqliteStore,
+    name_copy,
     open_store,
     open_store_read_only,
 )
@@ -134,6 +135,24 @@ def test_store_of_an_older_version_is_migrated(
     assert connection.execute("PRAGMA user_version").fetchone() == (2,)
     assert connection.execute("SELECT count(*) FROM more").fetchone() == (0,)
     connection.close()
+
+
+def test_copy_that_is_kept_before_a_migration_opens_in_the_older_version(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = open_store(tmp_path / "j")
+    fill(store, {("entity", "a"): b"1"}, 1)
+    store.close()
+    newer = (*MIGRATIONS, "CREATE TABLE more (id INTEGER PRIMARY KEY)")
+    with monkeypatch.context() as later:
+        later.setattr(sqlite_store, "MIGRATIONS", newer)
+        read_state(tmp_path / "j")
+
+    older = tmp_path / "older"
+    older.mkdir()
+    (tmp_path / "j" / name_copy(1)).rename(older / DATABASE)
+
+    assert read_state(older) == (1, 0, {"a": b"1"})
 
 
 @pytest.mark.parametrize("kind", ["file", "garbage", "no journal"])

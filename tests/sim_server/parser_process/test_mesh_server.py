@@ -13,7 +13,6 @@ from urllib.request import Request, urlopen
 import pytest
 
 from tests.integration.processes import eventually
-from zensim.proto import bounded_http_server
 from zensim.proto.bounded_http_server import MAX_CONNECTIONS
 from zensim.proto.messages.asset_messages import AssetRef
 from zensim.sim_server.parser_process.mesh_server import (

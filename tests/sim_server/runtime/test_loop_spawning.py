@@ -7,12 +7,21 @@ import logging
 import pytest
 
 from tests.fakes import MemoryCall
-from tests.sim_server.fakes import InlineParser, ServerFixture, a_server, answer_of, names_in
+from tests.sim_server.fakes import (
+    InlineParser,
+    ServerFixture,
+    TimedEngine,
+    a_server,
+    answer_of,
+    names_in,
+)
 from tests.sim_server.orders import an_order
 from zensim.proto.json_logs import CONTEXT, JsonFormatter
+from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import ResultCode, SpawnCode
 from zensim.proto.messages.spawn_messages import SpawnEntityReport
 from zensim.proto.messages.telemetry_messages import InfoRequest
+from zensim.sim_server.physics.engine import FloatArray
 
 
 def a_slow_server(*names: str) -> ServerFixture:
@@ -102,26 +111,28 @@ def test_loop_replies_to_a_retry_in_place_of_a_pending_spawn() -> None:
     assert names_in(server.world) == ["r1"]
 
 
-def test_what_is_logged_of_a_deferred_spawn_has_its_request_id(
+def test_deferred_spawn_is_finished_with_its_request_id_in_the_log(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def fail(*_: object) -> int:
-        raise RuntimeError("no room")
-
-    server, log = a_slow_server(), io.StringIO()
+    server, add, log = a_slow_server(), TimedEngine.add, io.StringIO()
     handler = logging.StreamHandler(log)
     handler.setFormatter(JsonFormatter())
-    monkeypatch.setattr(logging.getLogger("zensim"), "handlers", [handler])
-    monkeypatch.setattr(server.engine, "add", fail)
+    logger = logging.getLogger("zensim.test")
+    monkeypatch.setattr(logger, "handlers", [handler])
+
+    def add_and_warn(engine: TimedEngine, model: Model, base: FloatArray) -> int:
+        logger.warning("adding")
+        return add(engine, model, base)
+
+    monkeypatch.setattr(TimedEngine, "add", add_and_warn)
     call = request_spawn(server, "r1", request_id=b"spawn-1")
     server.loop.turn()
 
     descriptions_of(server).is_slow = False
     server.loop.turn()
 
-    (line,) = log.getvalue().splitlines()
-    assert call.is_over
-    assert json.loads(line)["request"] == "spawn-1"
+    assert code_of(call) == ResultCode.OK
+    assert [json.loads(line)["request"] for line in log.getvalue().splitlines()] == ["spawn-1"]
     assert CONTEXT.request == b""
 
 

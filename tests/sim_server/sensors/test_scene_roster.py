@@ -1,15 +1,17 @@
 """Files of a scene that are fetched from a server that is slow, hangs, or lacks some."""
 
 from hashlib import sha256
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import pytest
 
 from tests.fakes import ManualClock
 from zensim.proto.bus import NoServer
 from zensim.proto.messages.asset_messages import GetAssetRequest, GetAssetResponse
-from zensim.proto.network_protocols import CallingNetwork
 from zensim.sim_server.sensors.scene_roster import ASSET_TIMEOUT_S, FETCH_S, SceneMeshes
+
+if TYPE_CHECKING:
+    from zensim.proto.network_protocols import CallingNetwork
 
 PART_BYTES = 100
 

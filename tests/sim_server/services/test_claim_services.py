@@ -10,6 +10,7 @@ from tests.sim_server.fakes import CONTROL_STEPS, a_spawn, a_world, handle_reque
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages import agent_messages
 from zensim.proto.messages.asset_messages import AssetRef
+from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.sensor_messages import Environment, SphericalCoordinates
 from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse
 from zensim.sim_server.description.world_model import EARTH_MAGNETIC_FIELD, WorldModel
@@ -18,7 +19,11 @@ from zensim.sim_server.parser_process.description_cache import ParseKey
 from zensim.sim_server.parser_process.mesh_server import PublishedFiles
 from zensim.sim_server.service_parts import ServerParts
 from zensim.sim_server.services import claim_services
-from zensim.sim_server.services.claim_services import find_robots_to_move, split_evenly
+from zensim.sim_server.services.claim_services import (
+    WrongProtocol,
+    find_robots_to_move,
+    split_evenly,
+)
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
 
 MANY = 1 << 32
@@ -221,6 +226,46 @@ def test_robots_of_a_silent_pool_go_to_the_other_until_it_calls_again() -> None:
 def test_pool_without_a_token_is_refused() -> None:
     with pytest.raises(IncorrectState, match="'p'"):
         handle_request(make_parts(a_world("r0")), agent_messages.ClaimShareRequest("p"))
+
+
+def claim_by(protocol: int, *, is_pool: bool) -> ServerParts:
+    parts = make_parts(a_world("r0"))
+    parts.agents.alive.add("a")
+    named = agent_messages.ClaimEntityRequest("a", ("r0",), protocol=protocol)
+    pooled = agent_messages.ClaimShareRequest("a", protocol=protocol)
+    handle_request(parts, pooled if is_pool else named)
+    return parts
+
+
+@pytest.mark.parametrize("is_pool", [True, False])
+@pytest.mark.parametrize("before", [0, 1])
+def test_agents_of_this_protocol_and_of_the_one_before_drive(
+    before: int, monkeypatch: pytest.MonkeyPatch, *, is_pool: bool
+) -> None:
+    monkeypatch.setattr(claim_services, "PROTOCOL", 5)
+
+    assert driven_by(claim_by(5 - before, is_pool=is_pool), "a") == ["r0"]
+
+
+@pytest.mark.parametrize("is_pool", [True, False])
+@pytest.mark.parametrize("difference", [-2, 1])
+def test_agents_of_other_protocols_are_refused(
+    difference: int, monkeypatch: pytest.MonkeyPatch, *, is_pool: bool
+) -> None:
+    monkeypatch.setattr(claim_services, "PROTOCOL", 5)
+
+    with pytest.raises(WrongProtocol) as caught:
+        claim_by(5 + difference, is_pool=is_pool)
+
+    assert str(caught.value).startswith("agent.protocol: ")
+    assert caught.value.code == ResultCode.FEATURE_UNSUPPORTED
+
+
+@pytest.mark.parametrize(
+    "kind", [agent_messages.ClaimEntityRequest, agent_messages.ClaimShareRequest]
+)
+def test_agents_that_say_no_protocol_know_the_first(kind: type[msgspec.Struct]) -> None:
+    assert msgspec.to_builtins(msgspec.json.decode(b'{"agent": "a"}', type=kind))["protocol"] == 1
 
 
 def test_pool_with_a_bad_name_is_refused() -> None:
