@@ -11,7 +11,6 @@ from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.standard_messages import Odometry, TFMessage, TransformStamped
 from zensim.recording import latched_messages, recording_parts
 from zensim.recording.bag_info import read_info
-from zensim.recording.bag_metadata import PartFacts
 from zensim.recording.latched_messages import LatchedMessages
 from zensim.recording.mcap_records import AttachedFile, Metadata
 from zensim.recording.mcap_writer import McapWriter
@@ -152,42 +151,6 @@ def test_equal_messages_give_equal_files(tmp_path: Path) -> None:
         close(parts)
 
     assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "two.mcap").read_bytes()
-
-
-def test_counts_never_fall_while_a_file_is_closed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A scrape reads them in another thread, at any time."""
-    seen: list[tuple[int, int]] = []
-    close_file, describe = McapWriter.close, recording_parts.Part.describe
-
-    def note() -> None:
-        seen.append((parts.written, parts.written_bytes))
-
-    def close_and_note(writer: McapWriter) -> None:
-        note()
-        close_file(writer)
-        note()
-
-    def describe_and_note(part: recording_parts.Part) -> PartFacts:
-        note()
-        return describe(part)
-
-    parts = RecordingParts[RecordedTopic](PartSettings(path=tmp_path / "run", max_bytes=2000))
-    monkeypatch.setattr(McapWriter, "close", close_and_note)
-    monkeypatch.setattr(recording_parts.Part, "describe", describe_and_note)
-
-    for number in range(100):
-        parts.write(odometry_at(float(number)))
-        parts.flush_if_due(float(number))
-        note()
-    parts.close()
-    note()
-
-    messages, lengths = zip(*seen, strict=True)
-    assert list(messages) == sorted(messages)
-    assert list(lengths) == sorted(lengths)
-    assert messages[-1] == parts.offered == 100
 
 
 def test_recording_refuses_to_write_over_another(tmp_path: Path) -> None:

@@ -242,6 +242,7 @@ class RecordingParts(Generic[Topic]):
         self._done: list[PartFacts] = []
         self._latched: LatchedMessages[Topic] = LatchedMessages()
         self._flush_at_s = 0.0
+        self._bytes = 0
         self._is_closed = False
         self.offered = 0
         """Messages that were to be written."""
@@ -249,35 +250,20 @@ class RecordingParts(Generic[Topic]):
         """Messages in files that were deleted, as newer ones are kept."""
         self._flushed_ns = 0
         self._part = self._open()
-<<<<<<< HEAD
         self._tally: tuple[int, tuple[Part, ...]] = (0, (self._part,))
         """Messages in closed files, also in deleted ones, and the open files; replaced at once,
         as another thread reads it."""
-=======
-        self._totals: tuple[int, int, tuple[Part, ...]] = (0, 0, (self._part,))
-        """Messages and bytes of closed files, and the others; other threads read it as a whole."""
->>>>>>> c2964545 (Mend what a second reading of operation found)
 
     @property
     def written(self) -> int:
         """Messages that were written, also to files that are deleted."""
-<<<<<<< HEAD
         closed, parts = self._tally
         return closed + sum(one.writer.messages for one in parts)
-=======
-        messages, _, parts = self._totals
-        return messages + sum(one.writer.messages for one in parts)
->>>>>>> c2964545 (Mend what a second reading of operation found)
 
     @property
     def written_bytes(self) -> int:
         """Bytes of all files."""
-<<<<<<< HEAD
         return self._bytes + sum(one.output.position for one in self._tally[1])
-=======
-        _, length, parts = self._totals
-        return length + sum(one.output.position for one in parts)
->>>>>>> c2964545 (Mend what a second reading of operation found)
 
     @property
     def topics(self) -> int:
@@ -330,12 +316,7 @@ class RecordingParts(Generic[Topic]):
             OSError: See `write`.
         """
         ended, self._part = self._part, self._open()
-<<<<<<< HEAD
         self._tally = self._tally[0], (ended, self._part)
-=======
-        messages, length, parts = self._totals
-        self._totals = messages, length, (*parts, self._part)
->>>>>>> c2964545 (Mend what a second reading of operation found)
         # The new file is the present one already: what fails here ends the recording there.
         self._close_part(ended)
         following = self._part
@@ -416,23 +397,12 @@ class RecordingParts(Generic[Topic]):
                 part.writer.close()
             finally:
                 part.output.close()
-<<<<<<< HEAD
                 facts = part.describe()
                 self._done.append(facts)
                 closed, parts = self._tally
                 self._bytes += facts.bytes
                 left = tuple(one for one in parts if one is not part)
                 self._tally = closed + facts.messages, left
-=======
-                messages, length, parts = self._totals
-                left = tuple(one for one in parts if one is not part)
-                self._totals = (
-                    messages + part.writer.messages,
-                    length + part.output.position,
-                    left,
-                )
-                self._done.append(part.describe())
->>>>>>> c2964545 (Mend what a second reading of operation found)
                 self._write_metadata()
 
     def _find_metadata_file(self) -> Path | None:
@@ -452,8 +422,7 @@ class RecordingParts(Generic[Topic]):
         while done and sum(one.duration_ns for one in done[1:]) >= keep_ns:
             oldest = done.pop(0)
             self.deleted += oldest.messages
-            messages, length, parts = self._totals
-            self._totals = messages, length - oldest.bytes, parts
+            self._bytes -= oldest.bytes
             (self._folder / oldest.file).unlink(missing_ok=True)  # it may have been moved away
             self._write_metadata()
 
