@@ -55,6 +55,8 @@ class Info(msgspec.Struct, frozen=True):
     """`PROTOCOL` of the server; 0 = from before there were numbers."""
     role: str = ""
     """Of the caller; empty if the server is not secured, or does not admit its user."""
+    driven: UInt32 = 0
+    """Claimed robots whose agent has sent a command since it claimed them."""
 
 
 class WorldClock(Clock, frozen=True):
@@ -62,6 +64,19 @@ class WorldClock(Clock, frozen=True):
 
     step: UInt64 = 0
     epoch: UInt32 = 0
+
+
+class AgentCommands(msgspec.Struct, frozen=True):
+    """Drive commands of an agent: one is due for each step whose state it got."""
+
+    ros_type: ClassVar[str] = "zensim/msg/AgentCommands"
+
+    taken: UInt64 = 0
+    """Steps that it sent a command for, since it came."""
+    due: UInt64 = 0
+    taken_hz: float = 0.0
+    """In the last second, by wall time."""
+    due_hz: float = 0.0
 
 
 class Stats(msgspec.Struct, frozen=True):
@@ -114,6 +129,10 @@ class Stats(msgspec.Struct, frozen=True):
     """Sessions that joined a secured server since start."""
     usage: ProcessUsage = ProcessUsage()
     """Of the process of the server, without its worker processes."""
+    driven: UInt32 = 0
+    """See `Info.driven`."""
+    agent_commands: dict[str, AgentCommands] = {}
+    """By agent. The real-time factor alone does not show an agent that misses states."""
 
 
 class AuditRecord(msgspec.Struct, frozen=True):

@@ -2,6 +2,7 @@
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.metric_families import DurationHistogram
+from zensim.sim_server.pacing.command_counts import CommandCounts
 
 STEP_SHARE = 4
 
@@ -25,6 +26,8 @@ class LoopStats:
         """Delays of all steps after their deadlines."""
         self.late_steps = 0
         """Steps that began later than a step's time after their deadline."""
+        self.commands = CommandCounts()
+        """Of agents."""
         self._since_ns = now_ns
         self._simulated_ns = 0
         self._steps = 0
@@ -73,6 +76,7 @@ class LoopStats:
         self.step_time_max_s = self._longest_ns * 1e-9
         self.late_max_s = self._latest_ns * 1e-9
         self.busy_max_s = self._busiest_ns * 1e-9
+        self.commands.close_window(elapsed_ns / NANOSECONDS)
         self._since_ns = now_ns
         self._simulated_ns = self._steps = self._stepping_ns = 0
         self._longest_ns = self._latest_ns = self._busiest_ns = 0

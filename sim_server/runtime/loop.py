@@ -99,6 +99,7 @@ class AgentSessions:
         self._world = parts.world
         self._pacing = parts.pacing
         self._lockstep = parts.pacing.lockstep
+        self._commands = parts.pacing.loop_stats.commands
         self._agents = parts.agents
         self._bonds = parts.bonds
         self._inbox = inbox
@@ -223,6 +224,8 @@ class AgentSessions:
         )
         form = self._agents.state_formats.get(agent, Format.MSGPACK)
         self._publisher.publish_drive_state(agent, sent, form)
+        if sent.claims:
+            self._commands.note_due(agent, (sent.epoch, sent.step))
         self._awaited_since_ns[agent] = self._pacing.now_ns()
         if agent not in self._command_timeouts and agent not in self._world.claims.silent:
             self._note_command(agent, sent.claims, self._pacing.now_ns())
@@ -270,6 +273,7 @@ class AgentSessions:
         self._lockstep.forget(agent)
         self._awaited_since_ns.pop(agent, None)
         self._command_timeouts.forget(agent)
+        self._commands.forget(agent)
         self._publisher.forget_agent(agent)
 
     def _on_bond_liveliness(self, bond: str, *, is_alive: bool) -> None:
@@ -315,6 +319,7 @@ class AgentSessions:
         elif self._world.command(agent, command):
             now_ns = self._pacing.now_ns()
             self._note_command(agent, command.claims, now_ns)
+            self._commands.note_taken(agent, (command.epoch, command.step))
             self._world.record_ready_time(agent, now_ns)
 
 

@@ -74,6 +74,9 @@ class ServerMetrics:
             "zensim_engine_info", "gauge", "Physics engine.", {(self.engine,): 1}, "engine"
         )
         yield make_gauge("zensim_claimed_robots", "Robots with an agent.", len(world.claims))
+        yield make_gauge(
+            "zensim_driven_robots", "Robots whose agent sends commands.", world.claims.driven
+        )
         yield make_gauge("zensim_agents", "Agents on the network.", len(self.parts.agents.alive))
         yield make_gauge(
             "zensim_sensor_processes",
@@ -102,6 +105,18 @@ class ServerMetrics:
             "Drive commands without effect, by reason.",
             rejected,
             "code",
+        )
+        counts = self.parts.pacing.loop_stats.commands
+        yield make_counter(
+            "zensim_commands_due_total", "Steps whose state an agent got.", counts.due
+        )
+        yield make_counter(
+            "zensim_commands_taken_total", "Steps that an agent sent a command for.", counts.taken
+        )
+        yield make_gauge(
+            "zensim_commands_least_share",
+            "Least share of the commands due that an agent sent in the last second.",
+            counts.least_share,
         )
 
     def _list_journal(self, tracker: ChangeTracker) -> Iterator[MetricFamily]:

@@ -208,7 +208,7 @@ class WorldTelemetry:
             real_time_factor=self._real_time_factor(),
             state=world.clock.state_name,
             entities=len(world.entities),
-            agents=len(world.claims.agents),
+            agents=world.claims.agent_count,
             claimed=len(world.claims),
             step_time_s=loop_stats.step_time_s,
             step_time_max_s=loop_stats.step_time_max_s,
@@ -230,6 +230,8 @@ class WorldTelemetry:
             accepted=loop_stats.accepted,
             joined=loop_stats.joined,
             usage=read_process_usage(),
+            driven=world.claims.driven,
+            agent_commands=loop_stats.commands.list_agents(),
         )
 
     def _make_snapshot(self) -> Snapshot:

@@ -59,13 +59,14 @@ def get_server_info(
         real_time_factor=pacing.loop_stats.real_time_factor if is_playing else 0.0,
         target_real_time_factor=pacing.target_real_time_factor,
         entities=len(world.entities),
-        agents=len(world.claims.agents),
+        agents=world.claims.agent_count,
         claimed=len(world.claims),
         state=world.clock.state_name,
         engine=world.engine.name,
         world_model=current.model.name,
         seed=current.seed,
         is_lockstep=pacing.lockstep.settings.is_on,
+        driven=world.claims.driven,
     )
 
 

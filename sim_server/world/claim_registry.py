@@ -55,6 +55,19 @@ class ClaimedEntities:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class DrivenClaims:
+    """The claims of an agent that its last command was for.
+
+    Attributes:
+        newest: No later claim is among them; an agent commands all that it has.
+        count: Of those that it still has.
+    """
+
+    newest: int
+    count: int
+
+
 RejectionReason = Literal["malformed", "claims", "step"]
 """Why a command has no effect: its bytes, claims that are none of its agent's, or a former step."""
 
@@ -74,6 +87,7 @@ class ClaimRegistry:
         self._claims: dict[str, ClaimRecord] = {}
         self._counts: Counter[str] = Counter()
         self._next_claim = 1
+        self._driven: dict[str, DrivenClaims] = {}
         self._targets: dict[str, FloatArray] = {}
         self._wanting_efforts: set[str] = set()
         self._without_claims: set[str] = set()
@@ -88,6 +102,11 @@ class ClaimRegistry:
         return sum(self.rejected.values())
 
     @property
+    def driven(self) -> int:
+        """Number of claims whose agent has sent a command since it has them."""
+        return sum(one.count for one in tuple(self._driven.values()))
+
+    @property
     def newest(self) -> int:
         """Number of the last claim granted; 0 before the first."""
         return self._next_claim - 1
@@ -96,6 +115,11 @@ class ClaimRegistry:
     def agents(self) -> tuple[str, ...]:
         """Agents that have a claim."""
         return tuple(dict.fromkeys(record.agent for record in self._claims.values()))
+
+    @property
+    def agent_count(self) -> int:
+        """Number of agents that have a claim."""
+        return sum(count > 0 for count in self._counts.values())
 
     def agent_of(self, name: str) -> str:
         """Find the agent that drives an entity; empty if none does."""
@@ -125,6 +149,7 @@ class ClaimRegistry:
         self._next_claim += 1
         if (before := self._claims.get(name)) is not None:
             self._counts[before.agent] -= 1
+            self._forget_driven(before)
         self._claims[name] = record
         self._counts[agent] += 1
         self.changes += 1
@@ -138,6 +163,7 @@ class ClaimRegistry:
         if (record := self._claims.pop(name, None)) is None:
             return
         self._counts[record.agent] -= 1
+        self._forget_driven(record)
         self.changes += 1
         self.invalidate_rows()
         self._targets.pop(record.agent, None)
@@ -151,6 +177,7 @@ class ClaimRegistry:
         self.silent.discard(agent)
         self._without_claims.discard(agent)
         self._wanting_efforts.discard(agent)
+        self._driven.pop(agent, None)
 
     def take_agents_without_claims(self) -> list[str]:
         """Take the agents that lost their last claim since the previous call."""
@@ -181,6 +208,7 @@ class ClaimRegistry:
             self.rejected["claims"] += 1
             return False
         self._targets[agent] = targets
+        self._driven[agent] = DrivenClaims(self.newest, self._counts[agent])
         self.silent.discard(agent)
         if command.wants_efforts:
             self._wanting_efforts.add(agent)
@@ -201,11 +229,17 @@ class ClaimRegistry:
     def note_silent(self, agent: str) -> None:
         """Note that an agent has sent no command for too long; its last targets are dropped."""
         self.silent.add(agent)
+        self._driven.pop(agent, None)
         self._targets.pop(agent, None)
 
     def forget_targets(self) -> None:
         """Drop all targets."""
         self._targets = {}
+
+    def _forget_driven(self, record: ClaimRecord) -> None:
+        driven = self._driven.get(record.agent)
+        if driven is not None and record.claim <= driven.newest:
+            self._driven[record.agent] = DrivenClaims(driven.newest, driven.count - 1)
 
 
 def _select_claimed(

@@ -290,6 +290,15 @@ class FleetOptions(WaitingClientOptions, DescriptionOptions):
     partial: Annotated[
         bool, flag("--partial", help="Spawn as many as possible, instead of all or none.")
     ] = False
+    wait_driven: Annotated[
+        float,
+        typer.Option(
+            "--wait-driven",
+            min=0.0,
+            metavar="SECONDS",
+            help=r"Wait until agents drive them, and fail after this time \[s]; 0 = do not wait.",
+        ),
+    ] = 0.0
     as_json: JsonOption = False
 
 

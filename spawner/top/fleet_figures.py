@@ -10,7 +10,12 @@ import numpy as np
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.process_messages import AgentStats, ProcessUsage
 from zensim.proto.messages.sensor_messages import SensorStats
-from zensim.proto.messages.telemetry_messages import GetModelsResponse, Snapshot, Stats
+from zensim.proto.messages.telemetry_messages import (
+    AgentCommands,
+    GetModelsResponse,
+    Snapshot,
+    Stats,
+)
 from zensim.spawner.top.local_processes import LocalProcess
 
 MIB: Final = 1 << 20
@@ -50,6 +55,8 @@ class ProcessRow(msgspec.Struct, frozen=True):
     robots: int | None
     rate_hz: float | None
     """Drive states that an agent answers, steps of a server, messages of sensors [Hz, wall]."""
+    due_hz: float | None = None
+    """Drive states that the server sent an agent [Hz, wall]."""
 
 
 class RobotRow(msgspec.Struct, frozen=True):
@@ -77,7 +84,11 @@ def list_process_rows(now: FleetReading, before: FleetReading | None) -> list[Pr
     rows = []
     if now.stats is not None:
         rows.append(_make_server_row(now.stats, earlier.stats))
-    rows += [_make_agent_row(one, earlier.agents.get(name)) for name, one in now.agents.items()]
+    due = now.stats.agent_commands if now.stats is not None else {}
+    rows += [
+        _make_agent_row(one, earlier.agents.get(name), due.get(name))
+        for name, one in now.agents.items()
+    ]
     rows += [_make_sensor_row(one, earlier.sensors.get(name)) for name, one in now.sensors.items()]
     known = {row.process_id for row in rows}
     children = {one.process_id: one for one in earlier.children}
@@ -101,15 +112,19 @@ def _make_server_row(stats: Stats, before: Stats | None) -> ProcessRow:
     )
 
 
-def _make_agent_row(stats: AgentStats, before: AgentStats | None) -> ProcessRow:
+def _make_agent_row(
+    stats: AgentStats, before: AgentStats | None, commands: AgentCommands | None
+) -> ProcessRow:
     earlier = before or AgentStats()
-    return _make_row(
+    row = _make_row(
         "agent",
         stats.agent,
         (stats.usage, earlier.usage),
         robots=stats.robots,
         counts=(stats.states, earlier.states),
     )
+    due_hz = None if commands is None else commands.due_hz
+    return msgspec.structs.replace(row, due_hz=due_hz)
 
 
 def _make_sensor_row(stats: SensorStats, before: SensorStats | None) -> ProcessRow:
@@ -244,7 +259,15 @@ def format_value(column: str, value: object) -> str:
     return str(value)
 
 
-DIGITS: Final = {"memory_mib": 1, "rate_hz": 1, "odom_hz": 1, "x": 2, "y": 2, "speed": 2}
+DIGITS: Final = {
+    "memory_mib": 1,
+    "rate_hz": 1,
+    "due_hz": 1,
+    "odom_hz": 1,
+    "x": 2,
+    "y": 2,
+    "speed": 2,
+}
 PROCESS_TITLES: Final = {
     "kind": "process",
     "name": "name",
@@ -254,6 +277,7 @@ PROCESS_TITLES: Final = {
     "memory_mib": "memory [MiB]",
     "robots": "robots",
     "rate_hz": "rate [Hz]",
+    "due_hz": "due [Hz]",
 }
 ROBOT_TITLES: Final = {
     "name": "robot",

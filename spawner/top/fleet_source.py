@@ -11,7 +11,7 @@ from typing import Final, Generic, TypeVar
 
 import msgspec
 
-from zensim.proto.bus import Bus, BusError, BusSubscription
+from zensim.proto.bus import Bus, BusError, BusSubscription, CopyingSubscription
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.process_messages import AgentStats, ProcessUsage
 from zensim.proto.messages.result_messages import ServiceError
@@ -72,7 +72,7 @@ class OdometryRates:
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
-        self._subscriptions: dict[str, BusSubscription] = {}
+        self._subscriptions: dict[str, CopyingSubscription] = {}
         self._since_s: dict[str, float] = {}
 
     def watch(self, namespaces: Iterable[str], now_s: float) -> None:
@@ -82,7 +82,8 @@ class OdometryRates:
             self._subscriptions.pop(gone).close()
             del self._since_s[gone]
         for new in sorted(wanted - self._subscriptions.keys()):
-            self._subscriptions[new] = self._bus.subscribe(ODOM.key(new), ODOM_DEPTH)
+            # They wait for a second: each would keep the buffer that it was received in.
+            self._subscriptions[new] = self._bus.subscribe_copying(ODOM.key(new), ODOM_DEPTH)
             self._since_s[new] = now_s
 
     def read(self, now_s: float) -> dict[str, float]:

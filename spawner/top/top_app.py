@@ -28,7 +28,7 @@ from zensim.spawner.top.fleet_figures import (
 )
 
 NUMBERS: Final = frozenset(
-    {"process_id", "cpu", "memory_mib", "robots", "rate_hz", "x", "y", "speed", "odom_hz"}
+    {"process_id", "cpu", "memory_mib", "robots", "rate_hz", "due_hz", "x", "y", "speed", "odom_hz"}
 )
 ARROWS: Final = {False: " ▲", True: " ▼"}
 HELP_TEXT: Final = (

@@ -29,11 +29,12 @@ from zensim.proto.supervisor import (
     SupervisedProgram,
     Supervisor,
 )
-from zensim.proto.topic_catalog import CLOCK, EVENTS, ODOM
+from zensim.proto.topic_catalog import CLOCK, EVENTS
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, RateOverrides
 from zensim.sim_server.pacing.lockstep import LOCKSTEP_TIMEOUT_S, OnMiss
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
 from zensim.sim_server.server_config import CONTROL_HZ
+from zensim.spawner.client.driven_count import DrivenCount
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn.spawn_client import spawn_fleet
 from zensim.spawner.spawn.spawn_poses import RobotPlacement
@@ -41,7 +42,6 @@ from zensim.spawner.spawn.spawn_poses import RobotPlacement
 START_TIMEOUT_S = 30.0
 AGENT_WAIT_S = 3.0 * START_TIMEOUT_S
 """Longer than all timeouts here, so that the launcher reports the failure, not an agent."""
-ODOM_DEPTH = 65536
 OPERATOR, VIEWER, RECORDER = "operator", "viewer", "recorder"
 """Programs that have addresses of their own: the one that starts the others, the page, and the one
 that records."""
@@ -166,7 +166,7 @@ class LaunchProgress:
     """Callbacks, called once per robot."""
 
     on_spawned: Callable[[], None]
-    on_odom: Callable[[], None]
+    on_driven: Callable[[], None]
 
 
 class SensorLaunch:
@@ -260,7 +260,7 @@ class LocalDeployment:
 def launch(
     config: LaunchConfig, supervisor: Supervisor, progress: LaunchProgress, began_s: float
 ) -> LocalDeployment:
-    """Start all programs, and wait until every robot publishes odom and the page is served.
+    """Start all programs, and wait until agents drive every robot and the page is served.
 
     Raises:
         LaunchFailed: Another program has the endpoint, or a program is not ready in time.
@@ -444,7 +444,6 @@ def _wait_until_ready(
     deployment: LocalDeployment, progress: LaunchProgress, began_s: float
 ) -> None:
     config = deployment.config
-    odom = deployment.bus.subscribe(ODOM.key("*"), ODOM_DEPTH)
     deployment.client.wait_for_server(START_TIMEOUT_S, deployment.supervisor.watch)
     if config.recording:
         _start_recorder(deployment)
@@ -462,8 +461,7 @@ def _wait_until_ready(
     if config.is_paused:
         _wait_for_agents(deployment)
     else:
-        _wait_for_odom(deployment, odom, progress)
-    odom.close()
+        _wait_until_driven(deployment, progress)
     deployment.ready_s = time.monotonic() - began_s
     if viewer is not None:
         deployment.viewer_url = _read_viewer_url(viewer)
@@ -473,21 +471,20 @@ def _wait_until_ready(
     _begin_measuring(deployment)
 
 
-def _wait_for_odom(
-    deployment: LocalDeployment, odom: BusSubscription, progress: LaunchProgress
-) -> None:
-    missing = {ODOM.key(robot.name) for robot in deployment.config.placements}
-    deadline = time.monotonic() + START_TIMEOUT_S + 0.2 * len(missing)
-    while missing:
-        arrived = {sample.key for sample in odom.take()} & missing
-        missing -= arrived
-        for _ in arrived:
-            progress.on_odom()
-        _poll(deployment, deadline, f"{len(missing)} robots do not publish odom")
+def _wait_until_driven(deployment: LocalDeployment, progress: LaunchProgress) -> None:
+    """Wait until an agent has commanded each robot, and so publishes its topics."""
+    robots = len(deployment.config.placements)
+    driven = DrivenCount(deployment.client, [one.name for one in deployment.config.placements])
+    deadline, shown = time.monotonic() + START_TIMEOUT_S + 0.2 * robots, 0
+    while driven.missing:
+        for _ in range(shown, driven.poll()):
+            progress.on_driven()
+            shown += 1
+        _poll(deployment, deadline, f"{driven.missing} robots are not driven by an agent")
 
 
 def _wait_for_agents(deployment: LocalDeployment) -> None:
-    """Wait until each robot has an agent; while paused there is no odometry."""
+    """Wait until each robot has an agent; while paused not every state has a command."""
     robots = len(deployment.config.placements)
     deadline = time.monotonic() + START_TIMEOUT_S + 0.2 * robots
     while deployment.client.info().claimed < robots:

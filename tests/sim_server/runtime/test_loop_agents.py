@@ -249,6 +249,26 @@ def test_loop_reports_no_ready_robot_when_its_command_was_dropped() -> None:
     assert server.world.claims.dropped == 1
 
 
+def test_stats_show_an_agent_that_misses_states() -> None:
+    server = a_server("r0", "r1")
+    server.world.claim("good", ("r0",), "stop")
+    server.world.claim("starved", ("r1",), "stop")
+    server.drive("starved", 1.0, 1.0)
+
+    for _ in range(250):
+        server.drive("good", 1.0, 1.0)
+        server.turn_for(0.01)
+
+    stats = server.publisher.on("stats")[-1]
+    assert isinstance(stats, Stats)
+    good, starved = stats.agent_commands["good"], stats.agent_commands["starved"]
+    assert good.due_hz == starved.due_hz == pytest.approx(80.0, rel=0.1)
+    assert good.taken_hz >= 0.9 * good.due_hz
+    assert (starved.taken, starved.taken_hz) == (1, 0.0)
+    assert stats.real_time_factor == pytest.approx(1.0, abs=0.05)
+    assert server.parts.pacing.loop_stats.commands.least_share == 0.0
+
+
 @given(
     payload=st.binary(max_size=80),
     encoding=st.sampled_from(["", "application/cdr", "application/json", "text/plain"]),

@@ -78,6 +78,22 @@ def test_malformed_commands_are_counted_by_reason() -> None:
     assert read(server)["zensim_commands_received_total",] == 1
 
 
+def test_commands_are_counted_against_those_due() -> None:
+    server = a_server("r1", "r2")
+    server.world.claim("a", ("r1", "r2"), "stop")
+    server.drive("a", *[1.0] * 4)
+
+    server.turn_for(0.1)
+    driven = read(server)["zensim_driven_robots",]
+    server.turn_for(1.4)
+
+    found = read(server)
+    assert (driven, found["zensim_driven_robots",]) == (2, 0)
+    assert found["zensim_commands_taken_total",] == 1
+    assert found["zensim_commands_due_total",] == pytest.approx(120, abs=3)
+    assert found["zensim_commands_least_share",] == pytest.approx(1 / 80, abs=0.01)
+
+
 def test_number_of_series_does_not_depend_on_robots() -> None:
     few, many = a_server("r1"), a_server(*(f"r{number}" for number in range(1000)))
 

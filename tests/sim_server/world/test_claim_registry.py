@@ -14,6 +14,7 @@ from zensim.sim_server.world.claim_registry import ClaimedEntities, ClaimRegistr
 from zensim.sim_server.world.entity import Entity, make_entity_index
 
 BOX, CART, ARM = a_box(), a_cart(), an_arm("continuous")
+EMPTY = np.zeros(0, dtype=np.intp)
 models = st.lists(st.sampled_from([BOX, CART, ARM]), max_size=12)
 
 
@@ -80,3 +81,35 @@ def test_command_of_an_agent_without_claims_is_dropped() -> None:
 
     assert not registry.command("a", None, DriveCommand(0, 0, b"", b""))
     assert (registry.taken, registry.dropped) == (0, 1)
+
+
+def test_claims_are_driven_from_the_next_command_of_their_agent_on() -> None:
+    registry, claimed = ClaimRegistry(), ClaimedEntities(b"", EMPTY, EMPTY, (), 0)
+
+    def command(agent: str) -> int:
+        assert registry.command(agent, claimed, DriveCommand(0, 0, b"", b""))
+        return registry.driven
+
+    registry.grant("a", "r0", "stop")
+    registry.grant("a", "r1", "stop")
+    seen = [registry.driven, command("a")]
+    registry.grant("a", "r2", "stop")
+    registry.drop("r0")
+    registry.grant("b", "r0", "stop")
+    seen += [registry.driven, command("a"), command("b")]
+    registry.drop("r2")
+    seen.append(registry.driven)
+    registry.note_silent("a")
+
+    assert seen == [0, 2, 1, 2, 3, 2]
+    assert (registry.driven, registry.agent_count) == (1, 2)
+
+
+def test_claim_that_moves_from_a_silent_agent_is_not_driven() -> None:
+    registry, claimed = ClaimRegistry(), ClaimedEntities(b"", EMPTY, EMPTY, (), 0)
+    registry.grant("a", "r0", "stop")
+    registry.command("a", claimed, DriveCommand(0, 0, b"", b""))
+
+    registry.grant("b", "r0", "stop")
+
+    assert (registry.driven, registry.agent_count) == (0, 1)

@@ -227,6 +227,13 @@ def test_fleet_uses_the_given_prefix(server: Server) -> None:
     assert find_position(server, "r3").y == pytest.approx(1.0)
 
 
+def test_fleet_ends_with_an_error_when_no_agent_drives_its_robots(server: Server) -> None:
+    done = run_at(server, app, "fleet", "box_bot", "--robots", "2", "--wait-driven", "0.2")
+
+    assert_failed(done, ExitCode.TIMEOUT, "zensim fleet: ")
+    assert "2 of the robots" in done.err
+
+
 def test_fleet_is_atomic(server: Server) -> None:
     run_at(server, app, "spawn", "box_bot", "-n", "r1")
 

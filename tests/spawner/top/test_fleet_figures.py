@@ -6,6 +6,7 @@ from msgspec.structs import replace
 from tests.spawner.top.readings import a_reading, a_usage
 from zensim.proto.messages.process_messages import AgentStats
 from zensim.proto.messages.sensor_messages import SensorStats
+from zensim.proto.messages.telemetry_messages import AgentCommands
 from zensim.spawner.top.fleet_figures import (
     FleetReading,
     filter_rows,
@@ -25,6 +26,16 @@ def test_processes_have_shares_and_rates_since_the_reading_before() -> None:
         *("server", 0.5, 64.0, 240.0),
     )
     assert (agent.name, agent.robots, agent.cpu, agent.rate_hz) == ("pool", 2, 0.5, 100.0)
+
+
+def test_agent_has_the_rate_of_the_states_it_got() -> None:
+    reading = a_reading(12)
+    assert reading.stats is not None
+    commands = {"pool": AgentCommands(taken=100, due=200, taken_hz=50.0, due_hz=100.0)}
+    now = replace(reading, stats=replace(reading.stats, agent_commands=commands))
+
+    assert [row.due_hz for row in list_process_rows(now, None)] == [None, 100.0]
+    assert [row.due_hz for row in list_process_rows(reading, None)] == [None, None]
 
 
 def test_first_reading_has_no_shares() -> None:
