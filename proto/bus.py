@@ -7,8 +7,10 @@ import base64
 import hashlib
 import json
 import socket
+import threading
 import time
 import uuid
+from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import cached_property, partial
@@ -52,6 +54,8 @@ MAX_REQUEST_BYTES = 3 << 20
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 
+MAX_COPIED_BYTES: Final = 32 << 20
+"""Of payloads that a subscription of `subscribe_copying` keeps."""
 MAX_TAKEN: Final = 256
 """Requests that one `take` returns, so that it takes about a millisecond at most."""
 EMPTY_PAYLOAD: Final = zenoh.ZBytes(b"")
@@ -188,6 +192,67 @@ class NewestSubscription:
         self._traffic.received += len(kept)
         self._traffic.received_bytes += sum(len(one.payload) for one in kept)
         return [to_sample(one) for one in kept if len(one.payload) <= MAX_MESSAGE_BYTES]
+
+    def close(self) -> None:
+        """Undeclare the subscription."""
+        self._subscriber.undeclare()
+
+
+class CopiedSamples:
+    """Queue of messages that are copied as they come; beyond its limits the oldest are dropped.
+
+    A Zenoh sample that waits keeps the whole buffer that it was received in, up to 64 KiB.
+    """
+
+    def __init__(self, max_count: int, max_bytes: int) -> None:
+        self.dropped = 0
+        """Messages that were dropped for newer ones."""
+        self._max_count = max_count
+        self._max_bytes = max_bytes
+        self._samples: deque[Sample] = deque()
+        self._bytes = 0
+        self._lock = threading.Lock()
+
+    def add(self, sample: Sample) -> None:
+        """Add a message; the newest is kept, whatever its size."""
+        with self._lock:
+            self._samples.append(sample)
+            self._bytes += len(sample.payload)
+            while len(self._samples) > 1 and (
+                self._bytes > self._max_bytes or len(self._samples) > self._max_count
+            ):
+                self._bytes -= len(self._samples.popleft().payload)
+                self.dropped += 1
+
+    def take(self) -> list[Sample]:
+        """Take all messages, oldest first."""
+        with self._lock:
+            taken, self._bytes = list(self._samples), 0
+            self._samples.clear()
+        return taken
+
+
+class CopyingSubscription:
+    """Subscription on a key expression whose messages may wait long: their memory is bounded."""
+
+    def __init__(
+        self, subscriber: "zenoh.Subscriber[None]", samples: CopiedSamples, traffic: BusTraffic
+    ) -> None:
+        self._subscriber = subscriber
+        self._samples = samples
+        self._traffic = traffic
+
+    @property
+    def dropped(self) -> int:
+        """Messages that were dropped for newer ones."""
+        return self._samples.dropped
+
+    def take(self) -> list[Sample]:
+        """Take all queued messages, oldest first."""
+        found = self._samples.take()
+        self._traffic.received += len(found)
+        self._traffic.received_bytes += sum([len(one.payload) for one in found])
+        return found
 
     def close(self) -> None:
         """Undeclare the subscription."""
@@ -431,6 +496,7 @@ __all__ = [
     "BusQueryQueue",
     "BusReceiver",
     "BusSubscription",
+    "CopyingSubscription",
     "Credentials",
     "EndpointTaken",
     "EndpointUnreachable",
@@ -738,6 +804,26 @@ class Bus:
         """
         declared = self._session.declare_subscriber(_to_key_expression(key), RingChannel(depth))
         return NewestSubscription(declared, keeps_all, self.traffic)
+
+    def subscribe_copying(
+        self, key: str, depth: int, max_bytes: int = MAX_COPIED_BYTES
+    ) -> CopyingSubscription:
+        """Subscribe to a key expression, for a caller that may take messages late.
+
+        Args:
+            key: Key expression.
+            depth: Most messages that wait.
+            max_bytes: Most bytes of payloads that wait; the newest messages are kept.
+        """
+        samples = CopiedSamples(depth, max_bytes)
+
+        def copy(sample: zenoh.Sample) -> None:
+            samples.add(to_sample(sample))
+
+        declared = self._session.declare_subscriber(
+            _to_key_expression(key), Callback(copy, indirect=False)
+        )
+        return CopyingSubscription(declared, samples, self.traffic)
 
     def receive(self, key: str) -> BusReceiver:
         """Subscribe to a key, for a caller that waits for each message."""

@@ -92,6 +92,10 @@ class MemoryBus:
         del max_bytes
         return self._network.subscribe(key, depth)
 
+    def subscribe_copying(self, key: str, depth: int, max_bytes: int = 0) -> InProcessSubscription:
+        del max_bytes
+        return self._network.subscribe(key, depth)
+
     def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> "MemoryCallQueue":
         del is_complete
         queue = MemoryCallQueue(self._queues, key, depth)

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import typer
 
-from zensim.proto.bus import Bus, BusPublisher, BusSubscription
+from zensim.proto.bus import Bus, BusPublisher, CopyingSubscription
 from zensim.proto.cli_options import ConnectionOptions, JsonOption, expand_options, flag, make_app
 from zensim.proto.codec.message_codec import (
     Format,
@@ -50,7 +50,7 @@ GETTABLE_NAMES = {
 }
 """Of topics; services have other names."""
 ARRAY_TYPES = dict.fromkeys(
-    ("base", "joint_positions", "joint_velocities", "joint_efforts", "targets"), "<f8"
+    ("base", "joint_positions", "joint_velocities", "joint_efforts", "targets", "motions"), "<f8"
 )
 CLAIM_TYPE = "<u4"
 MAX_NESTING = 64
@@ -258,7 +258,7 @@ def echo(
     """Print the messages of a topic, latched ones first."""
     with open_client("echo", server) as client:
         limit = 1 if once else count
-        subscription = client.bus.subscribe(key.strip("/"), QUEUE_DEPTH)
+        subscription = client.bus.subscribe_copying(key.strip("/"), QUEUE_DEPTH)
         # tf_static and robot_description are published once, before this command started.
         samples = get_last_messages(client.bus, key.strip("/"))
         printed = 0
@@ -286,7 +286,9 @@ def _is_of_topic(key: str) -> bool:
     return not key.startswith("sim/") or last_chunk(key) in GETTABLE_NAMES
 
 
-def _wait_for_samples(subscription: BusSubscription, key: str, timeout_s: float) -> list[Sample]:
+def _wait_for_samples(
+    subscription: CopyingSubscription, key: str, timeout_s: float
+) -> list[Sample]:
     deadline = time.monotonic() + (timeout_s or math.inf)
     while not (samples := subscription.take()):
         if time.monotonic() > deadline:
@@ -340,7 +342,7 @@ def measure_topic(
         receive: Called with the monotonic time [s] and the new messages.
         report: Called every second, and at least once.
     """
-    subscription = bus.subscribe(given.key.strip("/"), QUEUE_DEPTH)
+    subscription = bus.subscribe_copying(given.key.strip("/"), QUEUE_DEPTH)
     end = time.monotonic() + (given.duration or math.inf)
     report_at = min(time.monotonic() + 1.0, end)
     while (now := time.monotonic()) <= end or report_at <= end:
