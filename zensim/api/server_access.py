@@ -4,7 +4,7 @@ import math
 import os
 import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -59,6 +59,8 @@ LOST_S = 0.5
 TOKEN_TIMEOUT_S = 2.0
 """Limit on the delay until the server has received the token of this client."""
 CALL_TIMEOUT_S, MIN_TIMEOUT_S = 10.0, 0.01
+MAX_ORDERED_ROBOTS = 2500
+"""In one message: with the longest names less than `MAX_FLEET_COMMAND_BYTES`."""
 SENSOR_TIMEOUT_S = 30.0
 """Limit on the start of a sensor process, with its libraries and meshes."""
 
@@ -94,6 +96,18 @@ class BusFeed(TopicFeed[Message]):
     def close(self) -> None:
         """See `TopicFeed`."""
         self._subscription.close()
+
+
+def split_orders(twists: TwistCommands) -> Iterator[TwistCommands]:
+    """Split orders into messages that a router lets pass: it drops larger ones."""
+    row_bytes = 3 * 8
+    for start in range(0, max(1, len(twists.entities)), MAX_ORDERED_ROBOTS):
+        end = start + MAX_ORDERED_ROBOTS
+        yield TwistCommands(
+            twists.client,
+            twists.entities[start:end],
+            twists.twists[start * row_bytes : end * row_bytes],
+        )
 
 
 class ServerAccess(WorldAccess):
@@ -306,7 +320,8 @@ class ServerAccess(WorldAccess):
     def command(self, twists: TwistCommands) -> None:
         """See `WorldAccess`."""
         self._declare()
-        self.publish(TWISTS.key(self.world_name), twists)
+        for part in split_orders(twists):
+            self.publish(TWISTS.key(self.world_name), part)
 
     def subscribe(self, key: str, kind: type[Message], depth: int) -> TopicFeed[Message]:
         """See `WorldAccess`."""
