@@ -31,6 +31,8 @@ NAMES = (
     "fleet_spawn",
     "fleet_latency",
     "fleet_traffic",
+    "fleet_topic",
+    "up_fleet",
     "fleet_physics",
     "pools",
     "api",

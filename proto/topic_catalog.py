@@ -5,7 +5,12 @@ from enum import Enum
 import msgspec
 
 from zensim.proto.codec.message_codec import Format, make_encoding
-from zensim.proto.messages.agent_messages import DriveCommand, DriveState, TwistCommands
+from zensim.proto.messages.agent_messages import (
+    DriveCommand,
+    DriveState,
+    FleetOdometry,
+    TwistCommands,
+)
 from zensim.proto.messages.gazebo_messages import ContactsState, LinkStates, ModelStates
 from zensim.proto.messages.input_messages import Inputs
 from zensim.proto.messages.process_messages import AgentStats
@@ -271,6 +276,16 @@ AGENT_STATS = TopicSpec(
     format=Format.MSGPACK,
     rate_hz=1.0,
     description="robots, answered states, CPU time and memory of an agent",
+)
+FLEET_ODOMETRY = TopicSpec(
+    name="fleet_odometry",
+    suffix="odometry",
+    scope=TopicScope.AGENT,
+    messages=(FleetOdometry,),
+    publisher=Participant.AGENT,
+    format=Format.MSGPACK,
+    is_gettable=False,
+    description="odometry of all robots of one agent, many in a message",
 )
 TWISTS = TopicSpec(
     name="twists",

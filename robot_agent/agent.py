@@ -5,7 +5,7 @@ import math
 import signal
 import time
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, suppress
 from typing import Protocol
 
@@ -45,6 +45,7 @@ from zensim.robot_agent.claim_client import (
     ShareSettings,
 )
 from zensim.robot_agent.drive_state_decoder import CLAIM_BYTES, StateOrder
+from zensim.robot_agent.fleet_odometry import FleetOdometryPublisher, MotionRows
 from zensim.robot_agent.robots import IndividualRobots
 
 MAX_COMMAND_PAUSE_S = 0.0035
@@ -212,6 +213,9 @@ class RobotSet(HousekeepingTarget, Protocol):
     def publish(self) -> None:
         """Publish what is due at the last state."""
 
+    def list_odometry(self) -> Iterable[MotionRows]:
+        """List the odometry that was due at the last state."""
+
     @property
     def wants_contacts(self) -> bool:
         """Whether a contact sensor may have a subscriber."""
@@ -255,6 +259,7 @@ class Agent:
         self._stats = StatsPublisher(
             network, AGENT_STATS, AGENT_STATS.key(world, agent), self.make_stats
         )
+        self._odometry = FleetOdometryPublisher(network, world, agent)
         self._priority = ProcessPriority(set_niceness)
         self._poll_schedule = PollSchedule(
             MAX_COMMAND_PAUSE_S if config.pool_limit is None else MAX_PAUSE_S
@@ -266,6 +271,7 @@ class Agent:
         """Undeclare what is not part of the session."""
         self._rosout.close()
         self._stats.close()
+        self._odometry.close()
         self._graph.close()
         if self._rx_session is not self._network:
             self._rx_session.close()
@@ -412,11 +418,16 @@ class Agent:
         self._late_command_window.note_state(state, self._now_s)
         if state.is_awaited:
             # In this order, a receiver of the command has received the telemetry before.
-            self._robots.publish()
+            self._publish(state)
             self._commands.send(payload)
         else:
             self._commands.send(payload)
-            self._robots.publish()
+            self._publish(state)
+
+    def _publish(self, state: DriveState) -> None:
+        self._robots.publish()
+        if self._odometry.is_wanted:
+            self._odometry.publish(state, self._robots.list_odometry())
 
     def _revise(self) -> None:
         """Apply a command that came since the last state before the next state."""

@@ -154,6 +154,10 @@ class MotionTelemetry:
         self._has_odom_tf = drive.publish_odom_tf
         self.publishers: list[LazyTopicPublisher] = []
         self._limiters: list[RateLimiter | None] = []
+        self.odometry_key = topic_keys.odom
+        """Empty without odometry."""
+        self._odometry_ns = -1
+        """Simulation time at which odometry was due."""
         _, odometry_hz, tf_hz = find_motion_rates(drive)
         if topic_keys.odom:
             topic = ODOM.at(topic_keys.odom)
@@ -171,7 +175,7 @@ class MotionTelemetry:
 
     def reset(self) -> None:
         """Forget the last motion; time may have gone back."""
-        self._state = None
+        self._state, self._odometry_ns = None, -1
         for limiter in self._limiters:
             if limiter is not None:
                 limiter.reset()
@@ -179,9 +183,22 @@ class MotionTelemetry:
     def publish(self, state: RobotState, motion: BaseMotion) -> None:
         """Publish odometry and transforms if they are due."""
         self._state, self._motion = state, motion
-        for publisher, limiter in zip(self.publishers, self._limiters, strict=True):
+        for number, publisher in enumerate(self.publishers):
+            limiter = self._limiters[number]
             if limiter is None or limiter.elapsed_s(state.time_ns) is not None:
                 publisher.publish()
+                if number == 0 and self.odometry_key:
+                    self._odometry_ns = state.time_ns
+
+    def find_odometry(self, time_ns: int) -> Sequence[float] | None:
+        """Find the numbers of the odometry if it was due at this simulation time.
+
+        Returns:
+            Those of `message_templates.ODOMETRY_PATHS`.
+        """
+        if self._state is None or self._odometry_ns != time_ns:
+            return None
+        return self._list_odometry(self._state)
 
     def _make_odometry(self, model: Model) -> MakePayload:
         template = CdrTemplate(

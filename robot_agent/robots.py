@@ -2,14 +2,14 @@
 
 import logging
 import struct
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final, Protocol
 
 from zensim.proto.cmd_vel_decoding import decode_twist
 from zensim.proto.codec.message_codec import MalformedPayload
-from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
+from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveCommand, DriveState
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import Twist
 from zensim.proto.network_protocols import (
@@ -32,6 +32,7 @@ from zensim.robot_agent.drive_state_decoder import (
     unpack_claims,
     unpack_twists,
 )
+from zensim.robot_agent.fleet_odometry import MotionRows
 from zensim.robot_agent.joint_control import make_joint_control
 from zensim.robot_agent.mounted_sensors import list_state_sensors
 from zensim.robot_agent.robot_parameters import list_robot_parameters
@@ -49,6 +50,7 @@ ZERO_TWIST = Twist()
 NODE_NAME = "agent"
 """Name of a robot's ROS 2 node, in the robot's namespace."""
 LOG = logging.getLogger("zensim.agent")
+_ODOMETRY_STRUCT = struct.Struct(f"<{STATE_COLUMNS}d")
 
 
 class SensorTelemetry(Protocol):
@@ -257,6 +259,15 @@ class DrivenRobot:
         for sensor in self._sensors:
             sensor.publish(self._state)
 
+    def find_odometry(self) -> MotionRows | None:
+        """Find the odometry if it was due at the last state and its topic has no fault."""
+        if self._state is None or not self._is_motion_new:
+            return None
+        numbers = self._motion.find_odometry(self._state.time_ns)
+        if numbers is None or self._factory.faults.affects(self._motion.odometry_key):
+            return None
+        return (self.entity,), _ODOMETRY_STRUCT.pack(*numbers[:9], 0.0, 0.0, 0.0, numbers[9])
+
     def announce(self) -> None:
         """Publish static topics to new subscribers."""
         for publisher in self._static:
@@ -423,6 +434,12 @@ class IndividualRobots:
         """Publish what is due at the last state."""
         for robot in self._robots_in_order:
             robot.publish()
+
+    def list_odometry(self) -> Iterator[MotionRows]:
+        """List the odometry of all robots that was due at the last state; see `FleetOdometry`."""
+        for robot in self._robots_in_order:
+            if (found := robot.find_odometry()) is not None:
+                yield found
 
     @property
     def wants_contacts(self) -> bool:

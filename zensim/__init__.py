@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from zensim.api.entity_values import RobotPose, RobotTwist, SpawnReport, deg
     from zensim.api.fleet import Fleet
     from zensim.api.in_process_world import World
+    from zensim.api.odometry_table import FleetOdometryRows
     from zensim.api.recording_file import Recording
     from zensim.api.robot import EntityHandle, Robot
     from zensim.api.sim import Sim
@@ -38,6 +39,7 @@ __all__ = [
     "EntityHandle",
     "Error",
     "Fleet",
+    "FleetOdometryRows",
     "Invalid",
     "NotFound",
     "Recording",

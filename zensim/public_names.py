@@ -20,6 +20,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "zensim.api.entity_values": ("RobotPose", "RobotTwist", "SpawnReport", "deg"),
     "zensim.api.fleet": ("Fleet",),
     "zensim.api.in_process_world": ("World",),
+    "zensim.api.odometry_table": ("FleetOdometryRows",),
     "zensim.api.recording_file": ("Recording",),
     "zensim.api.robot": ("EntityHandle", "Robot"),
     "zensim.api.sim": ("Sim",),

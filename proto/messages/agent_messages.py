@@ -212,6 +212,25 @@ class DriveState(msgspec.Struct, frozen=True):
     """Faults of topics that act at this step; those of other agents' robots are among them."""
 
 
+class FleetOdometry(msgspec.Struct, frozen=True):
+    """Odometry of robots of one agent that became due at one step.
+
+    The rows of a step come in as many messages as fit 64 KiB each. A robot has the numbers and the
+    rate of its own odometry topic, whose frames and covariances never change.
+    """
+
+    ros_type: ClassVar[str] = "zensim/msg/FleetOdometry"
+
+    epoch: UInt32
+    step: UInt64
+    time_ns: UInt64
+    """Stamp of all rows."""
+    entities: tuple[str, ...]
+    motions: bytes
+    """`<f8`, (n, STATE_COLUMNS), in the order of `entities`: position and orientation of the base
+    in its odometry frame, linear and angular velocity in the base's own frame."""
+
+
 class TwistCommands(msgspec.Struct, frozen=True):
     """Twists that robots are to keep until the next order, or until their client disappears."""
 

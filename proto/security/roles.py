@@ -14,11 +14,14 @@ from zensim.proto.names import check_name, check_namespace
 from zensim.proto.ros2.trajectory_messages import TRAJECTORY_ACTION
 from zensim.proto.service_catalog import SERVICES
 from zensim.proto.topic_catalog import (
+    AGENT_STATS,
     CLOCK,
     CMD_VEL,
     CONTACTS,
     CONTROLLER_COMMANDS,
+    DRIVE_COMMAND,
     EVENTS,
+    FLEET_ODOMETRY,
     IMAGE_TRIGGER,
     JOINT_COMMANDS,
     ROBOT_TOPICS,
@@ -148,7 +151,10 @@ _AGENT: Final = (
     _CALLS,
     _SESSIONS,
     _SERVER_TOKEN,
-    KeyGrant("P", ("sim/{world}/drive/{user}/command", "sim/{world}/drive/{user}/figures")),
+    KeyGrant(
+        "P",
+        tuple(one.key("{world}", "{user}") for one in (DRIVE_COMMAND, AGENT_STATS, FLEET_ODOMETRY)),
+    ),
     KeyGrant(
         "S", ("sim/{world}/drive/{user}/state", CLOCK.key("{world}"), CONTACTS.key("{world}"))
     ),

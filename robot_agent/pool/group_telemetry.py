@@ -198,6 +198,10 @@ class GroupTopic:
         if self._rates is not None:
             self._rates.reset()
 
+    def find_key(self, row: int) -> str:
+        """Find the key of a row."""
+        return self._members[row].key
+
     def due(self, rows: IntArray, time_ns: int) -> IntArray:
         """Find the rows that are due by the rate."""
         if self._rates is None or not len(rows):
@@ -474,6 +478,18 @@ class GroupOdometryTopic(GroupTopic):
             stamps=message_templates.HEADER_STAMP,
             rate_hz=find_motion_rates(group_key.drive)[1],
         )
+        self.due_rows = np.zeros(0, dtype=np.int64)
+        """Rows that were due at the last state."""
+
+    def remap_rows(self, before: IntArray) -> None:
+        """See `GroupTopic`."""
+        super().remap_rows(before)
+        self.due_rows = self.due_rows[:0]
+
+    def publish(self, rows: IntArray, time_ns: int) -> None:
+        """See `GroupTopic`."""
+        self.due_rows = rows
+        super().publish(rows, time_ns)
 
 
 class GroupJointTopic(GroupTopic):

@@ -30,6 +30,7 @@ from zensim.proto.topic_endpoints import TopicFactory, TopicSubscription, make_t
 from zensim.proto.topic_faults import TopicFaults
 from zensim.robot_agent.bumpers import ContactReport
 from zensim.robot_agent.drive_state_decoder import RobotState, is_repeated, unpack_claims
+from zensim.robot_agent.fleet_odometry import MotionRows
 from zensim.robot_agent.joint_control import JointControl, make_joint_control
 from zensim.robot_agent.pool.group_bases import GroupBaseController
 from zensim.robot_agent.pool.group_key import GroupKey, make_group_key
@@ -57,6 +58,8 @@ FLEET_CMD_VEL_DEPTH = 8192
 TWIST_COLUMNS = 6
 ORDERED_COLUMNS = (0, 1, 5)
 """Columns of a twist that a drive state can order: forward, left, turn."""
+ODOMETRY_COLUMNS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12)
+"""Of the numbers of a group's motions among those of `FleetOdometry`."""
 TWIST_BYTES = 52
 TWIST_DTYPE = np.dtype([("header", "S4"), ("numbers", "<f8", TWIST_COLUMNS)])
 LITTLE_ENDIAN = b"\x00\x01"
@@ -283,11 +286,13 @@ class RobotGroup:
         self._jointed: list[tuple[int, JointControl]] = []
         """Rows of robots with controlled joints."""
         self._due: _DueTelemetry | None = None
+        self._entities: tuple[str, ...] = ()
 
     def remap(self, members: Sequence[GroupMember], slots: GroupSlots) -> None:
         """Set the robots, one per row, and their indices in the pool."""
         before = np.array([member.row for member in members], dtype=np.int64)
         self._slots, self._due = slots, None
+        self._entities = tuple(member.claim.entity for member in members)
         self._jointed = [
             (row, one.joints) for row, one in enumerate(members) if one.joints is not None
         ]
@@ -337,6 +342,22 @@ class RobotGroup:
             self._due = None
             self._telemetry.publish(due.rows, due.state)
             self._sensors.publish(due.state)
+
+    def list_odometry(self, faults: TopicFaults) -> Iterator[MotionRows]:
+        """List the odometry that `publish` found due, without that of topics with a fault."""
+        topic = self._telemetry.odometry
+        if topic is None or not len(topic.due_rows):
+            return
+        rows, entities = topic.due_rows, self._entities
+        if faults:
+            keys_of_rows = [topic.find_key(row) for row in rows.tolist()]
+            is_kept = np.array([not faults.affects(key) for key in keys_of_rows], dtype=np.bool_)
+            rows = rows[is_kept]
+        if len(rows) < len(entities):
+            entities = tuple(entities[row] for row in rows.tolist())
+        motions = np.zeros((len(rows), STATE_COLUMNS))
+        motions[:, ODOMETRY_COLUMNS] = self._bases.find_motions(rows)
+        yield entities, motions.astype("<f8").tobytes()
 
     @property
     def wants_efforts(self) -> bool:
@@ -640,6 +661,14 @@ class PooledRobots:
             group.publish()
         for single in self._singles:
             single.robot.publish()
+
+    def list_odometry(self) -> Iterator[MotionRows]:
+        """List the odometry of all robots that was due at the last state; see `FleetOdometry`."""
+        for group in self._groups.values():
+            yield from group.list_odometry(self._faults)
+        for single in self._singles:
+            if (found := single.robot.find_odometry()) is not None:
+                yield found
 
     @property
     def wants_contacts(self) -> bool:

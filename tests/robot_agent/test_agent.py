@@ -15,13 +15,13 @@ from tests.robot_agent.models import DRIVE, a_claim, a_state, two_wheeler
 from tests.robot_agent.test_bumpers import a_touchy_robot
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode
-from zensim.proto.messages.agent_messages import DriveState
+from zensim.proto.messages.agent_messages import DriveState, FleetOdometry
 from zensim.proto.messages.model_messages import DiffDrive
 from zensim.proto.messages.process_messages import AgentStats
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
-from zensim.proto.topic_catalog import AGENT_STATS, CONTACTS, DRIVE_STATE
+from zensim.proto.topic_catalog import AGENT_STATS, CONTACTS, DRIVE_STATE, FLEET_ODOMETRY
 from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.agent import (
     MAX_WINDOW_S,
@@ -590,6 +590,21 @@ def test_agent_reports_its_robots_and_what_it_uses() -> None:
     assert (stats.agent, stats.robots, stats.states) == (AGENT, 2, 1)
     assert stats.usage.process_id == os.getpid()
     assert stats.usage.cpu_s > 0.0
+
+
+def test_agent_publishes_the_odometry_of_all_its_robots_to_subscribers_only() -> None:
+    scene = Scene("r1", "r2")
+    scene.poll()
+    scene.drive_to(1, 1, 2)
+    subscription = scene.bus.subscribe(FLEET_ODOMETRY.key(WORLD, "*"), 8)
+
+    scene.drive_to(20, 1, 2)
+    (sample,) = subscription.take()
+    message = decode(FleetOdometry, sample.payload, sample.encoding)
+
+    assert sample.key == FLEET_ODOMETRY.key(WORLD, AGENT)
+    assert (message.entities, message.step) == (("r1", "r2"), 20)
+    assert len(message.motions) == 2 * 13 * 8
 
 
 def test_agent_has_no_robots_when_the_server_is_gone() -> None:

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from zensim.api.api_errors import Error, Invalid
 from zensim.api.argument_checks import check_limits
 from zensim.api.entity_values import SpawnReport, make_html_table
+from zensim.api.odometry_table import FleetOdometryRows
 from zensim.api.robot import Robot
 from zensim.api.world_access import api_errors
 from zensim.api.world_session import RELEASED, WorldSession
@@ -88,6 +89,14 @@ class Fleet:
         """Linear [m/s] and angular [rad/s] velocity of each robot in its own frame, (n, 6)."""
         state, rows = self._find_rows()
         return _take(state.twists, rows)
+
+    def odometry(self) -> FleetOdometryRows:
+        """Newest odometry of each robot, as on its topic `odom`, by one subscription for all.
+
+        The first call subscribes, so its rows are NaN: odometry comes with the next steps. So are
+        the rows of robots without odometry, and of those whose odometry has a fault.
+        """
+        return self._session.odometry().read(self._names)
 
     def drive(
         self, v: npt.ArrayLike = 0.0, w: npt.ArrayLike = 0.0, *, left: npt.ArrayLike = 0.0

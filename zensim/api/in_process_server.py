@@ -6,7 +6,7 @@ import weakref
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, cast
 from uuid import uuid4
@@ -44,6 +44,7 @@ from zensim.proto.topic_catalog import CONTACTS, EVENTS, MAP, TopicSpec
 from zensim.proto.topic_faults import TopicFaults
 from zensim.robot_agent.agent_config import AS_DESCRIBED, RateOverrides, override_rates
 from zensim.robot_agent.bumpers import read_contact_report
+from zensim.robot_agent.fleet_odometry import FleetOdometryPublisher
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 from zensim.sim_server.description.builtin_models import list_builtin_worlds
 from zensim.sim_server.description.world_model import WorldModel
@@ -451,6 +452,10 @@ class InProcessServer:
     def _version(self) -> tuple[int, int]:
         return self.world.clock.epoch, self.world.claims.changes
 
+    @cached_property
+    def _odometry(self) -> FleetOdometryPublisher:
+        return FleetOdometryPublisher(self.network, self.world.name, POOL)
+
     def _follow_state(self, state: DriveState) -> None:
         if state.epoch != self._followed[0]:
             self.robots.reset()
@@ -458,6 +463,8 @@ class InProcessServer:
         if state.claims:
             self.world.command(POOL, self.robots.advance(state))
             self.robots.publish()
+            if self._odometry.is_wanted:
+                self._odometry.publish(state, self.robots.list_odometry())
 
     def _finish_control_step(self) -> None:
         if self._users:

@@ -13,10 +13,11 @@ import numpy as np
 
 from zensim.api.api_errors import Closed, ConnectionLost, Invalid, NotFound, Timeout, Unsupported
 from zensim.api.entity_values import RobotPose
+from zensim.api.odometry_table import TABLE_DEPTH, OdometryTable
 from zensim.api.topic import Topic, TopicDispatcher
 from zensim.api.world_access import Message, WorldAccess, api_errors
 from zensim.api.world_state import POSE, FloatArray, WorldState
-from zensim.proto.messages.agent_messages import Claim, TwistCommands
+from zensim.proto.messages.agent_messages import Claim, FleetOdometry, TwistCommands
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.sensor_messages import CameraSensor, Environment, RaySensor
 from zensim.proto.messages.standard_messages import NANOSECONDS
@@ -24,6 +25,7 @@ from zensim.proto.messages.telemetry_messages import PROTOCOL, Info
 from zensim.proto.path_following import PathController
 from zensim.proto.topic_catalog import (
     CMD_VEL,
+    FLEET_ODOMETRY,
     JOINT_COMMANDS,
     JOINT_STATES,
     ODOM,
@@ -97,6 +99,7 @@ class WorldSession:
         self._orders: list[tuple[tuple[str, ...], FloatArray]] = []
         self._dispatch_thread: threading.Thread | None = None
         self._topics: dict[tuple[str, type[msgspec.Struct]], Topic[Any]] = {}
+        self._odometry: OdometryTable | None = None
         self.is_joined = False
         """Whether the world awaits this client at its control steps; see `Sim.join_lockstep`."""
         self._is_closed = False
@@ -133,7 +136,17 @@ class WorldSession:
             self._is_closed = True
             for topic in self._topics.values():
                 topic.close()
+            if self._odometry is not None:
+                self._odometry.close()
             self.access.close()
+
+    def odometry(self) -> OdometryTable:
+        """Return the odometry of all robots, which is subscribed from the first call on."""
+        self.check_open()
+        if self._odometry is None:
+            key = FLEET_ODOMETRY.key(self.access.world_name, "*")
+            self._odometry = OdometryTable(self.access.subscribe(key, FleetOdometry, TABLE_DEPTH))
+        return self._odometry
 
     def find_row(self, name: str) -> tuple[WorldState, int]:
         """Find the newest state and the row of an entity.

@@ -18,6 +18,7 @@ from zensim.proto.codec.message_codec import Format, MalformedPayload, decode
 from zensim.proto.keys import last_chunk
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
 from zensim.proto.messages.drive_messages import Drive, RosBlock
+from zensim.proto.messages.fault_messages import TopicFault
 from zensim.proto.messages.model_messages import GroundTruth, Model, Origin, Sensor
 from zensim.proto.messages.sensor_messages import (
     AltimeterSensor,
@@ -47,6 +48,7 @@ from zensim.proto.ros2.ros_settings import BridgedCommand, RosSettings
 from zensim.proto.topic_catalog import select_ros_topics
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 from zensim.robot_agent.robots import IndividualRobots
+from zensim.robot_agent.topic_remapping import find_topic_keys
 
 TIMEOUT_NS = 100_000_000
 KINDS: dict[str, type[msgspec.Struct]] = {
@@ -132,6 +134,11 @@ def targets_of(command: DriveCommand) -> tuple[float, ...]:
     return struct.unpack(f"<{len(command.targets) // 8}d", command.targets)
 
 
+def list_motion(message: Odometry) -> list[float]:
+    pose, twist = message.pose.pose, message.twist.twist
+    return list(list_numbers((pose.position, pose.orientation, twist.linear, twist.angular)))
+
+
 class Both:
     """The same robots twice: in a pool, and one by one."""
 
@@ -195,6 +202,28 @@ class Both:
         ]
         for one, other in zip(*published, strict=True):
             assert_same(one, other)
+        self.check_odometry(published[1])
+
+    def check_odometry(self, published: Sequence[Sample]) -> None:
+        """See that the rows of both are the messages of `odom`."""
+        entities = {find_topic_keys(claim).odom: claim.entity for claim in self.claims}
+        messages = {
+            entities[sample.key]: decode(Odometry, sample.payload, sample.encoding)
+            for sample in published
+            if sample.key in entities
+        }
+        expected = {entity: list_motion(message) for entity, message in messages.items()}
+        for one in (self.pool, self.individual):
+            rows = {
+                name: numbers.tolist()
+                for names, motions in one.list_odometry()
+                for name, numbers in zip(
+                    names, np.frombuffer(motions, dtype="<f8").reshape(-1, 13), strict=True
+                )
+            }
+            assert rows.keys() == expected.keys()
+            for entity, numbers in expected.items():
+                assert rows[entity] == pytest.approx(numbers, abs=1e-12)
 
 
 def a_twist(rng: np.random.Generator) -> Twist:
@@ -292,6 +321,22 @@ def test_pool_publishes_as_many_sensor_messages_as_are_due() -> None:
     assert counts["r2/front/imu"] == 80
     assert counts["r2/wheel/imu"] == pytest.approx(40, abs=1)
     assert counts["r2/gps"] == counts["r2/gps_vel"] == pytest.approx(10, abs=1)
+
+
+@pytest.mark.parametrize("kind", [PooledRobots, IndividualRobots], ids=["pool", "individual"])
+def test_robot_whose_odometry_has_a_fault_is_left_out_of_that_of_the_fleet(
+    kind: type[PooledRobots] | type[IndividualRobots],
+) -> None:
+    robots = kind(MemoryBus(), TIMEOUT_NS)
+    claims = [Claim(n, f"r{n}", f"r{n}", two_wheeler(), "<robot/>") for n in (1, 2, 3)]
+    robots.add_claims(claims)
+    off = TopicFault(("r2/odom",), "sensor_off")
+    state = msgspec.structs.replace(a_state(claims, 1), topic_faults=(off,))
+
+    robots.advance(state)
+    robots.publish()
+
+    assert [name for names, _ in robots.list_odometry() for name in names] == ["r1", "r3"]
 
 
 def test_pool_resets_its_robots() -> None:

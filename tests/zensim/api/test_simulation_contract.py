@@ -295,6 +295,27 @@ def test_a_fleet_has_rows_that_stay(simulation: zensim.Simulation) -> None:
         fleet.poses()[0] = 0.0
 
 
+def test_a_fleet_has_the_odometry_of_all_its_robots(simulation: zensim.Simulation) -> None:
+    fleet = simulation.spawn_fleet("box_bot", count=4, spacing=2.0)
+    before = fleet.odometry()
+
+    fleet.drive(v=0.2, w=np.linspace(0.0, 0.3, 4))
+    simulation.run_for(1.0)
+    seen = fleet.odometry()
+
+    assert np.isnan(before.times).all()
+    assert seen.times == pytest.approx(np.full(4, simulation.time), abs=0.1)
+    assert seen.twists[:, 0] == pytest.approx(np.full(4, 0.2), abs=0.02)
+    assert seen.twists[:, 5] == pytest.approx(np.linspace(0.0, 0.3, 4), abs=0.03)
+    one = fleet[2].odom
+    assert seen.poses[2, :2] == pytest.approx(
+        (one.pose.pose.position.x, one.pose.pose.position.y), abs=0.05
+    )
+    assert np.isnan(fleet[:0].odometry().poses).sum() == 0
+    with pytest.raises(ValueError, match="read-only"):
+        seen.poses[0] = 0.0
+
+
 @pytest.mark.parametrize("shape", [(3,), (5,), (4, 2), (2, 4)])
 def test_a_wrong_shape_of_a_fleet_is_invalid(
     simulation: zensim.Simulation, shape: tuple[int, ...]

@@ -1,0 +1,72 @@
+"""The newest odometry of each robot from the messages of several agents."""
+
+import numpy as np
+import pytest
+
+from zensim.api.odometry_table import OdometryTable
+from zensim.api.world_access import TopicFeed
+from zensim.proto.messages.agent_messages import FleetOdometry
+
+
+class ListedFeed(TopicFeed[FleetOdometry]):
+    """Messages of a list."""
+
+    def __init__(self) -> None:
+        self.messages: list[FleetOdometry] = []
+        self.is_closed = False
+
+    def take(self, *, newest_only: bool = False) -> list[FleetOdometry]:
+        del newest_only
+        taken, self.messages = self.messages, []
+        return taken
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+def a_message(second: int, *entities: str, epoch: int = 0) -> FleetOdometry:
+    motions = np.full((len(entities), 13), float(second)) + np.arange(len(entities))[:, None]
+    return FleetOdometry(epoch, second, second * 10**9, entities, motions.astype("<f8").tobytes())
+
+
+def test_each_robot_has_its_newest_row() -> None:
+    feed = ListedFeed()
+    table = OdometryTable(feed)
+    feed.messages = [a_message(1, "a", "b"), a_message(2, "c"), a_message(3, "b")]
+
+    rows = table.read(["b", "a", "nobody", "c", "b"])
+
+    assert rows.times == pytest.approx([3.0, 1.0, np.nan, 2.0, 3.0], nan_ok=True)
+    assert rows.poses[:, 0] == pytest.approx([3.0, 1.0, np.nan, 2.0, 3.0], nan_ok=True)
+    assert (rows.poses.shape, rows.twists.shape) == ((5, 7), (5, 6))
+
+
+def test_robots_of_a_former_epoch_are_gone() -> None:
+    feed = ListedFeed()
+    table = OdometryTable(feed)
+    feed.messages = [a_message(5, "a", "b")]
+    table.read([])
+    feed.messages = [a_message(1, "b", epoch=1)]
+
+    assert table.read(["a", "b"]).times == pytest.approx([np.nan, 1.0], nan_ok=True)
+
+
+def test_rows_are_kept_while_robots_come() -> None:
+    feed = ListedFeed()
+    table = OdometryTable(feed)
+    names = [f"r{number}" for number in range(40)]
+    for second, name in enumerate(names, 1):
+        feed.messages = [a_message(second, name)]
+        table.read([])
+
+    assert table.read(names).times.tolist() == list(range(1, 41))
+
+
+def test_message_whose_arrays_do_not_fit_is_left_out() -> None:
+    feed = ListedFeed()
+    table = OdometryTable(feed)
+    feed.messages = [FleetOdometry(0, 1, 1, ("a", "b"), b"\0" * 104)]
+
+    assert np.isnan(table.read(["a"]).times).all()
+    table.close()
+    assert feed.is_closed

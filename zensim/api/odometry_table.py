@@ -1,0 +1,74 @@
+"""The newest odometry of all robots of a world, from the messages of their agents."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from zensim.api.world_access import TopicFeed
+from zensim.api.world_state import FloatArray
+from zensim.proto.messages.agent_messages import STATE_COLUMNS, FleetOdometry
+from zensim.proto.messages.standard_messages import NANOSECONDS
+
+POSE_NUMBERS = 7
+TABLE_DEPTH = 512
+"""Messages of 64 KiB that wait: of 10,000 robots, some 20 a step."""
+
+
+@dataclass(frozen=True)
+class FleetOdometryRows:
+    """Newest odometry of several robots, a row for each; NaN where none has come.
+
+    Attributes:
+        times: Stamps [s of simulation time], (n,).
+        poses: Position [m] and quaternion x y z w in each robot's odometry frame, (n, 7).
+        twists: Linear [m/s] and angular [rad/s] velocity of each base in its own frame, (n, 6).
+    """
+
+    times: FloatArray
+    poses: FloatArray
+    twists: FloatArray
+
+
+class OdometryTable:
+    """Keeps the last odometry of each robot of a feed."""
+
+    def __init__(self, feed: TopicFeed[FleetOdometry]) -> None:
+        """Take the feed of all agents."""
+        self._feed = feed
+        self._epoch = 0
+        self._rows: dict[str, int] = {}
+        self._times = np.zeros(0)
+        self._motions = np.zeros((0, STATE_COLUMNS))
+
+    def read(self, names: Sequence[str]) -> FleetOdometryRows:
+        """Take what has come, and read the rows of some robots."""
+        for message in self._feed.take():
+            self._add(message)
+        rows = np.array([self._rows.get(name, -1) for name in names], dtype=np.intp)
+        is_known = rows >= 0
+        times = np.full(len(names), np.nan)
+        motions = np.full((len(names), STATE_COLUMNS), np.nan)
+        times[is_known] = self._times[rows[is_known]]
+        motions[is_known] = self._motions[rows[is_known]]
+        for array in (times, motions):
+            array.flags.writeable = False
+        return FleetOdometryRows(times, motions[:, :POSE_NUMBERS], motions[:, POSE_NUMBERS:])
+
+    def close(self) -> None:
+        """End the subscription."""
+        self._feed.close()
+
+    def _add(self, message: FleetOdometry) -> None:
+        if len(message.motions) != 8 * STATE_COLUMNS * len(message.entities):
+            return
+        if message.epoch != self._epoch:
+            # Time has begun again: robots of before may be gone.
+            self._epoch, self._rows = message.epoch, {}
+        rows = [self._rows.setdefault(name, len(self._rows)) for name in message.entities]
+        if len(self._rows) > len(self._times):
+            more = 2 * len(self._rows)
+            self._times = np.resize(self._times, more)
+            self._motions = np.resize(self._motions, (more, STATE_COLUMNS))
+        self._times[rows] = message.time_ns / NANOSECONDS
+        self._motions[rows] = np.frombuffer(message.motions, dtype="<f8").reshape(-1, STATE_COLUMNS)
