@@ -10,7 +10,10 @@ from zensim.proto.exit_codes import ExitCode
 from zensim.recording.cli import bag_commands, record_commands, replay_commands
 from zensim.recording.cli.record_commands import RecordOptions, make_session_settings
 from zensim.recording.cli.recording_options import TOPIC_LISTS, repeat_options
+from zensim.recording.mcap_records import Metadata
 from zensim.recording.mcap_writer import PRESETS
+from zensim.recording.recorded_topics import RecordedTopic
+from zensim.recording.recording_parts import PartSettings, RecordingParts
 
 
 @pytest.mark.parametrize(
@@ -85,3 +88,21 @@ def test_storage_profile_sets_the_compression() -> None:
     ]
 
     assert [one.chunks for one in settings] == list(PRESETS.values())
+
+
+def test_info_names_the_further_files_of_a_recording(tmp_path: Path) -> None:
+    for name, count in (("run.mcap", 2), ("run_5.mcap", 1), ("folder", 2)):
+        settings = PartSettings(path=tmp_path / name)
+        parts = RecordingParts[RecordedTopic](settings, Metadata("zensim", {}))
+        for _ in range(count):
+            parts.start_part(1, 1)
+        parts.close()
+
+    notes = [
+        CliRunner().invoke(bag_commands.app, ("info", str(tmp_path / name))).stderr
+        for name in ("run.mcap", "run_5.mcap", "folder")
+    ]
+
+    assert "run_1.mcap to run_2.mcap" in notes[0]
+    assert "run_5_1.mcap;" in notes[1]
+    assert notes[2] == ""

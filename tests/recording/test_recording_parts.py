@@ -452,8 +452,10 @@ def test_ring_keeps_the_last_seconds_and_latched_messages() -> None:
     for number in range(10):
         ring.add(odometry_at(number))
 
+    held = len(ring)
     messages = ring.take()
 
+    assert (held, len(ring)) == (3, 0)
     assert [(one[0], one[1] // SECOND) for one in messages] == [
         (TF_STATIC, 7),
         (ODOM, 7),

@@ -151,7 +151,7 @@ def remove_recording(path: Path) -> None:
         return
     metadata = (path if is_folder else path.parent) / METADATA_FILE
     is_own = is_folder or is_described(path)
-    for file in list(_list_own_files(path)):
+    for file in list(list_own_files(path)):
         file.unlink()
         find_reserve(file).unlink(missing_ok=True)
     if is_own:
@@ -161,8 +161,12 @@ def remove_recording(path: Path) -> None:
             path.rmdir()
 
 
-def _list_own_files(path: Path) -> Iterator[Path]:
-    """List the files of the recording at a path; the first may be deleted (`keep_ns`)."""
+def list_own_files(path: Path) -> Iterator[Path]:
+    """List the files of the recording at a path; the first may be deleted (`keep_ns`).
+
+    Raises:
+        OSError: The folder cannot be read.
+    """
     is_folder = path.suffix != SUFFIX
     folder, stem = (path, path.name) if is_folder else (path.parent, path.stem)
     if not is_folder and path.exists():

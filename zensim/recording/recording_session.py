@@ -66,6 +66,8 @@ class RecordingFigures(msgspec.Struct, frozen=True, kw_only=True):
     missing: int
     """About how many were lost then, by the gaps between their stamps."""
     malformed: int
+    held: int = 0
+    """In memory, for the next snapshot."""
 
 
 class RecordingSession:
@@ -148,6 +150,7 @@ class RecordingSession:
             overflows=recorder.overflows,
             missing=recorder.missing,
             malformed=recorder.malformed,
+            held=len(self._ring),
         )
 
     def close(self, recorder: Recorder) -> RecordingFigures:

@@ -23,6 +23,10 @@ class SnapshotRing:
         self._latched: LatchedMessages[RecordedTopic] = LatchedMessages()
         self._bytes = 0
 
+    def __len__(self) -> int:
+        """Count the messages, without latched ones."""
+        return len(self._messages)
+
     def add(self, message: RecordedMessage) -> None:
         """Add a message, and remove those that are too old."""
         topic, log_ns, _, payload = message

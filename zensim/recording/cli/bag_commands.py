@@ -16,6 +16,7 @@ from zensim.recording.cli.convert_commands import CONVERT_EXAMPLES, convert_comm
 from zensim.recording.cli.plot_commands import plot_command
 from zensim.recording.cli.recording_options import TopicListCommand
 from zensim.recording.cli.table_commands import export_command
+from zensim.recording.recording_parts import list_own_files
 from zensim.recording.recovery import RecoveryResult, recover_file
 
 app = make_app("bag")
@@ -52,6 +53,10 @@ def info_command(path: FileArgument, *, as_json: JsonOption = False) -> None:
     """Show files, times, topics and attachments, also of a recording that was never closed."""
     with exit_on_failure("bag info"):
         found = read_info(path)
+        further = [] if path.is_dir() else [one for one in list_own_files(path) if one != path]
+    if further:
+        names = further[0].name + (f" to {further[-1].name}" if len(further) > 1 else "")
+        print_note("bag", f"more of this recording is in {names}; 'zensim bag convert' joins files")
     for file in found.unclosed:
         print_note("bag", f"{file} was never closed, and is read in whole; 'zensim bag recover'")
     if as_json:

@@ -473,6 +473,8 @@ def format_figures(figures: RecordingFigures) -> str:
     lost = f"{figures.lost} lost"
     if figures.overflows:
         lost += f", and about {figures.missing} that came faster than they could be taken"
+    if figures.held:
+        lost += f"; {figures.held} held for a snapshot"
     return (
         f"{figures.duration_s:.0f} s: {figures.messages} messages, {figures.bytes / 1e6:.1f} MB, "
         f"{figures.topics} topics, {lost}"
