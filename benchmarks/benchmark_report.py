@@ -33,6 +33,7 @@ NAMES = (
     "fleet_traffic",
     "fleet_topic",
     "up_fleet",
+    "fleet_10000",
     "fleet_physics",
     "pools",
     "api",

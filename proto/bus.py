@@ -16,7 +16,7 @@ from contextlib import suppress
 from functools import cached_property, partial
 from itertools import cycle
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Final, Literal, TypeVar, cast
+from typing import TYPE_CHECKING, Final, Generic, Literal, TypeVar, cast
 
 import msgspec
 import zenoh
@@ -45,6 +45,7 @@ from zensim.proto.process_limits import limit_unacknowledged_time, raise_file_li
 from zensim.proto.reply_sender import REPLY_BYTES, ReplySender, Send
 from zensim.proto.service_catalog import Request, Response, Service, require_ok
 from zensim.proto.tls_probe import ProbeFailed, fetch_authority, find_refusal
+from zensim.proto.token_thread import TokenThread
 
 if TYPE_CHECKING:
     from zenoh.handlers import Handler
@@ -102,6 +103,73 @@ class BusPublisher:
         if self._changes is not None:
             self._changes.undeclare()
         self._publisher.undeclare()
+
+
+class UndeclaredPublisher:
+    """Publisher on a key that the network does not know of before a message comes.
+
+    A message costs a router ten times as much as one on a declared key, and a silent key nothing:
+    messages on all other keys pay for each declared one.
+    """
+
+    is_matched = True
+    """Nothing says otherwise."""
+
+    def __init__(
+        self, session: zenoh.Session, key: str, encoding: str, traffic: BusTraffic
+    ) -> None:
+        self._traffic = traffic
+        self._put = partial(
+            session.put,
+            zenoh.KeyExpr(key),
+            encoding=zenoh.Encoding(encoding),
+            congestion_control=zenoh.CongestionControl.DROP,
+        )
+
+    def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
+        """Publish a message; subscribers drop a second one with the same timestamp."""
+        self._traffic.sent += 1
+        self._traffic.sent_bytes += len(payload)
+        if stamp is not None:
+            self._put(
+                payload, attachment=attachment or None, timestamp=cast("zenoh.Timestamp", stamp)
+            )
+        elif attachment:
+            self._put(payload, attachment=attachment)
+        else:
+            self._put(payload)
+
+    def close(self) -> None:
+        """Do nothing: nothing is declared."""
+
+
+class BusSubscriberWatch:
+    """A session that says which key expressions have subscribers, at no cost to the router.
+
+    Its publishers join those on the patterns, so that the router knows of these only; which
+    subscribers match them the session knows itself.
+    """
+
+    def __init__(self, bus: "Bus", session: zenoh.Session, patterns: Iterable[str]) -> None:
+        self._bus = bus
+        self._session = session
+        self._standing = [session.declare_publisher(_to_key_expression(one)) for one in patterns]
+
+    def has_subscribers(self, key: str) -> bool:
+        """Whether a key expression has a subscriber."""
+        tried = self._session.declare_publisher(key)
+        # The stub says bool; it is a MatchingStatus.
+        is_matched = bool(tried.matching_status.matching)  # type: ignore[attr-defined]
+        tried.undeclare()
+        return is_matched
+
+    def advertise(self, key: str, encoding: str) -> UndeclaredPublisher:
+        """Make a publisher that declares nothing."""
+        return UndeclaredPublisher(self._session, key, encoding, self._bus.traffic)
+
+    def close(self) -> None:
+        """Close the session."""
+        self._bus.close()
 
 
 class BusSubscription:
@@ -474,6 +542,58 @@ class LinkWatch:
         return changes
 
 
+class PendingBusCall(Generic[Response]):
+    """A service call whose reply is polled for; it never blocks."""
+
+    def __init__(
+        self,
+        query: "Callable[[], Handler[zenoh.Reply]]",
+        read: Callable[[Sample], Response],
+        fail: Callable[[type[Exception]], Exception],
+    ) -> None:
+        """Query for the first time.
+
+        Args:
+            query: Sends the request; the same each time, with the same id.
+            read: Reads the response from the reply.
+            fail: Makes the error of a call without a reply: `TimeoutError` or `NoServer`.
+        """
+        self._query, self._read, self._fail = query, read, fail
+        self._pauses = iter(RETRY_AFTER_S)
+        self._retry_s = 0.0
+        self._replies: Handler[zenoh.Reply] | None = query()
+
+    def poll(self) -> Response | None:
+        """Return the response; None while there is none yet.
+
+        Raises:
+            ServiceError: See `Bus.call`, as for the others.
+            TimeoutError: See there.
+            NoServer: See there.
+            MalformedPayload: See there.
+        """
+        if self._replies is None:
+            if time.monotonic() < self._retry_s:
+                return None
+            self._replies = self._query()
+        try:
+            reply = self._replies.try_recv()
+        except zenoh.ZError:  # there are no more
+            self._retry_later()
+            return None
+        if reply is None:
+            return None
+        if reply.ok:
+            return self._read(to_sample(reply.ok))
+        raise self._fail(TimeoutError)
+
+    def _retry_later(self) -> None:
+        pause_s = next(self._pauses, None)
+        if pause_s is None:
+            raise self._fail(NoServer)
+        self._replies, self._retry_s = None, time.monotonic() + pause_s
+
+
 def to_sample(sample: zenoh.Sample) -> Sample:
     """Convert a Zenoh sample."""
     attachment = sample.attachment
@@ -495,6 +615,7 @@ __all__ = [
     "BusQuery",
     "BusQueryQueue",
     "BusReceiver",
+    "BusSubscriberWatch",
     "BusSubscription",
     "CopyingSubscription",
     "Credentials",
@@ -506,7 +627,9 @@ __all__ = [
     "LivelinessWatch",
     "NewestSubscription",
     "NoServer",
+    "PendingBusCall",
     "RouterSecurity",
+    "UndeclaredPublisher",
     "list_client_settings",
     "log_handshakes",
     "open_bus",
@@ -561,8 +684,6 @@ SIZE_LIMITS: Final = (
 """Messages that a router drops. A put on a wider key expression passes, and subscriptions drop it
 by its size."""
 WILDCARD_HZ: Final = 200
-NO_NAMESPACE: Final = "zensim-no-robot"
-"""Only key expressions with wildcards match keys of a namespace that no robot has."""
 WILDCARD_LIMITS: Final = (
     {
         "id": "wildcards",
@@ -571,9 +692,9 @@ WILDCARD_LIMITS: Final = (
         "rules": [
             {"key_expr": key, "freq": WILDCARD_HZ}
             for key in (
-                f"{NO_NAMESPACE}/cmd_vel",
-                f"*/{NO_NAMESPACE}/cmd_vel/**",
-                f"sim/*/drive/{NO_NAMESPACE}/state",
+                f"{keys.NO_NAMESPACE}/cmd_vel",
+                f"*/{keys.NO_NAMESPACE}/cmd_vel/**",
+                f"sim/*/drive/{keys.NO_NAMESPACE}/state",
             )
         ],
     },
@@ -681,6 +802,8 @@ class BusConfig(msgspec.Struct, frozen=True, kw_only=True):
     `CLIENT_LEASE_MS`, or `ROUTER_LEASE_MS` of a router."""
     max_message_bytes: int = MAX_MESSAGE_BYTES
     open_timeout_s: float = 2.0
+    joined_publishers: tuple[str, ...] = ()
+    """Key expressions; all publishers within one of them are one publisher for the router."""
     credentials: Credentials | None = None
     """Of a client of a secured router; a join token in `connect` stands for them, too."""
     router_security: RouterSecurity | None = None
@@ -738,17 +861,39 @@ class Bus:
         """Make a timestamp of now."""
         return Stamp(self._session.new_timestamp())
 
-    def open_session(self) -> "Bus":
+    def open_session(self, joined_publishers: tuple[str, ...] = ()) -> "Bus":
         """Open another session to the same network; the caller closes it.
+
+        Args:
+            joined_publishers: See `BusConfig`.
 
         Raises:
             BusError: See `open_bus`.
         """
         at = self.config.listen if self.config.mode == "router" else self.config.connect
-        config = msgspec.structs.replace(self.config, mode="client", connect=at, listen=())
+        config = msgspec.structs.replace(
+            self.config,
+            mode="client",
+            connect=at,
+            listen=(),
+            joined_publishers=joined_publishers,
+        )
         opened = open_bus(config)
         opened.traffic = self.traffic
         return opened
+
+    def watch_subscribers(self, patterns: Iterable[str]) -> BusSubscriberWatch:
+        """Open a session that finds out which key expressions have subscribers.
+
+        Args:
+            patterns: Key expressions; what is asked for should be within one of them.
+
+        Raises:
+            BusError: See `open_bus`.
+        """
+        listed = tuple(patterns)
+        opened = self.open_session(joined_publishers=listed)
+        return BusSubscriberWatch(opened, opened._session, listed)  # noqa: SLF001 - of this class
 
     def close(self) -> None:
         """Send the replies that wait, and close the session and all that it declared."""
@@ -851,6 +996,10 @@ class Bus:
         """Declare a liveliness token."""
         return LivelinessToken(self._session.liveliness().declare_token(key))
 
+    def open_token_queue(self) -> TokenThread:
+        """Declare tokens in a thread, on a session of its own."""
+        return TokenThread(self.open_session)
+
     def watch_tokens(self, key: str, depth: int = 16384) -> LivelinessWatch:
         """Watch liveliness tokens, beginning with the present ones."""
         liveliness = self._session.liveliness()
@@ -904,6 +1053,45 @@ class Bus:
             NoServer: No server of this world is running.
             MalformedPayload: The reply is not a response of this service.
         """
+        key = keys.service(world, service.name, self.user)
+        query = self._make_query(key, service, request, timeout_s, request_id)
+        for pause_s in RETRY_AFTER_S:
+            for reply in query():
+                if reply.ok:
+                    return _read_response(service, to_sample(reply.ok))
+                raise self._make_call_error(key, timeout_s, TimeoutError)
+            time.sleep(pause_s)
+        raise self._make_call_error(key, timeout_s, NoServer)
+
+    def begin_call(
+        self,
+        service: Service[Request, Response],
+        request: Request,
+        *,
+        world: str,
+        timeout_s: float = 5.0,
+    ) -> PendingBusCall[Response]:
+        """Call a service, and poll for the reply later.
+
+        Raises:
+            ServiceError: The server would refuse the request for its size.
+        """
+        key = keys.service(world, service.name, self.user)
+        return PendingBusCall(
+            self._make_query(key, service, request, timeout_s, ""),
+            partial(_read_response, service),
+            partial(self._make_call_error, key, timeout_s),
+        )
+
+    def _make_query(
+        self,
+        key: str,
+        service: Service[Request, Response],
+        request: Request,
+        timeout_s: float,
+        request_id: str,
+    ) -> "Callable[[], Handler[zenoh.Reply]]":
+        """Make what sends a request, each time with the same id."""
         payload = encode(request, Format.MSGPACK)
         limit = min(MAX_REQUEST_BYTES, self.config.max_message_bytes)
         if len(payload) > limit:
@@ -914,30 +1102,21 @@ class Bus:
                 f"request.size: a request of {len(payload)} bytes; send {limit} at most, "
                 "and meshes as files",
             )
-        key = keys.service(world, service.name, self.user)
-        encoding = make_encoding(request, Format.MSGPACK)
-        reply = self._query(key, payload, encoding, timeout_s, request_id or uuid.uuid4().hex)
-        response = decode(service.response, reply.payload, reply.encoding)
-        return require_ok(service, response)
+        return partial(
+            self._session.get,
+            key,
+            FifoChannel(16),
+            payload=payload,
+            encoding=make_encoding(request, Format.MSGPACK),
+            attachment=request_id or uuid.uuid4().hex,
+            timeout=timeout_s,
+            source_info=self._source,
+        )
 
-    def _query(
-        self, key: str, payload: bytes, encoding: str, timeout_s: float, request_id: str
-    ) -> Sample:
-        for pause_s in RETRY_AFTER_S:
-            for reply in self._session.get(
-                key,
-                FifoChannel(16),
-                payload=payload,
-                encoding=encoding,
-                attachment=request_id,
-                timeout=timeout_s,
-                source_info=self._source,
-            ):
-                if reply.ok:
-                    return to_sample(reply.ok)
-                raise TimeoutError(f"no reply from {key} within {timeout_s:g} s")
-            time.sleep(pause_s)
-        raise NoServer(self._explain_absence(key))
+    def _make_call_error(self, key: str, timeout_s: float, kind: type[Exception]) -> Exception:
+        if kind is TimeoutError:
+            return TimeoutError(f"no reply from {key} within {timeout_s:g} s")
+        return NoServer(self._explain_absence(key))
 
     def _explain_absence(self, key: str) -> str:
         given = self.config.credentials
@@ -948,6 +1127,10 @@ class Bus:
         if given is None:
             what_to_do = "start one with 'zensim serve'"
         return f"no server replies on {key} at {self.endpoint}; {what_to_do}"
+
+
+def _read_response(service: Service[Request, Response], reply: Sample) -> Response:
+    return require_ok(service, decode(service.response, reply.payload, reply.encoding))
 
 
 def open_bus(config: BusConfig) -> Bus:
@@ -1075,6 +1258,8 @@ def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
         entries["low_pass_filter"] = SIZE_LIMITS
         entries["qos/network"] = [QUERIES_OF_OWN_PRIORITY]
         entries["downsampling"] = WILDCARD_LIMITS
+    if config.joined_publishers:
+        entries["aggregation/publishers"] = list(config.joined_publishers)
     entries |= _make_client_entries(config.credentials)
     entries |= _make_router_entries(config.router_security)
     made: zenoh.Config = zenoh.Config()

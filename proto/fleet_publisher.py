@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Final, Generic, Protocol, TypeVar
 
@@ -14,6 +14,7 @@ from zensim.proto.network_protocols import AgentNetwork, Publisher, Query
 from zensim.proto.ros2.liveliness_tokens import GraphEndpoint
 from zensim.proto.ros2.rmw_attachment import ATTACHMENT_STRUCT, GID_BYTES
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic, gid_from_endpoint
+from zensim.proto.subscriber_search import MessageBudget, SubscriberSearch, SubscriberWatches
 from zensim.proto.topic_endpoints import CACHE_SUFFIX, KeyPublisher, make_cache_key
 from zensim.proto.topic_faults import TopicFaults
 
@@ -85,6 +86,13 @@ class MatchedPublishers(Generic[OwnerT]):
             self.matched.pop(owner, None)
             publisher.close()
 
+    def remove_except(self, owners: Set[OwnerT]) -> list[OwnerT]:
+        """Undeclare the publishers of all others; return these."""
+        others = [owner for owner in self._all if owner not in owners]
+        for owner in others:
+            self.remove(owner)
+        return others
+
     def check_all(self) -> None:
         """Check all publishers."""
         self.matched = {owner: one for owner, one in self._all.items() if one.is_matched}
@@ -109,6 +117,8 @@ class MatchedPublishers(Generic[OwnerT]):
 QUERY_DEPTH = 256
 MAX_ROS_DECLARED_AT_ONCE = 16
 """Tokens or publishers declared in one call: 1 to 2 ms."""
+MAX_ROS_FOUND_AT_ONCE = 32
+"""Publishers made in one call that declare nothing; a latched topic publishes once on each."""
 
 
 class LastValues(Protocol):
@@ -138,6 +148,35 @@ class TopicMember:
     was_matched: bool = False
 
 
+MAX_PUBLISHERS: Final = 300
+"""Robots of a topic whose publishers are all declared while there are subscribers. The time of a
+router for a message grows with the declarations, as that for one more does."""
+
+
+class SearchedMembers:
+    """The members of a topic of many robots that have subscribers; they declare no publishers."""
+
+    def __init__(self, search: SubscriberSearch) -> None:
+        self.search = search
+        self.named: frozenset[TopicMember] = frozenset()
+        """With subscribers of their own; see `SubscribedKeys`."""
+        self.others: frozenset[TopicMember] = frozenset()
+
+    @property
+    def all(self) -> frozenset[TopicMember]:
+        """All that have subscribers."""
+        return self.named | self.others
+
+    def poll(self, members: Mapping[str, Sequence[TopicMember]]) -> bool:
+        """Continue the search among members by key; whether the result has changed."""
+        if not self.search.poll(time.monotonic()):
+            return False
+        found = self.search.found
+        self.named = frozenset(one for key in found.named for one in members.get(key, ()))
+        self.others = frozenset(one for key in found.others for one in members.get(key, ()))
+        return True
+
+
 MAX_ANNOUNCED_CACHES: Final = 100
 """Robots of a process whose latched topics are queried again after a cut link: a token each."""
 
@@ -145,14 +184,28 @@ MAX_ANNOUNCED_CACHES: Final = 100
 class RosFleetPublisher:
     """One topic of many robots on the ROS 2 keys of one pattern."""
 
-    def __init__(self, network: AgentNetwork, graph: RosGraph, topic: RosTopic) -> None:
+    def __init__(
+        self,
+        network: AgentNetwork,
+        graph: RosGraph,
+        topic: RosTopic,
+        watches: SubscriberWatches | None = None,
+    ) -> None:
         """Declare the topic.
 
         Args:
             network: Session of the publishers.
             graph: ROS 2 graph of the members' nodes.
             topic: Its key is the pattern of the members' keys.
+            watches: As of `FleetTopicPublisher`.
         """
+        self.searched: SearchedMembers | None = None
+        """None while all publishers are declared."""
+        self.version = 0
+        """Counts changes of `searched`."""
+        self._watches = watches
+        self._found: deque[TopicMember] = deque()
+        """Members that were found, and have no publisher yet."""
         self._network = network
         self._topic = topic
         self._encoding = topic.encoding
@@ -168,7 +221,9 @@ class RosFleetPublisher:
         """Of a topic that is not latched: rows of attachments."""
         self._ros_keys: dict[TopicMember, str] = {}
         self._graph = graph
-        key = graph.data_key(topic)
+        self._pattern = key = graph.data_key(topic)
+        if watches is not None:
+            watches.include(key)
         self._probe = network.advertise(key, self._encoding)
         cache = f"{key}/{CACHE_SUFFIX}/{graph.zid}/*/_"
         self._queries = network.serve(cache, QUERY_DEPTH) if topic.is_latched else None
@@ -183,9 +238,15 @@ class RosFleetPublisher:
         if member.node is not None:
             self._unjoined.append(member)
             self._ros_keys[member] = self._graph.data_key(self._make_topic(member))
+            self._note_change()
+
+    def _note_change(self) -> None:
+        if self.searched is not None:
+            self.searched.search.set_keys(self._ros_keys.values)
 
     def remove(self, member: TopicMember) -> None:
         """Remove a robot; its node undeclares the endpoint."""
+        self._note_change()
         self._joined.pop(member, None)
         self._ros_keys.pop(member, None)
         if (key_publisher := self._key_publishers.pop(member, None)) is not None:
@@ -203,22 +264,60 @@ class RosFleetPublisher:
         """
         while self._unrepeated and self._unrepeated[0].repeat():
             self._unrepeated.popleft()
-        if self._unjoined:
-            some, self._unjoined = (
-                self._unjoined[:MAX_ROS_DECLARED_AT_ONCE],
-                self._unjoined[MAX_ROS_DECLARED_AT_ONCE:],
-            )
-            for member in some:
-                self._join(member)
-        elif not self.is_wanted:
+        is_searched, has_joined_all = self._is_searched, not self._unjoined
+        self._join_some()
+        if not self.is_wanted:
             return
-        elif len(self._key_publishers) + len(self._rows) < len(self._joined):
+        if is_searched:
+            self._declare_found()
+        elif has_joined_all:
+            self._declare_missing()
+
+    def _join_some(self) -> None:
+        some, self._unjoined = (
+            self._unjoined[:MAX_ROS_DECLARED_AT_ONCE],
+            self._unjoined[MAX_ROS_DECLARED_AT_ONCE:],
+        )
+        for member in some:
+            self._join(member)
+
+    def _declare_missing(self) -> None:
+        """Declare some publishers; check the others if all are there."""
+        if len(self._key_publishers) + len(self._rows) < len(self._joined):
             is_there = self._key_publishers if self._topic.is_latched else self._rows
             missing = [member for member in self._joined if member not in is_there]
             for member in missing[:MAX_ROS_DECLARED_AT_ONCE]:
                 self._declare(member)
         else:
             self._matched.check_some()
+
+    @property
+    def _is_searched(self) -> bool:
+        if self.searched is None and self._watches and len(self._ros_keys) > MAX_PUBLISHERS:
+            watch = self._watches.find(self._pattern)
+            self.searched = SearchedMembers(SubscriberSearch(watch, self._pattern))
+            self._note_change()
+        return self.searched is not None
+
+    def _declare_found(self) -> None:
+        """Search those with subscribers; make some of their publishers, which declare nothing."""
+        if (searched := self.searched) is None:
+            return
+        if searched.poll(self._list_by_key()):
+            self.version += 1
+            found = searched.all
+            for member in self._matched.remove_except(found):
+                self._attachments.remove(self._rows.pop(member))
+            is_there = self._key_publishers if self._topic.is_latched else self._rows
+            self._found = deque(one for one in found if one not in is_there)
+        for _ in range(min(len(self._found), MAX_ROS_FOUND_AT_ONCE)):
+            self._declare(self._found.popleft())
+
+    def _list_by_key(self) -> dict[str, list[TopicMember]]:
+        listed: dict[str, list[TopicMember]] = {}
+        for member, key in self._ros_keys.items():
+            listed.setdefault(key, []).append(member)
+        return listed
 
     def has_subscribers(self, member: TopicMember) -> bool:
         """Whether a member has subscribers, as of the last check."""
@@ -268,7 +367,8 @@ class RosFleetPublisher:
     def _declare(self, member: TopicMember) -> None:
         if member in self._key_publishers or (endpoint := self._join(member)) is None:
             return
-        publisher = self._network.advertise(self._ros_keys[member], self._encoding)
+        source = self._network if self.searched is None else self.searched.search.watch
+        publisher = source.advertise(self._ros_keys[member], self._encoding)
         if not self._topic.is_latched:
             self._rows[member] = self._attachments.add(gid_from_endpoint(endpoint))
             self._matched.add(member, publisher)
@@ -301,6 +401,8 @@ class RosFleetPublisher:
         return make_cache_key(key, self._graph.zid)
 
 
+UNWANTED, NAMED, OTHERS = DEMANDS = range(3)
+"""No subscriber; one of its own; one by wildcard, within the budget. See `SubscribedKeys`."""
 MAX_DECLARED_AT_ONCE = 32
 """Publishers declared or checked in one call: a few milliseconds."""
 
@@ -315,6 +417,7 @@ class FleetTopicPublisher:
         message_type: type[msgspec.Struct],
         ros: RosFleetPublisher | None = None,
         faults: TopicFaults | None = None,
+        watches: SubscriberWatches | None = None,
     ) -> None:
         """Declare the topic.
 
@@ -324,7 +427,15 @@ class FleetTopicPublisher:
             message_type: Of the payloads, which are CDR.
             ros: The same on ROS 2 keys.
             faults: Of the topics of this process.
+            watches: With them, from `MAX_PUBLISHERS` robots on no publisher is declared, and those
+                with subscribers are searched for; None = all publishers are declared, always.
         """
+        self._searched: SearchedMembers | None = None
+        self._watches = watches
+        self._pattern = pattern
+        if watches is not None:
+            watches.include(pattern)
+        self._own_version = 0
         self._ros = ros
         self._faults = TopicFaults() if faults is None else faults
         self._message_type = message_type
@@ -364,7 +475,9 @@ class FleetTopicPublisher:
     def add(self, member: TopicMember) -> None:
         """Add a robot; its publisher is declared once there are subscribers."""
         self._members.setdefault(member.key, []).append(member)
-        self._undeclared.append(member)
+        self._note_change()
+        if self._searched is None:
+            self._undeclared.append(member)
         if self._ros is not None:
             self._ros.add(member)
 
@@ -375,14 +488,22 @@ class FleetTopicPublisher:
             self._members[member.key] = left
         self._matched.remove(member)
         member.publisher = None
+        self._note_change()
         if self._ros is not None:
             self._ros.remove(member)
+
+    def _note_change(self) -> None:
+        if self._searched is not None:
+            self._searched.search.set_keys(self._members.keys)
 
     def declare_some(self) -> None:
         """Declare some of the missing publishers if there are subscribers; check others."""
         if self._ros is not None:
             self._ros.declare_some()
         if not self._members or not self._probe.is_matched:
+            return
+        if self._is_searched:
+            self._make_found()
             return
         if self._has_put and not self._undeclared:
             self._matched.check_some()
@@ -395,6 +516,52 @@ class FleetTopicPublisher:
             if member in self._members.get(member.key, ()):
                 member.publisher = self._network.advertise(member.key, self._encoding)
                 self._matched.add(member, member.publisher)
+
+    @property
+    def _is_searched(self) -> bool:
+        if self._searched is None and self._watches and len(self._members) > MAX_PUBLISHERS:
+            watch = self._watches.find(self._pattern)
+            self._searched = SearchedMembers(SubscriberSearch(watch, self._pattern))
+            self._undeclared.clear()
+            self._note_change()
+        return self._searched is not None
+
+    def _make_found(self) -> None:
+        """Search those with subscribers; make their publishers, which declare nothing."""
+        if (searched := self._searched) is None or not searched.poll(self._members):
+            return
+        self._own_version += 1
+        found = searched.all
+        for member in self._matched.remove_except(found):
+            member.publisher, member.was_matched = None, False
+        for member in found - self._matched.matched.keys():
+            member.publisher = searched.search.watch.advertise(member.key, self._encoding)
+            self._matched.add(member, member.publisher)
+
+    @property
+    def version(self) -> int:
+        """Changes with what `find_demand` returns."""
+        return self._own_version + (0 if self._ros is None else self._ros.version)
+
+    @property
+    def budget(self) -> MessageBudget | None:
+        """Of messages to subscribers by wildcard; None while all publishers are declared."""
+        is_searched = self._searched is not None or (
+            self._ros is not None and self._ros.searched is not None
+        )
+        return self._watches.budget if self._watches is not None and is_searched else None
+
+    def find_members(self, key: str) -> Sequence[TopicMember]:
+        """Find the members with a key."""
+        return self._members.get(key, ())
+
+    def find_demand(self, member: TopicMember) -> int:
+        """Find who needs the messages of a member of a topic of many: a constant of `DEMANDS`."""
+        searched = [self._searched, None if self._ros is None else self._ros.searched]
+        known = [one for one in searched if one is not None]
+        if any(member in one.named for one in known):
+            return NAMED
+        return OTHERS if any(member in one.others for one in known) else UNWANTED
 
     def check_all(self) -> None:
         """Declare all missing publishers if there are subscribers, and check all."""
@@ -430,7 +597,7 @@ class FleetTopicPublisher:
             return
         members = [member for members in self._members.values() for member in members]
         if self.is_wanted:
-            self._unannounced = members
+            self._unannounced = members if self._searched is None else list(self._matched.matched)
         elif self._has_announced:
             for member in members:
                 member.was_matched = False

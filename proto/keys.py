@@ -4,6 +4,10 @@ Names are validated before: see `zensim.proto.names`.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Final
+
+NO_NAMESPACE: Final = "zensim-no-robot"
+"""Only key expressions with wildcards match keys of a namespace that no robot has."""
 
 
 def service(world: str, name: str, user: str = "") -> str:

@@ -164,6 +164,23 @@ class PublishingNetwork(Protocol):
         """Declare a publisher."""
 
 
+class SubscriberWatch(Closable, Protocol):
+    """Says which key expressions have subscribers, and publishes without declaring anything."""
+
+    def has_subscribers(self, key: str) -> bool:
+        """Whether a key expression has a subscriber; it is false at first."""
+
+    def advertise(self, key: str, encoding: str) -> Publisher:
+        """Make a publisher that declares nothing."""
+
+
+class WatchOpeningNetwork(Protocol):
+    """Opens watches of subscribers."""
+
+    def watch_subscribers(self, patterns: Iterable[str]) -> SubscriberWatch:
+        """Watch the subscribers of key expressions within some patterns."""
+
+
 class SubscribingNetwork(Protocol):
     """Declares subscriptions."""
 
@@ -193,11 +210,42 @@ class CallingNetwork(Protocol):
         """Call a service and return its response."""
 
 
+ResponseT_co = TypeVar("ResponseT_co", bound=msgspec.Struct, covariant=True)
+
+
+class PendingCall(Protocol[ResponseT_co]):
+    """A service call whose reply is polled for."""
+
+    def poll(self) -> ResponseT_co | None:
+        """Return the response; None while there is none yet. Raises what the call would raise."""
+
+
+class BackgroundCallingNetwork(Protocol):
+    """Calls services without waiting for the reply."""
+
+    def begin_call(
+        self,
+        service: Service[Request, Response],
+        request: Request,
+        *,
+        world: str,
+        timeout_s: float = 5.0,
+    ) -> PendingCall[Response]:
+        """Call a service, and poll for the reply later."""
+
+
 class WatchingNetwork(Protocol):
     """Watches liveliness tokens."""
 
     def watch_tokens(self, key: str, depth: int = 16384) -> TokenWatch:
         """Watch tokens, present ones first."""
+
+
+class TokenQueue(Closable, Protocol):
+    """Declares tokens later, beside the caller."""
+
+    def token(self, key: str) -> Closable:
+        """Declare this process alive under a key soon."""
 
 
 class TokenSession(Closable, Protocol):
@@ -212,6 +260,9 @@ class TokenSession(Closable, Protocol):
 
     def open_session(self) -> "TokenSession":
         """Open another session to the same network."""
+
+    def open_token_queue(self) -> TokenQueue:
+        """Open a queue with a session of its own."""
 
 
 class TopicNetwork(PublishingNetwork, SubscribingNetwork, ServingNetwork, Protocol):
@@ -232,7 +283,15 @@ class ServerNetwork(TopicNetwork, WatchingNetwork, TokenSession, Protocol):
         """Wait until replies are sent, except to clients that have stopped reading."""
 
 
-class AgentNetwork(TopicNetwork, WatchingNetwork, CallingNetwork, TokenSession, Protocol):
+class AgentNetwork(
+    TopicNetwork,
+    WatchingNetwork,
+    CallingNetwork,
+    BackgroundCallingNetwork,
+    WatchOpeningNetwork,
+    TokenSession,
+    Protocol,
+):
     """Network for agents."""
 
     def open_session(self) -> "AgentNetwork":

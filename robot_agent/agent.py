@@ -34,6 +34,7 @@ from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.rosout import Rosout
 from zensim.proto.stats_publisher import StatsPublisher, read_process_usage
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
+from zensim.proto.subscriber_search import SubscriberWatches
 from zensim.proto.topic_catalog import AGENT_STATS, CONTACTS, DRIVE_COMMAND, DRIVE_STATE
 from zensim.proto.verbosity import configure_logging
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, override_rates
@@ -180,6 +181,9 @@ class ClaimClient(Protocol):
     def reclaim(self, entities: tuple[str, ...]) -> None:
         """Note that entities were lost."""
 
+    def forget_call(self) -> None:
+        """Forget a call that is pending: its server is gone."""
+
 
 class RobotSet(HousekeepingTarget, Protocol):
     """The robots of an agent; `IndividualRobots` one by one, `PooledRobots` in arrays."""
@@ -250,7 +254,10 @@ class Agent:
         self._graph = RosGraph(network, config.ros)
         self._rosout = Rosout(network, self._graph)
         self._claim_client = _make_claim_client(network, config)
-        self._robots = _make_robot_set(network, config, self._graph, self._rx_session)
+        self._watches = SubscriberWatches(network)
+        self._robots = _make_robot_set(
+            network, config, self._graph, self._rx_session, self._watches
+        )
         self._state_order = StateOrder()
         self._housekeeping = Housekeeping(self._robots)
         self._answered, self._claims = 0, b""
@@ -273,6 +280,7 @@ class Agent:
         self._stats.close()
         self._odometry.close()
         self._graph.close()
+        self._watches.close()
         if self._rx_session is not self._network:
             self._rx_session.close()
 
@@ -353,6 +361,7 @@ class Agent:
                 self._claim_client.retry_soon()
                 continue
             self._state_order.forget()
+            self._claim_client.forget_call()
             self._claims = b""
             self._handle_lost(self._robots.release_all_except(b""), "the server is gone")
 
@@ -477,7 +486,11 @@ def run_agent(
 
 
 def _make_robot_set(
-    network: AgentNetwork, config: AgentConfig, graph: RosGraph, rx_session: AgentNetwork
+    network: AgentNetwork,
+    config: AgentConfig,
+    graph: RosGraph,
+    rx_session: AgentNetwork,
+    watches: SubscriberWatches,
 ) -> RobotSet:
     timeout_ns = round(config.cmd_vel_timeout_s * NANOSECONDS)
     if config.pool_limit is None:
@@ -485,7 +498,7 @@ def _make_robot_set(
     # numpy and the pool take 0.3 s and 10 MB to load, which single agents save.
     from zensim.robot_agent.pool.pooled_robots import PooledRobots  # noqa: PLC0415
 
-    return PooledRobots(network, timeout_ns, graph, rx_session)
+    return PooledRobots(network, timeout_ns, graph, rx_session, watches)
 
 
 def _make_claim_client(network: AgentNetwork, config: AgentConfig) -> ClaimClient:

@@ -14,12 +14,13 @@ from zensim.proto.messages.agent_messages import (
     Claim,
     ClaimEntityRequest,
     ClaimShareRequest,
+    ClaimShareResponse,
     OnRelease,
     expand_grants,
 )
 from zensim.proto.messages.result_messages import ClaimCode, ResultCode, ServiceError
 from zensim.proto.messages.telemetry_messages import PROTOCOL, Event
-from zensim.proto.network_protocols import AgentNetwork, Subscription
+from zensim.proto.network_protocols import AgentNetwork, PendingCall, Subscription
 from zensim.proto.service_catalog import CLAIM_ENTITY, CLAIM_SHARE
 from zensim.proto.topic_catalog import EVENTS
 
@@ -147,6 +148,9 @@ class NamedClaimClient:
         self._retry.reset_pause()
         self._next_s = -math.inf
 
+    def forget_call(self) -> None:
+        """Do nothing: no call is pending between two polls."""
+
     def poll(self, now_s: float) -> tuple[Claim, ...]:
         """Claim missing entities, if it is time.
 
@@ -235,7 +239,10 @@ class ShareSettings(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ShareClaimClient:
-    """Claims an even share of all robots, again and again."""
+    """Claims an even share of all robots, again and again.
+
+    The reply is awaited beside driving: a call among 10,000 robots may take a second.
+    """
 
     def __init__(self, network: AgentNetwork, settings: ShareSettings) -> None:
         self._network = network
@@ -243,6 +250,7 @@ class ShareClaimClient:
         self._events = network.subscribe(EVENTS.key(settings.world), SHARE_EVENTS_DEPTH)
         self._retry = ClaimRetry(settings.agent, settings.wait_s)
         self._called_s = self._next_s = -math.inf
+        self._call: PendingCall[ClaimShareResponse] | None = None
 
     def reclaim(self, entities: tuple[str, ...]) -> None:
         """Do nothing: robots that went to another pool belong to it."""
@@ -251,8 +259,12 @@ class ShareClaimClient:
         """Call soon: something has changed."""
         self._next_s = min(self._next_s, self._called_s + MIN_SHARE_PERIOD_S)
 
+    def forget_call(self) -> None:
+        """Forget the call that is pending: its server is gone, and the claims with it."""
+        self._call = None
+
     def poll(self, now_s: float) -> tuple[Claim, ...]:
-        """Claim what is missing of the share, if it is time.
+        """Claim what is missing of the share, if it is time; return what a reply has granted.
 
         Raises:
             ServiceError: The first call was refused, and the refusal is final.
@@ -262,13 +274,14 @@ class ShareClaimClient:
         """
         if any(event.kind in SHARE_EVENTS for event in _take_events(self._events)):
             self.retry_soon()
-        if now_s < self._next_s:
+        if self._call is None and now_s < self._next_s:
             return ()
-        self._retry.start(now_s)
-        self._called_s, self._next_s = now_s, now_s + MAX_SHARE_PERIOD_S
         try:
-            return self._claim()
+            if self._call is None:
+                self._begin(now_s)
+            return self._take_reply()
         except (ServiceError, NoServer, TimeoutError, MalformedPayload) as error:
+            self._call = None
             is_transient = isinstance(error, NoServer | TimeoutError) or (
                 # The server has not received the agent's token yet.
                 isinstance(error, ServiceError) and error.code == ResultCode.INCORRECT_STATE
@@ -276,12 +289,20 @@ class ShareClaimClient:
             self._next_s = self._retry.note_failure(error, now_s, is_transient=is_transient)
         return ()
 
-    def _claim(self) -> tuple[Claim, ...]:
+    def _begin(self, now_s: float) -> None:
+        self._retry.start(now_s)
+        self._called_s, self._next_s = now_s, now_s + MAX_SHARE_PERIOD_S
         settings = self._settings
         request = ClaimShareRequest(settings.agent, settings.limit, settings.on_release, PROTOCOL)
-        response = self._network.call(
+        self._call = self._network.begin_call(
             CLAIM_SHARE, request, world=settings.world, timeout_s=CALL_TIMEOUT_S
         )
+
+    def _take_reply(self) -> tuple[Claim, ...]:
+        response = None if self._call is None else self._call.poll()
+        if response is None:
+            return ()
+        self._call = None
         self._retry.note_success()
         self._retry.reset_pause()
         if response.is_more:

@@ -94,6 +94,8 @@ class Agents:
     """Most robots of each pool, in the order of their first request."""
     state_formats: dict[str, Format] = field(default_factory=dict)
     """Of the drive states of each agent that has asked for one."""
+    settled_shares: dict[str, object] = field(default_factory=dict)
+    """On what the last share of each pool depended that had nothing new."""
 
 
 @dataclass

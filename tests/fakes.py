@@ -4,13 +4,15 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any, NoReturn, TypeVar, cast
+from functools import partial
+from typing import Any, Generic, NoReturn, TypeVar, cast
 
 import msgspec
 
 from zensim.api.in_process_network import (
     InProcessNetwork,
     InProcessPublisher,
+    InProcessSubscriberWatch,
     InProcessSubscription,
 )
 from zensim.proto import keys
@@ -19,6 +21,7 @@ from zensim.proto.codec.message_codec import Format, decode, encode, make_encodi
 from zensim.proto.keys import intersect
 from zensim.proto.network_protocols import Sample, Stamp
 from zensim.proto.service_catalog import Request, Response, Service, require_ok
+from zensim.proto.token_thread import TokenThread
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 MAX_PUMP_ROUNDS, MAX_PUMP_S = 100, 2.0
@@ -115,6 +118,9 @@ class MemoryBus:
         token.notify(is_alive=True)
         return token
 
+    def open_token_queue(self) -> TokenThread:
+        return TokenThread(self.open_session)
+
     def watch_tokens(self, key: str, depth: int = 16384) -> "MemoryTokenWatch":
         watch = MemoryTokenWatch(self._watches, key, depth)
         watch.changes.extend((token, True) for token in self.list_tokens(key))
@@ -155,6 +161,21 @@ class MemoryBus:
         response = decode(service.response, answers[0].payload, answers[0].encoding)
         return require_ok(service, response)
 
+    def watch_subscribers(self, patterns: Iterable[str]) -> InProcessSubscriberWatch:
+        return self._network.watch_subscribers(patterns)
+
+    def begin_call(
+        self,
+        service: Service[Request, Response],
+        request: Request,
+        *,
+        world: str,
+        timeout_s: float = 5.0,
+    ) -> "MemoryPendingCall[Response]":
+        return MemoryPendingCall(
+            partial(self.call, service, request, world=world, timeout_s=timeout_s)
+        )
+
     def has_subscriber(self, key: str) -> bool:
         """Whether a key has a subscriber."""
         return bool(self._network.find_subscriptions(key))
@@ -193,6 +214,16 @@ class MemoryBus:
                 pump()
             rounds += 1
         return calls
+
+
+@dataclass
+class MemoryPendingCall(Generic[Response]):
+    """A call that is made when the reply is polled for."""
+
+    make: Callable[[], Response]
+
+    def poll(self) -> Response | None:
+        return self.make()
 
 
 class MemoryCall:

@@ -263,3 +263,5 @@ class DriveCommand(msgspec.Struct, frozen=True):
     """As in the drive state."""
     wants_efforts: bool = False
     """Whether the next states shall have `joint_efforts`."""
+    withheld_hz: UInt32 = 0
+    """Messages a second that subscribers by wildcard did not get, as they exceed the budget."""

@@ -1,12 +1,13 @@
 """The ROS 2 graph of one process: nodes and their endpoints, announced by liveliness tokens."""
 
+import uuid
 from itertools import count
 from typing import TYPE_CHECKING, Final
 
 import msgspec
 
 from zensim.proto.codec.message_codec import Format, make_encoding
-from zensim.proto.network_protocols import TokenSession
+from zensim.proto.network_protocols import TokenQueue, TokenSession
 from zensim.proto.ros2 import liveliness_tokens, rmw_keys
 from zensim.proto.ros2.liveliness_tokens import (
     RELIABLE_10,
@@ -24,18 +25,20 @@ from zensim.proto.ros2.type_hash import hash_type
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-MAX_NODES_PER_SESSION: Final = 100
-"""The time to declare a token grows with the number of tokens of its session."""
+MAX_NODES_PER_ID: Final = 100
+"""Nodes with the same session id in their tokens. The time of a router to declare a token grows
+with the tokens beside it, which differ in the chunk after that id only."""
 
 ACTION_INFIX: Final = "/_action/"
 """Infix of an action's services and topics, which are announced to a bridge as one action."""
 
 
-class GraphSession:
-    """A session, and the number of nodes with tokens on it."""
+class NodeGroup:
+    """What declares the tokens of some nodes, the session id in them, and the number of nodes."""
 
-    def __init__(self, session: TokenSession) -> None:
+    def __init__(self, session: TokenSession | TokenQueue, zid: str) -> None:
         self.session = session
+        self.zid = zid
         self.nodes = 0
 
 
@@ -50,7 +53,9 @@ class RosGraph:
         self.nodes: list[RosNode] = []
         self.kinds: dict[str, type[msgspec.Struct]] = {}
         """Messages of the endpoints by type hash."""
-        self._sessions = [GraphSession(session)]
+        self._session = session
+        self._groups = [NodeGroup(session, self.zid)]
+        self._queue: TokenQueue | None = None
         self._bridge = (
             session.token(liveliness_tokens.make_bridge_token(self.zid))
             if self._is_bridged
@@ -66,14 +71,15 @@ class RosGraph:
         """Add a node; None if there are no ROS 2 endpoints."""
         if self.domain is None:
             return None
+        group = self._find_free_group()
         node = GraphNode(
             domain=self.domain,
-            zid=self.zid,
+            zid=group.zid,
             number=next(self.numbers),
             namespace=f"/{namespace.strip('/')}",
             name=name,
         )
-        ros_node = RosNode(self, node, self._find_free_session())
+        ros_node = RosNode(self, node, group)
         # Zenoh undeclares tokens that are garbage collected.
         self.nodes.append(ros_node)
         return ros_node
@@ -89,12 +95,13 @@ class RosGraph:
         return hash_type(topic.kind) if self.settings.has_hashes else rmw_keys.NO_HASH
 
     def close(self) -> None:
-        """Close all nodes and the sessions that were opened for them."""
+        """Close all nodes and the session that was opened for them."""
         for node in tuple(self.nodes):
             node.close()
-        for opened in self._sessions[1:]:
-            opened.session.close()
-        del self._sessions[1:]
+        del self._groups[1:]
+        if self._queue is not None:
+            self._queue.close()
+            self._queue = None
         if self._bridge is not None:
             self._bridge.close()
             self._bridge = None
@@ -103,12 +110,20 @@ class RosGraph:
     def _is_bridged(self) -> bool:
         return self.settings.is_bridged and self.domain is not None
 
-    def _find_free_session(self) -> GraphSession:
-        for open_session in self._sessions:
-            if open_session.nodes < MAX_NODES_PER_SESSION:
-                return open_session
-        self._sessions.append(GraphSession(self._sessions[0].session.open_session()))
-        return self._sessions[-1]
+    def _find_free_group(self) -> NodeGroup:
+        """Find a group with room; the tokens of all but the first are declared later."""
+        for group in self._groups:
+            if group.nodes < MAX_NODES_PER_ID:
+                return group
+        if self._queue is None:
+            self._queue = self._session.open_token_queue()
+        self._groups.append(NodeGroup(self._queue, _make_session_id()))
+        return self._groups[-1]
+
+
+def _make_session_id() -> str:
+    """Make up a Zenoh id: hexadecimal digits without leading zeros."""
+    return f"{uuid.uuid4().int | 1 << 127:x}"
 
 
 class RosTopic(msgspec.Struct, frozen=True):
@@ -139,13 +154,13 @@ class RosTopic(msgspec.Struct, frozen=True):
 class RosNode:
     """A ROS 2 node and its endpoints."""
 
-    def __init__(self, graph: RosGraph, node: GraphNode, session: GraphSession) -> None:
+    def __init__(self, graph: RosGraph, node: GraphNode, group: NodeGroup) -> None:
         self.graph = graph
         self.domain = node.domain
         self._node = node
-        self._session = session
-        session.nodes += 1
-        self._tokens = [session.session.token(make_node_token(node))]
+        self._group = group
+        group.nodes += 1
+        self._tokens = [group.session.token(make_node_token(node))]
         self.on_close: Callable[[], None] | None = None
         """Called when the node leaves the graph."""
 
@@ -165,7 +180,7 @@ class RosNode:
 
     def announce_cache(self, key: str) -> None:
         """Announce a queryable of last messages, which subscribers query when it appears."""
-        self._tokens.append(self._session.session.token(key))
+        self._tokens.append(self._group.session.token(key))
 
     def add_topic_endpoint(self, kind: EndpointKind, topic: RosTopic) -> GraphEndpoint:
         """Announce a publisher or subscription of the node."""
@@ -204,11 +219,11 @@ class RosNode:
             type_hash=type_hash,
             qos=qos,
         )
-        self._tokens.append(self._session.session.token(make_endpoint_token(endpoint)))
+        self._tokens.append(self._group.session.token(make_endpoint_token(endpoint)))
         is_bridged = self.graph.settings.is_bridged and ACTION_INFIX not in endpoint.name
         if is_bridged and bridge_key is not None:
             self._tokens.append(
-                self._session.session.token(_make_route_token(endpoint, bridge_key))
+                self._group.session.token(_make_route_token(endpoint, bridge_key, self.graph.zid))
             )
         return endpoint
 
@@ -216,10 +231,10 @@ class RosNode:
         """Announce an action to a bridge, which sees no single services and topics of it."""
         if self.graph.settings.is_bridged:
             route = liveliness_tokens.BridgeRoute(
-                zid=self._node.zid, kind="AS", key=key, ros_type=ros_type
+                zid=self.graph.zid, kind="AS", key=key, ros_type=ros_type
             )
             self._tokens.append(
-                self._session.session.token(liveliness_tokens.make_route_token(route))
+                self._group.session.token(liveliness_tokens.make_route_token(route))
             )
 
     def close(self) -> None:
@@ -228,7 +243,7 @@ class RosNode:
             self.on_close()
         if self in self.graph.nodes:
             self.graph.nodes.remove(self)
-            self._session.nodes -= 1
+            self._group.nodes -= 1
         while self._tokens:
             self._tokens.pop().close()
 
@@ -238,11 +253,11 @@ def gid_from_endpoint(endpoint: GraphEndpoint) -> bytes:
     return gid_from_token(make_endpoint_token(endpoint))
 
 
-def _make_route_token(endpoint: GraphEndpoint, key: str) -> str:
+def _make_route_token(endpoint: GraphEndpoint, key: str, zid: str) -> str:
     qos = endpoint.qos
     return liveliness_tokens.make_route_token(
         liveliness_tokens.BridgeRoute(
-            zid=endpoint.node.zid,
+            zid=zid,
             kind=endpoint.kind,
             key=key or endpoint.name.strip("/"),
             ros_type=endpoint.ros_type,

@@ -12,7 +12,7 @@ from zensim.proto.codec import cdr
 from zensim.proto.codec.cdr import encode
 from zensim.proto.codec.cdr_layout import HEADER_BYTES, find_offsets
 from zensim.proto.drives.array_math import ARRAY_MATH
-from zensim.proto.fleet_publisher import FleetTopicPublisher, TopicMember
+from zensim.proto.fleet_publisher import NAMED, OTHERS, FleetTopicPublisher, TopicMember
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.model_messages import Joint, Model
 from zensim.proto.messages.standard_messages import NANOSECONDS, TFMessage, TransformStamped
@@ -168,6 +168,10 @@ class GroupTopic:
         self._members: list[TopicMember] = []
         self._has_value = np.zeros(0, dtype=np.bool_)
         self._published_ns = np.zeros(0, dtype=np.int64)
+        self._demand = np.zeros(0, dtype=np.int8)
+        self._demand_version = -1
+        self._next_row = 0
+        """Of those that share a budget, in turn."""
 
     def remap(
         self, members: Sequence[TopicMember], templates: Sequence[msgspec.Struct], before: IntArray
@@ -183,6 +187,7 @@ class GroupTopic:
         for row, member in enumerate(members):
             member.row = row
         self._batch = CdrBatch(templates, self._paths, self._stamps)
+        self._demand_version = -1
         self.remap_rows(before)
 
     def remap_rows(self, before: IntArray) -> None:
@@ -217,11 +222,31 @@ class GroupTopic:
         self._published_ns[rows] = time_ns
         if not self.publisher.is_wanted:
             return
+        rows = self._select_wanted(rows)
+        if not len(rows):
+            return
         self._fill(rows)
         members = self._members
         if len(rows) < len(members):
             members = [members[row] for row in rows.tolist()]
         self.publisher.put(members, self._batch.payloads(rows))
+
+    def _select_wanted(self, rows: IntArray) -> IntArray:
+        """Select the rows with subscribers; those with some by wildcard as the budget allows."""
+        if (budget := self.publisher.budget) is None:
+            return rows
+        if self._demand_version != self.publisher.version:
+            self._demand_version = self.publisher.version
+            self._demand = np.array(list(map(self.publisher.find_demand, self._members)), np.int8)
+        demand = self._demand[rows]
+        named, others = rows[demand == NAMED], rows[demand == OTHERS]
+        if not len(others):
+            return named
+        if (count := budget.take(self.publisher, len(others))) < len(others):
+            others = np.roll(others, -int(np.searchsorted(others, self._next_row)))[:count]
+            self._next_row = int(others[-1]) + 1 if count else self._next_row
+        wanted: IntArray = np.sort(np.concatenate([named, others]))
+        return wanted
 
     def payload(self, row: int) -> bytes | None:
         """See `LastValues`."""

@@ -25,6 +25,7 @@ from zensim.proto.ros2.node_services import NodeServices
 from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic
 from zensim.proto.ros2.ros_settings import NO_ROS
+from zensim.proto.subscriber_search import SubscriberWatches
 from zensim.proto.topic_catalog import CMD_VEL, TopicSpec
 from zensim.proto.topic_endpoints import TopicFactory, TopicSubscription, make_topic_factory
 from zensim.proto.topic_faults import TopicFaults
@@ -500,6 +501,7 @@ class PooledRobots:
         timeout_ns: int,
         graph: RosGraph | None = None,
         rx_session: AgentNetwork | None = None,
+        watches: SubscriberWatches | None = None,
     ) -> None:
         """Create an empty pool.
 
@@ -508,7 +510,9 @@ class PooledRobots:
             timeout_ns: Simulation time for which a command is valid; 0 = for ever.
             graph: ROS 2 graph of the robots' nodes.
             rx_session: Session without publishers, for commands; None = `network`.
+            watches: See `FleetTopicPublisher`.
         """
+        self._watches = watches
         self.newest_claim = 0
         """0 without claims."""
         self._network = network
@@ -649,8 +653,16 @@ class PooledRobots:
         )
         packed = targets.astype("<f8").tobytes()
         return DriveCommand(
-            *(state.epoch, state.step, state.claims, packed, state.order), wants_efforts
+            *(state.epoch, state.step, state.claims, packed, state.order),
+            wants_efforts,
+            self._find_withheld_hz(),
         )
+
+    def _find_withheld_hz(self) -> int:
+        if self._watches is None:
+            return 0
+        self._watches.budget.update()
+        return self._watches.budget.withheld_hz
 
     def revise(self) -> None:
         """Return nothing: one robot's command would need new arrays of all."""
@@ -784,7 +796,7 @@ class PooledRobots:
             endpoint = topic.at(pattern)
             ros = self._make_ros_publisher(endpoint)
             self._publishers[key] = FleetTopicPublisher(
-                self._network, pattern, endpoint.kind, ros, self._faults
+                self._network, pattern, endpoint.kind, ros, self._faults, self._watches
             )
         return self._publishers[key]
 
@@ -793,7 +805,7 @@ class PooledRobots:
             return None
         if not self._ros.has_topic(topic.name):
             return None
-        return RosFleetPublisher(self._network, self._graph, topic)
+        return RosFleetPublisher(self._network, self._graph, topic, self._watches)
 
     def _make_group_node(self) -> RosNode | None:
         """Add the node that publishes the shared topic of a group to the ROS 2 graph."""

@@ -114,6 +114,8 @@ class AgentSessions:
         self._awaited_since_ns: dict[str, int] = {}
         """By agent: wall time of a state that it has not replied to."""
         self._command_timeouts = CommandTimeouts()
+        self._withholding: set[str] = set()
+        """Agents that withhold messages from subscribers by wildcard."""
 
     def serve(self) -> None:
         """Handle liveliness changes, then apply drive commands."""
@@ -268,12 +270,14 @@ class AgentSessions:
             return
         self._agents.alive.discard(agent)
         self._agents.pool_limits.pop(agent, None)
+        self._agents.settled_shares.pop(agent, None)
         self._agents.state_formats.pop(agent, None)
         self._world.release(agent)
         self._lockstep.forget(agent)
         self._awaited_since_ns.pop(agent, None)
         self._command_timeouts.forget(agent)
         self._commands.forget(agent)
+        self._withholding.discard(agent)
         self._publisher.forget_agent(agent)
 
     def _on_bond_liveliness(self, bond: str, *, is_alive: bool) -> None:
@@ -317,10 +321,23 @@ class AgentSessions:
         if not self._lockstep.record_answer(agent, command):
             self._world.claims.rejected["step"] += 1
         elif self._world.command(agent, command):
+            self._warn_of_withheld(agent, command.withheld_hz)
             now_ns = self._pacing.now_ns()
             self._note_command(agent, command.claims, now_ns)
             self._commands.note_taken(agent, (command.epoch, command.step))
             self._world.record_ready_time(agent, now_ns)
+
+    def _warn_of_withheld(self, agent: str, withheld_hz: int) -> None:
+        """Warn once each time that an agent begins to withhold messages."""
+        if not withheld_hz:
+            self._withholding.discard(agent)
+        elif agent not in self._withholding:
+            self._withholding.add(agent)
+            message = (
+                f"agent '{agent}' withholds {withheld_hz} messages a second from subscribers by "
+                "wildcard; subscribe to fewer robots"
+            )
+            self._world.clock.add_event("warning", agent=agent, message=message)
 
 
 POLL_S = 0.0003

@@ -312,6 +312,81 @@ def test_call_times_out_when_the_server_never_replies(router: Bus, client: Bus) 
         call.drop()
 
 
+def test_begun_call_returns_the_response_when_it_has_come(router: Bus, client: Bus) -> None:
+    with replying(router, Info(world="default")) as replies:
+        begun = client.begin_call(INFO, InfoRequest(), world="default")
+
+        response = eventually(begun.poll, 5.0, "the response")
+
+    assert response.world == "default"
+    assert len(set(replies.seen)) == 1
+
+
+def test_begun_call_raises_when_no_server_is_present(client: Bus) -> None:
+    begun = client.begin_call(INFO, InfoRequest(), world="default")
+
+    with pytest.raises(NoServer):
+        eventually(begun.poll, 5.0, "an error")
+
+
+def test_begun_call_times_out_when_the_server_never_replies(router: Bus, client: Bus) -> None:
+    queue = router.serve(keys.services("default"))
+    begun = client.begin_call(INFO, InfoRequest(), world="default", timeout_s=0.2)
+
+    with pytest.raises(TimeoutError):
+        eventually(begun.poll, 5.0, "an error")
+
+    queue.close()
+
+
+def test_begun_call_that_is_refused_raises_the_code(router: Bus, client: Bus) -> None:
+    refused = DeleteEntityResponse(Result(ResultCode.NOT_FOUND, "no"))
+    with replying(router, refused):
+        begun = client.begin_call(DELETE_ENTITY, DeleteEntityRequest("r1"), world="default")
+        with pytest.raises(ServiceError) as caught:
+            eventually(begun.poll, 5.0, "an error")
+
+    assert caught.value.code == ResultCode.NOT_FOUND
+
+
+def test_watch_of_subscribers_knows_those_within_its_patterns(router: Bus, client: Bus) -> None:
+    watch = client.watch_subscribers(("*/odom",))
+    first = router.subscribe("box_bot17/odom", 8)
+    with client.open_session() as other:
+        second = other.subscribe("box_bot2/odom", 8)
+        eventually(lambda: watch.has_subscribers("box_bot2/odom"), 5.0, "matching")
+
+        matched = [
+            key
+            for key in ("*", "box_bot1$*", "box_bot17$*", "box_bot17", "box_bot18", "box_bot3$*")
+            if watch.has_subscribers(f"{key}/odom")
+        ]
+        second.close()
+    first.close()
+
+    assert matched == ["*", "box_bot1$*", "box_bot17$*", "box_bot17"]
+    eventually(lambda: not watch.has_subscribers("*/odom"), 5.0, "no matching")
+    watch.close()
+
+
+def test_undeclared_publisher_of_a_watch_reaches_subscribers(router: Bus, client: Bus) -> None:
+    watch = client.watch_subscribers(("*/odom",))
+    received = router.subscribe("r1/odom", 8)
+    publisher = watch.advertise("r1/odom", "application/cdr")
+    eventually(lambda: watch.has_subscribers("r1/odom"), 5.0, "matching")
+
+    publisher.send(b"1")
+    publisher.send(b"2", b"attached")
+    publisher.send(b"3", b"", client.stamp())
+
+    found: list[Sample] = []
+    eventually(lambda: found.extend(received.take()) or len(found) == 3, 5.0, "arriving")
+    assert [sample.payload for sample in found] == [b"1", b"2", b"3"]
+    assert {sample.encoding for sample in found} == {"application/cdr"}
+    assert found[1].attachment == b"attached"
+    watch.close()
+
+
 def test_call_is_refused_before_sending_when_it_exceeds_the_limit(router: Bus) -> None:
     config = BusConfig(connect=(router.endpoint,), max_message_bytes=1000)
     with open_bus(config) as client, pytest.raises(ServiceError) as refused:

@@ -152,7 +152,7 @@ ZENSIM = {
     " uint64 start_ns; uint64 seed",
     "TwistCommands": "string client; string[] entities; uint8[] twists",
     "DriveCommand": "uint32 epoch; uint64 step; uint8[] claims; uint8[] targets; uint32 order;"
-    " bool wants_efforts",
+    " bool wants_efforts; uint32 withheld_hz",
     "SensorsReply": "uint32 epoch; uint64 step; uint64 messages; uint64 late",
     "SensorFigures": "string entity; string sensor; string topic; bool has_subscribers;"
     " uint64 messages; uint64 late; float64 cost_s",

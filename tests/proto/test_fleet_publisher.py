@@ -10,7 +10,11 @@ from zensim.proto.codec import cdr
 from zensim.proto.fleet_publisher import (
     MAX_ANNOUNCED_CACHES,
     MAX_CHECKED_AT_ONCE,
+    MAX_PUBLISHERS,
     MAX_ROS_DECLARED_AT_ONCE,
+    NAMED,
+    OTHERS,
+    UNWANTED,
     AttachmentRows,
     FleetTopicPublisher,
     MatchedPublishers,
@@ -23,6 +27,7 @@ from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_5, RELIABLE_10
 from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic
 from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.subscriber_search import SEARCH_PERIOD_S, SubscriberWatches
 from zensim.proto.topic_endpoints import REPEAT_AFTER_S
 
 GID = bytes(range(16))
@@ -362,3 +367,158 @@ def test_closed_publisher_does_not_reply() -> None:
     publisher.close()
 
     assert not bus.is_served(f"{KEY.format('r1')}/@adv/**")
+
+
+MANY = MAX_PUBLISHERS + 1
+POLLS = 100
+"""More than a search among them takes."""
+
+
+class DeclaringBus(CountingBus):
+    """Keeps the keys of the declared publishers."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.declared: list[str] = []
+
+    def advertise(self, key: str, encoding: str) -> InProcessPublisher:
+        self.declared.append(key)
+        return super().advertise(key, encoding)
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> ManualClock:
+    found = ManualClock(100.0)
+    monkeypatch.setattr("zensim.proto.fleet_publisher.time.monotonic", found)
+    return found
+
+
+def make_large(bus: MemoryBus, values: ConstantValues | None = None) -> FleetTopicPublisher:
+    publisher = FleetTopicPublisher(bus, "*/text", String, watches=SubscriberWatches(bus))
+    for number in range(MANY):
+        publisher.add(TopicMember(f"r{number}/text", values or ConstantValues()))
+    return publisher
+
+
+def members_of(publisher: FleetTopicPublisher, *names: str) -> list[TopicMember]:
+    return [publisher.find_members(f"{name}/text")[0] for name in names]
+
+
+def search(publisher: FleetTopicPublisher | RosFleetPublisher, clock: ManualClock) -> None:
+    clock.sleep(SEARCH_PERIOD_S)
+    for _ in range(POLLS):
+        publisher.declare_some()
+
+
+def test_many_robots_declare_no_publisher_and_reach_their_subscribers(clock: ManualClock) -> None:
+    bus = DeclaringBus()
+    received = bus.subscribe("r7/text", 8)
+    publisher = make_large(bus)
+    some = members_of(publisher, "r7", "r8")
+
+    search(publisher, clock)
+    publisher.put(some, [b"1", b"2"])
+
+    assert bus.declared == ["*/text"]
+    assert [sample.payload for sample in received.take()] == [b"1"]
+    assert [publisher.find_demand(member) for member in some] == [NAMED, UNWANTED]
+    assert [publisher.has_subscribers(member) for member in some] == [True, False]
+
+
+def test_later_subscriber_of_one_of_many_receives_messages(clock: ManualClock) -> None:
+    bus = DeclaringBus()
+    bus.subscribe("r7/text", 8)
+    publisher = make_large(bus)
+    search(publisher, clock)
+    version = publisher.version
+
+    late = bus.subscribe("r8/text", 8)
+    search(publisher, clock)
+    publisher.put(members_of(publisher, "r8"), [b"2"])
+
+    assert publisher.version > version
+    assert [sample.payload for sample in late.take()] == [b"2"]
+
+
+def test_wildcard_makes_all_of_many_wanted_within_a_budget(clock: ManualClock) -> None:
+    bus = DeclaringBus()
+    bus.subscribe("*/text", 8)
+    publisher = make_large(bus)
+
+    search(publisher, clock)
+
+    (one,) = members_of(publisher, "r300")
+    assert publisher.find_demand(one) == OTHERS
+    assert publisher.budget is not None
+    assert bus.declared == ["*/text"]
+
+
+def test_few_robots_have_no_budget() -> None:
+    bus = DeclaringBus()
+    publisher = FleetTopicPublisher(bus, "*/text", String, watches=SubscriberWatches(bus))
+    publisher.add(TopicMember("r1/text", ConstantValues()))
+    bus.subscribe("*/text")
+
+    publisher.declare_some()
+
+    assert (publisher.budget, bus.declared) == (None, ["*/text", "r1/text"])
+
+
+def test_growing_fleet_closes_its_declared_publishers(clock: ManualClock) -> None:
+    bus = DeclaringBus()
+    received = bus.subscribe("r7/text", 8)
+    publisher = FleetTopicPublisher(bus, "*/text", String, watches=SubscriberWatches(bus))
+    members = [TopicMember(f"r{number}/text", ConstantValues()) for number in range(MANY)]
+    for member in members[:-1]:
+        publisher.add(member)
+    search(publisher, clock)
+    publisher.put(members[7:8], [b"1"])
+    publisher.add(members[-1])
+    publisher.put(members[7:8], [b"2"])
+    search(publisher, clock)
+    publisher.put(members[7:8], [b"3"])
+
+    assert [sample.payload for sample in received.take()] == [b"1", b"2", b"3"]
+    assert [publisher.has_subscribers(member) for member in members[6:9]] == [False, True, False]
+
+
+def test_latched_topic_of_one_of_many_is_published_once_to_its_subscriber(
+    clock: ManualClock,
+) -> None:
+    bus = DeclaringBus()
+    publisher = make_large(bus)
+    received = bus.subscribe("r7/text", 8)
+
+    for _ in range(2):
+        search(publisher, clock)
+        publisher.announce()
+        for _ in range(POLLS):
+            publisher.announce_some()
+
+    assert [sample.payload for sample in received.take()] == [b"fixed"]
+
+
+@pytest.mark.parametrize("is_latched", [False, True])
+def test_ros_topic_of_many_reaches_its_subscriber(clock: ManualClock, *, is_latched: bool) -> None:
+    bus = DeclaringBus()
+    graph = RosGraph(bus, RosSettings())
+    kind = RosTopic("*/text", String, LATCHED if is_latched else RELIABLE_10)
+    publisher = RosFleetPublisher(bus, graph, kind, SubscriberWatches(bus))
+    members = [
+        TopicMember(f"r{number}/text", ConstantValues(), node=a_node(graph, f"r{number}"))
+        for number in range(MANY)
+    ]
+    for member in members:
+        publisher.add(member)
+    received = bus.subscribe(KEY.format("r7"), 8)
+
+    search(publisher, clock)
+    if not is_latched:
+        publisher.put(members, [b"fixed"] * MANY)
+
+    (sample,) = received.take()
+    assert (sample.payload, bus.declared) == (b"fixed", [KEY.format("*")])
+    attachment = read_attachment(sample.attachment)
+    assert attachment is not None
+    assert attachment.sequence_number == 1
+    graph.close()

@@ -1,8 +1,12 @@
 """Claims by name and by share."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, cast
+
 import pytest
 
-from tests.fakes import MemoryBus
+from tests.fakes import MemoryBus, MemoryPendingCall
 from tests.robot_agent.fake_server import AGENT, WORLD, FakeServer
 from tests.robot_agent.models import a_claim
 from zensim.proto import keys
@@ -16,6 +20,7 @@ from zensim.proto.messages.agent_messages import (
 )
 from zensim.proto.messages.result_messages import ClaimCode, Result, ResultCode, ServiceError
 from zensim.proto.messages.telemetry_messages import Event, EventKind
+from zensim.proto.service_catalog import Request, Response, Service
 from zensim.proto.topic_catalog import EVENTS
 from zensim.robot_agent.claim_client import (
     MAX_SHARE_PERIOD_S,
@@ -384,3 +389,72 @@ def test_share_client_raises_at_once_on_a_final_refusal() -> None:
         make_share_client(bus).poll(0.0)
 
     assert refusal.value.code == 102
+
+
+class PendingCallBus(MemoryBus):
+    """Makes calls whose reply comes when it may."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.may_reply = False
+
+    def begin_call(
+        self,
+        service: Service[Request, Response],
+        request: Request,
+        *,
+        world: str,
+        timeout_s: float = 5.0,
+    ) -> MemoryPendingCall[Response]:
+        made = super().begin_call(service, request, world=world, timeout_s=timeout_s)
+        return cast("MemoryPendingCall[Response]", HeldCall(self, made.make))
+
+
+@dataclass
+class HeldCall(Generic[Response]):
+    bus: PendingCallBus
+    make: Callable[[], Response]
+
+    def poll(self) -> Response | None:
+        return self.make() if self.bus.may_reply else None
+
+
+def test_share_client_does_not_wait_for_the_reply() -> None:
+    bus = PendingCallBus()
+    server, client = FakeShareServer(bus), make_share_client(bus)
+    server.grants.append((a_claim(1, "r1"),))
+
+    early = [client.poll(now_s) for now_s in (0.0, 0.5, 2.5)]
+    bus.may_reply = True
+    late = client.poll(3.0)
+
+    assert early == [(), (), ()]
+    assert [claim.entity for claim in late] == ["r1"]
+    assert server.take_request_count() == 1
+
+
+def test_share_client_calls_again_for_a_change_during_a_call() -> None:
+    bus = PendingCallBus()
+    server, client = FakeShareServer(bus), make_share_client(bus)
+    client.poll(0.0)
+    server.publish_event("spawned")
+    client.poll(0.1)
+    bus.may_reply = True
+
+    client.poll(0.2)
+    client.poll(0.21)
+
+    assert server.take_request_count() == 2
+
+
+def test_share_client_forgets_a_call_to_a_server_that_is_gone() -> None:
+    bus = PendingCallBus()
+    server, client = FakeShareServer(bus), make_share_client(bus)
+    server.grants.append((a_claim(1, "r1"),))
+    client.poll(0.0)
+
+    client.forget_call()
+    bus.may_reply = True
+
+    assert client.poll(0.1) == ()
+    assert server.take_request_count() == 0

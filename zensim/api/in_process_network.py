@@ -2,7 +2,8 @@
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, TypeVar, cast
+from functools import partial
+from typing import Any, Generic, TypeVar, cast
 
 import msgspec
 
@@ -244,6 +245,10 @@ class InProcessNetwork:
         del key
         return Undeclared()
 
+    def open_token_queue(self) -> "InProcessNetwork":
+        """Return this network, which declares nothing."""
+        return self
+
     def watch_tokens(self, key: str, depth: int = 16384) -> Undeclared:
         """Watch nothing."""
         del key, depth
@@ -261,3 +266,49 @@ class InProcessNetwork:
         """Call a service of this process; the world is the only one."""
         del world, timeout_s, request_id
         return cast("Response", self._on_call(service, request))
+
+    def watch_subscribers(self, patterns: Iterable[str]) -> "InProcessSubscriberWatch":
+        """Say which key expressions have subscribers."""
+        del patterns
+        return InProcessSubscriberWatch(self)
+
+    def begin_call(
+        self,
+        service: Service[Request, Response],
+        request: Request,
+        *,
+        world: str,
+        timeout_s: float = 5.0,
+    ) -> "InProcessPendingCall[Response]":
+        """Call a service of this process when the reply is polled for."""
+        del world, timeout_s
+        return InProcessPendingCall(partial(self._on_call, service, request))
+
+
+class InProcessPendingCall(Generic[Response]):
+    """A call of a service of this process."""
+
+    def __init__(self, make: Callable[[], Response]) -> None:
+        self._make = make
+
+    def poll(self) -> Response | None:
+        """Make the call, and return the response."""
+        return self._make()
+
+
+class InProcessSubscriberWatch:
+    """Says which key expressions have subscribers."""
+
+    def __init__(self, network: InProcessNetwork) -> None:
+        self._network = network
+
+    def has_subscribers(self, key: str) -> bool:
+        """Whether a key expression has a subscriber."""
+        return bool(self._network.find_subscriptions(key))
+
+    def advertise(self, key: str, encoding: str) -> InProcessPublisher:
+        """Make a publisher."""
+        return self._network.advertise(key, encoding)
+
+    def close(self) -> None:
+        """Do nothing: nothing is declared."""

@@ -1,13 +1,15 @@
 """Tokens of nodes and endpoints: sessions, content, removal."""
 
-import pytest
+import re
+from collections import Counter
 
 from tests.fakes import MemoryBus
+from tests.integration.processes import eventually
 from tests.proto.ros2.token_parser import parse_token
 from zensim.proto.messages.standard_messages import Odometry, String
 from zensim.proto.ros2.liveliness_tokens import LATCHED, GraphEndpoint, GraphNode
 from zensim.proto.ros2.rmw_keys import NO_HASH
-from zensim.proto.ros2.ros_graph import MAX_NODES_PER_SESSION, RosGraph, RosNode, RosTopic
+from zensim.proto.ros2.ros_graph import MAX_NODES_PER_ID, RosGraph, RosNode, RosTopic
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 
 ODOM = RosTopic("r1/odom", Odometry)
@@ -104,19 +106,31 @@ def test_no_tokens_are_declared_without_a_domain() -> None:
     assert bus.list_tokens("**") == []
 
 
-@pytest.mark.parametrize(
-    ("nodes", "sessions"), [(MAX_NODES_PER_SESSION, 0), (MAX_NODES_PER_SESSION + 1, 1)]
-)
-def test_nodes_of_many_robots_are_spread_over_sessions(nodes: int, sessions: int) -> None:
+def test_nodes_of_a_large_fleet_have_other_session_ids_and_a_session_of_their_own() -> None:
     bus = MemoryBus()
     graph = RosGraph(bus, RosSettings())
-
-    for number in range(nodes):
+    for number in range(2 * MAX_NODES_PER_ID + 1):
         graph.add_node(f"r{number}", "agent")
 
-    assert len(bus.opened_sessions) == sessions
+    eventually(lambda: len(tokens_of(bus)) == 2 * MAX_NODES_PER_ID + 1, 5.0, "all tokens")
+
+    nodes = [parse_token(token) for token in tokens_of(bus)]
+    counts = Counter(node.zid for node in nodes if isinstance(node, GraphNode))
+    assert counts.pop(bus.zid) == MAX_NODES_PER_ID
+    assert sorted(counts.values()) == [1, MAX_NODES_PER_ID]
+    assert all(re.fullmatch("[1-9a-f][0-9a-f]{31}", zid) for zid in counts)
+    assert len(bus.opened_sessions) == 1
     graph.close()
-    assert all(session.is_closed for session in bus.opened_sessions)
+    assert tokens_of(bus) == []
+    assert bus.opened_sessions[0].is_closed
+
+
+def tokens_of(bus: MemoryBus) -> list[str]:
+    return [
+        token
+        for session in (bus, *bus.opened_sessions)
+        for token in session.list_tokens("@ros2_lv/**")
+    ]
 
 
 def test_closed_graph_leaves_no_token() -> None:
@@ -135,7 +149,7 @@ def test_closed_graph_leaves_no_token() -> None:
 def test_session_of_a_closed_node_is_used_again() -> None:
     bus = MemoryBus()
     graph = RosGraph(bus, RosSettings())
-    for number in range(MAX_NODES_PER_SESSION + 1):
+    for number in range(MAX_NODES_PER_ID + 1):
         node = graph.add_node(f"r{number}", "agent")
         assert node is not None
         node.close()

@@ -1,5 +1,6 @@
 """tf of a group, on the shared topic."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 import msgspec
@@ -8,18 +9,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.fakes import MemoryBus
+from tests.fakes import ManualClock, MemoryBus
 from tests.proto.drives.robots_of_each_drive import DRIVES, robot_of
 from tests.robot_agent.models import DRIVE, two_wheeler
 from zensim.api.in_process_network import InProcessSubscription
 from zensim.proto.codec import cdr
 from zensim.proto.codec.cdr import encode
 from zensim.proto.codec.message_codec import decode
-from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveState
+from zensim.proto.fleet_publisher import MAX_PUBLISHERS
+from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveCommand, DriveState
 from zensim.proto.messages.model_messages import GroundTruth, Model
 from zensim.proto.messages.standard_messages import (
     Header,
     JointState,
+    Odometry,
     Quaternion,
     TFMessage,
     Time,
@@ -31,6 +34,7 @@ from zensim.proto.messages.standard_messages import (
 from zensim.proto.ros2.rmw_attachment import read_attachment
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.subscriber_search import SEARCH_PERIOD_S, MessageBudget, SubscriberWatches
 from zensim.proto.topic_catalog import TF_STATIC
 from zensim.robot_agent import message_templates
 from zensim.robot_agent.odometry import BaseMotion, OdometryHeader, make_covariances
@@ -404,3 +408,71 @@ def test_pool_without_robots_has_no_shared_static_topic() -> None:
 
     assert published.bus.list_tokens("@ros2_lv/**") == []
     assert not published.bus.is_served("tf_static")
+
+
+class LargePool:
+    """More robots than those whose publishers are all declared; time stands."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.clock = ManualClock(100.0)
+        monkeypatch.setattr("zensim.proto.fleet_publisher.time.monotonic", self.clock)
+        self.bus = MemoryBus()
+        watches = SubscriberWatches(self.bus)
+        watches.budget = self.budget = MessageBudget(1000.0, self.clock)
+        self.pool = PooledRobots(self.bus, 0, watches=watches)
+        self.claims = claims_of([robot_of(DRIVES["diff"])] * (MAX_PUBLISHERS + 1))
+        self.pool.add_claims(self.claims)
+        self.step = 0
+
+    def search(self) -> None:
+        self.clock.sleep(SEARCH_PERIOD_S)
+        for _ in range(100):
+            self.pool.reply_to_queries()
+
+    def advance(self) -> DriveCommand:
+        self.step += 1
+        command = self.pool.advance(a_state(self.claims, self.step))
+        self.pool.publish()
+        return command
+
+
+def test_large_pool_publishes_each_state_of_subscribed_robots(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    large = LargePool(monkeypatch)
+    received = large.bus.subscribe("r7/odom", 64)
+    large.advance()
+    large.search()
+
+    for _ in range(5):
+        large.advance()
+
+    read = [decode(Odometry, sample.payload, sample.encoding) for sample in received.take()]
+    assert len(read) == 5
+    assert {one.child_frame_id for one in read} == {"base_footprint"}
+    assert len({one.header.stamp for one in read}) == 5
+
+
+def test_large_pool_serves_wildcards_in_turn_within_its_budget(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    large = LargePool(monkeypatch)
+    own = large.bus.subscribe("r7/odom", 64)
+    large.advance()
+    large.search()
+    everything = large.bus.subscribe("*/odom", 4096)
+    large.search()
+    own.take()
+
+    for _ in range(10):
+        large.clock.sleep(0.05)
+        large.advance()
+    large.clock.sleep(1.0)
+
+    published = [sample.key for sample in everything.take()]
+    counts = Counter(key for key in published if key != "r7/odom")
+    assert len(own.take()) == 10
+    assert sum(counts.values()) == pytest.approx(500, rel=0.2)
+    assert max(counts.values()) - min(counts.values()) <= 1
+    assert len(counts) == MAX_PUBLISHERS
+    assert large.advance().withheld_hz > 0

@@ -1,5 +1,6 @@
 """Loop: agents that appear and disappear, and their robots."""
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -94,6 +95,21 @@ def test_loop_drops_the_last_command_of_an_agent_that_has_disappeared() -> None:
 
     assert wheel_speeds(server.world) == [0.0, 0.0]
     assert server.world.claims.dropped == 1
+
+
+def test_loop_warns_once_when_an_agent_begins_to_withhold_messages() -> None:
+    server = a_driven_server("r0")
+    server.events()
+
+    for withheld_hz in (0, 900, 800, 0, 700):
+        withheld = msgspec.structs.replace(
+            a_command(server.world, "a", 3.0, 3.0), withheld_hz=withheld_hz
+        )
+        key = DRIVE_COMMAND.key("default", "a")
+        server.inbox.commands.append(Sample(key, encode(withheld, Format.MSGPACK), ""))
+        server.loop.turn()
+
+    assert [kind for kind, _ in server.events()].count("warning") == 2
 
 
 def test_loop_refuses_a_claim_when_its_token_disappears_in_the_same_turn() -> None:

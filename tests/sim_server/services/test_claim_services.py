@@ -1,5 +1,7 @@
 """Claims by name, and shares of pools."""
 
+from collections.abc import Iterator
+
 import msgspec
 import pytest
 from hypothesis import given
@@ -24,6 +26,8 @@ from zensim.sim_server.services.claim_services import (
     find_robots_to_move,
     split_evenly,
 )
+from zensim.sim_server.world.entity import Entity
+from zensim.sim_server.world.entity_store import EntityStore
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
 
 MANY = 1 << 32
@@ -128,6 +132,52 @@ def test_second_pool_takes_its_half_from_the_first() -> None:
     assert [grant.entity for grant in response.grants] == ["r2", "r3"]
     assert driven_by(parts, "p") == ["r0", "r1"]
     assert share(parts, "p").grants == ()
+
+
+class CountedEntities(EntityStore):
+    """Counts how often all entities are listed."""
+
+    listed = 0
+
+    def __iter__(self) -> Iterator[Entity]:
+        type(self).listed += 1
+        return super().__iter__()
+
+
+def test_share_is_not_searched_again_while_nothing_has_changed() -> None:
+    parts = make_parts(a_world("r0", "r1", "r2"))
+    parts.world.entities.__class__ = CountedEntities
+    share(parts, "p")
+    share(parts, "p")
+    CountedEntities.listed = 0
+
+    responses = [share(parts, "p") for _ in range(3)]
+
+    assert [response.grants for response in responses] == [(), (), ()]
+    assert CountedEntities.listed == 0
+
+
+@pytest.mark.parametrize("change", ["spawn", "release", "silent", "end", "limit"])
+def test_share_is_searched_again_after_a_change(change: str) -> None:
+    parts = make_parts(a_world("r0", "r1", "r2"))
+    share(parts, "q")
+    share(parts, "p", limit=2)
+    assert share(parts, "p", limit=2).grants == share(parts, "q").grants == ()
+
+    match change:
+        case "spawn":
+            parts.world.spawn(a_spawn("r3"))
+        case "release":
+            parts.world.claims.drop(driven_by(parts, "p")[0])
+        case "silent":
+            parts.world.claims.note_silent("q")
+        case "end":
+            parts.agents.pool_limits.pop("q")
+            parts.world.release("q")
+        case "limit":
+            share(parts, "q", limit=1)
+
+    assert len(share(parts, "p", limit=2).grants) == 1
 
 
 def test_claims_and_models_come_with_the_environment_of_the_loaded_world() -> None:

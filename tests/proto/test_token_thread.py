@@ -1,0 +1,112 @@
+"""Tokens that a thread declares."""
+
+import time
+from threading import Event
+
+from tests.fakes import MemoryBus, MemoryToken
+from tests.integration.processes import eventually
+from zensim.proto.token_thread import RETRY_S, TokenThread
+
+PATIENCE_S = 10.0
+
+
+class SlowBus(MemoryBus):
+    """Declares nothing before it may."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.may_declare = Event()
+
+    def token(self, key: str) -> MemoryToken:
+        self.may_declare.wait(PATIENCE_S)
+        return super().token(key)
+
+
+def test_tokens_are_declared_beside_the_caller() -> None:
+    bus = SlowBus()
+    tokens = TokenThread(lambda: bus)
+
+    for number in range(50):
+        tokens.token(f"t/{number}")
+    assert bus.list_tokens("t/*") == []
+    bus.may_declare.set()
+
+    eventually(lambda: len(bus.list_tokens("t/*")) == 50, PATIENCE_S)
+    tokens.close()
+
+
+def test_closed_tokens_disappear_also_before_they_are_declared() -> None:
+    bus = SlowBus()
+    tokens = TokenThread(lambda: bus)
+    first, second = tokens.token("t/1"), tokens.token("t/2")
+    bus.may_declare.set()
+    eventually(lambda: len(bus.list_tokens("t/*")) == 2, PATIENCE_S)
+
+    first.close()
+    tokens.token("t/3").close()
+    tokens.token("t/4")
+
+    eventually(lambda: bus.list_tokens("t/*") == ["t/2", "t/4"], PATIENCE_S)
+    second.close()
+    second.close()
+    eventually(lambda: bus.list_tokens("t/*") == ["t/4"], PATIENCE_S)
+    tokens.close()
+
+
+def test_closed_thread_leaves_no_token_and_no_session() -> None:
+    bus = MemoryBus()
+    tokens = TokenThread(lambda: bus)
+    tokens.token("t/1")
+    eventually(lambda: bus.list_tokens("t/*"), PATIENCE_S)
+
+    tokens.close()
+
+    assert bus.is_closed
+    assert bus.list_tokens("t/*") == []
+
+
+def test_thread_without_tokens_opens_no_session() -> None:
+    bus = MemoryBus()
+
+    TokenThread(bus.open_session).close()
+
+    assert bus.opened_sessions == []
+
+
+def test_session_is_opened_again_if_it_fails() -> None:
+    bus, attempts = MemoryBus(), [ConnectionError("no router")]
+
+    def open_session() -> MemoryBus:
+        if attempts:
+            raise attempts.pop()
+        return bus
+
+    tokens = TokenThread(open_session)
+    tokens.token("t/1")
+
+    eventually(lambda: bus.list_tokens("t/*"), PATIENCE_S + RETRY_S)
+    tokens.close()
+
+
+class BusyBus(MemoryBus):
+    """Keeps a core busy for each token."""
+
+    def token(self, key: str) -> MemoryToken:
+        until_s = time.perf_counter() + 0.002
+        while time.perf_counter() < until_s:
+            pass
+        return super().token(key)
+
+
+def test_thread_pauses_for_most_of_its_time() -> None:
+    bus = BusyBus()
+    tokens = TokenThread(lambda: bus)
+    began_s = time.perf_counter()
+    for number in range(20):
+        tokens.token(f"t/{number}")
+
+    eventually(lambda: len(bus.list_tokens("t/*")) == 20, PATIENCE_S)
+
+    pauses_s = 19 * 9 * 0.002
+    assert time.perf_counter() - began_s >= pauses_s
+    tokens.close()
