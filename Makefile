@@ -23,7 +23,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 STAMP := .venv/.setup-done
 
 .PHONY: help setup demo test browser short lint fmt types imports schemas docs site docs-media bench house chaos fuzz mutants pins \
-	interop interop-short interpreters ci clean packages wheel platforms notice
+	interop interop-short interpreters ci clean packages wheel platforms notice image
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 18
@@ -66,12 +66,12 @@ PYTEST := $(BIN)/python .ci/run_tests.py -n $$(($$(getconf _NPROCESSORS_ONLN) + 
 	--no-loadscope-reorder
 
 test: setup packages ## all tests but those of `make browser` and `make short`
-	@if [ "$$(id -u)" = 0 ]; then $(PYTEST) -m "not browser and not short_form and not interop"; \
+	@if [ "$$(id -u)" = 0 ]; then $(PYTEST) -m "not browser and not short_form and not interop and not images"; \
 	elif ! command -v sudo >/dev/null; then \
 		echo "tests of network namespaces need root, and there is no sudo; run make test as root" >&2; \
 		exit 1; \
-	else $(PYTEST) -m "not root and not browser and not short_form and not interop" && \
-		sudo $(BIN)/python -B .ci/run_tests.py -p no:cacheprovider -m "root and not short_form"; \
+	else $(PYTEST) -m "not root and not browser and not short_form and not interop and not images" && \
+		sudo $(BIN)/python -B .ci/run_tests.py -p no:cacheprovider -m "root and not short_form and not images"; \
 	fi
 
 browser: setup packages ## tests of the page in Chromium
@@ -142,6 +142,11 @@ wheel: setup ## dist/: the wheel of the last commit, built twice with equal byte
 
 platforms: setup ## whether each platform has wheels of all packages; needs an index of packages
 	@sh .ci/platforms
+
+TARGETS := agent server full
+image: setup ## build and try the images of deploy/containers, as root and without a daemon
+	sh .ci/image $(TARGETS)
+	IMAGES="$(TARGETS)" $(BIN)/python -m pytest -m images -p no:cacheprovider tests/integration/test_images.py
 
 notice: setup ## write NOTICE: licences of all packages that an extra installs
 	$(BIN)/python .ci/notices.py >NOTICE
