@@ -35,10 +35,12 @@ def long_functions(path: Path) -> Iterator[str]:
 
 
 def lines_that_match(pattern: re.Pattern[str]) -> list[str]:
+    """List matches in texts; the bytes of a picture may look like any word."""
     return [
         f"{shown(path)}:{number} {match.group()[:20]}"
         for path in files()
-        for number, line in enumerate(text_of(path).splitlines(), start=1)
+        if "\0" not in (text := text_of(path))
+        for number, line in enumerate(text.splitlines(), start=1)
         if (match := pattern.search(line))
     ]
 
