@@ -200,12 +200,9 @@ class RosFleetPublisher:
             watches: As of `FleetTopicPublisher`.
         """
         self.searched: SearchedMembers | None = None
-        """None while all publishers are declared."""
-        self.version = 0
-        """Counts changes of `searched`."""
+        self.version = 0  # counts changes of `searched`
         self._watches = watches
-        self._found: deque[TopicMember] = deque()
-        """Members that were found, and have no publisher yet."""
+        self._found: deque[TopicMember] = deque()  # without a publisher yet
         self._network = network
         self._topic = topic
         self._encoding = topic.encoding

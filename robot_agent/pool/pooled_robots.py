@@ -512,11 +512,9 @@ class PooledRobots:
             rx_session: Session without publishers, for commands; None = `network`.
             watches: See `FleetTopicPublisher`.
         """
-        self._watches = watches
-        self.newest_claim = 0
-        """0 without claims."""
+        self.newest_claim = 0  # without claims
         self._network = network
-        self._graph = graph
+        self._graph, self._watches = graph, watches
         self._ros = graph.settings if graph else NO_ROS
         self._numbers = count(1)
         domain = graph.domain if graph else None
@@ -536,8 +534,7 @@ class PooledRobots:
         self._claims: bytes | None = None
         self._layout = PoolStateLayout((), ())
         self._singles: tuple[_SingleRobot, ...] = ()
-        self._state: DriveState | None = None
-        """The last one that was answered."""
+        self._state: DriveState | None = None  # the last one that was answered
 
     def add_claims(self, claims: Sequence[Claim]) -> None:
         """Subscribe to commands of new robots, which publish from their first state on."""
