@@ -150,6 +150,9 @@ ZENSIM = {
     " uint8[] twists; uint32 order; uint8[] joint_efforts; TopicFault[] topic_faults",
     "TopicFault": "string[] keys; string kind; float64 value; float64 low; float64 high;"
     " uint64 start_ns; uint64 seed",
+    "FleetOdometry": "uint32 epoch; uint64 step; uint64 time_ns; string[] entities;"
+    " uint8[] motions",
+    "AgentCommands": "uint64 taken; uint64 due; float64 taken_hz; float64 due_hz",
     "TwistCommands": "string client; string[] entities; uint8[] twists",
     "DriveCommand": "uint32 epoch; uint64 step; uint8[] claims; uint8[] targets; uint32 order;"
     " bool wants_efforts; uint32 withheld_hz",
