@@ -5,7 +5,8 @@ factor 1: with `--dynamics auto` at 100 Hz and with MuJoCo at 100 Hz, which two 
 with full dynamics of PyBullet at 240 Hz, which they cannot. `longest wait` is the greatest delay of
 the robot's next state, in an equal time before the request (quiet) and from request to reply.
 Memory is that of the server and of the processes that step its cells (USS), before and after.
-Floor: the same bodies added to PyBullet. Last: two pools run and users command every robot at 2 Hz
+Floor: the same bodies added to PyBullet. Then `zensim fleet --robots 20000`, from exec to its end,
+by two requests. Last: two pools run and users command every robot at 2 Hz
 before it exists; from the start of `zensim fleet` until each robot's odometry shows motion.
 """
 
@@ -36,9 +37,12 @@ FULL, AUTO, MUJOCO = "full, 240 Hz", "dynamics auto, 100 Hz", "MuJoCo, full, 100
 AUTO_ARGUMENTS = ("--dynamics", "auto", "--step-hz", "100")
 MUJOCO_ARGUMENTS = ("--engine", "mujoco", "--step-hz", "100")
 COUNTS, COUNTS_WHEN_SHORT = (100, 1000), (2, 5)
+LARGEST = 10_000
+TWO_REQUESTS, FEW = 20_000, 3
 KIBIBYTES, SECONDS = 1.0 / 1024.0, 1e-3
 GOAL = 1000
-SPAWNED = Limit("median", "<=", 3.0)
+SPAWNED = {GOAL: Limit("median", "<=", 3.0), LARGEST: Limit("median", "<=", 8.0)}
+ALL_SPAWNED = Limit("max", "<=", 20.0, is_timed=True)
 WAITED = Limit("max", "<=", 50.0)
 MEMORY = Limit("median", "<=", 150.0)
 MOVED = Limit("max", "<=", 10.0)
@@ -63,11 +67,13 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure spawning of fleets, and the time until they move."""
     if is_short:
         yield from _spawned(FULL, (), COUNTS_WHEN_SHORT, runs=1)
+        yield _spawned_by_command(FEW)
         yield from _moved(2, pools=1, runs=1)
     else:
-        yield from _spawned(AUTO, AUTO_ARGUMENTS, COUNTS, runs=RUNS)
+        yield from _spawned(AUTO, AUTO_ARGUMENTS, (*COUNTS, LARGEST), runs=RUNS)
         yield from _spawned(MUJOCO, MUJOCO_ARGUMENTS, COUNTS, runs=RUNS)
         yield from _spawned(FULL, (), COUNTS, runs=1)
+        yield _spawned_by_command(TWO_REQUESTS)
         yield from _moved(GOAL, pools=POOLS, runs=RUNS)
 
 
@@ -86,7 +92,7 @@ def _spawned(
         for count, spawns in seen.items():
             spawns.floor_s.append(_floor_s(count))
     for count, spawns in seen.items():
-        yield from _figures(f"{count} robots, {how}", spawns, is_goal=count == GOAL)
+        yield from _figures(f"{count} robots, {how}", spawns, count)
 
 
 def _spawn(server: FleetServer, lateness: Lateness, count: int, spawns: Spawns) -> None:
@@ -105,6 +111,23 @@ def _spawn(server: FleetServer, lateness: Lateness, count: int, spawns: Spawns) 
     spawns.quiet_ms.append(lateness.longest_ms(start_s - quiet_s, start_s))
     spawns.waited_ms.append(lateness.longest_ms(start_s, end_s))
     spawns.robot_kib.append(held / count * KIBIBYTES)
+
+
+def _spawned_by_command(count: int) -> Figure:
+    """Measure `zensim fleet` of a number of kinematic robots."""
+    arguments = ("--robots", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
+    with run_installation(("--dynamics", "kinematic", "--step-hz", "20"), ()) as crew:
+        start_s = time.monotonic()
+        done = zensim("fleet", "box_bot", *arguments, "--connect", crew.bus.endpoint)
+        took_s = time.monotonic() - start_s
+        if done.returncode or crew.client.info().entities != count:
+            raise RuntimeError(f"the fleet is not complete: {done.stderr}")
+    return Figure(
+        what=f"{count} robots, kinematic: fleet command to its end",
+        unit="s",
+        samples=(took_s,),
+        limit=ALL_SPAWNED if count == TWO_REQUESTS else None,
+    )
 
 
 def _held(server: FleetServer) -> int:
@@ -166,12 +189,13 @@ def _floor_s(count: int) -> float:
     return took_ms * SECONDS
 
 
-def _figures(label: str, spawns: Spawns, *, is_goal: bool) -> Iterator[Figure]:
+def _figures(label: str, spawns: Spawns, count: int) -> Iterator[Figure]:
+    is_goal = count == GOAL
     yield Figure(
         what=f"{label}: request to all spawned",
         unit="s",
         samples=tuple(spawns.took_s),
-        limit=SPAWNED if is_goal else None,
+        limit=SPAWNED.get(count),
     )
     floor = tuple(spawns.floor_s)
     yield Figure(what=f"{label}: floor, put into PyBullet", unit="s", samples=floor)

@@ -2,17 +2,25 @@
 
 The same spawns and deletes at random moments while ten robots drive circles, without a journal and
 with one; then the server is killed and restarted on a journal of a hundred robots. Floor of a reply
-that waits for the disk: writing and syncing as many bytes as a spawn has, in this process.
+that waits for the disk: writing and syncing as many bytes as a spawn has, in this process. Last:
+the same restarts with 2000 and 10,000 robots, on an idle machine and with a process that does
+nothing but count on each core; from exec until a call of `info` has a reply, which is "restoring"
+with the number of robots so far, and until it is another. Floor: a server on an empty journal.
 """
 
 import os
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 from benchmarks.bench_spawn import LONGEST_PAUSE_S, Spawner, an_order
 from benchmarks.figures import Figure, Limit, table
+from benchmarks.fleet_server import spawn
 from benchmarks.ten_robots import (
     MILLISECONDS,
     ROBOTS,
@@ -24,6 +32,7 @@ from benchmarks.ten_robots import (
 )
 from tests.integration.journals import kill_hard, serving_with_journal
 from tests.integration.processes import START_S, connected, free_endpoint, running
+from zensim.proto.bus import NoServer
 from zensim.spawner.client.sim_client import SimClient
 
 __all__ = ["rows", "table"]
@@ -32,6 +41,11 @@ SPAWNS, SPAWNS_WHEN_SHORT = 100, 5
 KEPT, KEPT_WHEN_SHORT = 100, 3
 STARTS, STARTS_WHEN_SHORT = 10, 1
 SYNCED_BYTES = 64 * 1024
+LARGE, LARGE_WHEN_SHORT = {2000: (3.5, 8.0), 10_000: (15.0, 25.0)}, {20: (3.5, 8.0)}
+"""By number of robots: most seconds of a restart, without and with load."""
+LARGE_STARTS = 3
+REPLY_S, POLL_S = 1.0, 0.005
+COUNTING = "while True: pass"
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
@@ -46,6 +60,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             samples=tuple(_sync_ms(Path(folder) / "floor") for _ in range(SPAWNS)),
         )
         yield from _starts(Path(folder) / "kept", is_short=is_short)
+        yield from _large_starts(Path(folder), is_short=is_short)
 
 
 def _driven(what: str, arguments: Sequence[str], *, is_short: bool) -> Iterator[Figure]:
@@ -104,3 +119,76 @@ def _first_list_s(folder: Path, endpoint: str) -> float:
         process.kill()
         process.wait()
     return took_s
+
+
+class Restart(NamedTuple):
+    """Times from the exec of a server [s]."""
+
+    replied_s: float
+    """To the first reply."""
+    restored_s: float
+
+
+def _large_starts(folder: Path, *, is_short: bool) -> Iterator[Figure]:
+    starts = STARTS_WHEN_SHORT if is_short else LARGE_STARTS
+    for count, (quiet_s, busy_s) in (LARGE_WHEN_SHORT if is_short else LARGE).items():
+        endpoint = free_endpoint()
+        kept = folder / f"of{count}"
+        with serving_with_journal(kept, endpoint) as server:
+            spawn(server.client, count)
+            kill_hard(server)
+        quiet = [_restart(kept, endpoint) for _ in range(starts)]
+        with _busy_cores():
+            busy = [_restart(kept, endpoint) for _ in range(starts)]
+        for when, found, most_s in (("idle", quiet, quiet_s), ("busy", busy, busy_s)):
+            label = f"{count} robots, {when} cores: exec to"
+            yield Figure(
+                what=f"{label} the first reply",
+                unit="s",
+                samples=tuple(one.replied_s for one in found),
+                limit=Limit("max", "<=", REPLY_S, is_timed=True) if when == "idle" else None,
+            )
+            yield Figure(
+                what=f"{label} all restored",
+                unit="s",
+                samples=tuple(one.restored_s for one in found),
+                limit=Limit("max", "<=", most_s, is_timed=True),
+            )
+    empty = [_restart(folder / f"empty{number}", free_endpoint()) for number in range(starts)]
+    what = "floor: exec to the first reply, empty journal"
+    yield Figure(what=what, unit="s", samples=tuple(one.replied_s for one in empty))
+
+
+@contextmanager
+def _busy_cores() -> Iterator[None]:
+    """Keep each core busy with a process until the block ends."""
+    command = (sys.executable, "-c", COUNTING)
+    counting = [subprocess.Popen(command) for _ in range(os.cpu_count() or 1)]
+    try:
+        yield
+    finally:
+        for process in counting:
+            process.kill()
+            process.wait()
+
+
+def _restart(folder: Path, endpoint: str) -> Restart:
+    start_s = time.monotonic()
+    with (
+        running("serve", "--listen", endpoint, "--journal", str(folder)) as process,
+        connected(endpoint, process) as bus,
+    ):
+        client = SimClient(bus)
+        while True:
+            try:
+                info = client.info()
+                break
+            except (NoServer, TimeoutError):
+                time.sleep(POLL_S)
+        replied_s = time.monotonic() - start_s
+        if info.state == "restoring":
+            client.wait_for_server(START_S)
+        restored_s = time.monotonic() - start_s
+        process.kill()
+        process.wait()
+    return Restart(replied_s, restored_s)

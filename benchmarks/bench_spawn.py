@@ -4,16 +4,23 @@ A box_bot is spawned far away and deleted again, at random moments, while ten ro
 The server reports each second how late its latest step began, how long its longest engine step
 took, and for how long the loop's own work delayed a step (CPU time: the rest is due to other
 programs): first without spawns, then with them. Floor: the same description parsed and added to
-PyBullet in this process, among as many bodies.
+PyBullet in this process, among as many bodies. Last: 2000 `spawn_entity` calls, each with a text of
+its own, 16 outstanding, while one process drives a hundred robots at real-time factor 1 and 240 Hz;
+the same floor as a rate.
 """
 
 import random
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
+
+import msgspec
 
 from benchmarks.bodies import Bodies, standing_at
 from benchmarks.figures import Figure, Limit, table
+from benchmarks.fleet_server import run_fleet_server
 from benchmarks.ten_robots import (
     MILLISECONDS,
     ROBOTS,
@@ -25,9 +32,12 @@ from benchmarks.ten_robots import (
     observe,
     stats_of,
 )
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
 from zensim.proto.messages.telemetry_messages import Stats
+from zensim.proto.topic_catalog import STATS
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.spawner.client.sim_client import SimClient
@@ -41,6 +51,12 @@ LONGEST_PAUSE_S = 0.1
 """Pause before a spawn and before a delete: a pair every 0.1 s."""
 FAR_M = 1000.0
 SEED = 5
+DRIVEN, DRIVEN_WHEN_SHORT = 100, 2
+MANY, MANY_WHEN_SHORT = 2000, 40
+OUTSTANDING = 16
+COLUMNS, APART_M = 50, 3.0
+WARM_S = 1.0
+FACTOR = Limit("min", ">=", 0.8)
 
 
 class Spawner:
@@ -97,6 +113,59 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     yield Figure(what="delete request to reply", unit="ms", samples=tuple(spawner.delete_ms))
     yield from _steps("without spawns", quiet, None)
     yield from _steps("with spawns", busy, Limit("max", "<=", 20.0))
+    yield from _rates(is_short=is_short)
+
+
+@dataclass(frozen=True)
+class SpawnRun:
+    """Many spawns in a row: their rate, and what the world and the loop did meanwhile."""
+
+    rate_hz: float
+    factor: float
+    stats: list[Stats]
+
+
+def _rates(*, is_short: bool) -> Iterator[Figure]:
+    count = MANY_WHEN_SHORT if is_short else MANY
+    driven = DRIVEN_WHEN_SHORT if is_short else DRIVEN
+    for dynamics, bound in (("auto", 300.0), ("full", 150.0)):
+        run = _spawn_many_singly(driven, count, dynamics)
+        label = f"{count} single spawns beside {driven} driven robots, {dynamics}"
+        limit = Limit("min", ">=", bound, is_timed=True)
+        yield Figure(what=f"{label}", unit="1/s", samples=(run.rate_hz,), limit=limit)
+        factor = msgspec.structs.replace(FACTOR, is_timed=True)
+        what = f"{label}: real-time factor"
+        yield Figure(what=what, unit="", samples=(run.factor,), limit=factor)
+        yield longest_work(label, run.stats, Limit("max", "<=", 20.0, is_timed=True))
+    floor = _floor(driven, count)
+    rate_hz = 1e3 * len(floor.samples) / sum(floor.samples)
+    yield Figure(what="floor: read, and put into PyBullet, rate", unit="1/s", samples=(rate_hz,))
+
+
+def _spawn_many_singly(driven: int, count: int, dynamics: str) -> SpawnRun:
+    orders = [_place(an_order(number), number) for number in range(count)]
+    with run_fleet_server(driven, "--rtf", "1", "--dynamics", dynamics) as server:
+        client = server.client
+        stats = client.bus.subscribe(STATS.key("default"), 4096)
+        client.set_simulation_state(State.PLAYING)
+        time.sleep(WARM_S)
+        stats.take()
+        before, start_s = client.info(), time.monotonic()
+        with ThreadPoolExecutor(OUTSTANDING) as threads:
+            for report in threads.map(client.spawn, orders):
+                assert report.entity_name
+        took_s = time.monotonic() - start_s
+        after, wall_s = client.info(), time.monotonic() - start_s
+        found = [decode(Stats, one.payload, one.encoding) for one in stats.take()]
+    factor = (after.sim_time_s - before.sim_time_s) / wall_s
+    return SpawnRun(count / took_s, factor, found)
+
+
+def _place(order: SpawnEntityOrder, number: int) -> SpawnEntityOrder:
+    """Place a robot of many on a grid."""
+    row, column = divmod(number, COLUMNS)
+    point = Point(FAR_M + column * APART_M, FAR_M + row * APART_M, 0.0)
+    return msgspec.structs.replace(order, initial_pose=PoseStamped(pose=Pose(point)))
 
 
 def _steps(when: str, seen: list[Stats], limit: Limit | None) -> Iterator[Figure]:

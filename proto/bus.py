@@ -1395,17 +1395,6 @@ LEAST_ATTEMPT_S: Final = 0.05
 """From one attempt to the next: a join token is refused at once where nothing listens."""
 
 
-def require_free_endpoints(config: BusConfig) -> None:
-    """Check that no other process listens where this one will.
-
-    Raises:
-        EndpointTaken: One does.
-    """
-    for endpoint in config.listen:
-        if _accepts_connections(endpoint):
-            raise _make_taken_error(endpoint)
-
-
 def open_bus_with_retry(config: BusConfig, wait_s: float) -> Bus:
     """Open a session as soon as a router or server listens at the endpoints.
 

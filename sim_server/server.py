@@ -20,7 +20,6 @@ from zensim.proto.bus import (
     BusConfig,
     NoServer,
     open_bus_with_retry,
-    require_free_endpoints,
 )
 from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.standard_messages import NANOSECONDS
@@ -41,6 +40,7 @@ from zensim.sim_server.ros2_node.server_node import start_server_node
 from zensim.sim_server.runtime.loop import ServerLoop, request_short_time_slice
 from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
 from zensim.sim_server.runtime.memory_trimmer import MemoryTrimmer
+from zensim.sim_server.runtime.restore_replies import RestoreReplies
 from zensim.sim_server.runtime.server_metrics import ServerMetrics
 from zensim.sim_server.runtime.step_topics import StepTopics
 from zensim.sim_server.security.admitted_users import AdmittedUsers
@@ -54,8 +54,9 @@ from zensim.sim_server.server_config import (
 from zensim.sim_server.world_loading.world_loader import LoadedWorld, make_world_engine
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
+    from zensim.proto.network_protocols import ServiceCallSource
     from zensim.proto.stop_signal import StopFlag
     from zensim.sim_server.journal.server_journal import ChangeTracker, Journal
     from zensim.sim_server.service_parts import ServerParts
@@ -83,11 +84,12 @@ class HostClock:
 
 @dataclass(frozen=True)
 class ServerHooks:
-    """What a running server calls, and where it notes its status."""
+    """What a running server calls, where it notes its status, and what replied before it."""
 
     stop: StopFlag
     on_ready: Callable[[Bus, ServerConfig], None]
     status: ProgramStatus
+    restore_replies: RestoreReplies | None
 
 
 def run_server(
@@ -120,16 +122,25 @@ def run_server(
             status.phase = "restoring"
         # A fork of this process, as above, must have no other threads.
         cleanup.enter_context(served_status(config.metrics, status))
-        make = partial(_make_parts, config, loaded, journal, cleanup, stop)
-        if journal is not None and journal.contents is not None and _listens(config):
-            # Clients that reach a server expect replies, and a large world takes seconds.
-            require_free_endpoints(config.bus or BusConfig())
-            made = make()
-            bus = _open_network(config, cleanup)
-        else:
-            bus = _open_network(config, cleanup)
-            made = make()
-        _run(config, made, bus, collector, ServerHooks(stop, on_ready, status))
+        bus = _open_network(config, cleanup)
+        hooks = ServerHooks(stop, on_ready, status, _reply_meanwhile(config, journal, bus, cleanup))
+        made = _make_parts(config, loaded, journal, cleanup, stop)
+        _freeze_garbage_collector()
+        request_short_time_slice()
+        _run(config, made, bus, collector, hooks)
+
+
+def _reply_meanwhile(
+    config: ServerConfig, journal: Journal | None, bus: Bus, cleanup: ExitStack
+) -> RestoreReplies | None:
+    """Reply to clients while the journal is restored: a large world takes seconds."""
+    if journal is None or journal.contents is None:
+        return None
+    is_secured = bool(config.secure_folder)
+    replies = RestoreReplies(bus, config.world, journal.progress, is_secured=is_secured)
+    replies.start()
+    cleanup.callback(replies.close)
+    return replies
 
 
 def _open_journal(config: ServerConfig, cleanup: ExitStack) -> Journal | None:
@@ -149,10 +160,6 @@ def _exclude_crashing(journal: Journal, config: ServerConfig, loaded: LoadedWorl
     )
 
 
-def _listens(config: ServerConfig) -> bool:
-    return config.bus is not None and config.bus.mode == "router"
-
-
 def _in_one_process(config: ServerConfig) -> ServerConfig:
     """Make no workers: what ends one must end the process that tests it."""
     physics = msgspec.structs.replace(config.physics, workers=0)
@@ -167,8 +174,6 @@ def _open_network(config: ServerConfig, cleanup: ExitStack) -> Bus:
             f"world '{config.world}' already has a server at {bus.endpoint}; "
             "stop it, or use --world-name with another"
         )
-    _freeze_garbage_collector()
-    request_short_time_slice()
     bus.prepare_reply_threads(request_short_time_slice)
     return bus
 
@@ -255,8 +260,7 @@ def _run(
         if config.secure_folder:
             users = AdmittedUsers(SecureFolder(Path(config.secure_folder)), bus, config.world)
             cleanup.callback(users.close)
-        sources = (*node.sources, StepTopics(bus, config.world))
-        inbox = BusInbox(bus, config.world, sources, is_secured=users is not None)
+        inbox = _make_inbox(config, bus, node.sources, hooks)
         publisher = BusWorldPublisher(bus, config.world, node.topics, node.on_progress)
         status = hooks.status
         loop = ServerLoop(parts, inbox, publisher, HostClock(), tracker, users)
@@ -274,6 +278,18 @@ def _run(
         hooks.on_ready(bus, config)
         loop.run(hooks.stop)
         loop.drain(lambda: hooks.stop.is_urgent)
+
+
+def _make_inbox(
+    config: ServerConfig, bus: Bus, sources: Sequence[ServiceCallSource], hooks: ServerHooks
+) -> BusInbox:
+    """Declare what the loop receives, with the requests that wait since the restore."""
+    held = hooks.restore_replies
+    others = (*sources, StepTopics(bus, config.world), *(() if held is None else (held,)))
+    inbox = BusInbox(bus, config.world, others, is_secured=bool(config.secure_folder))
+    if held is not None:
+        held.close()
+    return inbox
 
 
 def _freeze_garbage_collector() -> None:

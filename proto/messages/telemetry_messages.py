@@ -14,6 +14,10 @@ from zensim.proto.messages.standard_messages import Clock, Pose
 from zensim.proto.messages.world_messages import Scene
 
 StateName = Literal["stopped", "playing", "paused", "quitting", "no_world", "loading_world"]
+ServerStateName = Literal[
+    "stopped", "playing", "paused", "quitting", "no_world", "loading_world", "restoring"
+]
+"""Of the simulation, or `restoring`: the server restores its journal, and other requests wait."""
 
 
 PROTOCOL = 1
@@ -45,7 +49,7 @@ class Info(msgspec.Struct, frozen=True):
     entities: UInt32 = 0
     agents: UInt32 = 0
     claimed: UInt32 = 0
-    state: StateName = "stopped"
+    state: ServerStateName = "stopped"
     engine: str = ""
     world_model: str = ""
     seed: UInt64 = 0
@@ -57,6 +61,10 @@ class Info(msgspec.Struct, frozen=True):
     """Of the caller; empty if the server is not secured, or does not admit its user."""
     driven: UInt32 = 0
     """Claimed robots whose agent has sent a command since it claimed them."""
+    restored: UInt32 = 0
+    """Entities that are restored so far, in the state `restoring`."""
+    to_restore: UInt32 = 0
+    """Entities of the journal, in that state."""
 
 
 class WorldClock(Clock, frozen=True):

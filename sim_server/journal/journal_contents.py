@@ -177,24 +177,38 @@ class RestoreResult:
         self.refused.append(ExcludedEntityRow(entity=row, reason=" ".join(str(error).split())))
 
 
+@dataclass
+class RestoreProgress:
+    """How many entities are restored; read by other threads."""
+
+    total: int = 0
+    done: int = 0
+
+
 def restore_world(
-    contents: JournalContents, world: SimulatedWorld, mesh_restorer: MeshRestorer, now_ns: int
+    contents: JournalContents,
+    world: SimulatedWorld,
+    mesh_restorer: MeshRestorer,
+    now_ns: int,
+    progress: RestoreProgress,
 ) -> RestoreResult:
     """Spawn all entities with their last states, set the clock, and start a new epoch."""
     result = RestoreResult()
+    progress.total, progress.done = len(contents.entities), 0
     rows = [
         row for row in contents.entities if _restore_meshes(contents, row, mesh_restorer, result)
     ]
     starts = [_find_state_at_rest(contents, row)[0] for row in rows]
     # Announced together, they are divided into cells before they are made.
-    world.engine.expect(
+    world.expect(
         [contents.models[row.model] for row in rows],
         [(float(start[0]), float(start[1])) for start in starts],
     )
     for row, start in zip(rows, starts, strict=True):
         request = make_spawn_request(contents, row, now_ns, start)
         _restore_entity(contents, row, world, request, result)
-    world.engine.expect(())
+        progress.done += 1
+    world.expect(())
     _set_states(contents, world, result)
     # An entity that crashes the first step must do so here, while the mark file exists.
     world.step()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -22,6 +22,7 @@ from zensim.sim_server.journal.batch_writer import BatchWriter, WriterThread
 from zensim.sim_server.journal.journal_contents import (
     JournalContents,
     MeshRestorer,
+    RestoreProgress,
     commit_restore,
     make_spawn_request,
     read_contents,
@@ -55,6 +56,8 @@ if TYPE_CHECKING:
     from zensim.sim_server.parser_process.asset_store import AssetStore
     from zensim.sim_server.physics.engine import Engine, FloatArray
     from zensim.sim_server.service_parts import ServerParts
+    from zensim.sim_server.world.entity import Entity
+    from zensim.sim_server.world.entity_store import EntityStore
     from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 LOG = logging.getLogger(__name__)
@@ -112,6 +115,8 @@ class ChangeTracker:
         self._writer = writer
         self._generation = 0
         self._known = {one.entity.name: one for one in known}
+        self._followed: EntityStore | None = None
+        """Its changes are known; None = compare all entities with those known."""
         self._next_ordinal = max((one.ordinal for one in self._known.values()), default=0) + 1
         self._outstanding: deque[JournalRecord] = deque()
         self._seen: tuple[object, ...] = ()
@@ -258,29 +263,43 @@ class ChangeTracker:
 
     def _find_changes(self) -> tuple[EntityChange, ...]:
         self._seen = self._fingerprint()
-        present = {entity.name: entity for entity in self._parts.world.entities}
+        known, present = self._known, self._parts.world.entities.by_name
+        before, after = self._list_changed()
         changes = [
-            EntityChange(name, journaled, None)
-            for name, journaled in self._known.items()
-            if name not in present
+            EntityChange(name, known[name], None)
+            for name in before
+            if name in known and name not in present
         ]
-        for name, entity in present.items():
-            before = self._known.get(name)
-            if before is not None and before.entity is entity:
-                continue
-            after = JournaledEntity(
-                self._find_ordinal(before, entity.born_ns),
-                entity,
-                self._bond_of(name),
-                self._parts.descriptions.provider.find_parse_key(entity.model),
-            )
-            if before is None or not before.has_same_row(after):
-                changes.append(EntityChange(name, before, after))
-            self._known[name] = after
+        found = (self._find_change(present[name]) for name in after if name in present)
+        changes += [change for change in found if change is not None]
         for change in changes:
             if change.after is None:
-                del self._known[change.name]
+                del known[change.name]
         return tuple(changes)
+
+    def _list_changed(self) -> tuple[Iterable[str], Iterable[str]]:
+        """List entities that may have gone, and those that may have come or been replaced."""
+        entities = self._parts.world.entities
+        names = entities.take_changed()
+        if names is None or entities is not self._followed:
+            self._followed = entities
+            return tuple(self._known), tuple(entities.by_name)
+        return names, names
+
+    def _find_change(self, entity: Entity) -> EntityChange | None:
+        name = entity.name
+        before = self._known.get(name)
+        if before is not None and before.entity is entity:
+            return None
+        after = JournaledEntity(
+            self._find_ordinal(before, entity.born_ns),
+            entity,
+            self._bond_of(name),
+            self._parts.descriptions.provider.find_parse_key(entity.model),
+        )
+        self._known[name] = after
+        is_same = before is not None and before.has_same_row(after)
+        return None if is_same else EntityChange(name, before, after)
 
     def _is_name_reused(self, changes: tuple[EntityChange, ...]) -> bool:
         """Whether the last states, found by name, have an entity that was there before."""
@@ -364,6 +383,7 @@ class ChangeTracker:
             LOG.warning("journal not written reason=%s", failure[1])
         self._generation += 1
         self._is_failing = True
+        self._followed = None
         self._commits = self._writer.commits
         self._drop_durable()
         while self._outstanding:
@@ -483,6 +503,7 @@ class Journal:
     database: SqliteStore
     contents: JournalContents | None
     restored: tuple[JournaledEntity, ...] = ()
+    progress: RestoreProgress = field(default_factory=RestoreProgress)
     _is_owned_by_tracker: bool = False
 
     @property
@@ -536,7 +557,8 @@ class Journal:
         is_crash = False
         try:
             sync_folder(self.database.folder)
-            result = restore_world(contents, world, MeshRestorer(self.files, store), now_ns)
+            meshes = MeshRestorer(self.files, store)
+            result = restore_world(contents, world, meshes, now_ns, self.progress)
             self.restored = tuple(result.restored)
             clock = msgspec.structs.replace(
                 contents.clock, epoch=world.clock.epoch, steps=world.clock.steps

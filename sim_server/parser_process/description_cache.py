@@ -114,6 +114,8 @@ class DescriptionCache:
         self._paused_until_ns = 0
         self._unprepared: list[CachedModel] = []
         self._results: OrderedDict[ParseKey, CachedModel | ModelError] = OrderedDict()
+        self._characters = 0
+        """Of the texts of all results."""
         self._pending_keys: dict[int, ParseKey] = {}
         self._numbers: dict[ParseKey, int] = {}
         self._transient: list[ParseKey] = []
@@ -148,7 +150,7 @@ class DescriptionCache:
         """See `DescriptionProvider`."""
         # The requests that waited for them have been answered.
         for key in self._transient:
-            self._results.pop(key, None)
+            self._forget(key)
         self._transient.clear()
         messages = self._parser.poll()
         for message in messages:
@@ -207,7 +209,7 @@ class DescriptionCache:
         """Whether it is cached with all its assets; drop it if one was evicted."""
         found = self._results.get(key)
         if isinstance(found, CachedModel) and not all(name in self._store for name in found.assets):
-            del self._results[key]
+            self._forget(key)
         return key in self._results
 
     def _submit(self, key: ParseKey) -> None:
@@ -261,12 +263,15 @@ class DescriptionCache:
         return cached
 
     def _cache(self, key: ParseKey, found: CachedModel | ModelError) -> None:
+        self._forget(key)
         self._results[key] = found
-        while len(self._results) > MAX_CACHED_MODELS or self._characters() > MAX_CACHED_CHARACTERS:
-            self._results.popitem(last=False)
+        self._characters += _count_characters(key)
+        while len(self._results) > MAX_CACHED_MODELS or self._characters > MAX_CACHED_CHARACTERS:
+            self._forget(next(iter(self._results)))
 
-    def _characters(self) -> int:
-        return sum(len(text) for key in self._results for text in (key.text, *key.controllers))
+    def _forget(self, key: ParseKey) -> None:
+        if self._results.pop(key, None) is not None:
+            self._characters -= _count_characters(key)
 
     def _make_key(self, order: SpawnEntityOrder) -> ParseKey:
         # Missing files are left out: when they arrive the key is another.
@@ -281,6 +286,10 @@ class DescriptionCache:
             order.controllers,
             order.drive,
         )
+
+
+def _count_characters(key: ParseKey) -> int:
+    return len(key.text) + sum(map(len, key.controllers))
 
 
 def list_assets(model: Model) -> frozenset[str]:

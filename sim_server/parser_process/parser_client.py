@@ -95,6 +95,8 @@ TIMEOUT_MESSAGE = (
 )
 RESTART_NS = 500_000_000
 """Until a process that could not be started is tried again."""
+MAX_IN_FLIGHT = 16
+"""Requests that the process has been sent and not replied to; the next is read without a turn."""
 IDLE_POLL_NS = 250_000_000
 """Period of polling an idle process."""
 PARSER_NICENESS = 5
@@ -135,7 +137,7 @@ class ParserClient:
     @property
     def is_ready(self) -> bool:
         """Whether the process has started and parses nothing now."""
-        return self._is_ready and self._current is None
+        return self._is_ready and not self._in_flight
 
     @property
     def _is_idle(self) -> bool:
@@ -161,7 +163,7 @@ class ParserClient:
         results = self._receive()
         if (status := self._process.poll()) is not None:
             return results + self._replace_exited(status)
-        if self._clock.now_ns > self._deadline_ns:
+        if self._clock.now_ns > self._due_ns:
             return results + self._replace_process(TIMEOUT_MESSAGE, slug="reader.timeout")
         results += self._refuse_overdue()
         try:
@@ -179,13 +181,18 @@ class ParserClient:
             process.wait()
 
     def _start(self) -> None:
-        self._current: ParseRequest | None = None
+        self._in_flight: deque[tuple[ParseRequest, int]] = deque()
         self._is_ready = self._is_missing = False
         self._process = FramedProcess(self._command)
         self._clock.track(self.process_id)
         if self._has_been_ready:
             set_niceness(PARSER_NICENESS, self.process_id)
         self._deadline_ns = self._clock.now_ns + round(START_TIMEOUT_S * NANOSECONDS)
+
+    @property
+    def _due_ns(self) -> int:
+        """Until when the process must reply to its oldest request, or start."""
+        return self._in_flight[0][1] if self._in_flight else self._deadline_ns
 
     def _start_again(self) -> None:
         """Start a process, or wait until the system has files and processes for one."""
@@ -213,17 +220,28 @@ class ParserClient:
         return self._replace_process(message, slug="reader.crashed")
 
     def _replace_process(self, message: str, *, slug: str) -> list[ParsedMesh | ParseResult]:
-        current = self._current
+        """Refuse the oldest request, which the process was busy with; the others are sent again."""
         LOG.warning("parser process replaced reason=%s status=%s", slug, self._process.poll())
         self._kill()
+        blamed = self._in_flight.popleft()[0] if self._in_flight else None
+        self._queue.extendleft(reversed(self._in_flight))
         self._start_again()
-        return [] if current is None else [_make_refusal(current, message, slug=slug)]
+        return [] if blamed is None else [_make_refusal(blamed, message, slug=slug)]
 
     def _send_next(self) -> None:
-        if self._current is not None or not self._queue or not self._is_ready:
-            return
-        self._current, self._deadline_ns = self._queue.popleft()
-        self._process.send(self._encode_request(self._current))
+        while self._is_ready and self._queue and self._may_send(self._queue[0][0]):
+            self._in_flight.append(self._queue.popleft())
+            self._process.send(self._encode_request(self._in_flight[-1][0]))
+
+    def _may_send(self, request: ParseRequest) -> bool:
+        """Whether a request may follow those in flight; one with files is alone.
+
+        A file that cannot be read must end no other request.
+        """
+        if not self._in_flight:
+            return True
+        has_files = bool(request.files or self._in_flight[-1][0].files)
+        return len(self._in_flight) < MAX_IN_FLIGHT and not has_files
 
     def _encode_request(self, request: ParseRequest) -> Iterator[bytes]:
         yield encode_frame(msgspec.msgpack.encode(request))
@@ -249,17 +267,12 @@ class ParserClient:
                 self._has_been_ready = True
                 # Physics comes first when cores are few.
                 set_niceness(PARSER_NICENESS, self.process_id)
-                self._mark_idle()
+                self._is_ready, self._deadline_ns = True, sys.maxsize
                 continue
             if isinstance(message, ParseResult):
-                self._mark_idle()
+                self._in_flight.popleft()
             results.append(message)
         return results
-
-    def _mark_idle(self) -> None:
-        self._is_ready = True
-        self._current = None
-        self._deadline_ns = sys.maxsize
 
 
 def _make_refusal(request: ParseRequest, message: str, *, slug: str) -> ParseResult:

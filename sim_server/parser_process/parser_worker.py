@@ -36,6 +36,7 @@ from zensim.sim_server.parser_process.parser_protocol import (  # noqa: E402
     ParseResult,
     ParserReady,
 )
+from zensim.sim_server.parser_process.renamed_texts import RenamedTexts  # noqa: E402
 
 MAX_MEMORY_BYTES = 1 << 30
 LIMITS = ResourceLimits(extra_memory_bytes=MAX_MEMORY_BYTES, is_sandboxed=True)
@@ -50,19 +51,22 @@ def main() -> None:
     replies = reserve_stdout()
     warm_up()
     set_resource_limits(LIMITS)
+    texts = RenamedTexts(lambda request: parse_request(request, {}))
     write_frame(replies, msgspec.msgpack.encode(ParserReady()))
     while (frame := read_frame(STDIN)) is not None:
-        handle_request(frame, replies)
+        handle_request(frame, replies, texts)
 
 
-def handle_request(frame: bytes, replies: int) -> None:
+def handle_request(frame: bytes, replies: int, texts: RenamedTexts) -> None:
     """Reply to one request, also when memory runs out."""
     allow_cpu_time(MAX_CPU_S)
     request = msgspec.msgpack.decode(frame, type=ParseRequest)
     try:
-        result, meshes = parse_request(
-            request, {sha256: read_frame(STDIN) or b"" for sha256 in request.files}
-        )
+        if request.is_world or request.files:
+            files = {sha256: read_frame(STDIN) or b"" for sha256 in request.files}
+            result, meshes = parse_request(request, files)
+        else:
+            result, meshes = texts.parse(request)
         for sha256, data in meshes.items():
             write_frame(replies, msgspec.msgpack.encode(ParsedMesh(sha256, data)))
     except MemoryError:

@@ -263,7 +263,7 @@ class RequestDispatcher:
     def refuse(self, call: ServiceCall, error: SimError) -> None:
         """Refuse a request now, unread; it has changed nothing."""
         response = make_refusal(call.name, error.code, str(error))
-        self._reply_queue.send(QueuedReply(call, _encode_response(call, response), 0))
+        self._reply_queue.send(QueuedReply(call, encode_response(call, response), 0))
 
     def reply_to_ready(self, budget: RequestBudget) -> bool:
         """Reply to the pending requests that are ready, in the order of receipt.
@@ -359,7 +359,7 @@ class RequestDispatcher:
             self._authorization.note_response(call, response)
         if self.inputs is not None and self.inputs.is_active and is_mutating(call.name):
             _note_request(self.inputs, call, response)
-        cached = _encode_response(call, response)
+        cached = encode_response(call, response)
         forgotten = self._responses.keep(call, cached)
         if self._journal is not None:
             self._journal.record(
@@ -412,7 +412,7 @@ class RequestDispatcher:
         )
         journal = self._journal
         position = 0 if journal is None else journal.durable
-        self._reply_queue.add(QueuedReply(call, _encode_response(call, response), position))
+        self._reply_queue.add(QueuedReply(call, encode_response(call, response), position))
 
 
 @contextmanager
@@ -433,7 +433,8 @@ def _note_request(inputs: InputLog, call: ServiceCall, response: msgspec.Struct)
         inputs.note_request(call.name, call.client, request, result.result, result.error_message)
 
 
-def _encode_response(call: ServiceCall, response: msgspec.Struct) -> CachedResponse:
+def encode_response(call: ServiceCall, response: msgspec.Struct) -> CachedResponse:
+    """Encode a response in the format of its request."""
     wanted = _reply_format(call)
     try:
         payload = encode(response, wanted)

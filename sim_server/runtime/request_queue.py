@@ -18,6 +18,8 @@ MAX_CLIENTS: Final = 1024
 """Clients with waiting requests; a client may call itself by a new name each time."""
 BUDGET_SHARE: Final = 4
 """At most one part in so many of the time of a step goes to requests."""
+SPARE_SHARE: Final = 2
+"""One part in so many of the time that is left until the next step, if that is more."""
 LATE_NS: Final = 20_000_000
 """A loop that is later than this has no spare time, and gives requests half as much."""
 SHARE_OF_CLIENT: Final = 0.75
@@ -77,10 +79,16 @@ class RequestBudget:
             self._used_ns += used_ns
             self._used_by_ns[client] = self._used_by_ns.get(client, 0) + used_ns
 
-    def begin_step(self, step_ns: int, late_ns: int = 0) -> None:
-        """Start the budget of a step that takes a wall time, and began late by another."""
+    def begin_step(self, step_ns: int, late_ns: int = 0, spare_ns: int = 0) -> None:
+        """Start the budget between two steps.
+
+        Args:
+            step_ns: Wall time of a step.
+            late_ns: By how much the last one began late.
+            spare_ns: Wall time until the next one is due.
+        """
         share = BUDGET_SHARE * 2 if late_ns > LATE_NS else BUDGET_SHARE
-        self._budget_ns = max(step_ns // share, MIN_BUDGET_NS)
+        self._budget_ns = max(step_ns // share, spare_ns // SPARE_SHARE, MIN_BUDGET_NS)
         self._used_ns = 0
         self._used_by_ns = _pay(self._used_by_ns, self._budget_ns)
 

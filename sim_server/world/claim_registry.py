@@ -11,6 +11,7 @@ from zensim.proto.messages.agent_messages import DriveCommand, DriveState, OnRel
 from zensim.proto.messages.result_messages import ClaimCode
 from zensim.sim_server.errors import RequestRefused
 from zensim.sim_server.physics.engine import BodyStates, FloatArray
+from zensim.sim_server.scene.broad_phase import expand_ranges
 from zensim.sim_server.world.entity import Entity, EntityIndex, IntArray
 
 
@@ -247,16 +248,12 @@ def _select_claimed(
 ) -> ClaimedEntities:
     """Find the rows of an agent's entities, in the order of claiming."""
     rows = np.array([index.row[entity.name] for entity, _ in members], dtype=np.intp)
-    joints = [
-        np.arange(index.joint_start[row], index.joint_start[row] + index.joint_count[row])
-        for row in rows
-    ]
     return ClaimedEntities(
         claims=np.array([record.claim for _, record in members], dtype="<u4").tobytes(),
         rows=rows,
-        joints=np.concatenate(joints).astype(np.intp) if joints else np.zeros(0, dtype=np.intp),
-        bodies=tuple(entity.body for entity, _ in members),
-        target_count=sum(entity.model.target_count for entity, _ in members),
+        joints=expand_ranges(index.joint_start[rows], index.joint_count[rows])[1],
+        bodies=tuple([entity.body for entity, _ in members]),
+        target_count=sum([entity.target_count for entity, _ in members]),
         joint_targets=tuple(_find_joint_targets(members)),
     )
 
@@ -266,7 +263,7 @@ def _find_joint_targets(
 ) -> Iterator[tuple[str, slice]]:
     end = 0
     for entity, _ in members:
-        start, end = end, end + entity.model.target_count
+        start, end = end, end + entity.target_count
         if entity.model.joint_controllers:
             yield entity.name, slice(start, end)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -73,6 +74,11 @@ class Entity:
     """Whether it is part of the world file: a reset restores it instead of deleting it."""
     info: EntityInfo = field(default_factory=EntityInfo)
 
+    @cached_property
+    def target_count(self) -> int:
+        """Number of targets in a drive command of its model."""
+        return self.model.target_count
+
 
 def default_info(model: Model) -> EntityInfo:
     """Derive info from a model: a robot if it has a drive."""
@@ -107,4 +113,18 @@ def make_entity_index(entities: Sequence[Entity]) -> EntityIndex:
         row={entity.name: i for i, entity in enumerate(entities)},
         joint_start=np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)[:-1],
         joint_count=counts,
+    )
+
+
+def append_to_index(index: EntityIndex, entities: Sequence[Entity]) -> EntityIndex:
+    """Index entities that follow those of an index, whose rows stay."""
+    added, count = make_entity_index(entities), len(index.names)
+    end = int(index.joint_start[-1] + index.joint_count[-1]) if count else 0
+    rows = {name: count + row for name, row in added.row.items()}
+    return EntityIndex(
+        names=index.names + added.names,
+        bodies=index.bodies + added.bodies,
+        row=index.row | rows,
+        joint_start=np.concatenate([index.joint_start, end + added.joint_start]),
+        joint_count=np.concatenate([index.joint_count, added.joint_count]),
     )

@@ -3,7 +3,12 @@
 from collections.abc import Iterable, Iterator, Mapping
 
 from zensim.sim_server.errors import EntityNotFound
-from zensim.sim_server.world.entity import Entity, EntityIndex, make_entity_index
+from zensim.sim_server.world.entity import (
+    Entity,
+    EntityIndex,
+    append_to_index,
+    make_entity_index,
+)
 
 
 class EntityStore:
@@ -23,6 +28,10 @@ class EntityStore:
         self._staged: dict[str, Entity] = {}
         self._body_owners: dict[int, str] = {}
         self._index: EntityIndex | None = None
+        self._appended: list[Entity] = []
+        """Those that the index lacks; they follow its rows."""
+        self._changed: dict[str, None] | None = None
+        """Names of changed entities, in order; None = not recorded."""
 
     def __iter__(self) -> Iterator[Entity]:
         # A copy, so that callers may delete entities while they iterate.
@@ -46,9 +55,12 @@ class EntityStore:
 
     @property
     def index(self) -> EntityIndex:
-        """Rows of the entities in the state arrays."""
+        """Rows of the entities in the state arrays; another object after each change."""
         if self._index is None:
             self._index = make_entity_index(tuple(self))
+        elif self._appended:
+            self._index = append_to_index(self._index, self._appended)
+        self._appended.clear()
         return self._index
 
     def find(self, name: str) -> Entity:
@@ -75,9 +87,11 @@ class EntityStore:
         self._reserve(entity)
 
     def commit(self, entity: Entity) -> None:
-        """Add a staged entity to the world."""
+        """Add a staged entity to the world, after all others."""
         self._entities[entity.name] = self._staged.pop(entity.name)
-        self._count_change()
+        self._appended.append(entity)
+        self._note_change(entity.name)
+        self.roster_number += 1
 
     def rollback(self, entity: Entity) -> None:
         """Drop a staged entity."""
@@ -87,6 +101,7 @@ class EntityStore:
         """Remove an entity; raises as `find` does."""
         self._free(self.find(name))
         del self._entities[name]
+        self._note_change(name)
         self._count_change()
 
     def replace(self, entity: Entity) -> None:
@@ -95,6 +110,7 @@ class EntityStore:
         self._free(former)
         self._reserve(entity)
         self._entities[entity.name] = entity
+        self._note_change(entity.name)
         if entity.body != former.body:
             self._index = None
         if entity.model is not former.model:
@@ -102,12 +118,27 @@ class EntityStore:
 
     def replace_all(self, entities: Iterable[Entity]) -> None:
         """Replace all entities, and drop those staged."""
+        self._changed = None
         self.names, self.namespace_owners, self._body_owners = set(), {}, {}
         self._staged = {}
         self._entities = {entity.name: entity for entity in entities}
         for entity in self:
             self._reserve(entity)
         self._count_change()
+
+    def take_changed(self) -> list[str] | None:
+        """Take the names of the entities that came, went or were replaced since the last call.
+
+        Returns:
+            Names in the order of the changes; None if they are not known, as at the first call.
+        """
+        changed, self._changed = self._changed, {}
+        return None if changed is None else list(changed)
+
+    def _note_change(self, name: str) -> None:
+        if self._changed is not None:
+            self._changed.pop(name, None)  # the last change decides the order
+            self._changed[name] = None
 
     def _reserve(self, entity: Entity) -> None:
         self.names.add(entity.name)
@@ -123,3 +154,4 @@ class EntityStore:
     def _count_change(self) -> None:
         self.roster_number += 1
         self._index = None
+        self._appended.clear()

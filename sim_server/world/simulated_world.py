@@ -25,12 +25,14 @@ from zensim.sim_server.physics.engine import (
     EngineLost,
     EngineRefused,
     FloatArray,
+    Place,
     can_move,
     refuse_faults,
 )
 from zensim.sim_server.scene.convex_shapes import MeshVertices
 from zensim.sim_server.scene.scene import CollisionScene, FindTriangles, SceneLayout
 from zensim.sim_server.world.applied_forces import AppliedForces
+from zensim.sim_server.world.body_models import BodyModels
 from zensim.sim_server.world.claim_registry import ClaimedEntities, ClaimRegistry
 from zensim.sim_server.world.commanded_twists import CommandedTwists
 from zensim.sim_server.world.entity import Entity, EntityIndex, default_info
@@ -252,6 +254,7 @@ class SimulatedWorld:
         """Counts poses that were set."""
         self.ready_s: dict[str, float] = {}
         """Time from spawn to the first command of its agent, by name of entity."""
+        self._body_models = BodyModels()
         self._recorded_changes: dict[str, int] = {}
         self._joint_targets: dict[str, FloatArray] = {}
         """Newest targets of entities with controlled joints."""
@@ -276,9 +279,13 @@ class SimulatedWorld:
         """Make a part of what `spawn` needs for a model; return whether nothing is left."""
         try:
             with refuse_faults(f"model '{model.name}'"):
-                return self.engine.prepare(model)
+                return self.engine.prepare(self._body_models.find(model))
         except EngineRefused:
             return True  # as `spawn` will raise it
+
+    def expect(self, models: Sequence[Model], places: Sequence[Place] = ()) -> None:
+        """Announce the models of bodies that are spawned next; see `Engine.expect`."""
+        self.engine.expect(list(map(self._body_models.find, models)), places)
 
     def resolve_names_for(self, spawn: ValidatedSpawn) -> tuple[str, str]:
         """Find the name and namespace that an entity would get; raises as `spawn` does."""
@@ -350,8 +357,14 @@ class SimulatedWorld:
 
     def _add_body(self, model: Model, base: FloatArray) -> int:
         """Add a body; raises EngineRefused, whatever the engine raises."""
+        shared = self._body_models.find(model)
         with refuse_faults(f"model '{model.name}'"):
-            return self.engine.add(model, base)
+            try:
+                return self.engine.add(shared, base)
+            except EngineRefused:
+                if shared is model:
+                    raise
+            return self.engine.add(model, base)  # the refusal names this model
 
     @contextmanager
     def _rollback_on_refusal(self, entity: Entity) -> Iterator[None]:
@@ -364,8 +377,9 @@ class SimulatedWorld:
             raise
 
     def _commit(self, entity: Entity) -> None:
+        # Its row is the last one: what is known about the rows of others stays valid.
         self.entities.commit(entity)
-        self._drop_cached_states()
+        self._states = None
         self.clock.add_event("spawned", entity=entity.name)
 
     def set_info(self, name: str, info: EntityInfo) -> None:

@@ -97,7 +97,7 @@ def spawn_models_stepwise(world: SimulatedWorld, model: WorldModel) -> Iterator[
     Raises:
         ConfigError: The engine refuses one.
     """
-    world.engine.expect(
+    world.expect(
         [placed.model for placed in model.models],
         [placed.origin.position[:2] for placed in model.models],
     )
@@ -111,7 +111,7 @@ def spawn_models_stepwise(world: SimulatedWorld, model: WorldModel) -> Iterator[
         except SimError as error:
             raise ConfigError(f"model '{placed.name}' of the world: {error}") from error
         yield False
-    world.engine.expect(())
+    world.expect(())
 
 
 def make_world_engine(config: ServerConfig, model: WorldModel, mesh_folder: str) -> Engine:

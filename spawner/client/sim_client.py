@@ -122,6 +122,15 @@ def _count_completed_steps(response: "Future[SimulateStepsResponse]") -> int | N
 POLL_S = 0.05
 
 
+def _require_restored(info: Info) -> Info:
+    """Return the status of a server that serves; raise TimeoutError if it restores its journal."""
+    if info.state == "restoring":
+        raise TimeoutError(
+            f"the server has restored {info.restored} of {info.to_restore} entities; wait longer"
+        )
+    return info
+
+
 class SimClient(ServiceClient):
     """Client of the services of one world, on a session."""
 
@@ -141,15 +150,16 @@ class SimClient(ServiceClient):
         return decode(Stats, samples[0].payload, samples[0].encoding)
 
     def wait_for_server(self, timeout_s: float, on_wait: Callable[[], None] | None = None) -> Info:
-        """Call `info` until a server replies.
+        """Call `info` until a server replies that has restored its journal.
 
         Raises:
             NoServer: There is no server within the timeout.
+            TimeoutError: It does not reply, or still restores.
         """
         deadline = time.monotonic() + timeout_s
         while True:
             try:
-                return self.info()
+                return _require_restored(self.info())
             except (NoServer, TimeoutError):
                 if time.monotonic() >= deadline:
                     raise

@@ -12,6 +12,8 @@ import msgspec
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.spawn_messages import (
+    MAX_SPAWNS,
+    NOT_SPAWNED_PREFIX,
     Resource,
     SpawnEntitiesOrder,
     SpawnEntity,
@@ -270,7 +272,10 @@ def spawn_many(
     *,
     is_atomic: bool = True,
 ) -> list[SpawnOutcome]:
-    """Spawn robots on the ground, each in its own namespace, by one request.
+    """Spawn robots on the ground, each in its own namespace, by one request for `MAX_SPAWNS`.
+
+    With more robots the first request that fails is the last one: later robots are not spawned,
+    and those of earlier requests stay.
 
     Args:
         client: Client of a server that has the files.
@@ -291,10 +296,21 @@ def spawn_many(
         assets=payload.bundle.refs,
         controllers=payload.controllers.texts,
     )
-    response = client.spawn_all(
-        SpawnEntitiesOrder(tuple(map(_make_order, placements)), is_atomic, common)
-    )
-    return list(map(_make_outcome, placements, response.results))
+    outcomes: list[SpawnOutcome] = []
+    for start in range(0, len(placements), MAX_SPAWNS):
+        part = placements[start : start + MAX_SPAWNS]
+        order = SpawnEntitiesOrder(tuple(map(_make_order, part)), is_atomic, common)
+        outcomes += map(_make_outcome, part, client.spawn_all(order).results)
+        failed = next((one.name for one in outcomes if one.code != ResultCode.OK), "")
+        if is_atomic and failed:
+            outcomes += [_refuse_later(robot, failed) for robot in placements[len(outcomes) :]]
+            break
+    return outcomes
+
+
+def _refuse_later(robot: RobotPlacement, failed: str) -> SpawnOutcome:
+    message = f"{NOT_SPAWNED_PREFIX} '{failed}', which an earlier request refused"
+    return SpawnOutcome(robot.name, ResultCode.OPERATION_FAILED, message)
 
 
 def _make_order(robot: RobotPlacement) -> SpawnEntity:

@@ -26,7 +26,6 @@ from zensim.proto.bus import (
     NoServer,
     find_max_sessions,
     open_bus,
-    require_free_endpoints,
 )
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.endpoints import check_endpoint, with_free_port
@@ -509,13 +508,6 @@ def test_chosen_port_is_kept_for_a_router(host: str) -> None:
     assert refusal.value.errno == errno.EADDRINUSE
     with open_bus(BusConfig(mode="router", listen=(endpoint,))) as router:
         assert router.endpoint == endpoint
-
-
-def test_endpoints_are_free_until_a_router_listens(router: Bus) -> None:
-    require_free_endpoints(BusConfig(mode="router", listen=(free_endpoint(),)))
-
-    with pytest.raises(EndpointTaken, match=router.endpoint):
-        require_free_endpoints(BusConfig(mode="router", listen=(router.endpoint,)))
 
 
 def test_router_resets_connections_that_take_no_data(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -72,10 +72,14 @@ class CellBodyTable:
         load_speed: (m,) speed [m/s] added by loads since.
         is_commanded: (m,) whether its targets were set since it was at rest.
         is_due: (m,) whether its cell still lacks them.
+        joint_count: (m,) number of its joints.
+        target_start: (m,) index of its first target in `targets`.
+        width: (m,) number of its targets.
         targets: Of all bodies, body by body.
         levers: Likewise: speed [m/s] of the body per unit of each target.
         moving_count: Number of bodies that move.
         concealed: Numbers of hidden bodies.
+        sliding: Indices of the prismatic joints of bodies that have any, by number.
         version: Changes whenever a body comes, goes or changes its cell.
     """
 
@@ -83,6 +87,7 @@ class CellBodyTable:
         self.version = self.moving_count = 0
         self.by_number: dict[int, CellBody] = {}
         self.concealed: set[int] = set()
+        self.sliding: dict[int, tuple[int, ...]] = {}
         self.cell: IntArray = np.full(INITIAL_CAPACITY, NO_CELL, np.intp)
         self.inner: IntArray = np.zeros(INITIAL_CAPACITY, np.intp)
         self.place: FloatArray = np.zeros((INITIAL_CAPACITY, 2))
@@ -93,6 +98,9 @@ class CellBodyTable:
         self.load_speed: FloatArray = np.zeros(INITIAL_CAPACITY)
         self.is_commanded = np.zeros(INITIAL_CAPACITY, np.bool_)
         self.is_due = np.zeros(INITIAL_CAPACITY, np.bool_)
+        self.joint_count: IntArray = np.zeros(INITIAL_CAPACITY, np.intp)
+        self.target_start: IntArray = np.zeros(INITIAL_CAPACITY, np.intp)
+        self.width: IntArray = np.zeros(INITIAL_CAPACITY, np.intp)
         self.targets: FloatArray = np.zeros(INITIAL_CAPACITY)
         self.levers: FloatArray = np.zeros(INITIAL_CAPACITY)
         self._free: list[int] = []
@@ -125,6 +133,10 @@ class CellBodyTable:
         self.cell[number], self.inner[number] = cell, inner
         self.rigid_m[number] = self.radius[number] = reach.radius_m
         self.com_offset_m[number], self.speed_bound[number] = reach.com_offset_m, 0.0
+        self.joint_count[number] = len(model.joints)
+        self.target_start[number], self.width[number] = member.targets.start, len(reach.levers)
+        if reach.slides:
+            self.sliding[number] = reach.slides
         self.moving_count += cell >= 0
         self.levers[member.targets] = reach.levers
         self.forget_targets(number)
@@ -137,6 +149,7 @@ class CellBodyTable:
         self.moving_count -= int(self.cell[number]) >= 0
         self.cell[number] = NO_CELL
         self.concealed.discard(number)
+        self.sliding.pop(number, None)
         self.load_speed[number] = 0.0
         self.is_commanded[number] = self.is_due[number] = False
         width = member.targets.stop - member.targets.start
@@ -153,9 +166,7 @@ class CellBodyTable:
 
     def find_target_ranges(self, numbers: IntArray) -> tuple[IntArray, IntArray]:
         """Find the starts and lengths (n,) of the target ranges of bodies."""
-        found = [self.by_number[number].targets for number in numbers.tolist()]
-        starts = np.array([one.start for one in found], np.intp)
-        return starts, np.array([one.stop for one in found], np.intp) - starts
+        return self.target_start[numbers], self.width[numbers]
 
     def forget_targets(self, number: int) -> None:
         """Reset the targets of a body to zero."""
@@ -190,6 +201,9 @@ class CellBodyTable:
             "load_speed",
             "is_commanded",
             "is_due",
+            "joint_count",
+            "target_start",
+            "width",
         ):
             array = getattr(self, name)
             setattr(self, name, np.concatenate([array, np.zeros_like(array)]))
@@ -234,13 +248,13 @@ def make_body_order(members: CellBodyTable) -> CellBodyOrder:
     parts = np.split(inner, firsts[1:]) if len(numbers) else []
     row = np.full(len(members.cell), -1, np.intp)
     row[numbers] = np.arange(len(numbers))
-    counts = [len(members.by_number[number].model.joints) for number in numbers.tolist()]
-    joint_start = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
+    joint_start = np.concatenate([[0], np.cumsum(members.joint_count[numbers])]).astype(np.intp)
     starts, widths = members.find_target_ranges(numbers)
     slides = [
-        (at, joint_start[at] + slide)
-        for at, number in enumerate(numbers.tolist())
-        for slide in members.by_number[number].reach.slides
+        (int(row[number]), joint_start[row[number]] + slide)
+        for number, own in members.sliding.items()
+        if row[number] >= 0
+        for slide in own
     ]
     return CellBodyOrder(
         tuple(cells.tolist()),
@@ -302,13 +316,15 @@ def make_index_map(
     """Make the index map of some bodies."""
     numbers = np.array(bodies, np.intp)
     rows = order.row[numbers] if len(numbers) else numbers
-    found = [members.by_number[number] for number in bodies]
-    counts = np.array([len(member.model.joints) for member in found], np.intp)
+    counts = members.joint_count[numbers]
     starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
     into = np.flatnonzero(rows >= 0)
-    base = np.zeros((len(found), 13))
+    base = np.zeros((len(numbers), 13))
+    in_single_cell = members.inner[numbers]
     for at in np.flatnonzero(rows < 0).tolist():
-        base[at] = found[at].base
+        member = members.by_number[bodies[at]]
+        base[at] = member.base
+        in_single_cell[at] = member.copies.get(0, in_single_cell[at])
     starts_in_table, widths = members.find_target_ranges(numbers)
     is_driven = widths > 0
     ends = np.cumsum(widths)
@@ -323,7 +339,7 @@ def make_index_map(
         expand_ranges(starts_in_table, widths)[1],
         (ends - widths)[is_driven].astype(np.intp),
         numbers[is_driven],
-        tuple(m.copies.get(0, int(members.inner[n])) for n, m in zip(bodies, found, strict=True)),
+        tuple(in_single_cell.tolist()),
     )
 
 
@@ -957,6 +973,8 @@ class CelledEngine(Engine):
         number = self._cell_map.add(model, self._measure.measure(model), base)
         self._was_due = self._is_due
         self._record_place(number, base)
+        if not self._was_due:
+            self._is_due = self._joins_others(number, base)
         return number
 
     def hide(self, body: int) -> None:
@@ -1113,6 +1131,21 @@ class CelledEngine(Engine):
         radii = members.radius + members.speed_bound * elapsed_s + CELL_GAP_M
         apart = np.linalg.norm(members.place[others] - members.place[body], axis=1)
         return bool((apart <= radii[others] + radii[body]).any())
+
+    def _joins_others(self, body: int, base: FloatArray) -> bool:
+        """Whether a new body may touch one of another cell before the next regrouping."""
+        members = self._members
+        if len(self._cell_map.engines) == 1 or members.cell[body] == ALL_CELLS:
+            return True
+        members.speed_bound[body] = self._speed_margin_mps + float(np.linalg.norm(base[7:10]))
+        others = members.moving
+        others = others[members.cell[others] != members.cell[body]]
+        # Others may have moved since the last regrouping, where their places were recorded.
+        elapsed_s = (self._next_regroup - self._last_regroup) * self._dt_s
+        reach = members.radius[others] + members.speed_bound[others] * elapsed_s + CELL_GAP_M
+        reach += members.radius[body] + members.speed_bound[body] * elapsed_s
+        apart = np.linalg.norm(members.place[others] - members.place[body], axis=1)
+        return bool((apart <= reach).any())
 
     def _record_place(self, body: int, base: FloatArray) -> None:
         if self._members.cell[body] == ALL_CELLS:

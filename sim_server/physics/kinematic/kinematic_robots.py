@@ -143,10 +143,30 @@ class VehicleGroup:
     driven: IntArray = field(default_factory=lambda: np.zeros((0, 0), np.intp))
     driven_targets: IntArray = field(default_factory=lambda: np.zeros((0, 0), np.intp))
     wheels: IntArray = field(default_factory=lambda: np.zeros((0, 0), np.intp))
+    _added: list[int] = field(default_factory=list)
+    """Members that `all_rows` lacks."""
+    _has_lost: bool = False
+    """Whether `all_rows` has rows of members that are gone."""
+
+    def add(self, row: int) -> None:
+        """Add a member."""
+        self.members.add(row)
+        self._added.append(row)
+
+    def remove(self, row: int) -> None:
+        """Remove a member."""
+        self.members.discard(row)
+        self._has_lost = True
 
     def gather(self, rows: TierBodyTable) -> None:
         """Find the members in the kinematic tier, and their indices."""
-        members = self.all_rows = np.array(sorted(self.members), np.intp)
+        if self._has_lost:
+            self.all_rows, self._added = np.array(sorted(self.members), np.intp), []
+        elif self._added:
+            added = np.array(self._added, np.intp)
+            self.all_rows, self._added = np.sort(np.concatenate([self.all_rows, added])), []
+        self._has_lost = False
+        members = self.all_rows
         self.rows = members[rows.tier[members] == Tier.KINEMATIC]
         counts = np.arange(self.vehicle.joint_count)
         self.joints = rows.joint_start[self.rows][:, None] + counts
@@ -191,15 +211,15 @@ class KinematicRobots:
             self.velocities = np.concatenate([self.velocities, np.zeros(more)])
         self.set_joints(row, np.zeros(vehicle.joint_count), np.zeros(vehicle.joint_count))
         self.set_targets(row, np.zeros(vehicle.width))
-        if vehicle not in self._groups:
-            self._groups[vehicle] = make_vehicle_group(vehicle)
-        self._groups[vehicle].members.add(row)
+        if (group := self._groups.get(vehicle)) is None:
+            group = self._groups[vehicle] = make_vehicle_group(vehicle)
+        group.add(row)
         self._vehicles[row] = vehicle
 
     def remove(self, row: int) -> None:
         """Remove a robot."""
         vehicle = self._vehicles.pop(row)
-        self._groups[vehicle].members.discard(row)
+        self._groups[vehicle].remove(row)
         self.positions.free(int(self._table.joint_start[row]), vehicle.joint_count)
         self.targets.free(int(self._table.target_start[row]), vehicle.width)
 

@@ -49,6 +49,7 @@ class TierBodyTable:
         twist: (3, n) vx, vy, wz along the heading.
         pace: Bound of its speed [m/s] until the next proximity check.
         exceeds_limits: Whether its command exceeds what it can do without dynamics.
+        reach_m: Bound of the distance from a root link to the rim of its disc, for all bodies.
     """
 
     def __init__(self) -> None:
@@ -71,6 +72,7 @@ class TierBodyTable:
         self.twist: FloatArray = np.zeros((3, INITIAL_ROWS))
         self.pace: FloatArray = np.zeros(INITIAL_ROWS)
         self.exceeds_limits: BoolColumn = np.zeros(INITIAL_ROWS, np.bool_)
+        self.reach_m = 0.0
         self._free = list(range(INITIAL_ROWS))
 
     def allocate(self) -> int:
@@ -88,6 +90,11 @@ class TierBodyTable:
         """Free a row."""
         self.tier[row] = Tier.NONE
         heapq.heappush(self._free, row)
+
+    def set_disc(self, row: int, radius_m: float, centre: Sequence[float] | FloatArray) -> None:
+        """Set the disc of a body; its centre (2,) is in the root link."""
+        self.radius[row], self.centre[:, row] = radius_m, centre
+        self.reach_m = max(self.reach_m, radius_m + float(np.hypot(*centre)))
 
     def turn_to(self, at: RowSelection, yaw: FloatArray) -> None:
         """Set headings."""

@@ -161,6 +161,8 @@ LOOKAHEAD_CHECKS = 4.0
 """Checks for which the lists hold, by the speed of each disc."""
 SAMPLES_PER_CELL = 4
 """Sample points on an edge per cell of the grid."""
+MAX_APPENDED_DISCS = 64
+"""Discs that are compared with all others; with more, all lists are rebuilt."""
 
 
 class NeighbourLists:
@@ -204,8 +206,12 @@ class NeighbourLists:
             way: (n,) bounds of the distance to the next refresh.
         """
         self._travelled_m += float(way.max()) if len(way) else 0.0
-        if self._is_valid and (
-            self._travelled_m < MIN_TRAVEL_M or not self._is_too_far(centres, way)
+        if 0 < len(centres) - len(self._centres) <= MAX_APPENDED_DISCS and self._is_valid:
+            self._append(centres, radius, way)
+        if (
+            self._is_valid
+            and len(centres) == len(self._centres)
+            and (self._travelled_m < MIN_TRAVEL_M or not self._is_too_far(centres, way))
         ):
             return
         self._travelled_m = 0.0
@@ -215,6 +221,26 @@ class NeighbourLists:
         self.one, self.other = find_touching_discs(centres, reach)
         self.disc, self.edge = self._near_edges(centres, reach + self._margin_m / 2.0)
         self._is_valid = True
+
+    def _append(self, centres: FloatArray, radius: FloatArray, way: FloatArray) -> None:
+        """Add the pairs of discs that follow those of the lists."""
+        count = len(self._centres)
+        self._centres = np.concatenate([self._centres, centres[count:]])
+        more = np.maximum(MIN_TRAVEL_M, LOOKAHEAD_CHECKS * way[count:])
+        self._allowed = np.concatenate([self._allowed, more])
+        reach = radius + self._allowed + self._margin_m / 2.0
+        firsts, seconds = [self.one], [self.other]
+        for number in range(count, len(centres)):
+            away = self._centres[:number] - self._centres[number]
+            total = reach[:number] + reach[number]
+            near = np.flatnonzero(np.einsum("ij,ij->i", away, away) <= total * total)
+            firsts.append(near)
+            seconds.append(np.full(len(near), number))
+        self.one, self.other = np.concatenate(firsts), np.concatenate(seconds)
+        far = reach[count:] + self._margin_m / 2.0
+        disc, edge = self._near_edges(self._centres[count:], far)
+        self.disc = np.concatenate([self.disc, disc + count])
+        self.edge = np.concatenate([self.edge, edge])
 
     def _is_too_far(self, centres: FloatArray, way: FloatArray) -> bool:
         moved = centres - self._centres
@@ -294,7 +320,7 @@ class ProximityIndex:
         """Update the rows after bodies came, went or changed tiers."""
         table = self._table
         discs = np.flatnonzero((table.tier != Tier.NONE) & ~table.is_static)
-        if not np.array_equal(discs, self.discs):
+        if not np.array_equal(discs[: len(self.discs)], self.discs):
             self._neighbours.invalidate()
         self.discs = discs
         place = np.zeros(len(table.tier), np.intp)
@@ -337,9 +363,8 @@ class ProximityIndex:
     def find_overlapping(self, row: int) -> tuple[list[int], bool]:
         """Find the rows of discs that a disc overlaps, and whether it overlaps an edge."""
         table = self._table
-        rows = np.flatnonzero((table.tier != Tier.NONE) & ~table.is_static)
-        rows = rows[rows != row]
         centre = table.discs(np.array([row]))
+        rows = self._list_near_rows(row, centre)
         apart = np.hypot(*(table.discs(rows) - centre).T)
         found: list[int] = rows[apart < table.radius[rows] + table.radius[row]].tolist()
         edges = self._static_edges()
@@ -347,6 +372,16 @@ class ProximityIndex:
             return found, False
         _, gap = find_distances_to_edges(np.broadcast_to(centre, (len(edges), 2)), edges.ends)
         return found, bool((gap < edges.thick + table.radius[row]).any())
+
+    def _list_near_rows(self, row: int, centre: FloatArray) -> IntArray:
+        """List the rows of other discs that may overlap one; few of many."""
+        table = self._table
+        far = table.radius[row] + table.reach_m
+        is_near = np.abs(table.place[0] - centre[0, 0]) <= far
+        is_near &= np.abs(table.place[1] - centre[0, 1]) <= far
+        rows = np.flatnonzero(is_near)
+        rows = rows[(table.tier[rows] != Tier.NONE) & ~table.is_static[rows]]
+        return np.asarray(rows[rows != row])
 
     def find_obstacle(self, row: int, way: FloatArray) -> Obstacle | None:
         """Find what stops the disc of a row that should have moved by `way` (2,)."""
@@ -491,7 +526,7 @@ class TieredBodies:
         self._full = full
         self._corners = corners
         self._pending_outlines: dict[int, FloatArray] = {}
-        self._is_gathered = True
+        self._is_gathered = self._has_movers = True
         self._last: tuple[tuple[int, ...], BodyStates] | None = None
 
     def add(self, model: Model, plan: PlanarPlan | None, *, is_auto: bool) -> int:
@@ -506,7 +541,7 @@ class TieredBodies:
         if plan is not None:
             vehicle, footprint = plan
             rows.is_held[row], rows.is_auto[row] = True, is_auto
-            rows.radius[row], rows.centre[:, row] = footprint.radius_m, footprint.centre
+            rows.set_disc(row, footprint.radius_m, footprint.centre)
             rows.heights[:, row] = footprint.low, footprint.high
             self.kinematic.add(row, vehicle)
             self.held_count += 1
@@ -517,6 +552,7 @@ class TieredBodies:
         """Remove a body from its tier."""
         if self.rows.full[row] >= 0:
             self.move_to_kinematic(row)
+        self.surroundings.invalidate()
         if self.rows.is_held[row]:
             self.kinematic.remove(row)
             self.held_count -= 1
@@ -533,7 +569,7 @@ class TieredBodies:
         rows = self.rows
         rows.full[row], rows.tier[row] = number, Tier.FULL
         self.numbers[number] = row
-        self._invalidate()
+        self._invalidate(has_movers=False)
 
     def move_to_full(self, row: int, *, at_once: bool = False) -> int:
         """Add a body to the full engine if it is not there, and return its number.
@@ -552,7 +588,7 @@ class TieredBodies:
                 self._full.command([number], self.kinematic.targets_of(row))
             rows.full[row], rows.tier[row] = number, Tier.FULL
             self.numbers[number] = row
-            self._invalidate()
+            self._invalidate(has_movers=False)
         return int(rows.full[row])
 
     def add_guest(self, row: int, turning: float = 0.0) -> int:
@@ -567,15 +603,19 @@ class TieredBodies:
         self._full.remove(number)
         del self.numbers[number]
         self.rows.full[row], self.rows.tier[row] = -1, Tier.KINEMATIC
-        self._invalidate()
+        self._invalidate(has_movers=False)
 
     def set_state(self, row: int, base: FloatArray) -> None:
         """Record the state (13,) of a body that a request set."""
+        self.place(row, base)
+        self.surroundings.invalidate()
+
+    def place(self, row: int, base: FloatArray) -> None:
+        """Record the state (13,) of a body that is new."""
         if self.rows.is_static[row]:
             self._pending_outlines[row] = base.copy()
         elif self.held_count:
             self.record_states(np.array([row]), base[None])
-        self.surroundings.invalidate()
         self._last = None
         self._is_gathered = False
 
@@ -616,23 +656,35 @@ class TieredBodies:
         """Update rows, outlines and radii after changes."""
         if self._is_gathered:
             return
-        table = self.rows
+        self.gather_full()
+        self.kinematic.gather()
+        self.surroundings.gather()
+        self._is_gathered = True
+
+    def gather_full(self) -> None:
+        """Update outlines, and the rows and radii of the bodies that the full engine moves."""
         for row, base in self._pending_outlines.items():
             self.surroundings.set_outline(row, find_outline(self.models[row], base, self._corners))
         self._pending_outlines.clear()
-        self.kinematic.gather()
-        self.surroundings.gather()
+        if self._has_movers:
+            return
+        table = self.rows
         self.moving_rows = np.flatnonzero((table.tier == Tier.FULL) & ~table.is_static)
         self.movers = tuple(table.full[self.moving_rows].tolist())
         for row in self.moving_rows[table.radius[self.moving_rows] <= 0.0].tolist():
-            table.radius[row] = max(
-                find_bounding_radius(self.models[row], self._corners, unlimited_m=0.0), MIN_RADIUS_M
-            )
-        self._is_gathered = True
+            radius_m = find_bounding_radius(self.models[row], self._corners, unlimited_m=0.0)
+            table.set_disc(row, max(radius_m, MIN_RADIUS_M), (0.0, 0.0))
+        self._has_movers = True
 
-    def _invalidate(self) -> None:
+    def _invalidate(self, *, has_movers: bool = True) -> None:
+        """Note that rows have changed.
+
+        Args:
+            has_movers: Whether the bodies that the full engine moves are the same as before.
+        """
         self._last = None
         self._is_gathered = False
+        self._has_movers &= has_movers
         self.mappings.invalidate()
 
 
@@ -679,7 +731,7 @@ class TierSwitcher:
 
     def find_overlapping(self, row: int) -> tuple[list[int], bool]:
         """Find the rows of discs that a disc overlaps now, and whether it overlaps an edge."""
-        self._bodies.gather()
+        self._bodies.gather_full()
         if self._bodies.movers:
             self._read_full_bodies()
         return self._bodies.surroundings.find_overlapping(row)
@@ -782,7 +834,7 @@ class TieredEngine(EngineLayer):
         row = bodies.add(model, plan, is_auto=is_auto)
         if number >= 0:
             bodies.register_full(row, number)
-        bodies.set_state(row, base)
+        bodies.place(row, base)
         return row
 
     def remove(self, body: int) -> None:

@@ -24,6 +24,7 @@ from zensim.sim_server.parser_process import parser_client, parser_worker
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.parser_client import (
     DEADLINE_S,
+    MAX_IN_FLIGHT,
     MAX_SLOWDOWN,
     PARSER_NICENESS,
     ParserClient,
@@ -234,6 +235,40 @@ def test_parser_is_replaced_when_it_crashes(parser: ParserClient) -> None:
     assert isinstance(result, ParseResult)
     assert result.model is not None
     assert parser.process_id != first
+
+
+def test_many_requests_are_under_way_at_once(parser: ParserClient) -> None:
+    parse(parser, ParseRequest(0, ROBOT))
+    for number in range(1, MAX_IN_FLIGHT + 3):
+        parser.submit(ParseRequest(number, ROBOT))
+
+    found: list[ParsedMesh | ParseResult] = []
+
+    def are_all_there() -> bool:
+        found.extend(parser.poll())
+        return len(found) == MAX_IN_FLIGHT + 2
+
+    eventually(are_all_there, WITHIN_S, "all results")
+
+    numbers = [one.number for one in found if isinstance(one, ParseResult)]
+    assert numbers == list(range(1, MAX_IN_FLIGHT + 3))
+
+
+def test_requests_behind_one_that_ends_the_process_are_sent_again(store: AssetStore) -> None:
+    parser = ParserClient(store, time.monotonic_ns)
+    eventually(lambda: not parser.poll() and parser.is_ready, WITHIN_S, "a parser")
+    os.kill(parser.process_id, signal.SIGSTOP)
+    for number in (1, 2, 3):
+        parser.submit(ParseRequest(number, ROBOT))
+    parser.poll()
+    os.kill(parser.process_id, signal.SIGKILL)
+
+    results = poll_for_result(parser, 3)
+
+    found = [one for one in results if isinstance(one, ParseResult)]
+    assert [one.number for one in found] == [1, 2, 3]
+    assert [one.slug for one in found] == ["reader.crashed", "", ""]
+    parser.close()
 
 
 def test_parser_has_limits_on_files_memory_and_cpu_time(parser: ParserClient) -> None:

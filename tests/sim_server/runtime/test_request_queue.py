@@ -211,3 +211,25 @@ def test_queue_has_room_again_when_requests_are_taken() -> None:
     requests.add("a", size=MAX_WAITING_BYTES)
 
     assert not requests.queue.is_idle
+
+
+def test_budget_is_half_of_the_time_until_the_next_step_if_that_is_more() -> None:
+    requests = Requests()
+    for _ in range(9):
+        requests.add("a")
+    requests.budget.begin_step(STEP_NS, spare_ns=STEP_NS)
+
+    handled = requests.handle_all(a=STEP_NS // 8)
+
+    assert len(handled) == 3  # three quarters of half a step
+
+
+def test_budget_is_a_quarter_of_a_step_when_no_time_is_left() -> None:
+    requests = Requests()
+    for _ in range(9):
+        requests.add("a")
+    requests.budget.begin_step(STEP_NS, spare_ns=-STEP_NS)
+
+    handled = requests.handle_all(a=BUDGET_NS // 4)
+
+    assert len(handled) == 3

@@ -7,7 +7,7 @@ import pytest
 from tests.models import a_box, a_cart, a_state
 from zensim.proto.messages.entity_messages import EntityInfo
 from zensim.sim_server.errors import EntityNotFound
-from zensim.sim_server.world.entity import Entity
+from zensim.sim_server.world.entity import Entity, make_entity_index
 from zensim.sim_server.world.entity_store import EntityStore
 
 BOX = a_box()
@@ -125,3 +125,43 @@ def test_all_entities_are_replaced_and_staged_ones_dropped() -> None:
     assert (store.names, store.namespace_owners) == ({"b"}, {})
     assert store.find_owners([1, 2]) == ["b"]
     assert store.roster_number == 2
+
+
+def test_appended_entities_move_no_rows() -> None:
+    store = a_store(an_entity("a", body=1))
+    cart = a_cart()
+    for number, model in ((2, cart), (3, BOX), (4, cart)):
+        entity = replace(an_entity(f"e{number}", body=number), model=model)
+        store.stage(entity)
+        before = store.index
+        store.commit(entity)
+
+        index, whole = store.index, make_entity_index(tuple(store))
+
+        assert before.names == index.names[:-1]
+        assert (index.names, index.bodies, index.row) == (whole.names, whole.bodies, whole.row)
+        assert index.joint_start.tolist() == whole.joint_start.tolist()
+        assert index.joint_count.tolist() == whole.joint_count.tolist()
+
+
+def test_changes_are_listed_from_the_first_call_on() -> None:
+    store = a_store(an_entity("a", body=1))
+    first = store.take_changed()
+    for name, body in (("b", 2), ("c", 3)):
+        store.stage(an_entity(name, body=body))
+        store.commit(store.staged[0])
+    store.replace(an_entity("a", body=4))
+    store.remove("b")
+
+    assert first is None
+    assert store.take_changed() == ["c", "a", "b"]
+    assert store.take_changed() == []
+
+
+def test_changes_are_not_known_after_all_entities_were_replaced() -> None:
+    store = a_store(an_entity("a", body=1))
+    store.take_changed()
+
+    store.replace_all([an_entity("b", body=2)])
+
+    assert store.take_changed() is None

@@ -1,6 +1,6 @@
 """SimClient with the handlers of the server, on a bus in memory."""
 
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import pytest
 
@@ -12,9 +12,14 @@ from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Point, Pose, Twist, Vector3
+from zensim.sim_server.journal.journal_contents import RestoreProgress
 from zensim.sim_server.runtime.loop import ServerLoop
 from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
+from zensim.sim_server.runtime.restore_replies import RestoreReplies
 from zensim.spawner.client.sim_client import SimClient
+
+if TYPE_CHECKING:
+    from zensim.proto.network_protocols import ServerNetwork
 
 
 class ServedWorld:
@@ -122,6 +127,15 @@ def test_waiting_for_a_server_ends_when_it_starts() -> None:
     info = served.client.wait_for_server(0.0)
 
     assert (info.world, info.entities) == ("default", 1)
+
+
+def test_waiting_for_a_server_waits_for_the_end_of_its_restore() -> None:
+    bus, progress = MemoryBus(), RestoreProgress(total=2, done=1)
+    replies = RestoreReplies(cast("ServerNetwork", bus), "default", progress, is_secured=False)
+    bus.pumps.append(replies.poll)
+
+    with pytest.raises(TimeoutError, match="1 of 2"):
+        SimClient(cast("Bus", bus)).wait_for_server(0.0)
 
 
 def test_client_calls_its_own_world_only() -> None:

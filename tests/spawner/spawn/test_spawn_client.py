@@ -14,6 +14,8 @@ from zensim.proto.bus import Bus, NoServer
 from zensim.proto.messages.entity_messages import EntityFilters, EntityState
 from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError, SpawnCode
 from zensim.proto.messages.spawn_messages import (
+    MAX_SPAWNS,
+    NOT_SPAWNED_PREFIX,
     Resource,
     SpawnEntitiesOrder,
     SpawnEntitiesResponse,
@@ -251,6 +253,29 @@ def test_fleet_returns_an_outcome_per_robot() -> None:
     assert [outcome.code for outcome in outcomes] == [1, SpawnCode.NAME_NOT_UNIQUE, 1]
     assert outcomes[1].message == "NAME_NOT_UNIQUE (101): taken"
     assert done == ["r0", "r1", "r2"]
+
+
+def test_fleet_of_more_than_one_request_is_split() -> None:
+    client = RecordingClient()
+    placements = [RobotPlacement(f"r{i}", 0.0, 0.0) for i in range(2 * MAX_SPAWNS + 1)]
+
+    outcomes = spawn_fleet(client, "box_bot", placements, lambda _: None)
+
+    assert [one.name for one in outcomes] == [one.name for one in placements]
+    counts = [len(order.spawn_requests) for order in client.orders]
+    assert counts == [MAX_SPAWNS, MAX_SPAWNS, 1]
+
+
+def test_fleet_ends_at_the_first_request_that_is_refused() -> None:
+    client = RecordingClient(f"r{MAX_SPAWNS}")
+    placements = [RobotPlacement(f"r{i}", 0.0, 0.0) for i in range(2 * MAX_SPAWNS + 1)]
+
+    outcomes = spawn_fleet(client, "box_bot", placements, lambda _: None)
+
+    assert len(client.orders) == 2
+    assert len(outcomes) == len(placements)
+    assert outcomes[-1].code == ResultCode.OPERATION_FAILED
+    assert NOT_SPAWNED_PREFIX in outcomes[-1].message
 
 
 def test_fleet_fails_without_a_server() -> None:

@@ -18,7 +18,13 @@ from tests.sim_server.physics.kinematic.tiered_worlds import (
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.engine_config import EngineConfig
-from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
+from zensim.sim_server.physics.kinematic.tiered_engine import (
+    MAX_APPENDED_DISCS,
+    NEIGHBOUR_MARGIN_M,
+    NeighbourLists,
+    TieredEngine,
+)
+from zensim.sim_server.scene.footprints import StaticEdges
 
 EITHER: tuple[Dynamics, ...] = ("auto", "full")
 ALL: tuple[Dynamics, ...] = ("", "full", "kinematic", "auto")
@@ -209,3 +215,59 @@ def test_contacts_of_the_first_body_of_a_world_without_ground_are_read() -> None
     engine.close()
     assert set(touched[0]) == {box}
     assert set(touched[1]) == {table}
+
+
+def pairs_of(lists: NeighbourLists) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
+    """List pairs of discs, the lower index first, and pairs of a disc and an edge."""
+    discs = zip(lists.one.tolist(), lists.other.tolist(), strict=True)
+    edges = zip(lists.disc.tolist(), lists.edge.tolist(), strict=True)
+    return {(min(pair), max(pair)) for pair in discs}, set(edges)
+
+
+@pytest.mark.parametrize("added", [1, 7, MAX_APPENDED_DISCS, MAX_APPENDED_DISCS + 1])
+def test_appended_discs_have_the_pairs_of_new_lists(added: int) -> None:
+    random = np.random.default_rng(7)
+    count = 40 + added
+    centres = random.uniform(0.0, 6.0, (count, 2))
+    radius, way = random.uniform(0.1, 0.4, count), random.uniform(0.0, 0.05, count)
+    edges = StaticEdges(np.array([[0.0, 3.0, 6.0, 3.0]]), np.array([0.1]), np.array([[0.0, 1.0]]))
+    grown, whole = NeighbourLists(NEIGHBOUR_MARGIN_M), NeighbourLists(NEIGHBOUR_MARGIN_M)
+    for lists in (grown, whole):
+        lists.set_edges(edges)
+    grown.refresh(centres[:40], radius[:40], way[:40])
+
+    grown.refresh(centres, radius, way)
+    whole.refresh(centres, radius, way)
+
+    assert pairs_of(grown) == pairs_of(whole)
+
+
+def test_robot_that_is_added_on_the_way_of_another_makes_both_full() -> None:
+    with two_tiers() as engine:
+        left = engine.add(a_box_bot(), box_bot_at(0.0))
+        engine.command((left,), np.full(2, SPEED))
+        steps(engine, 20)
+        x = float(places(engine, [left])[0, 0])
+
+        right = engine.add(a_box_bot(), box_bot_at(x + 0.5))
+        while np.diff(places(engine, [left, right])[:, 0])[0] > 0.19:
+            engine.step()
+
+        assert engine.tier_of(left) == engine.tier_of(right) == "full"
+
+
+def test_robot_in_the_row_of_one_that_was_removed_has_its_own_neighbours() -> None:
+    with two_tiers() as engine:
+        left = engine.add(a_box_bot(), box_bot_at(0.0))
+        far = engine.add(a_box_bot(), box_bot_at(30.0))
+        engine.command((left,), np.full(2, SPEED))
+        steps(engine, 20)
+        x = float(places(engine, [left])[0, 0])
+        engine.remove(far)
+
+        right = engine.add(a_box_bot(), box_bot_at(x + 0.5))
+        while np.diff(places(engine, [left, right])[:, 0])[0] > 0.19:
+            engine.step()
+
+        assert right == far
+        assert engine.tier_of(right) == "full"

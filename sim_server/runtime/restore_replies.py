@@ -1,0 +1,94 @@
+"""Replies while a server restores its journal: its state at once, all else when it serves."""
+
+from __future__ import annotations
+
+from collections import deque
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Final
+
+from zensim.proto import keys
+from zensim.proto.messages.simulation_messages import (
+    GetSimulationStateResponse,
+    SimulationState,
+    State,
+)
+from zensim.proto.messages.telemetry_messages import PROTOCOL, Info
+from zensim.proto.service_catalog import GET_SIMULATION_STATE, INFO
+from zensim.sim_server.runtime.request_dispatcher import encode_response
+from zensim.sim_server.services.simulation_services import VERSION
+
+if TYPE_CHECKING:
+    import msgspec
+
+    from zensim.proto.network_protocols import ServerNetwork, ServiceCall
+    from zensim.sim_server.journal.journal_contents import RestoreProgress
+
+POLL_S: Final = 0.01
+MAX_HELD: Final = 4096
+"""Requests that wait for the end of a restore; more end without a value."""
+
+
+class RestoreReplies:
+    """Replies to `info` and `get_simulation_state` in a thread, and holds other requests."""
+
+    def __init__(
+        self, network: ServerNetwork, world: str, progress: RestoreProgress, *, is_secured: bool
+    ) -> None:
+        """Declare the services of a world, until `close`; `start` replies."""
+        self._world = world
+        self._progress = progress
+        wanted = (keys.services(world), *([keys.services_of_users(world)] if is_secured else []))
+        self._queues = [network.serve(key, MAX_HELD) for key in wanted]
+        self._held: deque[ServiceCall] = deque()
+        self._is_over = Event()
+        self._thread = Thread(target=self._run, name="restore-replies", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread that replies."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread, and hold what was received meanwhile; call it when others serve."""
+        if self._is_over.is_set():
+            return
+        self._is_over.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        for queue in self._queues:
+            queue.close()
+        self.poll()
+
+    def take(self) -> list[ServiceCall]:
+        """See `ServiceCallSource`."""
+        held, self._held = list(self._held), deque()
+        return held
+
+    def _run(self) -> None:
+        while not self._is_over.wait(POLL_S):
+            self.poll()
+
+    def poll(self) -> None:
+        """Reply to the requests received, or hold them."""
+        for call in [call for queue in self._queues for call in queue.take()]:
+            if (response := self._make_response(call.name)) is not None:
+                encoded = encode_response(call, response)
+                key = keys.service(self._world, call.name, call.user)
+                call.reply(encoded.payload, encoded.encoding, key)
+            elif len(self._held) < MAX_HELD:
+                self._held.append(call)
+            else:
+                call.drop()
+
+    def _make_response(self, service: str) -> msgspec.Struct | None:
+        if service == GET_SIMULATION_STATE.name:
+            return GetSimulationStateResponse(state=SimulationState(State.LOADING_WORLD))
+        if service != INFO.name:
+            return None
+        return Info(
+            world=self._world,
+            version=VERSION,
+            protocol=PROTOCOL,
+            state="restoring",
+            restored=self._progress.done,
+            to_restore=self._progress.total,
+        )

@@ -1,0 +1,63 @@
+"""RestoreReplies: the state of a server that restores, and requests that wait for its end."""
+
+from typing import TYPE_CHECKING, cast
+
+from tests.fakes import MemoryBus
+from zensim.proto.messages.simulation_messages import GetSimulationStateRequest, State
+from zensim.proto.messages.telemetry_messages import InfoRequest
+from zensim.proto.service_catalog import GET_ENTITIES, GET_SIMULATION_STATE, INFO
+from zensim.sim_server.journal.journal_contents import RestoreProgress
+from zensim.sim_server.runtime.restore_replies import RestoreReplies
+
+if TYPE_CHECKING:
+    from zensim.proto.network_protocols import ServerNetwork
+
+
+def some_replies(bus: MemoryBus, progress: RestoreProgress | None = None) -> RestoreReplies:
+    network = cast("ServerNetwork", bus)
+    replies = RestoreReplies(network, "w", progress or RestoreProgress(), is_secured=False)
+    bus.pumps.append(replies.poll)
+    return replies
+
+
+def test_info_has_the_progress_of_a_restore() -> None:
+    bus, progress = MemoryBus(), RestoreProgress(total=20, done=7)
+    some_replies(bus, progress)
+
+    info = bus.call(INFO, InfoRequest(), world="w")
+
+    assert (info.state, info.restored, info.to_restore) == ("restoring", 7, 20)
+
+
+def test_simulation_is_loading_during_a_restore() -> None:
+    bus = MemoryBus()
+    some_replies(bus)
+
+    response = bus.call(GET_SIMULATION_STATE, GetSimulationStateRequest(), world="w")
+
+    assert response.state.state == State.LOADING_WORLD
+
+
+def test_other_requests_wait_for_the_end_of_a_restore() -> None:
+    bus = MemoryBus()
+    replies = some_replies(bus)
+    bus.pumps.clear()
+    bus.ask(f"sim/w/{GET_ENTITIES.name}", b"", b"one")
+    replies.poll()
+    bus.ask(f"sim/w/{GET_ENTITIES.name}", b"", b"two")
+
+    replies.close()
+
+    assert [call.request_id for call in replies.take()] == [b"one", b"two"]
+    assert replies.take() == []
+    assert not bus.is_served("sim/w/info")
+
+
+def test_closing_twice_is_harmless() -> None:
+    replies = some_replies(MemoryBus())
+    replies.start()
+
+    replies.close()
+    replies.close()
+
+    assert replies.take() == []
