@@ -136,6 +136,7 @@ def _reply_meanwhile(
     """Reply to clients while the journal is restored: a large world takes seconds."""
     if journal is None or journal.contents is None:
         return None
+    journal.progress.total = len(journal.contents.entities)
     is_secured = bool(config.secure_folder)
     replies = RestoreReplies(bus, config.world, journal.progress, is_secured=is_secured)
     replies.start()
@@ -283,13 +284,16 @@ def _run(
 def _make_inbox(
     config: ServerConfig, bus: Bus, sources: Sequence[ServiceCallSource], hooks: ServerHooks
 ) -> BusInbox:
-    """Declare what the loop receives, with the requests that wait since the restore."""
-    held = hooks.restore_replies
-    others = (*sources, StepTopics(bus, config.world), *(() if held is None else (held,)))
-    inbox = BusInbox(bus, config.world, others, is_secured=bool(config.secure_folder))
-    if held is not None:
-        held.close()
-    return inbox
+    """Declare what the loop receives; take over the services of a restore."""
+    if hooks.restore_replies is not None:
+        hooks.restore_replies.close()
+    return BusInbox(
+        bus,
+        config.world,
+        (*sources, StepTopics(bus, config.world)),
+        is_secured=bool(config.secure_folder),
+        declared=hooks.restore_replies,
+    )
 
 
 def _freeze_garbage_collector() -> None:

@@ -72,6 +72,14 @@ class Inbox(Protocol):
         """Wait until replies are sent, except to clients that have stopped reading."""
 
 
+def declare_services(
+    network: ServerNetwork, world: str, *, is_secured: bool
+) -> tuple[ServiceCallSource, ...]:
+    """Declare all services of a world; of a secured one those of its users, too."""
+    wanted = (keys.services(world), *((keys.services_of_users(world),) if is_secured else ()))
+    return tuple([network.serve(key, CALLS_DEPTH) for key in wanted])
+
+
 class BusInbox:
     """Inbox on the keys of one world, and other sources of service calls."""
 
@@ -82,7 +90,22 @@ class BusInbox:
         others: tuple[ServiceCallSource, ...] = (),
         *,
         is_secured: bool = False,
+        declared: ServiceCallSource | None = None,
     ) -> None:
+        """Declare what the loop receives.
+
+        Args:
+            network: Declares it.
+            world: Name of the world, in all keys.
+            others: Sources of further requests.
+            is_secured: Whether users have services of their own.
+            declared: Source of the requests of services that are declared; None = declare them.
+        """
+        if declared is None:
+            services = declare_services(network, world, is_secured=is_secured)
+        else:
+            services = (declared,)
+        self._services = (*services, *others)
         self._network = network
         self._agents = network.watch_tokens(keys.alive_agents(world))
         self._bonds = network.watch_tokens(keys.bonds(world))
@@ -94,19 +117,10 @@ class BusInbox:
         self._sensor_replies = network.subscribe(SENSORS_REPLY.key(world, "*"), REPLY_DEPTH)
         self._clients = network.watch_tokens(keys.alive_clients(world))
         self._twists = network.subscribe(TWISTS.key(world), TWISTS_DEPTH, MAX_FLEET_COMMAND_BYTES)
-        self._calls = network.serve(keys.services(world), CALLS_DEPTH)
-        user_services = keys.services_of_users(world)
-        self._user_calls = network.serve(user_services, CALLS_DEPTH) if is_secured else None
-        self._others = others
 
     def take_calls(self) -> list[ServiceCall]:
         """See `Inbox`."""
-        calls: list[ServiceCall] = [*self._calls.take()]
-        if self._user_calls is not None:
-            calls += self._user_calls.take()
-        for source in self._others:
-            calls += source.take()
-        return calls
+        return [call for source in self._services for call in source.take()]
 
     def take_commands(self) -> list[Sample]:
         """See `Inbox`."""

@@ -274,7 +274,7 @@ class RequestDispatcher:
         is_complete = True
         for pending in self._pending[:]:
             client = pending.call.client
-            if not budget.may_run(client):
+            if not budget.may_finish(client):
                 is_complete = False
                 continue
             with budget.charge(client), _logged_with_id(pending.call):

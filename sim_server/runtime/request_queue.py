@@ -19,7 +19,8 @@ MAX_CLIENTS: Final = 1024
 BUDGET_SHARE: Final = 4
 """At most one part in so many of the time of a step goes to requests."""
 SPARE_SHARE: Final = 2
-"""One part in so many of the time that is left until the next step, if that is more."""
+"""Requests that were begun may use one part in so many of the time until the next step, if that
+is more."""
 LATE_NS: Final = 20_000_000
 """A loop that is later than this has no spare time, and gives requests half as much."""
 SHARE_OF_CLIENT: Final = 0.75
@@ -53,7 +54,7 @@ class RequestBudget:
             used_ns: Reads the CPU time of the loop's thread.
         """
         self._read_used_ns = used_ns
-        self._budget_ns = MIN_BUDGET_NS
+        self._budget_ns = self._spare_ns = MIN_BUDGET_NS
         self._used_ns = 0
         self._used_by_ns: dict[str, int] = {}
         """By client: time used since the last step, and debt."""
@@ -67,6 +68,11 @@ class RequestBudget:
         """Whether a client's next request may run now; after a step the first always may."""
         used_ns = self._used_by_ns.get(client, 0)
         return not self.is_used_up and used_ns < self._budget_ns * SHARE_OF_CLIENT
+
+    def may_finish(self, client: str) -> bool:
+        """Whether a client's request that was begun before may be finished now."""
+        used_ns, limit_ns = self._used_by_ns.get(client, 0), max(self._budget_ns, self._spare_ns)
+        return self._used_ns < limit_ns and used_ns < limit_ns * SHARE_OF_CLIENT
 
     @contextmanager
     def charge(self, client: str, fee_ns: int = 0) -> Iterator[None]:
@@ -88,13 +94,14 @@ class RequestBudget:
             spare_ns: Wall time until the next one is due.
         """
         share = BUDGET_SHARE * 2 if late_ns > LATE_NS else BUDGET_SHARE
-        self._budget_ns = max(step_ns // share, spare_ns // SPARE_SHARE, MIN_BUDGET_NS)
+        self._budget_ns = max(step_ns // share, MIN_BUDGET_NS)
+        self._spare_ns = spare_ns // SPARE_SHARE
         self._used_ns = 0
         self._used_by_ns = _pay(self._used_by_ns, self._budget_ns)
 
     def begin_slice(self) -> None:
         """Start a budget without debts: no step waits for requests."""
-        self._budget_ns, self._used_ns = SLICE_NS, 0
+        self._budget_ns, self._spare_ns, self._used_ns = SLICE_NS, 0, 0
         self._used_by_ns.clear()
 
 

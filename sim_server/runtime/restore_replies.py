@@ -14,6 +14,7 @@ from zensim.proto.messages.simulation_messages import (
 )
 from zensim.proto.messages.telemetry_messages import PROTOCOL, Info
 from zensim.proto.service_catalog import GET_SIMULATION_STATE, INFO
+from zensim.sim_server.runtime.loop_channels import declare_services
 from zensim.sim_server.runtime.request_dispatcher import encode_response
 from zensim.sim_server.services.simulation_services import VERSION
 
@@ -34,11 +35,10 @@ class RestoreReplies:
     def __init__(
         self, network: ServerNetwork, world: str, progress: RestoreProgress, *, is_secured: bool
     ) -> None:
-        """Declare the services of a world, until `close`; `start` replies."""
+        """Declare the services of a world; `start` replies."""
         self._world = world
         self._progress = progress
-        wanted = (keys.services(world), *([keys.services_of_users(world)] if is_secured else []))
-        self._queues = [network.serve(key, MAX_HELD) for key in wanted]
+        self._services = declare_services(network, world, is_secured=is_secured)
         self._held: deque[ServiceCall] = deque()
         self._is_over = Event()
         self._thread = Thread(target=self._run, name="restore-replies", daemon=True)
@@ -48,20 +48,18 @@ class RestoreReplies:
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread, and hold what was received meanwhile; call it when others serve."""
-        if self._is_over.is_set():
-            return
+        """End the thread; the loop takes the requests from now on."""
         self._is_over.set()
         if self._thread.is_alive():
             self._thread.join()
-        for queue in self._queues:
-            queue.close()
-        self.poll()
 
     def take(self) -> list[ServiceCall]:
-        """See `ServiceCallSource`."""
+        """See `ServiceCallSource`; call it after `close`."""
         held, self._held = list(self._held), deque()
-        return held
+        return [*held, *self._take_new()]
+
+    def _take_new(self) -> list[ServiceCall]:
+        return [call for service in self._services for call in service.take()]
 
     def _run(self) -> None:
         while not self._is_over.wait(POLL_S):
@@ -69,7 +67,7 @@ class RestoreReplies:
 
     def poll(self) -> None:
         """Reply to the requests received, or hold them."""
-        for call in [call for queue in self._queues for call in queue.take()]:
+        for call in self._take_new():
             if (response := self._make_response(call.name)) is not None:
                 encoded = encode_response(call, response)
                 key = keys.service(self._world, call.name, call.user)

@@ -274,8 +274,7 @@ def spawn_many(
 ) -> list[SpawnOutcome]:
     """Spawn robots on the ground, each in its own namespace, by one request for `MAX_SPAWNS`.
 
-    With more robots the first request that fails is the last one: later robots are not spawned,
-    and those of earlier requests stay.
+    The first atomic request that fails is the last one; robots of earlier requests stay.
 
     Args:
         client: Client of a server that has the files.
@@ -297,15 +296,16 @@ def spawn_many(
         controllers=payload.controllers.texts,
     )
     outcomes: list[SpawnOutcome] = []
+    failed = ""
     for start in range(0, len(placements), MAX_SPAWNS):
         part = placements[start : start + MAX_SPAWNS]
-        order = SpawnEntitiesOrder(tuple(map(_make_order, part)), is_atomic, common)
-        outcomes += map(_make_outcome, part, client.spawn_all(order).results)
+        request = SpawnEntitiesOrder(tuple(map(_make_order, part)), is_atomic, common)
+        outcomes += map(_make_outcome, part, client.spawn_all(request).results)
         failed = next((one.name for one in outcomes if one.code != ResultCode.OK), "")
         if is_atomic and failed:
-            outcomes += [_refuse_later(robot, failed) for robot in placements[len(outcomes) :]]
             break
-    return outcomes
+    later = placements[len(outcomes) :]
+    return [*outcomes, *(_refuse_later(robot, failed) for robot in later)]
 
 
 def _refuse_later(robot: RobotPlacement, failed: str) -> SpawnOutcome:

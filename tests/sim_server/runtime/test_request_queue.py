@@ -213,23 +213,26 @@ def test_queue_has_room_again_when_requests_are_taken() -> None:
     assert not requests.queue.is_idle
 
 
-def test_budget_is_half_of_the_time_until_the_next_step_if_that_is_more() -> None:
+def test_begun_requests_have_half_of_the_time_until_the_next_step() -> None:
     requests = Requests()
-    for _ in range(9):
-        requests.add("a")
     requests.budget.begin_step(STEP_NS, spare_ns=STEP_NS)
+    finished = 0
+    while requests.budget.may_finish("a"):
+        with requests.budget.charge("a"):
+            requests.thread.used_ns += STEP_NS // 8
+        finished += 1
 
-    handled = requests.handle_all(a=STEP_NS // 8)
+    assert finished == 3  # three quarters of half a step
+    assert not requests.budget.may_run("a")
 
-    assert len(handled) == 3  # three quarters of half a step
 
-
-def test_budget_is_a_quarter_of_a_step_when_no_time_is_left() -> None:
+def test_begun_requests_have_a_quarter_of_a_step_when_no_time_is_left() -> None:
     requests = Requests()
-    for _ in range(9):
-        requests.add("a")
     requests.budget.begin_step(STEP_NS, spare_ns=-STEP_NS)
+    finished = 0
+    while requests.budget.may_finish("a"):
+        with requests.budget.charge("a"):
+            requests.thread.used_ns += BUDGET_NS // 4
+        finished += 1
 
-    handled = requests.handle_all(a=BUDGET_NS // 4)
-
-    assert len(handled) == 3
+    assert finished == 3
