@@ -288,24 +288,28 @@ def spawn_many(
         TimeoutError: The server does not reply.
         ServiceError: The server refused the whole request.
     """
-    common = msgspec.structs.replace(
+    common = _share_payload(order, payload)
+    outcomes: list[SpawnOutcome] = []
+    failed = ""
+    for start in range(0, len(placements), MAX_SPAWNS):
+        part = placements[start : start + MAX_SPAWNS]
+        batch = SpawnEntitiesOrder(tuple(map(_make_order, part)), is_atomic, common)
+        outcomes += map(_make_outcome, part, client.spawn_all(batch).results)
+        failed = next((one.name for one in outcomes if one.code != ResultCode.OK), "")
+        if is_atomic and failed:
+            break
+    later = placements[len(outcomes) :]
+    return [*outcomes, *(_refuse_later(robot, failed) for robot in later)]
+
+
+def _share_payload(order: SpawnEntityOrder, payload: SpawnPayload) -> SpawnEntityOrder:
+    return msgspec.structs.replace(
         order,
         snap_to_ground=True,
         entity_resource=make_shared_resource(payload),
         assets=payload.bundle.refs,
         controllers=payload.controllers.texts,
     )
-    outcomes: list[SpawnOutcome] = []
-    failed = ""
-    for start in range(0, len(placements), MAX_SPAWNS):
-        part = placements[start : start + MAX_SPAWNS]
-        request = SpawnEntitiesOrder(tuple(map(_make_order, part)), is_atomic, common)
-        outcomes += map(_make_outcome, part, client.spawn_all(request).results)
-        failed = next((one.name for one in outcomes if one.code != ResultCode.OK), "")
-        if is_atomic and failed:
-            break
-    later = placements[len(outcomes) :]
-    return [*outcomes, *(_refuse_later(robot, failed) for robot in later)]
 
 
 def _refuse_later(robot: RobotPlacement, failed: str) -> SpawnOutcome:
