@@ -1,4 +1,4 @@
-"""Models as engines get them: one object for all that differ in names, topics and reports alone."""
+"""Models as engines get them: one object for all that differ in topics and reports alone."""
 
 from collections import OrderedDict
 from typing import Final
@@ -12,10 +12,10 @@ MAX_BODY_MODELS: Final = 512
 
 
 class BodyModels:
-    """Finds the model that bodies of equal build share.
+    """Finds the model that bodies of equal name and build share.
 
     Engines prepare, plan and validate each model object once. Robots that are spawned one by one
-    have a model each, as their descriptions have their names.
+    have a model each, as their descriptions have their namespaces.
     """
 
     def __init__(self) -> None:
@@ -40,7 +40,6 @@ def _find_build(model: Model) -> Model:
         )
     return msgspec.structs.replace(
         model,
-        name="",
         drive=drive,
         frames=(),
         joint_state=None,

@@ -357,14 +357,8 @@ class SimulatedWorld:
 
     def _add_body(self, model: Model, base: FloatArray) -> int:
         """Add a body; raises EngineRefused, whatever the engine raises."""
-        shared = self._body_models.find(model)
         with refuse_faults(f"model '{model.name}'"):
-            try:
-                return self.engine.add(shared, base)
-            except EngineRefused:
-                if shared is model:
-                    raise
-            return self.engine.add(model, base)  # the refusal names this model
+            return self.engine.add(self._body_models.find(model), base)
 
     @contextmanager
     def _rollback_on_refusal(self, entity: Entity) -> Iterator[None]:

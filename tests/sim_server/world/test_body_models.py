@@ -15,13 +15,12 @@ def in_namespace(model: Model, namespace: str) -> Model:
     return replace(model, drive=replace(model.drive, ros=RosBlock(namespace)))
 
 
-def test_models_that_differ_in_names_and_reports_share_one() -> None:
+def test_models_that_differ_in_topics_and_reports_share_one() -> None:
     models, cart = BodyModels(), a_cart()
 
     found = models.find(cart)
 
     assert found is cart
-    assert models.find(replace(cart, name="other")) is cart
     assert models.find(in_namespace(cart, "r1")) is cart
     assert models.find(replace(cart, report=(ReportEntry("applied", "x"),))) is cart
 
@@ -31,9 +30,11 @@ def test_models_that_are_built_otherwise_do_not_share() -> None:
     models.find(cart)
     static = replace(cart, is_static=True)
     kinematic = replace(cart, dynamics="kinematic")
+    other = replace(cart, name="other")
 
     assert models.find(static) is static
     assert models.find(kinematic) is kinematic
+    assert models.find(other) is other
     assert models.find(replace(cart)) is cart
 
 
