@@ -239,7 +239,8 @@ class GroupTopic:
             self._demand_version = self.publisher.version
             self._demand = np.array(list(map(self.publisher.find_demand, self._members)), np.int8)
         demand = self._demand[rows]
-        named, others = rows[demand == NAMED], rows[demand == OTHERS]
+        named: IntArray = rows[demand == NAMED]
+        others = rows[demand == OTHERS]
         if not len(others):
             return named
         if (count := budget.take(self.publisher, len(others))) < len(others):

@@ -379,7 +379,12 @@ def test_undeclared_publisher_of_a_watch_reaches_subscribers(router: Bus, client
     publisher.send(b"3", b"", client.stamp())
 
     found: list[Sample] = []
-    eventually(lambda: found.extend(received.take()) or len(found) == 3, 5.0, "arriving")
+
+    def take_all() -> bool:
+        found.extend(received.take())
+        return len(found) == 3
+
+    eventually(take_all, 5.0, "arriving")
     assert [sample.payload for sample in found] == [b"1", b"2", b"3"]
     assert {sample.encoding for sample in found} == {"application/cdr"}
     assert found[1].attachment == b"attached"

@@ -9,6 +9,7 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +127,10 @@ def test_program_of_a_service_becomes_ready(deployment: Deployment, name: str) -
     assert probe(deployment.ports[name], "/livez") == 200
 
 
+def has_two(port: str) -> bool:
+    return scrape(port).get(("zensim_agent_robots",)) == 2
+
+
 def test_both_pools_drive_and_the_recorder_records(deployment: Deployment) -> None:
     operator = ("token", "show", "operator", "--as", "token")
     token = zensim(*operator).stdout.strip()
@@ -133,11 +138,7 @@ def test_both_pools_drive_and_the_recorder_records(deployment: Deployment) -> No
 
     assert spawned.returncode == ExitCode.OK, spawned.stderr
     for pool in ("pool-1", "pool-2"):
-        eventually(
-            lambda pool=pool: scrape(deployment.ports[pool]).get(("zensim_agent_robots",)) == 2,
-            WITHIN_S,
-            f"robots of {pool}",
-        )
+        eventually(partial(has_two, deployment.ports[pool]), WITHIN_S, f"robots of {pool}")
     eventually(
         lambda: (
             scrape(deployment.ports["recorder"]).get(("zensim_recorder_messages_total",), 0) > 50

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -103,9 +104,13 @@ def test_series_are_few(programs: Programs, name: str) -> None:
     assert len(scrape(programs.ports[name])) <= MAX_SERIES
 
 
+def is_ready(port: str) -> bool:
+    return probe(port, "/readyz") == 200
+
+
 def test_metrics_of_alerts_and_dashboard_are_those_of_the_programs(programs: Programs) -> None:
     for port in programs.ports.values():
-        eventually(lambda port=port: probe(port, "/readyz") == 200, WITHIN_S, "readiness")
+        eventually(partial(is_ready, port), WITHIN_S, "readiness")
     queries = [*list_alert_queries(), *list_dashboard_queries()]
 
     found = set().union(*map(list_metric_names, programs.ports.values()))

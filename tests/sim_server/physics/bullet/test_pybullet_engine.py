@@ -104,7 +104,8 @@ def test_suppress_output_leaves_no_file_open() -> None:
         with suppress_output():
             pass
 
-    assert len(os.listdir("/proc/self/fd")) == before  # noqa: PTH208
+    # The collector may close what other tests left.
+    assert len(os.listdir("/proc/self/fd")) <= before  # noqa: PTH208
 
 
 DT_S = STEP_NS * 1e-9
