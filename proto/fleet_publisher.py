@@ -398,7 +398,7 @@ class RosFleetPublisher:
         return make_cache_key(key, self._graph.zid)
 
 
-UNWANTED, NAMED, OTHERS = DEMANDS = range(3)
+UNWANTED, NAMED, OTHERS = range(3)
 """No subscriber; one of its own; one by wildcard, within the budget. See `SubscribedKeys`."""
 MAX_DECLARED_AT_ONCE = 32
 """Publishers declared or checked in one call: a few milliseconds."""
@@ -553,7 +553,7 @@ class FleetTopicPublisher:
         return self._members.get(key, ())
 
     def find_demand(self, member: TopicMember) -> int:
-        """Find who needs the messages of a member of a topic of many: a constant of `DEMANDS`."""
+        """Find who needs a member's messages: `UNWANTED`, `NAMED` or `OTHERS`."""
         searched = [self._searched, None if self._ros is None else self._ros.searched]
         known = [one for one in searched if one is not None]
         if any(member in one.named for one in known):
