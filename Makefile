@@ -107,8 +107,9 @@ site: setup ## build/site: the documents as a site
 docs-media: setup packages ## pictures and film of the page in docs/images
 	$(BIN)/python -m tests.integration.docs_media
 
-bench: setup ## measure and rewrite docs/benchmarks.md
+bench: setup ## measure and rewrite docs/benchmark_results.md and docs/benchmarks.md
 	$(BIN)/python -m benchmarks
+	$(BIN)/python -m benchmarks.overview_page
 
 house: setup ## figures of the source tree: files, lines, repeated names, files of a flow
 	$(BIN)/python -m benchmarks.house
@@ -164,6 +165,8 @@ pins: ## resolve requirements/ anew
 			--generate-hashes --no-strip-extras --no-emit-index-url --no-annotate --custom-compile-command "make pins" \
 			-o requirements/$$name.txt; \
 	done
+	echo ir-sim | build/pins/bin/uv pip compile -q - --universal --python-version 3.10 --generate-hashes \
+		--no-emit-index-url --no-annotate --custom-compile-command "make pins" -o requirements/peers.txt
 
 ci: ## what CI runs
 	@bash .ci/run

@@ -1,13 +1,13 @@
-"""`python -m benchmarks [NAME ...] [--short]`: measure, print, and rewrite docs/benchmarks.md.
+"""`python -m benchmarks [NAME ...] [--short | --write]`: measure, and print.
 
-The page is written only if every section was measured at full length.
+Sections go to docs/benchmark_results.md with `--write`, and if none is named.
 """
 
 from benchmarks.benchmark_report import HEAD, NAMES, measure
 from benchmarks.document_command import Document
 from benchmarks.machine import ROOT
 
-PAGE = ROOT / "docs" / "benchmarks.md"
+PAGE = ROOT / "docs" / "benchmark_results.md"
 DOCUMENT = Document(
     program="benchmarks",
     names=NAMES,

@@ -182,6 +182,8 @@ def _shares(floors: list[Turn], turns: list[Spent]) -> tuple[float, ...]:
 
 
 def _parts(case: Case, looks: list[Spent]) -> Parts:
+    if not all(sample.parts_s for sample in looks):
+        raise RuntimeError(f"{case.label}: the server timed no parts of its loop")
     own_ms = {
         part: statistics.median(sample.parts_s.get(part, 0.0) / sample.steps for sample in looks)
         * MILLISECONDS

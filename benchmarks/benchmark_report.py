@@ -8,6 +8,8 @@ from benchmarks import machine
 from benchmarks.figures import Figure, missed
 
 NAMES = (
+    "overview",
+    "peers",
     "start",
     "cli",
     "cost",
@@ -57,11 +59,12 @@ NAMES = (
     "codec",
     "replay",
 )
-HEAD = """# Benchmarks
+HEAD = """# Results of benchmarks
 
-`make bench` runs every section and rewrites this page; the command below a heading runs that
-section alone. *n* is the number of samples; a tenth of them is below p10, a tenth above p90.
-Figures of single parts: [what parts cost](figures.md).
+All figures, section by section; [benchmarks](benchmarks.md) is the short form. The command below a
+heading measures that section; with `--write` it also replaces the section here. `make bench` does
+so with all. *n* is the number of samples; a tenth of them is below p10, a tenth above p90. Figures
+of single parts: [what parts cost](figures.md).
 """
 
 
@@ -85,16 +88,3 @@ def measure(name: str, *, is_short: bool) -> Section:
         f"Other programs kept {others:.2f} cores busy meanwhile.\n",
         tuple(missed(row) for row in rows if isinstance(row, Figure) and row.is_missed),
     )
-
-
-def page(sections: list[Section], load_before: str, head: str = HEAD) -> str:
-    """Format the document."""
-    facts = "".join(f"| {what} | {fact} |\n" for what, fact in machine.description(load_before))
-    misses = [line for section in sections for line in section.missed]
-    verdict = "".join(f"- {line}\n" for line in misses) or "Nothing.\n"
-    parts = [
-        f"{head}\n| machine | |\n|---|---|\n{facts}",
-        f"## Missed\n\n{verdict}",
-        *(section.text for section in sections),
-    ]
-    return "\n".join(parts)

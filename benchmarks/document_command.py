@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Protocol
 
 from benchmarks import machine
-from benchmarks.benchmark_report import Section, page
+from benchmarks.benchmark_report import Section
+from benchmarks.measured_page import format_page, read_sections
 from zensim.proto.process_limits import PARENT_PID_VARIABLE
 
 
@@ -22,7 +23,7 @@ class Make(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Document:
-    """The sections of a page, and its path."""
+    """The sections of a page in their order, and its path."""
 
     program: str
     """Module to run."""
@@ -36,25 +37,37 @@ class Document:
     """Sections of the short form when none are named; all if empty."""
 
     def write(self) -> list[Section]:
-        """Measure the named sections; write the page after all ran at full length."""
+        """Measure the named sections; write each into the page once it ran at full length."""
         arguments = self._parse_arguments()
         # Child processes exit with this one, even if it is killed.
         os.environ[PARENT_PID_VARIABLE] = str(os.getpid())
-        load_before, sections = machine.load(), []
+        is_written = not arguments.short and (arguments.write or not arguments.names)
         usual = self.short_names if arguments.short and self.short_names else self.names
+        sections = []
         for name in arguments.names or usual:
+            origin = machine.describe_run()
             sections.append(self.make(name, is_short=arguments.short))
             sys.stdout.write(sections[-1].text + "\n")
             sys.stdout.flush()
-        if not arguments.names and not arguments.short:
-            self.path.write_text(page(sections, load_before, self.head), encoding="utf-8")
+            if is_written:
+                self._replace(name, f"{sections[-1].text}\n{origin}\n")
         return sections
+
+    def _replace(self, name: str, text: str) -> None:
+        before = self.path.read_text(encoding="utf-8") if self.path.exists() else ""
+        sections = {**read_sections(before), name: text}
+        page = format_page(self.head, machine.describe_machine(), sections, self.names)
+        self.path.write_text(page, encoding="utf-8")
 
     def _parse_arguments(self) -> argparse.Namespace:
         known = ", ".join(self.names)
         parser = argparse.ArgumentParser(prog=f"python -m {self.program}")
         parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {known}")
-        parser.add_argument("--short", action="store_true", help=self.short)
+        length = parser.add_mutually_exclusive_group()
+        length.add_argument("--short", action="store_true", help=self.short)
+        length.add_argument(
+            "--write", action="store_true", help=f"replace the sections in {self.path.name}"
+        )
         arguments = parser.parse_args()
         if unknown := set(arguments.names) - set(self.names):
             parser.error(f"unknown: {', '.join(sorted(unknown))}; there are {known}")

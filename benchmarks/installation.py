@@ -38,14 +38,20 @@ class Installation:
 
 @contextmanager
 def run_installation(
-    serve: Sequence[str], agents: Sequence[Sequence[str]]
+    serve: Sequence[str], agents: Sequence[Sequence[str]], *, has_router: bool = True
 ) -> Iterator[Installation]:
-    """Run a router, a server without robots, and agents with these arguments."""
+    """Run a server without robots, and agents with these arguments.
+
+    The router is a process of its own, or that of the server.
+    """
     endpoint = free_endpoint()
     with ExitStack() as stack:
-        router = stack.enter_context(running("router", "--listen", endpoint))
-        bus = stack.enter_context(connected(endpoint, router))
-        server = stack.enter_context(running("serve", "--connect", endpoint, *serve))
+        routers = (
+            [stack.enter_context(running("router", "--listen", endpoint))] if has_router else []
+        )
+        how = "--connect" if has_router else "--listen"
+        server = stack.enter_context(running("serve", how, endpoint, *serve))
+        bus = stack.enter_context(connected(endpoint, (*routers, server)[0]))
         client = SimClient(bus, timeout_s=CALL_TIMEOUT_S)
         client.wait_for_server(PATIENCE_S)
         agents_started = [
@@ -54,7 +60,7 @@ def run_installation(
         ]
         children = psutil.Process(server.pid).children(recursive=True)
         pids = {
-            "router": (router.pid,),
+            **({"router": (routers[0].pid,)} if routers else {}),
             "server": (server.pid, *(child.pid for child in children)),
             "agents": tuple(agent.pid for agent in agents_started),
         }

@@ -4,7 +4,6 @@ import os
 import platform
 import subprocess
 import time
-from collections.abc import Iterator
 from datetime import datetime, timezone
 from importlib.metadata import version
 from pathlib import Path
@@ -21,17 +20,24 @@ def load() -> str:
     return ", ".join(f"{number:.2f}" for number in os.getloadavg())
 
 
-def description(load_before: str) -> Iterator[tuple[str, str]]:
+def describe_machine() -> tuple[tuple[str, str], ...]:
     """List what a reader needs to compare figures with those of another machine."""
-    yield "measured", f"{datetime.now(timezone.utc):%Y-%m-%d %H:%M} UTC"
-    yield "zensim", f"{version('zensim')}, commit {_commit()}"
-    yield "cores", str(len(os.sched_getaffinity(0)))
-    yield "CPU", _cpu_model()
-    yield "memory", f"{psutil.virtual_memory().total / 2**30:.1f} GiB"
-    yield "system", f"{platform.system()} {platform.release()} {platform.machine()}"
-    yield "Python", platform.python_version()
-    yield "libraries", ", ".join(f"{name} {version(name)}" for name in LIBRARIES)
-    yield "load average before", f"{load_before} (1, 5, 15 min)"
+    return (
+        ("cores", str(len(os.sched_getaffinity(0)))),
+        ("CPU", _cpu_model()),
+        ("memory", f"{psutil.virtual_memory().total / 2**30:.1f} GiB"),
+        ("system", f"{platform.system()} {platform.release()} {platform.machine()}"),
+        ("Python", platform.python_version()),
+        ("libraries", ", ".join(f"{name} {version(name)}" for name in LIBRARIES)),
+    )
+
+
+def describe_run() -> str:
+    """Format when, and with which code, a measurement begins."""
+    return (
+        f"Measured {datetime.now(timezone.utc):%Y-%m-%d %H:%M} UTC, zensim {version('zensim')}, "
+        f"commit {_commit()}; load average before {load()} (1, 5, 15 min)."
+    )
 
 
 class Work(msgspec.Struct, frozen=True):

@@ -55,7 +55,7 @@ class UsageReporter:
 
     def install(self) -> None:
         """Report at every change of state."""
-        signal.signal(signal.SIGUSR1, lambda *_: setattr(self, "_is_asked", True))
+        signal.signal(signal.SIGUSR1, lambda *_: setattr(self, "_is_requested", True))
         watch = self
 
         def make_world(world: SimulatedWorld, engine: Engine, **options: Any) -> None:  # noqa: ANN401

@@ -2,12 +2,15 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from benchmarks.__main__ import PAGE
-from benchmarks.benchmark_report import NAMES, Section, measure, page
+from benchmarks.benchmark_report import NAMES, Section, measure
+from benchmarks.document_command import Document
 from benchmarks.machine import ROOT, Work, others_cores
+from zensim.proto.process_limits import PARENT_PID_VARIABLE
 
 
 def run(*arguments: str) -> "subprocess.CompletedProcess[str]":
@@ -49,18 +52,34 @@ def test_command_refuses_a_name_that_it_does_not_know() -> None:
     assert f"unknown: fast; there are {', '.join(NAMES)}" in done.stderr
 
 
-def test_page_names_the_machine_and_what_was_missed() -> None:
-    sections = [Section("## One\n", ("way: asked",)), Section("## Two\n", ())]
-
-    text = page(sections, "0.10, 0.20, 0.30")
-
-    assert "| load average before | 0.10, 0.20, 0.30 (1, 5, 15 min) |" in text
-    assert "## Missed\n\n- way: asked\n" in text
-    assert text.index("## One") < text.index("## Two")
+def make_section(name: str, *, is_short: bool) -> Section:
+    return Section(f"## {name}\n\n`python -m trial {name}`\n\nshort: {is_short}\n", ())
 
 
-def test_page_says_that_nothing_was_missed() -> None:
-    assert "## Missed\n\nNothing.\n" in page([Section("## One\n", ())], "")
+def test_what_was_measured_at_full_length_goes_to_the_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    document = Document(
+        program="trial",
+        names=("one", "two"),
+        make=make_section,
+        short="less",
+        path=tmp_path / "page.md",
+        head="# Trial\n",
+    )
+
+    def written(*arguments: str) -> list[str]:
+        monkeypatch.setattr(sys, "argv", ["trial", *arguments])
+        document.path.write_text("# Trial\n\n## Two\n\n`python -m trial two`\n\nas before\n")
+        document.write()
+        text = document.path.read_text()
+        return [name for name in ("one", "two", "as before", "Measured") if name in text]
+
+    monkeypatch.setenv(PARENT_PID_VARIABLE, "")
+    assert written("one", "--short") == ["two", "as before"]
+    assert written("one") == ["two", "as before"]
+    assert written("one", "--write") == ["one", "two", "as before", "Measured"]
+    assert written() == ["one", "two", "Measured"]
 
 
 def test_others_cores_are_what_was_used_and_not_by_this_program() -> None:

@@ -1,6 +1,6 @@
-"""`python -m tests.chaos [NAME ...] [--short]`: break things, print, and rewrite docs/chaos.md.
+"""`python -m tests.chaos [NAME ...] [--short | --write]`: break things, and print.
 
-The page is written only when everything ran at full length; the status is 1 when a figure was
+Sections go to docs/chaos.md with `--write`, and if none is named; the status is 1 when a figure was
 missed.
 """
 
@@ -36,7 +36,8 @@ NAMES = (
 HEAD = """# Faults
 
 `make chaos` injects all of these faults and rewrites this page; the command below a heading injects
-those of that section alone. *n* is the number of samples.
+those of that section alone, and replaces the section with `--write`. *n* is the number of samples.
+[Reliability](reliability.md) has further figures.
 """
 
 
