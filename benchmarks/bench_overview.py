@@ -2,11 +2,12 @@
 
 What a user gets: `zensim serve`, two pools of agents, and a client that commands each robot once a
 second to drive in a circle; all are processes of their own, connected through the server's router.
-Nobody subscribes to odometry. The real-time factor that is wanted is 1. Full dynamics have wheels,
-masses and contacts; a kinematic robot is a point with a heading that others block; with auto, a
-robot is kinematic until something is near. CPU and memory are those of all processes but the
-client, memory is what only they use. The time of spawning is from the request to the moment when
-each robot is claimed by a pool. One run of 12 s each.
+Robots keep their last command (`--cmd-vel-timeout 0`). Nobody subscribes to odometry. The real-time
+factor that is wanted is 1. Full dynamics have wheels, masses and contacts; a kinematic robot is a
+point with a heading that others block; with auto, a robot is kinematic until something is near. CPU
+and memory are those of all processes but the client, memory is what only they use. The time of
+spawning is from the request to the moment when each robot is claimed by a pool. One run of 12 s
+each.
 """
 
 import time
@@ -24,7 +25,7 @@ from tests.integration.processes import eventually
 SECONDS, SECONDS_WHEN_SHORT = 12.0, 0.5
 SETTLE_S = 3.0
 """After all are claimed; all are commanded within one second."""
-POOLS = 2
+POOLS, POOL = 2, ("--pool", "0", "--cmd-vel-timeout", "0")
 COMMANDS_HZ = 1.0
 CLAIMED_WITHIN_S = 120.0
 MEGABYTES = 1e-6
@@ -103,7 +104,7 @@ def table(fleets: Iterable[Fleet]) -> str:
 def drive_fleet(physics: Physics, robots: int, seconds: float) -> Fleet:
     """Run a fleet for this wall time [s], and measure it."""
     serve = ("--step-hz", f"{physics.step_hz:g}", *physics.arguments)
-    with run_installation(serve, (("--pool", "0"),) * POOLS, has_router=False) as crew:
+    with run_installation(serve, (POOL,) * POOLS, has_router=False) as crew:
         began_s = time.monotonic()
         spawn(crew.client, robots)
         eventually(lambda: crew.client.info().claimed == robots, CLAIMED_WITHIN_S, "claiming")

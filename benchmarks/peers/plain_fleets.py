@@ -17,6 +17,8 @@ from zensim.proto.messages.model_messages import Dynamics
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoReplicas
 
 MUJOCO_HZ, KINEMATIC_HZ = 100.0, 20.0
+CONTROL_HZ = 20.0
+"""Of `zensim.World`."""
 WORLD_ROBOTS = 10
 """Robots of one MuJoCo model: several small worlds are faster than a large one."""
 SETTLE_S = 1.0
@@ -77,7 +79,7 @@ def drive_world(
     robots: int, seconds: float, *, engine: str, step_hz: float, dynamics: Dynamics = "full"
 ) -> Driven:
     """Drive in `zensim.World`, each robot by its drive and with odometry."""
-    with zensim.World(engine=engine, step_hz=step_hz) as world:
+    with zensim.World(engine=engine, step_hz=step_hz, control_hz=CONTROL_HZ) as world:
         world.spawn_fleet("box_bot", count=robots, spacing=SPACING_M, dynamics=dynamics)
         fleet = world.fleet(list(world.robots))
         fleet.drive(*CIRCLE)
