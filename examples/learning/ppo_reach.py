@@ -206,7 +206,7 @@ def draw_curve(path: str, curve: list[tuple[float, float]]) -> None:
 def main() -> None:
     """Learn, and print the share of robots that reach their goals."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--updates", type=int, default=60)
+    parser.add_argument("--updates", type=int, default=40)
     parser.add_argument("--worlds", type=int, default=16)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--picture", default="", help="PNG file of the curve")
