@@ -34,8 +34,9 @@ figures, how each is measured, and the command that repeats it on your machine.
 """
 FLEETS = """## Fleets in real time
 
-{machine}. `zensim serve`, two pools of agents, and a client that commands every robot once a
-second. A factor of 1.00 is real time: the simulation keeps up. To measure it on your machine:
+{machine}.
+`zensim serve`, two pools of agents, and a client that commands every robot once a second. A factor
+of 1.00 is real time: the simulation keeps up. To measure it on your machine:
 `.venv/bin/python -m benchmarks overview`.
 """
 PEERS = """## Beside other simulators
@@ -43,6 +44,7 @@ PEERS = """## Beside other simulators
 The same robots on the same circles, each simulator with its own best settings and in one process;
 the rows with a network count server and agents. `.venv/bin/python -m benchmarks peers` repeats it.
 """
+UNMEASURED = "Not measured yet.\n"
 MISSED = """## What was asked and is missed
 
 Limits are for two cores. Each line names the figure, what was asked and what was seen; floods and
@@ -58,9 +60,9 @@ def make_page(results: str) -> str:
         HEAD,
         FLEETS.format(machine=f"Measured on {cores} cores, {cpu}"),
         _format_table(find_table(sections, "overview")),
-        " ".join(f"![{axis}](images/{name}.svg)" for name, (_, axis) in PLOTS.items()) + "\n",
+        "".join(f"![{axis}](images/{name}.svg)\n" for name, (_, axis) in PLOTS.items()),
         PEERS,
-        _format_table(find_table(sections, "peers")),
+        _format_table(find_table(sections, "peers")) if "peers" in sections else UNMEASURED,
         MISSED,
         format_items(_list_figures_missed(sections)),
     ]

@@ -29,9 +29,8 @@ SECTIONS = {
     + format_peers([Row("other", robots=10, step_hz=10.0, factor=2.0, step_us=50.0)]),
     "start": f"## Start\n\n`python -m benchmarks start`\n\n{MISSED}",
 }
-RESULTS = format_page(
-    "# Results\n", (("cores", "2"), ("CPU", "Trial 9000")), SECTIONS, tuple(SECTIONS)
-)
+FACTS = (("cores", "2"), ("CPU", "Trial 9000"))
+RESULTS = format_page("# Results\n", FACTS, SECTIONS, tuple(SECTIONS))
 
 
 def test_page_has_machine_fleets_peers_and_what_was_missed() -> None:
@@ -41,6 +40,14 @@ def test_page_has_machine_fleets_peers_and_what_was_missed() -> None:
     assert "| 100 | kinematic | 20 | 1.00 | 100% | 0.25 | 0.15 | 200 | 120 | 140 | 0.5 |" in page
     assert "| other | 10 | 10 | 2 | 50 | 500 | 20 |" in page
     assert "- way [m]: asked max <= 2, seen 3" in page
+
+
+def test_page_says_what_was_not_measured() -> None:
+    without = {name: text for name, text in SECTIONS.items() if name != "peers"}
+
+    page = make_page(format_page("# Results\n", FACTS, without, tuple(without)))
+
+    assert "Not measured yet." in page
 
 
 def test_plots_have_a_line_for_each_kind_of_physics(tmp_path: Path) -> None:
