@@ -876,6 +876,8 @@ class Bus:
             mode="client",
             connect=at,
             listen=(),
+            # That of the attempt that succeeded may be short.
+            open_timeout_s=max(self.config.open_timeout_s, OPEN_TIMEOUTS_S[-1]),
             joined_publishers=joined_publishers,
         )
         opened = open_bus(config)

@@ -162,6 +162,8 @@ class ParserClient:
             return self._poll_without_process()
         results = self._receive()
         if (status := self._process.poll()) is not None:
+            # What it sent between both calls: the oldest text left is to blame.
+            results += self._receive()
             return results + self._replace_exited(status)
         if self._clock.now_ns > self._due_ns:
             return results + self._replace_process(TIMEOUT_MESSAGE, slug="reader.timeout")

@@ -13,7 +13,7 @@ from zensim.sim_server.parser_process.parser_protocol import ParseRequest, Parse
 
 ROOT_NAME = re.compile(r'\s*(?:<\?xml[^<>]*\?>\s*)?<robot\s+name="(\w+)"', re.ASCII)
 NAMESPACE = re.compile(r"<namespace>/?(\w+)</namespace>", re.ASCII)
-NAME_MARK, NAMESPACE_MARK = "zensimNameMark0", "zensimNamespaceMark0"
+NAME_MARK, NAMESPACE_MARK = "zensimNameMark".ljust(64, "0"), "zensimNamespaceMark".ljust(64, "0")
 """Valid names that no description has."""
 MAX_TEXT_CHARACTERS = 1 << 18
 MAX_FORMS = 32

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 POLL_S: Final = 0.01
 MAX_HELD: Final = 4096
 """Requests that wait for the end of a restore; more end without a value."""
+MAX_HELD_BYTES: Final = 64 << 20
+"""Of their payloads."""
 
 
 class RestoreReplies:
@@ -40,6 +42,7 @@ class RestoreReplies:
         self._progress = progress
         self._services = declare_services(network, world, is_secured=is_secured)
         self._held: deque[ServiceCall] = deque()
+        self._held_bytes = 0
         self._is_over = Event()
         self._thread = Thread(target=self._run, name="restore-replies", daemon=True)
 
@@ -72,8 +75,9 @@ class RestoreReplies:
                 encoded = encode_response(call, response)
                 key = keys.service(self._world, call.name, call.user)
                 call.reply(encoded.payload, encoded.encoding, key)
-            elif len(self._held) < MAX_HELD:
+            elif len(self._held) < MAX_HELD and self._held_bytes + call.size <= MAX_HELD_BYTES:
                 self._held.append(call)
+                self._held_bytes += call.size
             else:
                 call.drop()
 

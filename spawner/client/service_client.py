@@ -245,6 +245,8 @@ class ServiceClient:
     def steps_until(self, time_ns: int) -> int:
         """Count the steps to the first one at or after a time [ns]; negative if that is past."""
         info = self.info()
+        if info.state == "restoring":
+            raise TimeoutError("the server restores its journal; wait until it has")
         now_ns = round(info.sim_time_s * NANOSECONDS)
         return -((now_ns - time_ns) // max(1, info.step_ns))
 

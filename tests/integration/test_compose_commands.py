@@ -122,9 +122,13 @@ def test_token_files_are_for_their_owner_only(deployment: Deployment) -> None:
 
 @pytest.mark.parametrize("name", ["server", *CLIENTS])
 def test_program_of_a_service_becomes_ready(deployment: Deployment, name: str) -> None:
-    eventually(lambda: probe(deployment.ports[name], "/readyz") == 200, WITHIN_S, name)
+    eventually(partial(is_ready, deployment.ports[name]), WITHIN_S, name)
 
     assert probe(deployment.ports[name], "/livez") == 200
+
+
+def is_ready(port: str) -> bool:
+    return probe(port, "/readyz") == 200
 
 
 def has_two(port: str) -> bool:
@@ -132,6 +136,8 @@ def has_two(port: str) -> bool:
 
 
 def test_both_pools_drive_and_the_recorder_records(deployment: Deployment) -> None:
+    for name in CLIENTS:
+        eventually(partial(is_ready, deployment.ports[name]), WITHIN_S, name)
     operator = ("token", "show", "operator", "--as", "token")
     token = zensim(*operator).stdout.strip()
     spawned = zensim("fleet", "box_bot", "--robots", str(ROBOTS), "--join", token)
@@ -152,7 +158,7 @@ def test_both_pools_drive_and_the_recorder_records(deployment: Deployment) -> No
 def test_page_asks_for_its_token(deployment: Deployment) -> None:
     context = ssl.create_default_context(cafile=str(deployment.folder / "page.pem"))
 
-    def get_status() -> int:
+    def get_status() -> int | None:
         try:
             url = f"https://127.0.0.1:{deployment.page}/"
             with urllib.request.urlopen(url, timeout=10.0, context=context) as found:
@@ -160,7 +166,7 @@ def test_page_asks_for_its_token(deployment: Deployment) -> None:
         except urllib.error.HTTPError as error:
             return error.code
         except OSError:
-            return 0
+            return None
 
     assert eventually(get_status, WITHIN_S, "the page") == 401
     assert (deployment.folder / "state" / "page.token").is_file()

@@ -8,7 +8,7 @@ from zensim.proto.bus import NoServer
 from zensim.proto.messages.telemetry_messages import Info
 from zensim.spawner.client.sim_client import SimClient
 
-ROBOTS = 400
+ROBOTS = 1500
 """Enough that a restore takes longer than a call."""
 
 

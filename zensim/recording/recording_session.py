@@ -5,6 +5,7 @@ from typing import Final
 
 import msgspec
 
+from zensim.proto.bus import NoServer
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import Event, Info, InfoRequest
 from zensim.proto.network_protocols import CallingNetwork
@@ -191,6 +192,10 @@ def make_start(server: CallingNetwork, settings: RecorderSettings) -> RecordingS
         BusError: No server of the world replies.
     """
     info, wall_ns = server.call(INFO, InfoRequest(), world=settings.world), time.time_ns()
+    if info.state == "restoring":
+        raise NoServer(
+            f"the server restores {info.restored} of {info.to_restore} entities; try again later"
+        )
     if settings.is_reproducible:
         info, wall_ns = msgspec.structs.replace(info, real_time_factor=0.0), 0
     return RecordingStart(info=info, wall_ns=wall_ns, time_base=settings.time_base)
