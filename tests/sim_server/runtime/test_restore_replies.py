@@ -2,12 +2,18 @@
 
 from typing import TYPE_CHECKING, cast
 
+import pytest
+
 from tests.fakes import MemoryBus
+from zensim.proto.bus import NoServer
 from zensim.proto.messages.simulation_messages import GetSimulationStateRequest, State
 from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.service_catalog import GET_ENTITIES, GET_SIMULATION_STATE, INFO
+from zensim.recording.recorder import RecorderSettings
+from zensim.recording.recording_session import make_start
 from zensim.sim_server.journal.journal_contents import RestoreProgress
-from zensim.sim_server.runtime.restore_replies import RestoreReplies
+from zensim.sim_server.runtime.restore_replies import MAX_HELD_BYTES, RestoreReplies
+from zensim.spawner.client.service_client import ServiceClient
 
 if TYPE_CHECKING:
     from zensim.proto.network_protocols import ServerNetwork
@@ -52,6 +58,34 @@ def test_other_requests_wait_for_the_end_of_a_restore() -> None:
 
     assert [call.request_id for call in taken] == [b"one", b"two"]
     assert [call.request_id for call in replies.take()] == [b"three"]
+
+
+def test_requests_beyond_the_bytes_that_may_wait_are_dropped() -> None:
+    bus = MemoryBus()
+    replies = some_replies(bus)
+    bus.pumps.clear()
+    large = bytes(MAX_HELD_BYTES // 2)
+    for number in range(3):
+        bus.ask(f"sim/w/{GET_ENTITIES.name}", large, str(number).encode())
+    replies.poll()
+
+    assert [call.request_id for call in replies.take()] == [b"0", b"1"]
+
+
+def test_steps_to_a_time_are_not_counted_during_a_restore() -> None:
+    bus = MemoryBus()
+    some_replies(bus)
+
+    with pytest.raises(TimeoutError):
+        ServiceClient(bus, "w").steps_until(2_000_000_000)
+
+
+def test_no_recording_begins_during_a_restore() -> None:
+    bus = MemoryBus()
+    some_replies(bus)
+
+    with pytest.raises(NoServer):
+        make_start(bus, RecorderSettings(world="w", domain=None))
 
 
 def test_closing_twice_is_harmless() -> None:
