@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
+import re
+import shutil
 import sqlite3
 import struct
 from contextlib import contextmanager, suppress
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Literal
 
 from zensim.proto.process_limits import lock_file, sync_folder
@@ -15,12 +19,19 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-DATABASE, LOCK, FILES = "journal.db", "lock", "files"
+LOG = logging.getLogger(__name__)
+DATABASE, LOCK, FILES, COPIES = "journal.db", "lock", "files", "copies"
 LOG_SUFFIX = "-wal"
 """Of the write-ahead log beside the database."""
 OPEN_ROW = "open", ""
 """Kind and key of a row that exists while a server uses the journal, or after it was killed. Then
 the newest changes are in the log, which is never empty."""
+WRITER_ROW = "writer", ""
+"""Kind and key of the row with the version of zensim whose server opened the journal last."""
+FIRST_VERSION = "0.1.0"
+"""That of journals without this row."""
+VERSION_NAME = re.compile(r"[0-9A-Za-z][0-9A-Za-z.+_-]{0,63}")
+"""It names a folder."""
 MIGRATIONS = (
     """
     CREATE TABLE rows (
@@ -130,10 +141,49 @@ class SqliteStore:
             )
         return ""
 
-    def mark_open(self) -> None:
-        """Note in the database file that the log belongs to it."""
-        self._commit_row(is_open=True)
+    def mark_open(self, writer: str) -> None:
+        """Note in the database file that the log belongs to it, and the version of the server."""
+        self.begin()
+        self.put(*WRITER_ROW, writer.encode())
+        self.put(*OPEN_ROW, b"")
+        self.commit(self.position)
         self.checkpoint()
+
+    def read_writer(self) -> str:
+        """Read the version of zensim whose server opened the journal last.
+
+        Raises:
+            JournalError: The row is damaged.
+        """
+        body = self.body(*WRITER_ROW)
+        if body is None:
+            return FIRST_VERSION
+        name = body.decode("ascii", "replace") if isinstance(body, bytes) else ""
+        if not VERSION_NAME.fullmatch(name):
+            raise JournalError(self._damaged("the version of its server is unreadable"))
+        return name
+
+    def keep_copy(self, name: str) -> Path:
+        """Copy the journal as it is to its folder for copies, and return the copy.
+
+        A copy of that name is replaced when the new one is complete. Files of meshes, which never
+        change, are linked where the file system can.
+
+        Raises:
+            JournalError: The journal is damaged, or there is no room.
+        """
+        copies = self.folder / COPIES
+        target, unfinished = copies / name, copies / f"{name}.unfinished"
+        with raising_journal_errors(copies):
+            shutil.rmtree(unfinished, ignore_errors=True)
+            self.backup(unfinished)
+            for source in (self.folder / FILES).iterdir():
+                _link_or_copy(source, unfinished / FILES / source.name)
+            sync_folder(unfinished / FILES)
+            shutil.rmtree(target, ignore_errors=True)
+            unfinished.rename(target)
+            sync_folder(copies)
+        return target
 
     def checkpoint(self) -> None:
         """Copy the log into the database file; the log stays."""
@@ -154,17 +204,14 @@ class SqliteStore:
                 self._connection.backup(connection)
                 copy = SqliteStore(folder, connection, None)
                 copy.check()
-                copy._commit_row(is_open=False)
+                copy._remove_open_row()
             finally:
                 connection.close()
             sync_folder(folder)
 
-    def _commit_row(self, *, is_open: bool) -> None:
+    def _remove_open_row(self) -> None:
         self.begin()
-        if is_open:
-            self.put(*OPEN_ROW, b"")
-        else:
-            self.remove(*OPEN_ROW)
+        self.remove(*OPEN_ROW)
         self.commit(self.position)
 
     def close(self) -> None:
@@ -207,7 +254,7 @@ class SqliteStore:
 
     def _mark_closed(self) -> None:
         try:
-            self._commit_row(is_open=False)
+            self._remove_open_row()
         except sqlite3.Error:
             # The disk is full or gone: the log stays, and so does the mark.
             with suppress(sqlite3.Error):
@@ -240,8 +287,14 @@ class SqliteStore:
         return (self.folder / LOCK).is_file()
 
 
-def open_store(folder: Path) -> SqliteStore:
+def open_store(folder: Path, writer: str | None = None) -> SqliteStore:
     """Open or create the journal of a folder for one server.
+
+    If a server of another version used it, a copy of it is kept before anything is changed.
+
+    Args:
+        folder: Made if it does not exist.
+        writer: Version of the server; that of zensim by default.
 
     Raises:
         JournalError: The folder cannot be used or is locked, or the journal is damaged.
@@ -250,7 +303,7 @@ def open_store(folder: Path) -> SqliteStore:
         (folder / FILES).mkdir(parents=True, exist_ok=True)
         lock = _lock_folder(folder)
         try:
-            return _open_locked(folder, lock)
+            return _open_locked(folder, lock, writer or version("zensim"))
         except BaseException:
             os.close(lock)
             raise
@@ -282,19 +335,36 @@ def open_store_read_only(folder: Path) -> Iterator[SqliteStore]:
             connection.close()
 
 
-def _open_locked(folder: Path, lock: int) -> SqliteStore:
+def _open_locked(folder: Path, lock: int, writer: str) -> SqliteStore:
     has_log = _has_log(folder)
     connection = _connect(folder)
     database = SqliteStore(folder, connection, lock)
     try:
+        if (tables := _check_version(folder, connection)) > 0:
+            _keep_former(database, writer, is_migrated=tables < len(MIGRATIONS))
         _migrate(folder, connection, database._read_mark())  # noqa: SLF001  same module
         database.check()
         database.is_log_missing = OPEN_ROW in database and not has_log
-        database.mark_open()
+        database.mark_open(writer)
     except BaseException:
         connection.close()
         raise
     return database
+
+
+def _keep_former(database: SqliteStore, writer: str, *, is_migrated: bool) -> None:
+    """Keep a copy of a journal that a server of another version wrote, or that is to be migrated."""
+    former = database.read_writer()
+    if former != writer or is_migrated:
+        copy = database.keep_copy(former)
+        LOG.warning("a server of zensim %s wrote this journal; a copy is kept in %s", former, copy)
+
+
+def _link_or_copy(source: Path, target: Path) -> None:
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copy2(source, target)
 
 
 def _has_log(folder: Path) -> bool:
@@ -337,8 +407,6 @@ def _migrate(folder: Path, connection: sqlite3.Connection, mark: int) -> None:
         )
     if version == len(MIGRATIONS):
         return
-    if version > 0:
-        _keep_copy(folder, connection, version)
     connection.execute("BEGIN IMMEDIATE")
     for script in MIGRATIONS[version:]:
         for statement in filter(str.strip, script.split(";")):
@@ -350,19 +418,6 @@ def _migrate(folder: Path, connection: sqlite3.Connection, mark: int) -> None:
     # The tables must not be lost with the end of the log.
     connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     sync_folder(folder)
-
-
-def _keep_copy(folder: Path, connection: sqlite3.Connection, version: int) -> None:
-    """Copy the database before it is migrated; the version that wrote it can open the copy."""
-    copy = folder / name_copy(version)
-    copy.unlink(missing_ok=True)
-    connection.execute("VACUUM INTO ?", (str(copy),))
-    sync_folder(folder)
-
-
-def name_copy(version: int) -> str:
-    """Name the copy of a database of an older version."""
-    return f"journal.v{version}.db"
 
 
 def _lock_folder(folder: Path) -> int:

@@ -10,13 +10,15 @@ from hypothesis import strategies as st
 
 from zensim.sim_server.journal import sqlite_store
 from zensim.sim_server.journal.sqlite_store import (
+    COPIES,
     DATABASE,
     FILES,
+    FIRST_VERSION,
     LOCK,
     MIGRATIONS,
+    WRITER_ROW,
     JournalError,
     SqliteStore,
-    name_copy,
     open_store,
     open_store_read_only,
 )
@@ -148,11 +150,87 @@ def test_copy_that_is_kept_before_a_migration_opens_in_the_older_version(
         later.setattr(sqlite_store, "MIGRATIONS", newer)
         read_state(tmp_path / "j")
 
-    older = tmp_path / "older"
-    older.mkdir()
-    (tmp_path / "j" / name_copy(1)).rename(older / DATABASE)
+    (older,) = (tmp_path / "j" / COPIES).iterdir()
 
     assert read_state(older) == (1, 0, {"a": b"1"})
+
+
+def test_store_of_another_version_is_copied_before_it_is_changed(tmp_path: Path) -> None:
+    store = open_store(tmp_path, "0.2.0")
+    (tmp_path / FILES / "mesh.stl").write_bytes(b"solid")
+    fill(store, {("entity", "a"): b"1"}, 1)
+    store.close()
+
+    newer = open_store(tmp_path, "0.3.0")
+    fill(newer, {("entity", "b"): b"2"}, 2)
+    newer.close()
+
+    copy = tmp_path / COPIES / "0.2.0"
+    assert read_state(tmp_path) == (2, 0, {"a": b"1", "b": b"2"})
+    with open_store_read_only(copy) as kept:
+        assert (kept.rows("entity"), kept.loss) == ({"a": b"1"}, "")
+        assert kept.read_writer() == "0.2.0"
+    assert (copy / FILES / "mesh.stl").read_bytes() == b"solid"
+
+
+def test_store_of_a_killed_server_of_another_version_is_copied_with_its_log(tmp_path: Path) -> None:
+    files = write_and_crash(tmp_path / "used", ROWS)
+    folder = write_files(tmp_path / "killed", files)
+
+    open_store(folder, "99.0").close()
+
+    (copy,) = (folder / COPIES).iterdir()
+    with open_store_read_only(copy) as kept:
+        assert len(kept.rows("entity")) == len(ROWS)
+        assert kept.loss == ""
+
+
+def test_store_is_copied_once_for_each_version_that_used_it(tmp_path: Path) -> None:
+    for writer in ("1.0", "1.0", "1.1", "1.1", "1.0", "1.1"):
+        store = open_store(tmp_path, writer)
+        fill(store, {("entity", writer): b"1"}, store.position + 1)
+        store.close()
+
+    assert sorted(path.name for path in (tmp_path / COPIES).iterdir()) == ["1.0", "1.1"]
+    with open_store_read_only(tmp_path / COPIES / "1.0") as kept:
+        assert kept.position == 5
+
+
+def test_store_without_a_version_is_one_of_the_first(tmp_path: Path) -> None:
+    store = open_store(tmp_path)
+    store.begin()
+    store.remove(*WRITER_ROW)
+    store.commit(1)
+    store.close()
+
+    with open_store_read_only(tmp_path) as reader:
+        assert reader.read_writer() == FIRST_VERSION
+
+
+def test_store_is_not_changed_when_it_cannot_be_copied(tmp_path: Path) -> None:
+    open_store(tmp_path, "1.0").close()
+    (tmp_path / COPIES).write_text("a file where the folder belongs")
+    before = (tmp_path / DATABASE).read_bytes()
+
+    with pytest.raises(JournalError):
+        open_store(tmp_path, "1.1")
+
+    assert (tmp_path / DATABASE).read_bytes() == before
+    open_store(tmp_path, "1.0").close()
+
+
+@pytest.mark.parametrize("name", [b"../../x", b".", b"", b"\xff", b"a/b"])
+def test_store_with_a_version_that_is_no_name_is_refused(tmp_path: Path, name: bytes) -> None:
+    store = open_store(tmp_path)
+    store.begin()
+    store.put(*WRITER_ROW, name)
+    store.commit(1)
+    store.close()
+
+    with pytest.raises(JournalError):
+        open_store(tmp_path)
+
+    assert not (tmp_path / COPIES).exists()
 
 
 @pytest.mark.parametrize("kind", ["file", "garbage", "no journal"])
