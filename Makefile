@@ -23,7 +23,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 STAMP := .venv/.setup-done
 
 .PHONY: help setup demo test browser short lint fmt types imports schemas docs site docs-media bench house chaos fuzz mutants pins \
-	interop interop-short interpreters ci clean packages wheel platforms notice image
+	interop interop-short interpreters ci clean packages wheel wheel-tests platforms notice image sizes
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 18
@@ -141,6 +141,9 @@ mutants: setup packages ## change the code in 100 places, and print the changes 
 wheel: setup ## dist/: the wheel of the last commit, built twice with equal bytes, and its SBOM
 	@sh .ci/wheel
 
+wheel-tests: setup packages ## tests on the wheel of `make wheel`, in a new environment without the source
+	@sh .ci/test_wheel
+
 platforms: setup ## whether each platform has wheels of all packages; needs an index of packages
 	@sh .ci/platforms
 
@@ -152,10 +155,13 @@ image: setup ## build and try the images of deploy/containers, as root and witho
 notice: setup ## write NOTICE: licences of all packages that an extra installs
 	$(BIN)/python .ci/notices.py >NOTICE
 
+sizes: setup ## packages and size on disk of each extra, as in docs/packages.md
+	@$(BIN)/python .ci/sizes.py
+
 pins: ## resolve requirements/ anew
 	@$(FIND_PYTHON); $$python -m venv build/pins
 	build/pins/bin/python -m pip --disable-pip-version-check install -q uv
-	@set -e; for name in dev server mujoco cameras viewer xacro foxglove dataset plot top rl ray metrics base; do \
+	@set -e; for name in dev server pybullet check mujoco all cameras viewer xacro foxglove dataset plot top rl ray metrics base; do \
 		case $$name in \
 			dev) choice="--all-extras" ;; \
 			base) choice="-c requirements/dev.txt" ;; \

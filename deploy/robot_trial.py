@@ -38,7 +38,10 @@ from zensim.sim_server.description.motion_prediction import (
     turn_command,
 )
 from zensim.sim_server.description.pipeline import is_sdf
-from zensim.sim_server.description.urdf.independent_reading import find_reading_differences
+from zensim.sim_server.description.urdf.independent_reading import (
+    find_reading_differences,
+    has_other_reader,
+)
 from zensim.sim_server.world.simulated_world import FROZEN_BY_FAULT, FROZEN_MESSAGE
 from zensim.spawner.cli.spawn_arguments import COMPATS
 from zensim.spawner.spawn.description_sources import parse_xacro_arguments
@@ -161,8 +164,8 @@ def _spawn(request: TrialRequest, world: World) -> tuple[Robot, Model, str]:
 
 
 def _compare_readings(text: str, model: Model) -> tuple[str, ...]:
-    """List where another reader of URDF differs."""
-    if is_sdf(text):
+    """List where another reader of URDF differs, if it is installed."""
+    if is_sdf(text) or not has_other_reader():
         return ()
     return find_reading_differences(text, model)
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-SERVER_EXTRA = ("cryptography", "lxml", "scipy", "trimesh")
+SERVER_EXTRA = ("cryptography", "lxml", "trimesh")
 
 
 class MissingServerExtra(Exception):

@@ -127,7 +127,10 @@ def check(given: CheckOptions) -> None:
     with exit_on_failure("check", MissingServerExtra):
         with server_extra():
             from zensim.sim_server.description import strict_parsing  # noqa: F401  # for trials
+            from zensim.sim_server.description.urdf import independent_reading
         requests = _make_requests(given)
+        if not independent_reading.has_other_reader():
+            print_lines(f"zensim check: {independent_reading.NOT_INSTALLED}", err=True)
         total = len(requests)
 
         done = count(1)

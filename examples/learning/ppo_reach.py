@@ -1,6 +1,6 @@
 """Learn to drive robots to goals: proximal policy optimization in one file, with JAX.
 
-    pip install 'zensim[server,mujoco,rl]' jax matplotlib
+    pip install 'zensim[server,rl]' jax matplotlib
     python examples/learning/ppo_reach.py --picture curve.png
 
 Sixteen worlds with four robots each share one policy. It takes a few minutes on two cores.

@@ -2,8 +2,9 @@
 
 import platform
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
@@ -24,7 +25,11 @@ MAX_MESSAGE_BYTES = 1 << 20
 """Of the records of a message; one record may be longer."""
 CPU_FILE = Path("/proc/cpuinfo")
 CPU_FIELDS = ("vendor_id", "cpu family", "CPU implementer", "CPU architecture")
-ENGINE_PACKAGES: dict[EngineName, str] = {"pybullet": "pybullet", "mujoco": "mujoco"}
+ENGINE_PACKAGES: dict[EngineName, tuple[str, ...]] = {
+    "pybullet": ("pybullet",),
+    "mujoco": ("mujoco-core", "mujoco"),
+}
+"""Packages of which the first that is installed has the engine; up to 3, MuJoCo was one package."""
 
 Origin: TypeAlias = Literal["fresh", "bodies"]
 """Of the first state: an engine without bodies, or what bodies show of the state of an engine."""
@@ -187,10 +192,17 @@ def read_records(data: bytes) -> tuple[AnyRecord, ...]:
 
 def find_versions(engine: EngineName) -> HostVersions:
     """Find what this host has."""
-    package = ENGINE_PACKAGES[engine]
     return HostVersions(
-        version("zensim"), f"{package} {version(package)}", np.__version__, find_cpu()
+        version("zensim"), f"{engine} {_find_engine_version(engine)}", np.__version__, find_cpu()
     )
+
+
+def _find_engine_version(engine: EngineName) -> str:
+    *alternatives, last = ENGINE_PACKAGES[engine]
+    for package in alternatives:
+        with suppress(PackageNotFoundError):
+            return version(package)
+    return version(last)
 
 
 @cache

@@ -17,7 +17,7 @@ from zensim.proto.process_limits import (
     set_resource_limits,
 )
 
-UNUSED_MODULES = ("embreex", "networkx", "rtree", "scipy.ndimage", "scipy.optimize", "shapely")
+UNUSED_MODULES = ("embreex", "networkx", "rtree", "scipy", "shapely")
 """Modules that trimesh imports if they are installed, and that parsing does not need."""
 
 # Importing them would delay the first spawn by half the start time.

@@ -13,13 +13,15 @@ Clustering = Literal["auto", "on", "off"]
 EngineName = Literal["pybullet", "mujoco"]
 
 INSTALL_COMMANDS: dict[EngineName, str] = {
-    "pybullet": "pip install 'zensim[server]' (on Linux x86_64 with Python 3.10 or 3.11)",
-    "mujoco": "pip install 'zensim[server,mujoco]'",
+    "pybullet": "pip install 'zensim[pybullet]' (on Linux x86_64 with Python 3.10 or 3.11)",
+    "mujoco": "pip install 'zensim[server]'",
 }
 
 
 class EngineMissing(ValueError):
     """The library of an engine is not installed."""
+
+    slug = "engine.missing"
 
 
 class EngineOptions(msgspec.Struct, frozen=True, kw_only=True):
@@ -73,7 +75,7 @@ def choose_engine(choice: EngineOptions, installed: Sequence[EngineName]) -> Eng
     others += [
         f"{how} for {name}" for name, how in INSTALL_COMMANDS.items() if name not in installed
     ]
-    raise EngineMissing(f"{missing} is not installed; {', or '.join(others)}")
+    raise EngineMissing(f"{EngineMissing.slug}: {missing} is not installed; {', or '.join(others)}")
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from tests.contract.repository import ROOT
+from zensim.proto.exit_codes import ExitCode
 
 WITHOUT_EXTRAS = """
 import sys, pkgutil, importlib
@@ -80,3 +81,22 @@ def test_world_in_process_names_the_extra_when_it_is_not_installed() -> None:
     done = run("import zensim\nzensim.World()")
 
     assert "pip install 'zensim[server]'" in done.stderr.splitlines()[-1]
+
+
+def test_server_without_pybullet_names_its_extra_when_it_is_asked_for() -> None:
+    code = f"import sys\nsys.modules['pybullet'] = None\n{CALL_ZENSIM}"
+    command = ("serve", "--listen", "tcp/127.0.0.1:0", "--engine", "pybullet")
+
+    done = subprocess.run(
+        [sys.executable, "-c", code, *command],
+        cwd=ROOT,
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+    assert len(done.stderr.splitlines()) == 1
+    assert "engine.missing: " in done.stderr
+    assert "pip install 'zensim[pybullet]'" in done.stderr
+    assert done.returncode == ExitCode.USAGE

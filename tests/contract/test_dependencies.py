@@ -15,6 +15,8 @@ from tests.contract.repository import PACKAGES, ROOT, files, shown, text_of
 EXTRA_OF = {
     "sim_server/physics/mujoco/": {"", "server", "mujoco"},
     "sim_server/scene/camera_rendering.py": {"", "server", "cameras"},
+    "sim_server/physics/bullet/": {"", "server", "pybullet"},
+    "sim_server/description/urdf/independent_reading.py": {"", "server", "check"},
     "sim_server/": {"", "server"},
     "spawner/page/": {"", "viewer"},
     "proto/operation_server.py": {"", "metrics"},
@@ -71,7 +73,18 @@ def importable(extras: set[str]) -> set[str]:
 def extras_of(path: Path) -> set[str]:
     name = shown(path)
     if name.startswith("tests/"):
-        return {"", "server", "mujoco", "viewer", "top", "dataset", "rl", "metrics", "dev"}
+        return {
+            "",
+            "server",
+            "pybullet",
+            "check",
+            "viewer",
+            "top",
+            "dataset",
+            "rl",
+            "metrics",
+            "dev",
+        }
     return next((ours for part, ours in EXTRA_OF.items() if name.startswith(part)), {""})
 
 
@@ -99,11 +112,11 @@ PYBULLET_WHEELS = {("Linux x86_64", "3.10"), ("Linux x86_64", "3.11")}
 """Those of PyBullet 3.2.7 on PyPI."""
 
 
-def engines_of_server(platform: str, python: str) -> set[str]:
-    """Find the engines that the extra `server` installs, in pyproject.toml."""
+def engines_of(extra: str, platform: str, python: str) -> set[str]:
+    """Find the packages of engines that an extra installs, in pyproject.toml."""
     system, machine = PLATFORMS[platform]
     environment = {"sys_platform": system, "platform_machine": machine, "python_version": python}
-    _, _, block = text_of(ROOT / "pyproject.toml").partition("\nserver = [")
+    _, _, block = text_of(ROOT / "pyproject.toml").partition(f"\n{extra} = [")
     lines = re.findall(r'^  "((?:pybullet|mujoco)\b[^"]*)"', block.partition("\n]")[0], re.M)
     needs = [Requirement(line) for line in lines]
     return {n.name for n in needs if n.marker is None or n.marker.evaluate(environment)}
@@ -111,10 +124,29 @@ def engines_of_server(platform: str, python: str) -> set[str]:
 
 @pytest.mark.parametrize("python", PYTHONS)
 @pytest.mark.parametrize("platform", PLATFORMS)
-def test_server_installs_the_engine_that_has_a_wheel(platform: str, python: str) -> None:
+def test_server_installs_mujoco_on_each_platform(platform: str, python: str) -> None:
+    package = "mujoco" if python == "3.10" else "mujoco-core"
+
+    assert engines_of("server", platform, python) == {package}
+    assert engines_of("mujoco", platform, python) == {package}
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+@pytest.mark.parametrize("platform", PLATFORMS)
+def test_pybullet_is_installed_where_it_has_a_wheel(platform: str, python: str) -> None:
     has_pybullet = (platform, python) in PYBULLET_WHEELS
 
-    assert engines_of_server(platform, python) == {"pybullet" if has_pybullet else "mujoco"}
+    assert engines_of("pybullet", platform, python) == ({"pybullet"} if has_pybullet else set())
+
+
+def test_all_has_each_extra_of_users() -> None:
+    text = text_of(ROOT / "pyproject.toml").partition("[project.optional-dependencies]")[2]
+    named = re.findall(r"^([a-z0-9]+) = \[", text.partition("\n[")[0], re.M)
+    (chosen,) = re.findall(r'^  "zensim\[([a-z,]+)\]",$', text, re.M)
+
+    assert {"server", "pybullet", "check"} <= set(named)
+    # A server has MuJoCo.
+    assert set(chosen.split(",")) == set(named) - {"all", "dev", "mujoco"}
 
 
 def test_classifiers_name_the_supported_versions_of_python() -> None:

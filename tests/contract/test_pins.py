@@ -14,9 +14,12 @@ PINS = ROOT / "requirements"
 EXTRAS = {
     "base": {""},
     "server": {"", "server"},
+    "pybullet": {"", "pybullet"},
+    "check": {"", "check"},
+    "mujoco": {"", "mujoco"},
     "viewer": {"", "viewer"},
     "xacro": {"", "xacro"},
-    "dev": {"", "server", "viewer", "xacro", "dev"},
+    "dev": {"", "server", "pybullet", "check", "viewer", "xacro", "dev"},
 }
 PYTHONS = ("3.10", "3.11")
 HASH = re.compile(r" *--hash=sha256:[0-9a-f]{64}")

@@ -58,7 +58,7 @@ def __getattr__(name: str) -> object:
             raise
         raise ModuleNotFoundError(
             f"zensim.envs.{name} needs {error.name}, which is not installed; use "
-            "pip install 'zensim[server,mujoco,rl]'",
+            "pip install 'zensim[server,rl]'",
             name=error.name,
         ) from error
 

@@ -26,6 +26,7 @@ from zensim.proto.messages.asset_messages import list_reference_uris, list_refer
 from zensim.proto.messages.model_messages import ReportEntry, Texture
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.stl import STL_HEAD, STL_RECORD, read_corners, write_corners
+from zensim.sim_server.description.meshes.convex_hull import find_hull_faces
 from zensim.sim_server.description.meshes.generated_solids import is_generated, list_corners
 from zensim.sim_server.description.meshes.mesh_lookup import has_assets
 from zensim.sim_server.description.meshes.textures import (
@@ -1193,20 +1194,9 @@ def _thicken(points: Points) -> Points:
 
 
 def _make_hull(points: Points) -> Triangles:
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        hull = ConvexHull(points)
-    except QhullError:
-        hull = ConvexHull(points, qhull_options="QJ")
-    used, places = np.unique(hull.simplices, return_inverse=True)
-    vertices, faces = points[used], places.reshape(-1, 3)
-    # Qhull does not define the winding: flip triangles whose normal points inwards.
-    first, second, third = (vertices[faces[:, i]] for i in range(3))
-    normals = np.cross(second - first, third - first)
-    inwards = ((first - vertices.mean(axis=0)) * normals).sum(axis=1) < 0
-    faces[inwards] = faces[inwards][:, ::-1]
-    return Triangles(vertices, faces)
+    corners = find_hull_faces(points)
+    used, places = np.unique(corners, return_inverse=True)
+    return Triangles(points[used], places.reshape(-1, 3))
 
 
 def _select_extreme_points(points: Points, count: int) -> Points:

@@ -1,16 +1,17 @@
 """A second reading of URDF, by yourdfpy, compared with the Model that the engines get.
 
-The only importer of yourdfpy. Its import takes 2 s of CPU, so no spawn waits for it.
+The only importer of yourdfpy, which is the extra `check`. Its import takes 2 s of CPU, so no spawn
+waits for it.
 """
 
 from __future__ import annotations
 
 import logging
+from importlib.util import find_spec
 from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
-import yourdfpy
 
 from zensim.proto.se3 import FloatArray, from_origin, to_matrix
 from zensim.sim_server.description.model_geometry import find_link_poses
@@ -18,12 +19,23 @@ from zensim.sim_server.description.model_geometry import find_link_poses
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    import yourdfpy
+
     from zensim.proto.messages.model_messages import Model
 
 logging.getLogger("yourdfpy").setLevel(logging.CRITICAL)  # its faults are lines of the answer
 TOLERANCE = 1e-6
 """Of poses [m] and rotation matrices, and relative to the whole mass."""
 WORLD_LINK = "world"
+NOT_INSTALLED = (
+    "yourdfpy is not installed, so that URDF is not compared with a second reading; "
+    "use pip install 'zensim[check]'"
+)
+
+
+def has_other_reader() -> bool:
+    """Whether yourdfpy is installed."""
+    return find_spec("yourdfpy") is not None
 
 
 def find_reading_differences(text: str, model: Model) -> tuple[str, ...]:
@@ -35,7 +47,12 @@ def find_reading_differences(text: str, model: Model) -> tuple[str, ...]:
 
     Returns:
         One line for each difference; one line if yourdfpy cannot read the text.
+
+    Raises:
+        ModuleNotFoundError: yourdfpy is not installed; see `has_other_reader`.
     """
+    import yourdfpy
+
     try:
         other = yourdfpy.URDF.load(BytesIO(text.encode()), load_meshes=False)
         return tuple(_compare(other, model))

@@ -42,5 +42,10 @@ def test_engine_defaults_to_mujoco_without_pybullet() -> None:
 
 
 def test_error_names_both_install_commands_when_none_is_installed() -> None:
-    with pytest.raises(EngineMissing, match=r"\[server\].*\[server,mujoco\]"):
+    with pytest.raises(EngineMissing, match=r"\[pybullet\].*\[server\]"):
         choose_engine(EngineOptions(), [])
+
+
+def test_error_names_slug_and_the_extra_when_the_chosen_engine_is_not_installed() -> None:
+    with pytest.raises(EngineMissing, match=r"^engine\.missing: .*--engine mujoco.*\[pybullet\]"):
+        choose_engine(EngineOptions(engine="pybullet"), ["mujoco"])
