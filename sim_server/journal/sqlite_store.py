@@ -353,7 +353,7 @@ def _open_locked(folder: Path, lock: int, writer: str) -> SqliteStore:
 
 
 def _keep_former(database: SqliteStore, writer: str, *, is_migrated: bool) -> None:
-    """Keep a copy of a journal that a server of another version wrote, or that is to be migrated."""
+    """Keep a copy of a journal of another version, or one that is to be migrated."""
     former = database.read_writer()
     if former != writer or is_migrated:
         copy = database.keep_copy(former)

@@ -22,6 +22,7 @@ DATA = {
     "zensim/sim_server/models/box_bot.urdf",
     "zensim/sim_server/worlds/empty.sdf",
 }
+MOST_MEGABYTES_OF_SERVER = 330
 BARE_NAMES = ("deploy", "proto", "robot_agent", "sim_server", "spawner")
 
 
@@ -123,6 +124,14 @@ def test_notice_with_other_packages_is_refused(change: str, tmp_path: Path) -> N
 
     assert done.returncode == 1
     assert ("removed-package" if change else "numpy") in done.stderr
+
+
+def test_server_is_small_on_disk() -> None:
+    command = [sys.executable, str(ROOT / ".ci" / "sizes.py"), "server"]
+
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+
+    assert 100 < int(done.stdout.rsplit(",", 1)[1].strip(" |\n")) <= MOST_MEGABYTES_OF_SERVER
 
 
 def test_wheel_and_proto_plus_are_both_complete(python: Path) -> None:
