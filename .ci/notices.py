@@ -24,7 +24,10 @@ CHOSEN = {
 }
 """Where the metadata names none, several, or the text instead of the name."""
 PYTHON_OF_CI = (3, 11)
-OF_SOME_PYTHONS = frozenset({"exceptiongroup", "typing-extensions", "zipp", "importlib-resources"})
+OF_SOME_PYTHONS = frozenset(
+    {"absl-py", "etils", "exceptiongroup", "fsspec", "glfw", "importlib-resources", "mujoco"}
+    | {"pyopengl", "typing-extensions", "zipp"}
+)
 """What other versions of Python need beside."""
 LONGEST_NAME = 60
 HEAD = """zensim
