@@ -73,18 +73,8 @@ def importable(extras: set[str]) -> set[str]:
 def extras_of(path: Path) -> set[str]:
     name = shown(path)
     if name.startswith("tests/"):
-        return {
-            "",
-            "server",
-            "pybullet",
-            "check",
-            "viewer",
-            "top",
-            "dataset",
-            "rl",
-            "metrics",
-            "dev",
-        }
+        ours = {"server", "pybullet", "check", "mujoco", "viewer", "top", "dataset", "rl"}
+        return {"", *ours, "metrics", "dev"}
     return next((ours for part, ours in EXTRA_OF.items() if name.startswith(part)), {""})
 
 
