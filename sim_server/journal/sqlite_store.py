@@ -155,7 +155,7 @@ class SqliteStore:
         Raises:
             JournalError: The row is damaged.
         """
-        body = self.body(*WRITER_ROW)
+        body: object = self.body(*WRITER_ROW)
         if body is None:
             return FIRST_VERSION
         name = body.decode("ascii", "replace") if isinstance(body, bytes) else ""
