@@ -2,9 +2,9 @@
 
 import platform
 import sys
-from importlib.metadata import PackageNotFoundError, version
 
 from zensim.proto.cli_options import JsonOption, expand_options, make_app
+from zensim.proto.package_versions import find_package_version
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT
 from zensim.spawner.cli.command_session import print_json
@@ -19,7 +19,7 @@ MISSING = "not installed"
 @expand_options
 def print_versions(*, as_json: JsonOption = False) -> None:
     """Print the versions of zensim, Python, and the libraries that zensim uses."""
-    versions = {name: find_version(name) for name in PACKAGES}
+    versions = {name: find_package_version(name) or MISSING for name in PACKAGES}
     versions["python"] = platform.python_version()
     versions["platform"] = f"{sys.platform} {platform.machine()}"
     if as_json:
@@ -29,11 +29,3 @@ def print_versions(*, as_json: JsonOption = False) -> None:
     else:
         for name, found in versions.items():
             print_lines(f"{name:<14} {found}")
-
-
-def find_version(package: str) -> str:
-    """Find the version of an installed package."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return MISSING

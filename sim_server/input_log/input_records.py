@@ -2,9 +2,8 @@
 
 import platform
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
@@ -13,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.package_versions import find_package_version
 from zensim.sim_server.physics.engine import BodyStates, Engine, IntArray
 from zensim.sim_server.physics.engine_calls import MAX_STEPS, AnyCall
 from zensim.sim_server.physics.engine_config import EngineConfig, EngineName, EngineOptions
@@ -25,11 +25,6 @@ MAX_MESSAGE_BYTES = 1 << 20
 """Of the records of a message; one record may be longer."""
 CPU_FILE = Path("/proc/cpuinfo")
 CPU_FIELDS = ("vendor_id", "cpu family", "CPU implementer", "CPU architecture")
-ENGINE_PACKAGES: dict[EngineName, tuple[str, ...]] = {
-    "pybullet": ("pybullet",),
-    "mujoco": ("mujoco-core", "mujoco"),
-}
-"""Packages of which the first that is installed has the engine; up to 3, MuJoCo was one package."""
 
 Origin: TypeAlias = Literal["fresh", "bodies"]
 """Of the first state: an engine without bodies, or what bodies show of the state of an engine."""
@@ -193,16 +188,8 @@ def read_records(data: bytes) -> tuple[AnyRecord, ...]:
 def find_versions(engine: EngineName) -> HostVersions:
     """Find what this host has."""
     return HostVersions(
-        version("zensim"), f"{engine} {_find_engine_version(engine)}", np.__version__, find_cpu()
+        version("zensim"), f"{engine} {find_package_version(engine)}", np.__version__, find_cpu()
     )
-
-
-def _find_engine_version(engine: EngineName) -> str:
-    *alternatives, last = ENGINE_PACKAGES[engine]
-    for package in alternatives:
-        with suppress(PackageNotFoundError):
-            return version(package)
-    return version(last)
 
 
 @cache

@@ -3,10 +3,11 @@
 import platform
 import socket
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import msgspec
+
+from zensim.proto.package_versions import find_package_version
 
 PACKAGES = ("zensim", "mujoco", "pybullet", "numpy")
 """Packages that compute states."""
@@ -29,16 +30,9 @@ def describe_host() -> RunHost:
     system = f"{platform.system()} {platform.release()} {platform.machine()}"
     versions = {"python": platform.python_version()}
     for package in PACKAGES:
-        if (found := _find_version(package)) is not None:
+        if (found := find_package_version(package)) is not None:
             versions[package] = found
     return RunHost(socket.gethostname(), system, _find_cpu(), versions)
-
-
-def _find_version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
 
 
 def _find_cpu() -> str:

@@ -1,0 +1,19 @@
+"""Versions of installed packages, by the name of the library that they have."""
+
+from importlib.metadata import PackageNotFoundError, version
+
+PACKAGES_OF = {"mujoco": ("mujoco-core", "mujoco")}
+"""Of several packages, the first that is installed has the library; MuJoCo 3 was one package."""
+
+
+def find_package_version(library: str) -> str | None:
+    """Find the version of a library; None if it is not installed."""
+    found = (_find_version(package) for package in PACKAGES_OF.get(library, (library,)))
+    return next((one for one in found if one is not None), None)
+
+
+def _find_version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
