@@ -171,6 +171,9 @@ pins: ## resolve requirements/ anew
 			--generate-hashes --no-strip-extras --no-emit-index-url --no-annotate --custom-compile-command "make pins" \
 			-o requirements/$$name.txt; \
 	done
+	echo 'setuptools>=77' | build/pins/bin/uv pip compile -q - -c requirements/dev.txt --universal \
+		--python-version 3.10 --generate-hashes --no-emit-index-url --no-annotate --custom-compile-command "make pins" \
+		-o requirements/build.txt
 	echo ir-sim | build/pins/bin/uv pip compile -q - --universal --python-version 3.10 --generate-hashes \
 		--no-emit-index-url --no-annotate --custom-compile-command "make pins" -o requirements/peers.txt
 

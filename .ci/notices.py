@@ -1,19 +1,23 @@
 """Write NOTICE: the licence of each package that zensim installs with any of its extras.
 
-`python .ci/notices.py` prints it; `--check` compares the packages with those of the file, and their
-licences on the Python of CI: other versions of a package may write theirs otherwise.
+`python .ci/notices.py` prints it; `--check` compares the names of the file with those of
+requirements/all.txt, and the licences on the Python of CI: other versions of a package may write
+theirs otherwise.
 """
 
+import platform
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path
 
+from packaging.markers import Marker
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-PATH = Path(__file__).parent.parent / "NOTICE"
+ROOT = Path(__file__).parent.parent
+PATH, PINS = ROOT / "NOTICE", ROOT / "requirements" / "all.txt"
 DEVELOPMENT = "dev"
 CHOSEN = {
     "docutils": "Public Domain AND BSD-2-Clause",
@@ -23,12 +27,17 @@ CHOSEN = {
     "xacro": "BSD-3-Clause",
 }
 """Where the metadata names none, several, or the text instead of the name."""
-PYTHON_OF_CI = (3, 11)
-OF_SOME_PYTHONS = frozenset(
-    {"absl-py", "etils", "exceptiongroup", "fsspec", "glfw", "importlib-resources", "mujoco"}
-    | {"pyopengl", "typing-extensions", "zipp"}
-)
-"""What other versions of Python need beside."""
+CI = {
+    "python_version": "3.11",
+    "python_full_version": "3.11.0",
+    "sys_platform": "linux",
+    "platform_system": "Linux",
+    "platform_machine": "x86_64",
+    "platform_python_implementation": "CPython",
+    "implementation_name": "cpython",
+}
+"""Where NOTICE is written; other platforms and versions of Python need other packages."""
+PIN = re.compile(r"^([a-z0-9-]+)(?:\[.*?\])?==[^ ]+(?: ; (.*?))?(?: \\)?$", re.MULTILINE)
 LONGEST_NAME = 60
 HEAD = """zensim
 Copyright (c) 2026 the zensim authors
@@ -46,23 +55,35 @@ def main() -> int:
     if "--check" not in sys.argv[1:]:
         sys.stdout.write(text)
         return 0
-    differences = list(compare(text, PATH.read_text(encoding="utf-8")))
+    written = PATH.read_text(encoding="utf-8")
+    differences = [*compare_names(find_names(written)), *compare_licences(text, written)]
     sys.stderr.writelines(f"{line}; run `make notice`\n" for line in differences)
     return 1 if differences else 0
 
 
-def compare(needed: str, written: str) -> Iterator[str]:
-    """List what differs between the text that is needed here and that of the file."""
-    is_of_ci = sys.version_info[:2] == PYTHON_OF_CI and sys.platform == "linux"
-    here, there = (
-        {line.split(": ")[0]: line for line in text.splitlines()[len(HEAD.splitlines()) :]}
-        for text in (needed, written)
-    )
-    for name in sorted(here.keys() | there.keys()):
-        if name not in there and (is_of_ci or name not in OF_SOME_PYTHONS):
-            yield f"NOTICE lacks {here[name]!r}"
-        elif is_of_ci and here.get(name) != there[name]:
-            yield f"NOTICE has {there[name]!r}, and needed is {here.get(name)!r}"
+def find_names(text: str) -> dict[str, str]:
+    """Find the lines of packages, by name."""
+    return {line.split(": ")[0]: line for line in text.removeprefix(HEAD).splitlines()}
+
+
+def compare_names(written: Iterable[str]) -> Iterator[str]:
+    """List what differs between the names of the file and the pinned packages."""
+    pins = PIN.findall(PINS.read_text(encoding="utf-8"))
+    needed = {name for name, marker in pins if not marker or Marker(marker).evaluate(CI)}
+    yield from (f"NOTICE lacks {name}" for name in sorted(needed - set(written)))
+    unneeded = sorted(set(written) - needed)
+    yield from (f"NOTICE has {name}, which no extra installs" for name in unneeded)
+
+
+def compare_licences(text: str, written: str) -> Iterator[str]:
+    """List what differs between the licences of the file and those that are installed."""
+    here, there = find_names(text), find_names(written)
+    is_of_ci = platform.python_version_tuple()[:2] == tuple(CI["python_version"].split("."))
+    if not (is_of_ci and sys.platform == CI["sys_platform"]):
+        return
+    for name in sorted(here.keys() & there.keys()):
+        if here[name] != there[name]:
+            yield f"NOTICE has {there[name]!r}, and installed is {here[name]!r}"
 
 
 def list_licences() -> Iterator[tuple[str, str]]:

@@ -114,9 +114,10 @@ def test_notice_with_other_packages_is_refused(change: str, tmp_path: Path) -> N
     written = (ROOT / "NOTICE").read_text()
     other = written + change if change else written.replace("numpy: ", "numbers: ")
     (tmp_path / "NOTICE").write_text(other)
-    script = tmp_path / "ci" / "notices.py"
-    script.parent.mkdir()
-    script.write_text((ROOT / ".ci" / "notices.py").read_text())
+    script, pins = tmp_path / "ci" / "notices.py", tmp_path / "requirements" / "all.txt"
+    for path, source in ((script, ".ci/notices.py"), (pins, "requirements/all.txt")):
+        path.parent.mkdir()
+        shutil.copy(ROOT / source, path)
 
     done = subprocess.run(
         [sys.executable, str(script), "--check"], capture_output=True, text=True, check=False

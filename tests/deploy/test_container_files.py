@@ -14,6 +14,8 @@ from zensim.sim_server.runtime.loop import MAX_DRAIN_NS
 FOLDER = ROOT / "deploy" / "containers"
 DOCKERFILE, COMPOSE = FOLDER / "Dockerfile", FOLDER / "compose.yaml"
 REQUIREMENTS = ROOT / "requirements"
+RESOLVED = text_of(DOCKERFILE).replace("\\\n", "").replace("$PIP", "pip")
+"""The Dockerfile, one line for each instruction."""
 BAD_DOCKERFILES = {
     "the newest base": ("${BASE} AS python", "debian:latest AS python"),
     "the shell form": ('ENTRYPOINT ["zensim"]', "ENTRYPOINT zensim"),
@@ -39,17 +41,6 @@ def lint(path: Path) -> bool:
 def check_compose(path: Path) -> bool:
     words = ("--builtin-schema", "vendor.compose-spec", str(path))
     return run_tool("check-jsonschema", *words).returncode == 0
-
-
-def choose() -> list[str]:
-    """List the lines of the requirements of the server's image."""
-    names = ("server.txt", "mujoco.txt")
-    command = ["sh", str(FOLDER / "choose"), *(str(REQUIREMENTS / name) for name in names)]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
-
-
-def name_packages(lines: list[str]) -> list[str]:
-    return [line.split("==")[0] for line in lines if re.match(r"[a-z]", line)]
 
 
 def test_dockerfile_follows_the_rules() -> None:
@@ -108,36 +99,22 @@ def test_volumes_are_mounted_where_the_image_has_a_folder_of_the_user() -> None:
     assert {mount.split(":")[0] for mount in mounts} == set(content["volumes"])
 
 
-def test_image_of_the_server_has_fewer_packages_and_all_hashes() -> None:
-    lines = choose()
-    names = name_packages(lines)
-    all_names = name_packages((REQUIREMENTS / "server.txt").read_text().splitlines())
-    entries = "\n".join(lines).replace("\\\n", "").splitlines()
+def test_images_install_nothing_without_hashes() -> None:
+    """But the wheel that is built of the copied sources."""
+    installs = re.findall(r"pip install (.*?) *(?:&&|$)", RESOLVED, re.MULTILINE)
 
-    assert {"lxml", "mujoco-core", "numpy", "scipy", "trimesh[easy]", "embreex"} <= set(names)
-    assert not {"pybullet", "yourdfpy", "mujoco-studio"} & set(names)
-    assert len(set(names)) < len(set(all_names))
-    assert all("--hash=sha256:" in entry for entry in entries)
-    assert len(entries) == len(set(entries))
+    assert len(installs) == 7
+    unpinned = [words for words in installs if "--require-hashes -r requirements/" not in words]
+    assert unpinned == ["--no-compile --no-deps /opt/wheel/*.whl"]
 
 
-def test_what_the_image_leaves_out_is_pinned() -> None:
-    """A package that was renamed would come back unseen."""
-    pattern = r"^left_out=['\"](?:\$left_out\|)?(.*)['\"]$"
-    parts = re.findall(pattern, text_of(FOLDER / "choose"), re.MULTILINE)
-    left_out = "|".join(parts).split("|")
-    pinned = [
-        name.split("[")[0]
-        for file in ("server.txt", "mujoco.txt")
-        for name in name_packages(text_of(REQUIREMENTS / file).splitlines())
-    ]
+def test_targets_install_the_extras_that_they_are_for() -> None:
+    stages = dict(re.findall(r"^FROM build AS build-(\w+)\n((?:(?!FROM).*\n)*)", RESOLVED, re.M))
+    installed = {name: re.findall(r"requirements/(\w+)\.txt", stages[name]) for name in stages}
 
-    assert len(left_out) > 20
-    assert set(left_out) - set(pinned) == set()
-
-
-def test_wheel_in_the_image_is_built_with_the_pinned_version() -> None:
-    pinned = re.search(r"^setuptools==(\S+)", (REQUIREMENTS / "dev.txt").read_text(), re.MULTILINE)
-
-    assert pinned
-    assert f"setuptools=={pinned[1]}" in DOCKERFILE.read_text()
+    assert installed == {
+        "agent": [],
+        "server": ["server"],
+        "full": ["server", "pybullet", "viewer"],
+    }
+    assert all((REQUIREMENTS / f"{name}.txt").is_file() for name in installed["full"])

@@ -20,8 +20,8 @@ WITHIN_S = 120.0
 MOST_MB = {"agent": 300, "server": 620, "full": 1100}
 PACKAGES = {
     "agent": (set(), {"pybullet", "mujoco", "scipy", "viser"}),
-    "server": ({"mujoco", "scipy", "trimesh", "embreex", "lxml"}, {"pybullet", "viser"}),
-    "full": ({"mujoco", "pybullet", "viser"}, {"pybullet_data"}),
+    "server": ({"mujoco", "trimesh", "embreex", "lxml"}, {"pybullet", "scipy", "viser"}),
+    "full": ({"mujoco", "pybullet", "viser"}, {"pybullet_data", "scipy"}),
 }
 """What an image has, and what it lacks."""
 

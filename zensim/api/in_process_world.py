@@ -211,7 +211,7 @@ class World(Simulation):
 
         Args:
             world: Name of a shipped world, or an SDF file.
-            engine: `mujoco`, or `pybullet`.
+            engine: `mujoco`, or `pybullet` with the extra of that name.
             seed: Of the noise of sensors.
             step_hz: Steps per simulated second; None = of the world file, or 240.
             control_hz: Most control steps per simulated second; None = 100.
@@ -219,7 +219,8 @@ class World(Simulation):
             options: See `WorldKeywords`.
 
         Raises:
-            Invalid: There is no such world, or a number is out of range.
+            Invalid: There is no such world, its engine is not installed, or a number is out of
+                range.
         """
         settings = read_world_keywords(options)
         physics = msgspec.structs.replace(IN_PROCESS, clusters=settings.pop("clusters"))
