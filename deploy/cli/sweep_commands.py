@@ -18,6 +18,7 @@ from typer.core import TyperGroup
 
 from zensim.deploy.cli.scenario_commands import PythonOption, RunTimeoutOption, SetOption
 from zensim.deploy.scenario_process import RunRequest, run_in_processes
+from zensim.deploy.sweep.ray_runs import MissingRayExtra, check_cluster, require_ray, run_on_ray
 from zensim.deploy.sweep.sweep_folder import SweepFolder
 from zensim.deploy.sweep.sweep_plan import SweepPlan, SweepRun, make_plan
 from zensim.deploy.sweep.sweep_plots import draw_margins
@@ -65,8 +66,10 @@ class SweepOptions:
     ]
     settings: SetOption = None
     on: Annotated[
-        Literal["here", "processes"],
-        typer.Option("--on", metavar="PLACE", help="here = in this process, or processes."),
+        Literal["here", "processes", "ray"],
+        typer.Option(
+            "--on", metavar="PLACE", help="here = in this process; processes; ray = tasks of Ray."
+        ),
     ] = "processes"
     jobs: Annotated[
         int | None,
@@ -79,6 +82,15 @@ class SweepOptions:
             show_default="CPU cores",
         ),
     ] = None
+    ray_address: Annotated[
+        str,
+        typer.Option(
+            "--ray-address",
+            metavar="ADDRESS",
+            help="Ray cluster, for --on ray; local = one of this command.",
+            show_default="RAY_ADDRESS, or local",
+        ),
+    ] = ""
     output: Annotated[
         Path | None,
         typer.Option(
@@ -120,7 +132,7 @@ def run_command(given: SweepOptions) -> None:
     Exit status: 0 if every run passed, 6 if one did not, 2 if the file has mistakes, 130 if it
     was interrupted. The word `run` may be left out.
     """
-    with exit_on_failure("sweep", MissingServerExtra), _interrupted_by_sigterm():
+    with exit_on_failure("sweep", MissingServerExtra, MissingRayExtra), _interrupted_by_sigterm():
         with server_extra():
             from zensim.sim_server.description import strict_parsing  # noqa: F401  # for runs
         runner = _choose_runner(given)
@@ -161,6 +173,12 @@ def _make_plan(given: SweepOptions) -> SweepPlan:
 
 
 def _choose_runner(given: SweepOptions) -> Runner:
+    if given.ray_address and given.on != "ray":
+        raise ValueError("--ray-address needs --on ray; add it")
+    if given.on == "ray":
+        require_ray()
+        check_cluster(given.ray_address)
+        return partial(run_on_ray, jobs=given.jobs, address=given.ray_address)
     if given.on == "here":
         if given.jobs not in (None, 1):
             raise ValueError(f"--on here runs one at a time, not --jobs {given.jobs}")

@@ -1,6 +1,6 @@
 """Killed sweeps
 
-A sweep of short runs, in processes. After a quarter of the runs two of its workers are
+A sweep of short runs, in processes and on Ray. After a quarter of the runs two of its workers are
 killed with SIGKILL, after a half of them the driver; then the same command is started again. Each
 run must have one row, no run may have run twice, and all states must be those of an undisturbed
 sweep. Until something is killed, the runs that are under way wait, so that it is in their midst.
@@ -47,7 +47,7 @@ def is_closed(folder, most):
     return len(list(Path(folder).glob("*.json"))) >= int(most)
 """
 """Runs wait while a folder has so many rows as the file `gate` says."""
-PLACES = {"processes": RUN_COMMAND[-1]}
+PLACES = {"processes": RUN_COMMAND[-1], "ray": "ray::run_encoded"}
 """What the command line of a worker contains, by `--on`."""
 
 

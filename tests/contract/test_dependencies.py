@@ -25,6 +25,7 @@ EXTRA_OF = {
     "zensim/envs/": {"", "rl"},
     "zensim/recording/series_chart.py": {"", "plot"},
     "zensim/recording/table_files.py": {"", "dataset"},
+    "deploy/sweep/ray_runs.py": {"", "ray"},
     "deploy/sweep/sweep_folder.py": {"", "dataset"},
     "deploy/sweep/sweep_plots.py": {"", "plot"},
     # A plug-in that pytest loads.

@@ -196,6 +196,7 @@ def test_error_of_a_run_is_a_row_and_can_be_retried(tmp_path: Path) -> None:
         (("first_minutes", "--only", "x"), ExitCode.USAGE),
         (("first_minutes", "--on", "here", "--jobs", "2"), ExitCode.USAGE),
         (("first_minutes", "--on", "moon"), ExitCode.USAGE),
+        (("first_minutes", "--ray-address", "auto"), ExitCode.USAGE),
         (("first_minutes", "--set", "engine.use=ode"), ExitCode.USAGE),
         (("report", "no_such_folder"), ExitCode.NOT_FOUND),
     ],
