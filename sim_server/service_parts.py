@@ -96,6 +96,8 @@ class Agents:
     """Of the drive states of each agent that has asked for one."""
     settled_shares: dict[str, object] = field(default_factory=dict)
     """On what the last share of each pool depended that had nothing new."""
+    starting: dict[str, int] = field(default_factory=dict)
+    """Pools that sent no command since they got robots: simulation time of that [ns]."""
 
 
 @dataclass
@@ -150,6 +152,10 @@ class Bonds:
                 self.world.delete(name)
 
 
+MAX_CLEARANCES = 64
+"""Most models and orientations whose height over the ground is kept."""
+
+
 @dataclass
 class Descriptions:
     """Parsed models, and the mesh files that they name."""
@@ -160,6 +166,20 @@ class Descriptions:
     """Whether descriptions have been parsed since the last turn of the loop."""
     published: PublishedFiles | None = None
     """Files that are offered by http; None = none are."""
+    _clearances: dict[tuple[int, Quat], tuple[Model, float]] = field(
+        default_factory=dict, repr=False, compare=False
+    )
+
+    def find_ground_clearance(self, model: Model, turn: Quat) -> float:
+        """Find the height [m] of the lowest collision point; robots of a fleet share a model."""
+        key = id(model), turn
+        if (found := self._clearances.get(key)) is None:
+            if len(self._clearances) >= MAX_CLEARANCES:
+                self._clearances.clear()
+            # The model is kept: another one could get its id.
+            found = model, find_ground_clearance(model, turn, self.store.vertices)
+            self._clearances[key] = found
+        return found[1]
 
     def list_files(self, model: Model) -> ModelFiles:
         """List the files of the description of a model, while it is in the cache."""

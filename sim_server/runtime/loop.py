@@ -271,6 +271,7 @@ class AgentSessions:
         self._agents.alive.discard(agent)
         self._agents.pool_limits.pop(agent, None)
         self._agents.settled_shares.pop(agent, None)
+        self._agents.starting.pop(agent, None)
         self._agents.state_formats.pop(agent, None)
         self._world.release(agent)
         self._lockstep.forget(agent)
@@ -324,6 +325,7 @@ class AgentSessions:
             self._warn_of_withheld(agent, command.withheld_hz)
             now_ns = self._pacing.now_ns()
             self._note_command(agent, command.claims, now_ns)
+            self._agents.starting.pop(agent, None)
             self._commands.note_taken(agent, (command.epoch, command.step))
             self._world.record_ready_time(agent, now_ns)
 

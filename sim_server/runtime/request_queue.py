@@ -18,9 +18,9 @@ MAX_CLIENTS: Final = 1024
 """Clients with waiting requests; a client may call itself by a new name each time."""
 BUDGET_SHARE: Final = 4
 """At most one part in so many of the time of a step goes to requests."""
-SPARE_SHARE: Final = 2
-"""Requests that were begun may use one part in so many of the time until the next step, if that
-is more."""
+SPARE_SHARE: Final = 0.75
+"""Part of the time until the next step that requests that were begun may use, if that is more; the
+rest is for the threads of the network."""
 LATE_NS: Final = 20_000_000
 """A loop that is later than this has no spare time, and gives requests half as much."""
 SHARE_OF_CLIENT: Final = 0.75
@@ -71,8 +71,9 @@ class RequestBudget:
 
     def may_finish(self, client: str) -> bool:
         """Whether a client's request that was begun before may be finished now."""
-        used_ns, limit_ns = self._used_by_ns.get(client, 0), max(self._budget_ns, self._spare_ns)
-        return self._used_ns < limit_ns and used_ns < limit_ns * SHARE_OF_CLIENT
+        used_ns = self._used_by_ns.get(client, 0)
+        is_spared = used_ns < max(self._budget_ns * SHARE_OF_CLIENT, self._spare_ns)
+        return is_spared and self._used_ns < max(self._budget_ns, self._spare_ns)
 
     @contextmanager
     def charge(self, client: str, fee_ns: int = 0) -> Iterator[None]:
@@ -95,9 +96,10 @@ class RequestBudget:
         """
         share = BUDGET_SHARE * 2 if late_ns > LATE_NS else BUDGET_SHARE
         self._budget_ns = max(step_ns // share, MIN_BUDGET_NS)
-        self._spare_ns = spare_ns // SPARE_SHARE
+        self._spare_ns = round(spare_ns * SPARE_SHARE)
         self._used_ns = 0
-        self._used_by_ns = _pay(self._used_by_ns, self._budget_ns)
+        # What nobody else needs pays debts, too: a large spawn uses an idle loop.
+        self._used_by_ns = _pay(self._used_by_ns, max(self._budget_ns, self._spare_ns))
 
     def begin_slice(self) -> None:
         """Start a budget without debts: no step waits for requests."""

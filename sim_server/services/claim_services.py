@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
+from typing import Final
 
 from zensim.proto.codec.message_codec import Format
 from zensim.proto.messages import agent_messages
@@ -62,6 +63,8 @@ def find_robots_to_move(
 
 
 UNLIMITED = 1 << 32
+START_NS: Final = 30_000_000_000
+"""Simulation time in which a pool begins to drive new robots: thousands take it seconds."""
 MAX_SHARE_TEXT = 2 << 20
 """Most characters of distinct descriptions in one reply: the size of a message is limited."""
 
@@ -110,6 +113,8 @@ def claim_share(
         # The wheels keep turning: the new pool replies to the next state.
         world.claims.drop(entity)
     granted = world.claim(agent, names, request.on_release)
+    if granted:
+        agents.starting[agent] = world.clock.time_ns
     return agent_messages.ClaimShareResponse(
         Result(),
         *agent_messages.make_grants(descriptions.locate_files(granted)),
@@ -154,16 +159,17 @@ def _find_new_share(world: SimulatedWorld, agents: Agents, agent: str) -> tuple[
 
     Pools call each second, and a search among 10,000 robots takes 30 ms of the loop.
     """
+    abandoning = _find_abandoning(world, agents, agent)
     basis = (
         world.claims.changes,
         world.entities.roster_number,
         tuple(agents.pool_limits.items()),
-        frozenset(world.claims.silent),
+        abandoning,
         world.divergence_guard.frozen,
     )
     if agents.settled_shares.get(agent) == basis:
         return ()
-    moved = _find_share(world, agents.pool_limits, agent)
+    moved = _find_share(world, agents.pool_limits, abandoning, agent)
     if moved:
         agents.settled_shares.pop(agent, None)
     else:
@@ -171,14 +177,25 @@ def _find_new_share(world: SimulatedWorld, agents: Agents, agent: str) -> tuple[
     return moved
 
 
-def _find_share(world: SimulatedWorld, limits: Mapping[str, int], agent: str) -> tuple[Entity, ...]:
+def _find_abandoning(world: SimulatedWorld, agents: Agents, agent: str) -> frozenset[str]:
+    """Find the silent pools whose robots others get: not those that have just got theirs."""
+    now_ns = world.clock.time_ns
+    return frozenset(
+        pool
+        for pool in world.claims.silent & agents.pool_limits.keys()
+        if pool != agent and not 0 <= now_ns - agents.starting.get(pool, -START_NS) < START_NS
+    )
+
+
+def _find_share(
+    world: SimulatedWorld, limits: Mapping[str, int], silent: frozenset[str], agent: str
+) -> tuple[Entity, ...]:
     robots = {
         entity.name: entity
         for entity in world.entities
         if (entity.model.drive is not None or entity.model.joint_controllers)
         and not world.divergence_guard.is_frozen(entity.name)
     }
-    silent = {pool for pool in limits if pool in world.claims.silent and pool != agent}
     running = {pool: limit for pool, limit in limits.items() if pool not in silent}
     claims_of = {
         pool: [name for name, _ in world.claims.list_claims(pool) if name in robots]

@@ -25,7 +25,6 @@ from zensim.proto.messages.spawn_messages import (
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.se3 import IDENTITY_POSE
 from zensim.sim_server.description.builtin_models import list_builtin_models
-from zensim.sim_server.description.model_geometry import find_ground_clearance
 from zensim.sim_server.errors import IncorrectState, ModelError, RequestRefused, SimError
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.physics.engine import FloatArray
@@ -223,9 +222,7 @@ def _resolve_pose(
     pose = pose_to_world(spawning.world, wanted.header.frame_id, pose_to_row(wanted.pose))
     qx, qy, qz, qw = pose[3:7].tolist()
     # -clearance would be -0 for a model without collisions.
-    ground_z = 0.0 - find_ground_clearance(
-        model, (qx, qy, qz, qw), spawning.descriptions.store.vertices
-    )
+    ground_z = 0.0 - spawning.descriptions.find_ground_clearance(model, (qx, qy, qz, qw))
     if request.snap_to_ground:
         pose[2] = ground_z
     depth = ground_z - float(pose[2])
@@ -253,6 +250,8 @@ SPAWN_SLICE_NS = 5 * NANOSECONDS // 1000
 """Wall time for spawning per turn if steps are late, or a quarter of the step time if more."""
 MIN_SPARE_NS = NANOSECONDS // 1000
 """With more time than this until the next step, spawning uses that time."""
+MAX_SPARE_SLICE_NS = 15 * NANOSECONDS // 1000
+"""Most of it in a turn: drive commands and other requests are served in between."""
 MAX_PARSES_AHEAD = 64
 """Most descriptions that are parsed at once."""
 ParsedSpawnModel = tuple[Model, str] | SimError
@@ -422,7 +421,7 @@ def _find_slice_end(spawning: Spawning) -> int:
     """Return the wall time until which spawning may run without delaying the next step."""
     now_ns = spawning.pacing.now_ns()
     if spawning.pacing.due_ns - now_ns > MIN_SPARE_NS:
-        return spawning.pacing.due_ns - MIN_SPARE_NS // 2
+        return min(spawning.pacing.due_ns - MIN_SPARE_NS // 2, now_ns + MAX_SPARE_SLICE_NS)
     return now_ns + spawning.pacing.loop_stats.work_budget_ns(SPAWN_SLICE_NS)
 
 

@@ -1,7 +1,12 @@
-"""Bonds: the entities of a bond are deleted with it, and no others."""
+"""Bonds delete their entities and no others; heights over the ground are found once a model."""
 
+import pytest
+
+from tests.models import a_cart
 from tests.sim_server.fakes import WallTime, a_spawn, a_world, make_parts, names_in
 from tests.sim_server.orders import an_order, spawned
+from zensim.proto.messages.model_messages import IDENTITY, Model
+from zensim.sim_server import service_parts
 from zensim.sim_server.service_parts import ServerParts
 
 
@@ -61,3 +66,29 @@ def test_bond_ends_once() -> None:
     parts.bonds.end("b1")
 
     assert "r1" in names_in(parts.world)
+
+
+def test_ground_clearance_is_found_once_for_robots_with_a_model(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    descriptions, model = make_parts(a_world()).descriptions, a_cart()
+    first = descriptions.find_ground_clearance(model, IDENTITY)
+    monkeypatch.setattr(service_parts, "find_ground_clearance", None)
+
+    assert descriptions.find_ground_clearance(model, IDENTITY) == first
+
+
+def test_ground_clearances_that_are_kept_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    descriptions, found = make_parts(a_world()).descriptions, list[Model]()
+
+    def find(model: Model, *_: object) -> float:
+        found.append(model)
+        return 0.0
+
+    monkeypatch.setattr(service_parts, "find_ground_clearance", find)
+    models = [a_cart() for _ in range(service_parts.MAX_CLEARANCES + 1)]
+
+    for model in (*models, models[0]):
+        descriptions.find_ground_clearance(model, IDENTITY)
+
+    assert len(found) == len(models) + 1

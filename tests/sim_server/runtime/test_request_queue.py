@@ -213,7 +213,7 @@ def test_queue_has_room_again_when_requests_are_taken() -> None:
     assert not requests.queue.is_idle
 
 
-def test_begun_requests_have_half_of_the_time_until_the_next_step() -> None:
+def test_begun_requests_have_three_quarters_of_the_time_until_the_next_step() -> None:
     requests = Requests()
     requests.budget.begin_step(STEP_NS, spare_ns=STEP_NS)
     finished = 0
@@ -222,8 +222,17 @@ def test_begun_requests_have_half_of_the_time_until_the_next_step() -> None:
             requests.thread.used_ns += STEP_NS // 8
         finished += 1
 
-    assert finished == 3  # three quarters of half a step
+    assert finished == 6  # eighths of a step
     assert not requests.budget.may_run("a")
+
+
+def test_begun_request_that_uses_all_spare_time_goes_on_after_the_next_step() -> None:
+    requests = Requests()
+    for _ in range(3):
+        requests.budget.begin_step(STEP_NS, spare_ns=STEP_NS)
+        assert requests.budget.may_finish("a")
+        with requests.budget.charge("a"):
+            requests.thread.used_ns += STEP_NS
 
 
 def test_begun_requests_have_a_quarter_of_a_step_when_no_time_is_left() -> None:

@@ -170,6 +170,7 @@ def test_share_is_searched_again_after_a_change(change: str) -> None:
         case "release":
             parts.world.claims.drop(driven_by(parts, "p")[0])
         case "silent":
+            parts.agents.starting.pop("q")
             parts.world.claims.note_silent("q")
         case "end":
             parts.agents.pool_limits.pop("q")
@@ -267,10 +268,34 @@ def test_robots_of_a_silent_pool_go_to_the_other_until_it_calls_again() -> None:
     share(parts, "p")
     share(parts, "q")
 
+    parts.agents.starting.pop("p")
     parts.world.stop_silent("p")
 
     assert [grant.entity for grant in share(parts, "q").grants] == ["r0"]
     assert [grant.entity for grant in share(parts, "p").grants] == ["r0"]
+
+
+def test_silent_pool_that_has_just_got_robots_keeps_them_for_a_time() -> None:
+    parts = make_parts(a_world("r0", "r1"))
+    share(parts, "p")
+    share(parts, "q")
+
+    parts.world.stop_silent("p")
+
+    assert share(parts, "q").grants == ()
+    parts.agents.starting["p"] = parts.world.clock.time_ns - claim_services.START_NS
+    assert [grant.entity for grant in share(parts, "q").grants] == ["r0"]
+
+
+def test_robots_of_a_pool_that_started_before_a_reset_are_not_kept() -> None:
+    parts = make_parts(a_world("r0", "r1"))
+    share(parts, "p")
+    share(parts, "q")
+    parts.agents.starting["p"] = parts.world.clock.time_ns + 1
+
+    parts.world.stop_silent("p")
+
+    assert [grant.entity for grant in share(parts, "q").grants] == ["r0"]
 
 
 def test_pool_without_a_token_is_refused() -> None:

@@ -593,6 +593,18 @@ def test_spawning_uses_the_time_before_the_next_step(
     assert isinstance(response, SpawnEntitiesResponse) == is_over
 
 
+def test_spawning_leaves_room_in_long_spare_time_for_other_messages() -> None:
+    wall = TickingWall()
+    parts = make_parts(a_world(), wall)
+    parts.pacing.due_ns = wall.ns + 1000 * spawn_services.MIN_SPARE_NS
+    names = [f"r{number}" for number in range(100)]
+
+    response = handle_request(parts, a_batch(*names, atomic=True))
+
+    assert isinstance(response, DeferredResponse)
+    assert wall.ns < parts.pacing.due_ns - 900 * spawn_services.MIN_SPARE_NS
+
+
 def test_too_many_orders_are_refused() -> None:
     orders = (SpawnEntity("a"),) * 10_001
 
