@@ -4,6 +4,7 @@ A process imports everything once, and runs each scenario in a copy of itself: n
 the next one, and none waits for imports.
 """
 
+import contextlib
 import shlex
 import signal
 import threading
@@ -11,7 +12,6 @@ import time
 import traceback
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import closing, suppress
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -165,9 +165,10 @@ def _describe(error: Exception) -> str:
     failure = f"{type(error).__name__}: {error}"
     if isinstance(error, ScenarioFailed):
         return str(error)
-    package = str(Path(zensim.__file__).parent)
+    # A context manager of ours is left through a frame of contextlib.
+    ours = (str(Path(zensim.__file__).parent), contextlib.__file__)
     frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if not frame.filename.startswith(package)]
+    own = [frame for frame in frames if not frame.filename.startswith(ours)]
     return f"{failure} ({own[-1].filename}:{own[-1].lineno})" if own else failure
 
 
@@ -310,7 +311,7 @@ def run_all(
     """
     runs: list[RunReport] = []
     early: dict[int, RunReport] = {}
-    with closing(run_in_processes(requests, jobs=jobs)) as ended:
+    with contextlib.closing(run_in_processes(requests, jobs=jobs)) as ended:
         for number, report in ended:
             early[number] = report
             while len(runs) in early:
@@ -401,7 +402,7 @@ def _import_libraries() -> None:
     """Import what a world in process needs, before the copies are made."""
     describe_host()
     # What is missing is reported by the run that needs it.
-    with suppress(ImportError):
+    with contextlib.suppress(ImportError):
         import_module("zensim.api.in_process_world")
         import_module("zensim.sim_server.physics.mujoco.mujoco_engine")
 

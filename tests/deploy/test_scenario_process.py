@@ -1,6 +1,8 @@
 """Runs in processes: what a second run for a recording may do, and whose recording is named."""
 
+import contextlib
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -67,3 +69,16 @@ def test_recording_of_an_earlier_run_is_not_named(world: str, tmp_path: Path) ->
 
     assert bool(report.error) == (world == "no_such_world")
     assert report.recording == ("" if report.error else str(recording))
+
+
+def test_engine_that_is_not_installed_is_an_error_that_names_its_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    file = write_scenario(tmp_path, text=f"{SHORT}engine: {{use: pybullet}}\n")
+
+    report = run_request(RunRequest(file))
+
+    assert report.error.startswith("Invalid: engine.missing: ")
+    assert "pip install 'zensim[pybullet]'" in report.error
+    assert contextlib.__file__ not in report.error
