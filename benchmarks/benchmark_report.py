@@ -37,6 +37,7 @@ NAMES = (
     "up_fleet",
     "fleet_10000",
     "fleet_physics",
+    "fleet_threads",
     "pools",
     "api",
     "world",

@@ -24,7 +24,6 @@ from zensim.sim_server.physics.mujoco.mujoco_contact import (
 from zensim.sim_server.physics.mujoco.slot_layout import (
     NO_INDEX,
     Archetype,
-    IndexArray,
     SlotAddress,
     SlotCounts,
     SlotLayout,
@@ -374,17 +373,6 @@ class ModelLayout:
         for archetype, count in self.slot_counts:
             for slot in range(count):
                 yield archetype, self.address(archetype, slot)
-
-    def heights(self) -> IndexArray:
-        """List the indexes in qpos of the heights of all free roots."""
-        found = [
-            self.start[archetype].positions
-            + 2
-            + self.layouts[archetype].sizes.positions * np.arange(count)
-            for archetype, count in self.slot_counts
-            if not archetype.is_static
-        ]
-        return np.concatenate([np.zeros(0, np.intp), *found])
 
     def invalid_inertias(self) -> Iterator[tuple[int, FloatArray]]:
         """List bodies with principal moments that no solid can have: MuJoCo changes them."""

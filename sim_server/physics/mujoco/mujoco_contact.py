@@ -321,12 +321,12 @@ def find_sliding_rows(contacts: MjRows, velocities: FloatArray) -> FrictionRows 
     has_friction = (contacts.dim == FRICTION_CONDIM) & (contacts.efc_address >= 0)
     normals = contacts.efc_address[has_friction]
     squares = velocities[normals + 1] ** 2 + velocities[normals + 2] ** 2
-    slips = squares > (MIN_LIFT_MPS / MAX_FRICTION) ** 2
-    if not slips.any():
+    if not (squares > (MIN_LIFT_MPS / MAX_FRICTION) ** 2).any():
         return None
-    rows = FrictionRows(normals[slips], contacts.friction[has_friction, :TANGENTS][slips])
+    # Of all: selecting those that slip first takes twice as long as computing the others too.
+    rows = FrictionRows(normals, contacts.friction[has_friction, :TANGENTS])
     slides = rows.find_lifts(velocities) > MIN_LIFT_MPS
-    return FrictionRows(rows.normals[slides], rows.friction[slides]) if slides.any() else None
+    return rows.take(slides) if slides.any() else None
 
 
 def predict_lifts(rows: FrictionRows, now: FloatArray, predicted: FloatArray) -> FloatArray:

@@ -66,8 +66,6 @@ def make_zero_targets(count: int) -> ActuatorTargets:
     )
 
 
-EMPTY_SLOT_DEPTH_M = 1e4
-"""Depth of empty slots below the world."""
 MAX_STATE_VALUE = 1e9
 """Larger values count as diverged; MuJoCo fails from 1e10 on."""
 
@@ -156,15 +154,16 @@ def deactivate_all_slots(model: MjModelArrays, data: MjDataArrays, layout: Model
     model.dof_frictionloss[first.velocities :] = 0.0
     model.jnt_stiffness[:] = 0.0
     data.eq_active[:] = 0
-    data.qpos[layout.heights()] = -EMPTY_SLOT_DEPTH_M
 
 
 def deactivate_slot(model: MjModelArrays, data: MjDataArrays, address: SlotAddress) -> None:
-    """Freeze a slot far below the world."""
+    """Freeze a slot at the origin.
+
+    Not far away: MuJoCo sorts all bodies, also those that touch nothing, along the axis of their
+    greatest spread, and tests the pairs whose extents overlap on it (ADR 100).
+    """
     freeze_slot(model, data, address)
     data.qpos[address.positions] = model.qpos0[address.positions]
-    if address.is_free:
-        data.qpos[address.start.positions + 2] = -EMPTY_SLOT_DEPTH_M
 
 
 def freeze_slot(model: MjModelArrays, data: MjDataArrays, address: SlotAddress) -> None:

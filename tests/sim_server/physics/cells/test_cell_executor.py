@@ -1,4 +1,4 @@
-"""Cells in worker processes give the results of cells in one process."""
+"""Cells in worker processes, or stepped by threads, give the results of one thread."""
 
 import os
 import signal
@@ -34,8 +34,9 @@ def with_workers(workers: int) -> Iterator[tuple[CelledEngine, WorkerCellExecuto
 
 
 @contextmanager
-def in_process() -> Iterator[CelledEngine]:
-    engine = CelledEngine(ORDERS.config, InProcessCellExecutor(ORDERS.make), SETTINGS)
+def in_process(orders: CellConfig = ORDERS, *, threads: int = 1) -> Iterator[CelledEngine]:
+    cells = InProcessCellExecutor(orders.make, threads=threads)
+    engine = CelledEngine(orders.config, cells, SETTINGS)
     try:
         yield engine
     finally:
@@ -81,6 +82,14 @@ def test_workers_give_the_bits_of_one_process(workers: int) -> None:
         assert drive_mixed_robots(shared) == drive_mixed_robots(alone)
 
         assert len(cells.process_ids) == workers
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+def test_threads_give_the_bits_of_one_thread(threads: int) -> None:
+    orders = CellConfig("mujoco", EngineConfig(STEP_NS))
+
+    with in_process(orders) as alone, in_process(orders, threads=threads) as shared:
+        assert drive_mixed_robots(shared) == drive_mixed_robots(alone)
 
 
 def test_workers_are_not_started_for_one_cell() -> None:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import msgspec
 import mujoco
 import numpy as np
 import pytest
@@ -105,18 +104,3 @@ def test_identical_meshes_are_one_asset() -> None:
 
     assert len(found.geom_bodyid) == 1 + 2 * 6
     assert len(set(found.geom_dataid.tolist()) - {-1}) == 6
-
-
-def test_heights_of_slots_are_the_third_coordinates_of_their_roots() -> None:
-    wall, box_bot, box = (
-        make_archetype(make_blueprint(one))
-        for one in (msgspec.structs.replace(a_box(), is_static=True), a_box_bot(), a_box())
-    )
-    slots = ((wall, 2), (box_bot, 2), (box, 3))
-    model = compile_slots(slots)
-
-    heights = mjcf.make_model_layout(slots, CONFIG, load_pieces).heights()
-
-    roots = model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
-    assert len(roots) == 5
-    assert heights.tolist() == (roots + 2).tolist()

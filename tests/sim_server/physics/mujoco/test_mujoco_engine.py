@@ -14,7 +14,7 @@ from tests.models import a_body, a_box, a_box_bot, a_cart, a_state, an_arm, box_
 from tests.sim_server.physics.mujoco.test_convex_pieces import a_room
 from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.proto.stl import write_corners
-from zensim.sim_server.physics.engine import Engine, EngineRefused
+from zensim.sim_server.physics.engine import Engine, EngineRefused, FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.mujoco.mujoco_engine import (
     CompileCache,
@@ -26,6 +26,8 @@ from zensim.sim_server.physics.mujoco.slot_layout import Archetype, SlotCounts
 CONFIG = EngineConfig(STEP_NS)
 ARCHETYPE = Archetype((), (), is_static=False)
 WITHIN_S = 10.0
+WHEEL_RADIUS_M, TRACK_M = 0.035, 0.11
+"""Of a box_bot."""
 
 
 class RecordingCompiler:
@@ -155,6 +157,38 @@ def drive_pair(*, with_others: bool) -> bytes:
 
 def test_robots_continue_exactly_when_their_model_is_recompiled() -> None:
     assert drive_pair(with_others=True) == drive_pair(with_others=False)
+
+
+def drive_row(engine: Engine, *, robots: int, removed: int) -> tuple[bytes, FloatArray, FloatArray]:
+    """Drive the first robots of a row; return their bits, states, and speeds of their wheels."""
+    every = [engine.add(a_box_bot(), box_bot_at(3.0 * i)) for i in range(robots + removed)]
+    for body in every[robots:]:
+        engine.remove(body)
+    bodies = every[:robots]
+    engine.command(bodies, np.tile([4.93, 6.5], robots))
+    advance(engine, 240)
+    reading = engine.read(bodies)
+    return reading.base.tobytes(), reading.base, reading.joint_velocities.reshape(-1, 2)
+
+
+def test_empty_slots_change_no_bit_of_robots(engine: Engine) -> None:
+    other = MujocoEngine(EngineConfig(STEP_NS))
+
+    beside_empty = drive_row(engine, robots=4, removed=9)
+    alone = drive_row(other, robots=4, removed=0)
+
+    assert beside_empty[0] == alone[0]
+    other.close()
+
+
+def test_wheels_and_base_agree_beside_empty_slots(engine: Engine) -> None:
+    _, base, wheels = drive_row(engine, robots=9, removed=0)
+
+    rims = wheels * WHEEL_RADIUS_M
+    assert np.hypot(base[:, 7], base[:, 8]) == pytest.approx(rims.mean(axis=1), rel=5e-3)
+    turn_rates = (rims[:, 1] - rims[:, 0]) / TRACK_M
+    assert base[:, 12] == pytest.approx(turn_rates, rel=5e-3)
+    assert wheels[0] == pytest.approx([4.93, 6.5], rel=5e-3)
 
 
 def test_robots_of_different_archetypes_collide(engine: Engine) -> None:
