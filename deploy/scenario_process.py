@@ -72,6 +72,8 @@ class RunRequest(msgspec.Struct, frozen=True):
     """By a server process of its own, instead of in process."""
     timeout_s: float = 600.0
     """Wall time."""
+    has_own_timeout: bool = False
+    """Whether the timeout is given beside the scenario, and so is needed to repeat the run."""
     failure_recording: str = ""
     """MCAP file for a run that fails, which runs again for it; empty = none."""
     recorded_topics: tuple[str, ...] = ()
@@ -81,6 +83,8 @@ class RunRequest(msgspec.Struct, frozen=True):
         """Command line that repeats the run."""
         words = [word for setting in self.settings for word in ("--set", setting)]
         flags = ["--server"] * self.is_served + ["--no-python"] * (not self.allows_python)
+        if self.has_own_timeout:
+            flags += ["--timeout", f"{self.timeout_s:g}"]
         return shlex.join(["zensim", "test", self.file, *words, *flags])
 
 

@@ -138,6 +138,7 @@ def _make_request(scenario: Scenario, given: ScenarioTestOptions) -> RunRequest:
         allows_python=given.python,
         is_served=given.served,
         timeout_s=limit,
+        has_own_timeout=given.timeout is not None,
     )
 
 

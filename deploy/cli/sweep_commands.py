@@ -226,6 +226,7 @@ def _make_request(
         run.settings,
         allows_python=given.python,
         timeout_s=run.timeout_s if given.timeout is None else given.timeout,
+        has_own_timeout=given.timeout is not None,
         failure_recording=str(folder.find_recording(run.id)) if given.records else "",
         recorded_topics=plan.recorded_topics,
     )

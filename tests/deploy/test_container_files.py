@@ -84,6 +84,7 @@ def test_services_are_hardened_and_have_images_of_the_dockerfile() -> None:
         assert service["read_only"] is True
         assert service["user"] == "10001:10001"
         assert service["cap_drop"] == ["ALL"]
+        assert (service["mem_limit"], service["pids_limit"]) == ("2g", 512)
         assert int(service["stop_grace_period"].rstrip("s")) > 2 * MAX_DRAIN_NS * 1e-9
 
 

@@ -15,6 +15,7 @@ from tests.contract.repository import ROOT
 from tests.deploy.manifests import (
     FOLDER,
     POD_OWNERS,
+    PODS,
     Manifest,
     find_pod,
     list_of_kind,
@@ -138,9 +139,9 @@ def test_each_world_has_a_budget_for_its_server_and_its_pools() -> None:
     assert sorted(names) == sorted(wanted)
 
 
-@pytest.mark.parametrize(("name", "pod"), list_pods().items(), ids=list_pods())
-def test_pod_is_restricted_probed_and_has_what_it_mounts(name: str, pod: Manifest) -> None:
-    spec = pod["spec"]
+@pytest.mark.parametrize("name", PODS)
+def test_pod_is_restricted_probed_and_has_what_it_mounts(name: str) -> None:
+    spec = list_pods()[name]["spec"]
     (container,) = spec["containers"]
     ports = {port["name"] for port in container["ports"]}
     volumes = {one["name"] for one in spec["volumes"]} | {"state"}
@@ -163,6 +164,35 @@ def test_pod_is_restricted_probed_and_has_what_it_mounts(name: str, pod: Manifes
     assert container["resources"]["limits"].keys() == {"memory"}, name
 
 
+def test_names_of_pods_are_those_of_the_manifests() -> None:
+    assert sorted(list_pods()) == sorted(PODS)
+
+
+@pytest.mark.parametrize("name", [name for name in PODS if name != "router"])
+def test_no_probe_that_restarts_a_pod_waits_until_it_is_ready(name: str) -> None:
+    (container,) = list_pods()[name]["spec"]["containers"]
+
+    paths = [container[f"{one}Probe"]["httpGet"]["path"] for one in ("startup", "liveness")]
+
+    assert paths == ["/livez", "/livez"]
+    assert container["readinessProbe"]["httpGet"]["path"] == "/readyz"
+
+
+def test_pods_reach_only_the_router_and_the_dns_of_the_cluster() -> None:
+    (policy,) = [
+        one["spec"]
+        for one in list_of_kind("NetworkPolicy")
+        if "Egress" in one["spec"]["policyTypes"]
+    ]
+
+    ports = {rule["ports"][0]["port"]: rule.get("to") for rule in policy["egress"]}
+
+    kube_system = {"matchLabels": {"kubernetes.io/metadata.name": "kube-system"}}
+    assert ports.keys() == {7447, 53}
+    assert ports[7447]
+    assert ports[53] == [{"namespaceSelector": kube_system}]
+
+
 def find_command(words: list[str]) -> tuple[Command, list[str], str]:
     """Find the command of a command line, its arguments, and its name."""
     commands = dict(list_commands(get_command(build(words[0])).commands[words[0]], words[0]))  # type: ignore[attr-defined]
@@ -171,10 +201,11 @@ def find_command(words: list[str]) -> tuple[Command, list[str], str]:
     return commands[name], words[length:], name
 
 
-@pytest.mark.parametrize(("name", "pod"), list_pods().items(), ids=list_pods())
+@pytest.mark.parametrize("name", PODS)
 def test_command_line_of_a_pod_is_read_with_its_variables(
-    name: str, pod: Manifest, monkeypatch: pytest.MonkeyPatch
+    name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    pod = list_pods()[name]
     settings = find_settings(pod)
     for variable, value in settings.items():
         monkeypatch.setenv(variable, value)

@@ -1,6 +1,7 @@
 """The command lines of compose.yaml, run as plain processes: each option and each file is real."""
 
 import os
+import socket
 import ssl
 import subprocess
 import sys
@@ -170,3 +171,18 @@ def test_page_asks_for_its_token(deployment: Deployment) -> None:
 
     assert eventually(get_status, WITHIN_S, "the page") == 401
     assert (deployment.folder / "state" / "page.token").is_file()
+
+
+def run_health_check(port: str) -> int:
+    """Run the health check of the page against a port of this host."""
+    _, python, flag, script = read_services()["page"]["healthcheck"]["test"]
+    assert (python, flag) == ("python3", "-c")
+    words = [sys.executable, flag, script.replace("8080", port)]
+    return subprocess.run(words, capture_output=True, timeout=WITHIN_S, check=False).returncode
+
+
+def test_health_check_of_the_page_asks_the_page_itself(deployment: Deployment) -> None:
+    eventually(lambda: run_health_check(deployment.page) == 0, WITHIN_S, "the page")
+
+    with socket.create_server(("127.0.0.1", 0)) as hanging:  # accepts, and never replies
+        assert run_health_check(str(hanging.getsockname()[1])) != 0

@@ -106,6 +106,12 @@ def test_command_that_repeats_a_run_allows_no_more_than_the_run() -> None:
     assert RunRequest("a.scenario.yaml").repeat == "zensim test a.scenario.yaml"
 
 
+def test_command_that_repeats_a_run_has_the_timeout_of_the_command_line() -> None:
+    request = RunRequest("a.scenario.yaml", timeout_s=2.5, has_own_timeout=True)
+
+    assert request.repeat == "zensim test a.scenario.yaml --timeout 2.5"
+
+
 def test_alarm_of_the_caller_is_kept(tmp_path: Path) -> None:
     request = RunRequest(write_scenario(tmp_path))
     before_s, _ = signal.setitimer(signal.ITIMER_REAL, 1000.0)
