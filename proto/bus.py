@@ -1072,15 +1072,16 @@ class Bus:
         *,
         world: str,
         timeout_s: float = 5.0,
+        request_id: str = "",
     ) -> PendingBusCall[Response]:
-        """Call a service, and poll for the reply later.
+        """Call a service, and poll for the reply later; a retry has the same `request_id`.
 
         Raises:
             ServiceError: The server would refuse the request for its size.
         """
         key = keys.service(world, service.name, self.user)
         return PendingBusCall(
-            self._make_query(key, service, request, timeout_s, ""),
+            self._make_query(key, service, request, timeout_s, request_id),
             partial(_read_response, service),
             partial(self._make_call_error, key, timeout_s),
         )

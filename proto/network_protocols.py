@@ -230,8 +230,9 @@ class BackgroundCallingNetwork(Protocol):
         *,
         world: str,
         timeout_s: float = 5.0,
+        request_id: str = "",
     ) -> PendingCall[Response]:
-        """Call a service, and poll for the reply later."""
+        """Call a service, and poll for the reply later; a retry has the same `request_id`."""
 
 
 class WatchingNetwork(Protocol):

@@ -2,6 +2,7 @@
 
 import logging
 import math
+import uuid
 from collections.abc import Iterator
 from contextlib import suppress
 from typing import NoReturn
@@ -251,6 +252,7 @@ class ShareClaimClient:
         self._retry = ClaimRetry(settings.agent, settings.wait_s)
         self._called_s = self._next_s = -math.inf
         self._call: PendingCall[ClaimShareResponse] | None = None
+        self._request_id = _make_request_id()
 
     def reclaim(self, entities: tuple[str, ...]) -> None:
         """Do nothing: robots that went to another pool belong to it."""
@@ -261,7 +263,7 @@ class ShareClaimClient:
 
     def forget_call(self) -> None:
         """Forget the call that is pending: its server is gone, and the claims with it."""
-        self._call = None
+        self._end_request()
 
     def poll(self, now_s: float) -> tuple[Claim, ...]:
         """Claim what is missing of the share, if it is time; return what a reply has granted.
@@ -280,14 +282,19 @@ class ShareClaimClient:
             if self._call is None:
                 self._begin(now_s)
             return self._take_reply()
-        except (ServiceError, NoServer, TimeoutError, MalformedPayload) as error:
+        except (NoServer, TimeoutError) as error:
+            # The server may have granted claims: the same request gets that reply.
             self._call = None
-            is_transient = isinstance(error, NoServer | TimeoutError) or (
-                # The server has not received the agent's token yet.
-                isinstance(error, ServiceError) and error.code == ResultCode.INCORRECT_STATE
-            )
-            self._next_s = self._retry.note_failure(error, now_s, is_transient=is_transient)
+            self._next_s = self._retry.note_failure(error, now_s, is_transient=True)
+        except (ServiceError, MalformedPayload) as error:
+            self._end_request()
+            # The server has not received the agent's token yet.
+            is_early = isinstance(error, ServiceError) and error.code == ResultCode.INCORRECT_STATE
+            self._next_s = self._retry.note_failure(error, now_s, is_transient=is_early)
         return ()
+
+    def _end_request(self) -> None:
+        self._call, self._request_id = None, _make_request_id()
 
     def _begin(self, now_s: float) -> None:
         self._retry.start(now_s)
@@ -295,16 +302,24 @@ class ShareClaimClient:
         settings = self._settings
         request = ClaimShareRequest(settings.agent, settings.limit, settings.on_release, PROTOCOL)
         self._call = self._network.begin_call(
-            CLAIM_SHARE, request, world=settings.world, timeout_s=CALL_TIMEOUT_S
+            CLAIM_SHARE,
+            request,
+            world=settings.world,
+            timeout_s=CALL_TIMEOUT_S,
+            request_id=self._request_id,
         )
 
     def _take_reply(self) -> tuple[Claim, ...]:
         response = None if self._call is None else self._call.poll()
         if response is None:
             return ()
-        self._call = None
+        self._end_request()
         self._retry.note_success()
         self._retry.reset_pause()
         if response.is_more:
             self._next_s = -math.inf
         return expand_grants(response)
+
+
+def _make_request_id() -> str:
+    return uuid.uuid4().hex

@@ -171,9 +171,17 @@ class MemoryBus:
         *,
         world: str,
         timeout_s: float = 5.0,
+        request_id: str = "",
     ) -> "MemoryPendingCall[Response]":
         return MemoryPendingCall(
-            partial(self.call, service, request, world=world, timeout_s=timeout_s)
+            partial(
+                self.call,
+                service,
+                request,
+                world=world,
+                timeout_s=timeout_s,
+                request_id=request_id,
+            )
         )
 
     def has_subscriber(self, key: str) -> bool:

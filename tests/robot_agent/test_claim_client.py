@@ -270,6 +270,9 @@ class FakeShareServer:
 
     def __init__(self, bus: MemoryBus) -> None:
         self.requests: list[ClaimShareRequest] = []
+        self.ids: list[bytes] = []
+        self.loses_replies = False
+        self.replies_by_id: dict[bytes, bytes] = {}
         self.grants: list[tuple[Claim, ...]] = []
         self.refusal: int = ResultCode.OK
         self.is_more = False
@@ -288,11 +291,22 @@ class FakeShareServer:
     def _poll(self) -> None:
         for call in self._calls.take():
             self.requests.append(decode(ClaimShareRequest, call.payload, call.encoding))
+            self.ids.append(call.request_id)
+            if self.loses_replies:
+                self._find_reply(call.request_id)
+                call.drop()
+            else:
+                payload = self._find_reply(call.request_id)
+                call.reply(payload, make_encoding(ClaimShareResponse, Format.MSGPACK))
+
+    def _find_reply(self, request_id: bytes) -> bytes:
+        """Find the reply to a request as a server does: a repeated one gets the first."""
+        if request_id not in self.replies_by_id:
             claims = self.grants.pop(0) if self.grants else ()
             result = Result(self.refusal, "no" if self.refusal != ResultCode.OK else "")
             response = ClaimShareResponse(result, *make_grants(claims), is_more=self.is_more)
-            encoding = make_encoding(response, Format.MSGPACK)
-            call.reply(encode(response, Format.MSGPACK), encoding)
+            self.replies_by_id[request_id] = encode(response, Format.MSGPACK)
+        return self.replies_by_id[request_id]
 
 
 def make_share_client(bus: MemoryBus, wait_s: float = 30.0) -> ShareClaimClient:
@@ -391,6 +405,41 @@ def test_share_client_raises_at_once_on_a_final_refusal() -> None:
     assert refusal.value.code == 102
 
 
+def test_share_client_gets_the_claims_of_a_reply_that_was_lost() -> None:
+    bus = MemoryBus()
+    server, client = FakeShareServer(bus), make_share_client(bus)
+    server.grants = [(a_claim(1, "r1"),)]
+    server.loses_replies = True
+    client.poll(0.0)
+    server.loses_replies = False
+
+    assert [claim.entity for claim in client.poll(1.0)] == ["r1"]
+
+
+def test_share_client_makes_a_new_request_after_each_reply_and_refusal() -> None:
+    bus = MemoryBus()
+    server, client = FakeShareServer(bus), make_share_client(bus)
+    client.poll(0.0)
+    server.refusal = ResultCode.INCORRECT_STATE
+    client.poll(2.0)
+    client.poll(4.0)
+
+    assert len(set(server.ids)) == 3
+    assert b"" not in server.ids
+
+
+def test_share_client_makes_a_new_request_to_a_new_server() -> None:
+    bus = MemoryBus()
+    server, client = FakeShareServer(bus), make_share_client(bus)
+    server.loses_replies = True
+    client.poll(0.0)
+
+    client.forget_call()
+    client.poll(1.0)
+
+    assert len(set(server.ids)) == 2
+
+
 class PendingCallBus(MemoryBus):
     """Makes calls whose reply comes when it may."""
 
@@ -405,8 +454,11 @@ class PendingCallBus(MemoryBus):
         *,
         world: str,
         timeout_s: float = 5.0,
+        request_id: str = "",
     ) -> MemoryPendingCall[Response]:
-        made = super().begin_call(service, request, world=world, timeout_s=timeout_s)
+        made = super().begin_call(
+            service, request, world=world, timeout_s=timeout_s, request_id=request_id
+        )
         return cast("MemoryPendingCall[Response]", HeldCall(self, made.make))
 
 

@@ -279,9 +279,10 @@ class InProcessNetwork:
         *,
         world: str,
         timeout_s: float = 5.0,
+        request_id: str = "",
     ) -> "InProcessPendingCall[Response]":
         """Call a service of this process when the reply is polled for."""
-        del world, timeout_s
+        del world, timeout_s, request_id
         return InProcessPendingCall(partial(self._on_call, service, request))
 
 
