@@ -2,7 +2,9 @@
 
 import logging
 import time
+from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from queue import SimpleQueue
 from threading import Event, Thread
 from typing import Final, Protocol
@@ -14,6 +16,8 @@ BURST_S: Final = 0.002
 """Time after which it pauses; what runs beside it is delayed by less."""
 RETRY_S: Final = 1.0
 """Pause before a session is opened again."""
+MAX_FAILURES: Final = 3
+"""Sessions that may fail at one token; it is then left out."""
 
 
 class DeclaredToken(Protocol):
@@ -40,7 +44,8 @@ class QueuedToken:
         self.key = key
         self.is_wanted = True
         self.declared: DeclaredToken | None = None
-        """Of the thread."""
+        """Of the thread, as is the number of sessions that failed at it."""
+        self.failures = 0
         self._queue = queue
 
     def close(self) -> None:
@@ -51,7 +56,10 @@ class QueuedToken:
 
 
 class TokenThread:
-    """Declares tokens on a session of its own, in the order in which they were given."""
+    """Declares tokens on a session of its own, in the order in which they were given.
+
+    If the session fails, all are declared again on the next one.
+    """
 
     def __init__(
         self, open_session: Callable[[], DeclaringSession], core_share: float = CORE_SHARE
@@ -65,6 +73,9 @@ class TokenThread:
         self._open_session = open_session
         self._pause_per_work = (1.0 - core_share) / core_share
         self._queue: SimpleQueue[QueuedToken | None] = SimpleQueue()
+        self._again: deque[QueuedToken] = deque()
+        """Of the thread, as the next one: tokens of a session that failed."""
+        self._declared: dict[QueuedToken, None] = {}
         self._is_closed = Event()
         self._thread: Thread | None = None
 
@@ -86,25 +97,58 @@ class TokenThread:
             self._thread = None
 
     def _run(self) -> None:
-        session = self._open()
-        if session is None:
-            return
+        while (session := self._open()) is not None:
+            try:
+                self._declare(session)
+            except Exception as error:  # noqa: BLE001 - a thread has no caller; errors are the network's
+                LOG.warning("tokens.lost tokens=%d reason=%r", len(self._declared), str(error))
+            finally:
+                _close(session)
+            self._is_closed.wait(RETRY_S)
+            self._declare_again()
+
+    def _declare(self, session: DeclaringSession) -> None:
+        """Declare and undeclare tokens until the thread ends.
+
+        Raises:
+            Exception: The session failed; the tokens in `_declared` are gone with it.
+        """
         worked_s = 0.0
-        while (token := self._queue.get()) is not None and not self._is_closed.is_set():
+        while (token := self._take()) is not None and not self._is_closed.is_set():
             began_s = time.perf_counter()
-            _apply(token, session)
+            if token.failures < MAX_FAILURES:
+                self._apply(token, session)
             worked_s += time.perf_counter() - began_s
             if worked_s >= BURST_S:
                 self._is_closed.wait(worked_s * self._pause_per_work)
                 worked_s = 0.0
-        session.close()
+
+    def _take(self) -> QueuedToken | None:
+        return self._again.popleft() if self._again else self._queue.get()
+
+    def _apply(self, token: QueuedToken, session: DeclaringSession) -> None:
+        if token.is_wanted:
+            self._declared[token] = None
+            token.failures += 1
+            token.declared = session.token(token.key)
+            token.failures = 0
+        elif self._declared.pop(token, 0) is None and token.declared is not None:
+            token.declared.close()
+
+    def _declare_again(self) -> None:
+        """Declare the tokens of a failed session first on the next one."""
+        self._again.extendleft(reversed(self._declared))
+        for token in self._declared:
+            token.declared = None
+        self._declared.clear()
 
     def _open(self) -> DeclaringSession | None:
         """Open the session as soon as the network accepts it; None if the thread ends before."""
-        session = self._try_open()
-        while session is None and not self._is_closed.wait(RETRY_S):
-            session = self._try_open()
-        return session
+        while not self._is_closed.is_set():
+            if (session := self._try_open()) is not None:
+                return session
+            self._is_closed.wait(RETRY_S)
+        return None
 
     def _try_open(self) -> DeclaringSession | None:
         try:
@@ -114,9 +158,7 @@ class TokenThread:
             return None
 
 
-def _apply(token: QueuedToken, session: DeclaringSession) -> None:
-    if token.is_wanted:
-        token.declared = session.token(token.key)
-    elif token.declared is not None:
-        token.declared.close()
-        token.declared = None
+def _close(session: DeclaringSession) -> None:
+    # One that has failed may refuse this, too.
+    with suppress(Exception):
+        session.close()

@@ -3,9 +3,11 @@
 import time
 from threading import Event
 
+import pytest
+
 from tests.fakes import MemoryBus, MemoryToken
 from tests.integration.processes import eventually
-from zensim.proto.token_thread import RETRY_S, TokenThread
+from zensim.proto.token_thread import MAX_FAILURES, RETRY_S, TokenThread
 
 PATIENCE_S = 10.0
 
@@ -86,6 +88,59 @@ def test_session_is_opened_again_if_it_fails() -> None:
 
     eventually(lambda: bus.list_tokens("t/*"), PATIENCE_S + RETRY_S)
     tokens.close()
+
+
+class FailingBus(MemoryBus):
+    """Fails at a token, as a session does that was closed; its end fails, too."""
+
+    def __init__(self, key: str) -> None:
+        super().__init__()
+        self._key = key
+
+    def token(self, key: str) -> MemoryToken:
+        if key == self._key:
+            raise RuntimeError("session closed")
+        return super().token(key)
+
+    def close(self) -> None:
+        super().close()
+        raise RuntimeError("session closed")
+
+
+def test_all_tokens_are_declared_again_if_the_session_fails(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    failing, good = FailingBus("t/2"), MemoryBus()
+    sessions = iter([failing, good])
+    tokens = TokenThread(lambda: next(sessions))
+    first = tokens.token("t/1")
+    for key in ("t/2", "t/3"):
+        tokens.token(key)
+
+    eventually(lambda: good.list_tokens("t/*") == ["t/1", "t/2", "t/3"], PATIENCE_S)
+    first.close()
+    eventually(lambda: good.list_tokens("t/*") == ["t/2", "t/3"], PATIENCE_S)
+    tokens.close()
+
+    assert failing.is_closed
+    assert [one.split()[0] for one in caplog.messages] == ["tokens.lost"]
+
+
+def test_token_at_which_each_session_fails_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("zensim.proto.token_thread.RETRY_S", 0.0)
+    sessions: list[FailingBus] = []
+
+    def open_session() -> FailingBus:
+        sessions.append(FailingBus("t/2"))
+        return sessions[-1]
+
+    tokens = TokenThread(open_session)
+    for number in range(1, 4):
+        tokens.token(f"t/{number}")
+
+    eventually(lambda: sessions and sessions[-1].list_tokens("t/*") == ["t/1", "t/3"], PATIENCE_S)
+    tokens.close()
+    assert len(sessions) == MAX_FAILURES + 1
 
 
 class BusyBus(MemoryBus):
