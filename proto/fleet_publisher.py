@@ -10,7 +10,13 @@ import msgspec
 import numpy as np
 
 from zensim.proto.codec.message_codec import Format, make_encoding
-from zensim.proto.network_protocols import AgentNetwork, Publisher, Query
+from zensim.proto.network_protocols import (
+    AgentNetwork,
+    Publisher,
+    PublishingNetwork,
+    Query,
+    SubscriberWatch,
+)
 from zensim.proto.ros2.liveliness_tokens import GraphEndpoint
 from zensim.proto.ros2.rmw_attachment import ATTACHMENT_STRUCT, GID_BYTES
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic, gid_from_endpoint
@@ -261,11 +267,11 @@ class RosFleetPublisher:
         """
         while self._unrepeated and self._unrepeated[0].repeat():
             self._unrepeated.popleft()
-        is_searched, has_joined_all = self._is_searched, not self._unjoined
+        has_joined_all = not self._unjoined
         self._join_some()
         if not self.is_wanted:
             return
-        if is_searched:
+        if self._is_searched:
             self._declare_found()
         elif has_joined_all:
             self._declare_missing()
@@ -364,8 +370,7 @@ class RosFleetPublisher:
     def _declare(self, member: TopicMember) -> None:
         if member in self._key_publishers or (endpoint := self._join(member)) is None:
             return
-        source = self._network if self.searched is None else self.searched.search.watch
-        publisher = source.advertise(self._ros_keys[member], self._encoding)
+        publisher = self._find_source().advertise(self._ros_keys[member], self._encoding)
         if not self._topic.is_latched:
             self._rows[member] = self._attachments.add(gid_from_endpoint(endpoint))
             self._matched.add(member, publisher)
@@ -376,6 +381,12 @@ class RosFleetPublisher:
         if publisher.is_matched and (payload := member.values.payload(member.row)) is not None:
             key_publisher.send(payload)
             self._unrepeated.append(key_publisher)
+
+    def _find_source(self) -> PublishingNetwork | SubscriberWatch:
+        # A query comes before the probe knows of its subscriber: it asks itself.
+        if self._is_searched and self.searched is not None:
+            return self.searched.search.watch
+        return self._network
 
     def _reply_with_last(self, member: TopicMember, call: Query) -> None:
         self._declare(member)

@@ -43,6 +43,7 @@ from zensim.proto.sensor_schedule import count_due, find_true_rate_hz, is_due
 from zensim.proto.service_catalog import GET_MODELS
 from zensim.proto.stats_publisher import StatsPublisher, read_process_usage
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
+from zensim.proto.subscriber_search import SubscriberWatches
 from zensim.proto.topic_catalog import EVENTS, SCENE_STATE, SENSOR_STATS, SENSORS_REPLY
 from zensim.proto.verbosity import configure_logging
 from zensim.sim_server.scene.camera_selection import find_opengl_fault
@@ -207,10 +208,16 @@ class SensorShare:
         unmeasured: Those that no process can measure.
     """
 
-    def __init__(self, network: AgentNetwork, config: SensorProcessConfig, graph: RosGraph) -> None:
+    def __init__(
+        self,
+        network: AgentNetwork,
+        config: SensorProcessConfig,
+        graph: RosGraph,
+        watches: SubscriberWatches | None = None,
+    ) -> None:
         world, self._name = config.world, config.name
         self.libraries = HostLibraries(network, world, config.name)
-        self.topics = SensorTopics(network, graph)
+        self.topics = SensorTopics(network, graph, watches)
         self.roster: SceneRoster | None = None
         self.sensors: Sequence[SceneSensor] = ()
         self.unmeasured: Sequence[SceneSensor] = ()
@@ -365,7 +372,8 @@ class SensorProcess:
         )
         self._graph = RosGraph(network, config.ros)
         self._rosout = Rosout(network, self._graph)
-        self._share = SensorShare(network, config, self._graph)
+        self._watches = SubscriberWatches(network)
+        self._share = SensorShare(network, config, self._graph, self._watches)
         self._roster_client = RosterClient(network, world)
         self._stats = StatsPublisher(
             network, SENSOR_STATS, SENSOR_STATS.key(world, self.name), self.make_stats
@@ -406,6 +414,7 @@ class SensorProcess:
         self._share.topics.close()
         self._share.libraries.close()
         self._graph.close()
+        self._watches.close()
         self._token.close()
 
     def make_stats(self) -> SensorStats:

@@ -9,6 +9,7 @@ from zensim.proto.fleet_publisher import FleetTopicPublisher, RosFleetPublisher,
 from zensim.proto.network_protocols import MAX_COMMAND_BYTES, AgentNetwork
 from zensim.proto.ros2.node_services import NodeServices
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode
+from zensim.proto.subscriber_search import SubscriberWatches
 from zensim.proto.topic_catalog import IMAGE_TRIGGER, TopicSpec
 from zensim.proto.topic_endpoints import TopicFactory, TopicSubscription
 from zensim.proto.topic_faults import TopicFaults
@@ -62,9 +63,19 @@ class LastPayloads:
 class SensorTopics:
     """All topics of the sensors of a world; messages are published on those of a share."""
 
-    def __init__(self, network: AgentNetwork, graph: RosGraph) -> None:
+    def __init__(
+        self, network: AgentNetwork, graph: RosGraph, watches: SubscriberWatches | None = None
+    ) -> None:
+        """Create them without sensors.
+
+        Args:
+            network: Session of the publishers.
+            graph: ROS 2 graph of the sensors' nodes.
+            watches: As of `FleetTopicPublisher`.
+        """
         self._network = network
         self._graph = graph
+        self._watches = watches
         self._publishers: dict[tuple[str, TopicSpec], FleetTopicPublisher] = {}
         self._members: dict[SensorAddress, tuple[TopicMember, FleetTopicPublisher]] = {}
         self._nodes: dict[str, RosNode] = {}
@@ -142,8 +153,9 @@ class SensorTopics:
         endpoint = topic.at(pattern)
         settings = self._graph.settings
         has_ros = settings.domain is not None and settings.has_topic(endpoint.name)
-        ros = RosFleetPublisher(self._network, self._graph, endpoint) if has_ros else None
-        return FleetTopicPublisher(self._network, pattern, endpoint.kind, ros, self.faults)
+        network, watches = self._network, self._watches
+        ros = RosFleetPublisher(network, self._graph, endpoint, watches) if has_ros else None
+        return FleetTopicPublisher(network, pattern, endpoint.kind, ros, self.faults, watches)
 
     def _set_subscriptions(self, wanted: Sequence[SensorAddress]) -> None:
         for address in [one for one in self._subscriptions if one not in wanted]:

@@ -1,11 +1,12 @@
 """One topic of many robots on plain and ROS 2 keys."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import pytest
 
 from tests.fakes import ManualClock, MemoryBus
-from zensim.api.in_process_network import InProcessPublisher
+from zensim.api.in_process_network import InProcessPublisher, InProcessSubscriberWatch
 from zensim.proto.codec import cdr
 from zensim.proto.fleet_publisher import (
     MAX_ANNOUNCED_CACHES,
@@ -496,6 +497,51 @@ def test_latched_topic_of_one_of_many_is_published_once_to_its_subscriber(
             publisher.announce_some()
 
     assert [sample.payload for sample in received.take()] == [b"fixed"]
+
+
+class WatchCountingBus(DeclaringBus):
+    """Counts the watches that were opened."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.opened_watches = 0
+
+    def watch_subscribers(self, patterns: Iterable[str]) -> InProcessSubscriberWatch:
+        self.opened_watches += 1
+        return super().watch_subscribers(patterns)
+
+
+def make_large_ros(bus: MemoryBus, values: ConstantValues) -> RosFleetPublisher:
+    graph = RosGraph(bus, RosSettings())
+    topic = RosTopic("*/text", String, LATCHED)
+    publisher = RosFleetPublisher(bus, graph, topic, SubscriberWatches(bus))
+    for number in range(MANY):
+        node = a_node(graph, f"r{number}")
+        publisher.add(TopicMember(f"r{number}/text", values, node=node))
+    return publisher
+
+
+def test_ros_topic_of_many_opens_no_watch_before_a_subscriber_comes(clock: ManualClock) -> None:
+    bus = WatchCountingBus()
+    publisher = make_large_ros(bus, ConstantValues())
+
+    search(publisher, clock)
+    before = bus.opened_watches
+    bus.subscribe(KEY.format("r7"), 8)
+    search(publisher, clock)
+
+    assert (before, bus.opened_watches) == (0, 1)
+
+
+def test_queried_robot_of_many_declares_no_publisher() -> None:
+    bus = WatchCountingBus()
+    publisher = make_large_ros(bus, ConstantValues())
+    bus.pumps.append(publisher.reply_to_queries)
+
+    answers = bus.get(f"{KEY.format('r7')}/@adv/**")
+
+    assert [answer.payload for answer in answers] == [b"fixed"]
+    assert bus.declared == [KEY.format("*")]
 
 
 @pytest.mark.parametrize("is_latched", [False, True])
