@@ -50,7 +50,7 @@ class RosGraph:
         self.zid = session.zid
         self.numbers = count()
         """Ids of nodes and endpoints."""
-        self.nodes: list[RosNode] = []
+        self.nodes: dict[RosNode, None] = {}
         self.kinds: dict[str, type[msgspec.Struct]] = {}
         """Messages of the endpoints by type hash."""
         self._session = session
@@ -81,7 +81,7 @@ class RosGraph:
         )
         ros_node = RosNode(self, node, group)
         # Zenoh undeclares tokens that are garbage collected.
-        self.nodes.append(ros_node)
+        self.nodes[ros_node] = None
         return ros_node
 
     def data_key(self, topic: "RosTopic") -> str:
@@ -242,7 +242,7 @@ class RosNode:
         if self.on_close is not None:
             self.on_close()
         if self in self.graph.nodes:
-            self.graph.nodes.remove(self)
+            del self.graph.nodes[self]
             self._group.nodes -= 1
         while self._tokens:
             self._tokens.pop().close()

@@ -1,6 +1,8 @@
 """The newest odometry of all robots of a world, from the messages of their agents."""
 
-from collections.abc import Sequence
+import math
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +13,8 @@ from zensim.proto.messages.agent_messages import STATE_COLUMNS, FleetOdometry
 from zensim.proto.messages.standard_messages import NANOSECONDS
 
 POSE_NUMBERS = 7
+OLD_EPOCH_S = 2.0
+"""Time without a message of the newest epoch after which an older one is that of a new server."""
 TABLE_DEPTH = 512
 """Messages of 64 KiB that wait: of 10,000 robots, some 20 a step."""
 
@@ -33,10 +37,18 @@ class FleetOdometryRows:
 class OdometryTable:
     """Keeps the last odometry of each robot of a feed."""
 
-    def __init__(self, feed: TopicFeed[FleetOdometry]) -> None:
-        """Take the feed of all agents."""
+    def __init__(
+        self, feed: TopicFeed[FleetOdometry], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Take the feed of all agents.
+
+        Args:
+            feed: Of all agents; messages of one of them may be later than a reset.
+            clock: Wall time [s].
+        """
         self._feed = feed
-        self._epoch = 0
+        self._clock = clock
+        self._epoch, self._newest_s = 0, -math.inf
         self._rows: dict[str, int] = {}
         self._times = np.zeros(0)
         self._motions = np.zeros((0, STATE_COLUMNS))
@@ -62,6 +74,10 @@ class OdometryTable:
     def _add(self, message: FleetOdometry) -> None:
         if len(message.motions) != 8 * STATE_COLUMNS * len(message.entities):
             return
+        now_s = self._clock()
+        if message.epoch < self._epoch and now_s - self._newest_s < OLD_EPOCH_S:
+            return
+        self._newest_s = now_s
         if message.epoch != self._epoch:
             # Time has begun again: robots of before may be gone.
             self._epoch, self._rows = message.epoch, {}

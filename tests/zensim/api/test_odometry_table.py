@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from zensim.api.odometry_table import OdometryTable
+from tests.fakes import ManualClock
+from zensim.api.odometry_table import OLD_EPOCH_S, OdometryTable
 from zensim.api.world_access import TopicFeed
 from zensim.proto.messages.agent_messages import FleetOdometry
 
@@ -47,6 +48,31 @@ def test_robots_of_a_former_epoch_are_gone() -> None:
     feed.messages = [a_message(5, "a", "b")]
     table.read([])
     feed.messages = [a_message(1, "b", epoch=1)]
+
+    assert table.read(["a", "b"]).times == pytest.approx([np.nan, 1.0], nan_ok=True)
+
+
+def test_late_message_of_a_former_epoch_is_left_out() -> None:
+    feed, clock = ListedFeed(), ManualClock(50.0)
+    table = OdometryTable(feed, clock)
+    feed.messages = [
+        a_message(5, "a", "b"),
+        a_message(1, "a", epoch=1),
+        a_message(6, "b"),
+        a_message(2, "b", epoch=1),
+    ]
+
+    assert table.read(["a", "b"]).times.tolist() == [1.0, 2.0]
+
+
+def test_new_server_begins_with_a_lower_epoch() -> None:
+    feed, clock = ListedFeed(), ManualClock(50.0)
+    table = OdometryTable(feed, clock)
+    feed.messages = [a_message(5, "a", epoch=3)]
+    table.read([])
+
+    clock.sleep(OLD_EPOCH_S)
+    feed.messages = [a_message(1, "b")]
 
     assert table.read(["a", "b"]).times == pytest.approx([np.nan, 1.0], nan_ok=True)
 
