@@ -154,7 +154,7 @@ class ServeOptions(RosOptions):
         _physics(
             metavar="HZ",
             help=r"Physics rate \[Hz, simulation time].",
-            show_default="from the world file, or 240",
+            show_default="from the world file, or 240; with --dynamics kinematic, --control-hz",
         ),
     ] = None
     control_hz: Annotated[

@@ -1,5 +1,6 @@
 """Configuration of a server, and its validation."""
 
+import math
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -25,8 +26,12 @@ if TYPE_CHECKING:
 CONTROL_HZ = DRIVE_STATE.rate_hz
 """Default maximum rate of drive states, as the default update rate of Gazebo's drives."""
 STEP_HZ = 240.0
+MIN_KINEMATIC_STEP_HZ = 20.0
+"""Least default step rate of a kinematic world: entities without a drive have contacts in it."""
 REAL_TIME_FACTOR = 1.0
 MAX_STEP_HZ = 10_000.0
+RATE_TOLERANCE = 1e-9
+"""Of the quotient of two rates, which floats may miss."""
 MAX_REAL_TIME_FACTOR = 1000.0
 MIN_LOCKSTEP_TIMEOUT_S, MAX_LOCKSTEP_TIMEOUT_S = 0.01, 3600.0
 
@@ -47,7 +52,7 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     world: str = "default"
     world_file: str = "empty"
     step_hz: float | None = None
-    """Physics rate [Hz]; None = that of the world file, or 240."""
+    """Physics rate [Hz]; None = that of the world file, or 240; see `find_default_step_hz`."""
     control_hz: float = CONTROL_HZ
     """Maximum rate of drive states [Hz, simulation time]; each one reads all bodies back."""
     real_time_factor: float | None = None
@@ -81,12 +86,25 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def step_ns(self) -> int:
         """Length of a step; an integer, so that time does not drift."""
-        return round(NANOSECONDS / (self.step_hz or STEP_HZ))
+        return round(NANOSECONDS / (self.step_hz or find_default_step_hz(self)))
 
     @property
     def control_steps(self) -> int:
         """Steps between two drive states."""
-        return max(1, -int(-(self.step_hz or STEP_HZ) // self.control_hz))
+        steps = (self.step_hz or find_default_step_hz(self)) / self.control_hz
+        return max(1, math.ceil(steps - RATE_TOLERANCE))
+
+
+def find_default_step_hz(config: ServerConfig) -> float:
+    """Find the step rate [Hz] where neither the configuration nor the world file has one.
+
+    Kinematic robots move along exact arcs, so that more than one step between two commands changes
+    nothing: their world steps at the control rate, or at its least multiple from 20 Hz on.
+    """
+    if config.physics.dynamics != "kinematic":
+        return STEP_HZ
+    multiple = math.ceil(MIN_KINEMATIC_STEP_HZ / config.control_hz - RATE_TOLERANCE)
+    return min(STEP_HZ, config.control_hz * max(1, multiple))
 
 
 def validate_config(config: ServerConfig) -> ServerConfig:
@@ -150,7 +168,7 @@ def fill_pace(
     config: ServerConfig, *, step_s: float | None, real_time_factor: float | None
 ) -> ServerConfig:
     """Complete step rate and speed from the world file, or with defaults."""
-    step_hz = config.step_hz or (1.0 / step_s if step_s else STEP_HZ)
+    step_hz = config.step_hz or (1.0 / step_s if step_s else find_default_step_hz(config))
     factor = REAL_TIME_FACTOR if real_time_factor is None else real_time_factor
     if config.real_time_factor is not None:
         factor = config.real_time_factor

@@ -9,6 +9,7 @@ from zensim.proto.bus import BusConfig
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.sim_server.pacing.lockstep import LockstepSettings
+from zensim.sim_server.physics.engine_config import EngineOptions
 from zensim.sim_server.server_config import (
     CONTROL_HZ,
     ConfigError,
@@ -118,3 +119,42 @@ def test_pace_is_requested_or_of_the_world_file_or_the_default(
     found = fill_pace(config, step_s=written[0], real_time_factor=written[1])
 
     assert (found.step_hz, found.real_time_factor) == expected
+
+
+@pytest.mark.parametrize(
+    ("control_hz", "step_hz", "control_steps"),
+    [
+        (100.0, 100.0, 1),
+        (20.0, 20.0, 1),
+        (50.0, 50.0, 1),
+        (15.0, 30.0, 2),
+        (6.7, 20.1, 3),
+        (1.0, 20.0, 20),
+        (1000.0, 240.0, 1),
+    ],
+)
+def test_kinematic_world_steps_at_its_control_rate_within_bounds(
+    control_hz: float, step_hz: float, control_steps: int
+) -> None:
+    physics = EngineOptions(dynamics="kinematic")
+    config = replace(DEFAULTS, control_hz=control_hz, physics=physics)
+
+    found = fill_pace(config, step_s=None, real_time_factor=None)
+
+    assert found.step_hz == pytest.approx(step_hz)
+    assert (found.control_steps, config.control_steps) == (control_steps, control_steps)
+    assert config.step_ns == found.step_ns
+
+
+@pytest.mark.parametrize(
+    ("asked", "written", "expected"), [(60.0, None, 60.0), (None, 0.01, 100.0)]
+)
+def test_kinematic_world_has_the_step_rate_that_is_given(
+    asked: float | None, written: float | None, expected: float
+) -> None:
+    physics = EngineOptions(dynamics="kinematic")
+    config = replace(DEFAULTS, step_hz=asked, control_hz=20.0, physics=physics)
+
+    found = fill_pace(config, step_s=written, real_time_factor=None)
+
+    assert found.step_hz == expected

@@ -49,7 +49,12 @@ class EngineSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     step_rate: (
         Annotated[
             float,
-            quantity("Hz", "Physics rate; null = of the world file, or 240 Hz.", above=0.0),
+            quantity(
+                "Hz",
+                "Physics rate; null = of the world file, or 240 Hz; for kinematic dynamics "
+                "control_rate.",
+                above=0.0,
+            ),
         ]
         | None
     ) = None
