@@ -1,6 +1,7 @@
 """Texts that differ in the robot's name and namespace alone: the others are copies of the first."""
 
 import re
+import time
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,6 +17,11 @@ NAMESPACE = re.compile(r"<namespace>/?(\w+)</namespace>", re.ASCII)
 NAME_MARK, NAMESPACE_MARK = "zensimNameMark".ljust(64, "0"), "zensimNamespaceMark".ljust(64, "0")
 """Valid names that no description has."""
 MAX_TEXT_CHARACTERS = 1 << 18
+"""Of a text and the texts of its controllers."""
+MAX_PARSING_S = 1.0
+"""CPU time of a text that is parsed twice: both count against the limits of one."""
+FORMAT_WORDS = frozenset({"true", "false"})
+"""Names that are also values of elements, which a mark must not replace."""
 MAX_FORMS = 32
 """Descriptions of which copies are made."""
 
@@ -51,7 +57,8 @@ def split_names(text: str) -> NamedText:
 
 
 def _is_replaceable(name: str) -> bool:
-    return NAME_PATTERN.fullmatch(name) is not None and name not in RESERVED_NAMES
+    is_name = NAME_PATTERN.fullmatch(name) is not None
+    return is_name and name not in RESERVED_NAMES and name not in FORMAT_WORDS
 
 
 ParsedText = tuple[ParseResult, dict[str, bytes]]
@@ -65,14 +72,19 @@ class RenamedTexts:
     Where a name has another effect, or meshes are made, each text is parsed.
     """
 
-    def __init__(self, parse: Callable[[ParseRequest], ParsedText]) -> None:
+    def __init__(
+        self,
+        parse: Callable[[ParseRequest], ParsedText],
+        read_cpu_s: Callable[[], float] = time.process_time,
+    ) -> None:
         self._parse = parse
+        self._read_cpu_s = read_cpu_s
         self._models: OrderedDict[ParseRequest, bytes | None] = OrderedDict()
         """By request with marks: the encoded model; empty before the second one, None = differs."""
 
     def parse(self, request: ParseRequest) -> ParsedText:
         """Parse a text, or copy the model of one that differs in its names alone."""
-        if request.is_world or request.assets or len(request.text) > MAX_TEXT_CHARACTERS:
+        if request.is_world or request.assets or _count(request) > MAX_TEXT_CHARACTERS:
             return self._parse(request)
         text = split_names(request.text)
         if text.form == request.text or NAME_MARK in request.text or NAMESPACE_MARK in request.text:
@@ -81,13 +93,16 @@ class RenamedTexts:
         if model := self._models.get(form):
             self._models.move_to_end(form)
             return ParseResult(request.number, _decode(text.rename(model))), {}
+        began_s = self._read_cpu_s()
         result, meshes = self._parse(request)
+        is_slow = self._read_cpu_s() - began_s > MAX_PARSING_S
         if form not in self._models:
             self._models[form] = b""
             if len(self._models) > MAX_FORMS:
                 self._models.popitem(last=False)
         elif self._models[form] is not None:
-            self._models[form] = None if meshes else self._encode_marked(form, text, result)
+            is_copied = not (meshes or is_slow)
+            self._models[form] = self._encode_marked(form, text, result) if is_copied else None
         return result, meshes
 
     def _encode_marked(
@@ -103,6 +118,10 @@ class RenamedTexts:
         except msgspec.ValidationError:  # JSON has no infinite numbers
             return None
         return encoded if is_same else None
+
+
+def _count(request: ParseRequest) -> int:
+    return len(request.text) + sum(map(len, request.controllers))
 
 
 def _decode(encoded: bytes) -> Model:

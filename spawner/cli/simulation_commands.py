@@ -83,7 +83,7 @@ def _set_state(client: SimClient, state: State, *, as_json: bool) -> None:
     # The service refuses a transition to the current state.
     if client.simulation_state() != state:
         client.set_simulation_state(state)
-    name, sim_time_s = state.name.lower(), client.info().sim_time_s
+    name, sim_time_s = state.name.lower(), client.info_when_restored().sim_time_s
     if as_json:
         print_json({"state": name, "sim_time_s": sim_time_s})
     else:
@@ -104,9 +104,9 @@ def reset(
     selected = {ResetScope.TIME: time, ResetScope.STATE: state, ResetScope.SPAWNED: spawned}
     scope = sum(bit for bit, is_selected in selected.items() if is_selected)
     with open_client("reset", server) as client:
-        before = client.info().entities
+        before = client.info_when_restored().entities
         client.reset(scope or ResetScope.DEFAULT)
-        info = client.info()
+        info = client.info_when_restored()
     deleted = max(0, before - info.entities)
     if as_json:
         print_json({"sim_time_s": info.sim_time_s, "epoch": info.epoch, "deleted": deleted})
@@ -230,7 +230,7 @@ def _set_factor(verb: str, factor: float | None, server: ClientOptions, *, as_js
     with open_client(verb, server) as client:
         if factor is not None:
             client.set_speed(factor)
-        info = client.info()
+        info = client.info_when_restored()
     target, measured = info.target_real_time_factor, info.real_time_factor
     if as_json:
         print_json({"target_real_time_factor": target, "real_time_factor": measured})
@@ -258,7 +258,7 @@ def _simulate_steps(verb: str, client: SimClient, steps: int) -> int:
 
 
 def _print_steps(client: SimClient, completed: int, *, as_json: bool) -> None:
-    sim_time_s = client.info().sim_time_s
+    sim_time_s = client.info_when_restored().sim_time_s
     if as_json:
         print_json({"steps": completed, "sim_time_s": sim_time_s})
     else:

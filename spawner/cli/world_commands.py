@@ -71,7 +71,7 @@ def load_world(
     with exit_on_failure("world load"):
         text = _read_world_file(world)
     with open_client("world load", server) as client:
-        before = client.info().entities
+        before = client.info_when_restored().entities
         reply = client.load_world(
             "" if text else world, text, is_strict=strict, may_lack_assets=allow_missing
         )
@@ -156,7 +156,7 @@ def named_poses(
 def unload_world(*, as_json: JsonOption = False, server: ClientOptions) -> None:
     """Unload the current world, and delete all entities."""
     with open_client("world unload", server) as client:
-        before = client.info().entities
+        before = client.info_when_restored().entities
         client.unload_world()
     if as_json:
         print_json({"deleted": before})

@@ -167,6 +167,18 @@ class SimClient(ServiceClient):
                 on_wait()
             time.sleep(POLL_S)
 
+    def info_when_restored(self) -> Info:
+        """Call `info`, again while the server restores its journal: until then most of it is 0.
+
+        Raises:
+            NoServer: There is no server.
+            TimeoutError: It does not reply, or restores for longer than the timeout of a call.
+        """
+        deadline = time.monotonic() + self._timeout_s
+        while (info := self.info()).state == "restoring" and time.monotonic() < deadline:
+            time.sleep(POLL_S)
+        return _require_restored(info)
+
     def simulate_steps(
         self,
         steps: int,

@@ -274,7 +274,8 @@ def spawn_many(
 ) -> list[SpawnOutcome]:
     """Spawn robots on the ground, each in its own namespace, by one request for `MAX_SPAWNS`.
 
-    The first atomic request that fails is the last one; robots of earlier requests stay.
+    The first atomic request that fails is the last one, as is a later one that is refused or has
+    no reply; robots of earlier requests stay.
 
     Args:
         client: Client of a server that has the files.
@@ -284,17 +285,26 @@ def spawn_many(
         is_atomic: Spawn all in one step or none; else as many as possible, one after another.
 
     Raises:
-        NoServer: There is no server.
-        TimeoutError: The server does not reply.
-        ServiceError: The server refused the whole request.
+        NoServer: There is no server for the first request; the same holds for the others.
+        TimeoutError: The server does not reply to it.
+        ServiceError: The server refused it as a whole.
     """
+    # Imported here: reading a description needs no network.
+    from zensim.proto.bus import NoServer
+
     common = _share_payload(order, payload)
     outcomes: list[SpawnOutcome] = []
     failed = ""
     for start in range(0, len(placements), MAX_SPAWNS):
         part = placements[start : start + MAX_SPAWNS]
         batch = SpawnEntitiesOrder(tuple(map(_make_order, part)), is_atomic, common)
-        outcomes += map(_make_outcome, part, client.spawn_all(batch).results)
+        try:
+            outcomes += map(_make_outcome, part, client.spawn_all(batch).results)
+        except (NoServer, TimeoutError, ServiceError) as error:
+            if not outcomes:
+                raise
+            rest = placements[len(outcomes) :]
+            return [*outcomes, *(_report_failure(robot, error) for robot in rest)]
         failed = next((one.name for one in outcomes if one.code != ResultCode.OK), "")
         if is_atomic and failed:
             break
@@ -315,6 +325,11 @@ def _share_payload(order: SpawnEntityOrder, payload: SpawnPayload) -> SpawnEntit
 def _refuse_later(robot: RobotPlacement, failed: str) -> SpawnOutcome:
     message = f"{NOT_SPAWNED_PREFIX} '{failed}', which an earlier request refused"
     return SpawnOutcome(robot.name, ResultCode.OPERATION_FAILED, message)
+
+
+def _report_failure(robot: RobotPlacement, error: Exception) -> SpawnOutcome:
+    code = error.code if isinstance(error, ServiceError) else ResultCode.OPERATION_FAILED
+    return SpawnOutcome(robot.name, code, str(error))
 
 
 def _make_order(robot: RobotPlacement) -> SpawnEntity:

@@ -5,12 +5,15 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
+from tests.fakes import ManualClock
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.parser_process.parser_protocol import ParseRequest
 from zensim.sim_server.parser_process.parser_worker import parse_request
 from zensim.sim_server.parser_process.renamed_texts import (
     MAX_FORMS,
+    MAX_PARSING_S,
+    MAX_TEXT_CHARACTERS,
     ParsedText,
     RenamedTexts,
     split_names,
@@ -119,11 +122,38 @@ def test_refused_text_is_parsed_each_time() -> None:
     assert {(one.model, one.slug) for one in results} == {(None, "xml.syntax")}
 
 
-@pytest.mark.parametrize("name", ["world", "sim", "1st", "a-b"])
+@pytest.mark.parametrize("name", ["world", "sim", "1st", "a-b", "true", "false"])
 def test_invalid_and_reserved_names_are_not_replaced(name: str) -> None:
     text = f'<robot name="{name}"><namespace>{name}</namespace></robot>'
 
     assert split_names(text).form == text
+
+
+def parse_four(texts: RenamedTexts, controllers: tuple[str, ...] = ()) -> None:
+    for number in range(4):
+        texts.parse(ParseRequest(number, a_text(f"r{number}"), controllers=controllers))
+
+
+def test_text_with_large_controllers_is_not_kept() -> None:
+    parser = CountingParser()
+
+    parse_four(RenamedTexts(parser.parse), ("#" * MAX_TEXT_CHARACTERS,))
+
+    assert parser.texts == [a_text(f"r{number}") for number in range(4)]
+
+
+def test_text_that_takes_long_is_not_parsed_twice() -> None:
+    clock = ManualClock()
+
+    def parse(request: ParseRequest) -> ParsedText:
+        clock.sleep(2 * MAX_PARSING_S)
+        return parse_request(request, {})
+
+    parser = CountingParser(parse)
+
+    parse_four(RenamedTexts(parser.parse, clock))
+
+    assert parser.texts == [a_text(f"r{number}") for number in range(4)]
 
 
 def test_number_of_forms_is_limited() -> None:

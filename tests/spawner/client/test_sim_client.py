@@ -12,6 +12,7 @@ from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Point, Pose, Twist, Vector3
+from zensim.proto.messages.telemetry_messages import Info
 from zensim.sim_server.journal.journal_contents import RestoreProgress
 from zensim.sim_server.runtime.loop import ServerLoop
 from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
@@ -136,6 +137,27 @@ def test_waiting_for_a_server_waits_for_the_end_of_its_restore() -> None:
 
     with pytest.raises(TimeoutError, match="1 of 2"):
         SimClient(cast("Bus", bus)).wait_for_server(0.0)
+
+
+class RestoringClient(SimClient):
+    """Of a server that restores for some calls."""
+
+    def __init__(self, calls: int, timeout_s: float) -> None:
+        super().__init__(cast("Bus", MemoryBus()), timeout_s=timeout_s)
+        self._calls = calls
+
+    def info(self) -> Info:
+        self._calls -= 1
+        return Info(state="restoring") if self._calls >= 0 else Info(state="playing", entities=3)
+
+
+def test_info_is_read_again_until_a_restore_ends() -> None:
+    assert RestoringClient(2, timeout_s=10.0).info_when_restored().entities == 3
+
+
+def test_info_of_a_restore_that_outlasts_a_call_is_refused() -> None:
+    with pytest.raises(TimeoutError):
+        RestoringClient(10**6, timeout_s=0.0).info_when_restored()
 
 
 def test_client_calls_its_own_world_only() -> None:

@@ -278,6 +278,39 @@ def test_fleet_ends_at_the_first_request_that_is_refused() -> None:
     assert NOT_SPAWNED_PREFIX in outcomes[-1].message
 
 
+class EndingClient(RecordingClient):
+    """Replies to the first request only."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__()
+        self._error = error
+
+    def spawn_all(self, order: SpawnEntitiesOrder) -> SpawnEntitiesResponse:
+        if self.orders:
+            raise self._error
+        return super().spawn_all(order)
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (TimeoutError("no reply"), ResultCode.OPERATION_FAILED),
+        (NoServer("gone"), ResultCode.OPERATION_FAILED),
+        (ServiceError("spawn_entities", 107, "INVALID", "no"), 107),
+    ],
+)
+def test_fleet_keeps_what_was_spawned_when_a_later_request_fails(
+    error: Exception, code: int
+) -> None:
+    placements = [RobotPlacement(f"r{i}", 0.0, 0.0) for i in range(2 * MAX_SPAWNS + 1)]
+
+    outcomes = spawn_fleet(EndingClient(error), "box_bot", placements, lambda _: None)
+
+    expected = [ResultCode.OK] * MAX_SPAWNS + [code] * (MAX_SPAWNS + 1)
+    assert [one.code for one in outcomes] == expected
+    assert [one.name for one in outcomes] == [one.name for one in placements]
+
+
 def test_fleet_fails_without_a_server() -> None:
     client = SimClient(cast("Bus", MemoryBus()))
 
