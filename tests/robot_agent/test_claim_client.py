@@ -301,7 +301,7 @@ class FakeShareServer:
 
     def _find_reply(self, request_id: bytes) -> bytes:
         """Find the reply to a request as a server does: a repeated one gets the first."""
-        if request_id not in self.replies_by_id:
+        if not request_id or request_id not in self.replies_by_id:
             claims = self.grants.pop(0) if self.grants else ()
             result = Result(self.refusal, "no" if self.refusal != ResultCode.OK else "")
             response = ClaimShareResponse(result, *make_grants(claims), is_more=self.is_more)
