@@ -213,8 +213,7 @@ class World(Simulation):
             world: Name of a shipped world, or an SDF file.
             engine: `mujoco`, or `pybullet` with the extra of that name.
             seed: Of the noise of sensors.
-            step_hz: Steps per simulated second; None = of the world file, or 240
-                (control_hz if all robots are kinematic).
+            step_hz: Steps per simulated second; None = of the world file, or 240.
             control_hz: Most control steps per simulated second; None = 100.
             rates: Of odometry and tf, by name of the robot; else those of its description.
             options: See `WorldKeywords`.
