@@ -289,27 +289,39 @@ def spawn_many(
         TimeoutError: The server does not reply to it.
         ServiceError: The server refused it as a whole.
     """
-    # Imported here: reading a description needs no network.
-    from zensim.proto.bus import NoServer
-
     common = _share_payload(order, payload)
     outcomes: list[SpawnOutcome] = []
     failed = ""
     for start in range(0, len(placements), MAX_SPAWNS):
         part = placements[start : start + MAX_SPAWNS]
-        batch = SpawnEntitiesOrder(tuple(map(_make_order, part)), is_atomic, common)
         try:
-            outcomes += map(_make_outcome, part, client.spawn_all(batch).results)
-        except (NoServer, TimeoutError, ServiceError) as error:
+            outcomes += _spawn_part(client, part, common, is_atomic=is_atomic)
+        except _list_call_errors() as error:
             if not outcomes:
                 raise
-            rest = placements[len(outcomes) :]
-            return [*outcomes, *(_report_failure(robot, error) for robot in rest)]
+            return [*outcomes, *_report_failure(placements[len(outcomes) :], error)]
         failed = next((one.name for one in outcomes if one.code != ResultCode.OK), "")
         if is_atomic and failed:
             break
-    later = placements[len(outcomes) :]
-    return [*outcomes, *(_refuse_later(robot, failed) for robot in later)]
+    return [*outcomes, *(_refuse_later(one, failed) for one in placements[len(outcomes) :])]
+
+
+def _spawn_part(
+    client: "ServiceClient",
+    part: Sequence[RobotPlacement],
+    common: SpawnEntityOrder,
+    *,
+    is_atomic: bool,
+) -> list[SpawnOutcome]:
+    batch = SpawnEntitiesOrder(tuple(map(_make_order, part)), is_atomic, common)
+    return list(map(_make_outcome, part, client.spawn_all(batch).results))
+
+
+def _list_call_errors() -> tuple[type[Exception], ...]:
+    # Imported here: reading a description needs no network.
+    from zensim.proto.bus import NoServer
+
+    return NoServer, TimeoutError, ServiceError
 
 
 def _share_payload(order: SpawnEntityOrder, payload: SpawnPayload) -> SpawnEntityOrder:
@@ -327,9 +339,9 @@ def _refuse_later(robot: RobotPlacement, failed: str) -> SpawnOutcome:
     return SpawnOutcome(robot.name, ResultCode.OPERATION_FAILED, message)
 
 
-def _report_failure(robot: RobotPlacement, error: Exception) -> SpawnOutcome:
+def _report_failure(robots: Sequence[RobotPlacement], error: Exception) -> list[SpawnOutcome]:
     code = error.code if isinstance(error, ServiceError) else ResultCode.OPERATION_FAILED
-    return SpawnOutcome(robot.name, code, str(error))
+    return [SpawnOutcome(robot.name, code, str(error)) for robot in robots]
 
 
 def _make_order(robot: RobotPlacement) -> SpawnEntity:
