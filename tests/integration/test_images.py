@@ -17,7 +17,7 @@ pytestmark = pytest.mark.images
 TARGETS = os.environ.get("IMAGES", "agent server full").split()
 USER = 10001
 WITHIN_S = 120.0
-MOST_MB = {"agent": 300, "server": 620, "full": 1100}
+MOST_MB = {"agent": 300, "server": 480, "full": 700}
 PACKAGES = {
     "agent": (set(), {"pybullet", "mujoco", "scipy", "viser"}),
     "server": ({"mujoco", "trimesh", "embreex", "lxml"}, {"pybullet", "scipy", "viser"}),
