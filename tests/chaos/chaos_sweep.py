@@ -106,18 +106,30 @@ def _disturb(folder: Path, place: str, runs: int) -> set[str]:
     quarter, half = runs // 4, runs // 2
     _close_gate(folder, output, quarter)
     with running(*_command(folder, place, place)) as driver:
-        eventually(lambda: len(_list_ids(output)) >= quarter, END_S, "a quarter")
+        _await_rows(driver, output, quarter)
         for worker in eventually(lambda: _find_two(driver.pid, place), END_S, "two workers"):
             with suppress(psutil.NoSuchProcess):
                 worker.send_signal(signal.SIGKILL)
         _close_gate(folder, output, half)
-        eventually(lambda: len(_list_ids(output)) >= half, END_S, "half")
+        _await_rows(driver, output, half)
         family = psutil.Process(driver.pid).children(recursive=True)
         os.kill(driver.pid, signal.SIGKILL)
         driver.wait()
         eventually(lambda: not any(map(_is_alive, family)), END_S, "the end of its processes")
     (folder / "gate").unlink()
     return _list_ids(output)
+
+
+def _await_rows(driver: "subprocess.Popen[str]", output: Path, least: int) -> None:
+    """Wait for rows, as long as the driver runs."""
+
+    def is_over() -> bool:
+        return len(_list_ids(output)) >= least or driver.poll() is not None
+
+    eventually(is_over, END_S, f"{least} rows")
+    if driver.poll() is not None:
+        _, errors = driver.communicate()
+        raise RuntimeError(f"the sweep ended before it was killed: {errors.strip()}")
 
 
 def _close_gate(folder: Path, output: Path, most: int) -> None:
