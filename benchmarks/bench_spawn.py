@@ -30,6 +30,7 @@ from benchmarks.ten_robots import (
     longest_work,
     milliseconds,
     observe,
+    poll_until,
     stats_of,
 )
 from zensim.proto.codec.message_codec import decode
@@ -156,7 +157,10 @@ def _spawn_many_singly(driven: int, count: int, dynamics: str) -> SpawnRun:
                 assert report.entity_name
         took_s = time.monotonic() - start_s
         after, wall_s = client.info(), time.monotonic() - start_s
-        found = [decode(Stats, one.payload, one.encoding) for one in stats.take()]
+        # Statistics come once a second: the last ones are about the last spawns.
+        seen = stats.take()
+        seen += poll_until(lambda: stats.take() or None)
+    found = [decode(Stats, one.payload, one.encoding) for one in seen]
     factor = (after.sim_time_s - before.sim_time_s) / wall_s
     return SpawnRun(count / took_s, factor, found)
 

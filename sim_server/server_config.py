@@ -30,8 +30,8 @@ MIN_KINEMATIC_STEP_HZ = 20.0
 """Least default step rate of a kinematic world: entities without a drive have contacts in it."""
 REAL_TIME_FACTOR = 1.0
 MAX_STEP_HZ = 10_000.0
-RATE_TOLERANCE = 1e-9
-"""Of the quotient of two rates, which floats may miss."""
+RATE_TOLERANCE = 1e-5
+"""Relative, of the quotient of two rates: a step is a whole number of ns, also in a journal."""
 MAX_REAL_TIME_FACTOR = 1000.0
 MIN_LOCKSTEP_TIMEOUT_S, MAX_LOCKSTEP_TIMEOUT_S = 0.01, 3600.0
 
@@ -92,7 +92,7 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     def control_steps(self) -> int:
         """Steps between two drive states."""
         steps = (self.step_hz or find_default_step_hz(self)) / self.control_hz
-        return max(1, math.ceil(steps - RATE_TOLERANCE))
+        return max(1, math.ceil(steps * (1.0 - RATE_TOLERANCE)))
 
 
 def find_default_step_hz(config: ServerConfig) -> float:
@@ -103,7 +103,7 @@ def find_default_step_hz(config: ServerConfig) -> float:
     """
     if config.physics.dynamics != "kinematic":
         return STEP_HZ
-    multiple = math.ceil(MIN_KINEMATIC_STEP_HZ / config.control_hz - RATE_TOLERANCE)
+    multiple = math.ceil(MIN_KINEMATIC_STEP_HZ / config.control_hz * (1.0 - RATE_TOLERANCE))
     return min(STEP_HZ, config.control_hz * max(1, multiple))
 
 

@@ -96,8 +96,8 @@ class Agents:
     """Of the drive states of each agent that has asked for one."""
     settled_shares: dict[str, object] = field(default_factory=dict)
     """On what the last share of each pool depended that had nothing new."""
-    starting: dict[str, int] = field(default_factory=dict)
-    """Pools that sent no command since they got robots: simulation time of that [ns]."""
+    starting: dict[str, tuple[int, int]] = field(default_factory=dict)
+    """Pools that sent no command since they got robots: simulation and wall time of that [ns]."""
 
 
 @dataclass

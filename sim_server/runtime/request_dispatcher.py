@@ -277,7 +277,7 @@ class RequestDispatcher:
             if not budget.may_finish(client):
                 is_complete = False
                 continue
-            with budget.charge(client), _logged_with_id(pending.call):
+            with budget.charge(client, is_begun=True), _logged_with_id(pending.call):
                 if pending.is_ready():
                     self._pending.remove(pending)
                     self._reply(pending.call, self._outcome(pending), pending.began_ns)

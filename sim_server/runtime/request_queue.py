@@ -22,7 +22,7 @@ SPARE_SHARE: Final = 0.75
 """Part of the time until the next step that requests that were begun may use, if that is more; the
 rest is for the threads of the network."""
 LATE_NS: Final = 20_000_000
-"""A loop that is later than this has no spare time, and gives requests half as much."""
+"""A loop that is later than this gives requests half as much."""
 SHARE_OF_CLIENT: Final = 0.75
 """Part of it that one client may use, so that others do not wait for the next step."""
 MIN_BUDGET_NS: Final = 250_000
@@ -55,14 +55,15 @@ class RequestBudget:
         """
         self._read_used_ns = used_ns
         self._budget_ns = self._spare_ns = MIN_BUDGET_NS
-        self._used_ns = 0
+        self._used_ns = self._begun_ns = 0
         self._used_by_ns: dict[str, int] = {}
         """By client: time used since the last step, and debt."""
 
     @property
     def is_used_up(self) -> bool:
-        """Whether all requests wait for the next step."""
-        return self._used_ns >= self._budget_ns
+        """Whether all requests wait for the next step; begun ones first use the spare time."""
+        spared_ns = min(self._begun_ns, max(self._spare_ns, 0))
+        return self._used_ns - spared_ns >= self._budget_ns
 
     def may_run(self, client: str) -> bool:
         """Whether a client's next request may run now; after a step the first always may."""
@@ -76,14 +77,15 @@ class RequestBudget:
         return is_spared and self._used_ns < max(self._budget_ns, self._spare_ns)
 
     @contextmanager
-    def charge(self, client: str, fee_ns: int = 0) -> Iterator[None]:
-        """Count the time that the block takes for a client, and a fee."""
+    def charge(self, client: str, fee_ns: int = 0, *, is_begun: bool = False) -> Iterator[None]:
+        """Count the time that the block takes for a client, and a fee; begun ones apart."""
         start_ns = self._read_used_ns()
         try:
             yield
         finally:
             used_ns = self._read_used_ns() - start_ns + fee_ns
             self._used_ns += used_ns
+            self._begun_ns += used_ns if is_begun else 0
             self._used_by_ns[client] = self._used_by_ns.get(client, 0) + used_ns
 
     def begin_step(self, step_ns: int, late_ns: int = 0, spare_ns: int = 0) -> None:
@@ -97,13 +99,14 @@ class RequestBudget:
         share = BUDGET_SHARE * 2 if late_ns > LATE_NS else BUDGET_SHARE
         self._budget_ns = max(step_ns // share, MIN_BUDGET_NS)
         self._spare_ns = round(spare_ns * SPARE_SHARE)
-        self._used_ns = 0
+        self._used_ns = self._begun_ns = 0
         # What nobody else needs pays debts, too: a large spawn uses an idle loop.
         self._used_by_ns = _pay(self._used_by_ns, max(self._budget_ns, self._spare_ns))
 
     def begin_slice(self) -> None:
         """Start a budget without debts: no step waits for requests."""
         self._budget_ns, self._spare_ns, self._used_ns = SLICE_NS, 0, 0
+        self._begun_ns = 0
         self._used_by_ns.clear()
 
 

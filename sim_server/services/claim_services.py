@@ -14,6 +14,7 @@ from zensim.sim_server.service_parts import (
     Agents,
     CurrentWorld,
     Descriptions,
+    Pacing,
     make_environment,
 )
 from zensim.sim_server.world.entity import Entity
@@ -64,7 +65,7 @@ def find_robots_to_move(
 
 UNLIMITED = 1 << 32
 START_NS: Final = 30_000_000_000
-"""Simulation time in which a pool begins to drive new robots: thousands take it seconds."""
+"""Simulation and wall time in which a pool begins to drive new robots: thousands take seconds."""
 MAX_SHARE_TEXT = 2 << 20
 """Most characters of distinct descriptions in one reply: the size of a message is limited."""
 
@@ -101,20 +102,21 @@ def claim_share(
     agents: Agents,
     current: CurrentWorld,
     descriptions: Descriptions,
+    pacing: Pacing,
     request: agent_messages.ClaimShareRequest,
 ) -> agent_messages.ClaimShareResponse:
     """Grant a pool the claims of its share of the robots."""
     _check_protocol(request.protocol)
     agent = _check_agent(agents, request.agent)
     agents.pool_limits[agent] = request.limit or UNLIMITED
-    moved = _find_new_share(world, agents, agent)
+    moved = _find_new_share(world, agents, pacing, agent)
     names = _fit_in_reply(moved)
     for entity in names:
         # The wheels keep turning: the new pool replies to the next state.
         world.claims.drop(entity)
     granted = world.claim(agent, names, request.on_release)
     if granted:
-        agents.starting[agent] = world.clock.time_ns
+        agents.starting[agent] = world.clock.time_ns, pacing.now_ns()
     return agent_messages.ClaimShareResponse(
         Result(),
         *agent_messages.make_grants(descriptions.locate_files(granted)),
@@ -154,12 +156,14 @@ def _check_agent(agents: Agents, name: str) -> str:
     return agent
 
 
-def _find_new_share(world: SimulatedWorld, agents: Agents, agent: str) -> tuple[Entity, ...]:
+def _find_new_share(
+    world: SimulatedWorld, agents: Agents, pacing: Pacing, agent: str
+) -> tuple[Entity, ...]:
     """Find what a pool gets; at once if nothing has changed since it got nothing.
 
     Pools call each second, and a search among 10,000 robots takes 30 ms of the loop.
     """
-    abandoning = _find_abandoning(world, agents, agent)
+    abandoning = _find_abandoning(world, agents, pacing, agent)
     basis = (
         world.claims.changes,
         world.entities.roster_number,
@@ -177,14 +181,22 @@ def _find_new_share(world: SimulatedWorld, agents: Agents, agent: str) -> tuple[
     return moved
 
 
-def _find_abandoning(world: SimulatedWorld, agents: Agents, agent: str) -> frozenset[str]:
+def _find_abandoning(
+    world: SimulatedWorld, agents: Agents, pacing: Pacing, agent: str
+) -> frozenset[str]:
     """Find the silent pools whose robots others get: not those that have just got theirs."""
-    now_ns = world.clock.time_ns
+    now_ns = world.clock.time_ns, pacing.now_ns()
     return frozenset(
         pool
         for pool in world.claims.silent & agents.pool_limits.keys()
-        if pool != agent and not 0 <= now_ns - agents.starting.get(pool, -START_NS) < START_NS
+        if pool != agent and not _is_starting(agents.starting.get(pool), now_ns)
     )
+
+
+def _is_starting(began_ns: tuple[int, int] | None, now_ns: tuple[int, int]) -> bool:
+    if began_ns is None or now_ns[0] < began_ns[0]:  # a reset has set time back
+        return False
+    return min(now_ns[0] - began_ns[0], now_ns[1] - began_ns[1]) < START_NS
 
 
 def _find_share(

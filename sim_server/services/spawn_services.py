@@ -251,7 +251,7 @@ SPAWN_SLICE_NS = 5 * NANOSECONDS // 1000
 MIN_SPARE_NS = NANOSECONDS // 1000
 """With more time than this until the next step, spawning uses that time."""
 MAX_SPARE_SLICE_NS = 15 * NANOSECONDS // 1000
-"""Most of it in a turn: drive commands and other requests are served in between."""
+"""Most of it in a turn, and half of what is left: others' commands and requests come in between."""
 MAX_PARSES_AHEAD = 64
 """Most descriptions that are parsed at once."""
 ParsedSpawnModel = tuple[Model, str] | SimError
@@ -420,8 +420,8 @@ class _AtomicSpawns(_SpawnBatch):
 def _find_slice_end(spawning: Spawning) -> int:
     """Return the wall time until which spawning may run without delaying the next step."""
     now_ns = spawning.pacing.now_ns()
-    if spawning.pacing.due_ns - now_ns > MIN_SPARE_NS:
-        return min(spawning.pacing.due_ns - MIN_SPARE_NS // 2, now_ns + MAX_SPARE_SLICE_NS)
+    if (left_ns := spawning.pacing.due_ns - now_ns) > MIN_SPARE_NS:
+        return now_ns + min(left_ns // 2, MAX_SPARE_SLICE_NS)
     return now_ns + spawning.pacing.loop_stats.work_budget_ns(SPAWN_SLICE_NS)
 
 

@@ -158,3 +158,13 @@ def test_kinematic_world_has_the_step_rate_that_is_given(
     found = fill_pace(config, step_s=written, real_time_factor=None)
 
     assert found.step_hz == expected
+
+
+@pytest.mark.parametrize("control_hz", [15.0, 30.0, 48.0, 60.0, 75.0, 90.0, 120.0])
+def test_control_steps_do_not_change_by_the_rounding_of_a_step(control_hz: float) -> None:
+    physics = EngineOptions(dynamics="kinematic")
+    config = replace(DEFAULTS, control_hz=control_hz, physics=physics)
+
+    resumed = replace(config, step_hz=NANOSECONDS / config.step_ns)
+
+    assert resumed.control_steps == config.control_steps

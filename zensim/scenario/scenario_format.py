@@ -51,8 +51,8 @@ class EngineSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             float,
             quantity(
                 "Hz",
-                "Physics rate; null = of the world file, or 240 Hz; for kinematic dynamics "
-                "control_rate.",
+                "Physics rate; null = of the world file, or 240 Hz; on a server with kinematic "
+                "dynamics control_rate.",
                 above=0.0,
             ),
         ]

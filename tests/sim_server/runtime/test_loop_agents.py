@@ -485,3 +485,17 @@ def test_loop_waits_anew_when_the_claims_of_an_agent_change() -> None:
     assert timed_out(server) == []
     server.turn_for(0.4)
     assert timed_out(server) == [("r0", "a")]
+
+
+def test_pool_starts_until_its_first_command_or_its_end() -> None:
+    server = a_driven_server("r0")
+    starting = server.parts.agents.starting
+    starting.update(a=(0, 0), b=(0, 0), c=(0, 0))
+
+    server.drive("a", 3.0, 3.0)
+    server.drive("b", 3.0, 3.0)  # has no claims
+    server.inbox.agents.append(("c", False))
+    server.loop.turn()
+    server.loop.turn()
+
+    assert list(starting) == ["b"]

@@ -245,3 +245,13 @@ def test_begun_requests_have_a_quarter_of_a_step_when_no_time_is_left() -> None:
         finished += 1
 
     assert finished == 3
+
+
+def test_begun_requests_in_spare_time_leave_the_budget_to_new_ones() -> None:
+    requests = Requests()
+    requests.budget.begin_step(STEP_NS, spare_ns=STEP_NS)
+    with requests.budget.charge("a", is_begun=True):
+        requests.thread.used_ns += STEP_NS // 2
+
+    assert not requests.budget.may_run("a")
+    assert requests.budget.may_run("b")

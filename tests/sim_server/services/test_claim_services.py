@@ -22,6 +22,7 @@ from zensim.sim_server.parser_process.mesh_server import PublishedFiles
 from zensim.sim_server.service_parts import ServerParts
 from zensim.sim_server.services import claim_services
 from zensim.sim_server.services.claim_services import (
+    START_NS,
     WrongProtocol,
     find_robots_to_move,
     split_evenly,
@@ -275,23 +276,29 @@ def test_robots_of_a_silent_pool_go_to_the_other_until_it_calls_again() -> None:
     assert [grant.entity for grant in share(parts, "p").grants] == ["r0"]
 
 
-def test_silent_pool_that_has_just_got_robots_keeps_them_for_a_time() -> None:
+@pytest.mark.parametrize(
+    ("simulated_ns", "wall_ns", "moved"),
+    [(0, 0, []), (START_NS, 0, []), (0, START_NS, []), (START_NS, START_NS, ["r0"])],
+)
+def test_silent_pool_that_has_just_got_robots_keeps_them_for_a_time(
+    simulated_ns: int, wall_ns: int, moved: list[str]
+) -> None:
     parts = make_parts(a_world("r0", "r1"))
     share(parts, "p")
     share(parts, "q")
 
     parts.world.stop_silent("p")
+    began_ns = parts.world.clock.time_ns - simulated_ns, parts.pacing.now_ns() - wall_ns
+    parts.agents.starting["p"] = began_ns
 
-    assert share(parts, "q").grants == ()
-    parts.agents.starting["p"] = parts.world.clock.time_ns - claim_services.START_NS
-    assert [grant.entity for grant in share(parts, "q").grants] == ["r0"]
+    assert [grant.entity for grant in share(parts, "q").grants] == moved
 
 
 def test_robots_of_a_pool_that_started_before_a_reset_are_not_kept() -> None:
     parts = make_parts(a_world("r0", "r1"))
     share(parts, "p")
     share(parts, "q")
-    parts.agents.starting["p"] = parts.world.clock.time_ns + 1
+    parts.agents.starting["p"] = parts.world.clock.time_ns + 1, parts.pacing.now_ns()
 
     parts.world.stop_silent("p")
 
