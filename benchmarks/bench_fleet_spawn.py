@@ -48,7 +48,7 @@ MEMORY = Limit("median", "<=", 150.0)
 MOVED = Limit("max", "<=", 10.0)
 COMMANDS_HZ = 2.0
 CROWD_S = 60.0
-FAR_M, APART_M = 1000.0, 10.0
+FAR_M, APART_M = 1000.0, 1.0
 """Distance of fleets from the driving robot, and from each other per size [m]."""
 
 
