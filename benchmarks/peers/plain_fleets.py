@@ -22,6 +22,8 @@ CONTROL_HZ = 20.0
 WORLD_ROBOTS = 10
 """Robots of one MuJoCo model: several small worlds are faster than a large one."""
 SETTLE_S = 1.0
+STEADY = 1.01
+"""Robots are steady when a further second of wall time makes them faster by less than this."""
 WHEEL_SPEEDS = (4.93, 6.5)
 COORDINATES = 8
 """Velocities of a box_bot: six of its base, and of two wheels."""
@@ -43,9 +45,11 @@ def drive_pybullet(robots: int, seconds: float) -> Driven:
     loop = PlainLoop(robots, step_ns=CONFIG.step_ns, control_steps=CONFIG.control_steps)
     try:
         loop.turn(SETTLE_S)
-        while np.mean(loop.speeds()) < CIRCLE[0] / 2.0:
+        speed = 0.0
+        while (now := float(np.mean(loop.speeds()))) < CIRCLE[0] / 2.0 or now > speed * STEADY:
+            speed = now
             loop.turn(SETTLE_S)
-        speed = float(np.mean(loop.speeds()))
+        speed = now
         turn = loop.turn(seconds)
     finally:
         loop.close()
