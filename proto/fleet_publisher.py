@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Final, Generic, Protocol, TypeVar
 
@@ -134,7 +134,7 @@ class LastValues(Protocol):
         """Write the last value of a row as CDR; None if there is none yet."""
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class TopicMember:
     """One robot's part in a topic.
 
@@ -173,11 +173,15 @@ class SearchedMembers:
         """All that have subscribers."""
         return self.named | self.others
 
-    def poll(self, members: Mapping[str, Sequence[TopicMember]]) -> bool:
-        """Continue the search among members by key; whether the result has changed."""
+    def poll(self, list_members: Callable[[], Mapping[str, Sequence[TopicMember]]]) -> bool:
+        """Continue the search; whether the result has changed.
+
+        Args:
+            list_members: Lists all members by key, when the result has changed.
+        """
         if not self.search.poll(time.monotonic()):
             return False
-        found = self.search.found
+        found, members = self.search.found, list_members()
         self.named = frozenset(one for key in found.named for one in members.get(key, ()))
         self.others = frozenset(one for key in found.others for one in members.get(key, ()))
         return True
@@ -222,9 +226,12 @@ class RosFleetPublisher:
         self._attachments = AttachmentRows()
         self._rows: dict[TopicMember, int] = {}
         """Of a topic that is not latched: rows of attachments."""
-        self._ros_keys: dict[TopicMember, str] = {}
+        self._members: dict[TopicMember, None] = {}
         self._graph = graph
+        self._late_announcements = 0
+        """Of the graph, when robots were last joined."""
         self._pattern = key = graph.data_key(topic)
+        self._key_head, _, self._key_tail = key.partition(topic.key)
         if watches is not None:
             watches.include(key)
         self._probe = network.advertise(key, self._encoding)
@@ -239,19 +246,24 @@ class RosFleetPublisher:
     def add(self, member: TopicMember) -> None:
         """Add a robot; its endpoint is declared later."""
         if member.node is not None:
-            self._unjoined.append(member)
-            self._ros_keys[member] = self._graph.data_key(self._make_topic(member))
+            self._members[member] = None
+            if member.node.is_announced:
+                self._unjoined.append(member)
             self._note_change()
 
     def _note_change(self) -> None:
         if self.searched is not None:
-            self.searched.search.set_keys(self._ros_keys.values)
+            self.searched.search.set_keys(lambda: map(self._make_key, self._members))
+
+    def _make_key(self, member: TopicMember) -> str:
+        # Not kept: five keys of a robot would take a kilobyte.
+        return f"{self._key_head}{member.key}{self._key_tail}"
 
     def remove(self, member: TopicMember) -> None:
         """Remove a robot; its node undeclares the endpoint."""
         self._note_change()
         self._joined.pop(member, None)
-        self._ros_keys.pop(member, None)
+        self._members.pop(member, None)
         if (key_publisher := self._key_publishers.pop(member, None)) is not None:
             if key_publisher in self._unrepeated:
                 self._unrepeated.remove(key_publisher)
@@ -267,6 +279,7 @@ class RosFleetPublisher:
         """
         while self._unrepeated and self._unrepeated[0].repeat():
             self._unrepeated.popleft()
+        self._note_late_announcements()
         has_joined_all = not self._unjoined
         self._join_some()
         if not self.is_wanted:
@@ -284,11 +297,21 @@ class RosFleetPublisher:
         for member in some:
             self._join(member)
 
+    def _note_late_announcements(self) -> None:
+        """Declare the endpoints of robots that were announced after they were added, too."""
+        if self._late_announcements != self._graph.late_announcements:
+            self._late_announcements = self._graph.late_announcements
+            self._unjoined = [
+                one
+                for one in self._members
+                if one.node is not None and one.node.is_announced and one not in self._joined
+            ]
+
     def _declare_missing(self) -> None:
         """Declare some publishers; check the others if all are there."""
-        if len(self._key_publishers) + len(self._rows) < len(self._joined):
+        if len(self._key_publishers) + len(self._rows) < len(self._members):
             is_there = self._key_publishers if self._topic.is_latched else self._rows
-            missing = [member for member in self._joined if member not in is_there]
+            missing = [member for member in self._members if member not in is_there]
             for member in missing[:MAX_ROS_DECLARED_AT_ONCE]:
                 self._declare(member)
         else:
@@ -296,7 +319,7 @@ class RosFleetPublisher:
 
     @property
     def _is_searched(self) -> bool:
-        if self.searched is None and self._watches and len(self._ros_keys) > MAX_PUBLISHERS:
+        if self.searched is None and self._watches and len(self._members) > MAX_PUBLISHERS:
             watch = self._watches.find(self._pattern)
             self.searched = SearchedMembers(SubscriberSearch(watch, self._pattern))
             self._note_change()
@@ -306,9 +329,12 @@ class RosFleetPublisher:
         """Search those with subscribers; make some of their publishers, which declare nothing."""
         if (searched := self.searched) is None:
             return
-        if searched.poll(self._list_by_key()):
+        if searched.poll(self._list_by_key):
             self.version += 1
             found = searched.all
+            for member in searched.named:
+                if member.node is not None:
+                    self._graph.announce_late(member.node)
             for member in self._matched.remove_except(found):
                 self._attachments.remove(self._rows.pop(member))
             is_there = self._key_publishers if self._topic.is_latched else self._rows
@@ -318,8 +344,8 @@ class RosFleetPublisher:
 
     def _list_by_key(self) -> dict[str, list[TopicMember]]:
         listed: dict[str, list[TopicMember]] = {}
-        for member, key in self._ros_keys.items():
-            listed.setdefault(key, []).append(member)
+        for member in self._members:
+            listed.setdefault(self._make_key(member), []).append(member)
         return listed
 
     def has_subscribers(self, member: TopicMember) -> bool:
@@ -349,7 +375,7 @@ class RosFleetPublisher:
 
     def close(self) -> None:
         """Undeclare the topic."""
-        for member in tuple(self._ros_keys):
+        for member in tuple(self._members):
             self.remove(member)
         self._probe.close()
         if self._queries is not None:
@@ -359,18 +385,18 @@ class RosFleetPublisher:
         return msgspec.structs.replace(self._topic, key=member.key)
 
     def _join(self, member: TopicMember) -> GraphEndpoint | None:
-        if member.node is None or member not in self._ros_keys:
+        if member.node is None or member not in self._members:
             return None
         if member not in self._joined:
             self._joined[member] = member.node.add_topic_endpoint("MP", self._make_topic(member))
             if self._topic.is_latched and len(self._joined) <= MAX_ANNOUNCED_CACHES:
-                member.node.announce_cache(self._make_cache_key(self._ros_keys[member]))
+                member.node.announce_cache(self._make_cache_key(self._make_key(member)))
         return self._joined[member]
 
     def _declare(self, member: TopicMember) -> None:
         if member in self._key_publishers or (endpoint := self._join(member)) is None:
             return
-        publisher = self._find_source().advertise(self._ros_keys[member], self._encoding)
+        publisher = self._find_source().advertise(self._make_key(member), self._encoding)
         if not self._topic.is_latched:
             self._rows[member] = self._attachments.add(gid_from_endpoint(endpoint))
             self._matched.add(member, publisher)
@@ -393,11 +419,12 @@ class RosFleetPublisher:
         payload = member.values.payload(member.row)
         key_publisher = self._key_publishers.get(member)
         if payload is not None and key_publisher is not None:
-            key_publisher.add_reply(call, self._ros_keys[member], payload, self._encoding)
+            key_publisher.add_reply(call, self._make_key(member), payload, self._encoding)
 
     def _find_queried(self, call: Query) -> Iterator[TopicMember]:
         wanted, is_cached, _ = call.key.partition("/@adv/")
-        for member, key in tuple(self._ros_keys.items()):
+        for member in tuple(self._members):
+            key = self._make_key(member)
             if (
                 key == wanted
                 if is_cached and "*" not in wanted
@@ -449,7 +476,7 @@ class FleetTopicPublisher:
         self._message_type = message_type
         self._network = network
         self._encoding = make_encoding(message_type, Format.CDR)
-        self._members: dict[str, list[TopicMember]] = {}
+        self._members: dict[str, tuple[TopicMember, ...]] = {}
         self._undeclared: list[TopicMember] = []
         self._unannounced: list[TopicMember] = []
         self._has_announced = False
@@ -482,7 +509,7 @@ class FleetTopicPublisher:
 
     def add(self, member: TopicMember) -> None:
         """Add a robot; its publisher is declared once there are subscribers."""
-        self._members.setdefault(member.key, []).append(member)
+        self._members[member.key] = (*self._members.get(member.key, ()), member)
         self._note_change()
         if self._searched is None:
             self._undeclared.append(member)
@@ -491,7 +518,7 @@ class FleetTopicPublisher:
 
     def remove(self, member: TopicMember) -> None:
         """Remove a robot."""
-        left = [one for one in self._members.pop(member.key, ()) if one is not member]
+        left = tuple(one for one in self._members.pop(member.key, ()) if one is not member)
         if left:
             self._members[member.key] = left
         self._matched.remove(member)
@@ -536,7 +563,7 @@ class FleetTopicPublisher:
 
     def _make_found(self) -> None:
         """Search those with subscribers; make their publishers, which declare nothing."""
-        if (searched := self._searched) is None or not searched.poll(self._members):
+        if (searched := self._searched) is None or not searched.poll(lambda: self._members):
             return
         self._own_version += 1
         found = searched.all

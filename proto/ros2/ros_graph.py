@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from zensim.proto.codec.message_codec import Format, make_encoding
-from zensim.proto.network_protocols import TokenQueue, TokenSession
+from zensim.proto.network_protocols import Closable, TokenQueue, TokenSession
 from zensim.proto.ros2 import liveliness_tokens, rmw_keys
 from zensim.proto.ros2.liveliness_tokens import (
     RELIABLE_10,
@@ -28,6 +28,12 @@ if TYPE_CHECKING:
 MAX_NODES_PER_ID: Final = 100
 """Nodes with the same session id in their tokens. The time of a router to declare a token grows
 with the tokens beside it, which differ in the chunk after that id only."""
+
+MAX_ROBOTS_ANNOUNCED: Final = 500
+"""Robots of a process whose nodes are announced when they join. A router compares all tokens with
+each other when an observer joins, and no message passes meanwhile: 2 s for 9000 tokens."""
+MAX_ROBOTS_ANNOUNCED_LATE: Final = 250
+"""Further ones that are announced because they have subscribers."""
 
 ACTION_INFIX: Final = "/_action/"
 """Infix of an action's services and topics, which are announced to a bridge as one action."""
@@ -53,6 +59,10 @@ class RosGraph:
         self.nodes: dict[RosNode, None] = {}
         self.kinds: dict[str, type[msgspec.Struct]] = {}
         """Messages of the endpoints by type hash."""
+        self.announced_robots = 0
+        """Nodes that `add_robot` and `announce_late` have announced, and that are not closed."""
+        self.late_announcements = 0
+        """Calls of `announce_late` that announced a node."""
         self._session = session
         self._groups = [NodeGroup(session, self.zid)]
         self._queue: TokenQueue | None = None
@@ -68,7 +78,31 @@ class RosGraph:
         return self.settings.domain
 
     def add_node(self, namespace: str, name: str) -> "RosNode | None":
-        """Add a node; None if there are no ROS 2 endpoints."""
+        """Add a node and announce it; None if there are no ROS 2 endpoints."""
+        if (node := self._add(namespace, name)) is not None:
+            node.announce()
+        return node
+
+    def add_robot(self, namespace: str, name: str) -> "RosNode | None":
+        """Add the node of one of many robots; it is announced if there are not too many."""
+        node = self._add(namespace, name)
+        if node is not None and self.announced_robots < MAX_ROBOTS_ANNOUNCED:
+            self._announce(node)
+        return node
+
+    def announce_late(self, node: "RosNode") -> None:
+        """Announce the node of a robot that has a subscriber, if there are not too many."""
+        most = MAX_ROBOTS_ANNOUNCED + MAX_ROBOTS_ANNOUNCED_LATE
+        if not node.is_announced and self.announced_robots < most:
+            self.late_announcements += 1
+            self._announce(node)
+
+    def _announce(self, node: "RosNode") -> None:
+        self.announced_robots += 1
+        node.is_counted = True
+        node.announce()
+
+    def _add(self, namespace: str, name: str) -> "RosNode | None":
         if self.domain is None:
             return None
         group = self._find_free_group()
@@ -160,7 +194,14 @@ class RosNode:
         self._node = node
         self._group = group
         group.nodes += 1
-        self._tokens = [group.session.token(make_node_token(node))]
+        self._tokens: list[Closable] = []
+        self._unannounced: list[str] = []
+        self.is_counted = False
+        """Whether it is among `RosGraph.announced_robots`."""
+        self.is_announced = False
+        """Whether its tokens, and those that are added, are declared."""
+        self.is_closed = False
+        """Whether the node has left the graph."""
         self.on_close: Callable[[], None] | None = None
         """Called when the node leaves the graph."""
 
@@ -169,10 +210,19 @@ class RosNode:
         """Name with namespace, as `/box_bot0/agent`."""
         return rmw_keys.qualify_name(self._node.namespace, self._node.name)
 
-    @property
-    def is_closed(self) -> bool:
-        """Whether the node has left the graph."""
-        return not self._tokens
+    def announce(self) -> None:
+        """Declare the tokens of the node and of its endpoints, also of later ones."""
+        if not self.is_announced:
+            self.is_announced = True
+            tokens, self._unannounced = self._unannounced, []
+            for token in (make_node_token(self._node), *tokens):
+                self._tokens.append(self._group.session.token(token))
+
+    def _declare(self, token: str) -> None:
+        if self.is_announced:
+            self._tokens.append(self._group.session.token(token))
+        else:
+            self._unannounced.append(token)
 
     def data_key(self, topic: RosTopic) -> str:
         """Write the ROS 2 data key of a topic."""
@@ -180,7 +230,7 @@ class RosNode:
 
     def announce_cache(self, key: str) -> None:
         """Announce a queryable of last messages, which subscribers query when it appears."""
-        self._tokens.append(self._group.session.token(key))
+        self._declare(key)
 
     def add_topic_endpoint(self, kind: EndpointKind, topic: RosTopic) -> GraphEndpoint:
         """Announce a publisher or subscription of the node."""
@@ -219,12 +269,10 @@ class RosNode:
             type_hash=type_hash,
             qos=qos,
         )
-        self._tokens.append(self._group.session.token(make_endpoint_token(endpoint)))
+        self._declare(make_endpoint_token(endpoint))
         is_bridged = self.graph.settings.is_bridged and ACTION_INFIX not in endpoint.name
         if is_bridged and bridge_key is not None:
-            self._tokens.append(
-                self._group.session.token(_make_route_token(endpoint, bridge_key, self.graph.zid))
-            )
+            self._declare(_make_route_token(endpoint, bridge_key, self.graph.zid))
         return endpoint
 
     def announce_action(self, key: str, ros_type: str) -> None:
@@ -233,17 +281,18 @@ class RosNode:
             route = liveliness_tokens.BridgeRoute(
                 zid=self.graph.zid, kind="AS", key=key, ros_type=ros_type
             )
-            self._tokens.append(
-                self._group.session.token(liveliness_tokens.make_route_token(route))
-            )
+            self._declare(liveliness_tokens.make_route_token(route))
 
     def close(self) -> None:
         """Undeclare all tokens, that of the node last; further calls do nothing."""
         if self.on_close is not None:
             self.on_close()
+            self.on_close = None
         if self in self.graph.nodes:
             del self.graph.nodes[self]
             self._group.nodes -= 1
+            self.graph.announced_robots -= self.is_counted
+        self.is_closed = True
         while self._tokens:
             self._tokens.pop().close()
 

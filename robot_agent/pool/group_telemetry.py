@@ -72,17 +72,16 @@ class CdrBatch:
         self._buffer = bytearray(end)
         for one, start in zip(rows, starts, strict=True):
             self._buffer[start : start + len(one.payload)] = one.payload
-        self._spans = [
-            (start, start + len(one.payload)) for one, start in zip(rows, starts, strict=True)
-        ]
-        at = np.array(starts, dtype=np.int64)[:, None]
+        self._starts = np.array(starts, dtype=np.int64)
+        self._ends = self._starts + np.array([len(one.payload) for one in rows], dtype=np.int64)
+        at = self._starts[:, None]
         self._make_views()
         self._number_at = (at + _stack_offsets([one.numbers for one in rows], len(numbers))) // 8
         self._sec_at = (at + _stack_offsets([one.stamps for one in rows], len(stamps))) // 4
 
     def __getstate__(self) -> dict[str, object]:
         """Leave out the views of the buffer."""
-        return {**self.__dict__, "_views": None, "_floats": None, "_words": None}
+        return {**self.__dict__, "_view": None, "_floats": None, "_words": None}
 
     def __setstate__(self, state: dict[str, object]) -> None:
         """Make the views of the buffer again."""
@@ -90,7 +89,7 @@ class CdrBatch:
         self._make_views()
 
     def _make_views(self) -> None:
-        self._views = [memoryview(self._buffer)[start:end] for start, end in self._spans]
+        self._view = memoryview(self._buffer)
         self._floats = np.frombuffer(self._buffer, dtype="<f8")
         self._words = np.frombuffer(self._buffer, dtype="<u4")
 
@@ -103,13 +102,14 @@ class CdrBatch:
 
     def payload(self, row: int) -> bytes:
         """Return one message."""
-        return self._views[row].tobytes()
+        return self._view[self._starts[row] : self._ends[row]].tobytes()
 
     def payloads(self, rows: IntArray) -> list[bytes]:
-        """Return some messages."""
-        if len(rows) == len(self._views):
-            return [view.tobytes() for view in self._views]
-        return [self._views[row].tobytes() for row in rows.tolist()]
+        """Return some messages; all of them in their own order."""
+        wanted = slice(None) if len(rows) == len(self._starts) else rows
+        starts, ends = self._starts[wanted].tolist(), self._ends[wanted].tolist()
+        view = self._view
+        return [view[start:end].tobytes() for start, end in zip(starts, ends, strict=True)]
 
 
 class _EncodedTemplate:
@@ -435,14 +435,14 @@ class SharedTfTopic:
         self._publisher = publisher
         self._member = TopicMember(TF.suffix, self, node=node)
         publisher.add(self._member)
-        self._templates: Sequence[TFMessage] = ()
+        self._claims: Sequence[Claim] = ()
         self._batch: TfMessageBatch | None = None
         self._has_value = np.zeros(0, dtype=np.bool_)
         self._published_ns = np.zeros(0, dtype=np.int64)
 
-    def remap(self, templates: Sequence[TFMessage], before: IntArray) -> None:
-        """Set the robots' messages, one per row; for `before` see `remap_floats`."""
-        self._templates, self._batch = templates, None
+    def remap(self, claims: Sequence[Claim], before: IntArray) -> None:
+        """Set the robots, one per row; for `before` see `remap_floats`."""
+        self._claims, self._batch = claims, None
         self._has_value = remap_flags(self._has_value, before)
         self._published_ns = remap_ints(self._published_ns, before)
 
@@ -483,7 +483,11 @@ class SharedTfTopic:
     def _get_batch(self) -> TfMessageBatch:
         # Only for subscribers: robots of a fleet are claimed one by one.
         if self._batch is None:
-            self._batch = TfMessageBatch(self._templates)
+            models = {id(one.model): one.model for one in self._claims}
+            made = {key: message_templates.make_tf_template(one) for key, one in models.items()}
+            self._batch = TfMessageBatch(
+                [prefix_frames(made[id(one.model)], one.namespace) for one in self._claims]
+            )
         return self._batch
 
 
@@ -621,17 +625,11 @@ class GroupTelemetry:
             made.append(message_templates.make_joint_states_template(model, self._published))
         return made
 
-    def make_shared_template(self, model: Model, namespace: str) -> TFMessage | None:
-        """Make a robot's transforms on the shared tf topic."""
-        if self.shared is None:
-            return None
-        return prefix_frames(message_templates.make_tf_template(model), namespace)
-
-    def remap_shared(self, templates: Sequence[TFMessage], before: IntArray) -> None:
-        """Remap the rows of the shared tf topic; see `make_shared_template`."""
+    def remap_shared(self, claims: Sequence[Claim], before: IntArray) -> None:
+        """Remap the rows of the shared tf topic, which are these robots."""
         self._poses.remap_rows(before)
         if self.shared is not None:
-            self.shared.remap(templates, before)
+            self.shared.remap(claims, before)
 
     def reset(self) -> None:
         """Forget all values; time may have gone back."""

@@ -19,7 +19,7 @@ from zensim.proto.fleet_publisher import (
 )
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveCommand, DriveState
 from zensim.proto.messages.model_messages import Model
-from zensim.proto.messages.standard_messages import TFMessage, Twist, TwistStamped, Vector3
+from zensim.proto.messages.standard_messages import Twist, TwistStamped, Vector3
 from zensim.proto.network_protocols import AgentNetwork, Sample
 from zensim.proto.ros2.node_services import NodeServices
 from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key
@@ -212,7 +212,7 @@ def _is_plain_twist(sample: Sample) -> bool:
     )
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class GroupMember:
     """One robot of a group."""
 
@@ -227,8 +227,6 @@ class GroupMember:
     static_topics: tuple[TopicMember, ...] = ()
     templates: Sequence[msgspec.Struct] = ()
     """One per topic."""
-    shared_tf: TFMessage | None = None
-    """Its transforms on the shared topic."""
     node: RosNode | None = None
     """In the ROS 2 graph."""
     joints: JointControl | None = None
@@ -392,18 +390,15 @@ class RobotGroup:
         }
         for one in new:
             one.templates = templates[id(one.claim.model)]
-            one.shared_tf = self._telemetry.make_shared_template(
-                one.claim.model, one.claim.namespace
-            )
         for number, topic in enumerate(self._topics):
             topic.remap(
                 [member.topics[number] for member in members],
                 [member.templates[number] for member in members],
                 before,
             )
-        shared = [one.shared_tf for one in members if one.shared_tf is not None]
-        self._telemetry.remap_shared(shared, before)
-        self._sensors.remap([member.claim for member in members], before)
+        claims = [member.claim for member in members]
+        self._telemetry.remap_shared(claims, before)
+        self._sensors.remap(claims, before)
 
 
 FLOAT_BYTES = 8
@@ -531,6 +526,8 @@ class PooledRobots:
         commands_domain = domain if self._ros.has_topic(CMD_VEL.name) else None
         self._commands = FleetCmdVel(rx_session or network, timeout_ns, commands_domain)
         self._groups: dict[GroupKey, RobotGroup] = {}
+        self._group_keys: dict[GroupKey, GroupKey] = {}
+        """One object for each: a key takes 2 KiB."""
         self._claims: bytes | None = None
         self._layout = PoolStateLayout((), ())
         self._singles: tuple[_SingleRobot, ...] = ()
@@ -543,6 +540,7 @@ class PooledRobots:
                 topic_keys = find_topic_keys(claim, self._ros)
                 self._commands.listen(topic_keys.cmd_vel)
                 group_key = make_group_key(claim, topic_keys)
+                group_key = self._group_keys.setdefault(group_key, group_key)
                 member = GroupMember(claim, group_key, topic_keys)
                 member.node = self._join_ros_graph(claim.namespace, topic_keys.cmd_vel)
                 self._robot_services.add(member.node, partial(list_robot_parameters, claim))
@@ -760,6 +758,7 @@ class PooledRobots:
         for key in [key for key in self._groups if key not in groups]:
             self._groups.pop(key).close()
         self._groups = {key: self._update_group(key, group) for key, group in groups.items()}
+        self._group_keys = {key: key for key in groups}
         self._singles = tuple(
             _SingleRobot(self._robots[one], place, *self._layout.find_slices(place))
             for place, one in enumerate(order)
@@ -826,7 +825,7 @@ class PooledRobots:
 
     def _join_ros_graph(self, namespace: str, cmd_vel: str) -> RosNode | None:
         """Add a robot to the ROS 2 graph, as a node that subscribes to commands."""
-        node = self._graph.add_node(namespace, NODE_NAME) if self._graph else None
+        node = self._graph.add_robot(namespace, NODE_NAME) if self._graph else None
         if node is not None and self._ros.has_topic(CMD_VEL.name):
             for kind in CMD_VEL.messages:
                 node.add_topic_endpoint("MS", RosTopic(cmd_vel, kind))

@@ -172,7 +172,7 @@ class SensorTopics:
 
     def _find_node(self, address: SensorAddress) -> RosNode | None:
         if address.namespace not in self._nodes:
-            node = self._graph.add_node(address.namespace, NODE_NAME)
+            node = self._graph.add_robot(address.namespace, NODE_NAME)
             if node is not None:
                 self._nodes[address.namespace] = node
                 self._node_services.add(node)

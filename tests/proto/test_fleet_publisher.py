@@ -24,7 +24,13 @@ from zensim.proto.fleet_publisher import (
 )
 from zensim.proto.messages.standard_messages import Range, String
 from zensim.proto.network_protocols import Stamp
-from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_5, RELIABLE_10
+from zensim.proto.ros2 import ros_graph
+from zensim.proto.ros2.liveliness_tokens import (
+    LATCHED,
+    RELIABLE_5,
+    RELIABLE_10,
+    parse_endpoint_token,
+)
 from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic
 from zensim.proto.ros2.ros_settings import RosSettings
@@ -568,3 +574,29 @@ def test_ros_topic_of_many_reaches_its_subscriber(clock: ManualClock, *, is_latc
     assert attachment is not None
     assert attachment.sequence_number == 1
     graph.close()
+
+
+def test_robot_of_many_is_announced_with_its_endpoints_when_it_has_a_subscriber(
+    clock: ManualClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ros_graph, "MAX_ROBOTS_ANNOUNCED", 2)
+    bus = DeclaringBus()
+    graph = RosGraph(bus, RosSettings())
+    topics = [RosTopic(f"*/{name}", String) for name in ("text", "other")]
+    watches = SubscriberWatches(bus)
+    publishers = [RosFleetPublisher(bus, graph, topic, watches) for topic in topics]
+    for number in range(MANY):
+        node = graph.add_robot(f"r{number}", "agent")
+        for publisher, topic in zip(publishers, ("text", "other"), strict=True):
+            publisher.add(TopicMember(f"r{number}/{topic}", ConstantValues(), node=node))
+    for publisher in publishers:
+        search(publisher, clock)
+    before = len(bus.list_tokens(PUBLISHERS))
+
+    bus.subscribe(KEY.format("r7"), 8)
+    search(publishers[0], clock)
+    search(publishers[1], clock)
+
+    found = [parse_endpoint_token(token) for token in bus.list_tokens(PUBLISHERS)[before:]]
+    assert before == 4
+    assert sorted(one.key for one in found if one is not None) == ["r7/other", "r7/text"]

@@ -24,10 +24,12 @@ from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
 from zensim.proto.topic_catalog import AGENT_STATS, CONTACTS, DRIVE_STATE, FLEET_ODOMETRY
 from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.agent import (
+    FREEZE_AFTER_S,
     MAX_WINDOW_S,
     MIN_WINDOW_S,
     NICENESS,
     Agent,
+    CollectedObjects,
     Housekeeping,
     LateCommandWindow,
     ProcessPriority,
@@ -53,6 +55,44 @@ class FakeNiceness:
     def __call__(self, niceness: int) -> bool:
         self.requested.append(niceness)
         return len(self.requested) > self._refusals
+
+
+class FakeCollector:
+    """Counts what is frozen and unfrozen."""
+
+    def __init__(self) -> None:
+        self.frozen = self.unfrozen = 0
+        self.objects = CollectedObjects(self._freeze, self._unfreeze)
+
+    def _freeze(self) -> None:
+        self.frozen += 1
+
+    def _unfreeze(self) -> None:
+        self.unfrozen += 1
+
+
+def test_objects_of_robots_are_frozen_once_after_the_last_of_them() -> None:
+    collector = FakeCollector()
+
+    collector.objects.note_new_robots(1.0)
+    collector.objects.note_new_robots(2.0)
+    counts = []
+    for now_s in (1.0 + FREEZE_AFTER_S, 2.0 + FREEZE_AFTER_S, 100.0):
+        collector.objects.poll(now_s)
+        counts.append(collector.frozen)
+
+    assert counts == [0, 1, 1]
+
+
+def test_objects_are_collected_again_when_as_many_robots_have_gone_as_are_left() -> None:
+    collector = FakeCollector()
+
+    collector.objects.note_gone_robots(1, 3, 1.0)
+    before = collector.unfrozen
+    collector.objects.note_gone_robots(1, 2, 2.0)
+    collector.objects.poll(2.0 + FREEZE_AFTER_S)
+
+    assert (before, collector.unfrozen, collector.frozen) == (0, 1, 1)
 
 
 def run(

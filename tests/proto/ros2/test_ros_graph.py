@@ -3,10 +3,13 @@
 import re
 from collections import Counter
 
+import pytest
+
 from tests.fakes import MemoryBus
 from tests.integration.processes import eventually
 from tests.proto.ros2.token_parser import parse_token
 from zensim.proto.messages.standard_messages import Odometry, String
+from zensim.proto.ros2 import ros_graph
 from zensim.proto.ros2.liveliness_tokens import LATCHED, GraphEndpoint, GraphNode
 from zensim.proto.ros2.rmw_keys import NO_HASH
 from zensim.proto.ros2.ros_graph import MAX_NODES_PER_ID, RosGraph, RosNode, RosTopic
@@ -155,3 +158,58 @@ def test_session_of_a_closed_node_is_used_again() -> None:
         node.close()
 
     assert bus.opened_sessions == []
+
+
+def add_robots(graph: RosGraph, count: int) -> list[RosNode]:
+    nodes = [graph.add_robot(f"r{number}", "agent") for number in range(count)]
+    for node in nodes:
+        assert node is not None
+        node.add_topic_endpoint("MS", RosTopic("cmd_vel", String))
+    return [node for node in nodes if node is not None]
+
+
+@pytest.fixture
+def room_for_two(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ros_graph, "MAX_ROBOTS_ANNOUNCED", 2)
+    monkeypatch.setattr(ros_graph, "MAX_ROBOTS_ANNOUNCED_LATE", 1)
+
+
+@pytest.mark.usefixtures("room_for_two")
+def test_robots_beyond_a_number_have_no_tokens() -> None:
+    bus = MemoryBus()
+
+    nodes = add_robots(RosGraph(bus, RosSettings()), 4)
+
+    assert [node.is_announced for node in nodes] == [True, True, False, False]
+    assert len(tokens_of(bus)) == 4
+
+
+@pytest.mark.usefixtures("room_for_two")
+def test_robot_announced_late_has_the_tokens_of_its_endpoints_after_that_of_its_node() -> None:
+    bus = MemoryBus()
+    graph = RosGraph(bus, RosSettings())
+    nodes = add_robots(graph, 5)
+
+    for node in nodes:
+        graph.announce_late(node)
+
+    assert [node.is_announced for node in nodes] == [True, True, True, False, False]
+    first, second = [parse_token(token) for token in tokens_of(bus)[-2:]]
+    assert isinstance(first, GraphNode)
+    assert isinstance(second, GraphEndpoint)
+    assert (first.namespace, second.node) == ("/r2", first)
+
+
+@pytest.mark.usefixtures("room_for_two")
+def test_closed_robot_makes_room_for_another() -> None:
+    bus = MemoryBus()
+    graph = RosGraph(bus, RosSettings())
+    first, *_, silent = add_robots(graph, 3)
+
+    silent.close()
+    before = graph.announced_robots
+    first.close()
+    first.close()
+
+    assert (before, graph.announced_robots) == (2, 1)
+    assert [node.is_announced for node in add_robots(graph, 2)] == [True, False]
