@@ -2,36 +2,46 @@
 
 A server, which is its own router, with 10,000 kinematic box_bots; two pools drive them, and another
 process commands each robot once a second. Steps and control are at 20 Hz unless told otherwise.
-Drive commands are those that the server took: it counts them each second, and so many are due as
-pools times the control rate. A pool that is too slow shows there, while the real-time factor stays
-at 1. Cores are those of the server and of both pools, without the commanding process. Odometry is
-subscribed robot by robot. Subscribers that come and go are ten, then a hundred, for 5 s each. With
-ROS 2 a session joins after the seconds and watches all tokens. Memory is what came after the start
-without robots. The floor moves as many drives on circles in plain arrays, and writes one message
-for all: what the arithmetic takes at this rate, without a network, an engine or neighbours.
+Drive commands are the steps that the server took a command for, of those whose state a pool got: it
+counts both, and each sample is its second, scaled to pools times the control rate. A pool that is
+too slow shows there, while the real-time factor stays at 1. Cores are those of server, pools and
+sensor process, without the commanding process. Odometry is subscribed robot by robot. Subscribers
+that come and go are ten, then a hundred, for 5 s each. With lidars, a hundred of the robots scan at
+5 Hz, and all scans are subscribed. With ROS 2 a session joins after the seconds and watches all
+tokens: of 500 robots of each pool, and of those that have subscribers. Memory is what came after
+the start without robots. Floors: bare tokens with the keys of robots, declared in sessions of this
+process, with a session that joins late; and as many drives as robots, on circles in plain arrays,
+with one message for all: what the arithmetic takes at this rate, without a network, an engine or
+neighbours.
 """
 
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
+import msgspec
 import numpy as np
-import psutil
 
+from benchmarks.bare_tokens import TOKENS_OF_ROBOT, DeclaredTokens, read_memory_kib
 from benchmarks.figures import Figure, Limit, table
-from benchmarks.fleet_server import CALL_TIMEOUT_S, PATIENCE_S, program, spawn
+from benchmarks.fleet_server import CALL_TIMEOUT_S, PATIENCE_S, line_with, program
 from benchmarks.machine import used_s
-from benchmarks.ten_robots import CIRCLE, POLL_S, poll_until
+from benchmarks.ten_robots import CIRCLE, MILLISECONDS, POLL_S, SPACING_M, poll_until
 from tests.integration.processes import connected, free_endpoint, running
 from zensim.proto import keys
 from zensim.proto.bus import Bus, BusSubscription
 from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.proto.messages.telemetry_messages import Stats
 from zensim.proto.ros2.rmw_keys import OFF
-from zensim.proto.topic_catalog import ODOM, STATS
+from zensim.proto.ros2.ros_graph import MAX_ROBOTS_ANNOUNCED
+from zensim.proto.topic_catalog import ODOM, SCAN, STATS
+from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.spawn.spawn_client import read_payload, spawn_many
+from zensim.spawner.spawn.spawn_poses import make_fleet_layout
 
 __all__ = ["rows", "table"]
 
@@ -44,11 +54,11 @@ CHANGE_S, CHANGE_WHEN_SHORT_S = 5.0, 0.5
 COMING_AND_GOING = (10, 0, 100, 0)
 DRIVEN_S = 60.0
 """Longest wait for pools that drive; what is measured then shows that they do not."""
-STATS_DEPTH, ODOM_DEPTH, TOKENS_DEPTH = 64, 256, 1 << 18
-TOKENS_OF_ROBOT = 6
-SETTLED_S = 3.0
-"""Time without a new token after which there are no more."""
-KIBIBYTES = 1024.0
+STATS_DEPTH, ODOM_DEPTH, SCAN_DEPTH, TOKENS_DEPTH = 64, 256, 4096, 1 << 18
+LIDARS, LIDARS_WHEN_SHORT = 100, 5
+LIDAR, LIDAR_RATE, SCAN_HZ = "box_bot_lidar", "<update_rate>10</update_rate>", 5.0
+LEAST_SCAN_HZ = 4.9
+ROBOTS_WITH_BARE_TOKENS, ROBOTS_WITH_BARE_TOKENS_WHEN_SHORT = (500, 1000, 2000), (20,)
 FLOOR_SAMPLES, FLOOR_STEPS = 15, 20
 NEARLY_ALL = Limit("mean", ">=", 39.5)
 NO_DROPS = Limit("max", "<=", 0.0)
@@ -64,6 +74,8 @@ class Case:
     """Robots whose odometry is subscribed all the time."""
     is_changing: bool = False
     """Whether other subscribers come and go."""
+    lidars: int = 0
+    """Robots that scan, among all."""
     domain: str = OFF
     factor: float = 0.99
     commands: Limit = NEARLY_ALL
@@ -91,6 +103,7 @@ CASES = (
         factor=0.98,
         commands=Limit("min", ">=", 38.0),
     ),
+    Case("ten subscribers, a hundred lidars", listened=10, lidars=LIDARS),
     Case(
         "ROS 2, ten subscribers",
         listened=10,
@@ -100,7 +113,29 @@ CASES = (
         pool_kib=25.0,
     ),
 )
-CASES_WHEN_SHORT = CASES[-2:]
+CASES_WHEN_SHORT = CASES[-3:]
+
+
+@dataclass(frozen=True)
+class Users:
+    """What subscribes to a fleet."""
+
+    stats: BusSubscription
+    odometry: dict[str, BusSubscription]
+    """By key."""
+    scans: BusSubscription | None
+    change: Callable[[float], object]
+    """Lets other subscribers come and go at a wall time [s]."""
+
+    def take(self, seen: "Seen") -> None:
+        """Keep what has arrived."""
+        self.change(now_s := time.monotonic())
+        for key, subscription in self.odometry.items():
+            seen.arrivals.setdefault(key, []).extend(now_s for _ in subscription.take())
+        for sample in self.scans.take() if self.scans is not None else ():
+            seen.scans.setdefault(sample.key, []).append(now_s)
+        for sample in self.stats.take():
+            seen.stats.append(decode(Stats, sample.payload, sample.encoding))
 
 
 @dataclass
@@ -111,15 +146,20 @@ class Seen:
     cores: dict[str, float] = field(default_factory=dict)
     arrivals: dict[str, list[float]] = field(default_factory=dict)
     """Wall times of odometry [s] by key."""
+    scans: dict[str, list[float]] = field(default_factory=dict)
+    """Wall times of scans [s] by key."""
     memory_kib: dict[str, float] = field(default_factory=dict)
     """A robot."""
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure each case, then the floor."""
+    """Measure each case, then the floors."""
     robots = ROBOTS_WHEN_SHORT if is_short else ROBOTS
     for case in CASES_WHEN_SHORT if is_short else CASES:
-        yield from _measured(case, robots, is_short=is_short)
+        fewer = replace(case, lidars=min(case.lidars, LIDARS_WHEN_SHORT))
+        yield from _measured(fewer if is_short else case, robots, is_short=is_short)
+    for count in ROBOTS_WITH_BARE_TOKENS_WHEN_SHORT if is_short else ROBOTS_WITH_BARE_TOKENS:
+        yield from _measure_bare_tokens(count)
     label = f"floor: {robots} drives in arrays, 20 Hz"
     yield Figure(what=label, unit="cores", samples=tuple(_floor_cores(robots, 20.0)))
 
@@ -128,29 +168,30 @@ def _measured(case: Case, robots: int, *, is_short: bool) -> Iterator[Figure]:
     seen, seconds = Seen(), SECONDS_WHEN_SHORT if is_short else SECONDS
     with _started(case, robots, seen) as (bus, pids):
         names = [f"box_bot{number * robots // 10}" for number in range(10)][: case.listened]
-        listened = {key: bus.subscribe(key, ODOM_DEPTH) for key in map(ODOM.key, names)}
-        stats = bus.subscribe(STATS.key("default"), STATS_DEPTH)
-        change = _make_change(case, bus, robots, is_short=is_short)
+        users = Users(
+            bus.subscribe(STATS.key("default"), STATS_DEPTH),
+            {key: bus.subscribe(key, ODOM_DEPTH) for key in map(ODOM.key, names)},
+            bus.subscribe(SCAN.key("*"), SCAN_DEPTH) if case.lidars else None,
+            _make_change(case, bus, robots, is_short=is_short),
+        )
         claimed_s = time.monotonic()
-        settle_s = SETTLE_WHEN_SHORT_S if is_short else SETTLE_S
-        _observe(Seen(), stats, listened, settle_s, change)
-        _wait_until_driven(stats, POOLS * case.hz)
+        _observe(Seen(), users, SETTLE_WHEN_SHORT_S if is_short else SETTLE_S)
+        _wait_until_driven(users.stats, POOLS * case.hz)
         driven_s = time.monotonic() - claimed_s
         before = {name: used_s(pid) for name, pid in pids.items()}
         began_s = time.monotonic()
-        _observe(seen, stats, listened, seconds, change)
+        _observe(seen, users, seconds)
         passed_s = time.monotonic() - began_s
         seen.cores = {name: (used_s(pid) - before[name]) / passed_s for name, pid in pids.items()}
         for name, pid in pids.items():
-            memory = psutil.Process(pid).memory_info().rss / KIBIBYTES
             own = robots if name == "server" else robots / POOLS
-            seen.memory_kib[name] = (memory - seen.memory_kib[name]) / own
+            seen.memory_kib[name] = (read_memory_kib(pid) - seen.memory_kib[name]) / own
         label = f"{robots} robots, {case.label}"
         what = f"{label}: from the last claim to the first second measured"
         yield Figure(what=what, unit="s", samples=(driven_s,))
         yield from _figures(label, case, seen)
         if case.domain != OFF:
-            yield from _watch_tokens(label, bus, robots)
+            yield from _watch_tokens(label, bus, users, robots)
 
 
 @contextmanager
@@ -164,20 +205,41 @@ def _started(case: Case, robots: int, seen: Seen) -> Iterator[tuple[Bus, dict[st
         bus = stack.enter_context(connected(endpoint, server))
         client = SimClient(bus, timeout_s=CALL_TIMEOUT_S)
         client.wait_for_server(PATIENCE_S)
-        pool = ("agent", "--pool", "0", "--connect", endpoint, "--quiet", *ros)
+        joined = ("--connect", endpoint, "--quiet", *ros)
         pids = {"server": server.pid}
         for number in range(POOLS):
-            pids[f"pool {number + 1}"] = stack.enter_context(running(*pool)).pid
+            pool = running("agent", "--pool", "0", *joined)
+            pids[f"pool {number + 1}"] = stack.enter_context(pool).pid
+        if case.lidars:
+            pids["sensors"] = stack.enter_context(running("sensors", "run", *joined)).pid
         agents = keys.alive_agents("default")
         poll_until(lambda: len(bus.list_tokens(agents)) == POOLS or None, PATIENCE_S)
-        for name, pid in pids.items():
-            seen.memory_kib[name] = psutil.Process(pid).memory_info().rss / KIBIBYTES
+        seen.memory_kib = {name: read_memory_kib(pid) for name, pid in pids.items()}
         stats = bus.subscribe(STATS.key("default"), STATS_DEPTH)
-        spawn(client, robots)
+        _spawn(client, robots, case.lidars)
         _take_stats(stats, lambda one: one.claimed == robots or None)
         stats.close()
         stack.enter_context(program("fleet_commander", endpoint, str(robots)))
         yield bus, pids
+
+
+def _spawn(client: SimClient, robots: int, lidars: int) -> None:
+    """Spawn robots on a grid; the last ones scan.
+
+    Raises:
+        RuntimeError: Some were refused.
+    """
+    places = make_fleet_layout("box_bot", robots, "grid", SPACING_M)
+    text = read_builtin_model(LIDAR).replace(LIDAR_RATE, f"<update_rate>{SCAN_HZ:g}</update_rate>")
+    with_lidar = msgspec.structs.replace(read_payload(LIDAR), text=text)
+    parts = (
+        (read_payload("box_bot"), places[: robots - lidars]),
+        (with_lidar, places[robots - lidars :]),
+    )
+    for payload, part in parts:
+        outcomes = spawn_many(client, payload, part, SpawnEntityOrder()) if part else ()
+        if refused := [outcome for outcome in outcomes if outcome.message]:
+            raise RuntimeError(f"{len(refused)} robots were refused, first {refused[0]}")
 
 
 def _take_stats(stats: BusSubscription, is_wanted: Callable[[Stats], bool | None]) -> None:
@@ -222,41 +284,28 @@ def _make_change(case: Case, bus: Bus, robots: int, *, is_short: bool) -> Callab
     return change if case.is_changing else lambda _: None
 
 
-def _observe(
-    seen: Seen,
-    stats: BusSubscription,
-    listened: dict[str, BusSubscription],
-    seconds: float,
-    change: Callable[[float], object],
-) -> None:
+def _observe(seen: Seen, users: Users, seconds: float) -> None:
     """Keep statistics and arrivals, until the first second after this time [s] is over."""
     began_s = time.monotonic()
     while not seen.stats or time.monotonic() < began_s + seconds or len(seen.stats) < 2:
-        change(time.monotonic())
-        for key, subscription in listened.items():
-            now_s = time.monotonic()
-            seen.arrivals.setdefault(key, []).extend(now_s for _ in subscription.take())
-        for sample in stats.take():
-            seen.stats.append(decode(Stats, sample.payload, sample.encoding))
+        users.take(seen)
         time.sleep(POLL_S)
 
 
 def _figures(label: str, case: Case, seen: Seen) -> Iterator[Figure]:
-    spans = list(pairwise(seen.stats))
-    walls_s = [after.usage.wall_s - before.usage.wall_s for before, after in spans]
     first, last = seen.stats[0], seen.stats[-1]
     factor = (last.sim_time_s - first.sim_time_s) / (last.usage.wall_s - first.usage.wall_s)
-    commands = tuple(
-        (after.commands - before.commands) / wall_s
-        for (before, after), wall_s in zip(spans, walls_s, strict=True)
-    )
+    due_hz = POOLS * case.hz
+    commands = tuple(due_hz * _find_share(*span) for span in pairwise(seen.stats))
     at_least = Limit("mean", ">=", case.factor)
     yield Figure(what=f"{label}: real-time factor", unit="", samples=(factor,), limit=at_least)
-    due = f"{label}: drive commands of {POOLS * case.hz:g} due"
+    due = f"{label}: drive commands of {due_hz:g} due"
     yield Figure(what=due, unit="1/s", samples=commands, limit=case.commands)
     dropped = (last.dropped - first.dropped,)
     yield Figure(what=f"{label}: commands dropped", unit="", samples=dropped, limit=NO_DROPS)
     yield from _odometry_figures(label, case, seen)
+    if case.lidars:
+        yield _make_scan_figure(label, case, seen)
     most = None if case.cores is None else Limit("mean", "<=", case.cores)
     total = sum(seen.cores.values())
     yield Figure(what=f"{label}: CPU of all", unit="cores", samples=(total,), limit=most)
@@ -269,6 +318,30 @@ def _figures(label: str, case: Case, seen: Seen) -> Iterator[Figure]:
         yield Figure(what=what, unit="KiB", samples=(kib,), limit=limit)
 
 
+def _find_share(before: Stats, after: Stats) -> float:
+    """Find the share of the states of all pools that the server took a command for."""
+
+    def count(stats: Stats) -> tuple[int, int]:
+        listed = stats.agent_commands.values()
+        return sum(one.taken for one in listed), sum(one.due for one in listed)
+
+    (taken_before, due_before), (taken, due) = count(before), count(after)
+    return (taken - taken_before) / max(due - due_before, 1)
+
+
+def _make_scan_figure(label: str, case: Case, seen: Seen) -> Figure:
+    """Make a figure of the rate of each lidar; 0 for those without a scan."""
+    rates = [_find_rate_hz(times_s) for times_s in seen.scans.values()]
+    rates += [0.0] * (case.lidars - len(rates))
+    limit = Limit("min", ">=", LEAST_SCAN_HZ)
+    what = f"{label}: scans of each lidar of {SCAN_HZ:g} due"
+    return Figure(what=what, unit="Hz", samples=tuple(rates), limit=limit)
+
+
+def _find_rate_hz(times_s: Sequence[float]) -> float:
+    return (len(times_s) - 1) / (times_s[-1] - times_s[0]) if len(times_s) > 1 else 0.0
+
+
 def _odometry_figures(label: str, case: Case, seen: Seen) -> Iterator[Figure]:
     if not seen.arrivals:
         return
@@ -276,8 +349,8 @@ def _odometry_figures(label: str, case: Case, seen: Seen) -> Iterator[Figure]:
     rates, gaps_ms = [], []
     for times_s in seen.arrivals.values():
         inner = [one for one in times_s if one <= times_s[0] + span_s]
-        rates.append((len(inner) - 1) / (inner[-1] - inner[0]) if len(inner) > 1 else 0.0)
-        gaps_ms.append(1e3 * max((b - a for a, b in pairwise(inner)), default=1e3 * span_s))
+        rates.append(_find_rate_hz(inner))
+        gaps_ms.append(MILLISECONDS * _find_longest_gap_s(inner, span_s))
     limit = Limit("min", ">=", case.odom_hz)
     what = f"{label}: odometry of each subscribed robot"
     yield Figure(what=what, unit="Hz", samples=tuple(rates), limit=limit)
@@ -285,22 +358,61 @@ def _odometry_figures(label: str, case: Case, seen: Seen) -> Iterator[Figure]:
     yield Figure(what=f"{label}: longest gap", unit="ms", samples=tuple(gaps_ms), limit=limit)
 
 
-def _watch_tokens(label: str, bus: Bus, robots: int) -> Iterator[Figure]:
-    """Join late, and watch all tokens until no more come."""
-    with connected(bus.endpoint) as observer:
-        began_s = changed_s = time.monotonic()
-        watch, tokens = observer.watch_tokens("@ros2_lv/**", TOKENS_DEPTH), set[str]()
-        while time.monotonic() < changed_s + SETTLED_S:
+def _find_longest_gap_s(times_s: Sequence[float], otherwise_s: float) -> float:
+    return max((after - before for before, after in pairwise(times_s)), default=otherwise_s)
+
+
+def _watch_tokens(label: str, bus: Bus, users: Users, robots: int) -> Iterator[Figure]:
+    """Join late, and watch tokens until there are those of all robots that are announced."""
+    least = TOKENS_OF_ROBOT * POOLS * min(MAX_ROBOTS_ANNOUNCED, robots // POOLS)
+    meanwhile = Seen()
+    count, seen_s = _join_late(bus.endpoint, least, lambda: users.take(meanwhile))
+    asked, most = Limit("min", ">=", least), Limit("max", "<=", 10.0)
+    yield Figure(what=f"{label}: tokens", unit="", samples=(count,), limit=asked)
+    yield Figure(what=f"{label}: tokens seen, late", unit="s", samples=(seen_s,), limit=most)
+    gaps_ms = tuple(
+        MILLISECONDS * _find_longest_gap_s(times_s, seen_s)
+        for times_s in meanwhile.arrivals.values()
+    )
+    what = f"{label}: longest gap while the observer of tokens joins"
+    yield Figure(what=what, unit="ms", samples=gaps_ms)
+
+
+def _join_late(endpoint: str, least: int, act: Callable[[], object]) -> tuple[int, float]:
+    """Join, and watch tokens until there are so many, acting meanwhile.
+
+    Returns:
+        Their number, and the time from the beginning until the last one [s].
+    """
+    began_s = changed_s = time.monotonic()
+    with connected(endpoint) as observer:
+        watch, tokens = observer.watch_tokens("@ros2_lv/0/**", TOKENS_DEPTH), set[str]()
+        while len(tokens) < least and time.monotonic() < began_s + PATIENCE_S:
             for token, is_alive in watch.take():
                 (tokens.add if is_alive else tokens.discard)(token)
                 changed_s = time.monotonic()
+            act()
             time.sleep(POLL_S)
         watch.close()
-    least, most = Limit("min", ">=", TOKENS_OF_ROBOT * robots), Limit("max", "<=", 10.0)
-    counted = (float(len(tokens)),)
-    yield Figure(what=f"{label}: tokens", unit="", samples=counted, limit=least)
-    seen_s = (changed_s - began_s,)
-    yield Figure(what=f"{label}: tokens seen, late", unit="s", samples=seen_s, limit=most)
+    return len(tokens), changed_s - began_s
+
+
+def _measure_bare_tokens(robots: int) -> Iterator[Figure]:
+    """Declare the tokens of robots without anything else, and join late."""
+    endpoint = free_endpoint()
+    with ExitStack() as stack:
+        router = stack.enter_context(running("router", "--listen", endpoint))
+        stack.enter_context(connected(endpoint, router))
+        before_kib = read_memory_kib(router.pid)
+        process = stack.enter_context(program("bare_tokens", endpoint, str(robots)))
+        declared = msgspec.json.decode(line_with("{", process), type=DeclaredTokens)
+        router_kib = (read_memory_kib(router.pid) - before_kib) / robots
+        count, seen_s = _join_late(endpoint, declared.count, lambda: None)
+    label = f"floor: {count} bare tokens of {robots} robots"
+    yield Figure(what=f"{label}: seen, late", unit="s", samples=(seen_s,))
+    yield Figure(what=f"{label}: memory of a robot, router", unit="KiB", samples=(router_kib,))
+    own_kib = declared.kib / robots
+    yield Figure(what=f"{label}: memory of a robot, session", unit="KiB", samples=(own_kib,))
 
 
 def _floor_cores(robots: int, hz: float) -> Sequence[float]:

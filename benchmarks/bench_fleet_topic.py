@@ -4,7 +4,8 @@
 robots drive a circle by one order. One more process reads the odometry of all robots from the
 topics of the pools, and copies the rows of all into arrays 50 times a second. Floor: the same fleet
 before there is a reader, when nothing is published. CPU is in cores, of all threads of a program; a
-sample of a rate is a robot. `commands` are the drive commands that the server took of those due.
+sample of a rate is a robot: its rows from one step to another, by simulation time. `commands` are
+the drive commands that the server took of those due.
 """
 
 import time

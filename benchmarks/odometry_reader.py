@@ -4,6 +4,7 @@
 odometry, and prints a line; then it reads for a time, and prints a JSON line.
 """
 
+import math
 import os
 import sys
 import time
@@ -12,24 +13,28 @@ import msgspec
 import numpy as np
 
 from benchmarks.machine import used_s
-from benchmarks.ten_robots import POLL_S, poll_until
+from benchmarks.ten_robots import poll_until
 from zensim.api.odometry_table import TABLE_DEPTH, OdometryTable
 from zensim.api.world_access import TopicFeed
 from zensim.proto.bus import Bus, BusConfig, BusSubscription, open_bus
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.agent_messages import FleetOdometry
+from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.process_limits import die_with_supervisor
 from zensim.proto.topic_catalog import FLEET_ODOMETRY
 
 WORLD = "default"
 WAIT_S = 60.0
+READ_PERIOD_S = 0.02
+LATE_S = 0.2
+"""Longest time in which the messages of the last step arrive."""
 
 
 class OdometryTally(msgspec.Struct, frozen=True):
     """What was read of each robot."""
 
     rates_hz: tuple[float, ...]
-    """Rows of each robot per second of wall time."""
+    """Rows of each robot per second of simulation time, from one step to another."""
     longest_gaps_s: tuple[float, ...]
     """Of each robot, by arrival."""
     cpu_cores: float
@@ -41,13 +46,15 @@ class CountingFeed(TopicFeed[FleetOdometry]):
 
     def __init__(self, subscription: BusSubscription, names: list[str]) -> None:
         self.byte_count = 0
+        self.newest_ns = 0
         self._subscription = subscription
         self._rows = {name: row for row, name in enumerate(names)}
         self.begin()
 
     def begin(self) -> None:
-        """Begin to count."""
+        """Begin to count, after the newest step."""
         self.byte_count = 0
+        self.first_ns, self.last_ns = self.newest_ns, math.inf
         self.counts = np.zeros(len(self._rows), dtype=np.int64)
         self.gaps_s = np.zeros(len(self._rows))
         self._last_s = np.full(len(self._rows), time.monotonic())
@@ -59,6 +66,9 @@ class CountingFeed(TopicFeed[FleetOdometry]):
         messages = [decode(FleetOdometry, one.payload, one.encoding) for one in samples]
         self.byte_count += sum(len(one.payload) for one in samples)
         for message in messages:
+            self.newest_ns = max(self.newest_ns, message.time_ns)
+            if not self.first_ns < message.time_ns <= self.last_ns:
+                continue
             rows = [self._rows[name] for name in message.entities]
             self.counts[rows] += 1
             self.gaps_s[rows] = np.maximum(self.gaps_s[rows], now_s - self._last_s[rows])
@@ -80,16 +90,25 @@ def read(bus: Bus, count: int, seconds: float) -> OdometryTally:
     sys.stdout.flush()
     feed.begin()
     began_s, began_cpu_s = time.monotonic(), used_s(os.getpid())
-    while time.monotonic() - began_s < seconds:
-        table.read(names)
-        time.sleep(10 * POLL_S)
-    spent_s = time.monotonic() - began_s
+    read_for(table, names, seconds)
+    spent_s, used_cpu_s = time.monotonic() - began_s, used_s(os.getpid()) - began_cpu_s
+    mib = feed.byte_count / (1 << 20)
+    feed.last_ns = feed.newest_ns
+    read_for(table, names, LATE_S)
     return OdometryTally(
-        rates_hz=tuple((feed.counts / spent_s).tolist()),
+        rates_hz=tuple((feed.counts * NANOSECONDS / (feed.last_ns - feed.first_ns)).tolist()),
         longest_gaps_s=tuple(feed.gaps_s.tolist()),
-        cpu_cores=(used_s(os.getpid()) - began_cpu_s) / spent_s,
-        mib_per_s=feed.byte_count / spent_s / (1 << 20),
+        cpu_cores=used_cpu_s / spent_s,
+        mib_per_s=mib / spent_s,
     )
+
+
+def read_for(table: OdometryTable, names: list[str], seconds: float) -> None:
+    """Read all rows 50 times a second for some time."""
+    began_s = time.monotonic()
+    for number in range(1, round(seconds / READ_PERIOD_S) + 1):
+        table.read(names)
+        time.sleep(max(0.0, began_s + number * READ_PERIOD_S - time.monotonic()))
 
 
 if __name__ == "__main__":

@@ -4,14 +4,17 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from zensim.api.world_access import TopicFeed
 from zensim.api.world_state import FloatArray
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, FleetOdometry
 from zensim.proto.messages.standard_messages import NANOSECONDS
 
+IntArray: TypeAlias = npt.NDArray[np.intp]
 POSE_NUMBERS = 7
 OLD_EPOCH_S = 2.0
 """Time without a message of the newest epoch after which an older one is that of a new server."""
@@ -50,6 +53,8 @@ class OdometryTable:
         self._clock = clock
         self._epoch, self._newest_s = 0, -math.inf
         self._rows: dict[str, int] = {}
+        self._found: tuple[tuple[str, ...], int, IntArray] = ((), 0, np.zeros(0, dtype=np.intp))
+        """Names of the last call, the number of rows then, and the row of each."""
         self._times = np.zeros(0)
         self._motions = np.zeros((0, STATE_COLUMNS))
 
@@ -57,10 +62,10 @@ class OdometryTable:
         """Take what has come, and read the rows of some robots."""
         for message in self._feed.take():
             self._add(message)
-        rows = np.array([self._rows.get(name, -1) for name in names], dtype=np.intp)
+        rows = self._find_rows(tuple(names))
         is_known = rows >= 0
-        times = np.full(len(names), np.nan)
-        motions = np.full((len(names), STATE_COLUMNS), np.nan)
+        times = np.full(len(rows), np.nan)
+        motions = np.full((len(rows), STATE_COLUMNS), np.nan)
         times[is_known] = self._times[rows[is_known]]
         motions[is_known] = self._motions[rows[is_known]]
         for array in (times, motions):
@@ -70,6 +75,14 @@ class OdometryTable:
     def close(self) -> None:
         """End the subscription."""
         self._feed.close()
+
+    def _find_rows(self, names: tuple[str, ...]) -> IntArray:
+        """Find the row of each name, -1 of an unknown one."""
+        before, count, rows = self._found
+        if count != len(self._rows) or before != names:
+            rows = np.array([self._rows.get(name, -1) for name in names], dtype=np.intp)
+            self._found = names, len(self._rows), rows
+        return rows
 
     def _add(self, message: FleetOdometry) -> None:
         if len(message.motions) != 8 * STATE_COLUMNS * len(message.entities):
@@ -81,6 +94,7 @@ class OdometryTable:
         if message.epoch != self._epoch:
             # Time has begun again: robots of before may be gone.
             self._epoch, self._rows = message.epoch, {}
+            self._found = (), 0, np.zeros(0, dtype=np.intp)
         rows = [self._rows.setdefault(name, len(self._rows)) for name in message.entities]
         if len(self._rows) > len(self._times):
             more = 2 * len(self._rows)
