@@ -96,3 +96,18 @@ def test_message_whose_arrays_do_not_fit_is_left_out() -> None:
     assert np.isnan(table.read(["a"]).times).all()
     table.close()
     assert feed.is_closed
+
+
+def test_names_that_are_read_again_are_found_when_robots_came_or_time_began_again() -> None:
+    feed = ListedFeed()
+    table = OdometryTable(feed)
+    times = []
+    for message in (a_message(1, "a"), a_message(2, "b"), a_message(3, "b", "a", epoch=1)):
+        feed.messages = [message]
+        times.append(table.read(["a", "b"]).times.tolist())
+
+    assert times == [
+        pytest.approx([1.0, np.nan], nan_ok=True),
+        [1.0, 2.0],
+        [3.0, 3.0],
+    ]
