@@ -113,6 +113,8 @@ def _is_listed(name: str, request: messages.ListParametersRequest) -> bool:
 class ParameterServer:
     """Replies of one node to requests about its parameters."""
 
+    __slots__ = ("_list_parameters",)
+
     def __init__(self, list_parameters: ListParameters) -> None:
         self._list_parameters = list_parameters
 
@@ -202,7 +204,7 @@ class TypeDescriptions:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class _ServedNode:
     node: RosNode
     parameters: ParameterServer

@@ -188,6 +188,11 @@ class RosTopic(msgspec.Struct, frozen=True):
 class RosNode:
     """A ROS 2 node and its endpoints."""
 
+    __slots__ = (
+        *("_group", "_node", "_tokens", "_unannounced", "domain", "graph"),
+        *("is_announced", "is_closed", "is_counted", "on_close"),
+    )
+
     def __init__(self, graph: RosGraph, node: GraphNode, group: NodeGroup) -> None:
         self.graph = graph
         self.domain = node.domain
