@@ -9,10 +9,10 @@ sensor process, without the commanding process. Odometry is subscribed robot by 
 that come and go are ten, then a hundred, for 5 s each. With lidars, a hundred of the robots scan at
 5 Hz, and all scans are subscribed. With ROS 2 a session joins after the seconds and watches all
 tokens: of 500 robots of each pool, and of those that have subscribers. Memory is what came after
-the start without robots. Floors: bare tokens with the keys of robots, declared in sessions of this
-process, with a session that joins late; and as many drives as robots, on circles in plain arrays,
-with one message for all: what the arithmetic takes at this rate, without a network, an engine or
-neighbours.
+the start without robots. Floors: bare tokens with the keys of robots, declared in a session of
+another process, with a session that joins late; and as many drives as robots, on circles in plain
+arrays, with one message for all: what the arithmetic takes at this rate, without a network, an
+engine or neighbours.
 """
 
 import time
@@ -179,6 +179,8 @@ def _measured(case: Case, robots: int, *, is_short: bool) -> Iterator[Figure]:
         _wait_until_driven(users.stats, POOLS * case.hz)
         driven_s = time.monotonic() - claimed_s
         before = {name: used_s(pid) for name, pid in pids.items()}
+        # What came while the pools were awaited is no part of the rates.
+        users.take(Seen())
         began_s = time.monotonic()
         _observe(seen, users, seconds)
         passed_s = time.monotonic() - began_s
