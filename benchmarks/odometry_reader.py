@@ -69,7 +69,7 @@ class CountingFeed(TopicFeed[FleetOdometry]):
             self.newest_ns = max(self.newest_ns, message.time_ns)
             if not self.first_ns < message.time_ns <= self.last_ns:
                 continue
-            rows = [self._rows[name] for name in message.entities]
+            rows = np.array([self._rows[name] for name in message.entities], dtype=np.intp)
             self.counts[rows] += 1
             self.gaps_s[rows] = np.maximum(self.gaps_s[rows], now_s - self._last_s[rows])
             self._last_s[rows] = now_s

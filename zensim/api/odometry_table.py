@@ -95,7 +95,8 @@ class OdometryTable:
             # Time has begun again: robots of before may be gone.
             self._epoch, self._rows = message.epoch, {}
             self._found = (), 0, np.zeros(0, dtype=np.intp)
-        rows = [self._rows.setdefault(name, len(self._rows)) for name in message.entities]
+        found = [self._rows.setdefault(name, len(self._rows)) for name in message.entities]
+        rows = np.array(found, dtype=np.intp)
         if len(self._rows) > len(self._times):
             more = 2 * len(self._rows)
             self._times = np.resize(self._times, more)
