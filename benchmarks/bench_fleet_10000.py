@@ -167,13 +167,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 def _measured(case: Case, robots: int, *, is_short: bool) -> Iterator[Figure]:
     seen, seconds = Seen(), SECONDS_WHEN_SHORT if is_short else SECONDS
     with _started(case, robots, seen) as (bus, pids):
-        names = [f"box_bot{number * robots // 10}" for number in range(10)][: case.listened]
-        users = Users(
-            bus.subscribe(STATS.key("default"), STATS_DEPTH),
-            {key: bus.subscribe(key, ODOM_DEPTH) for key in map(ODOM.key, names)},
-            bus.subscribe(SCAN.key("*"), SCAN_DEPTH) if case.lidars else None,
-            _make_change(case, bus, robots, is_short=is_short),
-        )
+        users = _subscribe(case, bus, robots, is_short=is_short)
         claimed_s = time.monotonic()
         _observe(Seen(), users, SETTLE_WHEN_SHORT_S if is_short else SETTLE_S)
         _wait_until_driven(users.stats, POOLS * case.hz)
@@ -194,6 +188,16 @@ def _measured(case: Case, robots: int, *, is_short: bool) -> Iterator[Figure]:
         yield from _figures(label, case, seen)
         if case.domain != OFF:
             yield from _watch_tokens(label, bus, users, robots)
+
+
+def _subscribe(case: Case, bus: Bus, robots: int, *, is_short: bool) -> Users:
+    names = [f"box_bot{number * robots // 10}" for number in range(10)][: case.listened]
+    return Users(
+        bus.subscribe(STATS.key("default"), STATS_DEPTH),
+        {key: bus.subscribe(key, ODOM_DEPTH) for key in map(ODOM.key, names)},
+        bus.subscribe(SCAN.key("*"), SCAN_DEPTH) if case.lidars else None,
+        _make_change(case, bus, robots, is_short=is_short),
+    )
 
 
 @contextmanager

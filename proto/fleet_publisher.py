@@ -219,8 +219,7 @@ class RosFleetPublisher:
         self._surplus = graph.settings.count_surplus_bytes(topic.ros_type)
         self._unjoined: list[TopicMember] = []
         self._joined: dict[TopicMember, GraphEndpoint] = {}
-        self._key_publishers: dict[TopicMember, KeyPublisher] = {}
-        """Of a latched topic, whose messages do not change."""
+        self._key_publishers: dict[TopicMember, KeyPublisher] = {}  # of a latched topic
         self._unrepeated: deque[KeyPublisher] = deque()
         self._matched = MatchedPublishers[TopicMember]()
         self._attachments = AttachmentRows()
@@ -228,10 +227,8 @@ class RosFleetPublisher:
         """Of a topic that is not latched: rows of attachments."""
         self._members: dict[TopicMember, None] = {}
         self._graph = graph
-        self._late_announcements = 0
-        """Of the graph, when robots were last joined."""
+        self._late_announcements = 0  # of the graph, when they were last noted
         self._pattern = key = graph.data_key(topic)
-        self._key_head, _, self._key_tail = key.partition(topic.key)
         if watches is not None:
             watches.include(key)
         self._probe = network.advertise(key, self._encoding)
@@ -257,7 +254,8 @@ class RosFleetPublisher:
 
     def _make_key(self, member: TopicMember) -> str:
         # Not kept: five keys of a robot would take a kilobyte.
-        return f"{self._key_head}{member.key}{self._key_tail}"
+        head, _, tail = self._pattern.partition(self._topic.key)
+        return f"{head}{member.key}{tail}"
 
     def remove(self, member: TopicMember) -> None:
         """Remove a robot; its node undeclares the endpoint."""

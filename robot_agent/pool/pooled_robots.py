@@ -508,14 +508,13 @@ class PooledRobots:
             watches: See `FleetTopicPublisher`.
         """
         self.newest_claim = 0  # without claims
-        self._network = network
+        self._network, self._timeout_ns = network, timeout_ns
         self._graph, self._watches = graph, watches
         self._ros = graph.settings if graph else NO_ROS
         self._numbers = count(1)
         domain = graph.domain if graph else None
         self._robot_services = NodeServices(network, domain, f"**/{NODE_NAME}")
         self._pool_services = NodeServices(network, domain)
-        self._timeout_ns = timeout_ns
         self._members: dict[int, GroupMember] = {}
         self._robots: dict[int, DrivenRobot] = {}
         self._publishers: dict[tuple[str, TopicSpec], FleetTopicPublisher] = {}
@@ -526,8 +525,7 @@ class PooledRobots:
         commands_domain = domain if self._ros.has_topic(CMD_VEL.name) else None
         self._commands = FleetCmdVel(rx_session or network, timeout_ns, commands_domain)
         self._groups: dict[GroupKey, RobotGroup] = {}
-        self._group_keys: dict[GroupKey, GroupKey] = {}
-        """One object for each: a key takes 2 KiB."""
+        self._group_keys: dict[GroupKey, GroupKey] = {}  # one object each: it takes 2 KiB
         self._claims: bytes | None = None
         self._layout = PoolStateLayout((), ())
         self._singles: tuple[_SingleRobot, ...] = ()
