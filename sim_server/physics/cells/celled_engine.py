@@ -388,9 +388,43 @@ def assign_cells(
         (n,) cells; new cells get the least free numbers.
     """
     found = _merge_groups(cells, groups)
-    for cell in np.flatnonzero(np.bincount(found, minlength=1) > capacity.max_bodies(len(cells))):
-        _offload_groups(int(cell), found, groups, places, capacity)
+    loads = CellLoads(found, places)
+    for cell in np.flatnonzero(loads.counts > capacity.max_bodies(len(cells))):
+        _offload_groups(int(cell), found, groups, loads, capacity)
     return found
+
+
+class CellLoads:
+    """How many bodies each cell has and where, kept while groups move between cells."""
+
+    def __init__(self, cells: IntArray, places: FloatArray) -> None:
+        self.places = places
+        self.counts = np.bincount(cells, minlength=1)
+        self.sums: FloatArray = np.stack([np.bincount(cells, own) for own in places.T], axis=1)
+        """(c, 2) sums of the places of the bodies of each cell."""
+
+    def move(self, members: IntArray, giver: int, target: int) -> None:
+        """Count bodies in another cell, which may be the next new one."""
+        if target == len(self.counts):
+            self.counts = np.append(self.counts, 0)
+            self.sums = np.concatenate([self.sums, np.zeros((1, 2))])
+        moved = self.places[members].sum(axis=0)
+        self.counts[giver] -= len(members)
+        self.counts[target] += len(members)
+        self.sums[giver] -= moved
+        self.sums[target] += moved
+
+    def find_receiving_cell(self, giver: int, members: IntArray, fill_limit: int) -> int:
+        """Find the nearest cell with capacity for a group, else a new one."""
+        counts = self.counts
+        fits = (counts > 0) & (counts + len(members) <= fill_limit)
+        fits[giver] = False
+        if not fits.any():
+            free = np.flatnonzero(counts == 0)
+            return int(free[0]) if len(free) else len(counts)
+        middles = self.sums / np.maximum(counts, 1)[:, None]
+        apart = np.hypot(*(middles - self.places[members].mean(axis=0)).T)
+        return int(np.where(fits, apart, np.inf).argmin())
 
 
 def _merge_groups(cells: IntArray, groups: IntArray) -> IntArray:
@@ -406,48 +440,32 @@ def _merge_groups(cells: IntArray, groups: IntArray) -> IntArray:
 
 
 def _offload_groups(
-    cell: int, cells: IntArray, groups: IntArray, places: FloatArray, capacity: CellCapacity
+    cell: int, cells: IntArray, groups: IntArray, loads: CellLoads, capacity: CellCapacity
 ) -> None:
     """Move groups from one end of an overfull cell to others, up to `moved_bodies`."""
     held = np.flatnonzero(cells == cell)
-    left, moved = len(held), 0
-    for members in _groups_from_far_end(held, groups, places):
-        if (
-            left <= capacity.fill_limit(len(cells))
-            or moved >= capacity.moved_bodies
-            or len(members) == len(held)
-        ):
+    left, moved, fill_limit = len(held), 0, capacity.fill_limit(len(cells))
+    for members in _list_groups_from_far_end(held, groups, loads.places):
+        if left <= fill_limit or moved >= capacity.moved_bodies or len(members) == len(held):
             return
-        target = _find_receiving_cell(cell, members, cells, places, capacity)
+        target = loads.find_receiving_cell(cell, members, fill_limit)
+        loads.move(members, cell, target)
         cells[members] = target
         left, moved = left - len(members), moved + len(members)
 
 
-def _groups_from_far_end(held: IntArray, groups: IntArray, places: FloatArray) -> list[IntArray]:
+def _list_groups_from_far_end(
+    held: IntArray, groups: IntArray, places: FloatArray
+) -> list[IntArray]:
     """Sort the groups of a cell along its longer side, the far end first."""
     spread = np.ptp(places[held], axis=0)
     along = places[held, int(spread[1] > spread[0])]
     names, inverse = np.unique(groups[held], return_inverse=True)
     ends = np.full(len(names), -np.inf)
     np.maximum.at(ends, inverse, along)
-    order = np.argsort(-ends, kind="stable")
-    return [held[inverse == group] for group in order]
-
-
-def _find_receiving_cell(
-    giver: int, members: IntArray, cells: IntArray, places: FloatArray, capacity: CellCapacity
-) -> int:
-    """Find the nearest cell with capacity for a group, else a new one."""
-    counts = np.bincount(cells)
-    fits = (counts > 0) & (counts + len(members) <= capacity.fill_limit(len(cells)))
-    fits[giver] = False
-    if not fits.any():
-        free = np.flatnonzero(counts == 0)
-        return int(free[0]) if len(free) else len(counts)
-    held = np.maximum(counts, 1)
-    middles = np.stack([np.bincount(cells, places[:, axis]) / held for axis in (0, 1)], axis=1)
-    apart = np.linalg.norm(middles - places[members].mean(axis=0), axis=1)
-    return int(np.where(fits, apart, np.inf).argmin())
+    firsts = np.cumsum(np.bincount(inverse, minlength=len(names)))[:-1]
+    members = np.split(held[np.argsort(inverse, kind="stable")], firsts)
+    return [members[group] for group in np.argsort(-ends, kind="stable").tolist()]
 
 
 CELL_GAP_M = 0.02
@@ -525,6 +543,15 @@ class ExpectedBody(NamedTuple):
     cell: int
 
 
+@dataclass(frozen=True)
+class PlannedCells:
+    """The cells of the expected bodies of a model, by their place."""
+
+    model: Model
+    """Kept: another one must not get its identity."""
+    by_place: dict[Place, int] = field(default_factory=dict)
+
+
 class CellMap:
     """Engines by number of their cell, and the bodies in them; cell 0 always exists."""
 
@@ -538,8 +565,8 @@ class CellMap:
         self._accepted: Model | None = None
         self._stuck: set[int] = set()
         """Bodies that another cell refused."""
-        self._planned: dict[int, list[ExpectedBody]] = {}
-        """Expected bodies by the identity of their model."""
+        self._planned: dict[int, PlannedCells] = {}
+        """By the identity of the model of the expected bodies."""
         self.engines: dict[int, Engine] = {0: cells.make()}
 
     @property
@@ -558,7 +585,7 @@ class CellMap:
     def _list_receivers(self, model: Model) -> list[Engine]:
         """List the engines that may get a body of a model: a full cell gets no more that move."""
         if planned := self._planned.get(id(model)):
-            return [self.engines[cell] for cell in {body.cell: None for body in planned}]
+            return [self.engines[cell] for cell in dict.fromkeys(planned.by_place.values())]
         if not can_move(model) or self._has_room_in_single_cell:
             return list(self.engines.values())
         moving = self.members.moving
@@ -601,7 +628,9 @@ class CellMap:
         for cell, own in by_cell.items():
             self.get_engine(cell).expect([*models, *own])
         for body in expected:
-            self._planned.setdefault(id(body.model), []).append(body)
+            if id(body.model) not in self._planned:
+                self._planned[id(body.model)] = PlannedCells(body.model)
+            self._planned[id(body.model)].by_place.setdefault(body.place, body.cell)
 
     def add(self, model: Model, reach: BodyReach, base: FloatArray) -> int:
         """Add a body: one that cannot move to all cells, any other to one; raises EngineRefused."""
@@ -842,11 +871,8 @@ class CellMap:
         return engine
 
     def _find_planned_cell(self, model: Model, base: FloatArray) -> int | None:
-        place = (float(base[0]), float(base[1]))
-        for body in self._planned.get(id(model), ()):
-            if body.place == place:
-                return body.cell
-        return None
+        planned = self._planned.get(id(model))
+        return None if planned is None else planned.by_place.get((float(base[0]), float(base[1])))
 
     def _find_nearest_cell(self, base: FloatArray) -> int:
         """Find the cell with free capacity whose body is nearest; else the emptiest cell."""
@@ -973,7 +999,7 @@ class CelledEngine(Engine):
         number = self._cell_map.add(model, self._measure.measure(model), base)
         self._was_due = self._is_due
         self._record_place(number, base)
-        if not self._was_due:
+        if not (self._was_due or self._is_due_at_next_step):
             self._is_due = self._joins_others(number, base)
         return number
 
@@ -1084,9 +1110,7 @@ class CelledEngine(Engine):
 
     def step(self) -> bool:
         """See `Engine.step`."""
-        if not self._cell_map.is_single_cell and (
-            self._is_due or self._steps >= self._next_regroup
-        ):
+        if not self._cell_map.is_single_cell and (self._is_due or self._is_due_at_next_step):
             self._regroup()
         if self._has_new_targets:
             self._send_targets()
@@ -1113,6 +1137,11 @@ class CelledEngine(Engine):
         for engine in self._cell_map.engines.values():
             engine.resume()
 
+    @property
+    def _is_due_at_next_step(self) -> bool:
+        """Whether the next step regroups, whatever happens before."""
+        return self._steps >= self._next_regroup
+
     def _advance(self) -> bool:
         engines = self._cell_map.engines
         if self._cell_map.is_single_cell:
@@ -1138,14 +1167,16 @@ class CelledEngine(Engine):
         if len(self._cell_map.engines) == 1 or members.cell[body] == ALL_CELLS:
             return True
         members.speed_bound[body] = self._speed_margin_mps + float(np.linalg.norm(base[7:10]))
-        others = members.moving
-        others = others[members.cell[others] != members.cell[body]]
         # Others may have moved since the last regrouping, where their places were recorded.
         elapsed_s = (self._next_regroup - self._last_regroup) * self._dt_s
-        reach = members.radius[others] + members.speed_bound[others] * elapsed_s + CELL_GAP_M
-        reach += members.radius[body] + members.speed_bound[body] * elapsed_s
-        apart = np.linalg.norm(members.place[others] - members.place[body], axis=1)
-        return bool((apart <= reach).any())
+        reach = members.radius + members.speed_bound * elapsed_s
+        reach += reach[body] + CELL_GAP_M
+        # By one coordinate first, which leaves few: bodies of a large world are many.
+        near = np.flatnonzero(np.abs(members.place[:, 0] - base[0]) <= reach)
+        cells = members.cell[near]
+        near = near[(cells >= 0) & (cells != members.cell[body])]
+        apart = np.linalg.norm(members.place[near] - members.place[body], axis=1)
+        return bool((apart <= reach[near]).any())
 
     def _record_place(self, body: int, base: FloatArray) -> None:
         if self._members.cell[body] == ALL_CELLS:
