@@ -527,6 +527,10 @@ ModelPathOption = Annotated[
     ),
 ]
 
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Value that wins over the file; repeatable."),
+]
 OdomHzOption = Annotated[
     float | None,
     typer.Option(

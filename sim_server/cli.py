@@ -49,7 +49,6 @@ from zensim.proto.printable_text import print_lines
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied
 from zensim.proto.verbosity import configure_logging, print_announcement
-from zensim.sim_server.journal.sqlite_store import JournalError
 from zensim.sim_server.pacing.lockstep import LOCKSTEP_TIMEOUT_S, LockstepSettings, OnMiss
 from zensim.sim_server.physics.engine_config import (
     Clustering,
@@ -293,6 +292,9 @@ def _run_server(
         )
         if folder is not None and not (given.as_json or given.announce):
             print_tokens(folder)
+
+    # Imported here, with SQLite: `zensim up` shares the options of this command.
+    from zensim.sim_server.journal.sqlite_store import JournalError
 
     with exit_on_failure(
         "serve", ConfigError, WorldAlreadyServed, JournalError, MissingServerExtra

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from zensim.proto.cli_options import JsonOption, expand_options, make_app
+from zensim.proto.cli_options import JsonOption, SetOption, expand_options, make_app
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT
@@ -29,10 +29,6 @@ app = make_app("scenario")
 FilesArgument = Annotated[
     list[str],
     typer.Argument(metavar="FILE...", help="Scenario files, or names of shipped scenarios."),
-]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Value that wins over the file; repeatable."),
 ]
 PythonOption = Annotated[
     bool,

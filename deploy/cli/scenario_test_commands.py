@@ -14,12 +14,11 @@ from zensim.deploy.cli.scenario_commands import (
     FilesArgument,
     PythonOption,
     RunTimeoutOption,
-    SetOption,
     collect_issues,
 )
 from zensim.deploy.scenario_process import RunRequest, run_all
 from zensim.deploy.scenario_report import format_markdown, format_run, to_json, to_junit
-from zensim.proto.cli_options import expand_options, flag, make_app
+from zensim.proto.cli_options import SetOption, expand_options, flag, make_app
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.printable_text import print_lines
 from zensim.scenario.scenario_nodes import Issue

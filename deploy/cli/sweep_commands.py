@@ -16,7 +16,7 @@ import msgspec
 import typer
 from typer.core import TyperGroup
 
-from zensim.deploy.cli.scenario_commands import PythonOption, RunTimeoutOption, SetOption
+from zensim.deploy.cli.scenario_commands import PythonOption, RunTimeoutOption
 from zensim.deploy.scenario_process import RunRequest, run_in_processes
 from zensim.deploy.sweep.ray_runs import MissingRayExtra, check_cluster, require_ray, run_on_ray
 from zensim.deploy.sweep.sweep_folder import SweepFolder
@@ -26,7 +26,7 @@ from zensim.deploy.sweep.sweep_progress import SweepProgress
 from zensim.deploy.sweep.sweep_report import format_groups, group_rows
 from zensim.deploy.sweep.sweep_rows import SweepRow, find_unequal_repeats
 from zensim.deploy.sweep.sweep_runner import ATTEMPTS, Runner, run_here, run_sweep
-from zensim.proto.cli_options import JsonOption, expand_options, flag
+from zensim.proto.cli_options import JsonOption, SetOption, expand_options, flag
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT, print_note

@@ -4,7 +4,6 @@ import os
 import socket
 import sys
 import time
-import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
@@ -12,11 +11,10 @@ from errno import EEXIST
 from functools import partial
 from math import isfinite
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Union
 
 import msgspec
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from zensim.api.local_deployment import (
     OPERATOR,
@@ -35,7 +33,6 @@ from zensim.api.local_deployment import (
     summarize_run,
     supervise,
 )
-from zensim.deploy.cli.scenario_commands import SetOption
 from zensim.deploy.fleet_demo import (
     DEMO_BEHAVIOURS,
     DemoBehaviour,
@@ -44,11 +41,10 @@ from zensim.deploy.fleet_demo import (
     make_demo,
 )
 from zensim.deploy.local_runs import LocalRun, recorded_run
-from zensim.deploy.scenario_driver import ScenarioDriver
-from zensim.deploy.scenario_settings import add_scenario, refuse_options_of_the_demo
 from zensim.proto.cli_options import (
     OdomHzOption,
     RosTfOptions,
+    SetOption,
     TfHzOption,
     complete_models,
     expand_options,
@@ -66,8 +62,6 @@ from zensim.proto.setting_variables import name_variable
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied, SupervisedProgram, Supervisor
 from zensim.proto.verbosity import CURRENT
-from zensim.scenario.check_monitors import CheckResult
-from zensim.scenario.scenario_reader import Scenario, find_scenario_file, read_scenario
 from zensim.sim_server.cli import MISS_POLICIES, ServeOptions, print_tokens
 from zensim.sim_server.security.secure_folder import (
     SecureSettings,
@@ -89,10 +83,15 @@ from zensim.spawner.cli.spawn_arguments import (
 from zensim.spawner.cli.view_commands import MissingViewerExtra, check_page
 from zensim.spawner.spawn.spawn_poses import LAYOUTS, RobotPlacement
 
+# What few runs need is imported where it is used, as this process lives as long as its world.
+if TYPE_CHECKING:
+    from zensim.deploy.scenario_driver import ScenarioDriver
+    from zensim.scenario.scenario_reader import Scenario
+
 app = make_app()
 
 console = PrintableConsole(stderr=True)
-DriverMaker = Callable[[LocalDeployment], FleetDemo | ScenarioDriver]
+DriverMaker = Callable[[LocalDeployment], Union[FleetDemo, "ScenarioDriver"]]
 MAX_AGENT_PROCESSES = 20
 """Default limit of one agent process per robot; each takes 40 MB."""
 
@@ -256,6 +255,9 @@ def _make_plan(context: typer.Context, given: UpOptions) -> UpPlan:
 
 
 def _make_scenario_plan(context: typer.Context, given: UpOptions, config: LaunchConfig) -> UpPlan:
+    from zensim.deploy.scenario_settings import add_scenario, refuse_options_of_the_demo
+    from zensim.scenario.scenario_reader import find_scenario_file, read_scenario
+
     scenario = read_scenario(find_scenario_file(given.file), given.settings or ())
     written = _list_written(context, given)
     refuse_options_of_the_demo(scenario, written)
@@ -266,7 +268,7 @@ def _make_scenario_plan(context: typer.Context, given: UpOptions, config: Launch
     return UpPlan(config, maker, open_page, tuple(scenario.robot_names))
 
 
-def _refuse_two_endpoints(config: LaunchConfig, scenario: Scenario) -> None:
+def _refuse_two_endpoints(config: LaunchConfig, scenario: "Scenario") -> None:
     places = scenario.places
     if config.connect and {"network.listen", "network.connect"} <= places.keys():
         raise ValueError(
@@ -288,12 +290,16 @@ def _list_written(context: typer.Context, given: UpOptions) -> dict[str, object]
     return written | ({"verbose": True} if CURRENT.is_verbose else {})
 
 
-def _make_scenario_driver(scenario: Scenario, deployment: LocalDeployment) -> ScenarioDriver:
-    def warn(check: CheckResult) -> None:
-        print_lines(f"check failed: {check.name}: {check.message} ({check.place})", err=True)
+def _make_scenario_driver(scenario: "Scenario", deployment: LocalDeployment) -> "ScenarioDriver":
+    from zensim.deploy.scenario_driver import ScenarioDriver
 
-    driver = ScenarioDriver(deployment, scenario, warn)
-    return driver
+    return ScenarioDriver(
+        deployment,
+        scenario,
+        lambda check: print_lines(
+            f"check failed: {check.name}: {check.message} ({check.place})", err=True
+        ),
+    )
 
 
 def _make_demo(
@@ -478,14 +484,19 @@ def _choose_agents(
 @contextmanager
 def _show_progress(count: int) -> Iterator[LaunchProgress]:
     """Show the numbers of spawned and driven robots if standard error is a terminal."""
+    if not console.is_terminal:
+        yield LaunchProgress(lambda: None, lambda: None)
+        return
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+    )
+
     columns = (TextColumn("{task.description:<9}"), BarColumn(), MofNCompleteColumn())
-    with Progress(
-        *columns,
-        TimeElapsedColumn(),
-        console=console,
-        disable=not console.is_terminal,
-        transient=True,
-    ) as progress:
+    with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as progress:
         spawned = progress.add_task("spawned", total=count)
         driving = progress.add_task("driving", total=count)
         yield LaunchProgress(lambda: progress.advance(spawned), lambda: progress.advance(driving))
@@ -539,6 +550,8 @@ def _open_page(url: str, open_page: bool | None) -> None:
     has_desktop = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
     should_open = open_page if open_page is not None else has_desktop and sys.stdout.isatty()
     if url and should_open:
+        import webbrowser
+
         webbrowser.open(url)
 
 

@@ -7,11 +7,11 @@ import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from zensim.api.api_errors import Closed, ConnectionLost, Denied, Timeout
-from zensim.api.recorder_process import RecorderProcess
 from zensim.api.step_channel import StepChannel
 from zensim.api.world_access import Message, TopicFeed, WorldAccess
 from zensim.api.world_state import WorldState, make_world_state
@@ -45,6 +45,9 @@ from zensim.proto.service_catalog import (
     require_ok,
 )
 from zensim.proto.topic_catalog import SENSOR_STATS, SNAPSHOT, TWISTS
+
+if TYPE_CHECKING:
+    from zensim.api.recorder_process import RecorderProcess
 
 POLL_S = 0.01
 FRESH_S = 0.01
@@ -401,8 +404,11 @@ class ServerAccess(WorldAccess):
 
     def record(
         self, path: Path, topics: Sequence[str], rate: float, timeout_s: float
-    ) -> RecorderProcess:
+    ) -> "RecorderProcess":
         """See `WorldAccess`."""
+        # With all that reads and writes recordings.
+        from zensim.api.recorder_process import RecorderProcess  # noqa: PLC0415
+
         self._require_open()
         options = (*(topics or ("--all",)), "--rate", f"{rate:g}")
         return RecorderProcess(self.bus.endpoint, self.world_name, path, options, timeout_s)

@@ -1,6 +1,5 @@
 """Topic: the newest message, all messages, and callbacks; typed by its message."""
 
-import asyncio
 import threading
 import time
 from collections import deque
@@ -191,6 +190,8 @@ class Topic(Generic[Message]):
 
     async def __aiter__(self) -> AsyncIterator[Message]:
         """Iterate over messages as they come, without end."""
+        import asyncio  # noqa: PLC0415  few programs are asynchronous
+
         while True:
             yield await asyncio.to_thread(self.read, timeout_s=float("inf"))
 

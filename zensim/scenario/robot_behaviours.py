@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, Protocol, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,6 @@ from zensim.scenario.ray_navigation import (
     find_ranges,
     steer_around,
 )
-from zensim.scenario.recorded_commands import read_commands
 from zensim.scenario.scenario_format import (
     Behaviour,
     CircleAround,
@@ -34,7 +33,9 @@ from zensim.scenario.scenario_format import (
     RandomWalk,
     ReplayCommands,
 )
-from zensim.scenario.scenario_reader import Scenario
+
+if TYPE_CHECKING:
+    from zensim.scenario.scenario_reader import Scenario
 
 FloatArray = npt.NDArray[np.float64]
 BehaviourT = TypeVar("BehaviourT")
@@ -328,7 +329,7 @@ class ScheduledMotion:
 
 
 def make_motions(
-    scenario: Scenario,
+    scenario: "Scenario",
     make_controller: Callable[[PythonBehaviour, Sequence[str]], PythonController],
     cast_rays: CastRays,
 ) -> list[ScheduledMotion]:
@@ -345,6 +346,9 @@ def make_motions(
             paths = np.array([one.points for one in navigating])
             motion: Motion = NavigateMotion(rows, paths, navigating, cast_rays)
         elif isinstance(common, ReplayCommands):
+            # Most behaviours read no recording.
+            from zensim.scenario.recorded_commands import read_commands  # noqa: PLC0415
+
             file = scenario.find_file(f"behaviours[{index}].file", common.file)
             recorded = read_commands(file, scenario.robot_names)
             motion = ReplayMotion([recorded.find(name) for name in names], common)
@@ -363,7 +367,7 @@ def _make_motion(
     own: Sequence[Behaviour],
     names: Sequence[str],
     rows: npt.NDArray[np.intp],
-    scenario: Scenario,
+    scenario: "Scenario",
     make_controller: Callable[[PythonBehaviour, Sequence[str]], PythonController],
 ) -> Motion:
     first = own[0]
