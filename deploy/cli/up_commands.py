@@ -4,6 +4,7 @@ import os
 import socket
 import sys
 import time
+import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
@@ -550,8 +551,6 @@ def _open_page(url: str, open_page: bool | None) -> None:
     has_desktop = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
     should_open = open_page if open_page is not None else has_desktop and sys.stdout.isatty()
     if url and should_open:
-        import webbrowser
-
         webbrowser.open(url)
 
 

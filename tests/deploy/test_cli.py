@@ -34,11 +34,11 @@ HEAVY = ("pybullet", "viser", "scipy", "trimesh", "lxml", "zenoh", "numpy", "msg
 SLOW = (*HEAVY, "typer", "rich", "pydantic")
 
 
-def find_heavy_imports(code: str) -> set[str]:
+def find_heavy_imports(code: str, heavy: tuple[str, ...] = SLOW) -> set[str]:
     """Find the heavy modules that a program imports."""
     program = (
         f"import sys\ntry:\n    {code}\n"
-        f"finally: print('\\n', *[name for name in {SLOW} if name in sys.modules])"
+        f"finally: print('\\n', *[name for name in {heavy} if name in sys.modules])"
     )
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False
@@ -70,6 +70,13 @@ def test_help_imports_nothing_heavy() -> None:
     assert find_heavy_imports("from zensim.deploy.cli import build; build('')") <= {
         *("typer", "rich", "pydantic")
     }
+
+
+def test_up_imports_neither_scenario_files_nor_recordings_nor_a_database() -> None:
+    unused = ("yaml", "sqlite3", "asyncio", "rich.progress")
+    modules = ("zensim.recording", "zensim.scenario.scenario_reader", *unused)
+
+    assert not find_heavy_imports("import zensim.deploy.cli.up_commands", modules)
 
 
 @pytest.mark.parametrize("arguments", [(), ("--help",), ("--version",)])

@@ -19,6 +19,7 @@ from zensim.sim_server.physics.cells.celled_engine import (
     SPEED_MARGIN_MPS,
     CellCapacity,
     CelledEngine,
+    CellLoads,
     CellSettings,
     assign_cells,
     find_interaction_groups,
@@ -81,6 +82,28 @@ def test_assignment_never_splits_a_group(bodies: list[tuple[int, int]]) -> None:
         assert len(set(found[groups == group].tolist())) == 1
     counts, sizes = np.bincount(found), np.bincount(groups)
     assert counts.max() <= max(CAPACITY.cell_bodies, sizes.max())
+
+
+@given(
+    cells=st.lists(st.integers(0, 3), min_size=1, max_size=30),
+    moves=st.lists(st.tuples(st.integers(0, 29), st.integers(0, 6)), max_size=10),
+)
+def test_loads_that_follow_moves_are_those_of_a_new_count(
+    cells: list[int], moves: list[tuple[int, int]]
+) -> None:
+    now, places = np.array(cells, np.intp), along_a_line(len(cells))
+    loads = CellLoads(now, places)
+
+    for body, cell in moves:
+        member, target = np.array([body % len(cells)]), min(cell, len(loads.counts))
+        loads.move(member, int(now[member[0]]), target)
+        now[member] = target
+
+    anew = CellLoads(now, places)
+    used = len(anew.counts)
+    assert loads.counts[:used].tolist() == anew.counts.tolist()
+    assert not loads.counts[used:].any()
+    assert loads.sums[:used] == pytest.approx(anew.sums)
 
 
 def test_capacity_grows_with_the_world_up_to_its_limit() -> None:
