@@ -17,9 +17,10 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from zensim.proto import rigid_transforms
 from zensim.proto.messages.drive_messages import JointTargetKind
 from zensim.proto.messages.model_messages import ZERO, Model
-from zensim.proto.se3 import conjugate, multiply, rotate
+from zensim.proto.se3 import conjugate, multiply
 from zensim.sim_server.physics.actuation import JointMotor, impose_planar_twists
 from zensim.sim_server.physics.blueprint import (
     Blueprint,
@@ -163,11 +164,16 @@ class ComFrames:
 
     def to_com_state(self, body: int, base: FloatArray) -> FloatArray:
         """Find the state (13,) of the centre of mass of a root link at `base` (13,)."""
-        arm = rotate(base[3:7], self._com_in_root[body])
-        orientation = multiply(base[3:7], conjugate(self._root_from_com[body]))
-        (ax, ay, az), (wx, wy, wz) = arm.tolist(), base[10:13].tolist()
-        tangential = np.array([wy * az - wz * ay, wz * ax - wx * az, wx * ay - wy * ax])
-        return np.concatenate([base[:3] + arm, orientation, base[7:10] + tangential, base[10:13]])
+        # In floats, which are ten times faster than arrays of one.
+        x, y, z, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz = base.tolist()
+        cx, cy, cz = self._com_in_root[body].tolist()
+        px, py, pz, pw = self._root_from_com[body].tolist()
+        arm = rigid_transforms.rotate((qx, qy, qz, qw), (cx, cy, cz))
+        turned = rigid_transforms.multiply((qx, qy, qz, qw), (-px, -py, -pz, pw))
+        tangential = rigid_transforms.cross((wx, wy, wz), arm)
+        position = rigid_transforms.add((x, y, z), arm)
+        linear = rigid_transforms.add((vx, vy, vz), tangential)
+        return np.array([*position, *turned, *linear, wx, wy, wz])
 
     def orientations_and_arms(
         self, bodies: Sequence[int], com: FloatArray
