@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Literal
 
 import numpy as np
 
@@ -10,6 +9,7 @@ from zensim.api.closed_on_exit import ClosedOnExit
 from zensim.api.local_deployment import OPERATOR, LocalDeployment
 from zensim.api.server_access import ServerAccess
 from zensim.api.sim import Sim
+from zensim.deploy.demo_patterns import DemoBehaviour
 from zensim.deploy.other_commands import OtherCommands
 from zensim.proto.bus import Bus, BusConfig, open_bus
 from zensim.scenario.robot_behaviours import (
@@ -23,13 +23,6 @@ from zensim.scenario.robot_behaviours import (
 from zensim.scenario.scenario_format import FollowWaypoints, RandomWalk
 from zensim.spawner.spawn.spawn_poses import RobotPlacement
 
-DemoBehaviour = Literal["circle", "waypoints", "random_walk", "none"]
-DEMO_BEHAVIOURS: tuple[DemoBehaviour, ...] = ("circle", "waypoints", "random_walk", "none")
-DESCRIPTIONS: dict[DemoBehaviour, str] = {
-    "circle": "drive in circles",
-    "waypoints": "drive in squares",
-    "random_walk": "wander",
-}
 SPEED = 0.3
 """[m/s]."""
 RADIUS = 0.4
@@ -110,14 +103,6 @@ def make_demo(deployment: LocalDeployment, behaviour: DemoBehaviour) -> FleetDem
     config = deployment.config
     return FleetDemo(
         deployment.bus, config.address_of(OPERATOR), config.world_name, config.placements, behaviour
-    )
-
-
-def describe_demo(behaviour: DemoBehaviour) -> str:
-    """Say what the robots do, for how long, and how they would not."""
-    return (
-        f"The robots {DESCRIPTIONS[behaviour]}, each until something commands it "
-        "(--behaviour none: they stand still)."
     )
 
 

@@ -44,11 +44,12 @@ from zensim.proto.network_protocols import (
 from zensim.proto.process_limits import limit_unacknowledged_time, raise_file_limit
 from zensim.proto.reply_sender import REPLY_BYTES, ReplySender, Send
 from zensim.proto.service_catalog import Request, Response, Service, require_ok
-from zensim.proto.tls_probe import ProbeFailed, fetch_authority, find_refusal
 from zensim.proto.token_thread import TokenThread
 
 if TYPE_CHECKING:
     from zenoh.handlers import Handler
+
+    from zensim.proto.tls_probe import ProbeFailed
 
 MAX_REQUEST_BYTES = 3 << 20
 """Encoded size limit: decoding a larger request would delay the physics step."""
@@ -1188,6 +1189,9 @@ def _settle(config: BusConfig) -> BusConfig:
 
 def _join(token: JoinToken, timeout_s: float) -> Credentials:
     """Check who is at the endpoint of a token before its password is sent there."""
+    # With TLS, which few sessions need: 1 MB.
+    from zensim.proto.tls_probe import ProbeFailed, fetch_authority  # noqa: PLC0415
+
     try:
         authority = fetch_authority(token, timeout_s)
     except ProbeFailed as error:
@@ -1354,7 +1358,9 @@ def _make_open_error(config: BusConfig, text: str) -> BusError:
     )
 
 
-def _find_refusal(endpoint: str, given: Credentials) -> ProbeFailed:
+def _find_refusal(endpoint: str, given: Credentials) -> "ProbeFailed":
+    from zensim.proto.tls_probe import find_refusal  # noqa: PLC0415
+
     return find_refusal(
         endpoint,
         given.authority,

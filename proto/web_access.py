@@ -6,16 +6,18 @@ import os
 import re
 import secrets
 import socket
-import ssl
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 from urllib.parse import SplitResult, parse_qs, parse_qsl, urlencode, urlsplit
 
 from zensim.proto.endpoints import Exposed, is_loopback
+
+if TYPE_CHECKING:
+    import ssl
 
 TOKEN_NAME: Final = "zensim_token"
 """Name of the parameter in the address; that of the cookie begins so."""
@@ -39,7 +41,7 @@ class PageAccess:
     certificate: str = ""
     private_key: str = ""
 
-    def make_tls_context(self) -> ssl.SSLContext | None:
+    def make_tls_context(self) -> "ssl.SSLContext | None":
         """Make the context of HTTPS; None for HTTP.
 
         Raises:
@@ -47,6 +49,8 @@ class PageAccess:
         """
         if not self.certificate:
             return None
+        import ssl  # noqa: PLC0415  1 MB, which few pages need
+
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         context.load_cert_chain(self.certificate, self.private_key)
         return context

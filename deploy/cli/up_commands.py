@@ -34,13 +34,7 @@ from zensim.api.local_deployment import (
     summarize_run,
     supervise,
 )
-from zensim.deploy.fleet_demo import (
-    DEMO_BEHAVIOURS,
-    DemoBehaviour,
-    FleetDemo,
-    describe_demo,
-    make_demo,
-)
+from zensim.deploy.demo_patterns import DEMO_BEHAVIOURS, DemoBehaviour, describe_demo
 from zensim.deploy.local_runs import LocalRun, recorded_run
 from zensim.proto.cli_options import (
     OdomHzOption,
@@ -86,13 +80,14 @@ from zensim.spawner.spawn.spawn_poses import LAYOUTS, RobotPlacement
 
 # What few runs need is imported where it is used, as this process lives as long as its world.
 if TYPE_CHECKING:
+    from zensim.deploy.fleet_demo import FleetDemo
     from zensim.deploy.scenario_driver import ScenarioDriver
     from zensim.scenario.scenario_reader import Scenario
 
 app = make_app()
 
 console = PrintableConsole(stderr=True)
-DriverMaker = Callable[[LocalDeployment], Union[FleetDemo, "ScenarioDriver"]]
+DriverMaker = Callable[[LocalDeployment], Union["FleetDemo", "ScenarioDriver"]]
 MAX_AGENT_PROCESSES = 20
 """Default limit of one agent process per robot; each takes 40 MB."""
 
@@ -305,7 +300,10 @@ def _make_scenario_driver(scenario: "Scenario", deployment: LocalDeployment) -> 
 
 def _make_demo(
     behaviour: DemoBehaviour, deployment: LocalDeployment, *, is_quiet: bool
-) -> FleetDemo:
+) -> "FleetDemo":
+    # Imported here, with numpy: the programs start meanwhile.
+    from zensim.deploy.fleet_demo import make_demo
+
     demo = make_demo(deployment, behaviour)
     if not is_quiet:
         print_lines(describe_demo(behaviour))

@@ -7,7 +7,6 @@ import errno
 import hashlib
 import os
 import socket
-import ssl
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
@@ -241,7 +240,7 @@ class SecureFolder:
             certificate_s: Validity of the certificate, which also ends with the account.
         """
         settings = self.settings
-        der = ssl.PEM_cert_to_DER_cert(self.authority)
+        der = read_pem(CERTIFICATE_LABEL, self.authority)
         token = JoinToken(
             make_public_endpoint(settings.endpoint, host),
             account.user.name,

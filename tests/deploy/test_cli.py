@@ -72,8 +72,8 @@ def test_help_imports_nothing_heavy() -> None:
     }
 
 
-def test_up_imports_neither_scenario_files_nor_recordings_nor_a_database() -> None:
-    unused = ("yaml", "sqlite3", "asyncio", "rich.progress")
+def test_up_imports_only_what_starting_programs_needs() -> None:
+    unused = ("numpy", "ssl", "yaml", "sqlite3", "asyncio", "rich.progress")
     modules = ("zensim.recording", "zensim.scenario.scenario_reader", *unused)
 
     assert not find_heavy_imports("import zensim.deploy.cli.up_commands", modules)

@@ -8,12 +8,8 @@ import pytest
 from tests.integration.processes import eventually
 from zensim.api.connections import connect, launch
 from zensim.api.sim import Sim
-from zensim.deploy.fleet_demo import (
-    DEMO_BEHAVIOURS,
-    DemoBehaviour,
-    FleetDemo,
-    make_demo_motion,
-)
+from zensim.deploy.demo_patterns import DEMO_BEHAVIOURS, DemoBehaviour
+from zensim.deploy.fleet_demo import FleetDemo, make_demo_motion
 from zensim.deploy.other_commands import find_commanded_robot
 from zensim.proto.bus import BusConfig, BusPublisher, open_bus
 from zensim.proto.codec.message_codec import Format, encode

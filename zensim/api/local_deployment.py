@@ -346,13 +346,14 @@ def make_agent_starts(config: LaunchConfig) -> dict[str, AgentProcessConfig]:
         wait_s=AGENT_WAIT_S,
         ros=config.ros,
     )
-    configs = {
-        f"agent of {one.name}": msgspec.structs.replace(common, entities=(one.name,))
-        for one in config.placements
-    }
     if config.agents.pools is not None:
         pool = msgspec.structs.replace(common, pool_limit=0)
         configs = {f"pool {number}": pool for number in range(config.agents.pools)}
+    else:
+        configs = {
+            f"agent of {one.name}": msgspec.structs.replace(common, entities=(one.name,))
+            for one in config.placements
+        }
     for group in config.agents.groups:
         rates = RateOverrides(group.odom_hz, group.tf_hz)
         configs[f"agent {group.name}"] = msgspec.structs.replace(
