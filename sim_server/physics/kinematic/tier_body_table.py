@@ -74,15 +74,19 @@ class TierBodyTable:
         self.exceeds_limits: BoolColumn = np.zeros(INITIAL_ROWS, np.bool_)
         self.reach_m = 0.0
         self._free = list(range(INITIAL_ROWS))
+        self._used = 0
+        """Rows from here on have never been used, and are zero."""
 
     def allocate(self) -> int:
         """Allocate the lowest free row, set to zeros."""
         if not self._free:
             self._grow()
         row = heapq.heappop(self._free)
-        for column in vars(self).values():
-            if isinstance(column, np.ndarray):
-                column[..., row] = 0
+        if row < self._used:
+            for column in vars(self).values():
+                if isinstance(column, np.ndarray):
+                    column[..., row] = 0
+        self._used = max(self._used, row + 1)
         self.full[row] = -1
         return row
 

@@ -39,6 +39,18 @@ def test_split_covers_all_joints_and_targets() -> None:
     assert found.held_targets.tolist() == [0, 1, 2, 3, 4]
 
 
+def test_row_that_is_used_again_is_zero() -> None:
+    rows = three_rows()
+    rows.place[:, 1], rows.joint_count[1] = 4.0, 2
+    rows.free(1)
+
+    row = rows.allocate()
+
+    assert row == 1
+    assert (rows.full[row], rows.joint_count[row], rows.tier[row]) == (-1, 0, Tier.NONE)
+    assert not rows.place[:, row].any()
+
+
 def test_index_map_is_cached_until_a_change() -> None:
     rows = three_rows()
     mappings, bodies = TierIndexMapCache(rows), (0, 1)
