@@ -22,10 +22,9 @@ from benchmarks.machine import used_s
 from benchmarks.odometry_reader import OdometryTally
 from benchmarks.ten_robots import CIRCLE, MILLISECONDS, poll_until
 from tests.integration.processes import running_up
-from zensim.api.server_access import split_orders
 from zensim.proto.bus import Bus
 from zensim.proto.codec.message_codec import Format, encode
-from zensim.proto.messages.agent_messages import TwistCommands
+from zensim.proto.messages.agent_messages import TwistCommands, split_orders
 from zensim.proto.topic_catalog import TWISTS
 from zensim.spawner.client.sim_client import SimClient
 

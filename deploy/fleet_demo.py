@@ -1,4 +1,4 @@
-"""Drives the robots of `zensim up` in a pattern, each until something else commands it."""
+"""Drives the robots of `zensim up` where poses decide, each until something else commands it."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -9,11 +9,10 @@ from zensim.api.closed_on_exit import ClosedOnExit
 from zensim.api.local_deployment import OPERATOR, LocalDeployment
 from zensim.api.server_access import ServerAccess
 from zensim.api.sim import Sim
-from zensim.deploy.demo_patterns import DemoBehaviour
+from zensim.deploy.demo_patterns import RADIUS, SPEED, PoseBehaviour
 from zensim.deploy.other_commands import OtherCommands
 from zensim.proto.bus import Bus, BusConfig, open_bus
 from zensim.scenario.robot_behaviours import (
-    ConstantMotion,
     FleetState,
     FloatArray,
     Motion,
@@ -22,11 +21,6 @@ from zensim.scenario.robot_behaviours import (
 )
 from zensim.scenario.scenario_format import FollowWaypoints, RandomWalk
 from zensim.spawner.spawn.spawn_poses import RobotPlacement
-
-SPEED = 0.3
-"""[m/s]."""
-RADIUS = 0.4
-"""Of circles [m]; half of the side of squares."""
 
 
 class FleetDemo(ClosedOnExit):
@@ -41,7 +35,7 @@ class FleetDemo(ClosedOnExit):
         endpoint: str,
         world: str,
         placements: Sequence[RobotPlacement],
-        behaviour: DemoBehaviour,
+        behaviour: PoseBehaviour,
     ) -> None:
         self._names = [one.name for one in placements]
         self._motion = make_demo_motion(placements, behaviour)
@@ -98,7 +92,7 @@ class FleetDemo(ClosedOnExit):
             self._fleet[taken].release()
 
 
-def make_demo(deployment: LocalDeployment, behaviour: DemoBehaviour) -> FleetDemo:
+def make_demo(deployment: LocalDeployment, behaviour: PoseBehaviour) -> FleetDemo:
     """Make the demo of the robots of a deployment."""
     config = deployment.config
     return FleetDemo(
@@ -106,7 +100,7 @@ def make_demo(deployment: LocalDeployment, behaviour: DemoBehaviour) -> FleetDem
     )
 
 
-def make_demo_motion(placements: Sequence[RobotPlacement], behaviour: DemoBehaviour) -> Motion:
+def make_demo_motion(placements: Sequence[RobotPlacement], behaviour: PoseBehaviour) -> Motion:
     """Make the motion of a pattern: all robots alike, each from where it stands."""
     count = len(placements)
     if behaviour == "waypoints":
@@ -115,11 +109,8 @@ def make_demo_motion(placements: Sequence[RobotPlacement], behaviour: DemoBehavi
             name="demo", robots="*", points=((0.0, 0.0),), speed=SPEED, tolerance=0.1, loop=True
         )
         return PathMotion(np.arange(count), paths, [square] * count)
-    if behaviour == "random_walk":
-        walk = RandomWalk(name="demo", robots="*", speed=SPEED)
-        return RandomWalkMotion([walk] * count, 0, [one.name for one in placements])
-    twist = (SPEED, SPEED / RADIUS) if behaviour == "circle" else (0.0, 0.0)
-    return ConstantMotion(np.tile(np.array(twist), (count, 1)))
+    walk = RandomWalk(name="demo", robots="*", speed=SPEED)
+    return RandomWalkMotion([walk] * count, 0, [one.name for one in placements])
 
 
 def _make_square(start: RobotPlacement) -> list[tuple[float, float]]:

@@ -34,7 +34,7 @@ from zensim.api.local_deployment import (
     summarize_run,
     supervise,
 )
-from zensim.deploy.demo_patterns import DEMO_BEHAVIOURS, DemoBehaviour, describe_demo
+from zensim.deploy.demo_patterns import DEMO_BEHAVIOURS, MovingBehaviour, describe_demo
 from zensim.deploy.local_runs import LocalRun, recorded_run
 from zensim.proto.cli_options import (
     OdomHzOption,
@@ -80,6 +80,7 @@ from zensim.spawner.spawn.spawn_poses import LAYOUTS, RobotPlacement
 
 # What few runs need is imported where it is used, as this process lives as long as its world.
 if TYPE_CHECKING:
+    from zensim.deploy.circle_demo import CircleDemo
     from zensim.deploy.fleet_demo import FleetDemo
     from zensim.deploy.scenario_driver import ScenarioDriver
     from zensim.scenario.scenario_reader import Scenario
@@ -87,7 +88,7 @@ if TYPE_CHECKING:
 app = make_app()
 
 console = PrintableConsole(stderr=True)
-DriverMaker = Callable[[LocalDeployment], Union["FleetDemo", "ScenarioDriver"]]
+DriverMaker = Callable[[LocalDeployment], Union["CircleDemo", "FleetDemo", "ScenarioDriver"]]
 MAX_AGENT_PROCESSES = 20
 """Default limit of one agent process per robot; each takes 40 MB."""
 
@@ -299,12 +300,16 @@ def _make_scenario_driver(scenario: "Scenario", deployment: LocalDeployment) -> 
 
 
 def _make_demo(
-    behaviour: DemoBehaviour, deployment: LocalDeployment, *, is_quiet: bool
-) -> "FleetDemo":
-    # Imported here, with numpy: the programs start meanwhile.
-    from zensim.deploy.fleet_demo import make_demo
+    behaviour: MovingBehaviour, deployment: LocalDeployment, *, is_quiet: bool
+) -> "CircleDemo | FleetDemo":
+    if behaviour == "circle":
+        from zensim.deploy.circle_demo import make_circle_demo
 
-    demo = make_demo(deployment, behaviour)
+        demo: CircleDemo | FleetDemo = make_circle_demo(deployment)
+    else:
+        from zensim.deploy.fleet_demo import make_demo
+
+        demo = make_demo(deployment, behaviour)
     if not is_quiet:
         print_lines(describe_demo(behaviour))
     return demo

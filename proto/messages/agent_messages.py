@@ -1,6 +1,6 @@
 """Messages between agents and the server: claims, drive states, drive commands."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import ClassVar, Literal
 
 import msgspec
@@ -242,6 +242,22 @@ class TwistCommands(msgspec.Struct, frozen=True):
     twists: bytes = b""
     """`<f8`, (n, 3), in the order of `entities`: forward, left [m/s], turn [rad/s]. NaN releases a
     robot: only its own `cmd_vel` counts again."""
+
+
+MAX_ORDERED_ROBOTS = 2500
+"""In one message: with the longest names less than `MAX_FLEET_COMMAND_BYTES`."""
+
+
+def split_orders(twists: TwistCommands) -> Iterator[TwistCommands]:
+    """Split orders into messages that a router lets pass: it drops larger ones."""
+    row_bytes = 3 * 8
+    for start in range(0, max(1, len(twists.entities)), MAX_ORDERED_ROBOTS):
+        end = start + MAX_ORDERED_ROBOTS
+        yield TwistCommands(
+            twists.client,
+            twists.entities[start:end],
+            twists.twists[start * row_bytes : end * row_bytes],
+        )
 
 
 class DriveCommand(msgspec.Struct, frozen=True):

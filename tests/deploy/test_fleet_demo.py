@@ -8,10 +8,11 @@ import pytest
 from tests.integration.processes import eventually
 from zensim.api.connections import connect, launch
 from zensim.api.sim import Sim
-from zensim.deploy.demo_patterns import DEMO_BEHAVIOURS, DemoBehaviour
+from zensim.deploy.circle_demo import CircleDemo
+from zensim.deploy.demo_patterns import PoseBehaviour
 from zensim.deploy.fleet_demo import FleetDemo, make_demo_motion
 from zensim.deploy.other_commands import find_commanded_robot
-from zensim.proto.bus import BusConfig, BusPublisher, open_bus
+from zensim.proto.bus import Bus, BusConfig, BusPublisher, open_bus
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.proto.topic_catalog import CMD_VEL
@@ -28,7 +29,7 @@ def playing() -> Iterator[Sim]:
         yield sim
 
 
-def update_until(demo: FleetDemo, condition: Callable[[], bool]) -> None:
+def update_until(demo: CircleDemo | FleetDemo, condition: Callable[[], bool]) -> None:
     def look() -> bool:
         demo.update()
         return condition()
@@ -49,25 +50,36 @@ def test_robot_of_a_command_is_found(key: str, robot: str) -> None:
     assert find_commanded_robot(key) == robot
 
 
-@pytest.mark.parametrize("behaviour", DEMO_BEHAVIOURS)
-def test_pattern_commands_each_robot(behaviour: DemoBehaviour) -> None:
+@pytest.mark.parametrize("behaviour", ["waypoints", "random_walk"])
+def test_pattern_commands_each_robot(behaviour: PoseBehaviour) -> None:
     motion = make_demo_motion(PLACES, behaviour)
     poses = np.array([(one.x, one.y, one.yaw) for one in PLACES])
 
     twists = motion.command(FleetState(0.0, 0.01, poses, np.zeros((3, 6))))
 
     assert twists.shape == (3, 2)
-    assert (twists[:, 0] > 0.0).all() == (behaviour != "none")
+    assert (twists[:, 0] > 0.0).all()
 
 
-def test_robots_move_each_until_it_is_commanded(playing: Sim) -> None:
+def make_circles(bus: Bus, endpoint: str) -> CircleDemo:
+    return CircleDemo(bus, endpoint, "default", [one.name for one in PLACES])
+
+
+def make_squares(bus: Bus, endpoint: str) -> FleetDemo:
+    return FleetDemo(bus, endpoint, "default", PLACES, "waypoints")
+
+
+@pytest.mark.parametrize("make", [make_circles, make_squares])
+def test_robots_move_each_until_it_is_commanded(
+    playing: Sim, make: Callable[[Bus, str], CircleDemo | FleetDemo]
+) -> None:
     fleet = playing.fleet(["r0", "r1", "r2"])
     endpoint = playing.endpoint
     start = fleet.poses2d()
 
     with (
         open_bus(BusConfig(connect=(endpoint,))) as bus,
-        FleetDemo(bus, endpoint, "default", PLACES, "circle") as demo,
+        make(bus, endpoint) as demo,
     ):
         update_until(demo, lambda: bool((np.abs(fleet.poses2d() - start).max(axis=1) > 0.1).all()))
         command = bus.advertise(CMD_VEL.key("r0"), CMD_VEL.encoding)
@@ -79,7 +91,7 @@ def test_robots_move_each_until_it_is_commanded(playing: Sim) -> None:
             update_until(demo, lambda: playing.time > seen_s + 0.5)
             assert fleet.twists()[1, 0] < -0.05
 
-        assert fleet.twists()[2, 0] > 0.2
+        update_until(demo, lambda: bool(fleet.twists()[2, 0] > 0.2))
         assert not demo.is_over
 
 

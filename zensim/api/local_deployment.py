@@ -180,7 +180,9 @@ class SensorLaunch:
         self._supervisor = supervisor
         # Short calls, since programs that died wait meanwhile.
         self._client = SimClient(bus, config.world_name, SENSOR_CALL_TIMEOUT_S)
-        self._events = bus.subscribe(EVENTS.key(config.world_name), EVENTS_DEPTH)
+        self._bus = bus
+        self._events: BusSubscription | None = None
+        """From the first call on, whose reply has all before: robots at a start are many events."""
         self._has_news, self._is_done = True, False
         self._next_at_s = float("-inf")
 
@@ -190,6 +192,8 @@ class SensorLaunch:
         Args:
             now_s: Wall time from any origin.
         """
+        if self._events is None:
+            self._events = self._bus.subscribe(EVENTS.key(self._client.world), EVENTS_DEPTH)
         self._has_news |= any(map(_is_arrival, self._events.take()))
         if self._is_done or not self._has_news or now_s < self._next_at_s:
             return

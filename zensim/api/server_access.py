@@ -4,7 +4,7 @@ import math
 import os
 import time
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,7 +24,7 @@ from zensim.proto.codec.message_codec import (
     encode,
     make_encoding,
 )
-from zensim.proto.messages.agent_messages import TwistCommands
+from zensim.proto.messages.agent_messages import TwistCommands, split_orders
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.sensor_messages import SensorStats
 from zensim.proto.messages.simulation_messages import (
@@ -62,8 +62,6 @@ LOST_S = 0.5
 TOKEN_TIMEOUT_S = 2.0
 """Limit on the delay until the server has received the token of this client."""
 CALL_TIMEOUT_S, MIN_TIMEOUT_S = 10.0, 0.01
-MAX_ORDERED_ROBOTS = 2500
-"""In one message: with the longest names less than `MAX_FLEET_COMMAND_BYTES`."""
 SENSOR_TIMEOUT_S = 30.0
 """Limit on the start of a sensor process, with its libraries and meshes."""
 
@@ -99,18 +97,6 @@ class BusFeed(TopicFeed[Message]):
     def close(self) -> None:
         """See `TopicFeed`."""
         self._subscription.close()
-
-
-def split_orders(twists: TwistCommands) -> Iterator[TwistCommands]:
-    """Split orders into messages that a router lets pass: it drops larger ones."""
-    row_bytes = 3 * 8
-    for start in range(0, max(1, len(twists.entities)), MAX_ORDERED_ROBOTS):
-        end = start + MAX_ORDERED_ROBOTS
-        yield TwistCommands(
-            twists.client,
-            twists.entities[start:end],
-            twists.twists[start * row_bytes : end * row_bytes],
-        )
 
 
 class ServerAccess(WorldAccess):

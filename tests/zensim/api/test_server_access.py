@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from zensim.api.server_access import split_orders
 from zensim.proto.codec.message_codec import Format, encode
-from zensim.proto.messages.agent_messages import TwistCommands
+from zensim.proto.messages.agent_messages import TwistCommands, split_orders
 from zensim.proto.network_protocols import MAX_FLEET_COMMAND_BYTES
 
 
