@@ -31,7 +31,8 @@ from zensim.proto.ros2.node_services import NodeParameter, ParameterContent
 from zensim.proto.rosout import LogCollector
 from zensim.proto.service_catalog import INFO
 from zensim.sim_server.initial_world import load_initial_world, make_initial_world, make_parts
-from zensim.sim_server.journal.server_journal import open_journal
+from zensim.sim_server.journal.journal_contents import RestoreProgress
+from zensim.sim_server.journal.server_journal import count_restorable, open_journal
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.mesh_server import MeshServer, PublishedFiles
 from zensim.sim_server.parser_process.parser_client import ParserClient
@@ -116,41 +117,62 @@ def run_server(
             collector.start()
         cleanup.callback(collector.stop)
         cleanup.enter_context(_no_garbage_collection())
-        journal = _open_journal(config, cleanup)
+        network = _RestoringNetwork(config, cleanup)
+        # A process that tests entities is a fork of this one, which must have no other threads.
+        if network.progress.total:
+            network.open()
+        journal = _open_journal(config, network.progress, cleanup)
         loaded, config = load_initial_world(config, journal)
         if journal is not None:
             _exclude_crashing(journal, config, loaded)
             status.phase = "restoring"
-        # A fork of this process, as above, must have no other threads.
         cleanup.enter_context(served_status(config.metrics, status))
-        bus = _open_network(config, cleanup)
-        hooks = ServerHooks(stop, on_ready, status, _reply_meanwhile(config, journal, bus, cleanup))
+        bus = network.open(is_restoring=journal is not None and journal.contents is not None)
+        hooks = ServerHooks(stop, on_ready, status, network.replies)
         made = _make_parts(config, loaded, journal, cleanup, stop)
         _start_garbage_collection()
         request_short_time_slice()
         _run(config, made, bus, collector, hooks)
 
 
-def _reply_meanwhile(
-    config: ServerConfig, journal: Journal | None, bus: Bus, cleanup: ExitStack
-) -> RestoreReplies | None:
-    """Reply to clients while the journal is restored: a large world takes seconds."""
-    if journal is None or journal.contents is None:
-        return None
-    journal.progress.total = len(journal.contents.entities)
-    is_secured = bool(config.secure_folder)
-    replies = RestoreReplies(bus, config.world, journal.progress, is_secured=is_secured)
-    replies.start()
-    cleanup.callback(replies.close)
-    return replies
+class _RestoringNetwork:
+    """The network of a server, and replies while its journal is read and restored.
+
+    A large world takes seconds, and to read the journal of 10,000 entities a fifth of one.
+    """
+
+    def __init__(self, config: ServerConfig, cleanup: ExitStack) -> None:
+        self.progress = RestoreProgress(total=count_restorable(config.journal))
+        self.replies: RestoreReplies | None = None
+        self._config = config
+        self._cleanup = cleanup
+        self._bus: Bus | None = None
+
+    def open(self, *, is_restoring: bool = True) -> Bus:
+        """Open it if it is not open; reply if there is something to restore."""
+        config, cleanup = self._config, self._cleanup
+        if self._bus is None:
+            self._bus = _open_network(config, cleanup)
+        if is_restoring and self.replies is None:
+            is_secured = bool(config.secure_folder)
+            replies = RestoreReplies(self._bus, config.world, self.progress, is_secured=is_secured)
+            replies.start()
+            cleanup.callback(replies.close)
+            self.replies = replies
+        return self._bus
 
 
-def _open_journal(config: ServerConfig, cleanup: ExitStack) -> Journal | None:
+def _open_journal(
+    config: ServerConfig, progress: RestoreProgress, cleanup: ExitStack
+) -> Journal | None:
     """Open the journal that is configured, until the end."""
     if not config.journal:
         return None
     journal = open_journal(config.journal)
     cleanup.callback(journal.close)
+    journal.progress = progress
+    if journal.contents is not None:
+        progress.total = len(journal.contents.entities)
     return journal
 
 

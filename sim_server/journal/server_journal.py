@@ -42,6 +42,7 @@ from zensim.sim_server.journal.journal_records import (
 from zensim.sim_server.journal.sqlite_store import (
     FILES,
     SqliteStore,
+    count_unchecked_rows,
     open_store,
     raising_journal_errors,
 )
@@ -617,6 +618,14 @@ class Journal:
     @property
     def _mark(self) -> Path:
         return self.database.folder / RESTORE_MARK_FILE
+
+
+def count_restorable(folder: str) -> int:
+    """Count the entities of a journal before it is read and checked; 0 if a restore crashed."""
+    path = Path(folder)
+    if not folder or (path / RESTORE_MARK_FILE).exists():
+        return 0
+    return count_unchecked_rows(path, "entity")
 
 
 def open_journal(folder: str) -> Journal:

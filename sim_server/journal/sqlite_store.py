@@ -9,7 +9,7 @@ import re
 import shutil
 import sqlite3
 import struct
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Literal
 
@@ -430,6 +430,16 @@ def _lock_folder(folder: Path) -> int:
             f"{folder} is used by another server; stop it, or use another folder"
         ) from error
     return lock
+
+
+def count_unchecked_rows(folder: Path, kind: str) -> int:
+    """Count the rows of a kind in milliseconds; 0 if the database does not exist or is damaged."""
+    try:
+        with closing(_connect(folder, "ro")) as connection:
+            found = connection.execute("SELECT count(*) FROM rows WHERE kind = ?", (kind,))
+            return int(found.fetchone()[0])
+    except sqlite3.Error:
+        return 0
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import deque
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Final
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from zensim.sim_server.journal.journal_contents import RestoreProgress
 
 POLL_S: Final = 0.01
+SWITCH_INTERVAL_S: Final = 0.001
+"""Longest that the thread waits for the interpreter, a few times for a reply; usually 5 ms."""
 MAX_HELD: Final = 4096
 """Requests that wait for the end of a restore; more end without a value."""
 MAX_HELD_BYTES: Final = 64 << 20
@@ -44,14 +47,17 @@ class RestoreReplies:
         self._held: deque[ServiceCall] = deque()
         self._held_bytes = 0
         self._is_over = Event()
+        self._usual_interval_s = sys.getswitchinterval()
         self._thread = Thread(target=self._run, name="restore-replies", daemon=True)
 
     def start(self) -> None:
         """Start the thread that replies."""
+        sys.setswitchinterval(SWITCH_INTERVAL_S)
         self._thread.start()
 
     def close(self) -> None:
         """End the thread; the loop takes the requests from now on."""
+        sys.setswitchinterval(self._usual_interval_s)
         self._is_over.set()
         if self._thread.is_alive():
             self._thread.join()

@@ -19,6 +19,7 @@ from zensim.sim_server.journal.sqlite_store import (
     WRITER_ROW,
     JournalError,
     SqliteStore,
+    count_unchecked_rows,
     open_store,
     open_store_read_only,
 )
@@ -76,6 +77,21 @@ def test_store_has_committed_rows_when_opened_again(tmp_path: Path) -> None:
     store.close()
 
     assert read_state(tmp_path / "j") == (8, 0, {"b": b"3"})
+
+
+def test_rows_are_counted_before_a_journal_is_opened(tmp_path: Path) -> None:
+    files = write_and_crash(tmp_path / "j", ROWS, {("clock", ""): b"1"})
+    folder = write_files(tmp_path / "crashed", files)
+
+    assert count_unchecked_rows(folder, "entity") == len(ROWS)
+    assert read_state(folder)[:2] == (2, 0)
+    assert count_unchecked_rows(tmp_path / "none", "entity") == 0
+
+
+def test_rows_of_a_damaged_database_count_as_none(tmp_path: Path) -> None:
+    (tmp_path / DATABASE).write_bytes(b"no database" * 500)
+
+    assert count_unchecked_rows(tmp_path, "entity") == 0
 
 
 def test_store_has_no_rows_that_were_rolled_back(tmp_path: Path) -> None:
