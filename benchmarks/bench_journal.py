@@ -5,7 +5,8 @@ with one; then the server is killed and restarted on a journal of a hundred robo
 that waits for the disk: writing and syncing as many bytes as a spawn has, in this process. Last:
 the same restarts with 2000 and 10,000 robots, on an idle machine and with a process that does
 nothing but count on each core; from exec until a call of `info` has a reply, which is "restoring"
-with the number of robots so far, and until it is another. Floor: a server on an empty journal.
+with the number of robots so far, and until it is another. Floors: a server on an empty journal, and
+half of the bodies made in cells of PyBullet, as each of two processes does in a restore.
 """
 
 import os
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks.bench_spawn import LONGEST_PAUSE_S, Spawner, an_order
+from benchmarks.bodies import standing_at
 from benchmarks.figures import Figure, Limit, table
 from benchmarks.fleet_server import spawn
 from benchmarks.ten_robots import (
@@ -33,6 +35,11 @@ from benchmarks.ten_robots import (
 from tests.integration.journals import kill_hard, serving_with_journal
 from tests.integration.processes import START_S, connected, free_endpoint, running
 from zensim.proto.bus import NoServer
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.engine_factory import MAX_CELL_BODIES_LARGE_WORLD
 from zensim.spawner.client.sim_client import SimClient
 
 __all__ = ["rows", "table"]
@@ -46,6 +53,7 @@ LARGE, LARGE_WHEN_SHORT = {2000: (3.5, 8.0), 10_000: (15.0, 25.0)}, {20: (3.5, 8
 LARGE_STARTS = 3
 REPLY_S, POLL_S = 1.0, 0.005
 COUNTING = "while True: pass"
+STEP_NS = 4_166_667
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
@@ -154,9 +162,27 @@ def _large_starts(folder: Path, *, is_short: bool) -> Iterator[Figure]:
                 samples=tuple(one.restored_s for one in found),
                 limit=Limit("max", "<=", most_s, is_timed=True),
             )
+        yield Figure(
+            what=f"floor: half of {count} bodies made in cells",
+            unit="s",
+            samples=tuple(_make_bodies_s(count // 2) for _ in range(starts)),
+        )
     empty = [_restart(folder / f"empty{number}", free_endpoint()) for number in range(starts)]
     what = "floor: exec to the first reply, empty journal"
     yield Figure(what=what, unit="s", samples=tuple(one.replied_s for one in empty))
+
+
+def _make_bodies_s(count: int) -> float:
+    """Time to make bodies in cells of the engine, far apart."""
+    model, size = read_urdf(read_builtin_model("box_bot")), MAX_CELL_BODIES_LARGE_WORLD["pybullet"]
+    start_s = time.perf_counter()
+    engines = [PyBulletEngine(EngineConfig(STEP_NS)) for _ in range(0, count, size)]
+    for number in range(count):
+        engines[number // size].add(model, standing_at(3.0 * number))
+    took_s = time.perf_counter() - start_s
+    for engine in engines:
+        engine.close()
+    return took_s
 
 
 @contextmanager
