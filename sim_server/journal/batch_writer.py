@@ -44,6 +44,8 @@ MOTION_KIND, CLOCK_KIND, WORLD_KIND = "motion", "clock", "world"
 """Kinds with a single row; its key is empty."""
 MAX_CACHED_MODEL_HASHES = 256
 CHECKPOINT_PERIOD_S = 60.0
+MAX_UNMERGED_BYTES = 4 << 20
+"""In the log of the database, after which it is merged before that time."""
 
 
 class BatchWriter:
@@ -80,11 +82,11 @@ class BatchWriter:
             self._with_files.clear()
             self._count_uses()
             raise
-        self._checkpoint_if_due()
 
-    def _checkpoint_if_due(self) -> None:
+    def merge_log_if_due(self) -> None:
         """Copy the log into the database file, so that it does not grow without end."""
-        if time.monotonic() - self._checkpoint_s < CHECKPOINT_PERIOD_S:
+        is_late = time.monotonic() - self._checkpoint_s >= CHECKPOINT_PERIOD_S
+        if not is_late and self._database.unmerged_bytes < MAX_UNMERGED_BYTES:
             return
         self._checkpoint_s = time.monotonic()
         with suppress(sqlite3.Error):  # the changes are durable in the log
@@ -211,6 +213,9 @@ class RecordSink(Protocol):
     def write(self, records: Sequence[JournalRecord]) -> None:
         """Write a batch durably, all or nothing."""
 
+    def merge_log_if_due(self) -> None:
+        """Do what may take long; the records are durable."""
+
     def close(self) -> None:
         """Release the destination."""
 
@@ -278,6 +283,8 @@ class WriterThread:
         self.durable = records[-1].position
         self.commits += 1
         self.commit_times.add(time.monotonic_ns() - began_ns)
+        # Last, as the replies to these records do not wait for it.
+        self._sink.merge_log_if_due()
 
 
 def _format_reason(error: Exception) -> str:

@@ -2,7 +2,7 @@
 
 import sqlite3
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -138,6 +138,8 @@ class GatedSink:
         self.gate = threading.Semaphore(0)
         self.batches: list[list[int]] = []
         self.error: Exception | None = None
+        self.find_durable: Callable[[], int] = lambda: 0
+        self.merged_at: list[int] = []
         self.is_closed = False
 
     def write(self, records: Sequence[JournalRecord]) -> None:
@@ -145,6 +147,9 @@ class GatedSink:
         if self.error is not None:
             raise self.error
         self.batches.append([record.position for record in records])
+
+    def merge_log_if_due(self) -> None:
+        self.merged_at.append(self.find_durable())
 
     def close(self) -> None:
         self.is_closed = True
@@ -176,6 +181,35 @@ def test_writer_reports_records_as_durable_after_writing() -> None:
     sink.gate.release()
     eventually(lambda: writer.durable == 6, 10.0, "the batch")
     assert writer.close()
+
+
+def test_writer_merges_the_log_when_the_records_are_durable() -> None:
+    sink = GatedSink()
+    writer = WriterThread(sink, 0)
+    sink.find_durable = lambda: writer.durable
+    writer.start()
+    writer.submit(JournalRecord(0, 1))
+    sink.gate.release()
+
+    assert writer.close()
+    assert sink.merged_at == [1]
+
+
+def test_log_is_merged_once_it_is_long(
+    database: SqliteStore, meshes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("zensim.sim_server.journal.batch_writer.MAX_UNMERGED_BYTES", 5000)
+    batch_writer = BatchWriter(database, str(meshes))
+    model = Model("m", (Link("base", a_body()),))
+    batch_writer.write([make_added(1, make_journaled("a", model, "<short/>"))])
+    batch_writer.merge_log_if_due()
+    before = database.unmerged_bytes
+
+    batch_writer.write([make_added(2, make_journaled("b", model, "<long/>" * 900))])
+    batch_writer.merge_log_if_due()
+
+    assert 0 < before < 5000
+    assert database.unmerged_bytes == 0
 
 
 @pytest.mark.parametrize(
