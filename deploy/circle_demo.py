@@ -5,6 +5,7 @@ is numpy imported, which takes 15 MB.
 """
 
 import struct
+import time
 import uuid
 from collections.abc import Callable, Iterable, Sequence
 
@@ -13,17 +14,20 @@ from zensim.api.local_deployment import OPERATOR, LocalDeployment
 from zensim.deploy.demo_patterns import RADIUS, SPEED
 from zensim.deploy.other_commands import OtherCommands
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.bus import Bus, BusConfig, NoServer, open_bus
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.agent_messages import TwistCommands, split_orders
 from zensim.proto.topic_catalog import TWISTS
+from zensim.spawner.client.sim_client import SimClient
 
 CIRCLE = struct.pack("<3d", SPEED, 0.0, SPEED / RADIUS)
+PLAY_POLL_S = 0.2
+"""Between two questions whether a world that was started paused plays."""
 RELEASED = struct.pack("<3d", *[float("nan")] * 3)
 
 
 class CircleDemo(ClosedOnExit):
-    """Orders circles once; `update` has to be called often.
+    """Orders circles once the world plays; `update` has to be called often.
 
     A robot that gets a `cmd_vel`, or an order of another client, is left to that for good.
     """
@@ -31,6 +35,8 @@ class CircleDemo(ClosedOnExit):
     def __init__(self, bus: Bus, endpoint: str, world: str, names: Sequence[str]) -> None:
         self._ours = dict.fromkeys(names)
         self._has_ordered = False
+        self._sim = SimClient(bus, world)
+        self._next_s = 0.0
         self._client = f"client_{uuid.uuid4().hex[:12]}"
         self._others = OtherCommands(bus, world, self._client)
         # A session of its own, which ends with the demo; so do its orders.
@@ -44,15 +50,15 @@ class CircleDemo(ClosedOnExit):
         return not self._ours
 
     def update(self) -> None:
-        """Leave robots that others command; the first call orders the rest."""
+        """Leave robots that others command; order the rest once."""
         taken = [name for name in self._others.take() if name in self._ours]
         for name in taken:
             del self._ours[name]
-        if not self._has_ordered:
+        if self._has_ordered:
+            self._order(taken, RELEASED)
+        elif self._is_playing():
             self._has_ordered = True
             self._order(self._ours, CIRCLE)
-        elif taken:
-            self._order(taken, RELEASED)
 
     def watch(self, should_stop: Callable[[], bool]) -> Callable[[], bool]:
         """Update whenever a loop checks whether to stop."""
@@ -68,8 +74,20 @@ class CircleDemo(ClosedOnExit):
         self._others.close()
         self._session.close()
 
+    def _is_playing(self) -> bool:
+        """Whether the world plays; False between two questions."""
+        if time.monotonic() < self._next_s:
+            return False
+        self._next_s = time.monotonic() + PLAY_POLL_S
+        try:
+            return self._sim.info().state == "playing"
+        except (NoServer, TimeoutError):
+            return False
+
     def _order(self, names: Iterable[str], twist: bytes) -> None:
         entities = tuple(names)
+        if not entities:
+            return
         orders = TwistCommands(self._client, entities, twist * len(entities))
         for part in split_orders(orders):
             self._orders.send(encode(part, Format.MSGPACK))

@@ -95,6 +95,21 @@ def test_robots_move_each_until_it_is_commanded(
         assert not demo.is_over
 
 
+def test_circles_begin_when_a_paused_world_plays(playing: Sim) -> None:
+    playing.pause()
+    fleet, endpoint = playing.fleet(["r0", "r1", "r2"]), playing.endpoint
+
+    with (
+        open_bus(BusConfig(connect=(endpoint,))) as bus,
+        make_circles(bus, endpoint) as demo,
+    ):
+        demo.update()
+        playing.step(20)
+        assert np.abs(fleet.twists()[:, 0]).max() < 0.01
+        playing.play()
+        update_until(demo, lambda: bool((fleet.twists()[:, 0] > 0.2).all()))
+
+
 def _drive_back(command: BusPublisher) -> bool:
     payload = encode(Twist(linear=Vector3(x=-0.1)), Format.CDR)
     command.send(payload)
