@@ -6,6 +6,7 @@ No other module imports zenoh.
 import base64
 import hashlib
 import json
+import os
 import socket
 import threading
 import time
@@ -61,6 +62,8 @@ MAX_COPIED_BYTES: Final = 32 << 20
 MAX_TAKEN: Final = 256
 """Requests that one `take` returns, so that it takes about a millisecond at most."""
 EMPTY_PAYLOAD: Final = zenoh.ZBytes(b"")
+RUNTIME_VARIABLE: Final = "ZENOH_RUNTIME"
+"""Read by Zenoh when the first session of a process is opened."""
 
 
 class BusPublisher:
@@ -595,6 +598,14 @@ class PendingBusCall(Generic[Response]):
         self._replies, self._retry_s = None, time.monotonic() + pause_s
 
 
+def receive_in_one_thread() -> None:
+    """Let one thread receive for all sessions of this process; call it before the first one.
+
+    Two of them take each other's work, which wakes both: 30 % more CPU time of a recorder.
+    """
+    os.environ.setdefault(RUNTIME_VARIABLE, "(rx: (worker_threads: 1))")
+
+
 def to_sample(sample: zenoh.Sample) -> Sample:
     """Convert a Zenoh sample."""
     attachment = sample.attachment
@@ -634,6 +645,7 @@ __all__ = [
     "list_client_settings",
     "log_handshakes",
     "open_bus",
+    "receive_in_one_thread",
     "to_zenoh_json",
 ]
 

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable
-from typing import cast
+from typing import Any, cast
 
 import msgspec
 import pytest
@@ -10,13 +10,21 @@ import pytest
 from tests.fakes import MemoryBus, MemoryToken, MemoryTokenWatch
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.input_messages import Inputs, ServiceRequest
-from zensim.proto.messages.standard_messages import Odometry, String, Time
+from zensim.proto.messages.standard_messages import Header, Odometry, String, Time, Twist
 from zensim.proto.messages.telemetry_messages import Event, WorldClock
 from zensim.proto.ros2.liveliness_tokens import GraphEndpoint, GraphNode, make_endpoint_token
 from zensim.proto.topic_catalog import CLOCK, INPUTS
 from zensim.recording import recorder as recorder_module
 from zensim.recording.recorded_topics import RecordedMessage
-from zensim.recording.recorder import MessageNetwork, Recorder, RecorderSettings
+from zensim.recording.recorder import (
+    LONG_PERIOD_S,
+    MANY_TAKEN,
+    SHORT_PERIOD_S,
+    WALL_PERIOD_S,
+    MessageNetwork,
+    Recorder,
+    RecorderSettings,
+)
 from zensim.recording.topic_selection import TopicFilter, TopicSelection
 
 WORLD = "default"
@@ -227,3 +235,31 @@ def test_new_epoch_begins_a_file_and_an_older_time_does_not(bus: MemoryBus, make
         recorder.take()
 
     assert sink.parts == [2_000_000_000]
+
+
+@pytest.mark.parametrize(
+    ("messages", "settings", "period_s"),
+    [
+        ((Odometry(Header(Time(1, 0))),), {}, LONG_PERIOD_S),
+        ((), {}, LONG_PERIOD_S),
+        ((Odometry(Header(Time(1, 0))), Twist()), {}, SHORT_PERIOD_S),
+        ((Odometry(Header(Time(1, 0))),) * MANY_TAKEN, {}, SHORT_PERIOD_S),
+        ((Odometry(Header(Time(1, 0))),), {"time_base": "wall"}, WALL_PERIOD_S),
+    ],
+    ids=["stamped", "none", "unstamped", "many", "wall"],
+)
+def test_messages_are_taken_as_often_as_their_times_need(
+    bus: MemoryBus,
+    messages: tuple[msgspec.Struct, ...],
+    settings: dict[str, Any],
+    period_s: float,
+) -> None:
+    chosen = TopicFilter(TopicSelection(topics=("r1/*",)))
+    made = RecorderSettings(world=WORLD, domain=None, **settings)
+    recorder = Recorder(cast("MessageNetwork", bus), chosen, made, MessageList())
+
+    for message in messages:
+        bus.put_message(f"r1/{'cmd_vel' if isinstance(message, Twist) else 'odom'}", message)
+    recorder.take()
+
+    assert recorder.take_period_s == period_s

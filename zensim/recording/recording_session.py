@@ -18,8 +18,6 @@ from zensim.recording.recording_parts import PartSettings, RecordingParts
 from zensim.recording.snapshot_ring import SnapshotRing
 from zensim.recording.write_queue import DirectWriter, MessageWriter, NewPart, WriteQueue
 
-TAKE_PERIODS_S: Final[dict[TimeBase, float]] = {"simulation": 0.02, "wall": 0.01}
-"""Between two takes of messages, which have the same wall time."""
 REPORT_PERIOD_S: Final = 1.0
 FACTS_FILE: Final = "zensim.json"
 

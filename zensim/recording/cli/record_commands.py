@@ -12,7 +12,7 @@ from typing import Annotated, get_args
 import msgspec
 import typer
 
-from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.bus import Bus, BusConfig, open_bus, receive_in_one_thread
 from zensim.proto.cli_options import (
     ConnectionOptions,
     JsonOption,
@@ -68,7 +68,6 @@ from zensim.recording.recorder import Recorder, RecorderSettings, TimeBase
 from zensim.recording.recording_parts import PartSettings
 from zensim.recording.recording_session import (
     REPORT_PERIOD_S,
-    TAKE_PERIODS_S,
     RecordingFigures,
     RecordingSession,
     SessionSettings,
@@ -259,6 +258,7 @@ def record_topics(given: RecordOptions) -> None:
         CONTEXT.world = given.world_name
         stop = StopFlag(is_armed=False, on_stop=status.drain)
         limit_malloc_arenas()
+        receive_in_one_thread()
         connect = (given.connect,) if given.connect else ()
         config = BusConfig(connect=connect, open_timeout_s=OPEN_TIMEOUT_S)
         with served_status(given.metrics, status), open_bus(config) as bus:
@@ -413,7 +413,6 @@ class RecordProgram:
         session, recorder = self._session, self._recorder
         began_s = time.monotonic()
         report_at_s = began_s + REPORT_PERIOD_S
-        period_s = TAKE_PERIODS_S[self._start.time_base]
         while not should_stop() and session.failure is None:
             now_s = time.monotonic()
             self.status.note_turn()
@@ -427,7 +426,7 @@ class RecordProgram:
                 self._files.attach_new(has_arrivals=recorder.take_arrivals())
             if duration_s and now_s - began_s >= duration_s:
                 break
-            time.sleep(period_s)
+            time.sleep(recorder.take_period_s)
 
     def list_metrics(self) -> Iterator[MetricFamily]:
         """List the metrics of the recording; another thread calls it."""
