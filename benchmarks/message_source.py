@@ -1,5 +1,7 @@
 """A process that publishes odometry and transforms of a fleet, as many as can be counted exactly.
 
+Like an agent, it publishes them for subscribers only: of each robot, and of all in few messages.
+
 `python -m benchmarks.message_source ENDPOINT ROBOTS HZ SECONDS` opens a router there, waits for a
 subscriber, and publishes for that time; it ends when its standard input does.
 """
@@ -15,13 +17,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+import numpy as np
+
 from benchmarks.machine import ROOT
 from tests.integration.processes import free_endpoint
 from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, BusPublisher, BusQuery, open_bus
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
+from zensim.proto.messages.agent_messages import STATE_COLUMNS, DriveState
 from zensim.proto.messages.drive_messages import DiffDrive
-from zensim.proto.messages.model_messages import Link, Model
+from zensim.proto.messages.model_messages import Joint, Link, Model
 from zensim.proto.messages.standard_messages import (
     NANOSECONDS,
     Header,
@@ -38,7 +43,9 @@ from zensim.proto.messages.telemetry_messages import (
 )
 from zensim.proto.process_limits import PARENT_PID_VARIABLE, die_with_supervisor
 from zensim.proto.service_catalog import GET_MODELS, INFO
-from zensim.proto.topic_catalog import CLOCK, ODOM, TF
+from zensim.proto.topic_catalog import CLOCK, FLEET_ODOMETRY, ODOM, TF
+from zensim.robot_agent.fleet_odometry import MotionRows
+from zensim.robot_agent.fleet_odometry import make_messages as make_fleet_messages
 
 WORLD = "default"
 STAMP = struct.Struct("<iI")
@@ -46,6 +53,11 @@ ODOM_STAMP_AT, TF_STAMP_AT = 4, 8
 POSITION_AT = 120
 """Within both messages, in numbers that change: equal messages would compress too well."""
 TOPICS_OF_ROBOT = 2
+STEP_NS = NANOSECONDS // 240
+WHEELS = tuple(
+    Joint(f"{side}_joint", "continuous", "base_footprint", f"{side}_wheel", axis=(0.0, 1.0, 0.0))
+    for side in ("left", "right")
+)
 SETTLE_S = 0.5
 
 
@@ -91,40 +103,91 @@ def publishing(robots: int, hz: float, seconds: float) -> Iterator[Source]:
                 pipe.close()
 
 
-class FleetMessages:
-    """Publishers of odometry and transforms, and their messages."""
+class RobotTopics:
+    """Publishers of odometry and transforms of robots, and their last messages."""
 
     def __init__(self, bus: Bus, robots: int) -> None:
         self._topics: list[tuple[BusPublisher, bytearray, int]] = []
+        self._calls = [bus.serve(f"*/{one}", is_complete=False) for one in (ODOM.name, TF.name)]
+        self._messages: dict[str, tuple[bytes, str]] = {}
         for number in range(robots):
-            frame, base = f"box_bot{number}/odom", f"box_bot{number}/base_footprint"
-            odometry = Odometry(Header(Time(), frame), base)
-            transform = TransformStamped(Header(Time(), frame), base)
-            for spec, message, at in (
-                (ODOM, odometry, ODOM_STAMP_AT),
-                (TF, TFMessage((transform,) * 3), TF_STAMP_AT),
+            for spec, message, at in zip(
+                (ODOM, TF), make_messages(), (ODOM_STAMP_AT, TF_STAMP_AT), strict=True
             ):
-                publisher = bus.advertise(spec.key(f"box_bot{number}"), spec.encoding)
-                self._topics.append((publisher, bytearray(encode(message, Format.CDR)), at))
+                key, payload = spec.key(f"box_bot{number}"), encode(message, Format.CDR)
+                publisher = bus.advertise(key, spec.encoding)
+                self._topics.append((publisher, bytearray(payload), at))
+                self._messages[key] = payload, spec.encoding
+
+    @property
+    def count(self) -> int:
+        """Number of topics."""
+        return len(self._topics)
 
     @property
     def is_matched(self) -> bool:
         """Whether the first topic has a subscriber."""
         return self._topics[0][0].is_matched
 
-    def publish(self, time_ns: int) -> int:
-        """Publish all topics with this stamp; return their number."""
+    def publish(self, time_ns: int) -> None:
+        """Publish all topics with this stamp."""
         stamp = STAMP.pack(time_ns // NANOSECONDS, time_ns % NANOSECONDS)
         for number, (publisher, payload, at) in enumerate(self._topics):
             payload[at : at + STAMP.size] = stamp
             struct.pack_into("<d", payload, POSITION_AT, time_ns * 1e-9 + number * 0.001)
             publisher.send(bytes(payload))
-        return len(self._topics)
+
+    def reply(self) -> None:
+        """Reply to queries with the last messages."""
+        for call in (one for calls in self._calls for one in calls.take()):
+            found = [(key, *one) for key, one in self._messages.items() if call.covers(key)]
+            if not found:
+                call.drop()
+                continue
+            call.reply_each([(key, payload) for key, payload, _ in found], found[0][2])
+
+
+def make_messages() -> tuple[Odometry, TFMessage]:
+    """Make the messages of a box_bot at its origin."""
+    base = "base_footprint"
+    transforms = [TransformStamped(Header(Time(), "odom"), base)]
+    transforms += [TransformStamped(Header(Time(), one.parent), one.child) for one in WHEELS]
+    return Odometry(Header(Time(), "odom"), base), TFMessage(tuple(transforms))
+
+
+class FleetTopic:
+    """The odometry of all robots in few messages, as of two pools."""
+
+    def __init__(self, bus: Bus, robots: int) -> None:
+        names = [f"box_bot{number}" for number in range(robots)]
+        self._halves = names[::2], names[1::2]
+        self._publishers = [
+            bus.advertise(FLEET_ODOMETRY.key(WORLD, f"pool{number}"), FLEET_ODOMETRY.encoding)
+            for number in range(len(self._halves))
+        ]
+
+    @property
+    def is_matched(self) -> bool:
+        """Whether there is a subscriber."""
+        return self._publishers[0].is_matched
+
+    def publish(self, time_ns: int) -> None:
+        """Publish all robots with this stamp."""
+        state = DriveState(0, time_ns // STEP_NS, time_ns, b"", b"", b"", b"")
+        for publisher, names in zip(self._publishers, self._halves, strict=True):
+            motions = np.zeros((len(names), STATE_COLUMNS))
+            motions[:, 0] = time_ns * 1e-9 + np.arange(len(names)) * 0.001
+            motions[:, 6] = 1.0
+            joints = np.full((len(names), len(WHEELS)), time_ns * 1e-9)
+            rows = MotionRows(names, motions.tobytes(), joints.tobytes())
+            for message in make_fleet_messages(state, [rows]):
+                publisher.send(encode(message, Format.MSGPACK))
 
 
 def make_models(robots: int) -> GetModelsResponse:
     """Make what a server says of these robots."""
-    model = Model("box_bot", (Link("base_footprint"),), drive=DiffDrive())
+    links = ("base_footprint", *(one.child for one in WHEELS))
+    model = Model("box_bot", tuple(map(Link, links)), WHEELS, drive=DiffDrive())
     names = (f"box_bot{number}" for number in range(robots))
     entities = tuple(EntityModel(name, name, 0, "pool") for name in names)
     return GetModelsResponse(entities=entities, models=(model,))
@@ -154,7 +217,7 @@ class SourceServer:
             self._reply_to(call)
 
     def _reply_to(self, call: BusQuery) -> None:
-        info = Info(world=WORLD, step_ns=NANOSECONDS // 240, state="playing")
+        info = Info(world=WORLD, step_ns=STEP_NS, state="playing")
         response = {INFO.name: info, GET_MODELS.name: self._models}.get(call.name)
         if response is None:
             call.drop()
@@ -166,15 +229,42 @@ class SourceServer:
         return encode(WorldClock(now), Format.MSGPACK)
 
 
-def publish(server: SourceServer, messages: FleetMessages, hz: float, seconds: float) -> int:
-    """Publish at a rate for a time; return the number of messages."""
-    began_s, sent, ticks = time.monotonic(), 0, 0
-    while (elapsed_s := time.monotonic() - began_s) < seconds:
-        server.update(round(elapsed_s * NANOSECONDS))
-        sent += messages.publish(server.time_ns)
-        ticks += 1
-        time.sleep(max(0.0, began_s + ticks / hz - time.monotonic()))
-    return sent
+class Fleet:
+    """All topics of the robots."""
+
+    def __init__(self, bus: Bus, robots: int) -> None:
+        self._server = SourceServer(bus, robots)
+        self._robots = RobotTopics(bus, robots)
+        self._fleet = FleetTopic(bus, robots)
+
+    @property
+    def is_matched(self) -> bool:
+        """Whether robots or their fleet have a subscriber."""
+        return self._robots.is_matched or self._fleet.is_matched
+
+    def update(self, time_ns: int) -> None:
+        """Publish the clock, and reply to queries."""
+        self._server.update(time_ns)
+        self._robots.reply()
+
+    def publish(self, hz: float, seconds: float) -> int:
+        """Publish at a rate for a time; return the number of messages of robots, as if each had
+        a subscriber of its own.
+        """
+        began_s, ticks = time.monotonic(), 0
+        while (elapsed_s := time.monotonic() - began_s) < seconds:
+            time_ns = round(elapsed_s * NANOSECONDS)
+            self.update(time_ns)
+            for one in (self._robots, self._fleet):
+                if one.is_matched:
+                    one.publish(time_ns)
+            ticks += 1
+            time.sleep(max(0.0, began_s + ticks / hz - time.monotonic()))
+        return ticks * self._robots.count
+
+    def rest(self) -> None:
+        """Publish the clock of the last time."""
+        self.update(self._server.time_ns)
 
 
 def main() -> None:
@@ -184,19 +274,19 @@ def main() -> None:
     has_ended = threading.Event()
     threading.Thread(target=_await_end, args=(has_ended,), daemon=True).start()
     with open_bus(BusConfig(mode="router", listen=(endpoint,))) as bus:
-        server, messages = SourceServer(bus, int(robots)), FleetMessages(bus, int(robots))
+        fleet = Fleet(bus, int(robots))
         _print(listening=1)
         settled_s = float("inf")
         while not has_ended.wait(0.005) and time.monotonic() < settled_s:
-            server.update(0)
-            if settled_s == float("inf") and messages.is_matched:
+            fleet.update(0)
+            if settled_s == float("inf") and fleet.is_matched:
                 settled_s = time.monotonic() + SETTLE_S
         _print(began_ns=time.time_ns())
         began_s = time.monotonic()
-        sent = publish(server, messages, float(hz), float(seconds))
+        sent = fleet.publish(float(hz), float(seconds))
         _print(sent=sent, took_s=time.monotonic() - began_s)
         while not has_ended.wait(0.005):
-            server.update(server.time_ns)
+            fleet.rest()
 
 
 def _await_end(has_ended: threading.Event) -> None:

@@ -1,20 +1,41 @@
 """The odometry of all robots of an agent in few messages, published for subscribers only."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, DriveState, FleetOdometry
 from zensim.proto.network_protocols import AgentNetwork
 from zensim.proto.topic_catalog import FLEET_ODOMETRY
 
-MotionRows = tuple[Sequence[str], bytes]
-"""Entities and their motions: `FleetOdometry.motions`."""
 MAX_MOTION_BYTES = 60_000
 """Of the rows of a message: with its names and headers it fits a batch of 64 KiB. What is sent in
 fragments is lost with any of them."""
 ROW_BYTES = 8 * STATE_COLUMNS
 MAX_NAME_BYTES = 5
 """Written before the characters of a name."""
+
+
+class MotionRows(NamedTuple):
+    """Odometry of robots with equally many joints; see `FleetOdometry`."""
+
+    entities: Sequence[str]
+    motions: bytes
+    joint_positions: bytes
+
+    def measure_row(self) -> int:
+        """Measure the longest row in a message [bytes]."""
+        joints = len(self.joint_positions) // max(1, len(self.entities))
+        return ROW_BYTES + joints + MAX_NAME_BYTES + max(map(len, self.entities), default=0)
+
+    def cut(self, start: int, end: int) -> "MotionRows":
+        """Take some rows."""
+        joints = len(self.joint_positions) // max(1, len(self.entities))
+        return MotionRows(
+            self.entities[start:end],
+            self.motions[start * ROW_BYTES : end * ROW_BYTES],
+            self.joint_positions[start * joints : end * joints],
+        )
 
 
 class FleetOdometryPublisher:
@@ -42,19 +63,30 @@ class FleetOdometryPublisher:
 
 def make_messages(state: DriveState, rows: Iterable[MotionRows]) -> Iterator[FleetOdometry]:
     """Make messages of at most 64 KiB, in the order of the rows."""
-    listed = list(rows)
-    entities = tuple(name for names, _ in listed for name in names)
-    if not entities:
-        return
-    motions = b"".join([part for _, part in listed])
-    longest = max(map(len, entities))
-    most = max(1, MAX_MOTION_BYTES // (ROW_BYTES + MAX_NAME_BYTES + longest))
-    for start in range(0, len(entities), most):
-        end = start + most
-        yield FleetOdometry(
-            state.epoch,
-            state.step,
-            state.time_ns,
-            entities[start:end],
-            motions[start * ROW_BYTES : end * ROW_BYTES],
-        )
+    parts: list[MotionRows] = []
+    room = MAX_MOTION_BYTES
+    for one in rows:
+        start, count, size = 0, len(one.entities), one.measure_row()
+        while start < count:
+            most = room // size
+            if not most and parts:
+                yield _join(state, parts)
+                parts, room = [], MAX_MOTION_BYTES
+                continue
+            part = one.cut(start, start + max(1, most))
+            parts.append(part)
+            start += len(part.entities)
+            room -= size * len(part.entities)
+    if parts:
+        yield _join(state, parts)
+
+
+def _join(state: DriveState, parts: Sequence[MotionRows]) -> FleetOdometry:
+    return FleetOdometry(
+        state.epoch,
+        state.step,
+        state.time_ns,
+        tuple(name for one in parts for name in one.entities),
+        b"".join([one.motions for one in parts]),
+        b"".join([one.joint_positions for one in parts]),
+    )

@@ -1,4 +1,4 @@
-"""Message templates of a robot's topics, and the paths of the numbers and stamps to fill in."""
+"""Message templates of a robot's topics, and the paths of the numbers of joints to fill in."""
 
 from collections.abc import Sequence
 
@@ -13,17 +13,6 @@ from zensim.robot_agent.robot_frames import (
     make_moving_transforms,
     make_odometry_edge,
 )
-
-POSITION_AXES = ("x", "y", "z")
-QUATERNION_AXES = ("x", "y", "z", "w")
-ODOMETRY_PATHS = (
-    *(f"pose.pose.position.{axis}" for axis in POSITION_AXES),
-    *(f"pose.pose.orientation.{axis}" for axis in QUATERNION_AXES),
-    "twist.twist.linear.x",
-    "twist.twist.linear.y",
-    "twist.twist.angular.z",
-)
-HEADER_STAMP = ("header.stamp",)
 
 
 def make_odometry_template(model: Model) -> Odometry:
@@ -48,23 +37,6 @@ def make_tf_template(model: Model) -> TFMessage:
 def count_transforms(drive: Drive, joints: Sequence[int]) -> int:
     """Count the moving transforms of a robot."""
     return len(joints) + (1 if drive.publish_odom_tf else 0)
-
-
-def list_tf_paths(count: int) -> tuple[str, ...]:
-    """List the paths of the numbers of `count` transforms."""
-    return tuple(
-        f"transforms[{number}].transform.{part}"
-        for number in range(count)
-        for part in (
-            *(f"translation.{axis}" for axis in POSITION_AXES),
-            *(f"rotation.{axis}" for axis in QUATERNION_AXES),
-        )
-    )
-
-
-def list_tf_stamps(count: int) -> tuple[str, ...]:
-    """List the paths of the stamps of `count` transforms."""
-    return tuple(f"transforms[{number}].header.stamp" for number in range(count))
 
 
 def list_joint_paths(count: int) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from typing import TypeAlias
 
 import msgspec
 
+from zensim.proto import message_paths
 from zensim.proto.codec.cdr import CdrTemplate
 from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.messages.agent_messages import Claim
@@ -156,6 +157,8 @@ class MotionTelemetry:
         self._limiters: list[RateLimiter | None] = []
         self.odometry_key = topic_keys.odom
         """Empty without odometry."""
+        self.tf_key = topic_keys.tf
+        """Empty without transforms on a topic of the robot's own."""
         self._odometry_ns = -1
         """Simulation time at which odometry was due."""
         _, odometry_hz, tf_hz = find_motion_rates(drive)
@@ -194,7 +197,7 @@ class MotionTelemetry:
         """Find the numbers of the odometry if it was due at this simulation time.
 
         Returns:
-            Those of `message_templates.ODOMETRY_PATHS`.
+            Those of `message_paths.ODOMETRY_PATHS`.
         """
         if self._state is None or self._odometry_ns != time_ns:
             return None
@@ -203,8 +206,8 @@ class MotionTelemetry:
     def _make_odometry(self, model: Model) -> MakePayload:
         template = CdrTemplate(
             message_templates.make_odometry_template(model),
-            numbers=message_templates.ODOMETRY_PATHS,
-            stamps=message_templates.HEADER_STAMP,
+            numbers=message_paths.ODOMETRY_PATHS,
+            stamps=message_paths.HEADER_STAMP,
         )
         return lambda: self._fill_template(template, self._list_odometry)
 
@@ -212,8 +215,8 @@ class MotionTelemetry:
         count = len(message.transforms)
         template = CdrTemplate(
             message,
-            numbers=message_templates.list_tf_paths(count),
-            stamps=message_templates.list_tf_stamps(count),
+            numbers=message_paths.list_tf_paths(count),
+            stamps=message_paths.list_tf_stamps(count),
         )
         return lambda: self._fill_template(template, self._list_transforms)
 
@@ -277,7 +280,7 @@ class JointTelemetry:
         template = CdrTemplate(
             message_templates.make_joint_states_template(model, self._joints),
             numbers=message_templates.list_joint_paths(len(self._joints)),
-            stamps=message_templates.HEADER_STAMP,
+            stamps=message_paths.HEADER_STAMP,
         )
         return lambda: self._fill_joint_states(template)
 

@@ -260,13 +260,19 @@ class DrivenRobot:
             sensor.publish(self._state)
 
     def find_odometry(self) -> MotionRows | None:
-        """Find the odometry if it was due at the last state and its topic has no fault."""
+        """Find the odometry if it was due at the last state; none if it or tf has a fault."""
         if self._state is None or not self._is_motion_new:
             return None
         numbers = self._motion.find_odometry(self._state.time_ns)
-        if numbers is None or self._factory.faults.affects(self._motion.odometry_key):
+        topics = self._motion.odometry_key, self._motion.tf_key
+        if numbers is None or any(map(self._factory.faults.affects, topics)):
             return None
-        return (self.entity,), _ODOMETRY_STRUCT.pack(*numbers[:9], 0.0, 0.0, 0.0, numbers[9])
+        positions = self._state.positions
+        return MotionRows(
+            (self.entity,),
+            _ODOMETRY_STRUCT.pack(*numbers[:9], 0.0, 0.0, 0.0, numbers[9]),
+            struct.pack(f"<{len(positions)}d", *positions),
+        )
 
     def announce(self) -> None:
         """Publish static topics to new subscribers."""

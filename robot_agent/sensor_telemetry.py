@@ -5,11 +5,11 @@ from functools import partial
 import numpy as np
 
 from zensim.proto.codec.cdr import CdrTemplate
+from zensim.proto.message_paths import HEADER_STAMP
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.standard_messages import Header
 from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory
 from zensim.robot_agent.drive_state_decoder import RobotState
-from zensim.robot_agent.message_templates import HEADER_STAMP
 from zensim.robot_agent.mounted_sensors import (
     list_sensor_keys,
     list_state_sensors,

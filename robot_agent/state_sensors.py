@@ -11,6 +11,7 @@ import numpy as np
 
 from zensim.proto.drives.array_math import ARRAY_MATH
 from zensim.proto.geodesy import WorldGeodesy
+from zensim.proto.message_paths import POSITION_AXES, QUATERNION_AXES
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim
 from zensim.proto.messages.model_messages import IDENTITY, Sensor
 from zensim.proto.messages.sensor_messages import (
@@ -46,7 +47,6 @@ from zensim.proto.topic_catalog import (
     TopicSpec,
 )
 from zensim.robot_agent.link_motion import LinkState
-from zensim.robot_agent.message_templates import POSITION_AXES, QUATERNION_AXES
 from zensim.robot_agent.mounted_sensors import MountedSensor
 from zensim.robot_agent.robot_rows import FloatArray, IntArray, StateRows
 

@@ -229,6 +229,8 @@ class FleetOdometry(msgspec.Struct, frozen=True):
     motions: bytes
     """`<f8`, (n, STATE_COLUMNS), in the order of `entities`: position and orientation of the base
     in its odometry frame, linear and angular velocity in the base's own frame."""
+    joint_positions: bytes = b""
+    """`<f8` [rad or m], (joints of all rows), row by row in the order of `Model.joints`."""
 
 
 class TwistCommands(msgspec.Struct, frozen=True):

@@ -5,10 +5,10 @@ from functools import partial
 
 import msgspec
 
+from zensim.proto.message_paths import HEADER_STAMP
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import Header
-from zensim.robot_agent.message_templates import HEADER_STAMP
 from zensim.robot_agent.mounted_sensors import list_state_sensors
 from zensim.robot_agent.pool.group_key import GroupKey
 from zensim.robot_agent.pool.group_telemetry import FindPublisher, GroupTopic

@@ -2,28 +2,26 @@
 
 import struct
 from collections.abc import Callable, Iterator, Sequence
-from functools import lru_cache
 
 import msgspec
 import numpy as np
 
-from zensim.proto import keys
-from zensim.proto.codec import cdr
+from zensim.proto import keys, message_paths
 from zensim.proto.codec.cdr import encode
-from zensim.proto.codec.cdr_layout import HEADER_BYTES, find_offsets
-from zensim.proto.drives.array_math import ARRAY_MATH
+from zensim.proto.codec.cdr_batch import CdrBatch
+from zensim.proto.codec.cdr_layout import HEADER_BYTES
 from zensim.proto.fleet_publisher import NAMED, OTHERS, FleetTopicPublisher, TopicMember
+from zensim.proto.joint_transforms import POSE_COLUMNS, JointTransforms
+from zensim.proto.message_paths import list_tf_paths, list_tf_stamps
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.model_messages import Joint, Model
-from zensim.proto.messages.standard_messages import NANOSECONDS, TFMessage, TransformStamped
-from zensim.proto.rigid_transforms import multiply, normalize, rotate, rotate_about
+from zensim.proto.messages.standard_messages import TFMessage, TransformStamped
 from zensim.proto.ros2.ros_graph import RosNode
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 from zensim.proto.topic_catalog import JOINT_STATES, ODOM, ROBOT_TOPICS, TF, TF_STATIC, TopicSpec
 from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory
 from zensim.robot_agent import message_templates
 from zensim.robot_agent.base_controller import find_motion_rates
-from zensim.robot_agent.message_templates import list_tf_paths, list_tf_stamps
 from zensim.robot_agent.pool.group_bases import GroupBaseController
 from zensim.robot_agent.pool.group_key import GroupKey
 from zensim.robot_agent.robot_rows import (
@@ -42,98 +40,6 @@ from zensim.robot_agent.robot_telemetry import (
     prefix_frames,
 )
 from zensim.robot_agent.topic_remapping import RobotTopicKeys
-
-WORD_BYTES = 8
-MAX_CACHED_TEMPLATES = 8192
-"""Templates are encoded once more when robots come and go, which they do one by one."""
-
-
-class CdrBatch:
-    """A CDR message per row, with the bytes of `zensim.proto.codec.cdr.encode`."""
-
-    def __init__(
-        self, templates: Sequence[msgspec.Struct], numbers: Sequence[str], stamps: Sequence[str]
-    ) -> None:
-        """Encode the messages.
-
-        Args:
-            templates: One per row, of one type, with sequences of equal lengths.
-            numbers: Paths of the float64 fields to fill in; see `zensim.proto.codec.cdr_layout`.
-            stamps: Paths of the `Time` fields to fill in.
-        """
-        paths = tuple(numbers), tuple(stamps)
-        encoded = {one: _encode_template(one, *paths) for one in dict.fromkeys(templates)}
-        rows = [encoded[one] for one in templates]
-        starts, end = [], 0
-        for one in rows:
-            # The header ends at a word boundary, so that the fields are aligned.
-            starts.append(end + WORD_BYTES - HEADER_BYTES)
-            end = -(-(starts[-1] + len(one.payload)) // WORD_BYTES) * WORD_BYTES
-        self._buffer = bytearray(end)
-        for one, start in zip(rows, starts, strict=True):
-            self._buffer[start : start + len(one.payload)] = one.payload
-        self._starts = np.array(starts, dtype=np.int64)
-        self._ends = self._starts + np.array([len(one.payload) for one in rows], dtype=np.int64)
-        at = self._starts[:, None]
-        self._make_views()
-        self._number_at = (at + _stack_offsets([one.numbers for one in rows], len(numbers))) // 8
-        self._sec_at = (at + _stack_offsets([one.stamps for one in rows], len(stamps))) // 4
-
-    def __getstate__(self) -> dict[str, object]:
-        """Leave out the views of the buffer."""
-        return {**self.__dict__, "_view": None, "_floats": None, "_words": None}
-
-    def __setstate__(self, state: dict[str, object]) -> None:
-        """Make the views of the buffer again."""
-        self.__dict__.update(state)
-        self._make_views()
-
-    def _make_views(self) -> None:
-        self._view = memoryview(self._buffer)
-        self._floats = np.frombuffer(self._buffer, dtype="<f8")
-        self._words = np.frombuffer(self._buffer, dtype="<u4")
-
-    def fill(self, rows: IntArray, numbers: FloatArray, times_ns: IntArray) -> None:
-        """Fill numbers (m, numbers) and stamps [ns] (m,) into some rows."""
-        sec, nanosec = np.divmod(times_ns, NANOSECONDS)
-        self._floats[self._number_at[rows]] = numbers
-        self._words[self._sec_at[rows]] = sec[:, None]
-        self._words[self._sec_at[rows] + 1] = nanosec[:, None]
-
-    def payload(self, row: int) -> bytes:
-        """Return one message."""
-        return self._view[self._starts[row] : self._ends[row]].tobytes()
-
-    def payloads(self, rows: IntArray) -> list[bytes]:
-        """Return some messages; all of them in their own order."""
-        wanted = slice(None) if len(rows) == len(self._starts) else rows
-        starts, ends = self._starts[wanted].tolist(), self._ends[wanted].tolist()
-        view = self._view
-        return [view[start:end].tobytes() for start, end in zip(starts, ends, strict=True)]
-
-
-class _EncodedTemplate:
-    """An encoded message and the offsets of its fields."""
-
-    def __init__(
-        self, template: msgspec.Struct, numbers: Sequence[str], stamps: Sequence[str]
-    ) -> None:
-        self.payload = cdr.encode(template)
-        places = find_offsets(template)
-        self.numbers = [places[path] for path in numbers]
-        self.stamps = [places[f"{path}.sec"] for path in stamps]
-
-
-@lru_cache(maxsize=MAX_CACHED_TEMPLATES)
-def _encode_template(
-    template: msgspec.Struct, numbers: tuple[str, ...], stamps: tuple[str, ...]
-) -> _EncodedTemplate:
-    return _EncodedTemplate(template, numbers, stamps)
-
-
-def _stack_offsets(listed: Sequence[Sequence[int]], count: int) -> IntArray:
-    return np.array(listed, dtype=np.int64).reshape(len(listed), count)
-
 
 FindNumbers = Callable[[IntArray], FloatArray]
 """Finds the numbers of some rows' last messages, in the order of the paths; (m, numbers)."""
@@ -260,45 +166,6 @@ class GroupTopic:
         self._batch.fill(rows, self._numbers(rows), self._published_ns[rows])
 
 
-POSE_COLUMNS = 7
-
-
-class JointTransforms:
-    """Transforms of some joints at any positions; see `MovingJoint`."""
-
-    def __init__(self, joints: Sequence[Joint]) -> None:
-        """Stack the constants of joints that move."""
-        self.count = len(joints)
-        self._at = np.array([joint.origin.position for joint in joints]).reshape(-1, 3)
-        self._turned = np.array([joint.origin.orientation for joint in joints]).reshape(-1, 4)
-        self._axes = np.array([normalize(joint.axis) for joint in joints]).reshape(-1, 3)
-        slides = np.array([joint.kind == "prismatic" for joint in joints], dtype=np.bool_)
-        self._slides = np.flatnonzero(slides)
-        self._turns = np.flatnonzero(~slides)
-
-    def poses(self, positions: FloatArray) -> FloatArray:
-        """Find poses (n, count, 7) of children in their parents.
-
-        Args:
-            positions: Of the joints [rad or m], (n, count).
-        """
-        found = np.empty((*positions.shape, POSE_COLUMNS))
-        found[..., :3] = self._at
-        found[..., 3:] = self._turned
-        turns, slides = self._turns, self._slides
-        if len(turns):
-            x, y, z = self._axes[turns].T
-            turn = rotate_about((x, y, z), positions[:, turns], ARRAY_MATH)
-            ox, oy, oz, ow = self._turned[turns].T
-            found[:, turns, 3:] = np.stack(multiply((ox, oy, oz, ow), turn), axis=-1)
-        if len(slides):
-            ox, oy, oz, ow = self._turned[slides].T
-            shift = self._axes[slides] * positions[:, slides, None]
-            moved = rotate((ox, oy, oz, ow), (shift[..., 0], shift[..., 1], shift[..., 2]))
-            found[:, slides, :3] += np.stack(moved, axis=-1)
-        return found
-
-
 EMPTY_TRANSFORM = TransformStamped()
 """Stands for the transforms of other robots."""
 COUNT_STRUCT = struct.Struct("<I")
@@ -412,8 +279,8 @@ class GroupTfTopic(GroupTopic):
         super().__init__(
             publisher,
             numbers=poses.of,
-            paths=message_templates.list_tf_paths(count),
-            stamps=message_templates.list_tf_stamps(count),
+            paths=message_paths.list_tf_paths(count),
+            stamps=message_paths.list_tf_stamps(count),
         )
 
 
@@ -504,8 +371,8 @@ class GroupOdometryTopic(GroupTopic):
         super().__init__(
             find_publisher(group_key.patterns.odom, ODOM),
             numbers=bases.find_motions,
-            paths=message_templates.ODOMETRY_PATHS,
-            stamps=message_templates.HEADER_STAMP,
+            paths=message_paths.ODOMETRY_PATHS,
+            stamps=message_paths.HEADER_STAMP,
             rate_hz=find_motion_rates(group_key.drive)[1],
         )
         self.due_rows = np.zeros(0, dtype=np.int64)
@@ -531,7 +398,7 @@ class GroupJointTopic(GroupTopic):
             find_publisher(group_key.patterns.joint_states, JOINT_STATES),
             numbers=self._find_states,
             paths=message_templates.list_joint_paths(count),
-            stamps=message_templates.HEADER_STAMP,
+            stamps=message_paths.HEADER_STAMP,
         )
         self._limiters = GroupRateLimiter(group_key.joint_states_hz)
         self._published = list(group_key.published)
@@ -662,7 +529,7 @@ class StaticValue:
     """A message that never changes; see `LastValues`."""
 
     def __init__(self, message: msgspec.Struct) -> None:
-        self._payload = cdr.encode(message)
+        self._payload = encode(message)
 
     def payload(self, row: int) -> bytes:  # noqa: ARG002 - of the protocol
         """Return the message."""

@@ -17,6 +17,7 @@ from zensim.proto.fleet_publisher import (
     RosFleetPublisher,
     TopicMember,
 )
+from zensim.proto.message_paths import ODOMETRY_COLUMNS
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveCommand, DriveState
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import Twist, TwistStamped, Vector3
@@ -59,8 +60,6 @@ FLEET_CMD_VEL_DEPTH = 8192
 TWIST_COLUMNS = 6
 ORDERED_COLUMNS = (0, 1, 5)
 """Columns of a twist that a drive state can order: forward, left, turn."""
-ODOMETRY_COLUMNS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12)
-"""Of the numbers of a group's motions among those of `FleetOdometry`."""
 TWIST_BYTES = 52
 TWIST_DTYPE = np.dtype([("header", "S4"), ("numbers", "<f8", TWIST_COLUMNS)])
 LITTLE_ENDIAN = b"\x00\x01"
@@ -285,12 +284,14 @@ class RobotGroup:
         self._jointed: list[tuple[int, JointControl]] = []
         """Rows of robots with controlled joints."""
         self._due: _DueTelemetry | None = None
+        self._published: StateRows | None = None
+        """State of the last telemetry."""
         self._entities: tuple[str, ...] = ()
 
     def remap(self, members: Sequence[GroupMember], slots: GroupSlots) -> None:
         """Set the robots, one per row, and their indices in the pool."""
         before = np.array([member.row for member in members], dtype=np.int64)
-        self._slots, self._due = slots, None
+        self._slots, self._due, self._published = slots, None, None
         self._entities = tuple(member.claim.entity for member in members)
         self._jointed = [
             (row, one.joints) for row, one in enumerate(members) if one.joints is not None
@@ -338,25 +339,30 @@ class RobotGroup:
     def publish(self) -> None:
         """Publish what is due at the last state."""
         if (due := self._due) is not None:
-            self._due = None
+            self._due, self._published = None, due.state
             self._telemetry.publish(due.rows, due.state)
             self._sensors.publish(due.state)
 
     def list_odometry(self, faults: TopicFaults) -> Iterator[MotionRows]:
-        """List the odometry that `publish` found due, without that of topics with a fault."""
-        topic = self._telemetry.odometry
-        if topic is None or not len(topic.due_rows):
+        """List the odometry that `publish` found due; see `FleetOdometry`."""
+        topic, state = self._telemetry.odometry, self._published
+        if topic is None or state is None or not len(topic.due_rows):
             return
         rows, entities = topic.due_rows, self._entities
         if faults:
-            keys_of_rows = [topic.find_key(row) for row in rows.tolist()]
-            is_kept = np.array([not faults.affects(key) for key in keys_of_rows], dtype=np.bool_)
-            rows = rows[is_kept]
+            affected = [self._has_fault(faults, row) for row in rows.tolist()]
+            rows = rows[~np.array(affected, dtype=np.bool_)]
         if len(rows) < len(entities):
             entities = tuple(entities[row] for row in rows.tolist())
         motions = np.zeros((len(rows), STATE_COLUMNS))
         motions[:, ODOMETRY_COLUMNS] = self._bases.find_motions(rows)
-        yield entities, motions.astype("<f8").tobytes()
+        positions = state.positions[rows].astype("<f8").tobytes()
+        yield MotionRows(entities, motions.astype("<f8").tobytes(), positions)
+
+    def _has_fault(self, faults: TopicFaults, row: int) -> bool:
+        """Whether odometry or transforms of a robot have a fault."""
+        topics = (self._telemetry.odometry, self._telemetry.transforms)
+        return any(one is not None and faults.affects(one.find_key(row)) for one in topics)
 
     @property
     def wants_efforts(self) -> bool:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
 import psutil
 import pytest
 from rosbags.highlevel import AnyReader
@@ -24,8 +25,11 @@ from tests.integration.processes import zensim as run_zensim
 from tests.recording.recordings import count_by_mcap, count_by_rosbags
 from zensim.api.recorder_process import RecorderProcess
 from zensim.proto.bus import Bus, BusConfig, BusError, open_bus
+from zensim.proto.codec.message_codec import decode
 from zensim.proto.exit_codes import ExitCode
-from zensim.proto.topic_catalog import INPUTS
+from zensim.proto.messages.standard_messages import TFMessage
+from zensim.proto.topic_catalog import INPUTS, TF
+from zensim.recording import fleet_robots
 from zensim.recording.cli.record_commands import RecordProgram
 from zensim.recording.recorder import RecorderSettings
 from zensim.recording.recording_parts import PartSettings
@@ -181,6 +185,46 @@ def test_rate_keeps_the_newest_of_each_topic_and_all_events(
     assert max(Counter(stamp // 200_000_000 for stamp in stamps[:-1]).values()) <= 2
     assert counts["/sim/default/events"] >= 3
     assert counts["/thin2/tf_static"] >= 1
+
+
+def test_large_fleets_are_thinned_by_the_messages_of_their_agents(
+    bus: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fleet_robots, "LEAST_ROBOTS", 1)
+    wait_for_messages(bus, "r1/odom", 1)
+    path, topics = tmp_path / "run.mcap", ("r1/odom", "r1/tf")
+    program = RecordProgram(
+        bus,
+        TopicFilter(TopicSelection(topics=("*/odom", "*/tf"))),
+        RecorderSettings(world="default", domain=None, period_ns=200_000_000),
+        SessionSettings(parts=PartSettings(path=path), max_cache_bytes=1 << 20),
+    )
+    subscriptions = {f"/{key}": bus.subscribe(key, 65536) for key in topics}
+
+    program.run(lambda: False, 4.0)
+
+    found: dict[str, list[bytes]] = {}
+    for topic, _, _, payload in RecordingReader(path).messages():
+        found.setdefault(topic.name, []).append(payload)
+    published = {topic: [s.payload for s in one.take()] for topic, one in subscriptions.items()}
+    assert 5 <= len(found["/r1/odom"]) <= len(published["/r1/odom"]) / 4
+    assert set(found["/r1/odom"]) <= set(published["/r1/odom"])
+    # An agent of one robot has no arrays, whose sines may end in another bit.
+    by_stamp = {one[8:16]: decode(TFMessage, one, TF.encoding) for one in published["/r1/tf"]}
+    assert len(found["/r1/tf"]) == len(found["/r1/odom"])
+    for payload in found["/r1/tf"]:
+        assert_close(decode(TFMessage, payload, TF.encoding), by_stamp[payload[8:16]])
+
+
+def assert_close(found: TFMessage, expected: TFMessage) -> None:
+    for one, other in zip(found.transforms, expected.transforms, strict=True):
+        assert one.header == other.header
+        assert one.child_frame_id == other.child_frame_id
+        for field in ("translation", "rotation"):
+            numbers, others = (
+                msgspec.structs.astuple(getattr(edge.transform, field)) for edge in (one, other)
+            )
+            assert numbers == pytest.approx(others, abs=1e-12)
 
 
 def test_recording_says_what_is_wrong(sim: api.Sim, tmp_path: Path) -> None:

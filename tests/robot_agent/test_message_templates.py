@@ -5,6 +5,12 @@ from hypothesis import strategies as st
 
 from zensim.proto.codec import cdr
 from zensim.proto.codec.cdr import CdrTemplate
+from zensim.proto.message_paths import (
+    HEADER_STAMP,
+    ODOMETRY_PATHS,
+    list_tf_paths,
+    list_tf_stamps,
+)
 from zensim.proto.messages.standard_messages import (
     Header,
     Quaternion,
@@ -13,12 +19,6 @@ from zensim.proto.messages.standard_messages import (
     Transform,
     TransformStamped,
     Vector3,
-)
-from zensim.robot_agent.message_templates import (
-    HEADER_STAMP,
-    ODOMETRY_PATHS,
-    list_tf_paths,
-    list_tf_stamps,
 )
 from zensim.robot_agent.odometry import BaseMotion, OdometryHeader
 

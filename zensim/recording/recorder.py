@@ -8,6 +8,7 @@ from typing import Final, Literal, Protocol
 
 import msgspec
 
+from zensim.proto import keys
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.message_times import choose_time, count_missing
 from zensim.proto.messages.input_messages import Inputs, ServiceRequest
@@ -16,8 +17,9 @@ from zensim.proto.messages.telemetry_messages import Event, WorldClock
 from zensim.proto.network_protocols import Closable, Sample, Subscription, TokenWatch
 from zensim.proto.ros2.liveliness_tokens import TOKEN_SPACE, parse_endpoint_token
 from zensim.proto.service_catalog import SIMULATE_STEPS
-from zensim.proto.topic_catalog import CLOCK, EVENTS, INPUTS
+from zensim.proto.topic_catalog import CLOCK, EVENTS, INPUTS, TF
 from zensim.proto.topic_endpoints import to_plain_sample
+from zensim.recording.fleet_robots import FleetSelection, FleetSource, is_of_many
 from zensim.recording.recorded_topics import (
     RecordedMessage,
     RecordedTopic,
@@ -59,6 +61,7 @@ PAUSED_PERIOD_S: Final = 1.0
 ARRIVALS: Final = ("spawned", "loaded")
 
 TimeBase = Literal["simulation", "wall"]
+MakeFleet = Callable[[FleetSelection], FleetSource]
 
 
 class MessageSink(Protocol):
@@ -157,8 +160,17 @@ class Recorder:
         chosen: TopicFilter,
         settings: RecorderSettings,
         sink: MessageSink,
+        make_fleet: MakeFleet | None = None,
     ) -> None:
         """Subscribe.
+
+        Args:
+            bus: Network.
+            chosen: Which topics are recorded.
+            settings: What is kept of them.
+            sink: Takes the messages.
+            make_fleet: Makes the source of odometry and transforms of large fleets, if messages are
+                thinned; None = all robots publish their own.
 
         Raises:
             TimeoutError: No server of the world is running.
@@ -172,10 +184,9 @@ class Recorder:
         self._clock = bus.subscribe(CLOCK.key(settings.world), EVENTS_DEPTH)
         self._events = bus.subscribe(EVENTS.key(settings.world), EVENTS_DEPTH)
         self._keys = list_keys(chosen, settings.world, settings.domain)
+        self._fleet = self._make_fleet(make_fleet) if make_fleet is not None else None
         self._subscriptions = [self._subscribe(key) for key in self._keys]
-        watches = chosen.is_broad and settings.domain is not None
-        tokens = f"{TOKEN_SPACE}/{settings.domain}/**"
-        self._tokens = bus.watch_tokens(tokens) if watches else None
+        self._tokens = self._watch_tokens()
         self._announced: dict[str, set[str]] = {}
         """Tokens of the publishers of each key that is subscribed to as they announce it."""
         self._now_ns, self._epoch = self._read_first_clock()
@@ -225,6 +236,7 @@ class Recorder:
         is_due = self._is_period_over() or is_last
         if self._settings.period_ns:
             clock = clock[-1:] if is_due else []
+        self._take_fleet(received_ns, clock, is_due=is_due)
         self._take_samples(received_ns, clock, is_due=is_due)
         self._follow_announced()
 
@@ -239,6 +251,42 @@ class Recorder:
             one.close()
         if self._tokens is not None:
             self._tokens.close()
+        if self._fleet is not None:
+            self._fleet.close()
+
+    def _watch_tokens(self) -> TokenWatch | None:
+        """Watch what ROS 2 nodes announce, if topics are chosen among all."""
+        domain = self._settings.domain
+        if not self._chosen.is_broad or domain is None:
+            return None
+        return self._bus.watch_tokens(f"{TOKEN_SPACE}/{domain}/**")
+
+    def _make_fleet(self, make: MakeFleet) -> FleetSource:
+        """Take key expressions of many robots from their agents instead."""
+        taken = [one for one in self._keys if is_of_many(one)]
+        # The joint topic of all transforms is no robot's own.
+        has_shared = any(keys.intersect(one, TF.suffix) for one in taken)
+        self._keys = [one for one in self._keys if one not in taken]
+        self._keys += [TF.suffix] if has_shared and TF.suffix not in self._keys else []
+        return make(FleetSelection(tuple(taken), self._table.find))
+
+    def _take_fleet(self, received_ns: int, batch: list[RecordedMessage], *, is_due: bool) -> None:
+        """Append the messages of a fleet, and subscribe to those that agents do not send."""
+        if self._fleet is None:
+            return
+        self._fleet.collect()
+        if is_due:
+            self._append_fleet(received_ns, batch)
+            keys_of_robots = self._fleet.take_single_keys(self._now_ns)
+            self._subscriptions += map(self._subscribe, keys_of_robots)
+
+    def _append_fleet(self, received_ns: int, batch: list[RecordedMessage]) -> None:
+        if self._fleet is None:
+            return
+        has_wall_times, now_ns = self._settings.time_base == "wall", self._now_ns
+        for stamp_ns, topic, payload in self._fleet.take(self._epoch):
+            log_ns = received_ns if has_wall_times else choose_time(stamp_ns, now_ns)
+            batch.append((topic, log_ns, received_ns, payload))
 
     def _accepts(self, topic: str) -> bool:
         return self._chosen.accepts(topic) and topic not in self._left_out
@@ -367,6 +415,7 @@ class Recorder:
             is_back = self._settings.is_in_process and now_ns < self._now_ns
             if clock.epoch != self._epoch or is_back:
                 # What has arrived is of the time before.
+                self._append_fleet(received_ns, batch)
                 self._take_samples(received_ns, batch, is_due=True)
                 batch = []
                 self._epoch = clock.epoch
@@ -384,6 +433,8 @@ class Recorder:
                 event = decode(Event, sample.payload, sample.encoding)
                 self._has_arrivals |= event.kind in ARRIVALS
                 self._sink.note_event(event)
+                if self._fleet is not None:
+                    self._fleet.note_event(event)
 
     def _read_first_clock(self) -> tuple[int, int]:
         deadline = time.monotonic() + CLOCK_TIMEOUT_S

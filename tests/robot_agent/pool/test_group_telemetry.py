@@ -13,6 +13,7 @@ from tests.fakes import ManualClock, MemoryBus
 from tests.proto.drives.robots_of_each_drive import DRIVES, robot_of
 from tests.robot_agent.models import DRIVE, two_wheeler
 from zensim.api.in_process_network import InProcessSubscription
+from zensim.proto import message_paths
 from zensim.proto.codec import cdr
 from zensim.proto.codec.cdr import encode
 from zensim.proto.codec.message_codec import decode
@@ -61,7 +62,7 @@ def test_odometry_is_what_the_encoder_writes(
 ) -> None:
     frames = [OdometryHeader(frame, child, *make_covariances(DRIVE)) for frame, child in names]
     blank = [one.message(BaseMotion(), time_from_ns(0)) for one in frames]
-    batch = CdrBatch(blank, message_templates.ODOMETRY_PATHS, message_templates.HEADER_STAMP)
+    batch = CdrBatch(blank, message_paths.ODOMETRY_PATHS, message_paths.HEADER_STAMP)
     rows = data.draw(st.lists(st.sampled_from(range(len(names))), unique=True, min_size=1))
     numbers = [data.draw(st.lists(NUMBER, min_size=10, max_size=10)) for _ in rows]
     times = [data.draw(TIME_NS) for _ in rows]
@@ -97,8 +98,8 @@ def test_transforms_are_what_the_encoder_writes(child: str) -> None:
     numbers = np.arange(14.0).tolist()
     batch = CdrBatch(
         [message([0.0] * 14, 0)],
-        message_templates.list_tf_paths(2),
-        message_templates.list_tf_stamps(2),
+        message_paths.list_tf_paths(2),
+        message_paths.list_tf_stamps(2),
     )
 
     batch.fill(np.array([0]), np.array([numbers]), np.array([3 * 10**9 + 5]))
@@ -111,7 +112,7 @@ def test_joint_states_are_what_the_encoder_writes() -> None:
     batch = CdrBatch(
         [message_templates.make_joint_states_template(model, (0, 1))],
         message_templates.list_joint_paths(2),
-        message_templates.HEADER_STAMP,
+        message_paths.HEADER_STAMP,
     )
 
     batch.fill(np.array([0]), np.array([[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]]), np.array([10**9]))

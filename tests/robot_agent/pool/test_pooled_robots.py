@@ -216,7 +216,7 @@ class Both:
         for one in (self.pool, self.individual):
             rows = {
                 name: numbers.tolist()
-                for names, motions in one.list_odometry()
+                for names, motions, _ in one.list_odometry()
                 for name, numbers in zip(
                     names, np.frombuffer(motions, dtype="<f8").reshape(-1, 13), strict=True
                 )
@@ -323,20 +323,36 @@ def test_pool_publishes_as_many_sensor_messages_as_are_due() -> None:
     assert counts["r2/gps"] == counts["r2/gps_vel"] == pytest.approx(10, abs=1)
 
 
+@pytest.mark.parametrize("topic", ["odom", "tf"])
 @pytest.mark.parametrize("kind", [PooledRobots, IndividualRobots], ids=["pool", "individual"])
-def test_robot_whose_odometry_has_a_fault_is_left_out_of_that_of_the_fleet(
-    kind: type[PooledRobots] | type[IndividualRobots],
+def test_robot_whose_motion_has_a_fault_is_left_out_of_the_odometry_of_the_fleet(
+    kind: type[PooledRobots] | type[IndividualRobots], topic: str
 ) -> None:
     robots = kind(MemoryBus(), TIMEOUT_NS)
     claims = [Claim(n, f"r{n}", f"r{n}", two_wheeler(), "<robot/>") for n in (1, 2, 3)]
     robots.add_claims(claims)
-    off = TopicFault(("r2/odom",), "sensor_off")
+    off = TopicFault((f"r2/{topic}",), "sensor_off")
     state = msgspec.structs.replace(a_state(claims, 1), topic_faults=(off,))
 
     robots.advance(state)
     robots.publish()
 
-    assert [name for names, _ in robots.list_odometry() for name in names] == ["r1", "r3"]
+    assert [name for one in robots.list_odometry() for name in one.entities] == ["r1", "r3"]
+
+
+@pytest.mark.parametrize("kind", [PooledRobots, IndividualRobots], ids=["pool", "individual"])
+def test_odometry_of_the_fleet_has_the_joints_of_its_rows(
+    kind: type[PooledRobots] | type[IndividualRobots],
+) -> None:
+    robots = kind(MemoryBus(), TIMEOUT_NS)
+    claims = [Claim(n, f"r{n}", f"r{n}", two_wheeler(), "<robot/>") for n in (1, 2)]
+    robots.add_claims(claims)
+    positions = np.array([0.1, 0.2, 0.3, 0.4], dtype="<f8").tobytes()
+
+    robots.advance(msgspec.structs.replace(a_state(claims, 1), joint_positions=positions))
+    robots.publish()
+
+    assert b"".join(one.joint_positions for one in robots.list_odometry()) == positions
 
 
 def test_pool_resets_its_robots() -> None:
