@@ -2,13 +2,15 @@
 
 Runs: `zensim serve --input-log` with six colliding robots in free running, and commands, spawns,
 deletes and poses over the network at random instants for a minute of wall time; then its log is run
-again as by `zensim resim`, and must have equal states at every control step. Cost: the engine of a
-world with driven box_bots and one pool's commands, in turns with and without a subscriber of the
-log, CPU time of this process; and what the log costs a turn of the loop without a subscriber.
+again as by `zensim resim`, and must have equal states at every control step; and again up to the
+next second after one byte of one command was changed, which must be found where it acts. Cost: the
+engine of a world with driven box_bots and one pool's commands, in turns with and without a
+subscriber of the log, CPU time of this process; and what the log costs a turn of the loop without a
+subscriber.
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,14 +21,14 @@ import numpy as np
 from benchmarks.bodies import standing_at
 from benchmarks.figures import Figure, Limit, table
 from benchmarks.ten_robots import SPACING_M
-from tests.integration.random_runs import make_random_run
+from tests.integration.random_runs import change_command, make_random_run
 from tests.sim_server.fakes import WallTime, a_spawn, make_parts
 from zensim.proto.messages.agent_messages import DriveCommand
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.input_log.log_writer import PERIOD_NS, InputLog
-from zensim.sim_server.input_log.resimulation import ResimChanges, Resimulation
+from zensim.sim_server.input_log.resimulation import ResimChanges, ResimResult, Resimulation
 from zensim.sim_server.physics.engine_config import EngineName, EngineOptions
 from zensim.sim_server.server_config import ServerConfig
 from zensim.sim_server.service_parts import CurrentWorld
@@ -151,22 +153,37 @@ def _time_idle(log: InputLog) -> float:
 
 
 def _run_figures(engine: EngineName, runs: int, seconds: float) -> Iterator[Figure]:
-    shares, counts, speeds = [], [], []
+    shares, counts, speeds, found = [], [], [], []
     for seed in range(runs):
         run = make_random_run(engine, seconds=seconds, seed=seed)
         counts.append(float(run.inputs))
         began_s = time.perf_counter()
-        with TemporaryDirectory() as folder:
-            again = Resimulation(Path(folder), ResimChanges())
-            for message in run.messages:
-                again.feed(message)
-            result = again.finish()
+        result = _run_again(run.messages)
         speeds.append(result.simulated_s / (time.perf_counter() - began_s))
         shares.append(float(result.is_exact and result.is_equal))
+        found.append(_is_change_found(run.messages))
     yield Figure(what=f"{engine}, run is equal", unit="", samples=tuple(shares), limit=EQUAL)
+    what = f"{engine}, changed byte of a command is found at its control step"
+    yield Figure(what=what, unit="", samples=tuple(found), limit=EQUAL)
     yield Figure(what=f"{engine}, inputs of a run", unit="", samples=tuple(counts))
     yield Figure(
         what=f"{engine}, resimulated seconds in a second",
         unit="",
         samples=tuple(speeds),
     )
+
+
+def _run_again(messages: Sequence["Inputs"]) -> ResimResult:
+    with TemporaryDirectory() as folder:
+        again = Resimulation(Path(folder), ResimChanges())
+        for message in messages:
+            again.feed(message)
+        return again.finish()
+
+
+def _is_change_found(messages: Sequence["Inputs"]) -> float:
+    """Change a byte of a command in the middle, and run until the next second."""
+    changed, step = change_command(messages, messages[-1].step // 2)
+    until = step + round(1.0 / STEP_S)
+    first = _run_again([one for one in changed if one.step <= until]).first_difference
+    return float(first is not None and first.step == step)

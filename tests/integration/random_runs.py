@@ -2,10 +2,12 @@
 
 import random
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
+from itertools import pairwise
 
+import msgspec
 import numpy as np
 
 from tests.integration.processes import Server, eventually, serving
@@ -19,6 +21,8 @@ from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
 from zensim.proto.service_catalog import CLAIM_ENTITY
 from zensim.proto.topic_catalog import DRIVE_COMMAND, DRIVE_STATE, INPUTS
+from zensim.sim_server.input_log.input_records import StateSums, read_records, write_records
+from zensim.sim_server.physics.engine_calls import Command, Steps
 from zensim.sim_server.physics.engine_config import EngineName
 from zensim.spawner.client.sim_client import SimClient
 
@@ -38,6 +42,40 @@ class RandomRun:
 
     messages: tuple[Inputs, ...]
     inputs: int
+
+
+def change_command(messages: Sequence[Inputs], after_step: int) -> tuple[list[Inputs], int]:
+    """Change one byte of the first command after a step: turn a wheel back.
+
+    Returns:
+        The messages, and the control step at which the states first differ.
+    """
+    changed, next_step = list(messages), 0
+    for place, message in enumerate(messages):
+        if message.step <= after_step or not message.records:
+            continue
+        records = list(read_records(message.records))
+        if not next_step:
+            at = next((n for n, pair in enumerate(pairwise(records)) if _acts(*pair)), None)
+            if at is None:
+                continue
+            command = records[at]
+            assert isinstance(command, Command)
+            targets = bytearray(command.targets)
+            targets[7] ^= 0x80
+            records[at] = Command(command.group, bytes(targets))
+            (data,) = write_records(records)
+            changed[place] = msgspec.structs.replace(message, records=data)
+            records, next_step = records[at:], -1
+        if next_step < 0:
+            sums = (one.step for one in records if isinstance(one, StateSums))
+            next_step = next(sums, next_step)
+    return changed, next_step
+
+
+def _acts(record: object, following: object) -> bool:
+    """Whether a record is a command with new targets that a physics step follows."""
+    return isinstance(record, Command) and bool(record.targets) and isinstance(following, Steps)
 
 
 class RandomAgent:

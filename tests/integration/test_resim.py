@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.integration.random_runs import make_random_run
+from tests.integration.random_runs import change_command, make_random_run
 from zensim.sim_server.input_log.resimulation import ResimChanges, Resimulation
 from zensim.sim_server.physics.engine_config import EngineName
 
@@ -29,3 +29,19 @@ def test_run_over_the_network_is_repeated(engine: EngineName, tmp_path: Path) ->
         "spawn_entity",
         "claim_entity",
     }
+
+
+@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+def test_changed_byte_of_a_command_is_found_where_it_acts(
+    engine: EngineName, tmp_path: Path
+) -> None:
+    run = make_random_run(engine, seconds=SECONDS, seed=4)
+    changed, step = change_command(run.messages, run.messages[-1].step // 2)
+    again = Resimulation(tmp_path, ResimChanges())
+
+    for message in changed:
+        again.feed(message)
+    first = again.finish().first_difference
+
+    assert first is not None
+    assert (first.step, first.count) == (step, 1)
