@@ -5,7 +5,8 @@ counts them; `zensim record` writes them through its router. A sample of the rec
 the real-time factor of `zensim up --robots 100` in pairs, without and with a recorder: where 1 is
 wanted, and as fast as it can, when all cores are in use and the recorder takes its share of them;
 the time from SIGTERM to the end of a recorder of 1000 topics; and `zensim bag recover` of a file
-that was never closed, by messages in a second of CPU time, and by its memory.
+that was never closed, by messages in a second of CPU time, and by its memory; and the time in which
+odometry becomes a table.
 """
 
 import json
@@ -20,6 +21,7 @@ from pathlib import Path
 
 import psutil
 
+from benchmarks.bench_replay import write_fleet
 from benchmarks.figures import Figure, Limit, table
 from benchmarks.message_source import TOPICS_OF_ROBOT, publishing
 from tests.integration.processes import (
@@ -34,7 +36,10 @@ from zensim.proto.messages.standard_messages import Odometry
 from zensim.recording.bag_info import read_info
 from zensim.recording.mcap_records import Channel, Schema
 from zensim.recording.mcap_writer import McapWriter
+from zensim.recording.message_tables import read_tables
 from zensim.recording.output_file import OutputFile
+from zensim.recording.recording_reader import RecordingReader
+from zensim.recording.table_files import find_writer, write_tables
 
 __all__ = ["rows", "table"]
 
@@ -46,6 +51,8 @@ RUN_S = 30.0
 KEPT_HZ = 10.0
 MEBI = 1 << 20
 RECOVERED_BYTES, RECOVERED_BYTES_WHEN_SHORT = 4 << 30, 20 * MEBI
+EXPORTED_S = 10.0
+"""Of a hundred robots at 50 Hz: 50,000 messages of odometry."""
 PAYLOADS = 64
 """Different messages of the file that is recovered."""
 LOST = Limit("max", "<=", 0.0, is_timed=True)
@@ -70,6 +77,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     yield from _thinned(10 if is_short else 1000, seconds)
     yield from _terminated(20 if is_short else 500)
     yield from _recovered(RECOVERED_BYTES_WHEN_SHORT if is_short else RECOVERED_BYTES)
+    yield from _exported(0.2 if is_short else EXPORTED_S)
     if not is_short:
         limit = Limit("median", ">=", 0.97, is_timed=True)
         yield _paired("wanted factor 1", "1", limit)
@@ -193,6 +201,26 @@ def _recovered(size: int) -> Iterator[Figure]:
     )
     lost = Limit("max", "<=", 0.0)
     yield Figure(what=f"lost, {label}", unit="", samples=(float(messages - found),), limit=lost)
+
+
+def _exported(seconds: float) -> Iterator[Figure]:
+    """Write a table of the odometry of a hundred robots, as `zensim bag export` does."""
+    times_s = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.mcap"
+        write_fleet(path, seconds)
+        find_writer("parquet")  # imports pyarrow
+        for number in range(PAIRS):
+            began_s = time.perf_counter()
+            tables = read_tables(RecordingReader(path), lambda topic: topic.name.endswith("/odom"))
+            (facts,) = write_tables(tables, Path(folder) / f"tables{number}", "parquet")
+            times_s.append(time.perf_counter() - began_s)
+    yield Figure(
+        what=f"table of {facts.rows} odometry messages, Parquet",
+        unit="s",
+        samples=tuple(times_s),
+        limit=Limit("median", "<=", 1.0, is_timed=True),
+    )
 
 
 def write_unclosed(path: Path, size: int) -> int:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from zensim.proto.exit_codes import ExitCode
@@ -14,6 +15,13 @@ from zensim.recording.mcap_records import Metadata
 from zensim.recording.mcap_writer import PRESETS
 from zensim.recording.recorded_topics import RecordedTopic
 from zensim.recording.recording_parts import PartSettings, RecordingParts
+
+ROSBAG2_OPTIONS = {
+    *("--all", "-a", "--regex", "-e", "--exclude-regex", "--topics", "--exclude-topics"),
+    *("--output", "-o", "--storage", "-s", "--storage-preset-profile"),
+    *("--max-bag-size", "-b", "--max-bag-duration", "-d", "--max-cache-size"),
+    *("--use-sim-time", "--snapshot-mode"),
+}
 
 
 @pytest.mark.parametrize(
@@ -106,3 +114,20 @@ def test_info_names_the_further_files_of_a_recording(tmp_path: Path) -> None:
     assert "run_1.mcap to run_2.mcap" in notes[0]
     assert "run_5_1.mcap;" in notes[1]
     assert notes[2] == ""
+
+
+def test_options_have_the_names_of_rosbag2() -> None:
+    """Those of `ros2 bag record` whose meaning is the same; their short forms are the same, too."""
+    declared = {name for one in get_command(record_commands.app).params for name in one.opts}
+
+    assert declared >= ROSBAG2_OPTIONS
+
+
+@pytest.mark.parametrize("storage", ["sqlite3", "rosbag_v2", ""])
+def test_unknown_storage_is_refused_with_those_that_are_known(storage: str, tmp_path: Path) -> None:
+    done = CliRunner().invoke(
+        record_commands.app, ("-a", "-s", storage, "-o", str(tmp_path / "new"))
+    )
+
+    assert done.exit_code == ExitCode.USAGE
+    assert all(one in done.stderr for one in record_commands.STORAGES)
