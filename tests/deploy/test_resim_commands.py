@@ -45,7 +45,7 @@ def write_log(
     """Write a recording as the recorder does, with another topic beside the log, or after it."""
     output = OutputFile(path)
     writer = McapWriter(output)
-    table = TopicTable("default", lambda _: True)
+    table = TopicTable("default", lambda *_: True)
     for number, kind in enumerate((UInt8MultiArray, Odometry), 1):
         text = write_definition(kind).encode()
         writer.define(Schema(number, str(vars(kind)["ros_type"]), "ros2msg", text))

@@ -30,7 +30,7 @@ def make_topic(key: str, kind: type[msgspec.Struct]) -> RecordedTopic:
     """Make the topic of a plain key."""
     message = kind()
     sample = Sample(key, encode(message, Format.CDR), make_encoding(kind, Format.CDR))
-    topic = TopicTable("default", lambda _: True).find(sample)
+    topic = TopicTable("default", lambda *_: True).find(sample)
     assert topic is not None
     return topic
 

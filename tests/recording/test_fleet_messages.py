@@ -54,7 +54,7 @@ class Fleet:
         self._single = self.bus.subscribe("*/*", 10_000)
         self.add(*models)
         self.step(0)
-        table = TopicTable(WORLD, lambda _: True)
+        table = TopicTable(WORLD, lambda *_: True)
         self.fleet = FleetMessages(self.bus, WORLD, FleetSelection(expressions, table.find))
 
     def add(self, *models: Model) -> None:
@@ -159,7 +159,11 @@ def test_transforms_with_a_rate_of_their_own_are_subscribed_to_by_robot() -> Non
 )
 def test_only_selected_topics_are_made(expressions: tuple[str, ...], expected: set[str]) -> None:
     fleet = Fleet(two_wheeler(), expressions=expressions)
-    chosen = TopicTable(WORLD, lambda name: any(keys.intersect(e, name[1:]) for e in expressions))
+
+    def is_chosen(name: str, _: str | None) -> bool:
+        return any(keys.intersect(one, name[1:]) for one in expressions)
+
+    chosen = TopicTable(WORLD, is_chosen)
     made = FleetMessages(fleet.bus, WORLD, FleetSelection(expressions, chosen.find))
 
     fleet.step(SECOND_NS)

@@ -29,7 +29,7 @@ def make_sample(key: str, message: msgspec.Struct, format_: Format = Format.CDR)
 
 
 def make_table() -> TopicTable:
-    return TopicTable("default", lambda _: True)
+    return TopicTable("default", lambda *_: True)
 
 
 def test_bytes_of_a_message_remain() -> None:

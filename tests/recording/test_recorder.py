@@ -216,6 +216,16 @@ def test_request_whose_json_is_too_deep_remains_a_text(bus: MemoryBus, make: Mak
     assert other["request"] == {"name": "r1"}
 
 
+def test_topics_are_recorded_by_their_types(bus: MemoryBus, make: Make) -> None:
+    recorder, sink = make(types=(Odometry.ros_type,))
+
+    bus.put_message("r1/odom", Odometry())
+    bus.put_message("r1/cmd_vel", Twist())
+    recorder.take()
+
+    assert {topic.name for topic, *_ in sink.messages} == {"/r1/odom"}
+
+
 def test_requests_are_left_out_on_demand(bus: MemoryBus, make: Make) -> None:
     recorder, sink = make(wants_all=True, exclude_topics=("sim/default/requests",))
 

@@ -1,5 +1,6 @@
 """Numbers that options of recordings refuse before a file is opened."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -15,12 +16,14 @@ from zensim.recording.mcap_records import Metadata
 from zensim.recording.mcap_writer import PRESETS
 from zensim.recording.recorded_topics import RecordedTopic
 from zensim.recording.recording_parts import PartSettings, RecordingParts
+from zensim.recording.recording_reader import RecordingReader
 
 ROSBAG2_OPTIONS = {
     *("--all", "-a", "--regex", "-e", "--exclude-regex", "--topics", "--exclude-topics"),
     *("--output", "-o", "--storage", "-s", "--storage-preset-profile"),
     *("--max-bag-size", "-b", "--max-bag-duration", "-d", "--max-cache-size"),
-    *("--use-sim-time", "--snapshot-mode"),
+    *("--use-sim-time", "--snapshot-mode", "--topic-types", "--exclude-topic-types"),
+    "--custom-data",
 }
 
 
@@ -131,3 +134,28 @@ def test_unknown_storage_is_refused_with_those_that_are_known(storage: str, tmp_
 
     assert done.exit_code == ExitCode.USAGE
     assert all(one in done.stderr for one in record_commands.STORAGES)
+
+
+def test_custom_data_is_in_each_file_and_beside_them(tmp_path: Path) -> None:
+    given = RecordOptions(
+        all_topics=True, output=tmp_path / "run", custom_data=["who=ann", "note=a=b"]
+    )
+    parts = RecordingParts[RecordedTopic](make_session_settings(given).parts)
+    parts.start_part(1, 1)
+    parts.close()
+
+    expected = {"who": "ann", "note": "a=b"}
+    written = json.loads((tmp_path / "run" / "metadata.yaml").read_text())
+    files = sorted((tmp_path / "run").glob("*.mcap"))
+    found = [RecordingReader(file).metadata["custom_data"] for file in files]
+    assert written["rosbag2_bagfile_information"]["custom_data"] == expected
+    assert found == [expected] * 2
+
+
+@pytest.mark.parametrize("pair", ["ann", "=ann", ""])
+def test_custom_data_without_a_name_is_refused(pair: str, tmp_path: Path) -> None:
+    done = CliRunner().invoke(
+        record_commands.app, ("-a", "-o", str(tmp_path / "new"), "--custom-data", pair)
+    )
+
+    assert done.exit_code == ExitCode.USAGE

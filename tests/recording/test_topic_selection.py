@@ -33,9 +33,43 @@ def test_filter_decides_by_name(selection: TopicSelection, accepted: str, refuse
     assert not chosen.accepts(refused)
 
 
+SCAN, ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
+
+
+@pytest.mark.parametrize(
+    ("selection", "ros_type", "expected"),
+    [
+        (TopicSelection(types=(SCAN,)), SCAN, True),
+        (TopicSelection(types=(SCAN,)), ODOMETRY, False),
+        (TopicSelection(types=(SCAN,)), "", False),
+        (TopicSelection(types=(SCAN,)), None, True),
+        (TopicSelection(types=(SCAN,), topics=("r1/x",)), ODOMETRY, True),
+        (TopicSelection(types=(SCAN,), exclude_topics=("r1/x",)), SCAN, False),
+        (TopicSelection(topics=("r1/x",), exclude_types=(SCAN,)), SCAN, False),
+        (TopicSelection(wants_all=True, exclude_types=(SCAN,)), ODOMETRY, True),
+    ],
+)
+def test_filter_decides_by_type(
+    selection: TopicSelection, ros_type: str | None, *, expected: bool
+) -> None:
+    assert TopicFilter(selection).accepts("/r1/x", ros_type) is expected
+
+
+def test_types_alone_subscribe_to_topics_of_these_types_only() -> None:
+    listed = list_keys(TopicFilter(TopicSelection(types=(ODOMETRY,))), "default", 0)
+
+    assert "**/odom" in listed
+    assert all(keys.last_chunk(one) in ("odom", "ground_truth") for one in listed)
+
+
 @pytest.mark.parametrize(
     ("selection", "said"),
-    [(TopicSelection(), "--all"), (TopicSelection(regex="("), "--regex")],
+    [
+        (TopicSelection(), "--all"),
+        (TopicSelection(regex="("), "--regex"),
+        (TopicSelection(types=("Odometry",)), "Odometry"),
+        (TopicSelection(topics=("a",), exclude_types=("nav_msgs/Odometry",)), "nav_msgs"),
+    ],
 )
 def test_filter_refuses_nothing_and_invalid_expressions(
     selection: TopicSelection, said: str

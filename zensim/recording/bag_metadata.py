@@ -1,11 +1,12 @@
 """`metadata.yaml` of a recording, as rosbag2 reads it."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 import msgspec
 
+CUSTOM_DATA: Final = "custom_data"
 VERSION: Final = 5
 """The newest that Humble reads; newer distributions read it, too."""
 
@@ -32,8 +33,15 @@ class PartFacts(msgspec.Struct, frozen=True, kw_only=True):
         return self.span_ns[1] - self.span_ns[0]
 
 
-def write_bag_metadata(parts: Sequence[PartFacts]) -> str:
-    """Write the metadata of the files of a recording, in their order."""
+def write_bag_metadata(
+    parts: Sequence[PartFacts], custom_data: Iterable[tuple[str, str]] = ()
+) -> str:
+    """Write the metadata of the files of a recording, in their order.
+
+    Args:
+        parts: The files.
+        custom_data: Names and texts of the user.
+    """
     counts: dict[tuple[str, str, str], int] = {}
     for part in parts:
         for topic, count in part.topics.items():
@@ -54,6 +62,7 @@ def write_bag_metadata(parts: Sequence[PartFacts]) -> str:
         "compression_mode": "",
         "relative_file_paths": [part.file for part in parts],
         "files": [_describe_file(part) for part in parts],
+        **({CUSTOM_DATA: dict(custom_data)} if custom_data else {}),
     }
     # JSON is YAML.
     return json.dumps({"rosbag2_bagfile_information": content}, indent=1) + "\n"

@@ -43,6 +43,8 @@ from zensim.recording.topic_selection import CLOCK_TOPIC, ROSTER_TOPICS, name_re
 
 QOS_FIELD: Final = re.compile(r"\b(reliability|durability|history|depth): *([a-z_]+|[0-9]{1,9})")
 ToCdr = Callable[[Sample], bytes]
+AcceptsTopic = Callable[[str, str | None], bool]
+"""Whether a topic of a name and a type is recorded; see `TopicFilter.accepts`."""
 SPAN_PARTS: Final = (9223372036, 854775807)
 """Seconds and nanoseconds of an infinite time, as rmw writes it."""
 QOS_METADATA: Final = "offered_qos_profiles"
@@ -220,7 +222,7 @@ def _encode_clock(sample: Sample) -> bytes:
 class TopicTable:
     """The topic of each key and encoding; looked up for each message."""
 
-    def __init__(self, world: str, accepts: Callable[[str], bool], step_ns: int = 0) -> None:
+    def __init__(self, world: str, accepts: AcceptsTopic, step_ns: int = 0) -> None:
         self._world = world
         self._step_ns = step_ns
         self._accepts = accepts
@@ -239,13 +241,16 @@ class TopicTable:
             return found
 
     def _make(self, sample: Sample) -> RecordedTopic | None:
-        if not self._accepts(f"/{sample.key}"):
+        name = f"/{sample.key}"
+        if not self._accepts(name, None):
             return None
         try:
             topic = make_topic(sample, self._world, self._step_ns)
         except MalformedPayload:
             topic = None
+        if not self._accepts(name, topic.ros_type if topic is not None else ""):
+            return None
         if topic is not None and self._kinds.setdefault(topic.name, topic.kind) is topic.kind:
             return topic
-        self.unknown.add(f"/{sample.key}")
+        self.unknown.add(name)
         return None

@@ -12,7 +12,7 @@ from zensim.proto import keys
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.message_times import choose_time, count_missing
 from zensim.proto.messages.input_messages import Inputs, ServiceRequest
-from zensim.proto.messages.standard_messages import ns_from_time
+from zensim.proto.messages.standard_messages import Clock, String, ns_from_time
 from zensim.proto.messages.telemetry_messages import Event, WorldClock
 from zensim.proto.network_protocols import Closable, Sample, Subscription, TokenWatch
 from zensim.proto.ros2.liveliness_tokens import TOKEN_SPACE, parse_endpoint_token
@@ -178,7 +178,8 @@ class Recorder:
         self._bus, self._chosen, self._settings, self._sink = bus, chosen, settings, sink
         self._left_out = list_left_out(settings)
         self._table = TopicTable(settings.world, self._accepts, settings.step_ns)
-        self._clock_topic = make_clock_topic() if self._accepts(CLOCK_TOPIC) else None
+        has_clock = self._accepts(CLOCK_TOPIC, Clock.ros_type)
+        self._clock_topic = make_clock_topic() if has_clock else None
         self._inputs_key = INPUTS.key(settings.world)
         self._requests_topic = self._find_requests_topic()
         self._clock = bus.subscribe(CLOCK.key(settings.world), EVENTS_DEPTH)
@@ -288,12 +289,12 @@ class Recorder:
             log_ns = received_ns if has_wall_times else choose_time(stamp_ns, now_ns)
             batch.append((topic, log_ns, received_ns, payload))
 
-    def _accepts(self, topic: str) -> bool:
-        return self._chosen.accepts(topic) and topic not in self._left_out
+    def _accepts(self, topic: str, ros_type: str | None) -> bool:
+        return self._chosen.accepts(topic, ros_type) and topic not in self._left_out
 
     def _find_requests_topic(self) -> RecordedTopic | None:
         world = self._settings.world
-        if not self._accepts(name_requests_topic(world)):
+        if not self._accepts(name_requests_topic(world), String.ros_type):
             return None
         return make_requests_topic(world, self._settings.step_ns)
 

@@ -13,7 +13,7 @@ from typing import Final, Generic
 import msgspec
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.recording.bag_metadata import PartFacts, write_bag_metadata
+from zensim.recording.bag_metadata import CUSTOM_DATA, PartFacts, write_bag_metadata
 from zensim.recording.file_index import read_index
 from zensim.recording.latched_messages import LatchedMessages
 from zensim.recording.mcap_records import (
@@ -59,6 +59,8 @@ class PartSettings(msgspec.Struct, frozen=True, kw_only=True):
     keep_ns: int = 0
     """Files are deleted as soon as later ones have this much log time; 0 = never."""
     chunks: ChunkSettings = DEFAULT_CHUNKS
+    custom_data: tuple[tuple[str, str], ...] = ()
+    """Names and texts that are kept with the recording, as of rosbag2."""
     is_reproducible: bool = False
     """Whether chunks end by log time instead of wall time."""
 
@@ -417,7 +419,7 @@ class RecordingParts(Generic[Topic]):
 
     def _write_metadata(self) -> None:
         if self._metadata_file is not None:
-            text = write_bag_metadata(self._done)
+            text = write_bag_metadata(self._done, self._settings.custom_data)
             self._metadata_file.write_text(text, encoding="utf-8")
 
     def _delete_old(self) -> None:
@@ -439,6 +441,9 @@ class RecordingParts(Generic[Topic]):
             if (facts := self._facts) is not None:
                 texts = {**facts.texts, PART: str(number)}
                 part.writer.add_metadata(Metadata(facts.name, texts))
+            if self._settings.custom_data:
+                texts = dict(self._settings.custom_data)
+                part.writer.add_metadata(Metadata(CUSTOM_DATA, texts))
             part.output.reserve(part.writer.summary_bytes)
         except OSError:
             part.output.close()

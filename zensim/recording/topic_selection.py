@@ -7,6 +7,7 @@ from typing import Final
 import msgspec
 
 from zensim.proto import keys
+from zensim.proto.messages.standard_messages import OccupancyGrid, String, UInt8MultiArray
 from zensim.proto.ros2.liveliness_tokens import AnnouncedEndpoint
 from zensim.proto.topic_catalog import (
     CLOCK,
@@ -22,6 +23,7 @@ from zensim.proto.topic_catalog import (
 )
 
 CLOCK_TOPIC: Final = f"/{CLOCK.suffix}"
+ROS_TYPE: Final = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z0-9]+")
 ANY_ROS_TYPE: Final = "*/*"
 """Type and type hash at the end of the keys of ROS 2."""
 PUBLISHER: Final = "MP"
@@ -51,10 +53,13 @@ class TopicSelection(msgspec.Struct, frozen=True, kw_only=True):
     """Topics whose name has a match anywhere."""
     exclude_regex: str = ""
     exclude_topics: tuple[str, ...] = ()
+    types: tuple[str, ...] = ()
+    """Topics of these types, `pkg/msg/Name`, whatever their names."""
+    exclude_types: tuple[str, ...] = ()
 
 
 class TopicFilter:
-    """Decides by name."""
+    """Decides by name and type."""
 
     def __init__(self, selection: TopicSelection) -> None:
         """Compile the expressions.
@@ -62,14 +67,19 @@ class TopicFilter:
         Raises:
             ValueError: Nothing is selected, or an expression is not valid.
         """
-        if not (selection.topics or selection.wants_all or selection.regex):
+        if not (selection.topics or selection.wants_all or selection.regex or selection.types):
             raise ValueError("no topics are selected; name some, or use --all or --regex")
+        for one in (*selection.types, *selection.exclude_types):
+            if not ROS_TYPE.fullmatch(one):
+                raise ValueError(f"{one[:60]!r} is no type; use one such as nav_msgs/msg/Odometry")
         self._topics = tuple(one.strip("/") for one in selection.topics)
         self._wants_all = selection.wants_all
         self._regex = _compile("--regex", selection.regex)
         self._excluded = _compile("--exclude-regex", selection.exclude_regex)
         self._excluded_topics = tuple(one.strip("/") for one in selection.exclude_topics)
-        self._is_broad = selection.wants_all or bool(selection.regex)
+        self._types = frozenset(selection.types)
+        self._excluded_types = frozenset(selection.exclude_types)
+        self._is_by_name = selection.wants_all or bool(selection.regex)
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -79,16 +89,29 @@ class TopicFilter:
     @property
     def is_broad(self) -> bool:
         """Whether topics are chosen among all."""
-        return self._is_broad
+        return self._is_by_name or bool(self._types)
 
-    def accepts(self, topic: str) -> bool:
-        """Whether a topic is recorded, by its name with the first slash."""
+    def has_type(self, kinds: Iterable[type[msgspec.Struct]]) -> bool:
+        """Whether a topic with one of these messages may be chosen among all."""
+        return self._is_by_name or any(vars(one).get("ros_type") in self._types for one in kinds)
+
+    def accepts(self, topic: str, ros_type: str | None = None) -> bool:
+        """Whether a topic is recorded.
+
+        Args:
+            topic: Its name, with the first slash.
+            ros_type: `pkg/msg/Name`; empty = unknown, None = any that would be accepted.
+        """
         key = topic.strip("/")
+        if ros_type in self._excluded_types:
+            return False
         if self._excluded is not None and self._excluded.search(topic):
             return False
         if any(keys.intersect(one, key) for one in self._excluded_topics):
             return False
         if self._wants_all or any(keys.intersect(one, key) for one in self._topics):
+            return True
+        if self._types and (ros_type is None or ros_type in self._types):
             return True
         return self._regex is not None and self._regex.search(topic) is not None
 
@@ -116,13 +139,14 @@ def list_keys(chosen: TopicFilter, world: str, domain: int | None) -> list[str]:
         key for topic in chosen.topics for key in _list_keys_of_topic(topic, world, domain)
     )
     if chosen.is_broad:
-        listed.update(dict.fromkeys(_list_all_keys(world, domain)))
-        named = [f"/{one.key(world)}" for one in (*ROSTER_TOPICS, INPUTS)]
+        listed.update(dict.fromkeys(_list_all_keys(chosen, world, domain)))
+        named = [(one.key(world), String) for one in ROSTER_TOPICS]
+        named += [(INPUTS.key(world), UInt8MultiArray), (MAP.suffix, OccupancyGrid)]
         listed.update(
-            (one.strip("/"), None) for one in (*named, f"/{MAP.suffix}") if chosen.accepts(one)
+            (key, None) for key, kind in named if chosen.accepts(f"/{key}", kind.ros_type)
         )
     inputs = INPUTS.key(world)
-    if chosen.accepts(name_requests_topic(world)) and not any(
+    if chosen.accepts(name_requests_topic(world), String.ros_type) and not any(
         keys.intersect(one, inputs) for one in listed
     ):
         listed[inputs] = None
@@ -140,9 +164,12 @@ def _list_keys_of_topic(topic: str, world: str, domain: int | None) -> list[str]
     return [topic, f"{domain}/{topic}/{ANY_ROS_TYPE}"]
 
 
-def _list_all_keys(world: str, domain: int | None) -> list[str]:
+def _list_all_keys(chosen: TopicFilter, world: str, domain: int | None) -> list[str]:
     return [
-        key for suffix in ROBOT_TOPICS for key in _list_keys_of_topic(f"**/{suffix}", world, domain)
+        key
+        for suffix, spec in ROBOT_TOPICS.items()
+        if chosen.has_type(spec.messages)
+        for key in _list_keys_of_topic(f"**/{suffix}", world, domain)
     ]
 
 
@@ -182,7 +209,7 @@ def list_ros_keys(
     for one in announced:
         if one.kind != PUBLISHER or one.key == CLOCK.suffix or find_robot_topic(one.key):
             continue
-        if not chosen.accepts(f"/{one.key}"):
+        if not chosen.accepts(f"/{one.key}", one.ros_type):
             continue
         key = make_ros_key(one.key, domain)
         if not any(keys.intersect(_to_plain_key(other), one.key) for other in known):

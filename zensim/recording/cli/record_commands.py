@@ -115,6 +115,16 @@ class RecordOptions(ConnectionOptions):
     regex: RegexOption = ""
     exclude_regex: ExcludeRegexOption = ""
     exclude_topics: ExcludeTopicsOption = None
+    topic_types: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TYPE...", help="Topics of types, such as sensor_msgs/msg/LaserScan.", **_topics
+        ),
+    ] = None
+    exclude_topic_types: Annotated[
+        list[str] | None,
+        typer.Option(metavar="TYPE...", help="Leave out topics of these types.", **_topics),
+    ] = None
     output: Annotated[
         Path | None,
         typer.Option(
@@ -158,6 +168,12 @@ class RecordOptions(ConnectionOptions):
     sync: Annotated[
         bool, flag("--sync", help="Wait until each chunk is on the disk.", **_files)
     ] = False
+    custom_data: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=TEXT", help="Keep a text with the recording; may be repeated.", **_files
+        ),
+    ] = None
     rate: Annotated[
         float,
         typer.Option(
@@ -301,6 +317,8 @@ def make_selection(given: RecordOptions) -> TopicSelection:
         regex=given.regex,
         exclude_regex=given.exclude_regex,
         exclude_topics=tuple(given.exclude_topics or ()),
+        types=tuple(given.topic_types or ()),
+        exclude_types=tuple(given.exclude_topic_types or ()),
     )
 
 
@@ -332,6 +350,7 @@ def make_session_settings(given: RecordOptions) -> SessionSettings:
             is_synchronous=given.sync,
             keep_ns=keep_ns,
             chunks=PRESETS[preset],
+            custom_data=tuple(map(parse_pair, given.custom_data or ())),
             is_reproducible=given.reproducible,
         ),
         max_cache_bytes=parse_size("--max-cache-size", given.max_cache_size),
@@ -339,6 +358,18 @@ def make_session_settings(given: RecordOptions) -> SessionSettings:
         snapshot_ns=round(kept_s * NANOSECONDS),
         snapshot_on=frozenset(kinds),
     )
+
+
+def parse_pair(text: str) -> tuple[str, str]:
+    """Read a name and a text, such as `operator=ann`.
+
+    Raises:
+        ValueError: It has no name.
+    """
+    name, equals, value = text.partition("=")
+    if not (name and equals):
+        raise ValueError(f"--custom-data {text[:60]!r} is no pair; use NAME=TEXT")
+    return name, value
 
 
 def parse_time(option: str, text: str) -> float:

@@ -77,11 +77,11 @@ StartOffsetOption = Annotated[
 ]
 
 
-TOPIC_LISTS: Final = ("--topics", "--exclude-topics")
+TOPIC_LISTS: Final = ("--topics", "--exclude-topics", "--topic-types", "--exclude-topic-types")
 
 
 class TopicListCommand(TyperCommand):
-    """Takes several values after `--topics` and `--exclude-topics`, as rosbag2 does."""
+    """Takes several values after options of topics and types, as rosbag2 does."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
         """Parse the words after the name of the command."""
