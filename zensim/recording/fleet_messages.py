@@ -422,7 +422,7 @@ class FleetMessages:
             if samples[0] is None:
                 return
             odometry = decode(Odometry, samples[0].payload, samples[0].encoding)
-            topic, tf_topic = (one and self._selection.find_topic(one) for one in samples)
+            topic, tf_topic = (self._find_topic(one) for one in samples)
             parts, transforms = None, TFMessage()
             if samples[1] is not None and tf_topic is not None:
                 transforms = decode(TFMessage, samples[1].payload, samples[1].encoding)
@@ -431,6 +431,9 @@ class FleetMessages:
                     self._single_keys.append(samples[1].key)
             layout = id(robot.model), topic is not None, parts and parts.columns
             yield layout, _FoundRobot(robot, topic, odometry, tf_topic, transforms, parts)
+
+    def _find_topic(self, sample: Sample | None) -> RecordedTopic | None:
+        return None if sample is None else self._selection.find_topic(sample)
 
     def _make_group(self, found: Sequence[_FoundRobot]) -> _Group:
         names = [one.robot.entity for one in found]

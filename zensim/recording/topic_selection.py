@@ -140,10 +140,11 @@ def list_keys(chosen: TopicFilter, world: str, domain: int | None) -> list[str]:
     )
     if chosen.is_broad:
         listed.update(dict.fromkeys(_list_all_keys(chosen, world, domain)))
-        named = [(one.key(world), String) for one in ROSTER_TOPICS]
-        named += [(INPUTS.key(world), UInt8MultiArray), (MAP.suffix, OccupancyGrid)]
+        types = {one.key(world): String.ros_type for one in ROSTER_TOPICS}
+        types[INPUTS.key(world)] = UInt8MultiArray.ros_type
+        types[MAP.suffix] = OccupancyGrid.ros_type
         listed.update(
-            (key, None) for key, kind in named if chosen.accepts(f"/{key}", kind.ros_type)
+            (key, None) for key, ros_type in types.items() if chosen.accepts(f"/{key}", ros_type)
         )
     inputs = INPUTS.key(world)
     if chosen.accepts(name_requests_topic(world), String.ros_type) and not any(
