@@ -253,7 +253,7 @@ def test_new_epoch_begins_a_file_and_an_older_time_does_not(bus: MemoryBus, make
         ((Odometry(Header(Time(1, 0))),), {}, LONG_PERIOD_S),
         ((), {}, LONG_PERIOD_S),
         ((Odometry(Header(Time(1, 0))), Twist()), {}, SHORT_PERIOD_S),
-        ((Odometry(Header(Time(1, 0))),) * MANY_TAKEN, {}, SHORT_PERIOD_S),
+        ((Odometry(Header(Time(1, 0))),) * 2 * MANY_TAKEN, {}, SHORT_PERIOD_S),
         ((Odometry(Header(Time(1, 0))),), {"time_base": "wall"}, WALL_PERIOD_S),
     ],
     ids=["stamped", "none", "unstamped", "many", "wall"],

@@ -44,8 +44,8 @@ from zensim.recording.topic_selection import (
 RING_DEPTH: Final = 8192
 """Messages of one key expression between two takes: 1.6 s of a hundred robots. A longer queue
 takes more memory, as each of its places is used in turn: 0.4 kB a place."""
-MANY_TAKEN: Final = RING_DEPTH // 8
-"""Messages of one key expression in a take after which the next ones come sooner."""
+MANY_TAKEN: Final = 100
+"""Messages of one key expression that a take should find at most: what waits takes memory."""
 WALL_PERIOD_S: Final = 0.01
 """Between two takes, where the time of a take is the log time of its messages."""
 SHORT_PERIOD_S: Final = 0.02
@@ -195,7 +195,7 @@ class Recorder:
         self.received = 0
         """Messages that were handed over."""
         self._has_arrivals = True
-        self._has_unstamped = self._has_many = False
+        self._has_unstamped, self._most_taken, self._stamped_period_s = False, 0, SHORT_PERIOD_S
         self._last_ns: dict[RecordedTopic, int] = {}
         self.malformed = 0
         """Messages that are left out, since they do not encode their type."""
@@ -221,8 +221,8 @@ class Recorder:
         settings = self._settings
         if settings.time_base == "wall":
             return WALL_PERIOD_S
-        is_soon = self._has_unstamped or self._has_many or settings.period_ns
-        return SHORT_PERIOD_S if is_soon else LONG_PERIOD_S
+        is_soon = self._has_unstamped or settings.period_ns
+        return SHORT_PERIOD_S if is_soon else self._stamped_period_s
 
     def take(self, *, is_last: bool = False) -> None:
         """Hand over all messages that arrived since the last call.
@@ -231,7 +231,7 @@ class Recorder:
             is_last: Whether thinned messages are handed over before their period ends.
         """
         received_ns = time.time_ns()
-        self._has_many = False
+        self._most_taken = 0
         self._take_events()
         clock = self._take_clock(received_ns)
         is_due = self._is_period_over() or is_last
@@ -240,6 +240,8 @@ class Recorder:
         self._take_fleet(received_ns, clock, is_due=is_due)
         self._take_samples(received_ns, clock, is_due=is_due)
         self._follow_announced()
+        fitting_s = self._stamped_period_s * MANY_TAKEN / max(1, self._most_taken)
+        self._stamped_period_s = min(LONG_PERIOD_S, max(SHORT_PERIOD_S, fitting_s))
 
     def take_arrivals(self) -> bool:
         """Whether entities were spawned or a world was loaded since the last call; yes at first."""
@@ -328,7 +330,7 @@ class Recorder:
     ) -> None:
         """Append what a subscription received; estimate how many were lost if it was full."""
         samples, start = one.take(is_due=is_due), len(batch)
-        self._has_many |= len(samples) >= MANY_TAKEN
+        self._most_taken = max(self._most_taken, len(samples))
         self._convert(samples, received_ns, batch)
         if one.is_overflown(samples):
             self.overflows += 1
