@@ -23,6 +23,7 @@ from benchmarks.machine import ROOT
 from tests.integration.processes import free_endpoint
 from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, BusPublisher, BusQuery, open_bus
+from zensim.proto.codec.cdr_layout import find_offsets
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, DriveState
 from zensim.proto.messages.drive_messages import DiffDrive
@@ -50,8 +51,8 @@ from zensim.robot_agent.fleet_odometry import make_messages as make_fleet_messag
 WORLD = "default"
 STAMP = struct.Struct("<iI")
 ODOM_STAMP_AT, TF_STAMP_AT = 4, 8
-POSITION_AT = 120
-"""Within both messages, in numbers that change: equal messages would compress too well."""
+POSITIONS = "pose.pose.position.x", "transforms[0].transform.translation.x"
+"""Numbers that change: equal messages would compress too well."""
 TOPICS_OF_ROBOT = 2
 STEP_NS = NANOSECONDS // 240
 WHEELS = tuple(
@@ -107,16 +108,17 @@ class RobotTopics:
     """Publishers of odometry and transforms of robots, and their last messages."""
 
     def __init__(self, bus: Bus, robots: int) -> None:
-        self._topics: list[tuple[BusPublisher, bytearray, int]] = []
+        self._topics: list[tuple[BusPublisher, bytearray, int, int]] = []
         self._calls = [bus.serve(f"*/{one}", is_complete=False) for one in (ODOM.name, TF.name)]
         self._messages: dict[str, tuple[bytes, str]] = {}
         for number in range(robots):
-            for spec, message, at in zip(
-                (ODOM, TF), make_messages(), (ODOM_STAMP_AT, TF_STAMP_AT), strict=True
+            for spec, message, at, position in zip(
+                (ODOM, TF), make_messages(), (ODOM_STAMP_AT, TF_STAMP_AT), POSITIONS, strict=True
             ):
                 key, payload = spec.key(f"box_bot{number}"), encode(message, Format.CDR)
                 publisher = bus.advertise(key, spec.encoding)
-                self._topics.append((publisher, bytearray(payload), at))
+                places = at, find_offsets(message)[position]
+                self._topics.append((publisher, bytearray(payload), *places))
                 self._messages[key] = payload, spec.encoding
 
     @property
@@ -132,9 +134,9 @@ class RobotTopics:
     def publish(self, time_ns: int) -> None:
         """Publish all topics with this stamp."""
         stamp = STAMP.pack(time_ns // NANOSECONDS, time_ns % NANOSECONDS)
-        for number, (publisher, payload, at) in enumerate(self._topics):
+        for number, (publisher, payload, at, position_at) in enumerate(self._topics):
             payload[at : at + STAMP.size] = stamp
-            struct.pack_into("<d", payload, POSITION_AT, time_ns * 1e-9 + number * 0.001)
+            struct.pack_into("<d", payload, position_at, time_ns * 1e-9 + number * 0.001)
             publisher.send(bytes(payload))
 
     def reply(self) -> None:
