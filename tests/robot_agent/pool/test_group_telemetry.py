@@ -16,6 +16,7 @@ from zensim.api.in_process_network import InProcessSubscription
 from zensim.proto import message_paths
 from zensim.proto.codec import cdr
 from zensim.proto.codec.cdr import encode
+from zensim.proto.codec.cdr_batch import CdrBatch
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.fleet_publisher import MAX_PUBLISHERS
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveCommand, DriveState
@@ -40,7 +41,7 @@ from zensim.proto.topic_catalog import TF_STATIC
 from zensim.robot_agent import message_templates
 from zensim.robot_agent.odometry import BaseMotion, OdometryHeader, make_covariances
 from zensim.robot_agent.pool import group_telemetry
-from zensim.robot_agent.pool.group_telemetry import CdrBatch, TfMessageBatch
+from zensim.robot_agent.pool.group_telemetry import TfMessageBatch
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 from zensim.robot_agent.robots import IndividualRobots
 
