@@ -130,7 +130,7 @@ class _FoundRobot(NamedTuple):
     """None without transforms."""
 
 
-class _Group:
+class _FleetGroup:
     """Robots that were found at the same time, with equal models and topics."""
 
     def __init__(self, slots: IntArray, found: Sequence[_FoundRobot]) -> None:
@@ -301,7 +301,7 @@ class FleetMessages:
     def clear(self) -> None:
         """Find all robots again, as another world was loaded."""
         self._table = MotionTable()
-        self._groups: list[_Group] = []
+        self._groups: list[_FleetGroup] = []
         self._robots.clear()
         self._due_ns.clear()
         self._find_robots(())
@@ -321,7 +321,7 @@ class FleetMessages:
             self._find_robots(tuple(table.unknown))
 
     def take(self, epoch: int) -> Iterator[tuple[int, RecordedTopic, bytes]]:
-        """See `FleetSource`."""
+        """See `RobotMessageSource`."""
         table = self._table
         if table.epoch != epoch:
             return
@@ -435,7 +435,7 @@ class FleetMessages:
     def _find_topic(self, sample: Sample | None) -> RecordedTopic | None:
         return None if sample is None else self._selection.find_topic(sample)
 
-    def _make_group(self, found: Sequence[_FoundRobot]) -> _Group:
+    def _make_group(self, found: Sequence[_FoundRobot]) -> _FleetGroup:
         names = [one.robot.entity for one in found]
         slots = self._table.add_robots(names, [len(one.robot.model.joints) for one in found])
-        return _Group(slots, found)
+        return _FleetGroup(slots, found)

@@ -44,7 +44,7 @@ class FleetSelection(msgspec.Struct, frozen=True):
     """None if a topic is not recorded."""
 
 
-class FleetSource(Protocol):
+class RobotMessageSource(Protocol):
     """Makes the messages of single robots from those of their agents."""
 
     def collect(self) -> None:

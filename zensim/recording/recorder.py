@@ -19,7 +19,7 @@ from zensim.proto.ros2.liveliness_tokens import TOKEN_SPACE, parse_endpoint_toke
 from zensim.proto.service_catalog import SIMULATE_STEPS
 from zensim.proto.topic_catalog import CLOCK, EVENTS, INPUTS, TF
 from zensim.proto.topic_endpoints import to_plain_sample
-from zensim.recording.fleet_robots import FleetSelection, FleetSource, is_of_many
+from zensim.recording.fleet_robots import FleetSelection, RobotMessageSource, is_of_many
 from zensim.recording.recorded_topics import (
     RecordedMessage,
     RecordedTopic,
@@ -61,7 +61,7 @@ PAUSED_PERIOD_S: Final = 1.0
 ARRIVALS: Final = ("spawned", "loaded")
 
 TimeBase = Literal["simulation", "wall"]
-MakeFleet = Callable[[FleetSelection], FleetSource]
+MakeFleet = Callable[[FleetSelection], RobotMessageSource]
 
 
 class MessageSink(Protocol):
@@ -154,6 +154,21 @@ def list_left_out(settings: RecorderSettings) -> AbstractSet[str]:
 class Recorder:
     """Subscriptions of a recording."""
 
+    received = 0
+    """Messages that were handed over."""
+    malformed = 0
+    """Messages that are left out, since they do not encode their type."""
+    overflows = 0
+    """How often messages arrived faster than they were taken, so that some were lost."""
+    missing = 0
+    """About how many were lost then, by the gaps between stamps."""
+    _has_arrivals = True
+    _has_unstamped = False
+    _most_taken = 0
+    """Messages of one key expression in the last take."""
+    _stamped_period_s = SHORT_PERIOD_S
+    """Between two takes where all messages have stamps."""
+
     def __init__(
         self,
         bus: MessageNetwork,
@@ -192,17 +207,7 @@ class Recorder:
         """Tokens of the publishers of each key that is subscribed to as they announce it."""
         self._now_ns, self._epoch = self._read_first_clock()
         self._period, self._taken_ns, self._taken_s = 0, 0, 0.0
-        self.received = 0
-        """Messages that were handed over."""
-        self._has_arrivals = True
-        self._has_unstamped, self._most_taken, self._stamped_period_s = False, 0, SHORT_PERIOD_S
         self._last_ns: dict[RecordedTopic, int] = {}
-        self.malformed = 0
-        """Messages that are left out, since they do not encode their type."""
-        self.overflows = 0
-        """How often messages arrived faster than they were taken, so that some were lost."""
-        self.missing = 0
-        """About how many were lost then, by the gaps between stamps."""
         self._record_latched()
 
     @property
@@ -264,7 +269,7 @@ class Recorder:
             return None
         return self._bus.watch_tokens(f"{TOKEN_SPACE}/{domain}/**")
 
-    def _make_fleet(self, make: MakeFleet) -> FleetSource:
+    def _make_fleet(self, make: MakeFleet) -> RobotMessageSource:
         """Take key expressions of many robots from their agents instead."""
         taken = [one for one in self._keys if is_of_many(one)]
         # The joint topic of all transforms is no robot's own.

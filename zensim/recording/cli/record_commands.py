@@ -265,13 +265,7 @@ def record_topics(given: RecordOptions) -> None:
         parse_choice("--storage", given.storage, STORAGES)
         chosen = TopicFilter(make_selection(given))
         settings = make_session_settings(given)
-        recorder_settings = RecorderSettings(
-            world=check_name(given.world_name, "world name"),
-            domain=parse_domain(given.ros_domain),
-            time_base=choose_time_base(given),
-            period_ns=round(NANOSECONDS / given.rate) if given.rate else 0,
-            is_reproducible=given.reproducible,
-        )
+        recorder_settings = make_recorder_settings(given)
         status = make_program_status(given.world_name, CLIENT_TURN_S)
         CONTEXT.world = given.world_name
         stop = StopFlag(is_armed=False, on_stop=status.drain)
@@ -293,6 +287,21 @@ def record_topics(given: RecordOptions) -> None:
         if failure is not None:
             reason = f"{failure.strerror or failure}; what was recorded before is readable"
             raise OSError(failure.errno, reason, str(settings.parts.path)) from failure
+
+
+def make_recorder_settings(given: RecordOptions) -> RecorderSettings:
+    """Make the settings of a recorder.
+
+    Raises:
+        ValueError: A name, a domain or a clock is not valid.
+    """
+    return RecorderSettings(
+        world=check_name(given.world_name, "world name"),
+        domain=parse_domain(given.ros_domain),
+        time_base=choose_time_base(given),
+        period_ns=round(NANOSECONDS / given.rate) if given.rate else 0,
+        is_reproducible=given.reproducible,
+    )
 
 
 def choose_time_base(given: RecordOptions) -> TimeBase:
