@@ -8,6 +8,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import NamedTuple, NoReturn
 
 from zensim.proto.process_limits import (
@@ -26,6 +27,8 @@ SINGLE_THREADED = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 STDIN, STDOUT, STDERR = 0, 1, 2
 END_POLL_S = 0.01
 FORK_REPORT = struct.Struct("<I")
+NO_REPLY = 1
+"""Status of a copy that ended with status 0 instead of a reply."""
 CAN_COPY = sys.platform == "linux"
 """Whether a process can be copied with libraries of the system in it; macOS and Windows cannot."""
 
@@ -293,6 +296,50 @@ def run_in_copy(task: Callable[[], bytes]) -> ProcessOutcome:
     with os.fdopen(reader, "rb") as stream:
         output = stream.read()
     return ProcessOutcome(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), output)
+
+
+class ServingCopy:
+    """A copy of this process that replies to requests, one after another; needs `CAN_COPY`."""
+
+    def __init__(self, reply: Callable[[bytes], bytes]) -> None:
+        """Copy this process; the copy ends with it, or when it is closed.
+
+        Args:
+            reply: Makes the reply to a request, in the copy.
+        """
+        requests, self._requests = os.pipe()
+        self._replies, replies = os.pipe()
+        parent = os.getpid()
+        self._child = os.fork()
+        if self._child == 0:
+            os.close(self._requests)
+            os.close(self._replies)
+            die_with_parent(parent=parent)
+            while (request := read_frame(requests)) is not None:
+                write_frame(replies, reply(request))
+            raise SystemExit
+        os.close(requests)
+        os.close(replies)
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the copy has not ended yet; others may have killed it."""
+        options = os.WEXITED | os.WNOHANG | os.WNOWAIT
+        return os.waitid(os.P_PID, self._child, options) is None
+
+    def call(self, request: bytes) -> ProcessOutcome:
+        """Wait for the reply; with a status other than 0 the copy has ended instead."""
+        with suppress(BrokenPipeError):
+            write_frame(self._requests, request)
+        if (reply := read_frame(self._replies)) is not None:
+            return ProcessOutcome(0, reply)
+        return ProcessOutcome(self.close() or NO_REPLY, b"")
+
+    def close(self) -> int:
+        """Let the copy end, and return its exit status, negative for a signal."""
+        os.close(self._requests)
+        os.close(self._replies)
+        return os.waitstatus_to_exitcode(os.waitpid(self._child, 0)[1])
 
 
 def run_in_fork(

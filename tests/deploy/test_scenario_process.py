@@ -3,13 +3,24 @@
 import contextlib
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 
 import zensim
 from tests.deploy.sweep.sweep_samples import SHORT, write_scenario
-from zensim.deploy.scenario_process import RunRequest, run_in_process, run_request
+from tests.integration.processes import eventually
+from zensim.deploy.scenario_process import (
+    RUN_COMMAND,
+    RunRequest,
+    ScenarioWorker,
+    run_in_process,
+    run_request,
+)
+
+WITHIN_S = 60.0
 
 TEAM = """import os
 from pathlib import Path
@@ -82,3 +93,60 @@ def test_engine_that_is_not_installed_is_an_error_that_names_its_extra(
     assert report.error.startswith("Invalid: engine.missing: ")
     assert "pip install 'zensim[pybullet]'" in report.error
     assert contextlib.__file__ not in report.error
+
+
+STATE_TEAM = """import os
+from pathlib import Path
+class Go:
+    def __init__(self, sim, robots):
+        with (Path(__file__).parent / "processes").open("a") as file:
+            file.write(f"{os.getpid()}\\n")
+    def step(self, now, state):
+        return [[0.3, 0.0]]
+"""
+
+
+def list_copies() -> list[psutil.Process]:
+    """List the copies that the processes of this process have made."""
+    family = psutil.Process().children(recursive=True)
+    workers = {one.pid for one in family if RUN_COMMAND[-1] in one.cmdline()}
+    return [one for one in family if one.ppid() in workers]
+
+
+@pytest.fixture
+def worker() -> Iterator[ScenarioWorker]:
+    made = ScenarioWorker()
+    yield made
+    made.close()
+
+
+def test_runs_without_code_share_a_copy_that_is_replaced_when_it_is_killed(
+    tmp_path: Path, worker: ScenarioWorker
+) -> None:
+    request = RunRequest(write_scenario(tmp_path))
+    first = worker.run(request)
+    (copy,) = list_copies()
+    second = worker.run(request)
+
+    assert list_copies() == [copy]
+    assert first.is_passed
+    assert second.state_hash == first.state_hash
+
+    copy.kill()
+    eventually(lambda: copy.status() == psutil.STATUS_ZOMBIE, WITHIN_S, "its end")
+    third = worker.run(request)
+
+    assert (third.error, third.state_hash) == ("", first.state_hash)
+    assert list_copies() != [copy]
+
+
+def test_each_run_with_code_has_a_copy_of_its_own(tmp_path: Path, worker: ScenarioWorker) -> None:
+    (tmp_path / "state_team.py").write_text(STATE_TEAM)
+    text = SHORT.replace("do: drive, v: 0.3", "do: python, call: 'state_team:Go'")
+    request = RunRequest(write_scenario(tmp_path, text=text))
+
+    reports = [worker.run(request) for _ in range(2)]
+
+    assert [report.error for report in reports] == ["", ""]
+    assert len(set((tmp_path / "processes").read_text().split())) == 2
+    assert list_copies() == []

@@ -12,8 +12,10 @@ import pytest
 
 from tests.integration.processes import eventually
 from zensim.proto.child_process import (
+    CAN_COPY,
     CHUNK_BYTES,
     FramedProcess,
+    ProcessOutcome,
     encode_frame,
     end_processes,
     make_module_command,
@@ -236,3 +238,32 @@ def test_fork_changes_nothing_here() -> None:
 
     assert run_in_fork(lambda _: seen.append(1), ENDS_S) == (None, 0)
     assert seen == []
+
+
+COPY_CODE = """
+import os, signal, sys
+from zensim.proto.child_process import ServingCopy
+seen = []
+def reply(request):
+    seen.append(request)
+    if request == b"die":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if request == b"exit":
+        raise SystemExit
+    return b" ".join(seen)
+copy = ServingCopy(reply)
+print(copy.call(b"a"), copy.call(b"b"), seen)
+print(copy.call(sys.argv[1].encode()))
+"""
+
+
+@pytest.mark.skipif(not CAN_COPY, reason="processes cannot be copied here")
+@pytest.mark.parametrize(
+    ("last", "status", "output"), [("c", 0, b"a b c"), ("die", -9, b""), ("exit", 1, b"")]
+)
+def test_serving_copy_replies_until_it_ends(last: str, status: int, output: bytes) -> None:
+    done = run_process((*run_code(COPY_CODE), last), b"", timeout_s=ENDS_S)
+
+    first, second = done.output.decode().splitlines()
+    assert first == f"{ProcessOutcome(0, b'a')} {ProcessOutcome(0, b'a b')} []"
+    assert second == str(ProcessOutcome(status, output))

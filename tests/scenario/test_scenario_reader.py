@@ -486,6 +486,22 @@ def test_error_of_a_file_can_be_pickled(tmp_path: Path) -> None:
     assert copied.issues == caught.value.issues
 
 
+@pytest.mark.parametrize(
+    ("section", "has_code"),
+    [
+        ("behaviours: [{name: go, robots: r, do: drive, v: 0.3}]", False),
+        ("behaviours: [{name: go, robots: r, do: python, call: 'team:Go'}]", True),
+        ("checks: [{name: own, that: python, call: 'team:Check'}]", True),
+    ],
+)
+def test_scenario_with_code_of_its_author_says_so(
+    section: str, *, has_code: bool, tmp_path: Path
+) -> None:
+    text = f"zensim: 1\nrobots: [{{name: r, model: box_bot}}]\n{section}\n"
+
+    assert read(tmp_path, text).has_code == has_code
+
+
 def test_digest_changes_with_a_value(tmp_path: Path) -> None:
     assert read(tmp_path, FULL).sha256 != read(tmp_path, FULL, "time.seed=8").sha256
 

@@ -5,6 +5,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,6 +18,8 @@ from zensim.scenario.robot_selectors import select_robots
 from zensim.scenario.scenario_format import (
     Behaviour,
     Fault,
+    PythonBehaviour,
+    PythonCheck,
     ScenarioFormat,
     Selector,
 )
@@ -64,6 +67,12 @@ class Scenario(msgspec.Struct, frozen=True):
     def sha256(self) -> str:
         """Digest of all values; equal for files that differ in form only."""
         return digest_values(self.plain)
+
+    @property
+    def has_code(self) -> bool:
+        """Whether behaviours or checks are code of the file's author."""
+        used = (*self.format.behaviours, *self.format.checks)
+        return any(isinstance(one, PythonBehaviour | PythonCheck) for one in used)
 
     def select(self, selector: Selector) -> list[str]:
         """Select robots by a selector of the file."""
@@ -153,7 +162,7 @@ def make_scenario(file: str, root: ScenarioNode) -> Scenario:
         ScenarioInvalid: With all mistakes.
     """
     reader = TypedReader()
-    plain = reader.read(root, inspect.type_info(ScenarioFormat), "") or {}
+    plain = reader.read(root, _describe_format(), "") or {}
     seed = (plain.get("time") or {}).get("seed") or 0
     check = ReferenceCheck(root, plain, reader.places, seed)
     check.run()
@@ -169,6 +178,11 @@ def make_scenario(file: str, root: ScenarioNode) -> Scenario:
         reader.places,
         check.variations,
     )
+
+
+@cache
+def _describe_format() -> inspect.Type:
+    return inspect.type_info(ScenarioFormat)
 
 
 def _sort_issues(issues: Sequence[Issue]) -> tuple[Issue, ...]:

@@ -1,6 +1,7 @@
 """The Engine over MuJoCo. The only module that imports mujoco."""
 
 import math
+import os
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -280,6 +281,7 @@ def make_body_selection(bodies: Sequence[MujocoBody]) -> BodySelection:
 
 
 MAX_CACHED_MODELS = 24
+COMPILE_THREAD = "mujoco-compile"
 PRECOMPILE_MIN_SLOTS, PRECOMPILE_MAX_SLOTS = 16, 256
 """Slots of an archetype: fewer compile fast, and cells have no more."""
 
@@ -294,7 +296,8 @@ class CompileCache(Generic[Compiled]):
         """Make a cache; `compile_model` raises ValueError, and releases the interpreter's lock."""
         self._compile = compile_model
         self._compiled_models: OrderedDict[CompileKey, Future[Compiled]] = OrderedDict()
-        self._thread = ThreadPoolExecutor(1, "mujoco-compile")
+        self._thread = ThreadPoolExecutor(1, COMPILE_THREAD)
+        self._process = os.getpid()
 
     def is_ready(self, counts: SlotCounts, config: EngineConfig) -> bool:
         """Whether `compile` would not wait; if not, start compiling on the thread."""
@@ -303,7 +306,7 @@ class CompileCache(Generic[Compiled]):
     def compile(self, counts: SlotCounts, config: EngineConfig) -> Compiled:
         """Find or compile a model; raises ValueError if MuJoCo cannot compile it."""
         key = counts, config
-        if (found := self._compiled_models.get(key)) is None:
+        if (found := self._find(key)) is None:
             found = self._compiled_models[key] = Future()
             _compile_into(found, self._compile, key)
         self._compiled_models.move_to_end(key)
@@ -320,8 +323,20 @@ class CompileCache(Generic[Compiled]):
             if more <= PRECOMPILE_MAX_SLOTS:
                 self._start((tuple({**dict(counts), archetype: more}.items()), config))
 
+    def _find(self, key: CompileKey) -> "Future[Compiled] | None":
+        if self._process != os.getpid():
+            self._continue_in_copy()
+        return self._compiled_models.get(key)
+
+    def _continue_in_copy(self) -> None:
+        """Replace the thread, which a copy of the process lacks, and forget what it had begun."""
+        self._process, self._thread = os.getpid(), ThreadPoolExecutor(1, COMPILE_THREAD)
+        for key, future in list(self._compiled_models.items()):
+            if not future.done():
+                del self._compiled_models[key]
+
     def _start(self, key: CompileKey) -> "Future[Compiled]":
-        if (found := self._compiled_models.get(key)) is None:
+        if (found := self._find(key)) is None:
             found = self._compiled_models[key] = self._thread.submit(self._compile, *key)
         return found
 

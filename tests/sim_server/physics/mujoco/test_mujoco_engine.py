@@ -11,7 +11,9 @@ import pytest
 from tests.engines import STEP_NS, advance
 from tests.integration.processes import eventually
 from tests.models import a_body, a_box, a_box_bot, a_cart, a_state, an_arm, box_bot_at, on_ground
+from tests.sim_server.physics.mujoco import compiling_copy
 from tests.sim_server.physics.mujoco.test_convex_pieces import a_room
+from zensim.proto.child_process import CAN_COPY, make_module_command, run_process
 from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.proto.stl import write_corners
 from zensim.sim_server.physics.engine import Engine, EngineRefused, FloatArray
@@ -26,6 +28,8 @@ from zensim.sim_server.physics.mujoco.slot_layout import Archetype, SlotCounts
 CONFIG = EngineConfig(STEP_NS)
 ARCHETYPE = Archetype((), (), is_static=False)
 WITHIN_S = 10.0
+ENDS_S = 120.0
+"""A copy that waits for a thread which it lacks never ends."""
 WHEEL_RADIUS_M, TRACK_M = 0.035, 0.11
 """Of a box_bot."""
 
@@ -88,6 +92,13 @@ def test_larger_models_are_compiled_ahead_up_to_the_cell_size() -> None:
 
     assert cache.compile(counts_of(256), CONFIG) == 256
     assert compiler.compiled == [64, 128, 256]
+
+
+@pytest.mark.skipif(not CAN_COPY, reason="processes cannot be copied here")
+def test_copy_of_a_process_compiles_what_the_thread_had_begun() -> None:
+    done = run_process(make_module_command(compiling_copy.__name__), b"", timeout_s=ENDS_S)
+
+    assert (done.status, done.output) == (0, b"4 8")
 
 
 def test_failed_compilation_raises_for_each_caller() -> None:
