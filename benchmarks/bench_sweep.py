@@ -2,7 +2,8 @@
 
 `zensim sweep` of runs of 2 simulated seconds with ten robots that walk at random: runs per minute
 by two processes, and what a run costs beside its control steps. The floor is the same control steps
-in one world of this process, whose robots are there already.
+in one world of this process, whose robots are there already. The same runs as tasks of Ray, with
+the start of its cluster, must end in the same states.
 """
 
 import json
@@ -21,6 +22,8 @@ __all__ = ["rows", "table"]
 RUNS, RUNS_WHEN_SHORT = 100, 4
 JOBS = 2
 LEAST_PER_MINUTE, MOST_OVERHEAD_S = 100.0, 0.02
+Digests = dict[str, str]
+"""Of last states, by the ids of runs."""
 SCENARIO = """zensim: 1
 name: walk
 robots: [{{name: bot, model: box_bot, count: 10, layout: {{kind: circle, radius: 3 m}}}}]
@@ -39,13 +42,16 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         file.write_text(SCENARIO.format(runs=runs))
         floor = _measure_steps(file, 3 if is_short else 11)
         yield floor
-        spent_s, cpu_s = _sweep(file)
+        spent_s, cpu_s, digests = _sweep(file, "processes")
+        on_ray = None if is_short else _sweep(file, "ray")
     yield Figure(
         what=f"{runs} runs by {JOBS} processes, with their start",
         unit="1/min",
         samples=(60.0 * runs / spent_s,),
         limit=Limit("max", ">=", LEAST_PER_MINUTE, is_timed=True),
     )
+    if on_ray is not None:
+        yield from _compare_ray(*on_ray, digests)
     yield Figure(what="CPU time of a run", unit="s", samples=cpu_s)
     # The first run of each process fills its caches.
     least = floor.value("median")
@@ -67,9 +73,20 @@ def _measure_steps(file: Path, count: int) -> Figure:
     return Figure(what="floor: control steps in this process", unit="s", samples=tuple(samples))
 
 
-def _sweep(file: Path) -> tuple[float, tuple[float, ...]]:
-    """Run a sweep; return its wall time, and the CPU time of each run [s]."""
-    command = ("sweep", str(file), "--jobs", str(JOBS), "--output", str(file.parent / "out"))
+def _compare_ray(
+    spent_s: float, cpu_s: tuple[float, ...], digests: Digests, expected: Digests
+) -> Iterator[Figure]:
+    what = f"{len(cpu_s)} runs by {JOBS} workers of Ray, with the start of its cluster"
+    yield Figure(what=what, unit="1/min", samples=(60.0 * len(cpu_s) / spent_s,))
+    unequal = [one for one in expected if digests.get(one) != expected[one]]
+    what = "runs on Ray without the state of those in processes"
+    yield Figure(what=what, unit="", samples=(float(len(unequal)),), limit=Limit("max", "<=", 0.0))
+
+
+def _sweep(file: Path, place: str) -> tuple[float, tuple[float, ...], Digests]:
+    """Run a sweep; return its wall time, the CPU times of runs [s], and states by run."""
+    output = file.parent / place
+    command = ("sweep", str(file), "--on", place, "--jobs", str(JOBS), "--output", str(output))
     began_s = time.monotonic()
     done = subprocess.run(
         (sys.executable, "-m", "zensim", *command, "--json", "--quiet"),
@@ -78,5 +95,6 @@ def _sweep(file: Path) -> tuple[float, tuple[float, ...]]:
         check=True,
     )
     spent_s = time.monotonic() - began_s
-    found = [json.loads(line)["row"]["cpu_s"] for line in done.stdout.splitlines()]
-    return spent_s, tuple(found)
+    found = [json.loads(line)["row"] for line in done.stdout.splitlines()]
+    cpu_s = tuple(row["cpu_s"] for row in found)
+    return spent_s, cpu_s, {row["id"]: row["digest"] for row in found}
