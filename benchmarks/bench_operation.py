@@ -2,9 +2,12 @@
 
 A server that plays with a fleet of kinematic robots and a pool, asked by http once after another as
 a probe and a Prometheus do, on connections of their own. The floor is an http server that does
-nothing, in a thread of the asking process, with an answer of the same length.
+nothing, in a thread of the asking process, with an answer of the same length. At last, servers with
+a journal get SIGTERM: /readyz is asked again and again until it is not 200, and the end is awaited.
 """
 
+import signal
+import tempfile
 import threading
 import time
 import urllib.request
@@ -14,7 +17,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 from benchmarks.figures import Figure, Limit, table
 from tests.integration.processes import eventually, running, serving
-from tests.integration.scraping import find_free_port, scrape
+from tests.integration.scraping import find_free_port, probe, scrape
 from zensim.proto.metric_families import DurationHistogram
 
 __all__ = ["rows", "table"]
@@ -22,6 +25,9 @@ __all__ = ["rows", "table"]
 ROBOTS, ROBOTS_WHEN_SHORT = 1000, 20
 REPEATS, REPEATS_WHEN_SHORT = 100, 5
 COUNTS = 10_000
+ENDINGS = {10: 2.0, 1000: 10.0}
+"""Most seconds until the end, by the number of robots."""
+MOST_READY_MS, IS_READY = 100.0, 200
 PAUSE_S = 0.02
 WITHIN_S = 120.0
 
@@ -51,6 +57,32 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     limit = Limit("max", "<=", 300.0)
     yield Figure(what=f"series with {robots} robots", unit="", samples=(series,), limit=limit)
     yield Figure(what="counting a duration", unit="us", samples=tuple(_count_us(repeats)))
+    for number in (ROBOTS_WHEN_SHORT,) if is_short else ENDINGS:
+        yield from _end_server(number, ENDINGS.get(number, max(ENDINGS.values())))
+
+
+def _end_server(robots: int, most_s: float) -> Iterator[Figure]:
+    """Let a server end that has a journal and robots."""
+    port = find_free_port()
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        serving("--metrics", port, "--dynamics", "kinematic", "--journal", folder) as server,
+    ):
+        server.zensim("fleet", "box_bot", "--robots", str(robots), "--layout", "grid")
+        server.process.send_signal(signal.SIGTERM)
+        began_s = time.perf_counter()
+        while probe(port, "/readyz") == IS_READY:
+            pass
+        ready_ms = (time.perf_counter() - began_s) * 1e3
+        status = server.process.wait(WITHIN_S)
+        spent_s = time.perf_counter() - began_s
+    what = f"{robots} robots with a journal, SIGTERM until"
+    limit = Limit("max", "<=", MOST_READY_MS, is_timed=True)
+    yield Figure(what=f"{what} /readyz is not 200", unit="ms", samples=(ready_ms,), limit=limit)
+    limit = Limit("max", "<=", most_s, is_timed=True)
+    yield Figure(what=f"{what} the end", unit="s", samples=(spent_s,), limit=limit)
+    limit = Limit("max", "<=", 0.0)
+    yield Figure(what=f"{what} the end, status", unit="", samples=(float(status),), limit=limit)
 
 
 def _timed(what: str, samples: tuple[float, ...], bound_ms: float) -> Figure:
