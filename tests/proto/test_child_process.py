@@ -12,7 +12,6 @@ import pytest
 
 from tests.integration.processes import eventually
 from zensim.proto.child_process import (
-    CAN_COPY,
     CHUNK_BYTES,
     FramedProcess,
     ProcessOutcome,
@@ -257,7 +256,6 @@ print(copy.call(sys.argv[1].encode()))
 """
 
 
-@pytest.mark.skipif(not CAN_COPY, reason="processes cannot be copied here")
 @pytest.mark.parametrize(
     ("last", "status", "output"), [("c", 0, b"a b c"), ("die", -9, b""), ("exit", 1, b"")]
 )

@@ -13,7 +13,7 @@ from tests.integration.processes import eventually
 from tests.models import a_body, a_box, a_box_bot, a_cart, a_state, an_arm, box_bot_at, on_ground
 from tests.sim_server.physics.mujoco import compiling_copy
 from tests.sim_server.physics.mujoco.test_convex_pieces import a_room
-from zensim.proto.child_process import CAN_COPY, make_module_command, run_process
+from zensim.proto.child_process import make_module_command, run_process
 from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.proto.stl import write_corners
 from zensim.sim_server.physics.engine import Engine, EngineRefused, FloatArray
@@ -94,7 +94,6 @@ def test_larger_models_are_compiled_ahead_up_to_the_cell_size() -> None:
     assert compiler.compiled == [64, 128, 256]
 
 
-@pytest.mark.skipif(not CAN_COPY, reason="processes cannot be copied here")
 def test_copy_of_a_process_compiles_what_the_thread_had_begun() -> None:
     done = run_process(make_module_command(compiling_copy.__name__), b"", timeout_s=ENDS_S)
 
