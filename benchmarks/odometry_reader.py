@@ -85,7 +85,7 @@ def read(bus: Bus, count: int, seconds: float) -> OdometryTally:
     names = [f"box_bot{number}" for number in range(count)]
     feed = CountingFeed(bus.subscribe(FLEET_ODOMETRY.key(WORLD, "*"), TABLE_DEPTH), names)
     table = OdometryTable(feed)
-    poll_until(lambda: not np.isnan(table.read(names).times).any(), WAIT_S)
+    poll_until(lambda: None if np.isnan(table.read(names).times).any() else True, WAIT_S)
     sys.stdout.write("all robots have odometry\n")
     sys.stdout.flush()
     feed.begin()
