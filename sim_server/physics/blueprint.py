@@ -103,7 +103,7 @@ class Blueprint:
         found = {part.link: i for i, part in parts if part.joint is not None or part.parent < 0}
         return tuple(found[link] for link in range(len(self.links)))
 
-    @property
+    @cached_property
     def has_driven_wheels(self) -> bool:
         """Whether a part reflects the inertia of a motor."""
         return any(part.reflected_inertia > 0.0 for part in self.parts)

@@ -41,6 +41,8 @@ FRICTION_CONDIM = 3
 TANGENTS = 2
 MIN_LIFT_MPS = 1e-5
 """Lift that is corrected; at 240 Hz, it shifts 0.8 % of the load between rigid supports."""
+LEAST_SLIP_SHARE = 0.7
+"""Of a slip along one tangent or both: less than 1 / sqrt(2), by which rounding changes nothing."""
 LIFT_TOLERANCE_MPS = 3e-4
 """Difference of lift that does not need another solve."""
 MIN_LIFT_CHANGE_MPS = 1e-9
@@ -256,8 +258,20 @@ def _has_two_frictions(part: RigidPart) -> bool:
 
 
 def is_deep(depths: FloatArray, dt_s: float) -> bool:
-    """Whether the recovery of a penetration among some depths (n,) is limited; n > 0."""
-    return bool(depths.min() * RIGID_ERP < -MAX_PENETRATION_RECOVERY_MPS * dt_s)
+    """Whether the recovery of a penetration among some depths (n,) is limited."""
+    return bool(depths.min(initial=0.0) * RIGID_ERP < -MAX_PENETRATION_RECOVERY_MPS * dt_s)
+
+
+def may_slide(velocities: FloatArray, friction: float) -> bool:
+    """Whether `find_sliding_rows` may find a contact.
+
+    It reads a line of memory for each contact; rows lie side by side.
+
+    Args:
+        velocities: Of the rows of contacts, predicted for the end of the step.
+        friction: Greatest of the model.
+    """
+    return bool(np.abs(velocities).max(initial=0.0) * friction > LEAST_SLIP_SHARE * MIN_LIFT_MPS)
 
 
 def limit_penetration_recovery(

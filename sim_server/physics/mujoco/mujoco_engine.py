@@ -56,6 +56,7 @@ from zensim.sim_server.physics.mujoco.mujoco_contact import (
     limit_penetration_recovery,
     make_contact_parameters,
     make_friction_axes,
+    may_slide,
     predict_lifts,
     read_contact_points,
 )
@@ -551,6 +552,13 @@ class CompiledModel:
     model: mujoco.MjModel
     layout: ModelLayout
     friction_axes: FrictionAxes | None
+
+    @cached_property
+    def most_friction(self) -> float:
+        """Greatest friction of a geometry."""
+        axes = self.friction_axes
+        across = 0.0 if axes is None else float(axes.friction.max())
+        return max(float(self.model.geom_friction[:, 0].max(initial=0.0)), across)
 
     @cached_property
     def idle(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -1140,12 +1148,16 @@ class MujocoEngine(Engine):
     def _solve_contacts(self) -> None:
         """Solve and integrate; again while contacts slide otherwise than assumed."""
         model, data, dt_s = self._model, self._data, self._dt_s
-        contacts, wanted = data.contact, data.efc_aref
-        limit_penetration_recovery(wanted, contacts, data.efc_KBIP, dt_s)
+        contacts, wanted, first = data.contact, data.efc_aref, data.ne + data.nf + data.nl
+        # Of rows: contacts lie apart in memory, and most steps need none of them.
+        if is_deep(data.efc_pos[first:], dt_s):
+            limit_penetration_recovery(wanted, contacts, data.efc_KBIP, dt_s)
         # Predicted: friction stops what a step of a curve adds to the velocity of a wheel.
         velocities = np.empty(len(wanted))
         mujoco.mj_mulJacVec(model, data, velocities, data.qvel + dt_s * data.qacc)
-        rows = find_sliding_rows(contacts, velocities)
+        rows = None
+        if may_slide(velocities[first:], self._compiled.most_friction):
+            rows = find_sliding_rows(contacts, velocities)
         if rows is None:
             self._solve()
             return

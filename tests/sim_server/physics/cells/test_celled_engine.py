@@ -12,17 +12,20 @@ from hypothesis import strategies as st
 from tests.engines import STEP_NS, ObedientEngine, advance, running
 from tests.models import a_box, a_box_bot, a_cart, a_state, box_bot_at, on_ground
 from zensim.proto.messages.model_messages import Link, Model, Shape
+from zensim.sim_server.physics.body_reach import BodyReach
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.cells.cell_executor import InProcessCellExecutor
 from zensim.sim_server.physics.cells.celled_engine import (
     CELL_GAP_M,
     SPEED_MARGIN_MPS,
+    CellBodyTable,
     CellCapacity,
     CelledEngine,
     CellLoads,
     CellSettings,
     assign_cells,
     find_interaction_groups,
+    make_body_order,
 )
 from zensim.sim_server.physics.engine import Engine, FloatArray, Place
 from zensim.sim_server.physics.engine_config import EngineConfig
@@ -161,6 +164,17 @@ def test_groups_keep_bodies_without_a_finite_place_apart() -> None:
 
     assert found.groups.tolist() == [0, 1, 2, 0]
     assert found.largest == 2
+
+
+def test_order_has_the_cells_with_most_bodies_first_for_threads() -> None:
+    table, reach = CellBodyTable(), BodyReach(0.1, 0.0, (), np.zeros(0))
+    for inner, cell in enumerate((2, 0, 1, 2, 1, 2, 3)):
+        table.add(a_box(), reach, cell=cell, inner=inner)
+
+    order = make_body_order(table)
+
+    assert order.cells == (0, 1, 2, 3)
+    assert order.largest_first == (2, 1, 0, 3)
 
 
 SINGLE_BODIES = CellSettings(single_cell_bodies=1, cell_bodies=1, period_steps=3)

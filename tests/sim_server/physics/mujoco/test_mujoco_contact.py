@@ -7,6 +7,8 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from zensim.proto.messages.model_messages import Contact
 from zensim.sim_server.physics.engine import FloatArray
@@ -16,8 +18,10 @@ from zensim.sim_server.physics.mujoco.mujoco_contact import (
     LiftIteration,
     MjPlacedContacts,
     find_sliding_rows,
+    is_deep,
     make_contact_parameters,
     make_geom_friction,
+    may_slide,
     predict_lifts,
     read_contact_points,
 )
@@ -93,6 +97,35 @@ def test_contacts_slide_when_friction_times_slip_is_noticeable() -> None:
     assert rows is not None
     assert rows.normals.tolist() == [4]
     assert find_sliding_rows(Contacts(), np.array([9.0, *slow, *slow])) is None
+
+
+@given(
+    st.lists(st.floats(-2e-5, 2e-5), min_size=7, max_size=7), st.sampled_from([0.5, 0.7, 1.0, 2.0])
+)
+def test_rows_that_cannot_slide_have_no_contact_that_does(
+    velocities: list[float], friction: float
+) -> None:
+    contacts = Contacts(friction=np.full((4, 5), friction))
+    rows = np.array(velocities)
+
+    found = find_sliding_rows(contacts, rows)
+
+    assert found is None or may_slide(rows, friction)
+
+
+def test_rows_at_rest_cannot_slide() -> None:
+    assert not may_slide(np.full(7, 6.9e-6), 1.0)
+    assert may_slide(np.full(7, 6.9e-6), 2.0)
+    assert not may_slide(np.zeros(0), 1.0)
+
+
+@pytest.mark.parametrize(("depth", "is_limited"), [(-0.009, False), (-0.011, True), (0.5, False)])
+def test_deep_penetrations_are_those_whose_recovery_is_limited(
+    depth: float,
+    is_limited: bool,  # noqa: FBT001
+) -> None:
+    assert is_deep(np.array([0.1, depth]), 0.01) == is_limited
+    assert not is_deep(np.zeros(0), 0.01)
 
 
 def test_lift_is_predicted_from_the_slip_after_the_step() -> None:
