@@ -17,6 +17,7 @@ import psutil
 
 from benchmarks.figures import Figure, Limit, table
 from benchmarks.ten_robots import CIRCLE, ROBOTS, ROBOTS_WHEN_SHORT
+from benchmarks.up_programs import find_programs
 from tests.integration.processes import connected, read_json_line, running
 from tests.integration.robots import Robot, robot
 from zensim.proto.bus import BusSubscription
@@ -29,7 +30,6 @@ SECONDS = 30
 SECONDS_WHEN_SHORT = 2
 COMMANDS_HZ = 10
 MEGABYTES = 1e-6
-VERBS = {"serve": "server", "agent": "agents", "view": "page", "up": "up"}
 FACTOR = Limit("mean", ">=", 0.99)
 CPU = Limit("mean", "<=", 1.0)
 RSS = Limit("max", "<=", 70.0)
@@ -59,7 +59,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     arguments = ("--robots", str(robots), "--listen", "tcp/127.0.0.1:0", "--viewer-port", "0")
     with running("up", "--json", "--no-open", *arguments) as up:
         endpoint = str(read_json_line(up)["endpoint"])
-        groups = _groups(psutil.Process(up.pid))
+        groups = _groups(up)
         with connected(endpoint) as bus:
             client = SimClient(bus)
             standing = _watched(groups, client, seconds, lambda: None)
@@ -72,15 +72,10 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         yield Figure(what="floor: RSS of a bare session", unit="MB", samples=(_bare_mb(endpoint),))
 
 
-def _groups(up: psutil.Process) -> Groups:
-    """Group the processes and their descendants by command."""
-    groups: dict[str, list[psutil.Process]] = {group: [] for group in VERBS.values()}
-    groups["up"].append(up)
-    for child in up.children():
-        words = child.cmdline()
-        group = next(group for verb, group in VERBS.items() if verb in words)
-        groups[group] += [child, *child.children(recursive=True)]
-    return groups
+def _groups(up: "subprocess.Popen[str]") -> Groups:
+    """Group the processes by program."""
+    found = {group: list(map(psutil.Process, pids)) for group, pids in find_programs(up).items()}
+    return {group: processes for group, processes in found.items() if processes}
 
 
 def _watched(
@@ -118,7 +113,7 @@ def _command(robots: list[Robot], tf: BusSubscription) -> None:
 
 
 def _second_figures(when: str, seen: Seconds) -> Iterator[Figure]:
-    ours = [cores for group, cores in seen.cores.items() if group in VERBS.values()]
+    ours = [cores for group, cores in seen.cores.items() if group != "this process"]
     yield Figure(
         what=f"{when}: real-time factor", unit="", samples=tuple(seen.factor), limit=FACTOR
     )

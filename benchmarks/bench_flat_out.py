@@ -1,13 +1,15 @@
 """As fast as possible
 
 Simulated seconds per second at `zensim serve --rtf 0`, while every robot drives a circle with its
-own agent; a sample is a second. Floor: the same robots in the same engine, in a loop that only
-steps, and in a loop that steps, reads and commands all robots each control period.
+own agent, or all with one pool; a sample is a second. Floor: the same robots in the same engine, in
+a loop that only steps, and in a loop that steps, reads and commands all robots each control period.
+What the network costs at equal step rates is wall time of a step: served, less the floor that is
+driven. The section on fleets as fast as possible has the parts of it.
 """
 
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 from benchmarks.bodies import CONFIG, Bodies
 from benchmarks.figures import Figure, Limit, table
@@ -19,6 +21,8 @@ WINDOWS = 8
 FACTOR = Limit("median", ">=", 15.0)
 """Limit for ten robots with ten agents."""
 TEN = f"{ROBOTS} robots"
+SERVED = {"served": False, "served, one pool": True}
+"""Whether the agents are pooled."""
 WINDOW_S = 1.0
 WINDOW_WHEN_SHORT_S = 0.2
 STEPS_AT_ONCE = 24
@@ -30,33 +34,38 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     window_s = WINDOW_WHEN_SHORT_S if is_short else WINDOW_S
     windows = 2 if is_short else WINDOWS
     for robots in (1,) if is_short else (1, ROBOTS):
-        with fleet(robots, "--rtf", "0") as found:
-            found.circle()
-            run_fleet_server = [_served(found, window_s) for _ in range(windows)]
+        served = {
+            what: _serve(robots, windows, window_s, is_pooled=is_pooled)
+            for what, is_pooled in SERVED.items()
+            if robots > 1 or not is_pooled
+        }
         bodies = Bodies(robots)
         running_agents = [_stepped(bodies.step_and_drive, window_s) for _ in range(windows)]
         bare = [_stepped(bodies.step, window_s) for _ in range(windows)]
         bodies.engine.close()
-        yield from _figures(
-            "1 robot" if robots == 1 else TEN, run_fleet_server, running_agents, bare
-        )
+        yield from _figures("1 robot" if robots == 1 else TEN, served, running_agents, bare)
 
 
 def _figures(
-    label: str, run_fleet_server: list[float], running_agents: list[float], bare: list[float]
+    label: str, served: Mapping[str, list[float]], driven: list[float], bare: list[float]
 ) -> Iterator[Figure]:
-    factors = {
-        "served": run_fleet_server,
-        "floor, driven": running_agents,
-        "floor, only stepped": bare,
-    }
-    for what, samples in factors.items():
-        limit = FACTOR if what == "served" and label == TEN else None
+    for what, samples in {**served, "floor, driven": driven, "floor, only stepped": bare}.items():
+        limit = FACTOR if what in served and label == TEN else None
         yield Figure(
             what=f"{label}: {what}", unit="x real time", samples=tuple(samples), limit=limit
         )
-    share = statistics.median(run_fleet_server) / statistics.median(running_agents)
-    yield Figure(what=f"{label}: served / floor, driven", unit="", samples=(share,))
+    least = statistics.median(driven)
+    for what, samples in served.items():
+        share = statistics.median(samples) / least
+        yield Figure(what=f"{label}: {what} / floor, driven", unit="", samples=(share,))
+        more_ms = tuple((1.0 / factor - 1.0 / least) * CONFIG.step_ns * 1e-6 for factor in samples)
+        yield Figure(what=f"{label}: {what}: network, a step", unit="ms", samples=more_ms)
+
+
+def _serve(robots: int, windows: int, window_s: float, *, is_pooled: bool) -> list[float]:
+    with fleet(robots, "--rtf", "0", is_pooled=is_pooled) as found:
+        found.circle()
+        return [_served(found, window_s) for _ in range(windows)]
 
 
 def _served(found: Fleet, window_s: float) -> float:

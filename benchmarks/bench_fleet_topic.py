@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from benchmarks.bench_sensors import find_programs
 from benchmarks.figures import Figure, Limit, table
 from benchmarks.fleet_server import line_with, program
 from benchmarks.machine import used_s
 from benchmarks.odometry_reader import OdometryTally
 from benchmarks.ten_robots import CIRCLE, MILLISECONDS, poll_until
+from benchmarks.up_programs import find_programs
 from tests.integration.processes import running_up
 from zensim.proto.bus import Bus
 from zensim.proto.codec.message_codec import Format, encode

@@ -13,16 +13,15 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import msgspec
-import psutil
 
 from benchmarks.figures import Figure, Limit, table
 from benchmarks.fleet_server import program
 from benchmarks.machine import used_s
 from benchmarks.scan_listener import SCAN_TALLY, ScanTally
 from benchmarks.ten_robots import MILLISECONDS, poll_until
+from benchmarks.up_programs import find_programs
 from tests.integration.processes import (
     START_S,
     connected,
@@ -43,9 +42,6 @@ from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn.spawn_client import read_payload, spawn_many
 from zensim.spawner.spawn.spawn_poses import make_fleet_layout
-
-if TYPE_CHECKING:
-    from subprocess import Popen
 
 __all__ = ["rows", "table"]
 
@@ -290,7 +286,7 @@ def _try_up(robots: int, options: tuple[str, ...], seconds: float) -> UpTrial:
         assert isinstance(ready_s, float)
         with connected(endpoint, process) as bus, _listener(bus) as found:
             _wait_until_heard(found, robots)
-            pids = find_programs(process)
+            pids = {group: found for group, found in find_programs(process).items() if found}
             _spend(bus, SimClient(bus), pids, seconds, spent)
             tallies = list(found.tallies())
             resumed_s = _kill_sensors(bus, pids["sensors"])
@@ -379,18 +375,6 @@ def _sample(
 ) -> tuple[float, float, dict[str, float]]:
     used = {group: sum(map(used_s, found)) for group, found in pids.items()}
     return time.monotonic(), client.info().sim_time_s, used
-
-
-def find_programs(process: "Popen[str]") -> dict[str, tuple[int, ...]]:
-    """Group the processes of `zensim up` by program."""
-    groups: dict[str, list[int]] = {"server": [], "agents": [], "sensors": [], "zensim up": []}
-    groups["zensim up"].append(process.pid)
-    for child in psutil.Process(process.pid).children(recursive=True):
-        words = " ".join(child.cmdline())
-        is_sensors, is_agent = ".prepared_start sensors" in words, ".prepared_start agent" in words
-        group = "sensors" if is_sensors else "agents" if is_agent else "server"
-        groups[group].append(child.pid)
-    return {group: tuple(found) for group, found in groups.items()}
 
 
 def _wait_for_processes(bus: Bus, count: int) -> None:

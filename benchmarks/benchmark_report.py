@@ -36,6 +36,7 @@ NAMES = (
     "fleet_topic",
     "up_fleet",
     "fleet_10000",
+    "everything",
     "fleet_physics",
     "fleet_threads",
     "pools",

@@ -1,8 +1,8 @@
 """Visitors of the 3D page without a browser, in a process of their own.
 
-`python -m benchmarks.page_visitor URL COUNT ENTITY [LABEL ...]` opens the page COUNT times; the
-first visitor selects the entity, unless its name is empty, and switches the check boxes with these
-labels on. Each second it prints a line: what one got.
+`python -m benchmarks.page_visitor URL COUNT ENTITY [LABEL ...]` opens the page COUNT times, with
+the token that the address may have; the first visitor selects the entity, unless its name is empty,
+and switches the check boxes with these labels on. Each second it prints a line: what one got.
 """
 
 import os
@@ -11,6 +11,7 @@ import threading
 import time
 from contextlib import ExitStack, closing
 from typing import NoReturn
+from urllib.parse import parse_qs, urlsplit
 
 import msgspec
 from websockets.sync.client import ClientConnection
@@ -23,6 +24,7 @@ from tests.integration.page_client import (
     read_messages,
 )
 from zensim.proto.process_limits import die_with_supervisor
+from zensim.proto.web_access import TOKEN_NAME, name_cookie
 
 SETTLE_S = 2.0
 """For the scene, which is sent first."""
@@ -75,10 +77,21 @@ class Visitor:
             self._entity = ""
 
 
+def split_token(url: str) -> tuple[str, str]:
+    """Split the address of a page into that of its server and the cookie that it admits."""
+    parts = urlsplit(url)
+    page = f"{parts.scheme}://{parts.netloc}"
+    token = parse_qs(parts.query).get(TOKEN_NAME, [""])[0]
+    return page, f"{name_cookie(parts.port or 0)}={token}" if token else ""
+
+
 def visit(url: str, count: int, entity: str, labels: frozenset[str]) -> NoReturn:
     """Open the page, and print what the visitors get until terminated."""
     with ExitStack() as stack:
-        connections = [stack.enter_context(closing(connect_page(url))) for _ in range(count)]
+        page, cookie = split_token(url)
+        connections = [
+            stack.enter_context(closing(connect_page(page, cookie=cookie))) for _ in range(count)
+        ]
         first, *others = connections
         visitors = [Visitor(first, entity, labels), *map(Visitor, others)]
         time.sleep(SETTLE_S)

@@ -2,9 +2,10 @@
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from benchmarks.ten_robots import SPACING_M, Fleet
 from tests.integration.processes import (
@@ -27,6 +28,9 @@ from zensim.sim_server.security.secure_folder import (
 )
 from zensim.spawner.client.sim_client import SimClient
 
+if TYPE_CHECKING:
+    from subprocess import Popen
+
 WORLD = "default"
 
 
@@ -47,8 +51,14 @@ def state_folder() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Deployment:
-    """A `zensim up` of robots that stand, driven by pools, and a session of an operator."""
+    """A `zensim up`, and a session of an operator.
 
+    Attributes:
+        ready: What it printed when it was ready.
+    """
+
+    process: "Popen[str]"
+    ready: Mapping[str, object]
     bus: Bus
     client: SimClient
     folder: SecureFolder | None
@@ -66,15 +76,21 @@ def deployed(robots: int, *, is_secure: bool) -> Iterator[Deployment]:
     """Run robots until the block ends."""
     endpoint = with_free_port(f"{'tls' if is_secure else 'tcp'}/127.0.0.1:0")
     words = make_up_words(robots, endpoint, is_secure=is_secure)
-    with ExitStack() as stack:
-        process = stack.enter_context(running(*words))
-        read_json_line(process)
-        folder = open_secure_folder(WORLD) if is_secure else None
+    with deployed_by(words, endpoint) as found:
+        yield found
+
+
+@contextmanager
+def deployed_by(words: Sequence[str], endpoint: str) -> Iterator[Deployment]:
+    """Run `zensim up` with these arguments until the block ends."""
+    with running(*words) as process:
+        ready = read_json_line(process)
+        folder = open_secure_folder(WORLD) if "--secure" in words else None
         address = endpoint
         if folder is not None:
             address = folder.make_token(folder.accounts()["operator"]).write()
-        bus = stack.enter_context(open_bus(BusConfig(connect=(address,))))
-        yield Deployment(bus, SimClient(bus, timeout_s=START_S), folder)
+        with open_bus(BusConfig(connect=(address,))) as bus:
+            yield Deployment(process, ready, bus, SimClient(bus, timeout_s=START_S), folder)
 
 
 def make_up_words(robots: int, endpoint: str, *, is_secure: bool) -> tuple[str, ...]:

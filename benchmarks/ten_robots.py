@@ -38,8 +38,8 @@ class Fleet:
 
 
 @contextmanager
-def fleet(count: int, *serve_arguments: str) -> Iterator[Fleet]:
-    """Run a server, robots far apart, and agents without a command timeout."""
+def fleet(count: int, *serve_arguments: str, is_pooled: bool = False) -> Iterator[Fleet]:
+    """Run a server, robots far apart, and agents without a command timeout, or one pool."""
     layout = ("--robots", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
     with serving(*serve_arguments) as server, ExitStack() as stack:
         done = server.zensim("fleet", "box_bot", *layout)
@@ -47,8 +47,8 @@ def fleet(count: int, *serve_arguments: str) -> Iterator[Fleet]:
             raise RuntimeError(f"no fleet was spawned: {done.stderr}")
         names = [f"box_bot{i}" for i in range(count)]
         connected = ("--connect", server.endpoint, "--quiet", "--cmd-vel-timeout", "0")
-        for name in names:
-            stack.enter_context(running("agent", name, *connected))
+        for given in [("--pool", "0")] if is_pooled else [(name,) for name in names]:
+            stack.enter_context(running("agent", *given, *connected))
         wait_for_agents(server, names)
         yield Fleet(server, [robot(server.bus, name) for name in names])
 

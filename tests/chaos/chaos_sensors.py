@@ -11,8 +11,9 @@ import time
 from collections.abc import Iterator
 from itertools import pairwise
 
-from benchmarks.bench_sensors import MODEL, find_programs
+from benchmarks.bench_sensors import MODEL
 from benchmarks.figures import Figure, Limit
+from benchmarks.up_programs import find_programs
 from tests.integration.processes import START_S, eventually, kill, running_up
 from tests.integration.sensor_runs import DEPTH, record_lockstep_scans
 from zensim.proto import keys

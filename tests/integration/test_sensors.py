@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.bench_sensors import find_programs
+from benchmarks.up_programs import find_programs
 from tests.integration.processes import (
     START_S,
     Server,
