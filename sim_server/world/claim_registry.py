@@ -56,6 +56,30 @@ class ClaimedEntities:
         )
 
 
+@dataclass(frozen=True)
+class EffortPlan:
+    """The bodies whose joint efforts are read for some agents.
+
+    Attributes:
+        claimed: What each agent drives; another mapping needs another plan.
+        agents: Those that want efforts.
+        bodies: Of all of them, agent by agent.
+        ends: Ends in the joints of these bodies, by agent.
+    """
+
+    claimed: Mapping[str, ClaimedEntities]
+    agents: tuple[str, ...]
+    bodies: tuple[int, ...]
+    ends: IntArray
+
+
+def make_effort_plan(claimed: Mapping[str, ClaimedEntities], agents: tuple[str, ...]) -> EffortPlan:
+    """Collect the bodies of some agents."""
+    bodies = tuple(body for agent in agents for body in claimed[agent].bodies)
+    joints = [len(claimed[agent].joints) for agent in agents]
+    return EffortPlan(claimed, agents, bodies, np.cumsum(joints, dtype=np.intp))
+
+
 @dataclass(frozen=True, slots=True)
 class DrivenClaims:
     """The claims of an agent that its last command was for.

@@ -33,7 +33,12 @@ from zensim.sim_server.scene.convex_shapes import MeshVertices
 from zensim.sim_server.scene.scene import CollisionScene, FindTriangles, SceneLayout
 from zensim.sim_server.world.applied_forces import AppliedForces
 from zensim.sim_server.world.body_models import BodyModels
-from zensim.sim_server.world.claim_registry import ClaimedEntities, ClaimRegistry
+from zensim.sim_server.world.claim_registry import (
+    ClaimedEntities,
+    ClaimRegistry,
+    EffortPlan,
+    make_effort_plan,
+)
 from zensim.sim_server.world.commanded_twists import CommandedTwists
 from zensim.sim_server.world.entity import Entity, EntityIndex, default_info
 from zensim.sim_server.world.entity_store import EntityStore
@@ -258,6 +263,7 @@ class SimulatedWorld:
         self._recorded_changes: dict[str, int] = {}
         self._joint_targets: dict[str, FloatArray] = {}
         """Newest targets of entities with controlled joints."""
+        self._effort_plan: EffortPlan | None = None
         self._scene_layouts: tuple[EntityIndex, dict[bool, SceneLayout]] | None = None
         self._states: BodyStates | None = None
         self._states_step = 0
@@ -718,12 +724,11 @@ class SimulatedWorld:
         clock = self.clock
         now = (clock.epoch, clock.steps, clock.time_ns)
         if self.claimed_by_agent().keys() - except_agents:
-            states = self.states()
+            states, efforts_of = self.states(), self._read_wanted_efforts(except_agents)
             for agent, claimed in self.claimed_by_agent().items():
                 if agent not in except_agents:
                     twists = self.commanded_twists.select(self.entities.index, claimed.rows)
-                    efforts = self._read_wanted_efforts(agent, claimed)
-                    state = claimed.to_drive_state(now, states, efforts)
+                    state = claimed.to_drive_state(now, states, efforts_of.get(agent))
                     if faults := self.injected_faults.topic_faults:
                         state = msgspec.structs.replace(state, topic_faults=faults)
                     if twists:
@@ -733,10 +738,17 @@ class SimulatedWorld:
         for agent in self.claims.take_agents_without_claims():
             yield agent, DriveState(*now, b"", b"", b"", b"")
 
-    def _read_wanted_efforts(self, agent: str, claimed: ClaimedEntities) -> FloatArray | None:
-        if not self.claims.wants_efforts(agent):
-            return None
-        return self.engine.read_joint_efforts(claimed.bodies)
+    def _read_wanted_efforts(self, except_agents: AbstractSet[str]) -> Mapping[str, FloatArray]:
+        """Read the efforts of the joints of all agents that want them, in one call."""
+        claimed = self.claimed_by_agent()
+        wanting = tuple(agent for agent in claimed if self.claims.wants_efforts(agent))
+        if except_agents.issuperset(wanting):
+            return {}
+        plan = self._effort_plan
+        if plan is None or plan.claimed is not claimed or plan.agents != wanting:
+            plan = self._effort_plan = make_effort_plan(claimed, wanting)
+        efforts = np.split(self.engine.read_joint_efforts(plan.bodies), plan.ends)
+        return dict(zip(wanting, efforts, strict=False))
 
     def snapshot(self, real_time_factor: float) -> Snapshot:
         """Make a message with the states of all entities."""

@@ -1042,7 +1042,19 @@ class CelledEngine(Engine):
 
     def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
         """See `Engine.read_joint_efforts`; each cell reads its own."""
-        return self._cell_map.read_joint_efforts(bodies)
+        if self._cell_map.is_single_cell:
+            inner = self._index_map(bodies).in_single_cell
+            return self._cell_map.engines[0].read_joint_efforts(inner)
+        order, index_map = self._current_order(), self._index_map(bodies)
+        # Of few bodies, each cell reads only these; else indexing in Python takes more.
+        is_most = len(order.numbers) <= 2 * len(index_map.rows)
+        if not is_most or len(index_map.rows) < len(bodies):
+            return self._cell_map.read_joint_efforts(bodies)
+        engines, efforts = self._cell_map.engines, np.zeros(index_map.joint_count)
+        cells = zip(order.cells, order.bodies, strict=True)
+        found = np.concatenate([engines[cell].read_joint_efforts(own) for cell, own in cells])
+        efforts[index_map.joints_into] = found[index_map.joints]
+        return efforts
 
     def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
         """See `Engine.read_contacts`; each cell reads its own."""

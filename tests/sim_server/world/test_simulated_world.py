@@ -43,7 +43,7 @@ from zensim.sim_server.errors import (
     RequestRefused,
 )
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
-from zensim.sim_server.physics.engine import BodyStates, EngineRefused, can_move
+from zensim.sim_server.physics.engine import BodyStates, EngineRefused, FloatArray, can_move
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
 from zensim.sim_server.world.applied_forces import LinkWrench, TimeSpan
@@ -944,6 +944,38 @@ def test_agent_gets_the_efforts_of_its_joints_while_it_wants_them() -> None:
         found.append((len(states["r0"].joint_efforts), len(states["r1"].joint_efforts)))
 
     assert found == [(0, 0), (0, 2 * 8), (0, 0)]
+
+
+class NumberedEfforts(ObedientEngine):
+    """Joints exert the number of their body, and each reading is noted."""
+
+    def __init__(self) -> None:
+        super().__init__(EngineConfig(STEP_NS))
+        self.asked: list[tuple[int, ...]] = []
+
+    def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
+        self.asked.append(tuple(bodies))
+        return np.repeat(np.array(bodies, float), 2)
+
+
+def test_efforts_of_all_agents_that_want_them_are_read_in_one_call() -> None:
+    engine = NumberedEfforts()
+    world = a_world("r0", "r1", "r2", engine=engine)
+    for name, agent in (("r0", "a"), ("r1", "b"), ("r2", "c")):
+        world.claim(agent, (name,), "stop")
+    for agent in ("a", "c"):
+        command = a_command(world, agent, 1.0, 1.0)
+        world.command(agent, msgspec.structs.replace(command, wants_efforts=True))
+
+    states = dict(world.drive_states())
+
+    bodies = [world.entities.find(name).body for name in ("r0", "r2")]
+    assert engine.asked == [tuple(bodies)]
+    for agent, body in zip(("a", "c"), bodies, strict=True):
+        assert np.frombuffer(states[agent].joint_efforts).tolist() == [body, body]
+    assert states["b"].joint_efforts == b""
+    assert not dict(world.drive_states({"a", "c"}))["b"].joint_efforts
+    assert len(engine.asked) == 1
 
 
 def test_agent_that_ended_wants_no_efforts() -> None:

@@ -72,6 +72,8 @@ def drive_mixed_robots(engine: Engine) -> bytes:
     efforts = engine.read_joint_efforts(crowd)
     assert np.isfinite(efforts).all()
     assert efforts.any()
+    few = [engine.read_joint_efforts(crowd[at : at + 1]) for at in range(len(crowd))]
+    assert np.concatenate(few).tobytes() == efforts.tobytes()
     arrays = (reading.base, reading.joint_positions, reading.joint_velocities, efforts)
     return b"".join(array.tobytes() for array in arrays) + repr(touching).encode()
 
