@@ -126,6 +126,14 @@ class ContactPoints:
         """Select some points."""
         return ContactPoints(self.bodies[rows], self.points[rows])
 
+    def renumber(self, numbers: Mapping[int, int]) -> "ContactPoints":
+        """Give bodies other numbers; one that has none counts as the ground."""
+        known, places = np.unique(self.bodies[:, ::2], return_inverse=True)
+        new = np.array([numbers.get(body, GROUND) for body in known.tolist()], np.intp)
+        bodies = self.bodies.copy()
+        bodies[:, ::2] = new[places].reshape(-1, 2)
+        return ContactPoints(bodies, self.points)
+
 
 def concatenate_contacts(parts: Sequence[ContactPoints]) -> ContactPoints:
     """Concatenate contact points."""

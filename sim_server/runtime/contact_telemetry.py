@@ -22,6 +22,8 @@ GROUND_COLLISION = SCOPE_SEPARATOR.join(("ground_plane", "link", "collision"))
 """Name of the ground in messages: that of Gazebo's model."""
 
 
+MAX_LINKS = 1 << 20
+"""More than a model has."""
 CollisionIndex = tuple[int, int, int]
 """Row of an entity, index of its link, and of the collision in that link."""
 
@@ -42,8 +44,8 @@ class WatchedEntities:
     """Index of the model of each row."""
     sensors: Mapping[tuple[str, str], frozenset[CollisionIndex]]
     """By entity and sensor."""
-    links: frozenset[tuple[int, int]]
-    """Rows and links with watched collisions."""
+    links: IntArray
+    """With watched collisions; see `_number_links`."""
     collisions: frozenset[CollisionIndex]
 
 
@@ -76,9 +78,17 @@ def find_watched_entities(entities: Sequence[Entity], index: EntityIndex) -> Wat
         tuple(models.values()),
         np.array([numbers[id(entity.model)] for entity in entities], dtype=np.intp),
         sensors,
-        frozenset((row, link) for row, link, _ in collisions),
+        _number_links(
+            np.array([(entities[row].body, link) for row, link, _ in collisions], dtype=np.intp)
+        ),
         collisions,
     )
+
+
+def _number_links(links: IntArray) -> IntArray:
+    """Number links (n, 2), bodies and indices of their links, by one number each."""
+    pairs = links.reshape(-1, 2)
+    return pairs[:, 0] * MAX_LINKS + pairs[:, 1]
 
 
 class TouchingSensors(NamedTuple):
@@ -140,10 +150,11 @@ class ContactTelemetry:
     def _select_watched(self, found: ContactPoints) -> tuple[ContactPoints, list[CollisionIndex]]:
         """Select the points on watched collisions."""
         watched = self._find_watched()
+        # Most points are those of wheels on the ground.
+        is_watched = np.isin(_number_links(found.bodies[:, :2]), watched.links)
+        found = found.select(np.flatnonzero(is_watched))
         sides = [(watched.rows[body], link) for body, link in found.bodies[:, :2].tolist()]
-        rows = [at for at, side in enumerate(sides) if side in watched.links]
-        found = found.select(np.array(rows, dtype=np.intp))
-        own = self._find_collisions([sides[at] for at in rows], found.points[:, :3])
+        own = self._find_collisions(sides, found.points[:, :3])
         rows = [at for at, one in enumerate(own) if one in watched.collisions]
         return found.select(np.array(rows, dtype=np.intp)), [own[at] for at in rows]
 

@@ -13,7 +13,6 @@ from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.body_reach import BodyReach, ReachCache
 from zensim.sim_server.physics.cells.cell_executor import CellExecutor, CellReadRequest, CellTargets
 from zensim.sim_server.physics.engine import (
-    GROUND,
     BodyStates,
     ContactPoints,
     Engine,
@@ -569,6 +568,8 @@ class CellMap:
         self._accepted: Model | None = None
         self._stuck: set[int] = set()
         """Bodies that another cell refused."""
+        self._inner_maps: dict[int, tuple[int, dict[int, int]]] = {}
+        """By cell: version of `members`, and our numbers of the bodies in its engine."""
         self._planned: dict[int, PlannedCells] = {}
         """By the identity of the model of the expected bodies."""
         self.engines: dict[int, Engine] = {0: cells.make()}
@@ -711,18 +712,7 @@ class CellMap:
         found = self.engines[cell].read_contacts(inner)
         if not len(found):
             return found
-        touching = found.bodies[:, [0, 2]]
-        number_of = {GROUND: GROUND} | {
-            self._find_inner_number(body, cell): body
-            for body in self._to_body_numbers(cell, set(touching.ravel().tolist()))
-        }
-        bodies = found.bodies.copy()
-        bodies[:, [0, 2]] = [[number_of[one] for one in pair] for pair in touching.tolist()]
-        return ContactPoints(bodies, found.points)
-
-    def _find_inner_number(self, body: int, cell: int) -> int:
-        copies = self.members.by_number[body].copies
-        return copies[cell] if copies else int(self.members.inner[body])
+        return found.renumber(self._map_to_bodies(cell))
 
     def locate(self, body: int) -> Sequence[tuple[Engine, int]]:
         """List the engines that contain a body, and its number in each."""
@@ -758,6 +748,7 @@ class CellMap:
         self.engines[cell] = engine
         for member, copy in zip(statics, copies, strict=True):
             member.copies[cell] = copy
+        self._inner_maps.pop(cell, None)
         return engine
 
     def find_overlaps(self, body: int) -> list[int]:
@@ -832,6 +823,7 @@ class CellMap:
             self._cells.end(self.engines.pop(cell))
             for member in members.by_number.values():
                 member.copies.pop(cell, None)
+            self._inner_maps.pop(cell, None)
         for engine in self.engines.values():
             engine.forget_removed()
         members.reset_numbering()
@@ -893,15 +885,21 @@ class CellMap:
 
     def _to_body_numbers(self, cell: int, inner: set[int]) -> Iterator[int]:
         """Convert body numbers of a cell's engine."""
-        if not inner:
-            return
+        known = self._map_to_bodies(cell)
+        yield from (known[one] for one in inner if one in known)
+
+    def _map_to_bodies(self, cell: int) -> Mapping[int, int]:
+        """Map the numbers of bodies in a cell's engine to ours."""
         members = self.members
-        for number in np.flatnonzero(members.cell == cell).tolist():
-            if int(members.inner[number]) in inner:
-                yield number
-        for number, member in members.by_number.items():
-            if member.copies.get(cell) in inner:
-                yield number
+        known = self._inner_maps.get(cell)
+        if known is None or known[0] != members.version:
+            own = np.flatnonzero(members.cell == cell)
+            found = dict(zip(members.inner[own].tolist(), own.tolist(), strict=True))
+            for number, member in members.by_number.items():
+                if cell in member.copies:
+                    found[member.copies[cell]] = number
+            known = self._inner_maps[cell] = (members.version, found)
+        return known[1]
 
 
 LOOKAHEAD_PERIODS = (4, 2, 1)

@@ -11,7 +11,6 @@ import numpy as np
 
 from zensim.proto.se3 import to_yaw
 from zensim.sim_server.physics.engine import (
-    GROUND,
     NO_CONTACTS,
     BodyStates,
     ContactPoints,
@@ -884,18 +883,16 @@ class TieredEngine(EngineLayer):
 
     def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
         """See `Engine.read_contacts`; kinematic robots that are stopped feel no force."""
-        full, rows = self._bodies.rows.full, self._bodies.numbers
-        numbers = [number for body in bodies if (number := int(full[body])) >= 0]
+        numbers = self._bodies.rows.full[list(bodies)]
+        numbers = numbers[numbers >= 0].tolist()
         found = self._inner.read_contacts(numbers) if numbers else NO_CONTACTS
-        pairs = [
-            (rows[body], link, rows.get(other, GROUND), other_link)
-            for body, link, other, other_link in found.bodies.tolist()
-        ]
-        stopped = make_contact_points(pairs, found.points.tolist())
-        return concatenate_contacts([stopped, self._list_stops(bodies)])
+        found = found.renumber(self._bodies.numbers)
+        return concatenate_contacts([found, self._list_stops(bodies)])
 
     def _list_stops(self, bodies: Sequence[int]) -> ContactPoints:
         """List where kinematic robots were stopped in the last step."""
+        if not self._stopped:
+            return NO_CONTACTS
         pairs, points = [], []
         for body in bodies:
             way = self._stopped.get(body)
