@@ -55,11 +55,10 @@ MAX_SINGLE_CELL_BODIES = 250
 MAX_SINGLE_CELL_BODIES_PARALLEL = 150
 """The same if cells are stepped in parallel."""
 MAX_CELL_BODIES: dict[EngineName, int] = {"pybullet": 128, "mujoco": 128}
-"""Bodies of a cell: smaller cells of PyBullet are no faster and take 30 MB each; smaller cells of
-MuJoCo are slower."""
-MAX_CELL_BODIES_LARGE_WORLD: dict[EngineName, int] = {"pybullet": 250, "mujoco": 256}
-"""The same in worlds of about 1000 bodies: PyBullet takes 5-10 % more time but half the memory,
-MuJoCo a fifth less time."""
+"""Bodies of a cell: smaller cells of PyBullet are no faster and take 20 MB each; larger ones take
+more CPU a body (ADR 109). Smaller cells of MuJoCo are slower."""
+MAX_CELL_BODIES_LARGE_WORLD: dict[EngineName, int] = {"pybullet": 128, "mujoco": 256}
+"""The same in worlds of about 1000 bodies: MuJoCo takes a fifth less time with more."""
 MAX_PARALLEL_CELLS = 8
 """Default limit of threads or processes."""
 
