@@ -6,9 +6,10 @@ sample is a second of wall time after the first ones. Cores are seconds of CPU t
 all processes of a program; memory is what only they use. `client` is the visitor, on the same
 cores; `zensim up` also commands the robots. Scans of a robot are counted in the recording, in
 simulation time. The rows `defaults` have no further options: PyBullet at 240 Hz, full dynamics,
-drive states at 80 Hz, an agent a robot or a pool, and the rates of topics that the model names:
-100 Hz of odometry and tf, 50 Hz of the inertial unit and the bumper. A hundred robots are usually
-asked for less: the rows `fleet` are MuJoCo at 100 Hz, full dynamics, drive states at 50 Hz.
+drive states at 80 Hz, an agent a robot (a pool for a hundred), and the rates of topics that the
+model names: odometry and tf with each drive state, 50 Hz of the inertial unit and the bumper. A
+user of many robots asks for less: the rows `fleet` are MuJoCo at 100 Hz, full dynamics, drive
+states at 50 Hz.
 """
 
 import signal
@@ -37,7 +38,7 @@ from zensim.recording.recording_reader import RecordingReader
 SECONDS, SECONDS_WHEN_SHORT = 20, 2
 WARM_UP, WARM_UP_WHEN_SHORT = 5, 1
 """Seconds before the first sample, in which the scene is sent."""
-MODEL, SCANS_HZ = "box_bot_lidar", 10.0
+MODEL = "box_bot_lidar"
 SPACING_M = 1.2
 MEGABYTES = 1e-6
 MANY = 100
@@ -61,6 +62,7 @@ class Case:
 
 CASES = (
     Case("10 robots, defaults", 10, cores=CORES),
+    Case("10 robots, pooled", 10, ("--agents", "pooled")),
     Case("100 robots, fleet", MANY, FLEET),
     Case("100 robots, defaults", MANY),
 )

@@ -72,6 +72,7 @@ class MjData:
     efc_force: _Floats
     ne: int
     nf: int
+    nl: int
     nefc: int
     ncon: int
     qpos: _Floats
@@ -96,6 +97,7 @@ class MjData:
     efc_aref: _Floats
     efc_vel: _Floats
     efc_KBIP: _Floats
+    efc_pos: _Floats
     geom_xpos: _Floats
     xmat: _Floats
     cvel: _Floats

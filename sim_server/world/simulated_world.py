@@ -742,7 +742,7 @@ class SimulatedWorld:
         """Read the efforts of the joints of all agents that want them, in one call."""
         claimed = self.claimed_by_agent()
         wanting = tuple(agent for agent in claimed if self.claims.wants_efforts(agent))
-        if except_agents.issuperset(wanting):
+        if except_agents >= set(wanting):
             return {}
         plan = self._effort_plan
         if plan is None or plan.claimed is not claimed or plan.agents != wanting:
