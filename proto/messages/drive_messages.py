@@ -1,4 +1,7 @@
-"""Drive parameters of a description, and the actuators of drive commands."""
+"""Drive parameters of a description, and the actuators of drive commands.
+
+The garbage collector does not track them, as `model_messages` says.
+"""
 
 from enum import IntEnum
 from typing import Literal
@@ -25,7 +28,7 @@ class JointTargetKind(IntEnum):
     EFFORT = 3
 
 
-class RosBlock(msgspec.Struct, frozen=True):
+class RosBlock(msgspec.Struct, frozen=True, gc=False):
     """The `<ros>` element of a plug-in."""
 
     namespace: str = ""
@@ -34,7 +37,7 @@ class RosBlock(msgspec.Struct, frozen=True):
     """As written: `from:=to`."""
 
 
-class Actuator(msgspec.Struct, frozen=True):
+class Actuator(msgspec.Struct, frozen=True, gc=False):
     """One actuator of a drive command.
 
     `velocity` [rad/s] and `position` [rad] have one target, for `joint`; `twist` has three, for the
@@ -54,7 +57,7 @@ class Actuator(msgspec.Struct, frozen=True):
         return TARGETS_OF_MODE.get(self.mode, 1)
 
 
-class WheelPair(msgspec.Struct, frozen=True):
+class WheelPair(msgspec.Struct, frozen=True, gc=False):
     """A left and a right wheel joint on one axle; separation and diameter [m], > 0."""
 
     left_joint: str
@@ -75,7 +78,7 @@ class WheelPair(msgspec.Struct, frozen=True):
         )
 
 
-class Limits(msgspec.Struct, frozen=True):
+class Limits(msgspec.Struct, frozen=True, gc=False):
     """Bounds of a velocity and of its acceleration; None = unbounded."""
 
     min_velocity: float | None = None
@@ -84,7 +87,7 @@ class Limits(msgspec.Struct, frozen=True):
     max_acceleration: float | None = None
 
 
-class DriveSettings(msgspec.Struct, frozen=True, kw_only=True):
+class DriveSettings(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """Rates, frames, odometry and topics of every drive."""
 
     update_rate_hz: float = 100.0
@@ -396,7 +399,7 @@ class SteeringDrive(DriveSettings, frozen=True, tag="steering_drive", tag_field=
         )
 
 
-class RollerWheel(msgspec.Struct, frozen=True):
+class RollerWheel(msgspec.Struct, frozen=True, gc=False):
     """A wheel with rollers: its speed is linear in the twist of the base."""
 
     joint: str
@@ -454,7 +457,7 @@ DriveKind = Literal[
 ]
 
 
-class DriveOrder(msgspec.Struct, frozen=True):
+class DriveOrder(msgspec.Struct, frozen=True, gc=False):
     """A drive that a spawn request gives to a robot, in place of that of its description."""
 
     kind: DriveKind = ""

@@ -26,7 +26,7 @@ class Category(IntEnum):
     STATIC_OBJECT = 5
 
 
-class EntityCategory(msgspec.Struct, frozen=True):
+class EntityCategory(msgspec.Struct, frozen=True, gc=False):
     """Category of an entity. Source: simulation_interfaces/msg/EntityCategory."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/msg/EntityCategory"
@@ -34,7 +34,7 @@ class EntityCategory(msgspec.Struct, frozen=True):
     category: UInt8 = Category.OBJECT
 
 
-class EntityInfo(msgspec.Struct, frozen=True):
+class EntityInfo(msgspec.Struct, frozen=True, gc=False):
     """Category, description, and tags for filters. Source: simulation_interfaces/msg/EntityInfo.
 
     Limits: `MAX_TAGS` tags of `MAX_TAG_LENGTH` characters, `MAX_DESCRIPTION_LENGTH`.

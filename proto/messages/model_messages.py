@@ -1,4 +1,8 @@
-"""A parsed model: links, joints, shapes, sensors, drive; frames per REP-103."""
+"""A parsed model: links, joints, shapes, sensors, drive; frames per REP-103.
+
+The garbage collector does not track models: frozen values have no reference cycles, and it would
+stop a loop with thousands of them for a tenth of a second.
+"""
 
 from typing import ClassVar, Literal
 
@@ -62,7 +66,7 @@ ReportStatus = Literal["applied", "ignored", "unknown", "predicted", "suspicious
 """predicted: what the robot will do that was not commanded."""
 
 
-class ReportEntry(msgspec.Struct, frozen=True):
+class ReportEntry(msgspec.Struct, frozen=True, gc=False):
     """How one tag, plug-in or argument of a description was processed."""
 
     status: ReportStatus
@@ -70,14 +74,14 @@ class ReportEntry(msgspec.Struct, frozen=True):
     reason: str = ""
 
 
-class Origin(msgspec.Struct, frozen=True):
+class Origin(msgspec.Struct, frozen=True, gc=False):
     """A fixed pose in a frame that the owner defines: position [m], orientation (x, y, z, w)."""
 
     position: Vec3 = ZERO
     orientation: Quat = IDENTITY
 
 
-class Contact(msgspec.Struct, frozen=True):
+class Contact(msgspec.Struct, frozen=True, gc=False):
     """Compliance and anisotropic friction of a collision. Source: ODE's surface parameters."""
 
     stiffness: float = 0.0
@@ -90,7 +94,7 @@ class Contact(msgspec.Struct, frozen=True):
     """Coulomb coefficient (mu2) across `direction`."""
 
 
-class Texture(msgspec.Struct, frozen=True):
+class Texture(msgspec.Struct, frozen=True, gc=False):
     """An image on a mesh; its colour is multiplied by `Shape.rgba`.
 
     While a description is read, `image` is the URI of a file, then the sha256 of an asset.
@@ -103,7 +107,7 @@ class Texture(msgspec.Struct, frozen=True):
     u to the right and v upward, 0 to 1 over the image, which repeats beyond."""
 
 
-class Shape(msgspec.Struct, frozen=True):
+class Shape(msgspec.Struct, frozen=True, gc=False):
     """A solid in its link's frame.
 
     `size` is full extents [m] by kind: box (x, y, z); sphere (radius, 0, 0); cylinder and capsule
@@ -128,7 +132,7 @@ LightKind = Literal["point", "spot", "directional"]
 DOWNWARD: Vec3 = (0.0, 0.0, -1.0)
 
 
-class Light(msgspec.Struct, frozen=True):
+class Light(msgspec.Struct, frozen=True, gc=False):
     """A light; pose and direction are in the frame of its owner, a link or the world.
 
     Source: SDFormat's `<light>`.
@@ -151,7 +155,7 @@ class Light(msgspec.Struct, frozen=True):
     casts_shadows: bool = False
 
 
-class Inertial(msgspec.Struct, frozen=True):
+class Inertial(msgspec.Struct, frozen=True, gc=False):
     """Mass [kg], centre of mass [m] in the link, inertia about it [kg m^2], link axes.
 
     `inertia` is (ixx, ixy, ixz, iyy, iyz, izz).
@@ -162,14 +166,14 @@ class Inertial(msgspec.Struct, frozen=True):
     inertia: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-class Decay(msgspec.Struct, frozen=True):
+class Decay(msgspec.Struct, frozen=True, gc=False):
     """Velocity decay rates [1/s]: dv/dt = -rate v."""
 
     linear: float = 0.0
     angular: float = 0.0
 
 
-class Link(msgspec.Struct, frozen=True):
+class Link(msgspec.Struct, frozen=True, gc=False):
     """A rigid body after fixed joints are merged."""
 
     name: str
@@ -195,7 +199,7 @@ TierName = Literal["full", "kinematic"]
 JointKind = Literal["revolute", "continuous", "prismatic", "floating", "planar", "fixed"]
 
 
-class Mimic(msgspec.Struct, frozen=True):
+class Mimic(msgspec.Struct, frozen=True, gc=False):
     """Coupling to another joint: position = multiplier * other position + offset [rad or m]."""
 
     joint: str
@@ -203,7 +207,7 @@ class Mimic(msgspec.Struct, frozen=True):
     offset: float = 0.0
 
 
-class Joint(msgspec.Struct, frozen=True):
+class Joint(msgspec.Struct, frozen=True, gc=False):
     """A joint; its axis is in the joint frame, which is the child frame."""
 
     name: str
@@ -232,7 +236,7 @@ DEFAULT_STOPPED_VELOCITY = 0.01
 """Of joints at the end of a trajectory [rad/s or m/s]."""
 
 
-class CommandInterface(msgspec.Struct, frozen=True):
+class CommandInterface(msgspec.Struct, frozen=True, gc=False):
     """A quantity of a joint that controllers may command.
 
     Source: `<ros2_control>` of ROS 2, `<transmission>` of ROS 1.
@@ -247,7 +251,7 @@ class CommandInterface(msgspec.Struct, frozen=True):
     """Position at spawn, to which its controller moves it; None = 0."""
 
 
-class PositionTolerance(msgspec.Struct, frozen=True):
+class PositionTolerance(msgspec.Struct, frozen=True, gc=False):
     """Allowed errors of a position [rad or m] along a trajectory and at its end; 0 = any."""
 
     joint: str
@@ -255,7 +259,7 @@ class PositionTolerance(msgspec.Struct, frozen=True):
     goal: float = 0.0
 
 
-class JointController(msgspec.Struct, frozen=True):
+class JointController(msgspec.Struct, frozen=True, gc=False):
     """Joints that are commanded together. Source: ros2_controllers."""
 
     name: str
@@ -277,7 +281,7 @@ class JointController(msgspec.Struct, frozen=True):
     """Whether the last point of a trajectory may have velocities."""
 
 
-class Frame(msgspec.Struct, frozen=True):
+class Frame(msgspec.Struct, frozen=True, gc=False):
     """A link that was merged into `parent`; used for tf."""
 
     name: str
@@ -285,7 +289,7 @@ class Frame(msgspec.Struct, frozen=True):
     origin: Origin = Origin()
 
 
-class JointStatePublisher(msgspec.Struct, frozen=True):
+class JointStatePublisher(msgspec.Struct, frozen=True, gc=False):
     """Joints and rate of `joint_states`. Source: gazebo_ros_joint_state_publisher."""
 
     joints: tuple[str, ...] = ()
@@ -293,7 +297,7 @@ class JointStatePublisher(msgspec.Struct, frozen=True):
     ros: RosBlock = RosBlock()
 
 
-class GroundTruth(msgspec.Struct, frozen=True):
+class GroundTruth(msgspec.Struct, frozen=True, gc=False):
     """True odometry of a link, published by its agent. Source: gazebo_ros_p3d, ROS 2 branch."""
 
     body: str
@@ -313,14 +317,14 @@ class GroundTruth(msgspec.Struct, frozen=True):
     """gazebo11: velocities are in `frame_id`, not in the body."""
 
 
-class Parameter(msgspec.Struct, frozen=True):
+class Parameter(msgspec.Struct, frozen=True, gc=False):
     """One setting of a sensor, by the path of its tag, such as `scan/horizontal/samples`."""
 
     path: str
     value: str
 
 
-class Sensor(msgspec.Struct, frozen=True):
+class Sensor(msgspec.Struct, frozen=True, gc=False):
     """A sensor; `origin` is its pose in `link`, into which the link `frame` may be merged."""
 
     name: str
@@ -344,7 +348,7 @@ class Sensor(msgspec.Struct, frozen=True):
     compat: Compat = "fixed"
 
 
-class Model(msgspec.Struct, frozen=True):
+class Model(msgspec.Struct, frozen=True, gc=False):
     """A parsed description with merged fixed joints; shared by all entities spawned from it.
 
     `links[0]` is the base; `joints[i]` moves `links[i + 1]`; parents precede children.

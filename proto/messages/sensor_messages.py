@@ -11,7 +11,7 @@ from zensim.proto.messages.scalar_types import UInt8, UInt32, UInt64
 NoiseKind = Literal["none", "gaussian", "gaussian_quantized"]
 
 
-class Noise(msgspec.Struct, frozen=True):
+class Noise(msgspec.Struct, frozen=True, gc=False):
     """Noise of one measured quantity, in its unit. Source: `<noise>` of SDF 1.12.
 
     A measurement is value + bias + N(mean, stddev), rounded to `precision` if quantized. The bias
@@ -39,7 +39,7 @@ NoiseOfVector: TypeAlias = tuple[Noise, Noise, Noise]
 NO_VECTOR_NOISE: NoiseOfVector = (NO_NOISE, NO_NOISE, NO_NOISE)
 
 
-class ScanAxis(msgspec.Struct, frozen=True):
+class ScanAxis(msgspec.Struct, frozen=True, gc=False):
     """Directions of the rays of a scan along one axis, evenly spaced; `low_rad <= high_rad`."""
 
     count: UInt32 = 1
@@ -52,7 +52,7 @@ ScanOutput = Literal["LaserScan", "PointCloud2", "PointCloud", "Range"]
 """The sensor_msgs type that a ray sensor publishes."""
 
 
-class RaySensor(msgspec.Struct, frozen=True, tag="ray"):
+class RaySensor(msgspec.Struct, frozen=True, gc=False, tag="ray"):
     """A lidar or range finder: rays from the origin of the sensor, x forward, z up."""
 
     horizontal: ScanAxis = ScanAxis()
@@ -73,7 +73,7 @@ class RaySensor(msgspec.Struct, frozen=True, tag="ray"):
     the number of its row as field `ring`, as gz-sim publishes it."""
 
 
-class ImuSensor(msgspec.Struct, frozen=True, tag="imu"):
+class ImuSensor(msgspec.Struct, frozen=True, gc=False, tag="imu"):
     """Orientation, angular velocity [rad/s] and specific force [m/s^2] in the sensor's axes."""
 
     angular_velocity: NoiseOfVector = NO_VECTOR_NOISE
@@ -83,7 +83,7 @@ class ImuSensor(msgspec.Struct, frozen=True, tag="imu"):
     has_orientation: bool = True
 
 
-class ContactSensor(msgspec.Struct, frozen=True, tag="contact"):
+class ContactSensor(msgspec.Struct, frozen=True, gc=False, tag="contact"):
     """Contacts of some collisions of a robot."""
 
     collisions: tuple[tuple[UInt32, UInt32], ...] = ()
@@ -92,7 +92,7 @@ class ContactSensor(msgspec.Struct, frozen=True, tag="contact"):
     """Names of these collisions as messages show them."""
 
 
-class NavsatSensor(msgspec.Struct, frozen=True, tag="navsat"):
+class NavsatSensor(msgspec.Struct, frozen=True, gc=False, tag="navsat"):
     """Geodetic position (WGS84) and velocity east, north, up [m/s]."""
 
     horizontal_position: Noise = NO_NOISE
@@ -102,20 +102,20 @@ class NavsatSensor(msgspec.Struct, frozen=True, tag="navsat"):
     vertical_velocity: Noise = NO_NOISE
 
 
-class AltimeterSensor(msgspec.Struct, frozen=True, tag="altimeter"):
+class AltimeterSensor(msgspec.Struct, frozen=True, gc=False, tag="altimeter"):
     """Height above that at spawn [m] and vertical velocity [m/s]."""
 
     vertical_position: Noise = NO_NOISE
     vertical_velocity: Noise = NO_NOISE
 
 
-class MagnetometerSensor(msgspec.Struct, frozen=True, tag="magnetometer"):
+class MagnetometerSensor(msgspec.Struct, frozen=True, gc=False, tag="magnetometer"):
     """Magnetic field [T] in the sensor's axes."""
 
     field: NoiseOfVector = NO_VECTOR_NOISE
 
 
-class AirPressureSensor(msgspec.Struct, frozen=True, tag="air_pressure"):
+class AirPressureSensor(msgspec.Struct, frozen=True, gc=False, tag="air_pressure"):
     """Pressure of the air [Pa] at the height of the sensor."""
 
     pressure: Noise = NO_NOISE
@@ -126,7 +126,7 @@ class AirPressureSensor(msgspec.Struct, frozen=True, tag="air_pressure"):
 CameraKind = Literal["rgb", "depth", "rgbd"]
 
 
-class CameraSensor(msgspec.Struct, frozen=True, tag="camera"):
+class CameraSensor(msgspec.Struct, frozen=True, gc=False, tag="camera"):
     """A pinhole camera that looks along x, y left, z up; images are in optical axes (REP-103)."""
 
     kind: CameraKind = "rgb"
@@ -157,7 +157,7 @@ StateSensorSettings: TypeAlias = (
 SensorSettings: TypeAlias = StateSensorSettings | ContactSensor | RaySensor | CameraSensor
 
 
-class SensorTopic(msgspec.Struct, frozen=True):
+class SensorTopic(msgspec.Struct, frozen=True, gc=False):
     """A topic of a sensor."""
 
     topic: str

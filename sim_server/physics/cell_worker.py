@@ -270,6 +270,10 @@ class CellWorker:
     def _close(self, cell: int) -> None:
         self._cells.pop(cell).engine.close()
 
+    def _confirm(self) -> CellWorkerReply:
+        """Reply: all calls of before are executed."""
+        return CellWorkerReply(value=True)
+
     def _prepare(self, cell: int) -> CellWorkerReply:
         assert self._model is not None
         return CellWorkerReply(self._cells[cell].engine.prepare(self._model))

@@ -55,12 +55,14 @@ BRAKED_BODY_THRESHOLDS = SleepThresholds(3e-3, 0.015, 0.1)
 
 
 MOTIONLESS_M, MOTIONLESS_RAD = 2e-5, 1e-5
-"""Largest motion since the last check, or its placement, of a loose body that sleeps without delay.
+"""Largest motion since the last check, or its placement, of a body that sleeps without delay; of
+joints in rad or m the second.
 
-A box sinks 0.01 mm into its contacts when Bullet simulates it first.
+A box sinks 0.01 mm into its contacts when Bullet simulates it first, a robot that is placed on its
+wheels 0.02 mm in a tenth of a second, and 0.001 mm in the next.
 """
 MOTIONLESS_SPEED = 1e-4
-"""Its largest speed [m/s and rad/s]."""
+"""Its largest speed [m/s and rad/s], of joints, too."""
 
 
 def choose_sleep_thresholds(model: Model) -> SleepThresholds:
@@ -71,6 +73,14 @@ def choose_sleep_thresholds(model: Model) -> SleepThresholds:
 def is_loose(model: Model) -> bool:
     """Whether nothing but its surroundings moves a model: it has neither joints nor actuators."""
     return not model.joints and not make_actuation(model).width
+
+
+def may_skip_delay(model: Model) -> bool:
+    """Whether bodies of a model sleep once they do not move at all: loose ones, and braked robots.
+
+    A chain of joints without brakes may be about to fall.
+    """
+    return is_loose(model) or bool(make_actuation(model).speeds.joints)
 
 
 def find_initial_sleep_state(model: Model) -> SleepState:
@@ -87,6 +97,36 @@ def find_initial_sleep_state(model: Model) -> SleepState:
     return SleepState.NEVER_SLEEPS if is_loaded or is_geared or has_twist else SleepState.AWAKE
 
 
+@dataclass(frozen=True)
+class SleepTraits:
+    """How bodies of a model sleep.
+
+    Attributes:
+        actuation: Of the model.
+        initial_state: Of its bodies.
+        thresholds: Of its bodies.
+        skips_delay: See `may_skip_delay`.
+        is_loose: See `is_loose`.
+    """
+
+    actuation: Actuation
+    initial_state: SleepState
+    thresholds: SleepThresholds
+    skips_delay: bool
+    is_loose: bool
+
+
+def find_sleep_traits(model: Model) -> SleepTraits:
+    """Find how bodies of a model sleep."""
+    return SleepTraits(
+        make_actuation(model),
+        find_initial_sleep_state(model),
+        choose_sleep_thresholds(model),
+        may_skip_delay(model),
+        is_loose(model),
+    )
+
+
 class SleepTracker:
     """By body number: the state when it last moved, or in which it sleeps."""
 
@@ -99,24 +139,35 @@ class SleepTracker:
         self.joints: FloatArray = np.zeros((64, 4))
         self.joint_count = np.zeros(64, dtype=np.intp)
         self._since = np.zeros(64, dtype=np.int64)
+        self._last: tuple[Model, SleepTraits] | None = None
         self._limits: FloatArray = np.zeros((64, 3))
-        self._is_loose = np.zeros(64, dtype=np.bool_)
+        self._may_skip_delay = np.zeros(64, dtype=np.bool_)
+        self._checked_base: FloatArray = np.full((64, 13), np.nan)
+        """State at the last check."""
+        self._checked_joints: FloatArray = np.zeros((64, 4))
 
     def add(
         self, body: int, model: Model, radius_m: float, step: int, base: FloatArray | None = None
     ) -> None:
         """Add a body; with `base` (13,), the first check of a loose one is its placement."""
         self._make_room(body, len(model.joints))
-        limits = choose_sleep_thresholds(model)
-        self.state[body] = find_initial_sleep_state(model)
+        traits = self.find_traits(model)
+        limits = traits.thresholds
+        self.state[body] = traits.initial_state
         self.radius[body] = radius_m
         self.joint_count[body] = len(model.joints)
         self._limits[body] = limits.moved_m, limits.turned_rad, limits.joint
-        self._is_loose[body] = is_loose(model)
+        self._may_skip_delay[body] = traits.skips_delay
         self.is_driven[body] = False
         self.mark_moved(body, step)
-        if base is not None and self._is_loose[body]:
-            self.base[body] = base
+        if base is not None and traits.is_loose:
+            self._checked_base[body] = base
+
+    def find_traits(self, model: Model) -> SleepTraits:
+        """Find how bodies of a model sleep; cached for the last model."""
+        if self._last is None or self._last[0] is not model:
+            self._last = model, find_sleep_traits(model)
+        return self._last[1]
 
     def keep_awake(self, body: int) -> None:
         """Let a body that moves never sleep."""
@@ -125,7 +176,7 @@ class SleepTracker:
 
     def mark_moved(self, body: int | IntArray, step: int) -> None:
         """Restart the delay of a body, whose pose may have changed."""
-        self.base[body] = np.nan
+        self.base[body] = self._checked_base[body] = np.nan
         self._since[body] = step
 
     def remove(self, body: int) -> None:
@@ -140,29 +191,44 @@ class SleepTracker:
         """Compare bodies with where they last moved.
 
         Returns:
-            Mask of those at rest for the whole delay, and of loose ones that did not move at all.
+            Mask of those at rest for the whole delay, and of those that skip it: they have not
+            moved at all since the last check.
         """
         positions = self._pad(bodies, reading.joint_positions)
-        before = self.base[bodies]
-        distance_limit, angle_limit, joint_limit = self._limits[bodies].T
-        with np.errstate(all="ignore"):  # diverged bodies
-            distance = np.linalg.norm(reading.base[:, :3] - before[:, :3], axis=1)
-            # Cosine of half the angle between two quaternions of either sign.
-            cosine = np.abs((reading.base[:, 3:7] * before[:, 3:7]).sum(axis=1))
-            is_still = (distance <= distance_limit) & (cosine >= np.cos(angle_limit / 2.0))
-            is_motionless = (
-                (distance <= MOTIONLESS_M)
-                & (cosine >= np.cos(MOTIONLESS_RAD / 2.0))
-                & (np.abs(reading.base[:, 7:]).max(axis=1, initial=0.0) <= MOTIONLESS_SPEED)
-            )
-        joint_motion = np.abs(positions - self.joints[bodies]).max(axis=1, initial=0.0)
-        is_still &= joint_motion <= joint_limit
+        is_still = self._find_still(bodies, reading.base, positions)
         moved = bodies[~is_still]
         self.base[moved] = reading.base[~is_still]
         self.joints[moved] = positions[~is_still]
         self._since[moved] = step
         is_rested = step - self._since[bodies] >= self._delay_steps
-        return np.asarray(is_rested | (is_motionless & self._is_loose[bodies]))
+        is_motionless = self._find_motionless(bodies, reading, positions)
+        self._checked_base[bodies], self._checked_joints[bodies] = reading.base, positions
+        return np.asarray(is_rested | is_motionless)
+
+    def _find_still(self, bodies: IntArray, base: FloatArray, positions: FloatArray) -> BoolArray:
+        """Find the bodies that have hardly moved since the start of their delay."""
+        distance_limit, angle_limit, joint_limit = self._limits[bodies].T
+        distance, cosine = _measure_motion(self.base[bodies], base)
+        is_still = (distance <= distance_limit) & (cosine >= np.cos(angle_limit / 2.0))
+        joint_motion = np.abs(positions - self.joints[bodies]).max(axis=1, initial=0.0)
+        return np.asarray(is_still & (joint_motion <= joint_limit))
+
+    def _find_motionless(
+        self, bodies: IntArray, reading: BodyStates, positions: FloatArray
+    ) -> BoolArray:
+        """Find the bodies that skip the delay as they have not moved since the last check."""
+        distance, cosine = _measure_motion(self._checked_base[bodies], reading.base)
+        joints = np.abs(positions - self._checked_joints[bodies]).max(axis=1, initial=0.0)
+        joint_speeds = np.abs(self._pad(bodies, reading.joint_velocities))
+        with np.errstate(all="ignore"):  # diverged bodies
+            speed = np.abs(reading.base[:, 7:]).max(axis=1, initial=0.0)
+            return np.asarray(
+                self._may_skip_delay[bodies]
+                & (distance <= MOTIONLESS_M)
+                & (cosine >= np.cos(MOTIONLESS_RAD / 2.0))
+                & (joints <= MOTIONLESS_RAD)
+                & (np.maximum(speed, joint_speeds.max(axis=1, initial=0.0)) <= MOTIONLESS_SPEED)
+            )
 
     def store_asleep(self, bodies: IntArray, reading: BodyStates) -> None:
         """Store the state in which bodies fall asleep, with zero velocity."""
@@ -187,14 +253,24 @@ class SleepTracker:
     def _make_room(self, body: int, joints: int) -> None:
         height, width = len(self.state), self.joints.shape[1]
         if joints > width:
-            self.joints = np.pad(self.joints, ((0, 0), (0, joints - width)))
+            for name in ("joints", "_checked_joints"):
+                setattr(self, name, np.pad(getattr(self, name), ((0, 0), (0, joints - width))))
         if body < height:
             return
         more = max(height, body + 1 - height)
-        for name in ("state", "is_driven", "radius", "joint_count", "_since", "_is_loose"):
+        for name in ("state", "is_driven", "radius", "joint_count", "_since", "_may_skip_delay"):
             setattr(self, name, np.pad(getattr(self, name), (0, more)))
-        for name in ("base", "joints", "_limits"):
+        for name in ("base", "joints", "_limits", "_checked_base", "_checked_joints"):
             setattr(self, name, np.pad(getattr(self, name), ((0, more), (0, 0))))
+
+
+def _measure_motion(before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Measure the way (n,) between states (n, 13), and the cosine (n,) of half the angle."""
+    with np.errstate(all="ignore"):  # diverged bodies
+        distance = np.linalg.norm(after[:, :3] - before[:, :3], axis=1)
+        # Two quaternions of either sign.
+        cosine = np.abs((after[:, 3:7] * before[:, 3:7]).sum(axis=1))
+    return distance, cosine
 
 
 def find_reachable(
@@ -288,13 +364,13 @@ class SleepingEngine(EngineLayer):
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
         # Whatever may fail comes first: a body must not remain in the engine alone.
-        actuation, radius_m = make_actuation(model), self._find_radius_m(model)
+        traits, radius_m = self._tracker.find_traits(model), self._find_radius_m(model)
         body = self._inner.add(model, base)
-        self._actuations[body] = actuation
+        self._actuations[body] = traits.actuation
         self._commands.forget(body)
         is_check = not self._steps % self._period_steps
         self._tracker.add(body, model, radius_m, self._steps, base if is_check else None)
-        if self._sleeps_loose_only and not is_loose(model):
+        if self._sleeps_loose_only and not traits.is_loose:
             self._tracker.keep_awake(body)
         if self._tracker.state[body] == SleepState.AWAKE:
             self._candidates.add(body)

@@ -77,10 +77,8 @@ class BulletBody:
         return replace(self, model=model, actuation=make_actuation(model).renumbered(self.joints))
 
 
-def make_bullet_body(
-    model: Model, blueprint: Blueprint, loads: Sequence[LinkForce], gears: Sequence[int]
-) -> BulletBody:
-    """Make the record of a body."""
+def make_bullet_body(model: Model, blueprint: Blueprint, loads: Sequence[LinkForce]) -> BulletBody:
+    """Make the record of a body without gears."""
     links = tuple(part - 1 for part in blueprint.link_parts)
     return BulletBody(
         model,
@@ -89,11 +87,30 @@ def make_bullet_body(
         part_links=tuple(part.link for part in blueprint.parts),
         actuation=make_actuation(model).renumbered(links[1:]),
         loads=loads,
-        gears=gears,
+        gears=(),
         rolling_frictions=find_rolling_frictions(model, blueprint),
         springs=find_joint_springs(model, list_moving_joints(blueprint)),
         carriers=list_carriers(blueprint),
     )
+
+
+@dataclass(frozen=True)
+class BodyRecipe:
+    """What all bodies of a model have in common: made once, as it takes as long as a body.
+
+    Attributes:
+        blueprint: Of the model.
+        creation: Arguments of createMultiBody but for the pose.
+        dynamics: Bullet's number of a part, and arguments of changeDynamics, for each call.
+        motors: Arguments of setJointMotorControl2, for each call.
+        body: Its record, without constraints.
+    """
+
+    blueprint: Blueprint
+    creation: BulletArguments
+    dynamics: tuple[tuple[int, BulletArguments], ...]
+    motors: tuple[BulletArguments, ...]
+    body: BulletBody
 
 
 class ParkedBody(NamedTuple):
@@ -139,6 +156,8 @@ class BodyPool:
             model: Of the body.
             awake: Only if it is awake.
         """
+        if not self._count:
+            return None
         parked = self._parked.get(_make_build_key(model), [])
         for i in reversed(range(len(parked))):
             if not awake or parked[i][0] in self._awake:
@@ -290,17 +309,15 @@ def make_collision_shape_arguments(
 
 def make_multibody_arguments(
     blueprint: Blueprint,
-    base: FloatArray,
     *,
     shapes: Sequence[int],
     visual: int,
     kinds: Mapping[str, int],
 ) -> BulletArguments:
-    """Make the arguments of createMultiBody.
+    """Make the arguments of createMultiBody but for the pose.
 
     Args:
         blueprint: Of the body.
-        base: State row (13,) of its root link.
         shapes: Bullet's number for the collision shape of each part; -1 for none.
         visual: Bullet's number for the visual shape of every part.
         kinds: Bullet's number for each kind of joint.
@@ -310,8 +327,6 @@ def make_multibody_arguments(
         baseMass=0.0 if blueprint.is_static else max(root.mass_kg, MIN_MASS_KG),
         baseCollisionShapeIndex=shapes[0],
         baseVisualShapeIndex=visual,
-        basePosition=base[:3].tolist(),
-        baseOrientation=base[3:7].tolist(),
         baseInertialFramePosition=root.com,
         baseInertialFrameOrientation=root.principal,
         linkMasses=[_link_mass(part) for part in rest],

@@ -32,6 +32,7 @@ from zensim.sim_server.physics.bullet.bullet_bodies import (
     COLLISION_SHAPE_KINDS,
     PARKING_DEPTH_M,
     BodyPool,
+    BodyRecipe,
     BulletBody,
     CollisionShapeCache,
     GearConstraint,
@@ -44,7 +45,7 @@ from zensim.sim_server.physics.bullet.bullet_bodies import (
 )
 from zensim.sim_server.physics.bullet.bullet_contact import (
     SOLVER_ARGUMENTS,
-    find_rolling_frictions,
+    BulletArguments,
     has_self_collision,
     limit_static_body_friction,
     list_self_collision_pairs,
@@ -349,6 +350,30 @@ def _make_motor_arguments(motor: JointMotor, kind: int, number: float) -> dict[s
     }
 
 
+def _list_joint_brakes(blueprint: Blueprint) -> Iterator[BulletArguments]:
+    """List the arguments of setJointMotorControl2 for joints without a command, and carriers.
+
+    Bullet gives each joint a motor that brakes it: its force becomes the joint's friction.
+    """
+    for link, joint in list_moving_joints(blueprint):
+        yield {
+            "jointIndex": link,
+            "controlMode": pybullet.VELOCITY_CONTROL,
+            "force": joint.friction,
+        }
+    for carrier in list_carriers(blueprint):
+        yield {
+            "jointIndex": carrier,
+            "controlMode": pybullet.POSITION_CONTROL,
+            "targetPosition": 0.0,
+            "force": CARRIER_TORQUE_NM,
+        }
+
+
+def _make_refusal(model: Model, error: Exception) -> EngineRefused:
+    return EngineRefused(f"model '{model.name}': Bullet cannot create it: {error}")
+
+
 class PyBulletEngine(Engine):
     """Bullet's multibody dynamics, DIRECT mode, one client."""
 
@@ -367,6 +392,8 @@ class PyBulletEngine(Engine):
             concave=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
         )
         self._bodies: dict[int, BulletBody] = {}
+        self._recipe: BodyRecipe | None = None
+        """Of the last model."""
         self._pool = BodyPool(awake)
         self._blueprints = BlueprintCache(
             self.name,
@@ -440,20 +467,16 @@ class PyBulletEngine(Engine):
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`; a moving body needs a pooled body that is awake."""
-        blueprint = self._blueprints.find(model)
-        self._shapes.check(blueprint, self._shapes.find_missing(blueprint))
+        recipe = self._find_recipe(model)
         if (parked := self._pool.take(model, awake=bool(base[7:].any()))) is not None:
-            frictions = find_rolling_frictions(model, blueprint)
-            known = replace(parked.body, rolling_frictions=frictions)
+            known = replace(parked.body, rolling_frictions=recipe.body.rolling_frictions)
             return self._reuse_parked(base, parked.number, known, awake=parked.was_awake)
         try:
-            body = self._create(blueprint, base)
+            body = self._create(recipe, base)
         except pybullet.error as error:
-            raise EngineRefused(
-                f"model '{model.name}': Bullet cannot create it: {error}"
-            ) from error
+            raise _make_refusal(model, error) from error
         try:
-            self._complete(body, model, blueprint, base)
+            self._complete(body, recipe, base)
         except Exception:
             self._discard(body)
             raise
@@ -637,20 +660,54 @@ class PyBulletEngine(Engine):
         if self._origin.engine is self:
             pybullet.disconnect(physicsClientId=self._client)
 
-    def _complete(self, body: int, model: Model, blueprint: Blueprint, base: FloatArray) -> None:
+    def _find_recipe(self, model: Model) -> BodyRecipe:
+        """Find what bodies of a model have in common; raises EngineRefused."""
+        if self._recipe is None or self._recipe.body.model is not model:
+            blueprint = self._blueprints.find(model)
+            self._shapes.check(blueprint, self._shapes.find_missing(blueprint))
+            try:
+                self._recipe = self._make_recipe(model, blueprint)
+            except pybullet.error as error:
+                raise _make_refusal(model, error) from error
+        return self._recipe
+
+    def _make_recipe(self, model: Model, blueprint: Blueprint) -> BodyRecipe:
+        shapes = [self._shapes.find(blueprint, part.shapes) for part in blueprint.parts]
+        creation = make_multibody_arguments(
+            blueprint, shapes=shapes, visual=self._visual, kinds=JOINT_TYPES
+        )
+        if has_self_collision(blueprint.links):
+            creation["flags"] = pybullet.URDF_USE_SELF_COLLISION
+        loads = make_link_forces(blueprint, self._gravity, self._dt_s)
+        body = make_bullet_body(model, blueprint, loads)
+        dampings = limit_joint_dampings(blueprint, body.springs, self._dt_s)
+        return BodyRecipe(
+            blueprint,
+            creation,
+            (
+                *make_dynamics_arguments(blueprint, self._dt_s),
+                *((link, {"jointDamping": damping}) for link, damping in dampings),
+            ),
+            tuple(_list_joint_brakes(blueprint)),
+            body,
+        )
+
+    def _complete(self, body: int, recipe: BodyRecipe, base: FloatArray) -> None:
         """Set what createMultiBody does not."""
+        blueprint = recipe.blueprint
         self._set_self_collision(body, blueprint)
         self._com_frames.add(body, blueprint.parts[0])
-        self._set_dynamics(body, blueprint)
-        loads = make_link_forces(blueprint, self._gravity, self._dt_s)
+        for link, arguments in recipe.dynamics:
+            pybullet.changeDynamics(body, link, **arguments, physicsClientId=self._client)
+        for arguments in recipe.motors:
+            pybullet.setJointMotorControl2(body, **arguments, physicsClientId=self._client)
         gears = [
             self._make_gear_constraint(body, gear) for gear in list_gear_constraints(blueprint)
         ]
-        known = make_bullet_body(model, blueprint, loads, gears)
-        self._set_dampings(body, blueprint, known.springs)
-        self._register(body, known)
+        self._register(body, replace(recipe.body, gears=gears) if gears else recipe.body)
         # Created in place with joints at zero: setting the pose again takes as long as creating it.
-        self._set_velocity(body, self._com_frames.to_com_state(body, base)[7:])
+        if base[7:].any():
+            self._set_velocity(body, self._com_frames.to_com_state(body, base)[7:])
         self._clear_targets(body)
 
     def _discard(self, body: int) -> None:
@@ -858,14 +915,15 @@ class PyBulletEngine(Engine):
             pybullet.stepSimulation(physicsClientId=self._client)
         return ground
 
-    def _create(self, blueprint: Blueprint, base: FloatArray) -> int:
-        shapes = [self._shapes.find(blueprint, part.shapes) for part in blueprint.parts]
-        arguments = make_multibody_arguments(
-            blueprint, base, shapes=shapes, visual=self._visual, kinds=JOINT_TYPES
-        )
-        flags = pybullet.URDF_USE_SELF_COLLISION if has_self_collision(blueprint.links) else 0
+    def _create(self, recipe: BodyRecipe, base: FloatArray) -> int:
         self._origin.changes += 1
-        return int(pybullet.createMultiBody(**arguments, flags=flags, physicsClientId=self._client))
+        body = pybullet.createMultiBody(
+            **recipe.creation,
+            basePosition=base[:3].tolist(),
+            baseOrientation=base[3:7].tolist(),
+            physicsClientId=self._client,
+        )
+        return int(body)
 
     def _take_margin(self, shape: int) -> None:
         """Take the margin from the hulls of a shape: Bullet does so for the root of a body only."""
@@ -881,27 +939,6 @@ class PyBulletEngine(Engine):
             pybullet.setCollisionFilterPair(
                 body, body, one, other, int(do_collide), physicsClientId=self._client
             )
-
-    def _set_dynamics(self, body: int, blueprint: Blueprint) -> None:
-        for link, arguments in make_dynamics_arguments(blueprint, self._dt_s):
-            pybullet.changeDynamics(body, link, **arguments, physicsClientId=self._client)
-        # Bullet gives each joint a motor that brakes it: reduce its force to the joint's friction.
-        options = {"controlMode": pybullet.VELOCITY_CONTROL, "physicsClientId": self._client}
-        for link, joint in list_moving_joints(blueprint):
-            pybullet.setJointMotorControl2(body, link, force=joint.friction, **options)
-        for carrier in list_carriers(blueprint):
-            pybullet.setJointMotorControl2(
-                body,
-                carrier,
-                pybullet.POSITION_CONTROL,
-                targetPosition=0.0,
-                force=CARRIER_TORQUE_NM,
-                physicsClientId=self._client,
-            )
-
-    def _set_dampings(self, body: int, blueprint: Blueprint, springs: JointSprings | None) -> None:
-        for link, damping in limit_joint_dampings(blueprint, springs, self._dt_s):
-            pybullet.changeDynamics(body, link, jointDamping=damping, physicsClientId=self._client)
 
     def _make_gear_constraint(self, body: int, gear: GearConstraint) -> int:
         constraint: int = pybullet.createConstraint(

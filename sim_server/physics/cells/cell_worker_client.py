@@ -136,6 +136,8 @@ class CellWorkerClient:
         self._pipe: Connection[Any, Any] = Connection(here.detach())
         self._model: Model | None = None
         self._queued: list[bytes] = []
+        self._is_confirmed = True
+        """Whether a reply follows all calls of before."""
         self._pending_replies: deque[PendingReply[Any]] = deque()
         self.send("begin", orders)
 
@@ -156,6 +158,7 @@ class CellWorkerClient:
     def enqueue(self, what: str, *given: object) -> None:
         """Queue a call; it is sent before later calls; raises as `send` does."""
         self._queue_call(what, given)
+        self._is_confirmed = False
         if len(self._queued) >= MAX_QUEUED_CALLS:
             self._flush_if_writable()
 
@@ -173,8 +176,12 @@ class CellWorkerClient:
         return pending
 
     def is_idle(self) -> bool:
-        """Whether no call is queued and no reply is pending."""
+        """Whether all calls are executed; if that is not known, the worker is asked."""
         self._flush_if_writable()
+        if not (self._is_confirmed or self._pending_replies):
+            self.call_async(bool, "confirm")
+            self._is_confirmed = True
+            self._flush_if_writable()
         return not (self._queued or self._pending_replies)
 
     def receive_reply(self) -> None:
@@ -192,7 +199,9 @@ class CellWorkerClient:
         """
         while self._pending_replies:
             self.receive_reply()
-        return self.unwrap(self._receive(), kind)
+        reply = self._receive()
+        self._is_confirmed = not self._queued
+        return self.unwrap(reply, kind)
 
     def unwrap(self, reply: CellWorkerReply, kind: type[Kind]) -> Kind:
         """Return the value of a reply; raises as `wait_for_reply` does."""

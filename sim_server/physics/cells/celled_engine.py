@@ -773,7 +773,8 @@ class CellMap:
 
     def is_idle(self) -> bool:
         """See `Engine.is_idle`."""
-        return all(engine.is_idle() for engine in self.engines.values())
+        are_idle = [engine.is_idle() for engine in self.engines.values()]  # asks each worker
+        return all(are_idle)
 
     def move(self, order: CellBodyOrder, states: BodyStates, cells: IntArray) -> bool:
         """Move bodies to other cells with their current states.
@@ -962,6 +963,8 @@ class CelledEngine(Engine):
         self._states: BodyStates | None = None
         self._steps = self._last_regroup = self._next_regroup = self._alert_until = 0
         self._is_due = self._was_due = self._is_bad = self._has_new_targets = False
+        self._has_regrouped = False
+        """Whether the places and speed bounds are those of a regrouping."""
 
     @property
     def name(self) -> str:
@@ -1026,16 +1029,23 @@ class CelledEngine(Engine):
         """See `Engine.forget_removed`."""
         self._cell_map.forget_removed()
         self._steps = self._last_regroup = self._next_regroup = self._alert_until = 0
-        self._is_due = True
+        self._is_due, self._has_regrouped = True, False
 
     def find_overlaps(self, body: int) -> Sequence[int]:
         """See `Engine.find_overlaps`."""
         return self.find_overlaps_async(body)()
 
     def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
-        """See `Engine.find_overlaps_async`."""
-        if not self._cell_map.is_single_cell and self._may_touch_other_cells(body):
-            self._regroup()
+        """See `Engine.find_overlaps_async`; of many cells, none is asked about a body alone."""
+        if not self._cell_map.is_single_cell:
+            if not self._has_regrouped:
+                self._regroup()
+            near = self._members.cell[self._list_near(body)]
+            if not len(near):
+                return lambda: []
+            own = self._members.cell[body]
+            if own != ALL_CELLS and ((near != own) & (near != ALL_CELLS)).any():
+                self._regroup()
         return self._cell_map.find_overlaps_async(body)
 
     def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
@@ -1166,16 +1176,17 @@ class CelledEngine(Engine):
         is_well, self._is_bad = is_well and not self._is_bad, False
         return is_well
 
-    def _may_touch_other_cells(self, body: int) -> bool:
-        """Whether a body may touch a body of another cell."""
-        members, moving = self._members, self._members.moving
-        if members.cell[body] == ALL_CELLS:
-            return False
-        others = moving[members.cell[moving] != members.cell[body]]
+    def _list_near(self, body: int) -> IntArray:
+        """List the other bodies that a body may touch now."""
+        members = self._members
         elapsed_s = (self._steps - self._last_regroup) * self._dt_s
         radii = members.radius + members.speed_bound * elapsed_s + CELL_GAP_M
-        apart = np.linalg.norm(members.place[others] - members.place[body], axis=1)
-        return bool((apart <= radii[others] + radii[body]).any())
+        away = members.place - members.place[body]
+        total = radii + radii[body]
+        is_near = np.einsum("ij,ij->i", away, away) <= total * total
+        is_near &= members.cell != NO_CELL
+        is_near[body] = False
+        return np.flatnonzero(is_near)
 
     def _joins_others(self, body: int, base: FloatArray) -> bool:
         """Whether a new body may touch one of another cell before the next regrouping."""
@@ -1239,7 +1250,9 @@ class CelledEngine(Engine):
         """Move bodies that may touch before the next regrouping into one cell."""
         order, states, members = self._current_order(), self._read_moving(), self._members
         numbers, places = order.numbers, states.base[:, :2]
-        self._check_speed_bounds(places - members.place[numbers], members.speed_bound[numbers])
+        if self._has_regrouped:
+            self._check_speed_bounds(places - members.place[numbers], members.speed_bound[numbers])
+        self._has_regrouped = True
         found = self._find_groups(order, states)
         members.place[numbers], members.speed_bound[numbers] = places, found.speeds
         members.load_speed[numbers] = 0.0

@@ -865,9 +865,10 @@ class TieredEngine(EngineLayer):
             for row in (body, *guests):
                 if full[row] < 0:
                     guest_numbers[row] = bodies.add_guest(row)
-            rows = {**bodies.numbers, **{number: row for row, number in guest_numbers.items()}}
             mine = guest_numbers.get(body, int(full[body]))
-            return sorted(rows[other] for other in self._inner.find_overlaps(mine))
+            found = self._inner.find_overlaps(mine)
+            rows = {number: row for row, number in guest_numbers.items()}
+            return sorted(rows[one] if one in rows else bodies.numbers[one] for one in found)
         finally:
             for number in guest_numbers.values():
                 self._inner.remove(number)

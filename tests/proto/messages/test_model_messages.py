@@ -1,5 +1,10 @@
 """Derived properties of a model."""
 
+import gc
+
+import msgspec
+
+from tests.models import a_box_bot
 from zensim.proto.messages.drive_messages import DiffDrive, PlanarMove, WheelPair
 from zensim.proto.messages.model_messages import Inertial, Link, Model
 
@@ -28,3 +33,14 @@ def test_target_of_a_planar_move_is_three_numbers() -> None:
 def test_model_without_a_drive_has_no_actuators() -> None:
     assert Model("box", (BASE,)).actuators == ()
     assert Model("box", (BASE,)).target_count == 0
+
+
+def test_garbage_collector_does_not_track_the_parts_of_models() -> None:
+    encoded = msgspec.json.encode(a_box_bot())
+    gc.collect()
+    before = len(gc.get_objects())
+
+    models = [msgspec.json.decode(encoded, type=Model) for _ in range(100)]
+    gc.collect()
+
+    assert len(gc.get_objects()) - before < 2 * len(models)

@@ -49,11 +49,40 @@ def is_resting_after(tracker: SleepTracker, states: list[FloatArray]) -> bool:
 
 
 def test_body_is_at_rest_after_the_delay() -> None:
-    tracker = tracker_with(a_box_bot())
+    tracker = tracker_with(an_arm("revolute"))
     states = [a_state((1.0, 2.0, 3.0), turn=(0.1, 0.2, 0.3))] * (STEPS + 1)
 
     assert not is_resting_after(tracker, states[:-1])
-    assert is_resting_after(tracker_with(a_box_bot()), states)
+    assert is_resting_after(tracker_with(an_arm("revolute")), states)
+
+
+def test_robot_on_braked_wheels_that_does_not_move_at_all_is_at_rest_at_once() -> None:
+    settling = [a_state((0.0, 0.0, 3e-5)), a_state(), a_state()]
+
+    assert not is_resting_after(tracker_with(a_box_bot()), settling[:2])
+    assert is_resting_after(tracker_with(a_box_bot()), settling)
+
+
+@pytest.mark.parametrize(
+    ("position", "speed"), [(2e-5, 0.0), (0.0, 2e-4)], ids=["turned", "turning"]
+)
+def test_robot_whose_wheel_moves_waits_for_the_delay(position: float, speed: float) -> None:
+    tracker, base = tracker_with(a_box_bot()), a_state()[None]
+    tracker.update(ONE, BodyStates(base, np.zeros(2), np.zeros(2)), 0)
+
+    found = tracker.update(
+        ONE, BodyStates(base, np.array([0.0, position]), np.array([speed, 0.0])), 1
+    )
+
+    assert not found.any()
+
+
+def test_placed_robot_sleeps_sooner_than_after_the_delay(engine: SleepingEngine) -> None:
+    body = engine.add(a_box_bot(), box_bot_at())
+
+    advance(engine, SECONDS // 2)
+
+    assert engine.asleep == (body,)
 
 
 def test_loose_body_that_does_not_move_at_all_is_at_rest_at_once() -> None:

@@ -11,6 +11,7 @@ import psutil
 import pytest
 
 from tests.engines import STEP_NS, advance
+from tests.integration.processes import eventually
 from tests.models import a_box, a_cart, a_fork, a_puck, a_state, an_arm, on_ground
 from zensim.sim_server.physics.cells.cell_executor import InProcessCellExecutor, WorkerCellExecutor
 from zensim.sim_server.physics.cells.cell_worker_client import CellWorkerDied, RemoteCell
@@ -152,14 +153,14 @@ def test_adding_bodies_does_not_wait_for_a_stopped_worker() -> None:
         os.kill(worker, signal.SIGSTOP)
         try:
             bodies += [engine.add(model, on_ground(5.0 * x)) for x in range(4, 40)]
-            overlapped = [engine.find_overlaps_async(body) for body in bodies[-5:]]
+            overlapped = [engine.find_overlaps(body) for body in bodies[-5:]]
             was_settled = engine.is_idle()
         finally:
             os.kill(worker, signal.SIGCONT)
 
         assert not was_settled
-        assert [list(named()) for named in overlapped] == [[]] * 5
-        assert engine.is_idle()
+        assert [list(found) for found in overlapped] == [[]] * 5
+        assert eventually(engine.is_idle, 30.0)
         assert engine.read(bodies).base[:, 0] == pytest.approx([5.0 * x for x in range(40)])
 
 

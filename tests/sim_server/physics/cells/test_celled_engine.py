@@ -14,7 +14,7 @@ from tests.models import a_box, a_box_bot, a_cart, a_state, box_bot_at, on_groun
 from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.sim_server.physics.body_reach import BodyReach
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
-from zensim.sim_server.physics.cells.cell_executor import InProcessCellExecutor
+from zensim.sim_server.physics.cells.cell_executor import CellReadRequest, InProcessCellExecutor
 from zensim.sim_server.physics.cells.celled_engine import (
     CELL_GAP_M,
     SPEED_MARGIN_MPS,
@@ -27,7 +27,7 @@ from zensim.sim_server.physics.cells.celled_engine import (
     find_interaction_groups,
     make_body_order,
 )
-from zensim.sim_server.physics.engine import Engine, FloatArray, Place
+from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray, Place
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.scene.broad_phase import IntArray
 
@@ -183,11 +183,16 @@ PERIOD = 3
 
 
 class CountedCells(InProcessCellExecutor):
-    """Counts the cells of each step."""
+    """Counts the cells of each step, and the readings of all bodies."""
 
     def __init__(self, make: Callable[[], Engine]) -> None:
         super().__init__(make)
         self.stepped: list[int] = []
+        self.readings = 0
+
+    def read(self, requests: Sequence[CellReadRequest]) -> list[BodyStates]:
+        self.readings += 1
+        return super().read(requests)
 
     def step(self, cells: Sequence[Engine], steps: int) -> bool:
         self.stepped.append(len(cells))
@@ -390,6 +395,21 @@ def test_diverged_body_does_not_affect_other_cells() -> None:
         engine.command((bodies[0],), np.array([4.0, 4.0]))
         advance(engine, 240)
         assert engine.read((bodies[0],)).base[0, 0] == pytest.approx(0.2, abs=0.03)
+
+
+def test_bodies_that_moved_before_the_first_regrouping_do_not_alert() -> None:
+    settings = CellSettings(single_cell_bodies=2, cell_bodies=2, period_steps=PERIOD)
+    with celled(settings) as (engine, cells):
+        pair = tuple(engine.add(a_cart(), on_ground(0.0, y)) for y in (0.0, 5.0))
+        engine.command(pair, np.full(4, 8.0))
+        advance(engine, 240)
+        engine.add(a_cart(), on_ground(-20.0))
+        cells.readings = 0
+
+        advance(engine, 60)
+
+        assert len(cells.stepped) == 60
+        assert 1 < cells.readings <= 2 + 60 // PERIOD
 
 
 def test_overlaps_across_cells_are_found() -> None:
