@@ -455,6 +455,8 @@ class PyBulletEngine(Engine):
 
     def prepare(self, model: Model) -> bool:
         """See `Engine.prepare`; creates the collision shape of one part."""
+        if self._recipe is not None and self._recipe.body.model is model:
+            return True
         try:
             blueprint = self._blueprints.find(model)
             for part in self._shapes.find_missing(blueprint)[:1]:

@@ -26,6 +26,8 @@ class Tier(IntEnum):
     """The row is free."""
     FULL = 1
     KINEMATIC = 2
+    HIDDEN = 3
+    """Kinematic once it is shown: until then it neither moves nor stops others."""
 
 
 class TierBodyTable:
@@ -183,7 +185,8 @@ class ArrayPool:
         heapq.heappush(self._free.setdefault(count, []), start)
 
 
-MAX_CACHED_INDEX_MAPS_BY_TIER = 4096
+MAX_MAPPED_BODIES = 1 << 17
+"""Bodies of all cached index maps; a world has its own and those of its agents."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +236,7 @@ def split_by_tier(rows: TierBodyTable, numbers: IntArray) -> TierIndexMap:
     """Split bodies (n,) by tier."""
     joints, widths = rows.joint_count[numbers], rows.width[numbers]
     joint_at, target_at = np.cumsum(joints) - joints, np.cumsum(widths) - widths
-    is_kinematic = rows.tier[numbers] == Tier.KINEMATIC
+    is_kinematic = rows.tier[numbers] >= Tier.KINEMATIC
 
     def half(places: IntArray) -> TierSlice:
         return TierSlice(
@@ -270,13 +273,15 @@ class TierIndexMapCache:
         self._kept: OrderedDict[int, tuple[Sequence[int], IntArray, TierIndexMap | None]] = (
             OrderedDict()
         )
+        self._mapped = 0
+        """Bodies of those kept."""
 
     def __len__(self) -> int:
         return len(self._kept)
 
     def __getstate__(self) -> dict[str, object]:
         """Leave out what is cached by the identity of tuples."""
-        return {**self.__dict__, "_kept": OrderedDict()}
+        return {**self.__dict__, "_kept": OrderedDict(), "_mapped": 0}
 
     def get(self, bodies: Sequence[int]) -> TierIndexMap:
         """Split bodies by tier."""
@@ -284,19 +289,23 @@ class TierIndexMapCache:
             return split_by_tier(self._table, np.array(bodies, np.intp))
         # A tuple is constant, and while it is kept here, its id is unique.
         kept = self._kept.get(id(bodies))
-        if kept is not None and kept[2] is not None:
-            return kept[2]
+        if kept is not None:
+            self._kept.move_to_end(id(bodies))
+            if kept[2] is not None:
+                return kept[2]
         numbers = kept[1] if kept else np.array(bodies, np.intp)
         mapping = split_by_tier(self._table, numbers)
+        self._mapped += 0 if kept else len(bodies)
         self._kept[id(bodies)] = (bodies, numbers, mapping)
-        if len(self._kept) > MAX_CACHED_INDEX_MAPS_BY_TIER:
-            self._kept.popitem(last=False)
+        while self._mapped > MAX_MAPPED_BODIES and len(self._kept) > 1:
+            self._mapped -= len(self._kept.popitem(last=False)[1][0])
         return mapping
 
     def invalidate(self) -> None:
         """Drop all maps after bodies changed; forget tuples that were not used since."""
         kept = list(self._kept.items())
         self._kept.clear()
+        self._mapped = sum(len(bodies) for _, (bodies, _, mapping) in kept if mapping is not None)
         for number, (bodies, numbers, mapping) in kept:
             if mapping is not None:
                 self._kept[number] = (bodies, numbers, None)

@@ -318,7 +318,8 @@ class ProximityIndex:
     def gather(self) -> None:
         """Update the rows after bodies came, went or changed tiers."""
         table = self._table
-        discs = np.flatnonzero((table.tier != Tier.NONE) & ~table.is_static)
+        is_disc = (table.tier == Tier.FULL) | (table.tier == Tier.KINEMATIC)
+        discs = np.flatnonzero(is_disc & ~table.is_static)
         if not np.array_equal(discs[: len(self.discs)], self.discs):
             self._neighbours.invalidate()
         self.discs = discs
@@ -362,7 +363,7 @@ class ProximityIndex:
     def find_overlapping(self, row: int) -> tuple[list[int], bool]:
         """Find the rows of discs that a disc overlaps, and whether it overlaps an edge."""
         table = self._table
-        centre = table.discs(np.array([row]))
+        centre = table.discs(slice(row, row + 1))
         rows = self._list_near_rows(row, centre)
         apart = np.hypot(*(table.discs(rows) - centre).T)
         found: list[int] = rows[apart < table.radius[rows] + table.radius[row]].tolist()
@@ -376,9 +377,8 @@ class ProximityIndex:
         """List the rows of other discs that may overlap one; few of many."""
         table = self._table
         far = table.radius[row] + table.reach_m
-        is_near = np.abs(table.place[0] - centre[0, 0]) <= far
-        is_near &= np.abs(table.place[1] - centre[0, 1]) <= far
-        rows = np.flatnonzero(is_near)
+        rows = np.flatnonzero(np.abs(table.place[0] - centre[0, 0]) <= far)
+        rows = rows[np.abs(table.place[1, rows] - centre[0, 1]) <= far]
         rows = rows[(table.tier[rows] != Tier.NONE) & ~table.is_static[rows]]
         return np.asarray(rows[rows != row])
 
@@ -526,6 +526,8 @@ class TieredBodies:
         self._corners = corners
         self._pending_outlines: dict[int, FloatArray] = {}
         self._is_gathered = self._has_movers = True
+        self._added: set[int] = set()
+        """Rows that came since."""
         self._last: tuple[tuple[int, ...], BodyStates] | None = None
 
     def add(self, model: Model, plan: PlanarPlan | None, *, is_auto: bool) -> int:
@@ -544,8 +546,20 @@ class TieredBodies:
             rows.heights[:, row] = footprint.low, footprint.high
             self.kinematic.add(row, vehicle)
             self.held_count += 1
-        self._invalidate()
+        self._added.add(row)
         return row
+
+    def hide(self, row: int) -> None:
+        """Keep a kinematic body that was just added from moving and from stopping others."""
+        self.rows.tier[row] = Tier.HIDDEN
+        self._added.discard(row)
+
+    def show(self, rows: Sequence[int]) -> None:
+        """Let hidden bodies take part."""
+        shown = np.array(rows, np.intp)
+        shown = shown[self.rows.tier[shown] == Tier.HIDDEN]
+        self.rows.tier[shown] = Tier.KINEMATIC
+        self._added.update(shown.tolist())
 
     def remove(self, row: int) -> None:
         """Remove a body from its tier."""
@@ -559,6 +573,7 @@ class TieredBodies:
         self._pending_outlines.pop(row, None)
         self.commanded.discard(row)
         self.jointed.discard(row)
+        self._added.discard(row)
         del self.models[row]
         self.rows.free(row)
         self._invalidate()
@@ -568,7 +583,7 @@ class TieredBodies:
         rows = self.rows
         rows.full[row], rows.tier[row] = number, Tier.FULL
         self.numbers[number] = row
-        self._invalidate(has_movers=False)
+        self._has_movers, self._last = False, None
 
     def move_to_full(self, row: int, *, at_once: bool = False) -> int:
         """Add a body to the full engine if it is not there, and return its number.
@@ -607,6 +622,7 @@ class TieredBodies:
     def set_state(self, row: int, base: FloatArray) -> None:
         """Record the state (13,) of a body that a request set."""
         self.place(row, base)
+        self._last, self._is_gathered = None, False
         self.surroundings.invalidate()
 
     def place(self, row: int, base: FloatArray) -> None:
@@ -614,11 +630,9 @@ class TieredBodies:
         if self.rows.is_static[row]:
             self._pending_outlines[row] = base.copy()
         elif self.held_count:
-            self.record_states(np.array([row]), base[None])
-        self._last = None
-        self._is_gathered = False
+            self.record_states(slice(row, row + 1), base[None])
 
-    def record_states(self, rows: IntColumn, base: FloatArray) -> None:
+    def record_states(self, rows: RowSelection, base: FloatArray) -> None:
         """Record the states (n, 13) of bodies."""
         table, yaw = self.rows, to_yaw(base[:, 3:7])
         table.place[:, rows] = base[:, :3].T
@@ -653,12 +667,13 @@ class TieredBodies:
 
     def gather(self) -> None:
         """Update rows, outlines and radii after changes."""
-        if self._is_gathered:
+        if self._is_gathered and not self._added:
             return
         self.gather_full()
         self.kinematic.gather()
         self.surroundings.gather()
         self._is_gathered = True
+        self._added.clear()
 
     def gather_full(self) -> None:
         """Update outlines, and the rows and radii of the bodies that the full engine moves."""
@@ -809,12 +824,12 @@ class TieredEngine(EngineLayer):
 
     def tier_of(self, body: int) -> TierName:
         """See `Engine.tier_of`."""
-        return "kinematic" if self._bodies.rows.tier[body] == Tier.KINEMATIC else "full"
+        return "kinematic" if self._bodies.rows.tier[body] >= Tier.KINEMATIC else "full"
 
     @property
     def kinematic_count(self) -> int:
         """See `Engine.kinematic_count`."""
-        return int((self._bodies.rows.tier == Tier.KINEMATIC).sum())
+        return int((self._bodies.rows.tier >= Tier.KINEMATIC).sum())
 
     def expect(self, models: Sequence[Model], places: Sequence[Place] = ()) -> None:
         """See `Engine.expect`; what may be kinematic needs no room in the engine."""
@@ -842,14 +857,17 @@ class TieredEngine(EngineLayer):
         self._switcher.forget(body)
 
     def hide(self, body: int) -> None:
-        """See `Engine.hide`; kinematic bodies are not hidden."""
+        """See `Engine.hide`."""
         if (number := int(self._bodies.rows.full[body])) >= 0:
             self._inner.hide(number)
+        else:
+            self._bodies.hide(body)
 
     def show(self, bodies: Sequence[int]) -> None:
         """See `Engine.show`."""
         numbers = self._bodies.rows.full[list(bodies)]
         self._inner.show(numbers[numbers >= 0].tolist())
+        self._bodies.show(bodies)
 
     def find_overlaps(self, body: int) -> Sequence[int]:
         """See `Engine.find_overlaps`; kinematic bodies whose discs overlap join the engine."""

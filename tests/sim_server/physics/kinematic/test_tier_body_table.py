@@ -3,6 +3,7 @@
 import numpy as np
 
 from zensim.sim_server.physics.kinematic.tier_body_table import (
+    MAX_MAPPED_BODIES,
     Tier,
     TierBodyTable,
     TierIndexMapCache,
@@ -82,3 +83,15 @@ def test_unused_index_maps_are_dropped() -> None:
     mappings.invalidate()
 
     assert len(mappings) == 0
+
+
+def test_cached_index_maps_are_bounded_by_their_bodies() -> None:
+    mappings = TierIndexMapCache(three_rows())
+    used = (0,) * (MAX_MAPPED_BODIES // 4)
+
+    for _ in range(8):
+        mappings.get(used)
+        mappings.get(tuple([1] * len(used)))
+
+    assert 1 < len(mappings) <= 4
+    assert mappings.get(used) is mappings.get(used)

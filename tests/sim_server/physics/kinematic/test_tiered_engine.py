@@ -271,3 +271,31 @@ def test_robot_in_the_row_of_one_that_was_removed_has_its_own_neighbours() -> No
 
         assert right == far
         assert engine.tier_of(right) == "full"
+
+
+@pytest.mark.parametrize("dynamics", ["auto", "kinematic"])
+def test_hidden_robot_stops_no_other_until_it_is_shown(dynamics: Dynamics) -> None:
+    with two_tiers(dynamics) as engine:
+        model = a_box_bot()
+        driven = engine.add(model, box_bot_at(0.0))
+        hidden = engine.add(model, box_bot_at(1.0))
+        overlapping = engine.add(model, box_bot_at(1.05))
+        engine.hide(hidden)
+        engine.command((driven, hidden), np.full(4, 10.0))
+
+        assert list(engine.find_overlaps(overlapping)) == [hidden]
+        engine.remove(overlapping)
+        steps(engine, 500)
+        passed, waiting = places(engine, [driven, hidden])[:, 0]
+        assert (passed > 1.5, waiting) == (True, 1.0)
+        assert engine.kinematic_count == 2
+
+        engine.command((hidden,), np.zeros(2))
+        engine.show((hidden,))
+        other = engine.add(model, box_bot_at(0.0))
+        engine.command((other,), np.full(2, 10.0))
+        steps(engine, 400)
+        if dynamics == "kinematic":
+            assert places(engine, [other])[0, 0] < 1.0
+        else:
+            assert places(engine, [hidden])[0, 0] > 1.0
