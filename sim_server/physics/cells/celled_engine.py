@@ -163,6 +163,11 @@ class CellBodyTable:
         self.is_due[number] = self.is_commanded[number]
         self.version += 1
 
+    def find_square_distances(self, place: FloatArray) -> FloatArray:
+        """Find the squares (m,) of the distances of all bodies from a place (2,)."""
+        away = self.place - place
+        return np.asarray(np.einsum("ij,ij->i", away, away))
+
     def find_target_ranges(self, numbers: IntArray) -> tuple[IntArray, IntArray]:
         """Find the starts and lengths (n,) of the target ranges of bodies."""
         return self.target_start[numbers], self.width[numbers]
@@ -875,14 +880,15 @@ class CellMap:
         """Find the cell with free capacity whose body is nearest; else the emptiest cell."""
         if self._has_room_in_single_cell:
             return 0
-        moving = self.members.moving
-        cells = self.members.cell[moving]
-        counts = np.bincount(cells, minlength=1)
-        has_room = counts[cells] < self._capacity.max_bodies(len(moving))
-        if not has_room.any():
+        cells = self.members.cell
+        counts = np.bincount(cells[cells >= 0], minlength=1)
+        has_room = counts < self._capacity.max_bodies(int(counts.sum()))
+        if not (has_room & (counts > 0)).any():
             return int(np.append(counts, 0).argmin())
-        apart = np.linalg.norm(self.members.place[moving] - base[:2], axis=1)
-        return int(cells[np.where(has_room, apart, np.inf).argmin()])
+        # Bodies without a cell, and those of all cells, have the numbers -2 and -1.
+        is_choice = np.append(has_room, (False, False))[cells]
+        square = self.members.find_square_distances(base[:2])
+        return int(cells[np.where(is_choice, square, np.inf).argmin()])
 
     def _to_body_numbers(self, cell: int, inner: set[int]) -> Iterator[int]:
         """Convert body numbers of a cell's engine."""
@@ -1180,10 +1186,9 @@ class CelledEngine(Engine):
         """List the other bodies that a body may touch now."""
         members = self._members
         elapsed_s = (self._steps - self._last_regroup) * self._dt_s
-        radii = members.radius + members.speed_bound * elapsed_s + CELL_GAP_M
-        away = members.place - members.place[body]
-        total = radii + radii[body]
-        is_near = np.einsum("ij,ij->i", away, away) <= total * total
+        total = members.radius + members.speed_bound * elapsed_s
+        total += total[body] + CELL_GAP_M
+        is_near = members.find_square_distances(members.place[body]) <= total * total
         is_near &= members.cell != NO_CELL
         is_near[body] = False
         return np.flatnonzero(is_near)
