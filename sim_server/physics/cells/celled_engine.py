@@ -1018,7 +1018,8 @@ class CelledEngine(Engine):
         """See `Engine.hide`; hidden bodies need no regrouping."""
         self._cell_map.hide(body)
         if body in self._members.concealed:
-            self._is_due = self._was_due
+            # Its overlaps may have made a regrouping, which read it.
+            self._states, self._is_due = None, self._was_due
 
     def show(self, bodies: Sequence[int]) -> None:
         """See `Engine.show`."""

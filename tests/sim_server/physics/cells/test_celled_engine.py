@@ -412,6 +412,18 @@ def test_bodies_that_moved_before_the_first_regrouping_do_not_alert() -> None:
         assert 1 < cells.readings <= 2 + 60 // PERIOD
 
 
+def test_body_that_is_hidden_after_its_overlaps_were_found_is_left_out_of_the_next_step() -> None:
+    with celled() as (engine, _):
+        shown, hidden = (engine.add(a_box(), a_state((5.0 * i, 0.0, 0.1))) for i in range(2))
+
+        overlapped = engine.find_overlaps_async(hidden)
+        engine.hide(hidden)
+        advance(engine, 10)
+
+        assert list(overlapped()) == []
+        assert engine.read((shown,)).base[0, 0] == pytest.approx(0.0, abs=1e-3)
+
+
 def test_overlaps_across_cells_are_found() -> None:
     with celled() as (engine, _):
         apart = [engine.add(a_box(), a_state((5.0 * i, 0.0, 0.1))) for i in range(3)]
