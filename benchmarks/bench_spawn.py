@@ -6,7 +6,8 @@ took, and for how long the loop's own work delayed a step (CPU time: the rest is
 programs): first without spawns, then with them. Floor: the same description parsed and added to
 PyBullet in this process, among as many bodies. Last: 2000 `spawn_entity` calls, each with a text of
 its own, 16 outstanding, while one process drives a hundred robots at real-time factor 1 and 240 Hz;
-the same floor as a rate.
+the same floor as a rate, and what PyBullet alone takes of a core to step, command and read the
+hundred.
 """
 
 import random
@@ -18,7 +19,7 @@ from functools import partial
 
 import msgspec
 
-from benchmarks.bodies import Bodies, standing_at
+from benchmarks.bodies import CONFIG, Bodies, standing_at
 from benchmarks.figures import Figure, Limit, table
 from benchmarks.fleet_server import run_fleet_server
 from benchmarks.ten_robots import (
@@ -57,6 +58,7 @@ MANY, MANY_WHEN_SHORT = 2000, 40
 OUTSTANDING = 16
 COLUMNS, APART_M = 50, 3.0
 WARM_S = 1.0
+FLOOR_STEPS = 240
 FACTOR = Limit("min", ">=", 0.8)
 
 
@@ -141,6 +143,7 @@ def _rates(*, is_short: bool) -> Iterator[Figure]:
     floor = _floor(driven, count)
     rate_hz = 1e3 * len(floor.samples) / sum(floor.samples)
     yield Figure(what="floor: read, and put into PyBullet, rate", unit="1/s", samples=(rate_hz,))
+    yield _stepping_floor(driven)
 
 
 def _spawn_many_singly(driven: int, count: int, dynamics: str) -> SpawnRun:
@@ -188,6 +191,19 @@ def _floor(robots: int, count: int) -> Figure:
     samples = tuple(_add_ms(bodies.engine, text) for text in texts)
     bodies.engine.close()
     return Figure(what="floor: read, and put into PyBullet", unit="ms", samples=samples)
+
+
+def _stepping_floor(robots: int) -> Figure:
+    """Measure the cores that driven robots take in one PyBullet world at real-time factor 1."""
+    bodies = Bodies(robots)
+    bodies.step_and_drive(FLOOR_STEPS)
+    start_s = time.thread_time()
+    bodies.step_and_drive(FLOOR_STEPS)
+    used_s = time.thread_time() - start_s
+    bodies.engine.close()
+    cores = used_s / (FLOOR_STEPS * CONFIG.step_ns * 1e-9)
+    what = f"floor: {robots} driven robots stepped by PyBullet"
+    return Figure(what=what, unit="cores", samples=(cores,))
 
 
 def _add_ms(engine: PyBulletEngine, text: str) -> float:

@@ -378,14 +378,14 @@ class SleepingEngine(EngineLayer):
             # Else the engine searches contacts with each sleeping body on it in each step.
             self._inner.sleep([body])
         self._rows, self._is_idle = None, False
-        self._wake_near(body, base)
+        self._wake_near([body], base[None])
         return body
 
     def remove(self, body: int) -> None:
         """See `Engine.remove`; bodies that may have stood on it wake."""
         self._wake([body])
         if self._contacts:
-            self._wake_near(body, self._inner.read([body]).base[0])
+            self._wake_near([body], self._inner.read([body]).base)
         self._inner.remove(body)
         self._tracker.remove(body)
         self._candidates.discard(body)
@@ -408,8 +408,7 @@ class SleepingEngine(EngineLayer):
             self._tracker.state[body] = self._hidden.pop(body)
             self._tracker.mark_moved(body, self._steps)
         if self._contacts:
-            for body, base in zip(bodies, self._inner.read(bodies).base, strict=True):
-                self._wake_near(body, base)
+            self._wake_near(bodies, self._inner.read(bodies).base)
 
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
@@ -559,13 +558,14 @@ class SleepingEngine(EngineLayer):
             self._waking.update(woken)
             self._rows, self._is_idle = None, False
 
-    def _wake_near(self, body: int, base: FloatArray) -> None:
+    def _wake_near(self, bodies: Sequence[int], base: FloatArray) -> None:
+        """Wake the sleeping bodies near some bodies at `base` (n, 13)."""
         if not self._contacts:
             return
         asleep, tracker = self._bodies_in(SleepState.ASLEEP), self._tracker
         positions, radii = tracker.base[asleep, :3], tracker.radius[asleep]
-        radius = tracker.radius[[body]]
-        is_near = find_reachable(base[None], radius, positions, radii, self._ahead_s)
+        radius = tracker.radius[list(bodies)]
+        is_near = find_reachable(base, radius, positions, radii, self._ahead_s)
         self._wake(asleep[is_near].tolist())
 
     def _mark_placed(self, body: int, base: FloatArray) -> None:
@@ -573,8 +573,8 @@ class SleepingEngine(EngineLayer):
         self._is_idle = False
         self._wake([body])
         if self._contacts:
-            self._wake_near(body, self._inner.read([body]).base[0])
-            self._wake_near(body, base)
+            self._wake_near([body], self._inner.read([body]).base)
+            self._wake_near([body], base[None])
         self._tracker.mark_moved(body, self._steps)
 
     def _wake_for_load(self, body: int) -> bool:

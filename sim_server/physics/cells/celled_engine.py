@@ -71,6 +71,7 @@ class CellBodyTable:
         load_speed: (m,) speed [m/s] added by loads since.
         is_commanded: (m,) whether its targets were set since it was at rest.
         is_due: (m,) whether its cell still lacks them.
+        is_concealed: (m,) whether it is hidden.
         joint_count: (m,) number of its joints.
         target_start: (m,) index of its first target in `targets`.
         width: (m,) number of its targets.
@@ -97,6 +98,7 @@ class CellBodyTable:
         self.load_speed: FloatArray = np.zeros(INITIAL_CAPACITY)
         self.is_commanded = np.zeros(INITIAL_CAPACITY, np.bool_)
         self.is_due = np.zeros(INITIAL_CAPACITY, np.bool_)
+        self.is_concealed = np.zeros(INITIAL_CAPACITY, np.bool_)
         self.joint_count: IntArray = np.zeros(INITIAL_CAPACITY, np.intp)
         self.target_start: IntArray = np.zeros(INITIAL_CAPACITY, np.intp)
         self.width: IntArray = np.zeros(INITIAL_CAPACITY, np.intp)
@@ -114,12 +116,12 @@ class CellBodyTable:
     @property
     def present(self) -> IntArray:
         """Numbers of bodies that move and are not hidden, ascending."""
-        moving = self.moving
-        return np.setdiff1d(moving, list(self.concealed)) if self.concealed else moving
+        return np.flatnonzero((self.cell >= 0) & ~self.is_concealed)
 
     def set_concealed(self, number: int, *, is_concealed: bool) -> None:
         """Mark a body as hidden or shown."""
         (self.concealed.add if is_concealed else self.concealed.discard)(number)
+        self.is_concealed[number] = is_concealed
         self.version += 1
 
     def add(self, model: Model, reach: BodyReach, *, cell: int, inner: int) -> int:
@@ -148,6 +150,7 @@ class CellBodyTable:
         self.moving_count -= int(self.cell[number]) >= 0
         self.cell[number] = NO_CELL
         self.concealed.discard(number)
+        self.is_concealed[number] = False
         self.sliding.pop(number, None)
         self.load_speed[number] = 0.0
         self.is_commanded[number] = self.is_due[number] = False
@@ -205,6 +208,7 @@ class CellBodyTable:
             "load_speed",
             "is_commanded",
             "is_due",
+            "is_concealed",
             "joint_count",
             "target_start",
             "width",
