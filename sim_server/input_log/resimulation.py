@@ -418,6 +418,8 @@ class Resimulation:
     def _take(self, record: AnyRecord, run: RepeatedRun) -> None:
         """Make a call, or compare states."""
         assert isinstance(record, EngineCall)
+        if isinstance(record, Add):
+            require_size(record.base, COLUMNS * FLOAT_BYTES)
         self._note_input(record, run)
         record.make_on(run.target)
         if isinstance(record, Add):
@@ -446,6 +448,7 @@ class Resimulation:
     def _(self, record: PresentBody, run: RepeatedRun) -> None:
         if self._goes_on:
             return
+        require_size(record.base, COLUMNS * FLOAT_BYTES)
         run.target.add(record.model, read_floats(record.base), record.body)
         self._note_refusal(record, run)
         if (own := run.target.bodies.get(record.body)) is not None:
