@@ -320,9 +320,17 @@ function nameControls() {
     icon.setAttribute("aria-hidden", "true");
   }
   for (const input of document.querySelectorAll(INPUTS)) {
-    if (input.labels && input.labels.length) continue;
-    const name = findLabel(input);
+    // A label that may break is read with a space there.
+    const label = input.labels && input.labels[0];
+    if (label && !label.querySelector("wbr")) continue;
+    const name = label ? label.textContent : input.placeholder || findLabel(input);
     if (name) input.setAttribute("aria-label", name);
+  }
+  for (const dialog of document.querySelectorAll(
+    "[role=dialog]:not([aria-label], [aria-labelledby])")) {
+    if (dialog.querySelector("[class*=Spotlight]") || dialog.closest("[class*=Spotlight]")) {
+      dialog.setAttribute("aria-label", "Command palette");
+    }
   }
 }
 

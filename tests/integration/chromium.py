@@ -116,11 +116,12 @@ class Tab:
         """Move the pointer to a position."""
         self._mouse("mouseMoved", x, y)
 
-    def click(self, x: float, y: float) -> None:
-        """Click the left button at a position."""
+    def click(self, x: float, y: float, *, modifiers: int = 0) -> None:
+        """Click the left button at a position; modifiers as in the protocol, 8 is shift."""
         self.point(x, y)
-        self._mouse("mousePressed", x, y, button="left", clickCount=1)
-        self._mouse("mouseReleased", x, y, button="left", clickCount=1)
+        left: dict[str, object] = {"button": "left", "clickCount": 1, "modifiers": modifiers}
+        self._mouse("mousePressed", x, y, **left)
+        self._mouse("mouseReleased", x, y, **left)
 
     def press(self, label: str) -> None:
         """Click the visible button with this text."""

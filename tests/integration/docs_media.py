@@ -1,10 +1,12 @@
 """`python -m tests.integration.docs_media` makes the pictures of the page in docs/images anew.
 
 Ten robots drive circles. For the film the world is paused and stepped, so that it looks the same on
-slow machines; WebGL runs in software. The picture of a phone shows a recording of the same run.
+slow machines, and the camera moves along the robots and back, so that it has no cut; WebGL runs in
+software. The picture of a phone shows a recording of the same run.
 """
 
 import io
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -26,7 +28,11 @@ from zensim.spawner.page.side_panel import format_clock
 IMAGES = ROOT / "docs" / "images"
 WIDE, PHONE = (1280, 800), (390, 844)
 FILM_SIZE = (800, 500)
-FRAMES, FRAME_MS, STEPS_OF_FRAME = 45, 80, 24
+FRAMES, FRAME_MS, STEPS_OF_FRAME = 60, 80, 24
+FILM_CAMERA = (-1.5, -1.5, 1.0), (0.6, 0.0, 0.05)
+"""Position and target of the camera [m] at the first robot."""
+FILM_WAY_M = 2.5
+"""Along the row of robots."""
 FILM_COLOURS = 160
 LEAST_CHROMA = 40
 """Difference of the channels of a colourful pixel."""
@@ -66,6 +72,8 @@ HAS_TRAILS = """
 """Whether trails have so many segments."""
 DRAWN = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))"
 """Two frames of the browser: what came before the first is visible."""
+LOOK = "window.__viserMutable.cameraControl.setLookAt(%s, false), true"
+"""Places the camera; axes of the browser are -y, z, -x of the world."""
 CLICK_LABEL = "[...document.querySelectorAll('label')].find(l => l.innerText === '%s').click()"
 
 
@@ -104,8 +112,9 @@ def save(tab: Tab, name: str) -> None:
 def film(tab: Tab, step: Callable[[], float]) -> None:
     """Save a film, one picture after each step, which returns the simulation time [s]."""
     pictures = []
-    for _ in range(FRAMES):
+    for number in range(FRAMES):
         shown = format_clock(step())
+        tab.evaluate(LOOK % find_film_camera(number / FRAMES))
         tab.until(f"document.body.innerText.includes('{shown}')", PATIENCE_S)
         tab.evaluate(DRAWN)
         picture = Image.open(io.BytesIO(tab.screenshot())).convert("RGB")
@@ -116,6 +125,12 @@ def film(tab: Tab, step: Callable[[], float]) -> None:
     size = (IMAGES / "page.gif").stat().st_size
     if size > MOST_BYTES:
         raise RuntimeError(f"page.gif has {size} bytes, more than {MOST_BYTES}")
+
+
+def find_film_camera(share: float) -> str:
+    """Find position and target of the camera at a share of the film, in axes of the browser."""
+    moved_m = FILM_WAY_M * (1.0 - math.cos(2.0 * math.pi * share)) / 2.0
+    return ", ".join(f"{-y}, {z}, {-(x + moved_m)}" for x, y, z in FILM_CAMERA)
 
 
 def make_palette(picture: Image.Image) -> Image.Image:
