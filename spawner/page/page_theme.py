@@ -62,7 +62,9 @@ SCALE_HEIGHT_M: Final = 0.003
 TICK_M: Final = 0.05
 """Half of the length of a tick."""
 STROKE_M: Final = 0.1
-"""Width, and half of the height, of a character on the ground."""
+"""Width of a character on the ground."""
+RISE_M: Final = 0.2
+"""Half of its height: long as on a road, since first views look along the ground."""
 GAP_M: Final = 0.06
 """Between two characters, and between them and the axis."""
 
@@ -121,7 +123,7 @@ def _find_width(text: str) -> float:
 
 def _find_reach(text: str) -> float:
     """Find how far a text reaches from its middle, along x and y alike."""
-    return (_find_width(text) / 2.0 + STROKE_M) * READ_ALONG[0]
+    return (_find_width(text) / 2.0 + RISE_M) * READ_ALONG[0]
 
 
 def _draw_text(text: str, middle: tuple[float, float]) -> Segments:
@@ -137,6 +139,6 @@ def _draw_text(text: str, middle: tuple[float, float]) -> Segments:
 
 def _place(middle: tuple[float, float], left: float, corner: str) -> tuple[float, float]:
     right, up = _PLACES[corner]
-    across, above = left + right * STROKE_M, (up - 1.0) * STROKE_M
+    across, above = left + right * STROKE_M, (up - 1.0) * RISE_M
     x, y = READ_ALONG
     return middle[0] + across * y + above * x, middle[1] - across * x + above * y

@@ -10,6 +10,7 @@ MOUSE: Final = (
     ("Drag with the right button, or with two fingers", "move the camera"),
     ("Wheel, or two fingers apart", "zoom"),
     ("Click on a robot", "select it"),
+    ("Shift and click on a robot", "add it to the selection, or remove it"),
     ("Pointer over a robot", "its name"),
 )
 KEYS: Final = (("?", "this help"),)

@@ -75,8 +75,12 @@ def test_numerals_are_read_from_left_to_right_in_first_views(
     reading = numerals[1:5].mean(axis=(0, 1)) - numerals[0].mean(axis=0)
 
     assert up > 0.0
+    width = np.ptp(numerals[1:5].reshape(-1, 3) @ right) / np.linalg.norm(right)  # of "m"
+
     assert abs(across) < 1.3 * up
-    assert reading @ right > 0.8 * np.linalg.norm(reading) * np.linalg.norm(right)
+    assert up > 0.75 * width
+    drop = abs(reading @ screen_up) / np.linalg.norm(screen_up)  # "m" is half as high as "1"
+    assert reading @ right / np.linalg.norm(right) > 1.5 * drop
 
 
 @pytest.mark.parametrize("theme", THEMES.values(), ids=THEMES)
