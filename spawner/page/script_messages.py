@@ -128,7 +128,8 @@ DRIVE_SCRIPT: Final = """
   }
 
   addEventListener("keydown", (event) => {
-    const isPlain = !event.ctrlKey && !event.metaKey && !event.altKey;
+    // Those with shift are commands, as Shift+D.
+    const isPlain = !event.ctrlKey && !event.metaKey && !event.altKey && !event.shiftKey;
     if (!isOn || !isPlain || isTaken(event.target, event.code)) return;
     if (event.code !== "Space" && !(event.code in AXES)) return;
     event.preventDefault();

@@ -33,6 +33,10 @@ function () {
 """Middle and size of an element [px]; null while another one covers it."""
 
 
+Box = tuple[float, float, float, float]
+"""Middle and size [px]."""
+
+
 class Control(NamedTuple):
     """A control of the page."""
 
@@ -102,9 +106,16 @@ class PageControls:
         found = [read_node(one).element for one in nodes if not one["ignored"]]
         return found[control.number] if control.number < len(found) else None
 
-    def locate(self, control: Control) -> tuple[float, float, float, float]:
+    def locate(self, control: Control) -> Box:
         """Scroll to a control; return its middle and size [px] once a pointer would hit it."""
-        return eventually(lambda: self._locate(control), WITHIN_S, f"{control} within reach")
+        seen: list[Box | None] = [None]
+
+        def find() -> Box | None:
+            """Find it at rest: a folder opens and closes slowly."""
+            seen.append(self._locate(control))
+            return seen[-1] if seen[-1] == seen[-2] else None
+
+        return eventually(find, WITHIN_S, f"{control} within reach")
 
     def turn_to(self, title: str) -> None:
         """Turn to a tab."""
@@ -208,7 +219,7 @@ class PageControls:
         self.tab.click(x, y)
         self.used.add(control)
 
-    def _locate(self, control: Control) -> tuple[float, float, float, float] | None:
+    def _locate(self, control: Control) -> Box | None:
         found = self._call_on(control, PLACE.strip())
         return tuple(found) if found else None
 

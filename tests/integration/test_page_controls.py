@@ -60,6 +60,8 @@ ROBOTS = {
     "r4": ("omni_bot", (1.5, 1.5)),
 }
 WALL_AT = (4.0, 0.0, 0.5)
+SHIFT = 8
+"""Bit of a modifier in messages of the browser."""
 FLOOR_SHARE = (0.5, 0.85)
 """Place in the scene where the ground is, of a camera that follows a robot."""
 SCENE_BOX = """
@@ -313,7 +315,9 @@ def list_spawns() -> Iterator[SpawnEntity]:
 
 @pytest.fixture
 def page(opened: Page) -> Page:
-    """Return the page with nothing selected, in a world that plays."""
+    """Return the page with nothing selected, in a world that plays and is as it was."""
+    for name in set(opened.server.client.entities()) - {*ROBOTS, "wall"}:
+        opened.server.client.delete(name)
     opened.controls.press_key("Escape")
     opened.controls.leave_field()
     if opened.server.client.simulation_state() != State.PLAYING:
@@ -459,15 +463,14 @@ def test_robots_are_named_and_selected_by_the_pointer(page: Page) -> None:
         page.tab.point(*page.tab.evaluate(PLACE_OF % ("r1", "r1")))
         return bool(page.tab.evaluate(f"{tip}.style.display !== 'none' && {tip}.innerText"))
 
-    def click(robot: str, text: str, modifiers: int = 0) -> bool:
-        place = page.tab.evaluate(PLACE_OF % (robot, robot))
-        page.tab.click(*place, modifiers=modifiers)
-        page.tab.evaluate(PAUSE % 500)
-        return text in page.tab.evaluate("document.body.innerText")
+    def click(*, modifiers: int, is_selected: bool) -> bool:
+        page.tab.click(*page.tab.evaluate(PLACE_OF % ("r1", "r1")), modifiers=modifiers)
+        page.tab.evaluate(PAUSE % 1000)
+        return page.has_node("/selected/0") == is_selected
 
     eventually(point, WITHIN_S, "its name")
-    eventually(lambda: click("r1", "Namespace\nr1"), WITHIN_S, "a selection")
-    eventually(lambda: click("r2", "Also selected: r2", 8), WITHIN_S, "a second one")
+    eventually(lambda: click(modifiers=0, is_selected=True), WITHIN_S, "a selection")
+    eventually(lambda: click(modifiers=SHIFT, is_selected=False), WITHIN_S, "its end")
     page.controls.used |= {
         a_key("Pointer over a robot"),
         a_key("Click on a robot"),
@@ -620,7 +623,7 @@ def test_command_of_the_palette_has_its_effect(page: Page, label: str) -> None:
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda one: one.label)
 def test_key_of_a_command_has_its_effect(page: Page, command: PageCommand) -> None:
-    modifiers = 8 if command.modifier else 0
+    modifiers = SHIFT if command.modifier else 0
     key = command.key if command.modifier else command.key.lower()
 
     EFFECTS[command.label](page, lambda: page.press(key, command.keys, modifiers=modifiers))
@@ -630,6 +633,7 @@ def test_key_of_a_command_has_its_effect(page: Page, command: PageCommand) -> No
 def test_palette_opens_by_its_button(page: Page) -> None:
     page.controls.click(a_button("", "Command palette"))
     page.controls.until(f"({PALETTE_ENTRIES.strip()}).length === {len(EFFECTS)}")
+    page.controls.until_there(a_field("", "Search commands..."))
 
 
 # The tab "Entities".

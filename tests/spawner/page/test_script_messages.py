@@ -98,9 +98,13 @@ def test_keys_are_left_to_viser_while_no_robot_is_selected() -> None:
 @pytest.mark.browser
 @pytest.mark.parametrize(
     "more",
-    ["{ctrlKey: true}", "{target: Object.assign(new HTMLElement(), {kind: 'textarea'})}"],
+    [
+        "{ctrlKey: true}",
+        "{shiftKey: true}",
+        "{target: Object.assign(new HTMLElement(), {kind: 'textarea'})}",
+    ],
 )
-def test_keys_with_control_and_those_of_fields_do_not_drive(more: str) -> None:
+def test_keys_with_control_or_shift_and_those_of_fields_do_not_drive(more: str) -> None:
     assert run(f"down('KeyW', {more});tick()") == ([], [])
 
 
