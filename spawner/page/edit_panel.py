@@ -2,9 +2,10 @@
 
 import base64
 import math
-from collections.abc import Callable
-from html import escape
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from importlib.resources import files
+from types import MappingProxyType
 from typing import Final
 
 import msgspec
@@ -71,8 +72,9 @@ class EditPanel(Panel):
     def _add_spawn_form(self) -> None:
         gui = self._client.gui
         self._model = gui.add_dropdown("Model", (NO_MODELS,))
-        self._model.on_update(self._client.defer(self._show_picture))
-        self._picture = gui.add_html("")
+        self._model.on_update(self._client.defer(self._mark_model))
+        self._pictures, self._mark = gui.add_html(""), gui.add_html("")
+        self._client.choose_model = self._choose_model
         self._name = gui.add_text("Name", "", hint="Empty = that of the model, with a number.")
         self._count = gui.add_number("Count", 1, min=1, max=MAX_COUNT, step=1)
         self._layout = gui.add_dropdown("Layout", LAYOUTS)
@@ -181,10 +183,16 @@ class EditPanel(Panel):
         names = [one.entity_resource.uri.removeprefix(SCHEME) for one in reply.spawnables]
         if names:
             self._model.options = tuple(names)
-            self._show_picture(self._model.value)
+            self._pictures.content = make_pictures_html(names)
+            self._mark_model(self._model.value)
 
-    def _show_picture(self, model: str) -> None:
-        self._picture.content = make_picture_html(model)
+    def _choose_model(self, model: str) -> None:
+        if model in self._model.options:
+            self._model.value = model  # type: ignore[misc]  # the setter stands apart
+            self._mark_model(model)
+
+    def _mark_model(self, model: str) -> None:
+        self._mark.content = make_mark_html(model)
 
     def _set_place(self, x: float, y: float) -> None:
         self._place.value = (round(x, 3), round(y, 3))  # type: ignore[misc]
@@ -253,15 +261,38 @@ class EditPanel(Panel):
         button.on_click(lambda _: self._client.post(act))
 
 
-def make_picture_html(model: str) -> str:
-    """Make the picture of a model of the server; empty if the package has none."""
-    file = PICTURES / f"{model}.png"
-    if model not in {one.name.removesuffix(".png") for one in PICTURES.iterdir()}:
+@cache
+def list_pictures() -> Mapping[str, str]:
+    """List the pictures of models that the package has, as addresses with their data, by model."""
+    found = {
+        one.name.removesuffix(".png"): base64.b64encode(one.read_bytes()).decode()
+        for one in PICTURES.iterdir()
+        if one.name.endswith(".png")
+    }
+    return MappingProxyType({m: f"data:image/png;base64,{data}" for m, data in found.items()})
+
+
+def make_pictures_html(models: Sequence[str]) -> str:
+    """Make a button with a picture for each of these models of which the package has one.
+
+    The script of the page sends a `ZensimModel` when it is pressed.
+    """
+    pictures = list_pictures()
+    buttons = "".join(
+        f'<button type="button" data-zensim-model="{model}">'
+        f'<img alt="" src="{pictures[model]}"><span>{model}</span></button>'
+        for model in models
+        if model in pictures
+    )
+    return f'<div class="zensim-models" role="group" aria-label="Models">{buttons}</div>'
+
+
+def make_mark_html(model: str) -> str:
+    """Mark the picture of a model as the chosen one, without sending the pictures again."""
+    if model not in list_pictures():
         return ""
-    data = base64.b64encode(file.read_bytes()).decode()
     return (
-        f'<img alt="Picture of {escape(model)}" src="data:image/png;base64,{data}" '
-        'style="display:block;width:60%;margin:.2em auto;border-radius:6px">'
+        f'<style>[data-zensim-model="{model}"] {{ border-color: currentColor !important; }}</style>'
     )
 
 

@@ -89,6 +89,13 @@ STYLE: Final = """
 .mantine-Slider-markLabel { color: var(--mantine-color-dimmed) !important; }
 /* Six tabs in one row of a panel 320 pixels wide. */
 [data-dock-strip] > [data-dock-tab] { padding: 0 .6em !important; }
+.zensim-models { display: grid; grid-template-columns: repeat(4, 1fr); gap: 4px;
+  padding: 0 .7em .4em; }
+.zensim-models button { min-width: 44px; min-height: 44px; padding: 2px; cursor: pointer;
+  border: 2px solid transparent; border-radius: 6px; background: none; color: inherit;
+  font: 10px/1.15 system-ui, sans-serif; overflow-wrap: anywhere; }
+.zensim-models img { display: block; width: 100%; border-radius: 4px; margin-bottom: 2px; }
+.zensim-models button:focus-visible { outline: 3px solid #4a90e2; }
 .zensim-fold:focus-visible { outline: 3px solid #4a90e2; }
 /* Targets of fingers: 44 pixels; viser sets smaller ones in the elements. */
 @media (max-width: 640px) {
@@ -273,6 +280,12 @@ function setTheme(dark) {
   wantedTheme = dark;
   askForLinked();
 }
+
+// Pictures of models in the form that spawns.
+addEventListener("click", ({target}) => {
+  const tile = target instanceof Element && target.closest("[data-zensim-model]");
+  if (tile) send({type: "ZensimModel", model: tile.dataset.zensimModel});
+});
 
 function firstTheme() {
   const theme = asked.get("theme");

@@ -35,7 +35,13 @@ class ZensimTheme(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fie
     is_dark: bool
 
 
-ScriptMessage = ZensimDrive | ZensimLeave | ZensimSelect | ZensimTheme
+class ZensimModel(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fields=True):
+    """The visitor has pressed the picture of a model."""
+
+    model: Annotated[str, msgspec.Meta(max_length=256)]
+
+
+ScriptMessage = ZensimDrive | ZensimLeave | ZensimModel | ZensimSelect | ZensimTheme
 _MESSAGES: Final = msgspec.msgpack.Decoder(ScriptMessage)
 
 

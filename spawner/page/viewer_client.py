@@ -117,6 +117,7 @@ class ViewerClient:
         now_s: Reads the monotonic time [s].
         can_act: Whether it may change the world.
         receive: Called with each message of the page's script, by the thread that receives.
+        choose_model: Called with the model whose picture the visitor has pressed.
         notify: Notifies another visitor.
     """
 
@@ -149,6 +150,7 @@ class ViewerClient:
         self.camera_mode: CameraMode = "Orbit"
         self.state = PageState()
         self.receive: Callable[[ScriptMessage], None] = ignore
+        self.choose_model: Callable[[str], None] = ignore
         self.notify: Callable[[int, str], None] = lambda _visitor, _text: None
         self._panels: list[Panel] = []
         self._watches: dict[str, frozenset[WatchedTopic]] = {}

@@ -29,7 +29,12 @@ from zensim.spawner.page.render_state import (
 )
 from zensim.spawner.page.robot_driver import RobotDriver
 from zensim.spawner.page.scene_lighting import SceneLighting, set_up_scene
-from zensim.spawner.page.script_messages import ScriptMessage, ZensimSelect, ZensimTheme
+from zensim.spawner.page.script_messages import (
+    ScriptMessage,
+    ZensimModel,
+    ZensimSelect,
+    ZensimTheme,
+)
 from zensim.spawner.page.sensor_views import SensedFrame, SensorChoice
 from zensim.spawner.page.shortcuts import LOOK_SHORTCUTS, SHORTCUTS
 from zensim.spawner.page.side_panel import (
@@ -282,6 +287,8 @@ class ViewerPage:
         elif isinstance(message, ZensimTheme):
             theme = DARK if message.is_dark else LIGHT
             self._events.put(ControlUsed(client_id, partial(client.scenery.switch, theme)))
+        elif isinstance(message, ZensimModel):
+            self._events.put(ControlUsed(client_id, partial(client.choose_model, message.model)))
         else:
             client.receive(message)
 

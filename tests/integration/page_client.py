@@ -62,6 +62,11 @@ def encode_selection(entity: str) -> bytes:
     return _encoded("ZensimSelect", entity=entity)
 
 
+def encode_model(model: str) -> bytes:
+    """Encode a press of the picture of a model."""
+    return _encoded("ZensimModel", model=model)
+
+
 def encode_update(uuid: str, **updates: object) -> bytes:
     """Encode new values of the attributes of a control."""
     return _encoded("GuiUpdateMessage", uuid=uuid, updates=updates)

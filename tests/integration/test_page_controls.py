@@ -43,7 +43,7 @@ from zensim.proto.messages.standard_messages import (
 from zensim.proto.messages.telemetry_messages import Info
 from zensim.proto.network_protocols import Subscription
 from zensim.proto.topic_catalog import CMD_VEL, CONTACTS, SCAN
-from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.builtin_models import list_builtin_models, read_builtin_model
 from zensim.spawner.page.shortcuts import COMMANDS, PageCommand
 
 pytestmark = pytest.mark.browser
@@ -945,7 +945,6 @@ PLACE, TARGET = "Place x, y [m]", "Move to x, y [m], heading [deg]"
 )
 def test_robots_are_spawned_as_the_form_says(page: Page) -> None:
     page.controls.choose(a_choice("Edit", "Model"), "car_bot")
-    page.controls.until("!!document.querySelector('img[alt=\"Picture of car_bot\"]')")
     page.controls.write(a_field("Edit", "Name"), "made")
     page.controls.write(a_field("Edit", "Count"), "2")
     page.controls.choose(a_choice("Edit", "Layout"), "row")
@@ -964,6 +963,18 @@ def test_robots_are_spawned_as_the_form_says(page: Page) -> None:
     ]
     for name in ("made0", "made1"):
         page.server.client.delete(name)
+
+
+@uses(*(a_button("Edit", model) for model in list_builtin_models()))
+def test_model_is_that_of_a_picture(page: Page) -> None:
+    for model in list_builtin_models():
+        page.controls.click(a_button("Edit", model))
+        is_chosen = functools.partial(has_value, page, a_choice("Edit", "Model"), model)
+        eventually(is_chosen, WITHIN_S, model)
+
+
+def has_value(page: Page, control: Control, value: str) -> bool:
+    return page.controls.value_of(control) == value
 
 
 @uses(a_button("Edit", "Place by click"))

@@ -21,6 +21,7 @@ from tests.integration.page_client import (
     encode_drive,
     encode_floor_click,
     encode_leave,
+    encode_model,
     encode_selection,
     encode_update,
 )
@@ -45,7 +46,13 @@ from zensim.proto.messages.simulation_messages import (
     RunToResponse,
     SetSpeedRequest,
 )
-from zensim.proto.messages.spawn_messages import DeleteEntityRequest
+from zensim.proto.messages.spawn_messages import (
+    DeleteEntityRequest,
+    GetSpawnablesRequest,
+    GetSpawnablesResponse,
+    Resource,
+    Spawnable,
+)
 from zensim.proto.messages.standard_messages import LaserScan, Twist
 from zensim.proto.messages.telemetry_messages import Stats
 from zensim.proto.network_protocols import Subscription
@@ -729,6 +736,29 @@ def test_what_could_still_be_undone_is_deleted_when_the_page_is_closed(
     assert [one.request for one in orders if isinstance(one, WorldCall)] == [
         DeleteEntityRequest("r1")
     ]
+
+
+def test_a_model_is_chosen_by_its_picture(acting: Visit) -> None:
+    acting.until(lambda: acting.list_requests(GetSpawnablesRequest), "a request for models")
+    (asked,) = (
+        one
+        for one in acting.orders
+        if isinstance(one, WorldCall) and isinstance(one.request, GetSpawnablesRequest)
+    )
+    uris = (f"zensim://{model}" for model in ("box_bot", "car_bot"))
+    asked.on_reply(GetSpawnablesResponse(spawnables=tuple(map(make_spawnable, uris))))
+    acting.until(lambda: 'data-zensim-model="car_bot"' in acting.visitor.texts(), "pictures")
+
+    acting.connection.send(encode_model("car_bot"))
+    acting.until(lambda: acting.visitor.value_of("Model") == "car_bot", "a model")
+    acting.connection.send(encode_model("unknown"))
+    acting.connection.send(encode_selection("r1"))
+    acting.until_selected("r1")
+    assert acting.visitor.value_of("Model") == "car_bot"
+
+
+def make_spawnable(uri: str) -> Spawnable:
+    return Spawnable(entity_resource=Resource(uri=uri))
 
 
 def test_a_world_runs_to_one_time_at_a_time_for_all_visitors(acting: Visit) -> None:

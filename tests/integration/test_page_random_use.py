@@ -114,6 +114,7 @@ def send_script_message(choices: Choices, _: PageUser) -> dict[str, object]:
         {"kind": "ZensimDrive", **axes},
         {"kind": "ZensimSelect", "entity": choices.choice(("r1", "r2", "", "x" * 300))},
         {"kind": "ZensimTheme", "is_dark": choices.choice((True, False, "dark"))},
+        {"kind": "ZensimModel", "model": choices.choice(("box_bot", "car_bot", "none", ""))},
         {"kind": "ZensimLeave"},
         {"kind": "ZensimNothing"},
     )

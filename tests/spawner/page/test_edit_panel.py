@@ -5,20 +5,31 @@ import math
 import pytest
 
 from zensim.sim_server.description.builtin_models import list_builtin_models
-from zensim.spawner.page.edit_panel import SpawnForm, make_picture_html, make_spawn_order
+from zensim.spawner.page.edit_panel import (
+    SpawnForm,
+    make_mark_html,
+    make_pictures_html,
+    make_spawn_order,
+)
 from zensim.spawner.page.floor_picking import MAX_DISTANCE_M, find_floor_point
 
 UP, DOWN, AHEAD = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("model", list_builtin_models())
-def test_each_model_of_the_server_has_a_picture(model: str) -> None:
-    assert f'alt="Picture of {model}"' in make_picture_html(model)
+def test_each_model_of_the_server_has_a_picture() -> None:
+    models = list_builtin_models()
+
+    html = make_pictures_html(models)
+
+    assert html.count("<img") == len(models)
+    assert all(f'data-zensim-model="{model}"' in html for model in models)
+    assert all(f'[data-zensim-model="{model}"]' in make_mark_html(model) for model in models)
 
 
 @pytest.mark.parametrize("model", ["", "unknown", "../pictures/box_bot", "<b>"])
 def test_other_models_have_none(model: str) -> None:
-    assert make_picture_html(model) == ""
+    assert "<button" not in make_pictures_html([model])
+    assert make_mark_html(model) == ""
 
 
 def places_of(form: SpawnForm) -> list[tuple[float, float]]:
