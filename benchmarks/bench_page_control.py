@@ -3,8 +3,9 @@
 Delays from what a visitor does to its effect: commands as a subscriber of `cmd_vel` receives them,
 states and names as the page shows them. Visitors are programs that send what the page's script and
 controls send; the rows of Chromium press real keys in a headless browser that renders in software,
-in a small window, as a key waits for the frame that is being drawn. `silent` is a page whose
-messages end while its connection stays.
+in a small window, as a key waits for the frame that is being drawn. How long it waits is the delay
+until the script of the page sends; the rows without a scene draw 4 x 4 pixels of it. `silent` is a
+page whose messages end while its connection stays.
 """
 
 import signal
@@ -40,6 +41,22 @@ AHEAD = {"forward": 1.0, "left": 0.0, "turn": 0.0}
 STOP = dict.fromkeys(AHEAD, 0.0)
 Claim = Callable[[Info], bool]
 SMALL_WINDOW = (700, 440)
+NO_SCENE = """
+window.__viserMutable.canvas.parentElement.parentElement.style.cssText =
+  "position: fixed; width: 4px; height: 4px"
+"""
+NOTE_SENDING = """
+(() => {
+  const page = window.__viserMutable, send = page.sendMessage;
+  window.zensimSent = [];
+  page.sendMessage = (message) => {
+    const now = performance.timeOrigin + performance.now();
+    if (message.type === "ZensimDrive" && message.forward) window.zensimSent.push(now);
+    send(message);
+  };
+})()
+"""
+"""Notes when the script of the page sends that a key is held [ms]."""
 KEY = {"code": "KeyW", "key": "w", "windowsVirtualKeyCode": 87}
 
 
@@ -103,10 +120,13 @@ def _measure_browser(server: Server, url: str, count: int) -> Iterator[Figure]:
         tab.until("!!window.zensimDrives && !!window.__viserMutable.sendMessage", 120.0)
         tab.until(HAS_ROBOTS, 120.0)
         tab.until(IS_STILL, 120.0)
-        yield from _measure_keys(server, tab, count)
+        tab.evaluate(NOTE_SENDING)
+        yield from _measure_keys(server, tab, count, "Chromium")
+        tab.evaluate(NO_SCENE)
+        yield from _measure_keys(server, tab, count, "Chromium without a scene")
 
 
-def _measure_keys(server: Server, tab: Tab, count: int) -> Iterator[Figure]:
+def _measure_keys(server: Server, tab: Tab, count: int, what: str) -> Iterator[Figure]:
     select = f'window.__viserMutable.sendMessage({{type: "ZensimSelect", entity: "{ROBOT}"}})'
     with closing(server.bus.subscribe(CMD_VEL.key(ROBOT), depth=1000)) as commands:
 
@@ -117,14 +137,18 @@ def _measure_keys(server: Server, tab: Tab, count: int) -> Iterator[Figure]:
             return any(one.linear.x > 0.0 for one in _read(commands))
 
         eventually(is_driven, 60.0, "driving by a key")
-        downs, ups = [], []
+        downs, sent, ups = [], [], []
         for _ in range(count):
             _time_until(lambda: _is_stopped(commands), 1.0)
             commands.take()
+            tab.evaluate("window.zensimSent = [], 0")
+            began_ms = 1e3 * time.time()
             downs.append(_time_press(tab, "rawKeyDown", lambda: bool(_read(commands))))
+            sent.append((tab.evaluate("window.zensimSent[0]") - began_ms) / 1e3)
             ups.append(_time_press(tab, "keyUp", lambda: _is_stopped(commands)))
-    yield _make_delay("Chromium: key down to a command", downs, "p95", "key")
-    yield _make_delay("Chromium: key up to a command of zero", ups, "max", "stop")
+    yield _make_delay(f"{what}: key down to a command", downs, "p95", "key")
+    yield _make_part(f"{what}: key down until the script of the page sends", sent)
+    yield _make_delay(f"{what}: key up to a command of zero", ups, "max", "stop")
 
 
 def _press(tab: Tab, kind: str) -> None:
@@ -253,6 +277,10 @@ def _time_until(is_done: Callable[[], bool], within_s: float = 10.0) -> float:
     while not is_done() and time.perf_counter() < began + within_s:
         time.sleep(POLL_S)
     return time.perf_counter() - began
+
+
+def _make_part(what: str, delays: list[float]) -> Figure:
+    return Figure(what=what, unit="ms", samples=tuple(1e3 * delay for delay in delays))
 
 
 def _make_delay(what: str, delays: list[float], statistic: Statistic, kind: str) -> Figure:
