@@ -325,10 +325,14 @@ function nameControls() {
     const name = canvas === found.canvas ? "3D view of the world" : "Markings";
     canvas.setAttribute("aria-label", name);
   }
-  for (const button of document.querySelectorAll("button:not([aria-label])")) {
+  // One of them has another icon, and another effect, while the settings are shown.
+  for (const button of document.querySelectorAll("button:is(:not([aria-label]), [data-zensim])")) {
     if (button.innerText.trim() || button.title) continue;
-    const kind = Object.keys(NAMES).find((one) => button.outerHTML.includes(one));
-    if (kind) button.setAttribute("aria-label", NAMES[kind]);
+    const look = button.innerHTML + button.className;
+    const kind = Object.keys(NAMES).find((one) => look.includes(one));
+    if (!kind) continue;
+    button.setAttribute("aria-label", NAMES[kind]);
+    button.dataset.zensim = kind;
   }
   for (const icon of document.querySelectorAll("svg:not([aria-hidden]):not([aria-label])")) {
     icon.setAttribute("aria-hidden", "true");
