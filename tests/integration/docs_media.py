@@ -28,7 +28,7 @@ from zensim.spawner.page.side_panel import format_clock
 IMAGES = ROOT / "docs" / "images"
 WIDE, PHONE = (1280, 800), (390, 844)
 FILM_SIZE = (800, 500)
-FRAMES, FRAME_MS, STEPS_OF_FRAME = 60, 80, 24
+FRAMES, FRAME_MS, STEPS_OF_FRAME = 50, 80, 24
 FILM_CAMERA = (-1.5, -1.5, 1.0), (0.6, 0.0, 0.05)
 """Position and target of the camera [m] at the first robot."""
 FILM_WAY_M = 2.5
