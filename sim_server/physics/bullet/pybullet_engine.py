@@ -374,6 +374,17 @@ def _make_refusal(model: Model, error: Exception) -> EngineRefused:
     return EngineRefused(f"model '{model.name}': Bullet cannot create it: {error}")
 
 
+def _make_blueprint_cache(config: EngineConfig) -> BlueprintCache:
+    return BlueprintCache(
+        PyBulletEngine.name,
+        max_parts=MAX_PARTS,
+        joint_kinds=JOINT_TYPES,
+        shape_kinds=GEOMETRY_TYPES,
+        mesh_folder=config.mesh_folder,
+        arrange=_arrange,
+    )
+
+
 class PyBulletEngine(Engine):
     """Bullet's multibody dynamics, DIRECT mode, one client."""
 
@@ -395,14 +406,7 @@ class PyBulletEngine(Engine):
         self._recipe: BodyRecipe | None = None
         """Of the last model."""
         self._pool = BodyPool(awake)
-        self._blueprints = BlueprintCache(
-            self.name,
-            max_parts=MAX_PARTS,
-            joint_kinds=JOINT_TYPES,
-            shape_kinds=GEOMETRY_TYPES,
-            mesh_folder=config.mesh_folder,
-            arrange=_arrange,
-        )
+        self._blueprints = _make_blueprint_cache(config)
         self._twists: dict[int, list[float]] = {}
         self._resisting: set[int] = set()
         self._loads: dict[int, Sequence[LinkForce]] = {}
