@@ -95,8 +95,10 @@ def _run(folder: Path, place: str, output: str) -> set[str]:
         capture_output=True,
         text=True,
         timeout=END_S,
-        check=True,
+        check=False,
     )
+    if done.returncode:
+        raise RuntimeError(f"the sweep ended with {done.returncode}: {done.stderr.strip()}")
     return {json.loads(line)["row"]["id"] for line in done.stdout.splitlines()}
 
 
