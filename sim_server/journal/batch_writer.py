@@ -44,7 +44,7 @@ MOTION_KIND, CLOCK_KIND, WORLD_KIND = "motion", "clock", "world"
 """Kinds with a single row; its key is empty."""
 MAX_CACHED_MODEL_HASHES = 256
 CHECKPOINT_PERIOD_S = 60.0
-MAX_UNMERGED_BYTES = 4 << 20
+MAX_LOG_BYTES = 4 << 20
 """In the log of the database, after which it is merged before that time."""
 
 
@@ -86,7 +86,7 @@ class BatchWriter:
     def merge_log_if_due(self) -> None:
         """Copy the log into the database file, so that it does not grow without end."""
         is_late = time.monotonic() - self._checkpoint_s >= CHECKPOINT_PERIOD_S
-        if not is_late and self._database.unmerged_bytes < MAX_UNMERGED_BYTES:
+        if not is_late and self._database.log_bytes < MAX_LOG_BYTES:
             return
         self._checkpoint_s = time.monotonic()
         with suppress(sqlite3.Error):  # the changes are durable in the log

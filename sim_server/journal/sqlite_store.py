@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 LOG = logging.getLogger(__name__)
 DATABASE, LOCK, FILES, COPIES = "journal.db", "lock", "files", "copies"
 LOG_SUFFIX = "-wal"
+LOG_BYTES_KEPT = 1 << 20
+"""A file that stays need not be allocated anew."""
 """Of the write-ahead log beside the database."""
 OPEN_ROW = "open", ""
 """Kind and key of a row that exists while a server uses the journal, or after it was killed. Then
@@ -62,8 +64,6 @@ class SqliteStore:
         """Changes that were durable once and are missing now."""
         self.is_log_missing = False
         """Whether it was copied, without its log, while a server used it."""
-        self.unmerged_bytes = 0
-        """About those in the log since the last checkpoint."""
         self._lock = lock
         self._connection = connection
         self._digests: dict[tuple[str, str], int] = {}
@@ -79,7 +79,6 @@ class SqliteStore:
             (kind, key, body, digest.to_bytes(DIGEST_BYTES, "little")),
         )
         self._set_digest((kind, key), digest)
-        self.unmerged_bytes += len(body)
 
     def remove(self, kind: str, key: str) -> None:
         """Delete a row, if it exists."""
@@ -188,10 +187,15 @@ class SqliteStore:
             sync_folder(copies)
         return target
 
+    @property
+    def log_bytes(self) -> int:
+        """Size of the log; the first commit after a checkpoint cuts it to `LOG_BYTES_KEPT`."""
+        log = self.folder / f"{DATABASE}{LOG_SUFFIX}"
+        return log.stat().st_size if log.exists() else 0
+
     def checkpoint(self) -> None:
         """Copy the log into the database file; the log stays."""
         self._connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()
-        self.unmerged_bytes = 0
 
     def backup(self, folder: Path) -> None:
         """Copy the database, without meshes, to an empty folder; it may be in use.
@@ -391,6 +395,7 @@ def _connect(folder: Path, mode: Literal["rwc", "ro"] = "rwc") -> sqlite3.Connec
     connection.execute("PRAGMA synchronous = FULL")
     # The caller makes checkpoints: one in a commit delays a reply by two more syncs.
     connection.execute("PRAGMA wal_autocheckpoint = 0")
+    connection.execute(f"PRAGMA journal_size_limit = {LOG_BYTES_KEPT}")
     return connection
 
 

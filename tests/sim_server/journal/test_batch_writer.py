@@ -3,6 +3,7 @@
 import sqlite3
 import threading
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import msgspec
@@ -12,7 +13,7 @@ import pytest
 from tests.integration.processes import eventually
 from tests.models import a_body
 from zensim.proto.messages.model_messages import Link, Model, Shape
-from zensim.sim_server.journal.batch_writer import BatchWriter, WriterThread
+from zensim.sim_server.journal.batch_writer import MAX_LOG_BYTES, BatchWriter, WriterThread
 from zensim.sim_server.journal.journal_records import (
     EntityChange,
     EntityRow,
@@ -195,21 +196,22 @@ def test_writer_merges_the_log_when_the_records_are_durable() -> None:
     assert sink.merged_at == [1]
 
 
-def test_log_is_merged_once_it_is_long(
-    database: SqliteStore, meshes: Path, monkeypatch: pytest.MonkeyPatch
+def test_log_stays_short_while_small_rows_are_written_and_removed(
+    database: SqliteStore, meshes: Path
 ) -> None:
-    monkeypatch.setattr("zensim.sim_server.journal.batch_writer.MAX_UNMERGED_BYTES", 5000)
     batch_writer = BatchWriter(database, str(meshes))
     model = Model("m", (Link("base", a_body()),))
-    batch_writer.write([make_added(1, make_journaled("a", model, "<short/>"))])
-    batch_writer.merge_log_if_due()
-    before = database.unmerged_bytes
+    sizes = []
 
-    batch_writer.write([make_added(2, make_journaled("b", model, "<long/>" * 900))])
-    batch_writer.merge_log_if_due()
+    for position in range(1, 601):
+        make = make_added if position % 2 else make_removed
+        entity = make_journaled(f"r{(position + 1) // 2}", model, "<short/>")
+        batch_writer.write([make(position, entity)])
+        batch_writer.merge_log_if_due()
+        sizes.append(database.log_bytes)
 
-    assert 0 < before < 5000
-    assert database.unmerged_bytes == 0
+    assert max(sizes) < MAX_LOG_BYTES + (1 << 20)
+    assert any(after < before for before, after in pairwise(sizes))
 
 
 @pytest.mark.parametrize(
