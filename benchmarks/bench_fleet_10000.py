@@ -7,16 +7,18 @@ counts both, and each sample is its second, scaled to pools times the control ra
 too slow shows there, while the real-time factor stays at 1. Cores are those of server, pools and
 sensor process, without the commanding process. Odometry is subscribed robot by robot. Subscribers
 that come and go are ten, then a hundred, for 5 s each. With lidars, a hundred of the robots scan at
-5 Hz, and all scans are subscribed. With ROS 2 a session joins after the seconds and watches all
-tokens: of 500 robots of each pool, and of those that have subscribers. Memory is what came after
-the start without robots. Floors: bare tokens with the keys of robots, declared in a session of
-another process, with a session that joins late; and as many drives as robots, on circles in plain
-arrays, with one message for all: what the arithmetic takes at this rate, without a network, an
-engine or neighbours.
+5 Hz, and all scans are subscribed. Rates are counts over the whole window of the seconds, and gaps
+reach from its begin and to its end. With ROS 2 a session joins after the seconds and watches all
+tokens, of 500 robots of each pool and of those with subscribers on keys of ROS 2, until none came
+for 15 s; the time is that of the last one. Memory is what came after the start without robots.
+Floors: bare tokens with the keys of robots, declared in a session of another process, with a
+session that joins late; and as many drives as robots, on circles in plain arrays, with one message
+for all: what the arithmetic takes at this rate, without a network, an engine or neighbours.
 """
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -24,6 +26,7 @@ from itertools import pairwise
 import msgspec
 import numpy as np
 
+from benchmarks.arrivals import ArrivalWindow
 from benchmarks.bare_tokens import TOKENS_OF_ROBOT, DeclaredTokens, read_memory_kib
 from benchmarks.figures import Figure, Limit, table
 from benchmarks.fleet_server import CALL_TIMEOUT_S, PATIENCE_S, line_with, program
@@ -52,6 +55,8 @@ SETTLE_S, SETTLE_WHEN_SHORT_S = 5.0, 0.5
 """From the claim of the last robot to the first second that counts."""
 CHANGE_S, CHANGE_WHEN_SHORT_S = 5.0, 0.5
 COMING_AND_GOING = (10, 0, 100, 0)
+QUIET_S, QUIET_WHEN_SHORT_S = 15.0, 1.0
+"""Time without a further token after which an observer has all."""
 DRIVEN_S = 60.0
 """Longest wait for pools that drive; what is measured then shows that they do not."""
 STATS_DEPTH, ODOM_DEPTH, SCAN_DEPTH, TOKENS_DEPTH = 64, 256, 4096, 1 << 18
@@ -142,6 +147,7 @@ class Users:
 class Seen:
     """What was measured."""
 
+    window: ArrivalWindow = field(default_factory=lambda: ArrivalWindow(0.0, 0.0))
     stats: list[Stats] = field(default_factory=list)
     cores: dict[str, float] = field(default_factory=dict)
     arrivals: dict[str, list[float]] = field(default_factory=dict)
@@ -149,7 +155,7 @@ class Seen:
     scans: dict[str, list[float]] = field(default_factory=dict)
     """Wall times of scans [s] by key."""
     memory_kib: dict[str, float] = field(default_factory=dict)
-    """A robot."""
+    """Of a robot, or of a lidar for the sensors."""
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
@@ -159,7 +165,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         fewer = replace(case, lidars=min(case.lidars, LIDARS_WHEN_SHORT))
         yield from _measured(fewer if is_short else case, robots, is_short=is_short)
     for count in ROBOTS_WITH_BARE_TOKENS_WHEN_SHORT if is_short else ROBOTS_WITH_BARE_TOKENS:
-        yield from _measure_bare_tokens(count)
+        yield from _measure_bare_tokens(count, QUIET_WHEN_SHORT_S if is_short else QUIET_S)
     label = f"floor: {robots} drives in arrays, 20 Hz"
     yield Figure(what=label, unit="cores", samples=tuple(_floor_cores(robots, 20.0)))
 
@@ -177,17 +183,20 @@ def _measured(case: Case, robots: int, *, is_short: bool) -> Iterator[Figure]:
         users.take(Seen())
         began_s = time.monotonic()
         _observe(seen, users, seconds)
-        passed_s = time.monotonic() - began_s
+        seen.window = ArrivalWindow(began_s, time.monotonic())
+        passed_s = seen.window.end_s - began_s
         seen.cores = {name: (used_s(pid) - before[name]) / passed_s for name, pid in pids.items()}
+        shares = {"server": robots, "sensors": case.lidars}
         for name, pid in pids.items():
-            own = robots if name == "server" else robots / POOLS
+            own = shares.get(name, robots / POOLS)
             seen.memory_kib[name] = (read_memory_kib(pid) - seen.memory_kib[name]) / own
         label = f"{robots} robots, {case.label}"
         what = f"{label}: from the last claim to the first second measured"
         yield Figure(what=what, unit="s", samples=(driven_s,))
         yield from _figures(label, case, seen)
         if case.domain != OFF:
-            yield from _watch_tokens(label, bus, users, robots)
+            quiet_s = QUIET_WHEN_SHORT_S if is_short else QUIET_S
+            yield from _watch_tokens(label, bus, users, robots, quiet_s)
 
 
 def _subscribe(case: Case, bus: Bus, robots: int, *, is_short: bool) -> Users:
@@ -320,7 +329,7 @@ def _figures(label: str, case: Case, seen: Seen) -> Iterator[Figure]:
     for name, kib in seen.memory_kib.items():
         bound = case.server_kib if name == "server" else case.pool_kib
         limit = None if bound is None else Limit("mean", "<=", bound)
-        what = f"{label}: memory of a robot, {name}"
+        what = f"{label}: memory of a {'lidar' if name == 'sensors' else 'robot'}, {name}"
         yield Figure(what=what, unit="KiB", samples=(kib,), limit=limit)
 
 
@@ -337,55 +346,54 @@ def _find_share(before: Stats, after: Stats) -> float:
 
 def _make_scan_figure(label: str, case: Case, seen: Seen) -> Figure:
     """Make a figure of the rate of each lidar; 0 for those without a scan."""
-    rates = [_find_rate_hz(times_s) for times_s in seen.scans.values()]
+    rates = [seen.window.rate_hz(times_s) for times_s in seen.scans.values()]
     rates += [0.0] * (case.lidars - len(rates))
-    limit = Limit("min", ">=", LEAST_SCAN_HZ)
+    limit = Limit("min", ">=", LEAST_SCAN_HZ, is_timed=True)
     what = f"{label}: scans of each lidar of {SCAN_HZ:g} due"
     return Figure(what=what, unit="Hz", samples=tuple(rates), limit=limit)
-
-
-def _find_rate_hz(times_s: Sequence[float]) -> float:
-    return (len(times_s) - 1) / (times_s[-1] - times_s[0]) if len(times_s) > 1 else 0.0
 
 
 def _odometry_figures(label: str, case: Case, seen: Seen) -> Iterator[Figure]:
     if not seen.arrivals:
         return
-    span_s = seen.stats[-1].usage.wall_s - seen.stats[0].usage.wall_s
-    rates, gaps_ms = [], []
-    for times_s in seen.arrivals.values():
-        inner = [one for one in times_s if one <= times_s[0] + span_s]
-        rates.append(_find_rate_hz(inner))
-        gaps_ms.append(MILLISECONDS * _find_longest_gap_s(inner, span_s))
-    limit = Limit("min", ">=", case.odom_hz)
+    rates = [seen.window.rate_hz(times_s) for times_s in seen.arrivals.values()]
+    gaps_ms = _find_gaps_ms(seen)
+    limit = Limit("min", ">=", case.odom_hz, is_timed=True)
     what = f"{label}: odometry of each subscribed robot"
     yield Figure(what=what, unit="Hz", samples=tuple(rates), limit=limit)
     limit = Limit("max", "<=", 150.0)
-    yield Figure(what=f"{label}: longest gap", unit="ms", samples=tuple(gaps_ms), limit=limit)
+    yield Figure(what=f"{label}: longest gap", unit="ms", samples=gaps_ms, limit=limit)
 
 
-def _find_longest_gap_s(times_s: Sequence[float], otherwise_s: float) -> float:
-    return max((after - before for before, after in pairwise(times_s)), default=otherwise_s)
+def _find_gaps_ms(seen: Seen) -> tuple[float, ...]:
+    """Find the longest gap in the odometry of each subscribed robot."""
+    longest_s = map(seen.window.longest_gap_s, seen.arrivals.values())
+    return tuple(MILLISECONDS * one for one in longest_s)
 
 
-def _watch_tokens(label: str, bus: Bus, users: Users, robots: int) -> Iterator[Figure]:
-    """Join late, and watch tokens until there are those of all robots that are announced."""
+def _watch_tokens(
+    label: str, bus: Bus, users: Users, robots: int, quiet_s: float
+) -> Iterator[Figure]:
+    """Join late, and watch the tokens of all robots that are announced."""
     least = TOKENS_OF_ROBOT * POOLS * min(MAX_ROBOTS_ANNOUNCED, robots // POOLS)
-    meanwhile = Seen()
-    count, seen_s = _join_late(bus.endpoint, least, lambda: users.take(meanwhile))
+    meanwhile, began_s = Seen(), time.monotonic()
+    # The join blocks its thread, and arrivals are noted during it.
+    with ThreadPoolExecutor(1) as executor:
+        joining = executor.submit(_join_late, bus.endpoint, quiet_s)
+        while not joining.done():
+            users.take(meanwhile)
+            time.sleep(POLL_S)
+    meanwhile.window = ArrivalWindow(began_s, time.monotonic())
+    count, seen_s = joining.result()
     asked, most = Limit("min", ">=", least), Limit("max", "<=", 10.0)
     yield Figure(what=f"{label}: tokens", unit="", samples=(count,), limit=asked)
     yield Figure(what=f"{label}: tokens seen, late", unit="s", samples=(seen_s,), limit=most)
-    gaps_ms = tuple(
-        MILLISECONDS * _find_longest_gap_s(times_s, seen_s)
-        for times_s in meanwhile.arrivals.values()
-    )
     what = f"{label}: longest gap while the observer of tokens joins"
-    yield Figure(what=what, unit="ms", samples=gaps_ms)
+    yield Figure(what=what, unit="ms", samples=_find_gaps_ms(meanwhile))
 
 
-def _join_late(endpoint: str, least: int, act: Callable[[], object]) -> tuple[int, float]:
-    """Join, and watch tokens until there are so many, acting meanwhile.
+def _join_late(endpoint: str, quiet_s: float) -> tuple[int, float]:
+    """Join, and watch tokens until none came for some time.
 
     Returns:
         Their number, and the time from the beginning until the last one [s].
@@ -393,17 +401,17 @@ def _join_late(endpoint: str, least: int, act: Callable[[], object]) -> tuple[in
     began_s = changed_s = time.monotonic()
     with connected(endpoint) as observer:
         watch, tokens = observer.watch_tokens("@ros2_lv/0/**", TOKENS_DEPTH), set[str]()
-        while len(tokens) < least and time.monotonic() < began_s + PATIENCE_S:
+        # The first token may take longer than the pauses between the others.
+        while (now_s := time.monotonic()) < changed_s + (quiet_s if tokens else PATIENCE_S):
             for token, is_alive in watch.take():
                 (tokens.add if is_alive else tokens.discard)(token)
-                changed_s = time.monotonic()
-            act()
+                changed_s = now_s
             time.sleep(POLL_S)
         watch.close()
-    return len(tokens), changed_s - began_s
+    return len(tokens), (changed_s if tokens else now_s) - began_s
 
 
-def _measure_bare_tokens(robots: int) -> Iterator[Figure]:
+def _measure_bare_tokens(robots: int, quiet_s: float) -> Iterator[Figure]:
     """Declare the tokens of robots without anything else, and join late."""
     endpoint = free_endpoint()
     with ExitStack() as stack:
@@ -413,8 +421,9 @@ def _measure_bare_tokens(robots: int) -> Iterator[Figure]:
         process = stack.enter_context(program("bare_tokens", endpoint, str(robots)))
         declared = msgspec.json.decode(line_with("{", process), type=DeclaredTokens)
         router_kib = (read_memory_kib(router.pid) - before_kib) / robots
-        count, seen_s = _join_late(endpoint, declared.count, lambda: None)
-    label = f"floor: {count} bare tokens of {robots} robots"
+        count, seen_s = _join_late(endpoint, quiet_s)
+    label = f"floor: {declared.count} bare tokens of {robots} robots"
+    yield Figure(what=f"{label}: tokens seen", unit="", samples=(count,))
     yield Figure(what=f"{label}: seen, late", unit="s", samples=(seen_s,))
     yield Figure(what=f"{label}: memory of a robot, router", unit="KiB", samples=(router_kib,))
     own_kib = declared.kib / robots
