@@ -134,10 +134,10 @@ DRIVE_SCRIPT: Final = """
   }
 
   addEventListener("keydown", (event) => {
-    // Those with shift are commands, as Shift+D.
-    const isPlain = !event.ctrlKey && !event.metaKey && !event.altKey && !event.shiftKey;
+    const isPlain = !event.ctrlKey && !event.metaKey && !event.altKey;
     if (!isOn || !isPlain || isTaken(event.target, event.code)) return;
-    if (event.code !== "Space" && !(event.code in AXES)) return;
+    // Letters and arrows with shift are commands, as Shift+D; space stops with it, too.
+    if (event.code !== "Space" && (event.shiftKey || !(event.code in AXES))) return;
     event.preventDefault();
     event.stopImmediatePropagation();  // else viser moves the camera, and buttons are pressed
     if (event.code === "Space") {

@@ -109,6 +109,15 @@ def test_keys_with_control_or_shift_and_those_of_fields_do_not_drive(more: str) 
 
 
 @pytest.mark.browser
+@pytest.mark.parametrize("more", ["{}", "{shiftKey: true}"])
+def test_space_stops_with_and_without_shift(more: str) -> None:
+    sent, stopped = run(f"down('KeyW');down('Space', {more});tick()")
+
+    assert sent == [[1, 0, 0], STOP, STOP]
+    assert stopped == ["KeyW", "Space"]
+
+
+@pytest.mark.browser
 def test_letters_drive_though_a_tab_has_the_focus_and_arrows_change_the_tab() -> None:
     tab = "{target: Object.assign(new HTMLElement(), {kind: '[role=tab]'})}"
 
