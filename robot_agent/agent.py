@@ -465,8 +465,9 @@ class Agent:
             return
         if order == "reset":
             self._robots.reset()
-        self._handle_lost(self._robots.release_all_except(state.claims), "the entity is gone")
+        lost = self._robots.release_all_except(state.claims)
         self._claims = state.claims
+        self._handle_lost(lost, "the entity is gone")
         if not state.claims:
             return
         if self._robots.repeats(state):

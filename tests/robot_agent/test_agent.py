@@ -1,5 +1,6 @@
 """An agent with a server and users, in memory."""
 
+import gc
 import os
 import signal
 import struct
@@ -13,6 +14,7 @@ from tests.fakes import ManualClock, MemoryBus
 from tests.robot_agent.fake_server import AGENT, WORLD, FakeServer
 from tests.robot_agent.models import DRIVE, a_claim, a_state, two_wheeler
 from tests.robot_agent.test_bumpers import a_touchy_robot
+from tests.robot_agent.test_claim_client import FakeShareServer
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode
 from zensim.proto.messages.agent_messages import DriveState, FleetOdometry
@@ -286,6 +288,40 @@ class Scene:
             struct.unpack(f"<{len(command.targets) // 8}d", command.targets)
             for command in self.server.commands()
         ]
+
+
+@pytest.mark.usefixtures("unfrozen")
+@pytest.mark.parametrize(
+    ("kept", "is_frozen"), [((1, 2), False), ((1, 2, 3, 4), True)], ids=["most gone", "one gone"]
+)
+def test_pool_unfreezes_when_as_many_robots_go_at_once_as_are_left(
+    kept: tuple[int, ...], *, is_frozen: bool
+) -> None:
+    bus = MemoryBus()
+    bus.token(keys.alive_server(WORLD))
+    FakeShareServer(bus).grants = [tuple(a_claim(one, f"r{one}") for one in range(1, 6))]
+    agent = Agent(bus, AgentConfig(agent=AGENT, pool_limit=0))
+    states = bus.opened_sessions[0]
+
+    def drive(step: int, claims: tuple[int, ...], now_s: float) -> bool:
+        key = DRIVE_STATE.key(WORLD, AGENT)
+        states.put_message(key, a_state(step, claims), Format.MSGPACK)
+        assert agent.poll(now_s)
+        return gc.get_freeze_count() > 0
+
+    assert not drive(1, (1, 2, 3, 4, 5), 100.0)
+    assert drive(2, (1, 2, 3, 4, 5), 100.0 + FREEZE_AFTER_S)
+
+    assert drive(3, kept, 100.1 + FREEZE_AFTER_S) == is_frozen
+    agent.close()
+
+
+@pytest.fixture
+def unfrozen() -> Iterator[None]:
+    """Begin and end without objects that collections pass over."""
+    gc.unfreeze()
+    yield
+    gc.unfreeze()
 
 
 def test_agent_has_its_token_up_before_it_claims() -> None:
