@@ -19,7 +19,7 @@ __all__ = ["rows", "table"]
 
 WINDOWS = 8
 FACTOR = Limit("median", ">=", 15.0)
-"""Limit for ten robots with ten agents."""
+"""Limit for ten robots, pooled and with an agent each; it is asked of those that are pooled."""
 TEN = f"{ROBOTS} robots"
 SERVED = {"served": False, "served, one pool": True}
 """Whether the agents are pooled."""

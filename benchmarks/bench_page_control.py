@@ -11,7 +11,7 @@ page whose messages end while its connection stays.
 import signal
 import time
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 
@@ -137,17 +137,19 @@ def _measure_keys(server: Server, tab: Tab, count: int, what: str) -> Iterator[F
             return any(one.linear.x > 0.0 for one in _read(commands))
 
         eventually(is_driven, 60.0, "driving by a key")
-        downs, sent, ups = [], [], []
+        downs, ups = list[float](), list[float]()
+        sent = list[float | None]()
         for _ in range(count):
             _time_until(lambda: _is_stopped(commands), 1.0)
             commands.take()
             tab.evaluate("window.zensimSent = [], 0")
             began_ms = 1e3 * time.time()
             downs.append(_time_press(tab, "rawKeyDown", lambda: bool(_read(commands))))
-            sent.append((tab.evaluate("window.zensimSent[0]") - began_ms) / 1e3)
+            sent_ms = tab.evaluate("window.zensimSent[0]")
+            sent.append(None if sent_ms is None else (sent_ms - began_ms) / 1e3)
             ups.append(_time_press(tab, "keyUp", lambda: _is_stopped(commands)))
     yield _make_delay(f"{what}: key down to a command", downs, "p95", "key")
-    yield _make_part(f"{what}: key down until the script of the page sends", sent)
+    yield from make_sent_figures(what, sent)
     yield _make_delay(f"{what}: key up to a command of zero", ups, "max", "stop")
 
 
@@ -279,8 +281,16 @@ def _time_until(is_done: Callable[[], bool], within_s: float = 10.0) -> float:
     return time.perf_counter() - began
 
 
-def _make_part(what: str, delays: list[float]) -> Figure:
-    return Figure(what=what, unit="ms", samples=tuple(1e3 * delay for delay in delays))
+def make_sent_figures(what: str, delays: Sequence[float | None]) -> Iterator[Figure]:
+    """Make figures of the delays [s] of the page's script; None = it sent nothing."""
+    sent_ms = tuple(1e3 * delay for delay in delays if delay is not None)
+    limit = Limit("max", "<=", 0.0)
+    missing = (float(len(delays) - len(sent_ms)),)
+    label = f"{what}: keys down after which the script of the page sends nothing"
+    yield Figure(what=label, unit="", samples=missing, limit=limit)
+    if sent_ms:
+        label = f"{what}: key down until the script of the page sends"
+        yield Figure(what=label, unit="ms", samples=sent_ms)
 
 
 def _make_delay(what: str, delays: list[float], statistic: Statistic, kind: str) -> Figure:
