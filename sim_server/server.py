@@ -321,7 +321,7 @@ def _make_inbox(
 
 @contextmanager
 def _no_garbage_collection() -> Iterator[None]:
-    """Search no garbage: what a start makes stays, and a large world takes a fifth longer."""
+    """Disable garbage collection: the objects of a start stay, and it takes a fifth of its time."""
     gc.disable()
     try:
         yield
