@@ -2,6 +2,7 @@
 
 from enum import Enum
 from functools import cache
+from threading import RLock
 from typing import TypeVar, cast
 
 import msgspec
@@ -45,6 +46,9 @@ FORMAT_OF_FIRST_BYTE: dict[int, Format] = {
     **dict.fromkeys((*range(0x80, 0x90), 0xDE, 0xDF), Format.MSGPACK),
     **dict.fromkeys(b"{ \t\r\n", Format.JSON),
 }
+
+_DECODERS_LOCK = RLock()
+"""While msgspec describes a type, the description is half complete for other threads."""
 
 _WRITE_MSGPACK = msgspec.msgpack.Encoder().encode
 _WRITE_JSON = msgspec.json.Encoder().encode
@@ -164,12 +168,14 @@ def _cdr_encoding(message_type: type[msgspec.Struct]) -> str:
 
 @cache
 def _msgpack_decoder(message_type: type[Message]) -> msgspec.msgpack.Decoder[Message]:
-    return msgspec.msgpack.Decoder(message_type)
+    with _DECODERS_LOCK:
+        return msgspec.msgpack.Decoder(message_type)
 
 
 @cache
 def _json_decoder(message_type: type[Message]) -> msgspec.json.Decoder[Message]:
-    return msgspec.json.Decoder(message_type)
+    with _DECODERS_LOCK:
+        return msgspec.json.Decoder(message_type)
 
 
 def _find_type_name(message_type: type[msgspec.Struct]) -> str:

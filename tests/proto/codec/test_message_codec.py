@@ -1,6 +1,8 @@
 """Formats: detection, round trips and errors."""
 
 import math
+import subprocess
+import sys
 from itertools import permutations
 
 import msgspec
@@ -227,3 +229,38 @@ def test_fields_of_a_subclass_are_in_all_formats_but_cdr() -> None:
 
     assert decode(SpawnEntityReport, encode(report, Format.MSGPACK)) == report
     assert decode(SpawnEntityReport, encode(report, Format.CDR)).entity_namespace == ""
+
+
+TWO_THREADS = """
+import threading
+import msgspec
+from zensim.proto.codec.message_codec import decode
+
+def read(message_type):
+    print(decode(message_type, msgspec.msgpack.encode({"inner": {"number": 1}})).inner.number)
+
+def read_in_another_thread():
+    other = threading.Thread(target=read, args=(Other,))
+    other.start()
+    other.join(0.3)
+    return int
+
+class Inner(msgspec.Struct):
+    number: "read_in_another_thread()"
+
+class Outer(msgspec.Struct):
+    inner: Inner
+
+class Other(msgspec.Struct):
+    inner: Inner
+
+read(Outer)
+"""
+
+
+def test_two_threads_may_decode_a_type_for_the_first_time() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", TWO_THREADS], capture_output=True, text=True, timeout=60, check=False
+    )
+
+    assert (done.returncode, done.stdout) == (0, "1\n1\n")
