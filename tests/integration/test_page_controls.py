@@ -7,6 +7,7 @@ help, and its commands by its palette: one that no test names fails the last tes
 
 import functools
 import re
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -44,6 +45,7 @@ from zensim.proto.messages.telemetry_messages import Info
 from zensim.proto.network_protocols import Subscription
 from zensim.proto.topic_catalog import CMD_VEL, CONTACTS, SCAN
 from zensim.sim_server.description.builtin_models import list_builtin_models, read_builtin_model
+from zensim.spawner.page.drive_control import REPEAT_S
 from zensim.spawner.page.shortcuts import COMMANDS, PageCommand
 
 pytestmark = pytest.mark.browser
@@ -575,11 +577,28 @@ def take_over(page: Page, act: Callable[[], None]) -> None:
         other.send("ZensimSelect", entity="r1")
         eventually(lambda: "r1: driven by" in other.texts(), WITHIN_S, "its selection")
         page.select("r1")
-        with page.commands("r1") as commands:
-            other.send("ZensimDrive", forward=1.0, left=0.0, turn=0.0)
+        with page.commands("r1") as commands, holding_forward(other):
             eventually(is_moving(commands, lambda one: one.linear.x > 0.0), WITHIN_S, "driving")
-        act()
-        eventually(lambda: "taken over r1" in str(other.notifications), WITHIN_S, "a notice")
+            act()
+            eventually(lambda: "taken over r1" in str(other.notifications), WITHIN_S, "a notice")
+
+
+@contextmanager
+def holding_forward(user: PageUser) -> Iterator[None]:
+    """Repeat the input of a held key as a page does: a visitor keeps its robot for seconds only."""
+    is_over = threading.Event()
+
+    def repeat() -> None:
+        while not is_over.wait(REPEAT_S):
+            user.send("ZensimDrive", forward=1.0, left=0.0, turn=0.0)
+
+    thread = threading.Thread(target=repeat)
+    thread.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        thread.join()
 
 
 def drive_to(page: Page, act: Callable[[], None]) -> None:
