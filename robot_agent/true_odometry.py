@@ -3,6 +3,7 @@
 from random import Random
 
 from zensim.proto.drives.column_math import FLOAT_MATH
+from zensim.proto.drive_topic_keys import resolve_topic_key
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.model_messages import ZERO, GroundTruth, Model, Vec3
 from zensim.proto.messages.standard_messages import (
@@ -23,7 +24,6 @@ from zensim.proto.ros2.ros_graph import RosTopic
 from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory
 from zensim.robot_agent.drive_state_decoder import RobotState
 from zensim.robot_agent.link_motion import LinkChain, LinkState, find_link_chain
-from zensim.robot_agent.topic_remapping import resolve_topic_key
 
 NO_NOISE = (ZERO, ZERO)
 

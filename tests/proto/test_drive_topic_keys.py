@@ -2,12 +2,12 @@
 
 import pytest
 
-from zensim.proto.messages.drive_messages import Compat, DiffDrive, RosBlock
-from zensim.robot_agent.topic_remapping import (
+from zensim.proto.drive_topic_keys import (
     resolve_cmd_vel_key,
     resolve_odom_key,
     resolve_topic_key,
 )
+from zensim.proto.messages.drive_messages import Compat, DiffDrive, RosBlock
 
 
 @pytest.mark.parametrize(
