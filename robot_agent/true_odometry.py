@@ -2,8 +2,8 @@
 
 from random import Random
 
-from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.drive_topic_keys import resolve_topic_key
+from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.model_messages import ZERO, GroundTruth, Model, Vec3
 from zensim.proto.messages.standard_messages import (

@@ -193,13 +193,14 @@ def test_large_fleets_are_thinned_by_the_messages_of_their_agents(
     monkeypatch.setattr(fleet_robots, "LEAST_ROBOTS", 1)
     wait_for_messages(bus, "r1/odom", 1)
     path, topics = tmp_path / "run.mcap", ("r1/odom", "r1/tf")
+    subscriptions = {f"/{key}": bus.subscribe(key, 65536) for key in topics}
+    wait_for_messages(bus, "r1/tf", 1)
     program = RecordProgram(
         bus,
         TopicFilter(TopicSelection(topics=("*/odom", "*/tf"))),
         RecorderSettings(world="default", domain=None, period_ns=200_000_000),
         SessionSettings(parts=PartSettings(path=path), max_cache_bytes=1 << 20),
     )
-    subscriptions = {f"/{key}": bus.subscribe(key, 65536) for key in topics}
 
     program.run(lambda: False, 4.0)
 

@@ -1,7 +1,7 @@
 """What a recorder subscribes to and hands over, from an in-memory network."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, cast
 
 import msgspec
@@ -12,13 +12,16 @@ from zensim.proto.codec.message_codec import Format, decode, encode, make_encodi
 from zensim.proto.messages.input_messages import Inputs, ServiceRequest
 from zensim.proto.messages.standard_messages import Header, Odometry, String, Time, Twist
 from zensim.proto.messages.telemetry_messages import Event, WorldClock
+from zensim.proto.network_protocols import Sample
 from zensim.proto.ros2.liveliness_tokens import GraphEndpoint, GraphNode, make_endpoint_token
-from zensim.proto.topic_catalog import CLOCK, INPUTS
+from zensim.proto.topic_catalog import CLOCK, EVENTS, INPUTS
 from zensim.recording import recorder as recorder_module
-from zensim.recording.recorded_topics import RecordedMessage
+from zensim.recording.recorded_topics import RecordedMessage, RecordedTopic, TopicTable
 from zensim.recording.recorder import (
+    EVENTS_DEPTH,
     LONG_PERIOD_S,
     MANY_TAKEN,
+    MOST_OPENED,
     SHORT_PERIOD_S,
     WALL_PERIOD_S,
     MessageNetwork,
@@ -29,6 +32,7 @@ from zensim.recording.topic_selection import TopicFilter, TopicSelection
 
 WORLD = "default"
 STEP_NS = 10_000_000
+SECOND_NS = 1_000_000_000
 
 
 class MessageList:
@@ -69,6 +73,119 @@ def bus() -> MemoryBus:
 
     bus.pumps.append(reply)
     return bus
+
+
+class ListedFleet:
+    """Robots of a fleet, of which it is listed what is to be recorded."""
+
+    def __init__(self) -> None:
+        self.keys: set[str] = set()
+        self.kept: list[tuple[int, RecordedTopic, bytes]] = []
+        """Messages of the current epoch."""
+        self.epochs: list[int] = []
+        self.cleared = 0
+
+    def collect(self, epoch: int) -> None:
+        self.epochs.append(epoch)
+
+    def take(self) -> Iterator[tuple[int, RecordedTopic, bytes]]:
+        taken, self.kept = self.kept, []
+        return iter(taken)
+
+    def find_single_keys(self, now_ns: int) -> set[str]:
+        del now_ns
+        return self.keys
+
+    def note_event(self, event: Event) -> None:
+        del event
+
+    def clear(self) -> None:
+        self.cleared += 1
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def fleet() -> ListedFleet:
+    return ListedFleet()
+
+
+@pytest.fixture
+def fleet_recorder(bus: MemoryBus, fleet: ListedFleet) -> tuple[Recorder, MessageList]:
+    """Recorder of a large fleet."""
+    chosen = TopicFilter(TopicSelection(topics=("*/odom",)))
+    settings = RecorderSettings(world=WORLD, domain=None)
+    sink = MessageList()
+    network = cast("MessageNetwork", bus)
+    return Recorder(network, chosen, settings, sink, lambda _: fleet), sink
+
+
+def list_odometry_keys(bus: MemoryBus) -> list[str]:
+    return [key for key in bus.subscribed_keys if key.endswith("/odom")]
+
+
+def test_topics_of_single_robots_are_subscribed_to_once_and_as_long_as_listed(
+    bus: MemoryBus, fleet: ListedFleet, fleet_recorder: tuple[Recorder, MessageList]
+) -> None:
+    recorder, sink = fleet_recorder
+    fleet.keys = {"r1/odom", "r2/odom"}
+    for _ in range(3):
+        recorder.take()
+    before = sorted(list_odometry_keys(bus))
+    bus.put_message("r1/odom", Odometry(Header(Time(2))), Format.CDR)
+    recorder.take()
+    fleet.keys = {"r2/odom"}
+    recorder.take()
+
+    assert before == ["r1/odom", "r2/odom"]
+    assert list_odometry_keys(bus) == ["r2/odom"]
+    assert [one[0].name for one in sink.messages] == ["/r1/odom"]
+    recorder.close()
+    assert list_odometry_keys(bus) == []
+
+
+def test_few_subscriptions_begin_at_once(
+    bus: MemoryBus, fleet: ListedFleet, fleet_recorder: tuple[Recorder, MessageList]
+) -> None:
+    recorder, _ = fleet_recorder
+    fleet.keys = {f"r{number}/odom" for number in range(MOST_OPENED + 10)}
+    recorder.take()
+    first = len(list_odometry_keys(bus))
+    recorder.take()
+
+    assert (first, len(list_odometry_keys(bus))) == (MOST_OPENED, MOST_OPENED + 10)
+
+
+def test_robots_are_found_again_when_events_were_lost(
+    bus: MemoryBus, fleet: ListedFleet, fleet_recorder: tuple[Recorder, MessageList]
+) -> None:
+    recorder, _ = fleet_recorder
+    found = []
+    for count in (10, EVENTS_DEPTH):
+        for number in range(count):
+            bus.put_message(EVENTS.key(WORLD), Event("deleted", f"e{number}"), Format.MSGPACK)
+        recorder.take()
+        found.append(fleet.cleared)
+
+    assert found == [0, 1]
+
+
+def test_last_messages_before_a_reset_are_collected(
+    bus: MemoryBus, fleet: ListedFleet, fleet_recorder: tuple[Recorder, MessageList]
+) -> None:
+    recorder, sink = fleet_recorder
+    table = TopicTable(WORLD, lambda *_: True)
+    payload = encode(Odometry(), Format.CDR)
+    topic = table.find(Sample("r1/odom", payload, make_encoding(Odometry, Format.CDR)))
+    assert topic is not None
+    fleet.kept = [(SECOND_NS, topic, payload)]
+    bus.put_message(CLOCK.key(WORLD), WorldClock(Time(0, 0), 0, 1), Format.MSGPACK)
+
+    recorder.take()
+
+    assert fleet.epochs == [0, 1]
+    assert len(sink.messages) == 1
 
 
 Make = Callable[..., tuple[Recorder, MessageList]]

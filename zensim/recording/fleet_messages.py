@@ -6,9 +6,12 @@ gives their frames and covariances once, which never change.
 """
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Iterator, Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import suppress
-from itertools import count
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -27,9 +30,10 @@ from zensim.proto.message_paths import (
 )
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, FleetOdometry
 from zensim.proto.messages.model_messages import Joint, Model
+from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.standard_messages import NANOSECONDS, Odometry, TFMessage
-from zensim.proto.messages.telemetry_messages import Event, GetModelsRequest
-from zensim.proto.network_protocols import CallingNetwork, Sample, Subscription
+from zensim.proto.messages.telemetry_messages import Event, GetModelsRequest, GetModelsResponse
+from zensim.proto.network_protocols import CallingNetwork, Closable, Sample
 from zensim.proto.service_catalog import GET_MODELS
 from zensim.proto.tf_joints import MOVABLE_KINDS
 from zensim.proto.topic_catalog import FLEET_ODOMETRY
@@ -43,25 +47,53 @@ from zensim.recording.fleet_robots import (
 from zensim.recording.recorded_topics import RecordedTopic
 
 DEPTH: Final = 4096
-"""Messages of 64 KiB that wait: of 10,000 robots, some 20 a step."""
-GET_TIMEOUT_S: Final = 0.5
+MAX_WAITING_BYTES: Final = 32 << 20
+"""Of messages that wait; newer ones replace the oldest. 10,000 robots send 1.5 MB a step."""
+MAX_EARLY: Final = 512
+"""Messages of other epochs that wait for the clock."""
+CALL_TIMEOUT_S: Final = 1.0
+FIRST_BUDGET_S: Final = 3.0
+"""Of the queries of all robots of a world."""
+QUERY_BUDGET_S: Final = 0.5
+"""Of all queries of one call of `collect` later."""
 QUERY_PERIOD_S: Final = 1.0
 """Wall time between two queries for robots that are new."""
+MAX_QUERY_PERIOD_S: Final = 8.0
+"""The period is doubled up to it while no names of robots are known to the server."""
+MOST_NAMED: Final = 1000
+"""Robots that are asked for by name."""
 MOST_SINGLE: Final = 16
 """New robots whose topics are queried one by one."""
+MOST_QUERIES: Final = 5
+"""Queries of a robot without all replies after which its own topics are subscribed to."""
 MISSED_NS: Final = NANOSECONDS
 """Simulation time without odometry of a robot after which its own topics are subscribed to."""
+MISSED_S: Final = 1.0
+"""Wall time that has to pass, too: a simulation may run fast or step far at once."""
 CHECK_NS: Final = NANOSECONDS // 4
-OLD_EPOCH_S: Final = 2.0
-"""Wall time without a message of the newest epoch after which an older one is of a new server."""
+MAX_TIME_NS: Final = (1 << 31) * NANOSECONDS
+"""End of the time that a stamp can have."""
 NEVER_NS: Final = -1
+NEVER_S: Final = float("-inf")
+NO_SLOT: Final = 0
+"""Row of no robot."""
+
+
+BoolArray = npt.NDArray[np.bool_]
+
+
+class WaitingMessages(Closable, Protocol):
+    """Messages of a subscription."""
+
+    def take(self) -> list[Sample]:
+        """Take all messages received, oldest first."""
 
 
 class FleetNetwork(CallingNetwork, Protocol):
     """Network of a world."""
 
-    def subscribe(self, key: str, depth: int = 1) -> Subscription:
-        """Subscribe to a key expression, keeping the newest `depth` messages."""
+    def subscribe_copying(self, key: str, depth: int, max_bytes: int = ...) -> WaitingMessages:
+        """Subscribe to a key expression, keeping the newest messages up to a count and a size."""
 
     def get(self, key: str, timeout_s: float = 1.0) -> list[Sample]:
         """Get the last messages of a key expression."""
@@ -112,78 +144,110 @@ def is_paced_alike(model: Model) -> bool:
     return drive.tf_rate_hz == (drive.update_rate_hz if odometry_hz is None else odometry_hz)
 
 
-_Layout = tuple[int, bool, tuple[int, ...] | None]
-"""What robots of a group have in common: identity of the model, whether odometry is recorded,
-columns of `_TransformParts`; None without transforms."""
+class _Layout(NamedTuple):
+    """What robots of a group have in common."""
 
-
-class _FoundRobot(NamedTuple):
-    """A robot whose topics replied."""
-
-    robot: FleetRobot
-    topic: RecordedTopic | None
-    """Of odometry; None if it is not recorded."""
-    odometry: Odometry
-    tf_topic: RecordedTopic | None
-    transforms: TFMessage
+    has_odometry: bool
+    """Whether it is recorded."""
     parts: _TransformParts | None
     """None without transforms."""
 
 
-class _FleetGroup:
-    """Robots that were found at the same time, with equal models and topics."""
+class _Templates(NamedTuple):
+    """Topics of a robot, and messages with the frames and covariances of its own."""
 
-    def __init__(self, slots: IntArray, found: Sequence[_FoundRobot]) -> None:
-        self.slots = slots
+    topic: RecordedTopic | None
+    """Of odometry; None if it is not recorded."""
+    odometry: Odometry
+    tf_topic: RecordedTopic | None
+    """None if transforms are not made of odometry."""
+    transforms: TFMessage
+
+
+@dataclass(eq=False, slots=True)
+class _KnownRobot:
+    """A robot of the world."""
+
+    robot: FleetRobot
+    slot: int
+    """In the table."""
+    single: set[str]
+    """Keys that are subscribed to while its odometry comes."""
+    replies: dict[str, Sample] = field(default_factory=dict)
+    """Until all have come."""
+    queries: int = 0
+    templates: _Templates | None = None
+    """None until its topics have replied."""
+
+
+class _FleetGroup:
+    """Messages of robots with equal layouts."""
+
+    def __init__(self, layout: _Layout, members: Sequence[_KnownRobot]) -> None:
+        self.layout, self._members = layout, list(members)
+        self.rows = {one.slot: row for row, one in enumerate(members)}
+        """Of the robots that are left, by slot."""
+        self.slots = np.array(list(self.rows), dtype=np.int64)
+        """Of each row; `NO_SLOT` for a robot that is gone."""
+        found = [one.templates for one in members if one.templates is not None]
         self._topics = [one.topic for one in found if one.topic is not None]
         self._odometry = CdrBatch(
             [one.odometry for one in found if one.topic is not None],
             ODOMETRY_PATHS,
             HEADER_STAMP,
         )
-        parts = found[0].parts or _TransformParts((), ())
-        self._tf_topics = [one.tf_topic for one in found if one.tf_topic and one.parts]
+        parts = layout.parts or _TransformParts((), ())
+        self._tf_topics = [one.tf_topic for one in found if one.tf_topic is not None]
         self._transforms = CdrBatch(
-            [one.transforms for one in found if one.tf_topic and one.parts],
+            [one.transforms for one in found if one.tf_topic is not None],
             list_tf_paths(len(parts.columns)),
             list_tf_stamps(len(parts.columns)),
         )
         self._columns = np.array(parts.columns, dtype=np.int64)
         self._joints = JointTransforms(parts.joints)
-        self._lacking: set[int] = set()
-        self.lacking_keys: list[str] = []
-        """Of transforms whose joints are not known."""
+        has_own = [not self._tf_topics or one.robot.tf_key in one.single for one in members]
+        self._has_transforms = ~np.array(has_own, dtype=np.bool_)
+        self.is_lacking = False
+        """Whether keys of robots have become single ones."""
+
+    @property
+    def members(self) -> list[_KnownRobot]:
+        """Robots that are left."""
+        return [self._members[row] for row in self.rows.values()]
+
+    def remove(self, slot: int) -> None:
+        """Make no more messages of a robot."""
+        if (row := self.rows.pop(slot, None)) is not None:
+            self.slots[row] = NO_SLOT
 
     def make(
-        self, rows: IntArray, motions: FloatArray, positions: FloatArray, times_ns: IntArray
+        self, rows: IntArray, table: "MotionTable"
     ) -> Iterator[tuple[int, RecordedTopic, bytes]]:
-        """Make the messages of some rows: index into these, topic and bytes.
-
-        Args:
-            rows: Of this group, (m,).
-            motions: (m, STATE_COLUMNS).
-            positions: Of all joints, (m, joints); NaN where they are not known.
-            times_ns: (m,).
-        """
-        if self._topics:
+        """Make the messages of some rows, (m,): stamp [ns], topic, bytes."""
+        slots = self.slots[rows]
+        times_ns, motions = table.times_ns[slots], table.motions[slots]
+        if self.layout.has_odometry:
             self._odometry.fill(rows, motions[:, ODOMETRY_COLUMNS], times_ns)
             topics = [self._topics[row] for row in rows.tolist()]
-            yield from zip(count(), topics, self._odometry.payloads(rows), strict=False)
-        if self._tf_topics:
-            poses = self._find_poses(motions, positions)
+            yield from zip(times_ns.tolist(), topics, self._odometry.payloads(rows), strict=True)
+        if self._has_transforms[rows].any():
+            poses = self._find_poses(motions, table.positions[slots])
             is_known = ~np.isnan(poses).any(axis=1)
-            self._note_lacking(rows[~is_known])
-            rows = rows[is_known]
-            self._transforms.fill(rows, poses[is_known], times_ns[is_known])
-            topics = [self._tf_topics[row] for row in rows.tolist()]
-            numbers = np.flatnonzero(is_known).tolist()
-            yield from zip(numbers, topics, self._transforms.payloads(rows), strict=True)
+            numbers = np.flatnonzero(is_known & self._has_transforms[rows])
+            self._note_lacking(rows[~is_known & ~table.is_partial[slots]])
+            made, times_ns = rows[numbers], times_ns[numbers]
+            self._transforms.fill(made, poses[numbers], times_ns)
+            topics = [self._tf_topics[row] for row in made.tolist()]
+            payloads = self._transforms.payloads(made)
+            yield from zip(times_ns.tolist(), topics, payloads, strict=True)
 
     def _note_lacking(self, rows: IntArray) -> None:
+        """Leave the transforms of robots whose joints are not known to the robots themselves."""
+        rows = rows[self._has_transforms[rows]]
+        self._has_transforms[rows] = False
+        self.is_lacking |= len(rows) > 0
         for row in rows.tolist():
-            if row not in self._lacking:
-                self._lacking.add(row)
-                self.lacking_keys.append(self._tf_topics[row].name.lstrip("/"))
+            self._members[row].single.add(self._members[row].robot.tf_key)
 
     def _find_poses(self, motions: FloatArray, positions: FloatArray) -> FloatArray:
         """Find the poses of transforms, (m, 7 * transforms)."""
@@ -195,50 +259,92 @@ class _FleetGroup:
 
 
 class MotionTable:
-    """The newest odometry of each robot, a row each."""
+    """The newest odometry of each robot, a row each; the first is of no robot."""
 
     def __init__(self) -> None:
         self.slots: dict[str, int] = {}
-        self.times_ns = np.zeros(0, dtype=np.int64)
-        self.motions = np.zeros((0, STATE_COLUMNS))
-        self.positions = np.zeros((0, 0))
-        self.joint_counts = np.zeros(0, dtype=np.int64)
-        self.is_fresh: npt.NDArray[np.bool_] = np.zeros(0, dtype=np.bool_)
+        self._free: list[int] = []
+        self.times_ns = np.full(1, NEVER_NS)
+        """Stamp of the newest odometry in this epoch."""
+        self.due_ns = np.full(1, NEVER_NS)
+        """Simulation time from which on odometry has to be there; `NEVER_NS` = not yet known."""
+        self._in_time_s = np.zeros(1)
+        """Wall time at which odometry was last in time."""
+        self.motions = np.zeros((1, STATE_COLUMNS))
+        self.positions = np.zeros((1, 0))
+        self.joint_counts = np.zeros(1, dtype=np.int64)
+        self.is_fresh: BoolArray = np.zeros(1, dtype=np.bool_)
+        """Whether odometry came since the last take."""
+        self.is_missed: BoolArray = np.zeros(1, dtype=np.bool_)
+        self.has_agent: BoolArray = np.zeros(1, dtype=np.bool_)
+        self.is_partial: BoolArray = np.zeros(1, dtype=np.bool_)
+        """Whether others of the same message are not known, so that its joints cannot be found."""
         self.unknown: set[str] = set()
         """Robots without a row whose odometry came."""
-        self.epoch = 0
-        """Of the rows."""
-        self._newest_s = 0.0
 
-    def add_robots(self, names: Sequence[str], joint_counts: Sequence[int]) -> IntArray:
-        """Add rows of new robots; return them."""
-        before, count = len(self.times_ns), len(names)
-        widest = max([self.positions.shape[1], *joint_counts])
-        positions = np.full((before + count, widest), np.nan)
-        positions[:before, : self.positions.shape[1]] = self.positions
-        self.positions = positions
-        self.motions = np.concatenate([self.motions, np.zeros((count, STATE_COLUMNS))])
-        self.times_ns = np.concatenate([self.times_ns, np.full(count, NEVER_NS)])
-        self.joint_counts = np.concatenate([self.joint_counts, np.array(joint_counts, np.int64)])
-        self.is_fresh = np.concatenate([self.is_fresh, np.zeros(count, dtype=np.bool_)])
-        added = np.arange(before, before + count)
-        self.slots.update(zip(names, added.tolist(), strict=True))
-        self.unknown.difference_update(names)
-        return added
+    def add_robot(self, robot: FleetRobot, now_s: float) -> int:
+        """Give a robot a row."""
+        if not self._free:
+            self._grow()
+        slot, joints = self._free.pop(), len(robot.model.joints)
+        self._widen(joints)
+        self.times_ns[slot] = self.due_ns[slot] = NEVER_NS
+        self._in_time_s[slot] = now_s
+        self.positions[slot] = np.nan
+        self.joint_counts[slot] = joints
+        self.is_fresh[slot] = self.is_missed[slot] = False
+        self.has_agent[slot] = robot.has_agent
+        self.slots[robot.entity] = slot
+        self.unknown.discard(robot.entity)
+        return slot
+
+    def _grow(self) -> None:
+        """Double the rows."""
+        size = len(self.times_ns)
+        self._free += range(2 * size - 1, size - 1, -1)
+        self.times_ns, self.due_ns, self._in_time_s, self.joint_counts = (
+            np.concatenate([one, one])
+            for one in (self.times_ns, self.due_ns, self._in_time_s, self.joint_counts)
+        )
+        self.motions = np.concatenate([self.motions, self.motions])
+        self.positions = np.concatenate([self.positions, self.positions])
+        none = np.zeros(size, dtype=np.bool_)
+        flags = self.is_fresh, self.is_missed, self.has_agent, self.is_partial
+        self.is_fresh, self.is_missed, self.has_agent, self.is_partial = (
+            np.concatenate([one, none]) for one in flags
+        )
+
+    def _widen(self, joints: int) -> None:
+        lacking = joints - self.positions.shape[1]
+        if lacking > 0:
+            self.positions = np.pad(self.positions, ((0, 0), (0, lacking)), constant_values=np.nan)
 
     def remove(self, name: str) -> None:
         """Take no more of a robot."""
+        self.unknown.discard(name)
         if (slot := self.slots.pop(name, None)) is not None:
-            self.is_fresh[slot] = False
+            self.is_fresh[slot] = self.is_missed[slot] = self.has_agent[slot] = False
+            self._free.append(slot)
+
+    def expect(self, slot: int, now_s: float, *, has_agent: bool) -> None:
+        """Note whether odometry of a robot is expected, from now on."""
+        self.has_agent[slot] = has_agent
+        self.is_missed[slot] = False
+        self.due_ns[slot], self._in_time_s[slot] = NEVER_NS, now_s
+
+    def begin_epoch(self) -> None:
+        """Forget all odometry, as time begins again."""
+        self.is_fresh[:] = False
+        self.times_ns[:] = self.due_ns[:] = NEVER_NS
 
     def add(self, message: FleetOdometry, now_s: float) -> None:
-        """Take a message; one with lengths that do not fit is left out."""
+        """Take a message; one with lengths or times that do not fit is left out."""
         count = len(message.entities)
-        if len(message.motions) != 8 * STATE_COLUMNS * count or not self._is_of_now(message, now_s):
+        if len(message.motions) != 8 * STATE_COLUMNS * count or message.time_ns >= MAX_TIME_NS:
             return
         get = self.slots.get
-        slots = np.array([get(name, NEVER_NS) for name in message.entities], dtype=np.int64)
-        is_known = slots >= 0
+        slots = np.array([get(name, NO_SLOT) for name in message.entities], dtype=np.int64)
+        is_known = slots != NO_SLOT
         if not is_known.all():
             names = np.array(message.entities, dtype=object)[~is_known]
             self.unknown.update(names.tolist())
@@ -246,34 +352,36 @@ class MotionTable:
         motions = np.frombuffer(message.motions, dtype="<f8").reshape(count, STATE_COLUMNS)
         self.motions[rows] = motions[is_known]
         self.times_ns[rows] = message.time_ns
+        self._in_time_s[rows] = now_s
         self.is_fresh[rows] = True
+        self.is_partial[rows] = len(rows) < count
         self._add_positions(message.joint_positions, slots)
-
-    def _is_of_now(self, message: FleetOdometry, now_s: float) -> bool:
-        if message.epoch < self.epoch and now_s < self._newest_s + OLD_EPOCH_S:
-            return False
-        if message.epoch != self.epoch:
-            # Time has begun again.
-            self.is_fresh[:] = False
-            self.times_ns[:] = NEVER_NS
-        self.epoch, self._newest_s = message.epoch, now_s
-        return True
 
     def _add_positions(self, packed: bytes, slots: IntArray) -> None:
         """Take joint positions; those of robots with unknown numbers of joints are not known."""
-        rows = slots[slots >= 0]
+        rows = slots[slots != NO_SLOT]
         self.positions[rows] = np.nan
         if len(packed) % 8 or not len(rows):
             return
         numbers, counts = np.frombuffer(packed, dtype="<f8"), self.joint_counts[rows]
         widest = int(counts.max())
         if len(numbers) == widest * len(slots) and (counts == widest).all():
-            self.positions[rows, :widest] = numbers.reshape(len(slots), widest)[slots >= 0]
+            is_known = slots != NO_SLOT
+            self.positions[rows, :widest] = numbers.reshape(len(slots), widest)[is_known]
         elif len(rows) == len(slots) and len(numbers) == counts.sum():
             is_used = np.arange(self.positions.shape[1]) < counts[:, None]
             found = np.full(is_used.shape, np.nan)
             found[is_used] = numbers
             self.positions[rows] = found
+
+    def find_missed(self, now_ns: int, now_s: float) -> None:
+        """Find the robots with an agent whose odometry is late in simulation and in wall time."""
+        is_new = (self.due_ns == NEVER_NS) | (self.due_ns > now_ns)
+        self.due_ns[is_new] = now_ns
+        newest_ns = np.maximum(self.times_ns, self.due_ns)
+        is_late = self.has_agent & (now_ns > newest_ns + MISSED_NS)
+        self._in_time_s[~is_late] = now_s
+        self.is_missed |= is_late & (now_s > self._in_time_s + MISSED_S)
 
 
 class FleetMessages:
@@ -288,53 +396,65 @@ class FleetMessages:
             selection: Which topics are taken.
         """
         self._network, self._world, self._selection = network, world, selection
-        self._subscription = network.subscribe(FLEET_ODOMETRY.key(world, "*"), DEPTH)
-        self._robots: dict[str, FleetRobot] = {}
-        self._due_ns: dict[str, int] = {}
-        """Simulation time of each robot from which on its odometry has to be there."""
-        self._single: set[str] = set()
-        """Robots whose own topics are subscribed to."""
-        self._single_keys: list[str] = []
-        self._queried_s, self._checked_ns = 0.0, 0
+        self._subscription = network.subscribe_copying(
+            FLEET_ODOMETRY.key(world, "*"), DEPTH, MAX_WAITING_BYTES
+        )
+        self._epoch: int | None = None
+        self._early: deque[FleetOdometry] = deque(maxlen=MAX_EARLY)
+        """Messages of other epochs than that of the clock."""
         self.clear()
+        self._find_robots()
 
     def clear(self) -> None:
         """Find all robots again, as another world was loaded."""
         self._table = MotionTable()
         self._groups: list[_FleetGroup] = []
-        self._robots.clear()
-        self._due_ns.clear()
-        self._find_robots(())
+        self._robots: dict[str, _KnownRobot] = {}
+        self._unread: dict[str, _KnownRobot] = {}
+        """Those whose topics have not replied."""
+        self._is_complete = False
+        """Whether the robots of the world were listed."""
+        self._single: frozenset[str] = frozenset()
+        self._has_changed = False
+        """Whether `_single` has to be found again."""
+        self._queried_s, self._period_s, self._checked_ns = NEVER_S, QUERY_PERIOD_S, 0
 
     def close(self) -> None:
         """End the subscription."""
         self._subscription.close()
 
-    def collect(self) -> None:
-        """Take what has come, so that the queue does not fill."""
-        now_s, table = time.monotonic(), self._table
+    def collect(self, epoch: int) -> None:
+        """See `RobotMessageSource`."""
+        if time.monotonic() >= self._queried_s + self._period_s:
+            self._find_robots()
+        now_s = time.monotonic()
+        if epoch != self._epoch:
+            self._begin_epoch(epoch, now_s)
         for sample in self._subscription.take():
             with suppress(MalformedPayload):
-                table.add(decode(FleetOdometry, sample.payload, sample.encoding), now_s)
-        table.unknown -= self._single
-        if table.unknown and now_s >= self._queried_s + QUERY_PERIOD_S:
-            self._find_robots(tuple(table.unknown))
+                message = decode(FleetOdometry, sample.payload, sample.encoding)
+                if message.epoch == epoch:
+                    self._table.add(message, now_s)
+                else:
+                    self._early.append(message)
 
-    def take(self, epoch: int) -> Iterator[tuple[int, RecordedTopic, bytes]]:
+    def _begin_epoch(self, epoch: int, now_s: float) -> None:
+        self._epoch = epoch
+        self._table.begin_epoch()
+        for message in self._early:
+            if message.epoch == epoch:
+                self._table.add(message, now_s)
+        self._early.clear()
+
+    def take(self) -> Iterator[tuple[int, RecordedTopic, bytes]]:
         """See `RobotMessageSource`."""
         table = self._table
-        if table.epoch != epoch:
-            return
-        fresh, table.is_fresh = table.is_fresh, np.zeros_like(table.is_fresh)
+        fresh = table.is_fresh & ~table.is_missed
+        table.is_fresh = np.zeros_like(fresh)
         for group in self._groups:
             rows = np.flatnonzero(fresh[group.slots])
-            if not len(rows):
-                continue
-            slots = group.slots[rows]
-            times = table.times_ns[slots]
-            made = group.make(rows, table.motions[slots], table.positions[slots], times)
-            stamps = times.tolist()
-            yield from ((stamps[number], topic, payload) for number, topic, payload in made)
+            if len(rows):
+                yield from group.make(rows, table)
 
     def note_event(self, event: Event) -> None:
         """Follow what becomes of robots."""
@@ -343,99 +463,161 @@ class FleetMessages:
             self.clear()
         elif event.kind == "deleted":
             self._forget(entity)
-            self._single.discard(entity)
         elif event.kind in ("claimed", "released") and entity in self._robots:
-            has_agent = event.kind == "claimed"
-            self._robots[entity] = self._robots[entity]._replace(has_agent=has_agent)
-            self._due_ns.pop(entity, None)
+            slot, has_agent = self._robots[entity].slot, event.kind == "claimed"
+            self._table.expect(slot, time.monotonic(), has_agent=has_agent)
         elif event.kind == "claimed":
             self._table.unknown.add(entity)
 
-    def take_single_keys(self, now_ns: int) -> list[str]:
-        """Take the keys that are to be subscribed to, since agents do not send their messages.
-
-        They are those of robots with an agent whose odometry has not come for a second, as of an
-        agent of another program or with a fault, and transforms that odometry does not give.
-        """
+    def find_single_keys(self, now_ns: int) -> AbstractSet[str]:
+        """See `RobotMessageSource`."""
+        table = self._table
+        before = table.is_missed
+        table.is_missed = before & ~table.is_fresh
         if not 0 <= now_ns - self._checked_ns < CHECK_NS:
             self._checked_ns = now_ns
-            self._find_missed(now_ns)
-        for group in self._groups:
-            self._single_keys += group.lacking_keys
-            group.lacking_keys = []
-        taken, self._single_keys = self._single_keys, []
-        return [one for one in taken if self._is_selected(one)]
+            table.find_missed(now_ns, time.monotonic())
+        self._has_changed |= not np.array_equal(before, table.is_missed)
+        if self._has_changed or any(one.is_lacking for one in self._groups):
+            self._single = frozenset(filter(self._is_selected, self._list_single()))
+            self._has_changed = False
+            for group in self._groups:
+                group.is_lacking = False
+        return self._single
 
-    def _find_missed(self, now_ns: int) -> None:
-        for entity, robot in tuple(self._robots.items()):
-            slot = self._table.slots.get(entity)
-            newest_ns = NEVER_NS if slot is None else int(self._table.times_ns[slot])
-            expected_ns = max(newest_ns, self._due_ns.setdefault(entity, now_ns))
-            if robot.has_agent and now_ns > expected_ns + MISSED_NS:
-                self._single_keys += [keys.robot(robot.namespace, one) for one in SUFFIXES]
-                self._forget(entity)
-                self._single.add(entity)
+    def _list_single(self) -> Iterator[str]:
+        for one in self._robots.values():
+            yield from one.robot.keys if self._table.is_missed[one.slot] else ()
+            yield from one.single
 
     def _is_selected(self, key: str) -> bool:
         return any(keys.intersect(one, key) for one in self._selection.expressions)
 
     def _forget(self, entity: str) -> None:
         self._table.remove(entity)
-        self._robots.pop(entity, None)
-        self._due_ns.pop(entity, None)
+        self._has_changed = True
+        self._unread.pop(entity, None)
+        if (known := self._robots.pop(entity, None)) is not None:
+            for group in self._groups:
+                group.remove(known.slot)
+            self._groups = [one for one in self._groups if one.rows]
 
-    def _find_robots(self, names: tuple[str, ...]) -> None:
-        """Find new robots; all if no names are given."""
+    def _find_robots(self) -> None:
+        """Find new robots, and read the topics of those that have not replied.
+
+        What fails is tried again in the next period.
+        """
+        budget_s = QUERY_BUDGET_S if self._is_complete else FIRST_BUDGET_S
+        with suppress(*FAILURES):
+            self._add_robots()
+            if unread := self._list_unread():
+                self._query(unread, budget_s)
         self._queried_s = time.monotonic()
-        request = GetModelsRequest(names)
-        try:
-            found = self._network.call(GET_MODELS, request, world=self._world)
-            new = [one for one in list_robots(found) if one.entity not in self._table.slots]
-            replies = {sample.key: sample for sample in self._query(new)} if new else {}
-        except FAILURES:
-            return  # they are found later, as their odometry is unknown
-        self._table.unknown.difference_update(names)
-        new = [one for one in new if one.entity not in self._single]
-        self._robots.update({one.entity: one for one in new})
-        groups: dict[_Layout, list[_FoundRobot]] = {}
+
+    def _add_robots(self) -> None:
+        """Add the robots of the world at first, and later those whose odometry came."""
+        table, now_s = self._table, time.monotonic()
+        if self._is_complete and not table.unknown:
+            self._period_s = QUERY_PERIOD_S
+            return
+        found = self._get_models(tuple(table.unknown) if self._is_complete else ())
+        self._is_complete = True
+        new = [one for one in list_robots(found) if one.entity not in self._robots]
+        self._period_s = QUERY_PERIOD_S if new else min(2 * self._period_s, MAX_QUERY_PERIOD_S)
         for robot in new:
-            for layout, one in self._read_replies(robot, replies):
+            known = _KnownRobot(robot, table.add_robot(robot, now_s), set(robot.single_keys))
+            self._robots[robot.entity] = known
+            self._has_changed = True
+            if robot.odometry_key and any(map(self._is_selected, robot.keys)):
+                self._unread[robot.entity] = known
+        table.unknown.clear()  # others come again if they are robots
+
+    def _get_models(self, names: tuple[str, ...]) -> GetModelsResponse:
+        """Get some models; all if there are many, or if one is of no entity (any more)."""
+        names = names if len(names) <= MOST_NAMED else ()
+        call = partial(self._network.call, GET_MODELS, world=self._world, timeout_s=CALL_TIMEOUT_S)
+        try:
+            return call(GetModelsRequest(names))
+        except ServiceError:
+            return call(GetModelsRequest())
+
+    def _list_unread(self) -> list[_KnownRobot]:
+        """List the robots that publish but have not replied; all at first."""
+        times = self._table.times_ns
+        return [
+            one for one in self._unread.values() if not one.queries or times[one.slot] != NEVER_NS
+        ]
+
+    def _query(self, robots: Sequence[_KnownRobot], budget_s: float) -> None:
+        """Query the last messages of robots, and make the groups of those that replied."""
+        replies, is_complete = self._get_messages(robots, budget_s)
+        groups: dict[_Layout, list[_KnownRobot]] = {}
+        for one in robots:
+            one.queries += 1
+            one.replies.update({key: replies[key] for key in one.robot.keys if key in replies})
+            is_last = one.queries >= MOST_QUERIES
+            layout = self._read_replies(one, has_all=is_complete or is_last)
+            if layout is not None:
                 groups.setdefault(layout, []).append(one)
-        self._groups += [self._make_group(one) for one in groups.values()]
+            elif is_last:
+                one.single.update(one.robot.keys)
+            if layout is not None or is_last:
+                del self._unread[one.robot.entity]
+        self._has_changed = True
+        for layout, members in groups.items():
+            self._add_group(layout, members)
 
-    def _query(self, robots: Sequence[FleetRobot]) -> Iterator[Sample]:
-        """Query the last messages of robots."""
-        if len(robots) <= MOST_SINGLE:
-            owners = [one.namespace for one in robots]
-        else:
+    def _get_messages(
+        self, robots: Sequence[_KnownRobot], budget_s: float
+    ) -> tuple[dict[str, Sample], bool]:
+        """Get the messages that are lacking; return whether all have replied in time."""
+        wanted = [key for one in robots for key in one.robot.keys if key not in one.replies]
+        if len(robots) > MOST_SINGLE:
             owners = [one.rpartition("/")[0] for one in self._selection.expressions]
-        for owner in dict.fromkeys(owners):
-            for suffix in SUFFIXES:
-                yield from self._network.get(f"{owner}/{suffix}", GET_TIMEOUT_S)
+            expressions = [f"{owner}/{suffix}" for suffix in SUFFIXES for owner in owners]
+            wanted = [one for one in expressions if any(keys.intersect(one, key) for key in wanted)]
+        deadline_s, replies = time.monotonic() + budget_s, {}
+        for key in dict.fromkeys(wanted):
+            if (left_s := deadline_s - time.monotonic()) > 0:
+                replies.update({one.key: one for one in self._network.get(key, left_s)})
+        return replies, time.monotonic() < deadline_s
 
-    def _read_replies(
-        self, robot: FleetRobot, replies: Mapping[str, Sample]
-    ) -> Iterator[tuple[_Layout, _FoundRobot]]:
-        """Read the last messages of a robot; without odometry it is found later."""
-        samples = [replies.get(keys.robot(robot.namespace, one)) for one in SUFFIXES]
+    def _read_replies(self, one: _KnownRobot, *, has_all: bool) -> _Layout | None:
+        """Read the last messages of a robot; None if it has to be queried again.
+
+        Args:
+            one: The robot.
+            has_all: Whether it publishes none but those that have replied.
+        """
+        robot = one.robot
+        has_tf = bool(robot.tf_key) and self._is_selected(robot.tf_key)
+        sample, tf_sample = (one.replies.get(key) for key in (robot.odometry_key, robot.tf_key))
+        if sample is None or (has_tf and tf_sample is None and not has_all):
+            return None
         with suppress(MalformedPayload):
-            if samples[0] is None:
-                return
-            odometry = decode(Odometry, samples[0].payload, samples[0].encoding)
-            topic, tf_topic = (self._find_topic(one) for one in samples)
+            odometry = decode(Odometry, sample.payload, sample.encoding)
             parts, transforms = None, TFMessage()
-            if samples[1] is not None and tf_topic is not None:
-                transforms = decode(TFMessage, samples[1].payload, samples[1].encoding)
+            if has_tf and tf_sample is not None:
+                transforms = decode(TFMessage, tf_sample.payload, tf_sample.encoding)
                 parts = find_transform_parts(transforms, odometry, robot.model)
-                if parts is None:
-                    self._single_keys.append(samples[1].key)
-            layout = id(robot.model), topic is not None, parts and parts.columns
-            yield layout, _FoundRobot(robot, topic, odometry, tf_topic, transforms, parts)
+            if has_tf and parts is None:
+                one.single.add(robot.tf_key)
+            topic = self._find_topic(sample)
+            tf_topic = self._find_topic(tf_sample) if parts else None
+            one.replies = {}
+            one.templates = _Templates(topic, odometry, tf_topic, transforms)
+            return _Layout(topic is not None, parts if tf_topic else None)
+        return None
 
     def _find_topic(self, sample: Sample | None) -> RecordedTopic | None:
-        return None if sample is None else self._selection.find_topic(sample)
+        if sample is None or not self._is_selected(sample.key):
+            return None
+        return self._selection.find_topic(sample)
 
-    def _make_group(self, found: Sequence[_FoundRobot]) -> _FleetGroup:
-        names = [one.robot.entity for one in found]
-        slots = self._table.add_robots(names, [len(one.robot.model.joints) for one in found])
-        return _FleetGroup(slots, found)
+    def _add_group(self, layout: _Layout, members: list[_KnownRobot]) -> None:
+        """Add a group in which smaller ones are merged, so that a robot is moved few times."""
+        for group in sorted(self._groups, key=lambda one: len(one.rows)):
+            if group.layout == layout and len(group.rows) <= 2 * len(members):
+                self._groups.remove(group)
+                members = group.members + members
+        self._groups.append(_FleetGroup(layout, members))

@@ -1,6 +1,7 @@
 """Robots of large fleets, whose odometry comes in the messages of their agents."""
 
 from collections.abc import Callable, Iterator
+from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from typing import Final, NamedTuple, Protocol
 
@@ -8,15 +9,19 @@ import msgspec
 
 from zensim.proto.bus import BusError
 from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.drive_topic_keys import resolve_odom_key, resolve_topic_key
+from zensim.proto.messages.drive_messages import DriveSettings
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.telemetry_messages import (
+    EntityModel,
     Event,
     GetModelsRequest,
     GetModelsResponse,
 )
 from zensim.proto.network_protocols import CallingNetwork, Sample
 from zensim.proto.service_catalog import GET_MODELS
+from zensim.proto.tf_joints import MOVABLE_KINDS, list_hidden_joints
 from zensim.proto.topic_catalog import ODOM, TF
 from zensim.recording.recorded_topics import RecordedTopic
 
@@ -30,9 +35,19 @@ class FleetRobot(NamedTuple):
     """A robot of which odometry is expected."""
 
     entity: str
-    namespace: str
     model: Model
     has_agent: bool
+    odometry_key: str
+    """Empty if agents do not send its odometry."""
+    tf_key: str
+    """Empty without transforms."""
+    single_keys: tuple[str, ...]
+    """Of odometry that agents do not send."""
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Its topics that are made of the odometry of agents."""
+        return tuple(filter(None, (self.odometry_key, self.tf_key)))
 
 
 class FleetSelection(msgspec.Struct, frozen=True):
@@ -47,18 +62,25 @@ class FleetSelection(msgspec.Struct, frozen=True):
 class RobotMessageSource(Protocol):
     """Makes the messages of single robots from those of their agents."""
 
-    def collect(self) -> None:
-        """Take what has come, so that no queue fills."""
-
-    def take(self, epoch: int) -> Iterator[tuple[int, RecordedTopic, bytes]]:
-        """Make the newest messages since the last call: stamp [ns], topic, bytes.
+    def collect(self, epoch: int) -> None:
+        """Take what has come, so that no queue fills.
 
         Args:
             epoch: Of the clock; messages of a later one wait.
         """
 
-    def take_single_keys(self, now_ns: int) -> list[str]:
-        """Take the keys that are to be subscribed to, since agents do not send their messages."""
+    def take(self) -> Iterator[tuple[int, RecordedTopic, bytes]]:
+        """Make the newest messages of the epoch since the last call: stamp [ns], topic, bytes."""
+
+    def find_single_keys(self, now_ns: int) -> AbstractSet[str]:
+        """Find the keys that are to be subscribed to, since agents do not send their messages.
+
+        They are those of robots with an agent whose odometry has not come for a second, as of an
+        agent of another program or with a fault, and transforms that odometry does not give.
+        """
+
+    def clear(self) -> None:
+        """Find all robots again."""
 
     def note_event(self, event: Event) -> None:
         """Follow what becomes of robots."""
@@ -84,4 +106,23 @@ def list_robots(found: GetModelsResponse) -> Iterator[FleetRobot]:
     """List the entities that have a drive."""
     for one in found.entities:
         if one.model < len(found.models) and found.models[one.model].drive is not None:
-            yield FleetRobot(one.entity, one.namespace, found.models[one.model], bool(one.agent))
+            yield find_robot(one, found.models[one.model])
+
+
+def find_robot(entity: EntityModel, model: Model) -> FleetRobot:
+    """Find the topics of a robot."""
+    namespace, drive = entity.namespace, model.drive or DriveSettings()
+    truths = [resolve_topic_key(namespace, one.topic, one.ros) for one in model.ground_truths]
+    odometry_key = resolve_odom_key(namespace, drive) if drive.publish_odom else ""
+    # A topic with two publishers is not made of the messages of one.
+    is_sent = odometry_key and odometry_key not in truths
+    tf_key = resolve_topic_key(namespace, TF.suffix, drive.ros) if has_transforms(model) else ""
+    robot = FleetRobot(entity.entity, model, bool(entity.agent), odometry_key, tf_key, (*truths,))
+    return robot if is_sent else robot._replace(odometry_key="", single_keys=(*truths, *robot.keys))
+
+
+def has_transforms(model: Model) -> bool:
+    """Whether a robot has transforms, of its odometry or of joints."""
+    hidden = list_hidden_joints(model)
+    has_joints = any(one.kind in MOVABLE_KINDS and one.name not in hidden for one in model.joints)
+    return has_joints or (model.drive is not None and model.drive.publish_odom_tf)

@@ -53,6 +53,8 @@ SHORT_PERIOD_S: Final = 0.02
 LONG_PERIOD_S: Final = 0.1
 """Where all have stamps: a take costs as much as 20 messages."""
 EVENTS_DEPTH: Final = 1024
+MOST_OPENED: Final = 256
+"""Subscriptions to topics of single robots that a take begins."""
 CLOCK_TIMEOUT_S: Final = 2.0
 LATCHED_TIMEOUT_S: Final = 0.5
 PAUSED_PERIOD_S: Final = 1.0
@@ -193,8 +195,7 @@ class Recorder:
         self._bus, self._chosen, self._settings, self._sink = bus, chosen, settings, sink
         self._left_out = list_left_out(settings)
         self._table = TopicTable(settings.world, self._accepts, settings.step_ns)
-        has_clock = self._accepts(CLOCK_TOPIC, Clock.ros_type)
-        self._clock_topic = make_clock_topic() if has_clock else None
+        self._clock_topic = make_clock_topic() if self._accepts_clock() else None
         self._inputs_key = INPUTS.key(settings.world)
         self._requests_topic = self._find_requests_topic()
         self._clock = bus.subscribe(CLOCK.key(settings.world), EVENTS_DEPTH)
@@ -202,6 +203,7 @@ class Recorder:
         self._keys = list_keys(chosen, settings.world, settings.domain)
         self._fleet = self._make_fleet(make_fleet) if make_fleet is not None else None
         self._subscriptions = [self._subscribe(key) for key in self._keys]
+        self._of_robots: dict[str, RecordedKeys] = {}  # topics of single robots of a fleet
         self._tokens = self._watch_tokens()
         self._announced: dict[str, set[str]] = {}
         """Tokens of the publishers of each key that is subscribed to as they announce it."""
@@ -255,7 +257,8 @@ class Recorder:
 
     def close(self) -> None:
         """End the subscriptions."""
-        for one in (self._clock, self._events, *(one.subscription for one in self._subscriptions)):
+        recorded = (*self._subscriptions, *self._of_robots.values())
+        for one in (self._clock, self._events, *(one.subscription for one in recorded)):
             one.close()
         if self._tokens is not None:
             self._tokens.close()
@@ -282,22 +285,32 @@ class Recorder:
         """Append the messages of a fleet, and subscribe to those that agents do not send."""
         if self._fleet is None:
             return
-        self._fleet.collect()
+        self._fleet.collect(self._epoch)
         if is_due:
+            self._follow_robots(self._fleet.find_single_keys(self._now_ns))
             self._append_fleet(received_ns, batch)
-            keys_of_robots = self._fleet.take_single_keys(self._now_ns)
-            self._subscriptions += map(self._subscribe, keys_of_robots)
+
+    def _follow_robots(self, wanted: AbstractSet[str]) -> None:
+        """Subscribe to topics of single robots; some at once, as each takes time."""
+        for key in self._of_robots.keys() - wanted:
+            # What waits there is made of the odometry of agents again, or of a deleted robot.
+            self._of_robots.pop(key).subscription.close()
+        for key in sorted(wanted - self._of_robots.keys())[:MOST_OPENED]:
+            self._of_robots[key] = self._subscribe(key)
 
     def _append_fleet(self, received_ns: int, batch: list[RecordedMessage]) -> None:
         if self._fleet is None:
             return
         has_wall_times, now_ns = self._settings.time_base == "wall", self._now_ns
-        for stamp_ns, topic, payload in self._fleet.take(self._epoch):
+        for stamp_ns, topic, payload in self._fleet.take():
             log_ns = received_ns if has_wall_times else choose_time(stamp_ns, now_ns)
             batch.append((topic, log_ns, received_ns, payload))
 
     def _accepts(self, topic: str, ros_type: str | None) -> bool:
         return self._chosen.accepts(topic, ros_type) and topic not in self._left_out
+
+    def _accepts_clock(self) -> bool:
+        return self._accepts(CLOCK_TOPIC, Clock.ros_type)
 
     def _find_requests_topic(self) -> RecordedTopic | None:
         world = self._settings.world
@@ -321,7 +334,7 @@ class Recorder:
         self, received_ns: int, batch: list[RecordedMessage], *, is_due: bool
     ) -> None:
         """Append what was received to a batch, and hand it over."""
-        for one in self._subscriptions:
+        for one in (*self._subscriptions, *self._of_robots.values()):
             self._take_one(one, received_ns, batch, is_due=is_due)
         self._hand_over(batch)
 
@@ -423,6 +436,8 @@ class Recorder:
             is_back = self._settings.is_in_process and now_ns < self._now_ns
             if clock.epoch != self._epoch or is_back:
                 # What has arrived is of the time before.
+                if self._fleet is not None:
+                    self._fleet.collect(self._epoch)
                 self._append_fleet(received_ns, batch)
                 self._take_samples(received_ns, batch, is_due=True)
                 batch = []
@@ -436,13 +451,16 @@ class Recorder:
         return batch
 
     def _take_events(self) -> None:
-        for sample in self._events.take():
+        samples = self._events.take()
+        for sample in samples:
             with suppress(MalformedPayload):
                 event = decode(Event, sample.payload, sample.encoding)
                 self._has_arrivals |= event.kind in ARRIVALS
                 self._sink.note_event(event)
                 if self._fleet is not None:
                     self._fleet.note_event(event)
+        if self._fleet is not None and len(samples) >= EVENTS_DEPTH:
+            self._fleet.clear()  # events were lost, as of robots that were deleted
 
     def _read_first_clock(self) -> tuple[int, int]:
         deadline = time.monotonic() + CLOCK_TIMEOUT_S
