@@ -33,6 +33,11 @@ def find_motion_rates(drive: Drive) -> tuple[float | None, float | None, float |
     )
 
 
+def has_own_tf_rate(drive: Drive) -> bool:
+    """Whether tf is due at other states than odometry."""
+    return find_motion_rates(drive)[1:] != (None, None)
+
+
 def make_rate_limiter(rate_hz: float | None) -> RateLimiter | None:
     """Make a rate limiter; none if nothing is limited."""
     return None if rate_hz is None else RateLimiter(rate_hz)

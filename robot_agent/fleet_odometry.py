@@ -17,11 +17,12 @@ MAX_NAME_BYTES = 5
 
 
 class MotionRows(NamedTuple):
-    """Odometry of robots with equally many joints; see `FleetOdometry`."""
+    """Odometry of robots with equally many joints and equal rates; see `FleetOdometry`."""
 
     entities: Sequence[str]
     motions: bytes
     joint_positions: bytes
+    has_own_tf_rate: bool = False
 
     def measure_row(self) -> int:
         """Measure the longest row in a message [bytes]."""
@@ -35,6 +36,7 @@ class MotionRows(NamedTuple):
             self.entities[start:end],
             self.motions[start * ROW_BYTES : end * ROW_BYTES],
             self.joint_positions[start * joints : end * joints],
+            self.has_own_tf_rate,
         )
 
 
@@ -67,6 +69,9 @@ def make_messages(state: DriveState, rows: Iterable[MotionRows]) -> Iterator[Fle
     room = MAX_MOTION_BYTES
     for one in rows:
         start, count, size = 0, len(one.entities), one.measure_row()
+        if parts and parts[0].has_own_tf_rate != one.has_own_tf_rate:
+            yield _join(state, parts)
+            parts, room = [], MAX_MOTION_BYTES
         while start < count:
             most = room // size
             if not most and parts:
@@ -89,4 +94,5 @@ def _join(state: DriveState, parts: Sequence[MotionRows]) -> FleetOdometry:
         tuple(name for one in parts for name in one.entities),
         b"".join([one.motions for one in parts]),
         b"".join([one.joint_positions for one in parts]),
+        parts[0].has_own_tf_rate,
     )

@@ -27,7 +27,7 @@ from zensim.proto.topic_catalog import (
 )
 from zensim.proto.topic_endpoints import LazyTopicPublisher, MakePayload, TopicFactory
 from zensim.robot_agent import message_templates
-from zensim.robot_agent.base_controller import find_motion_rates, make_rate_limiter
+from zensim.robot_agent.base_controller import find_motion_rates, has_own_tf_rate, make_rate_limiter
 from zensim.robot_agent.drive_state_decoder import RobotState
 from zensim.robot_agent.odometry import Z_AXIS, BaseMotion, find_world_motion
 from zensim.robot_agent.robot_frames import (
@@ -161,6 +161,7 @@ class MotionTelemetry:
         """Empty without transforms on a topic of the robot's own."""
         self._odometry_ns = -1
         """Simulation time at which odometry was due."""
+        self.has_own_tf_rate = has_own_tf_rate(drive)
         _, odometry_hz, tf_hz = find_motion_rates(drive)
         if topic_keys.odom:
             topic = ODOM.at(topic_keys.odom)

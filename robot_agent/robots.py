@@ -272,6 +272,7 @@ class DrivenRobot:
             (self.entity,),
             _ODOMETRY_STRUCT.pack(*numbers[:9], 0.0, 0.0, 0.0, numbers[9]),
             struct.pack(f"<{len(positions)}d", *positions),
+            self._motion.has_own_tf_rate,
         )
 
     def announce(self) -> None:

@@ -231,6 +231,8 @@ class FleetOdometry(msgspec.Struct, frozen=True):
     in its odometry frame, linear and angular velocity in the base's own frame."""
     joint_positions: bytes = b""
     """`<f8` [rad or m], (joints of all rows), row by row in the order of `Model.joints`."""
+    has_own_tf_rate: bool = False
+    """Whether transforms of these robots have another rate than their odometry."""
 
 
 class TwistCommands(msgspec.Struct, frozen=True):

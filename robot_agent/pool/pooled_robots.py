@@ -30,6 +30,7 @@ from zensim.proto.subscriber_search import SubscriberWatches
 from zensim.proto.topic_catalog import CMD_VEL, TopicSpec
 from zensim.proto.topic_endpoints import TopicFactory, TopicSubscription, make_topic_factory
 from zensim.proto.topic_faults import TopicFaults
+from zensim.robot_agent.base_controller import has_own_tf_rate
 from zensim.robot_agent.bumpers import ContactReport
 from zensim.robot_agent.drive_state_decoder import RobotState, is_repeated, unpack_claims
 from zensim.robot_agent.fleet_odometry import MotionRows
@@ -277,6 +278,7 @@ class RobotGroup:
         self, group_key: GroupKey, find_publisher: FindPublisher, node: RosNode | None = None
     ) -> None:
         self._bases = GroupBaseController(group_key)
+        self._has_own_tf_rate = has_own_tf_rate(group_key.drive)
         self._telemetry = GroupTelemetry(group_key, self._bases, find_publisher, node)
         self._sensors = GroupSensors(group_key, find_publisher)
         self._topics = self._telemetry.topics + self._sensors.topics
@@ -357,7 +359,8 @@ class RobotGroup:
         motions = np.zeros((len(rows), STATE_COLUMNS))
         motions[:, ODOMETRY_COLUMNS] = self._bases.find_motions(rows)
         positions = state.positions[rows].astype("<f8").tobytes()
-        yield MotionRows(entities, motions.astype("<f8").tobytes(), positions)
+        packed = motions.astype("<f8").tobytes()
+        yield MotionRows(entities, packed, positions, self._has_own_tf_rate)
 
     def _has_fault(self, faults: TopicFaults, row: int) -> bool:
         """Whether odometry or transforms of a robot have a fault."""

@@ -151,7 +151,7 @@ ZENSIM = {
     "TopicFault": "string[] keys; string kind; float64 value; float64 low; float64 high;"
     " uint64 start_ns; uint64 seed",
     "FleetOdometry": "uint32 epoch; uint64 step; uint64 time_ns; string[] entities;"
-    " uint8[] motions; uint8[] joint_positions",
+    " uint8[] motions; uint8[] joint_positions; bool has_own_tf_rate",
     "AgentCommands": "uint64 taken; uint64 due; float64 taken_hz; float64 due_hz",
     "TwistCommands": "string client; string[] entities; uint8[] twists",
     "DriveCommand": "uint32 epoch; uint64 step; uint8[] claims; uint8[] targets; uint32 order;"

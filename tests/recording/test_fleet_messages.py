@@ -54,6 +54,8 @@ class Fleet:
         self.claims: list[Claim] = []
         self.has_positions = True
         self.deleted: set[str] = set()
+        self.described: dict[str, Model] = {}
+        """Models before their agent has set other rates."""
         self.taken: set[str] = set()
         self.requests: list[GetModelsRequest] = []
         self._services = self.bus.serve(keys.services(WORLD))
@@ -123,7 +125,7 @@ class Fleet:
                     EntityModel(one.entity, one.namespace, number, "pool")
                     for number, one in enumerate(wanted)
                 ),
-                models=tuple(one.model for one in wanted),
+                models=tuple(self.described.get(one.entity, one.model) for one in wanted),
             )
             assert call.name == GET_MODELS.name
             call.reply(encode(response, Format.MSGPACK), make_encoding(response, Format.MSGPACK))
@@ -164,6 +166,16 @@ def test_transforms_with_a_rate_of_their_own_are_subscribed_to_by_robot() -> Non
 
     assert set(fleet.take()) == {"r0/odom", "r1/odom", "r1/tf"}
     assert fleet.fleet.find_single_keys(SECOND_NS) == {"r0/tf"}
+
+
+def test_rate_that_an_agent_gives_to_transforms_is_known() -> None:
+    drive = msgspec.structs.replace(DRIVE, tf_rate_hz=5.0, update_rate_hz=50.0)
+    fleet = Fleet(two_wheeler(drive), two_wheeler())
+    fleet.described["e0"] = two_wheeler()
+    fleet.fleet.clear()
+
+    assert pass_seconds(fleet, 0, 1) == {"r0/tf"}
+    assert fleet.taken == {"r0/odom", "r1/odom", "r1/tf"}
 
 
 @pytest.mark.parametrize(

@@ -49,3 +49,15 @@ def test_five_thousand_robots_take_few_messages() -> None:
     rows = make_rows([[f"box_bot{number}" for number in range(5000)]])
 
     assert len(list(make_messages(STATE, rows))) <= 11
+
+
+def test_messages_have_robots_of_one_kind_of_rate() -> None:
+    alike, own = make_rows([["a"], ["b", "c"]])
+
+    made = list(make_messages(STATE, [alike, own._replace(has_own_tf_rate=True), alike]))
+
+    assert [(one.entities, one.has_own_tf_rate) for one in made] == [
+        (("a",), False),
+        (("b", "c"), True),
+        (("a",), False),
+    ]

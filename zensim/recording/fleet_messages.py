@@ -113,12 +113,8 @@ def find_transform_parts(
     """Find what a robot's transforms are made of.
 
     Returns:
-        None if a transform is neither its odometry nor of one of its joints, or if transforms have
-        another rate than odometry.
+        None if a transform is neither its odometry nor of one of its joints.
     """
-    drive = model.drive
-    if drive is None or not is_paced_alike(model):
-        return None
     base = odometry.header.frame_id, odometry.child_frame_id
     movable = {
         (joint.parent, joint.child): number
@@ -133,15 +129,6 @@ def find_transform_parts(
         columns.append(-1 if edge == base else movable[edge])
     joints = tuple(model.joints[column] for column in columns if column >= 0)
     return _TransformParts(tuple(columns), joints)
-
-
-def is_paced_alike(model: Model) -> bool:
-    """Whether odometry and transforms of a robot are due at the same states."""
-    drive = model.drive
-    if drive is None or drive.tf_rate_hz is None:
-        return True
-    odometry_hz = drive.odometry_rate_hz
-    return drive.tf_rate_hz == (drive.update_rate_hz if odometry_hz is None else odometry_hz)
 
 
 class _Layout(NamedTuple):
@@ -232,9 +219,9 @@ class _FleetGroup:
             yield from zip(times_ns.tolist(), topics, self._odometry.payloads(rows), strict=True)
         if self._has_transforms[rows].any():
             poses = self._find_poses(motions, table.positions[slots])
-            is_known = ~np.isnan(poses).any(axis=1)
+            is_known, is_own = ~np.isnan(poses).any(axis=1), table.has_own_tf_rate[slots]
+            self._note_lacking(rows[is_own | (~is_known & ~table.is_partial[slots])])
             numbers = np.flatnonzero(is_known & self._has_transforms[rows])
-            self._note_lacking(rows[~is_known & ~table.is_partial[slots]])
             made, times_ns = rows[numbers], times_ns[numbers]
             self._transforms.fill(made, poses[numbers], times_ns)
             topics = [self._tf_topics[row] for row in made.tolist()]
@@ -242,7 +229,7 @@ class _FleetGroup:
             yield from zip(times_ns.tolist(), topics, payloads, strict=True)
 
     def _note_lacking(self, rows: IntArray) -> None:
-        """Leave the transforms of robots whose joints are not known to the robots themselves."""
+        """Leave the transforms of robots to themselves: with a rate of their own, or no joints."""
         rows = rows[self._has_transforms[rows]]
         self._has_transforms[rows] = False
         self.is_lacking |= len(rows) > 0
@@ -279,6 +266,7 @@ class MotionTable:
         self.has_agent: BoolArray = np.zeros(1, dtype=np.bool_)
         self.is_partial: BoolArray = np.zeros(1, dtype=np.bool_)
         """Whether others of the same message are not known, so that its joints cannot be found."""
+        self.has_own_tf_rate: BoolArray = np.zeros(1, dtype=np.bool_)
         self.unknown: set[str] = set()
         """Robots without a row whose odometry came."""
 
@@ -309,9 +297,12 @@ class MotionTable:
         self.motions = np.concatenate([self.motions, self.motions])
         self.positions = np.concatenate([self.positions, self.positions])
         none = np.zeros(size, dtype=np.bool_)
-        flags = self.is_fresh, self.is_missed, self.has_agent, self.is_partial
-        self.is_fresh, self.is_missed, self.has_agent, self.is_partial = (
-            np.concatenate([one, none]) for one in flags
+        self.is_fresh, self.is_missed = (
+            np.concatenate([one, none]) for one in (self.is_fresh, self.is_missed)
+        )
+        self.has_agent, self.is_partial, self.has_own_tf_rate = (
+            np.concatenate([one, none])
+            for one in (self.has_agent, self.is_partial, self.has_own_tf_rate)
         )
 
     def _widen(self, joints: int) -> None:
@@ -355,6 +346,7 @@ class MotionTable:
         self._in_time_s[rows] = now_s
         self.is_fresh[rows] = True
         self.is_partial[rows] = len(rows) < count
+        self.has_own_tf_rate[rows] = message.has_own_tf_rate
         self._add_positions(message.joint_positions, slots)
 
     def _add_positions(self, packed: bytes, slots: IntArray) -> None:

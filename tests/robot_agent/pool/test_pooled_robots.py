@@ -216,7 +216,7 @@ class Both:
         for one in (self.pool, self.individual):
             rows = {
                 name: numbers.tolist()
-                for names, motions, _ in one.list_odometry()
+                for names, motions, *_ in one.list_odometry()
                 for name, numbers in zip(
                     names, np.frombuffer(motions, dtype="<f8").reshape(-1, 13), strict=True
                 )
