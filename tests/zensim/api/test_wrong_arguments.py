@@ -67,9 +67,11 @@ def parameters_of(method: FunctionType) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def world() -> Iterator[zensim.World]:
-    with zensim.World() as made:
-        yield made
+def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[zensim.World]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("recordings"))  # a text is a right path of one
+        with zensim.World() as made:
+            yield made
 
 
 @pytest.fixture
