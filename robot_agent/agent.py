@@ -26,7 +26,7 @@ from zensim.proto.metric_families import (
     make_counter,
     make_gauge,
 )
-from zensim.proto.network_protocols import AgentNetwork, Subscription
+from zensim.proto.network_protocols import AgentNetwork, Sample, Subscription
 from zensim.proto.operation_server import served_status
 from zensim.proto.poll_schedule import MAX_PAUSE_S, PollSchedule
 from zensim.proto.process_limits import set_niceness
@@ -206,6 +206,37 @@ class CollectedObjects:
             self._freeze()
 
 
+class EarlyState:
+    """Keeps an awaited state that came before the reply with its claims, for when that is here.
+
+    Else it is never answered: the server has no reason to publish it again before its timeout.
+    """
+
+    def __init__(self) -> None:
+        """Keep nothing yet."""
+        self._sample: Sample | None = None
+        self._has_new_claims = False
+
+    def keep(self, sample: Sample) -> None:
+        """Keep a state whose claims are not held."""
+        self._sample = sample
+
+    def forget(self) -> None:
+        """Keep nothing: there is a newer state, or the server is gone."""
+        self._sample = None
+
+    def note_new_claims(self) -> None:
+        """Note that the state may be answered now."""
+        self._has_new_claims = True
+
+    def take(self) -> Sample | None:
+        """Take the state, if there are new claims since the last call."""
+        if not self._has_new_claims:
+            return None
+        sample, self._sample, self._has_new_claims = self._sample, None, False
+        return sample
+
+
 LOG = logging.getLogger("zensim.agent")
 HOUSEKEEPING_PERIOD_S = 0.02
 """Period of everything but driving, which is not urgent."""
@@ -304,7 +335,7 @@ class Agent:
         self._robots = _make_robot_set(
             network, config, self._graph, self._rx_session, self._watches
         )
-        self._state_order = StateOrder()
+        self._state_order, self._early_state = StateOrder(), EarlyState()
         self._housekeeping = Housekeeping(self._robots)
         self._answered, self._claims = 0, b""
         self._cycles = DurationHistogram()
@@ -411,11 +442,13 @@ class Agent:
                 continue
             self._state_order.forget()
             self._claim_client.forget_call()
+            self._early_state.forget()
             self._claims = b""
             self._handle_lost(self._robots.release_all_except(b""), "the server is gone")
 
     def _add_claims(self, claims: tuple[Claim, ...]) -> None:
         self._robots.add_claims(override_rates(claims, self._config.rates))
+        self._early_state.note_new_claims()
         if self._objects is not None:
             self._objects.note_new_robots(self._now_s)
         if len(claims) > MAX_LOGGED_CLAIMS:
@@ -431,7 +464,7 @@ class Agent:
             )
 
     def _drive(self) -> bool:
-        sample = self._states.newest()
+        sample = self._states.newest() or self._early_state.take()
         try:
             # The server publishes the contacts of a step before its state.
             self._publish_contacts()
@@ -445,6 +478,9 @@ class Agent:
             state = decode(DriveState, sample.payload, sample.encoding)
             self._poll_schedule.note_state(self._now_s, is_awaited=state.is_awaited)
             self._priority.note_state(self._now_s, state)
+            self._early_state.forget()
+            if state.is_awaited and not self._robots.holds(state.claims):
+                self._early_state.keep(sample)
             self._follow(state)
         except MalformedPayload as error:
             self._note_malformed("drive_state", error)

@@ -484,6 +484,26 @@ def test_agent_answers_a_state_that_follows_its_claim() -> None:
     assert [command.step for command in scene.server.commands()] == [5]
 
 
+@pytest.mark.parametrize(("is_awaited", "steps"), [(True, [5]), (False, [])])
+def test_agent_answers_an_awaited_state_that_came_before_its_claim(
+    is_awaited: bool,  # noqa: FBT001  a parameter of the test
+    steps: list[int],
+) -> None:
+    scene = Scene("r1")
+    kept = scene.server.entities.pop("r1")
+    scene.server.send(replace(a_state(5, (1,)), newest_claim=1, is_awaited=is_awaited))
+    scene.poll()
+    early = scene.server.commands()
+
+    scene.server.entities["r1"] = kept
+    scene.server.publish_event("spawned", "r1")
+    scene.poll()
+    scene.poll()
+
+    assert early == []
+    assert [command.step for command in scene.server.commands()] == steps
+
+
 @pytest.mark.parametrize(("is_awaited", "order"), [(True, "oc"), (False, "co")])
 def test_agent_publishes_before_its_command_when_that_is_awaited(
     is_awaited: bool,  # noqa: FBT001  a parameter of the test
