@@ -163,7 +163,12 @@ def _open_world(scenario: Scenario, request: RunRequest) -> Simulation:
 
 def make_launch_config(scenario: Scenario) -> LaunchConfig:
     """Configure a paused server of its own with its agents, and sensor processes if wanted."""
-    base = LaunchConfig(world="empty", endpoint=with_free_port("tcp/127.0.0.1:0"), ros=NO_ROS)
+    base = LaunchConfig(
+        world="empty",
+        endpoint=with_free_port("tcp/127.0.0.1:0"),
+        on_miss="wait",  # equal results on a loaded machine; the scenario may say otherwise
+        ros=NO_ROS,
+    )
     return msgspec.structs.replace(
         add_scenario(base, scenario, dict.fromkeys(SETTINGS_OF_UP)), is_paused=True, ros=NO_ROS
     )

@@ -16,9 +16,11 @@ from zensim.deploy.scenario_process import (
     RUN_COMMAND,
     RunRequest,
     ScenarioWorker,
+    make_launch_config,
     run_in_process,
     run_request,
 )
+from zensim.scenario.scenario_reader import read_scenario
 
 WITHIN_S = 60.0
 
@@ -150,3 +152,12 @@ def test_each_run_with_code_has_a_copy_of_its_own(tmp_path: Path, worker: Scenar
     assert [report.error for report in reports] == ["", ""]
     assert len(set((tmp_path / "processes").read_text().split())) == 2
     assert list_copies() == []
+
+
+@pytest.mark.parametrize(("given", "on_miss"), [((), "wait"), (("time.on_miss=hold",), "hold")])
+def test_server_of_a_run_waits_for_slow_agents(
+    tmp_path: Path, given: tuple[str, ...], on_miss: str
+) -> None:
+    scenario = read_scenario(write_scenario(tmp_path), given)
+
+    assert make_launch_config(scenario).on_miss == on_miss
