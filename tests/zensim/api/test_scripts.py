@@ -107,7 +107,8 @@ def test_program_beside_another_client(running: zensim.Sim) -> None:
 
     assert running.time > 20.0
     # Where the robot ends depends on the clients; its wheels have turned for metres.
-    assert max(map(abs, robot.joints.position)) > 10.0
+    joints = robot.topic("joint_states").read(timeout_s=60.0)  # subscribed to from now on
+    assert max(map(abs, joints.position)) > 10.0
 
 
 def test_own_robot(tmp_path: Path) -> None:
