@@ -33,8 +33,8 @@ PRESSES, PRESSES_WHEN_SHORT = 20, 2
 HELD_S = 0.3
 REPEAT_S = 0.05
 POLL_S = 0.001
-CLOSE_S = 1e-6
-"""The world runs to a step; a step before is shown as another time, and passes at once."""
+CLOSE_S = 1e-3
+"""Less than a step of 4 ms: a step before the last is shown as another time, and passes at once."""
 MOST_MS = {"key": 100.0, "stop": 300.0, "spawn": 1000.0, "state": 300.0}
 MOST_GREY_S, MOST_LIVE_S = 2.0, 3.0
 ROBOT = "r1"
