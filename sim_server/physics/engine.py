@@ -127,7 +127,7 @@ class ContactPoints:
         return ContactPoints(self.bodies[rows], self.points[rows])
 
     def renumber(self, numbers: Mapping[int, int]) -> "ContactPoints":
-        """Give bodies other numbers; one that has none counts as the ground."""
+        """Give bodies other numbers; a body without a number counts as the ground."""
         known, places = np.unique(self.bodies[:, ::2], return_inverse=True)
         new = np.array([numbers.get(body, GROUND) for body in known.tolist()], np.intp)
         bodies = self.bodies.copy()

@@ -273,7 +273,7 @@ def list_pictures() -> Mapping[str, str]:
 
 
 def make_pictures_html(models: Sequence[str]) -> str:
-    """Make a button with a picture for each of these models of which the package has one.
+    """Make a button for each of these models that has a picture in the package.
 
     The script of the page sends a `ZensimModel` when it is pressed.
     """
