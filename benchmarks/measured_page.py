@@ -48,6 +48,13 @@ def list_missed(section: str) -> Iterator[str]:
         yield from (_format_miss(head, row) for row in rows if any(MISSED in one for one in row))
 
 
+def list_limits(section: str) -> Iterator[bool]:
+    """List the figures of a section that have a limit: whether each is beyond it."""
+    for head, *rows in read_tables(section):
+        named = (dict(zip(head, row, strict=False)) for row in rows)
+        yield from (MISSED in row.get(SEEN, "") for row in named if row.get(ASKED))
+
+
 def format_items(lines: Iterable[str]) -> str:
     """Format a Markdown list, or "Nothing." if it is empty."""
     items = (
