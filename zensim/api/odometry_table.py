@@ -20,6 +20,8 @@ OLD_EPOCH_S = 2.0
 """Time without a message of the newest epoch after which an older one is that of a new server."""
 TABLE_DEPTH = 512
 """Messages of 64 KiB that wait: of 10,000 robots, some 20 a step."""
+MAX_KNOWN_NAMES = 256
+"""Lists of names whose rows are kept: an agent cuts its robots into the same messages at most steps."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,8 @@ class OdometryTable:
         self._clock = clock
         self._epoch, self._newest_s = 0, -math.inf
         self._rows: dict[str, int] = {}
+        self._rows_of: dict[tuple[str, ...], IntArray] = {}
+        """Of the names of whole messages."""
         self._found: tuple[tuple[str, ...], int, IntArray] = ((), 0, np.zeros(0, dtype=np.intp))
         """Names of the last call, the number of rows then, and the row of each."""
         self._times = np.zeros(0)
@@ -63,11 +67,14 @@ class OdometryTable:
         for message in self._feed.take():
             self._add(message)
         rows = self._find_rows(tuple(names))
-        is_known = rows >= 0
-        times = np.full(len(rows), np.nan)
-        motions = np.full((len(rows), STATE_COLUMNS), np.nan)
-        times[is_known] = self._times[rows[is_known]]
-        motions[is_known] = self._motions[rows[is_known]]
+        if (rows >= 0).all():
+            times, motions = self._times[rows], self._motions[rows]
+        else:
+            is_known = rows >= 0
+            times = np.full(len(rows), np.nan)
+            motions = np.full((len(rows), STATE_COLUMNS), np.nan)
+            times[is_known] = self._times[rows[is_known]]
+            motions[is_known] = self._motions[rows[is_known]]
         for array in (times, motions):
             array.flags.writeable = False
         return FleetOdometryRows(times, motions[:, :POSE_NUMBERS], motions[:, POSE_NUMBERS:])
@@ -93,13 +100,22 @@ class OdometryTable:
         self._newest_s = now_s
         if message.epoch != self._epoch:
             # Time has begun again: robots of before may be gone.
-            self._epoch, self._rows = message.epoch, {}
+            self._epoch, self._rows, self._rows_of = message.epoch, {}, {}
             self._found = (), 0, np.zeros(0, dtype=np.intp)
-        found = [self._rows.setdefault(name, len(self._rows)) for name in message.entities]
-        rows = np.array(found, dtype=np.intp)
+        rows = self._add_rows(message.entities)
         if len(self._rows) > len(self._times):
             more = 2 * len(self._rows)
             self._times = np.resize(self._times, more)
             self._motions = np.resize(self._motions, (more, STATE_COLUMNS))
         self._times[rows] = message.time_ns / NANOSECONDS
         self._motions[rows] = np.frombuffer(message.motions, dtype="<f8").reshape(-1, STATE_COLUMNS)
+
+    def _add_rows(self, names: tuple[str, ...]) -> IntArray:
+        """Find the rows of the names of a message; new ones get a row."""
+        if (known := self._rows_of.get(names)) is not None:
+            return known
+        found = [self._rows.setdefault(name, len(self._rows)) for name in names]
+        if len(self._rows_of) >= MAX_KNOWN_NAMES:
+            self._rows_of.clear()
+        rows = self._rows_of[names] = np.array(found, dtype=np.intp)
+        return rows

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.fakes import ManualClock
-from zensim.api.odometry_table import OLD_EPOCH_S, OdometryTable
+from zensim.api.odometry_table import MAX_KNOWN_NAMES, OLD_EPOCH_S, OdometryTable
 from zensim.api.world_access import TopicFeed
 from zensim.proto.messages.agent_messages import FleetOdometry
 
@@ -111,3 +111,32 @@ def test_names_that_are_read_again_are_found_when_robots_came_or_time_began_agai
         [1.0, 2.0],
         [3.0, 3.0],
     ]
+
+
+def test_equal_names_of_another_epoch_have_the_rows_of_that_epoch() -> None:
+    feed = ListedFeed()
+    table = OdometryTable(feed)
+    feed.messages = [a_message(1, "a"), a_message(2, "b", "c")]
+    table.read([])
+    feed.messages = [a_message(3, "b", "c", epoch=1), a_message(4, "a", epoch=1)]
+
+    rows = table.read(["a", "b", "c"])
+
+    assert rows.times.tolist() == [4.0, 3.0, 3.0]
+    assert rows.poses[:, 0].tolist() == [4.0, 3.0, 4.0]
+
+
+def test_rows_stay_when_messages_have_ever_other_names() -> None:
+    feed = ListedFeed()
+    table = OdometryTable(feed)
+    names = [f"robot{number}" for number in range(MAX_KNOWN_NAMES)]
+    feed.messages = [
+        *(a_message(1 + number, *names[number : number + 2]) for number in range(len(names))),
+        a_message(1000, *names[:2]),
+        a_message(2000, *reversed(names[:2])),
+    ]
+
+    rows = table.read(names)
+
+    assert rows.times[:4].tolist() == [2000.0, 2000.0, 3.0, 4.0]
+    assert rows.poses[:2, 0].tolist() == [2001.0, 2000.0]
