@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Generic
+from typing import Generic, NamedTuple
 
 import msgspec
 
@@ -85,6 +85,22 @@ class Pacing:
         return 0.0 < self.target_real_time_factor <= 1.0 or self.is_awaited
 
 
+class ShareGrace(NamedTuple):
+    """How long a pool that sends no command keeps its robots from other pools."""
+
+    time_ns: int
+    """Simulation time at which this began."""
+    wall_ns: int
+    """The same in wall time."""
+    lasts_ns: int
+    """In simulation time, and in wall time."""
+
+    def lasts_at(self, time_ns: int, wall_ns: int) -> bool:
+        """Whether it is not over; a reset, which sets time back, ends it."""
+        passed_ns = min(time_ns - self.time_ns, wall_ns - self.wall_ns)
+        return time_ns >= self.time_ns and passed_ns < self.lasts_ns
+
+
 @dataclass
 class Agents:
     """Agents that have a liveliness token."""
@@ -96,8 +112,8 @@ class Agents:
     """Of the drive states of each agent that has asked for one."""
     settled_shares: dict[str, object] = field(default_factory=dict)
     """On what the last share of each pool depended that had nothing new."""
-    starting: dict[str, tuple[int, int]] = field(default_factory=dict)
-    """Pools that sent no command since they got robots: simulation and wall time of that [ns]."""
+    graces: dict[str, ShareGrace] = field(default_factory=dict)
+    """Of pools that sent no command since they got robots, or for too long; until the next."""
 
 
 @dataclass

@@ -40,7 +40,7 @@ from zensim.sim_server.runtime.request_queue import (
 from zensim.sim_server.runtime.sensor_sessions import SensorSessions
 from zensim.sim_server.runtime.world_map import WorldMap
 from zensim.sim_server.runtime.world_telemetry import WorldTelemetry
-from zensim.sim_server.service_parts import ServerParts
+from zensim.sim_server.service_parts import ServerParts, ShareGrace
 from zensim.sim_server.services.service_registry import ServiceHandlers
 
 TIME_SLICE_NS = 100_000
@@ -81,6 +81,9 @@ def _has_default_policy() -> bool:
 
 MIN_STATE_INTERVAL_NS = 2_000_000
 """Least wall time between two states when the loop does not wait for commands."""
+TAKEOVER_NS = 2_000_000
+"""Time a robot that a silent pool keeps its robots from others: these need as long to begin on a
+busy machine, and are silent meanwhile."""
 RESEND_AFTER_NS = 20_000_000
 """Wall time after which a state is published again to an agent that has not replied."""
 LOG = logging.getLogger(__name__)
@@ -141,6 +144,9 @@ class AgentSessions:
                 continue
             if claimed.claims == known_claims:
                 self._world.stop_silent(agent)
+                lasts_ns = TAKEOVER_NS * len(claimed.rows)
+                grace = ShareGrace(time_ns, now_ns, lasts_ns)
+                self._agents.graces.setdefault(agent, grace)
             else:
                 # Commands of before do not fit new claims.
                 self._note_command(agent, claimed.claims, now_ns)
@@ -271,7 +277,7 @@ class AgentSessions:
         self._agents.alive.discard(agent)
         self._agents.pool_limits.pop(agent, None)
         self._agents.settled_shares.pop(agent, None)
-        self._agents.starting.pop(agent, None)
+        self._agents.graces.pop(agent, None)
         self._agents.state_formats.pop(agent, None)
         self._world.release(agent)
         self._lockstep.forget(agent)
@@ -325,7 +331,7 @@ class AgentSessions:
             self._warn_of_withheld(agent, command.withheld_hz)
             now_ns = self._pacing.now_ns()
             self._note_command(agent, command.claims, now_ns)
-            self._agents.starting.pop(agent, None)
+            self._agents.graces.pop(agent, None)
             self._commands.note_taken(agent, (command.epoch, command.step))
             self._world.record_ready_time(agent, now_ns)
 

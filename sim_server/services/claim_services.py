@@ -15,6 +15,7 @@ from zensim.sim_server.service_parts import (
     CurrentWorld,
     Descriptions,
     Pacing,
+    ShareGrace,
     make_environment,
 )
 from zensim.sim_server.world.entity import Entity
@@ -116,7 +117,7 @@ def claim_share(
         world.claims.drop(entity)
     granted = world.claim(agent, names, request.on_release)
     if granted:
-        agents.starting[agent] = world.clock.time_ns, pacing.now_ns()
+        agents.graces[agent] = ShareGrace(world.clock.time_ns, pacing.now_ns(), START_NS)
     return agent_messages.ClaimShareResponse(
         Result(),
         *agent_messages.make_grants(descriptions.locate_files(granted)),
@@ -184,19 +185,14 @@ def _find_new_share(
 def _find_abandoning(
     world: SimulatedWorld, agents: Agents, pacing: Pacing, agent: str
 ) -> frozenset[str]:
-    """Find the silent pools whose robots others get: not those that have just got theirs."""
+    """Find the silent pools whose robots others get: not those that still have time."""
     now_ns = world.clock.time_ns, pacing.now_ns()
     return frozenset(
         pool
         for pool in world.claims.silent & agents.pool_limits.keys()
-        if pool != agent and not _is_starting(agents.starting.get(pool), now_ns)
+        if pool != agent
+        and not ((grace := agents.graces.get(pool)) is not None and grace.lasts_at(*now_ns))
     )
-
-
-def _is_starting(began_ns: tuple[int, int] | None, now_ns: tuple[int, int]) -> bool:
-    if began_ns is None or now_ns[0] < began_ns[0]:  # a reset has set time back
-        return False
-    return min(now_ns[0] - began_ns[0], now_ns[1] - began_ns[1]) < START_NS
 
 
 def _find_share(

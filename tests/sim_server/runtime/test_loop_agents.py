@@ -22,6 +22,8 @@ from zensim.proto.messages.simulation_messages import ResetScope, State
 from zensim.proto.messages.telemetry_messages import Event, GetModelsRequest, Stats
 from zensim.proto.network_protocols import Sample
 from zensim.proto.topic_catalog import DRIVE_COMMAND
+from zensim.sim_server.runtime.loop import TAKEOVER_NS
+from zensim.sim_server.service_parts import ShareGrace
 
 
 def a_driven_server(*names: str, on_release: OnRelease = "stop") -> ServerFixture:
@@ -489,8 +491,8 @@ def test_loop_waits_anew_when_the_claims_of_an_agent_change() -> None:
 
 def test_pool_starts_until_its_first_command_or_its_end() -> None:
     server = a_driven_server("r0")
-    starting = server.parts.agents.starting
-    starting.update(a=(0, 0), b=(0, 0), c=(0, 0))
+    graces = server.parts.agents.graces
+    graces.update(dict.fromkeys("abc", ShareGrace(0, 0, 1)))
 
     server.drive("a", 3.0, 3.0)
     server.drive("b", 3.0, 3.0)  # has no claims
@@ -498,4 +500,27 @@ def test_pool_starts_until_its_first_command_or_its_end() -> None:
     server.loop.turn()
     server.loop.turn()
 
-    assert list(starting) == ["b"]
+    assert list(graces) == ["b"]
+
+
+def test_silent_pool_keeps_its_robots_for_a_time_that_grows_with_their_number() -> None:
+    few, many = a_paced_driven_server("r0"), a_paced_driven_server("r0", "r1", "r2")
+    lasting = []
+    for server in (few, many):
+        server.turn_for(0.5)
+        lasting.append(server.parts.agents.graces["a"].lasts_ns)
+
+    assert timed_out(many) == [("r0", "a"), ("r1", "a"), ("r2", "a")]
+    assert lasting == [TAKEOVER_NS, 3 * TAKEOVER_NS]
+
+
+def test_command_ends_the_time_that_a_silent_pool_has() -> None:
+    server = a_paced_driven_server("r0")
+    server.turn_for(0.5)
+    before = dict(server.parts.agents.graces)
+
+    server.drive("a", 3.0, 3.0)
+    server.loop.turn()
+
+    assert list(before) == ["a"]
+    assert server.parts.agents.graces == {}

@@ -19,7 +19,7 @@ from zensim.sim_server.description.world_model import EARTH_MAGNETIC_FIELD, Worl
 from zensim.sim_server.errors import IncorrectState, RequestRefused
 from zensim.sim_server.parser_process.description_cache import ParseKey
 from zensim.sim_server.parser_process.mesh_server import PublishedFiles
-from zensim.sim_server.service_parts import ServerParts
+from zensim.sim_server.service_parts import ServerParts, ShareGrace
 from zensim.sim_server.services import claim_services
 from zensim.sim_server.services.claim_services import (
     START_NS,
@@ -171,7 +171,7 @@ def test_share_is_searched_again_after_a_change(change: str) -> None:
         case "release":
             parts.world.claims.drop(driven_by(parts, "p")[0])
         case "silent":
-            parts.agents.starting.pop("q")
+            parts.agents.graces.pop("q")
             parts.world.claims.note_silent("q")
         case "end":
             parts.agents.pool_limits.pop("q")
@@ -269,7 +269,7 @@ def test_robots_of_a_silent_pool_go_to_the_other_until_it_calls_again() -> None:
     share(parts, "p")
     share(parts, "q")
 
-    parts.agents.starting.pop("p")
+    parts.agents.graces.pop("p")
     parts.world.stop_silent("p")
 
     assert [grant.entity for grant in share(parts, "q").grants] == ["r0"]
@@ -289,7 +289,7 @@ def test_silent_pool_that_has_just_got_robots_keeps_them_for_a_time(
 
     parts.world.stop_silent("p")
     began_ns = parts.world.clock.time_ns - simulated_ns, parts.pacing.now_ns() - wall_ns
-    parts.agents.starting["p"] = began_ns
+    parts.agents.graces["p"] = ShareGrace(*began_ns, parts.agents.graces["p"].lasts_ns)
 
     assert [grant.entity for grant in share(parts, "q").grants] == moved
 
@@ -298,7 +298,8 @@ def test_robots_of_a_pool_that_started_before_a_reset_are_not_kept() -> None:
     parts = make_parts(a_world("r0", "r1"))
     share(parts, "p")
     share(parts, "q")
-    parts.agents.starting["p"] = parts.world.clock.time_ns + 1, parts.pacing.now_ns()
+    now_ns = parts.world.clock.time_ns + 1, parts.pacing.now_ns()
+    parts.agents.graces["p"] = ShareGrace(*now_ns, START_NS)
 
     parts.world.stop_silent("p")
 
