@@ -7,7 +7,7 @@ import signal
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, nullcontext, suppress
 from typing import Protocol
 
 import msgspec
@@ -176,20 +176,32 @@ class CollectedObjects:
         self,
         freeze: Callable[[], None] = gc.freeze,
         unfreeze: Callable[[], None] = gc.unfreeze,
+        pause: Callable[[], None] = gc.disable,
+        resume: Callable[[], None] = gc.enable,
     ) -> None:
         """Freeze nothing yet.
 
         Args:
             freeze: Excludes all present objects from collections, as `gc.freeze` does.
             unfreeze: Includes them again.
+            pause: Makes no collections from now on.
+            resume: Makes them again.
         """
         self._freeze, self._unfreeze = freeze, unfreeze
+        self._pause, self._resume = pause, resume
         self._gone = 0
         self._due_s: float | None = None
 
-    def note_new_robots(self, now_s: float) -> None:
-        """Freeze the objects that are there in some time."""
-        self._due_s = now_s + FREEZE_AFTER_S
+    @contextmanager
+    def adding(self, now_s: float) -> Iterator[None]:
+        """Collect nothing while robots are added; freeze their objects then, and in some time."""
+        self._pause()
+        try:
+            yield
+        finally:
+            self._freeze()
+            self._resume()
+            self._due_s = now_s + FREEZE_AFTER_S
 
     def note_gone_robots(self, gone: int, left: int, now_s: float) -> None:
         """Include all objects in collections when as many robots have gone as are left."""
@@ -197,7 +209,7 @@ class CollectedObjects:
         if self._gone >= left:
             self._gone = 0
             self._unfreeze()
-            self.note_new_robots(now_s)
+            self._due_s = now_s + FREEZE_AFTER_S
 
     def poll(self, now_s: float) -> None:
         """Freeze if it is due."""
@@ -447,10 +459,9 @@ class Agent:
             self._handle_lost(self._robots.release_all_except(b""), "the server is gone")
 
     def _add_claims(self, claims: tuple[Claim, ...]) -> None:
-        self._robots.add_claims(override_rates(claims, self._config.rates))
+        with nullcontext() if self._objects is None else self._objects.adding(self._now_s):
+            self._robots.add_claims(override_rates(claims, self._config.rates))
         self._early_state.note_new_claims()
-        if self._objects is not None:
-            self._objects.note_new_robots(self._now_s)
         if len(claims) > MAX_LOGGED_CLAIMS:
             LOG.info("claimed agent=%s entities=%d", self._config.agent, len(claims))
             return

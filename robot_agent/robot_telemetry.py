@@ -103,12 +103,35 @@ def list_static_messages(
         fixed: Its fixed transforms; see `make_fixed_transforms`.
         ros: Scope and root frame of tf.
     """
+    yield from list_own_static_messages(claim, fixed, ros)
+    if (shared := make_shared_transforms(claim, fixed, ros)).transforms:
+        yield TF_STATIC, TF_STATIC.suffix, shared
+
+
+def make_shared_transforms(claim: Claim, fixed: TFMessage, ros: RosSettings) -> TFMessage:
+    """Make the fixed transforms of a robot on the shared topic; see `list_static_messages`."""
+    if not ros.has_global_tf:
+        return TFMessage()
+    root = _make_root_transform(claim, ros.tf_root)
+    return TFMessage(prefix_frames(fixed, claim.namespace).transforms + root)
+
+
+def differs_in_namespace_only(claim: Claim, fixed: TFMessage) -> bool:
+    """Whether robots of the model have the shared transforms of this one but for the namespace."""
+    drive = get_drive(claim.model)
+    frames = [drive.odometry_frame]
+    frames += [
+        one for edge in fixed.transforms for one in (edge.header.frame_id, edge.child_frame_id)
+    ]
+    return drive.encoder is None and not any("/" in frame for frame in frames)
+
+
+def list_own_static_messages(
+    claim: Claim, fixed: TFMessage, ros: RosSettings
+) -> Iterator[StaticMessage]:
+    """List the messages of a robot that never change on topics of its own."""
     if ros.has_namespaced_tf and fixed.transforms:
         yield TF_STATIC, TF_STATIC.key(claim.namespace), fixed
-    root = _make_root_transform(claim, ros.tf_root)
-    shared = prefix_frames(fixed, claim.namespace).transforms + root
-    if ros.has_global_tf and shared:
-        yield TF_STATIC, TF_STATIC.suffix, TFMessage(shared)
     if claim.robot_description:
         description = String(claim.robot_description)
         yield ROBOT_DESCRIPTION, ROBOT_DESCRIPTION.key(claim.namespace), description

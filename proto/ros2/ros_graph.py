@@ -200,7 +200,8 @@ class RosNode:
         self._group = group
         group.nodes += 1
         self._tokens: list[Closable] = []
-        self._unannounced: list[str] = []
+        self._unannounced: list[GraphEndpoint | str] = []
+        """Endpoints and other tokens; the text of an endpoint's is made when it is declared."""
         self.is_counted = False
         """Whether it is among `RosGraph.announced_robots`."""
         self.is_announced = False
@@ -221,13 +222,14 @@ class RosNode:
             self.is_announced = True
             tokens, self._unannounced = self._unannounced, []
             for token in (make_node_token(self._node), *tokens):
-                self._tokens.append(self._group.session.token(token))
+                self._declare(token)
 
-    def _declare(self, token: str) -> None:
-        if self.is_announced:
-            self._tokens.append(self._group.session.token(token))
-        else:
+    def _declare(self, token: GraphEndpoint | str) -> None:
+        if not self.is_announced:
             self._unannounced.append(token)
+            return
+        text = token if isinstance(token, str) else make_endpoint_token(token)
+        self._tokens.append(self._group.session.token(text))
 
     def data_key(self, topic: RosTopic) -> str:
         """Write the ROS 2 data key of a topic."""
@@ -274,7 +276,7 @@ class RosNode:
             type_hash=type_hash,
             qos=qos,
         )
-        self._declare(make_endpoint_token(endpoint))
+        self._declare(endpoint)
         is_bridged = self.graph.settings.is_bridged and ACTION_INFIX not in endpoint.name
         if is_bridged and bridge_key is not None:
             self._declare(_make_route_token(endpoint, bridge_key, self.graph.zid))

@@ -1,5 +1,7 @@
 """What robots must have in common to be driven as one group."""
 
+from collections.abc import Iterable
+
 import msgspec
 
 from zensim.proto import keys
@@ -46,6 +48,28 @@ class GroupKey(msgspec.Struct, frozen=True):
     """What these sensors know of the world."""
     joint_target_count: int = 0
     """Of controlled joints."""
+
+
+class GroupKeys:
+    """The group keys of a pool: one object for equal ones, as each takes 2 KiB."""
+
+    def __init__(self) -> None:
+        self._keys: dict[GroupKey, GroupKey] = {}
+        self._made: dict[tuple[int, int, RobotTopicKeys], tuple[Claim, GroupKey]] = {}
+        """By model, environment and patterns; with the claim, which keeps the first two."""
+
+    def find(self, claim: Claim, topic_keys: RobotTopicKeys) -> GroupKey:
+        """Find the group key of a robot."""
+        known = id(claim.model), id(claim.environment), _make_patterns(topic_keys)
+        if known not in self._made:
+            made = make_group_key(claim, topic_keys)
+            self._made[known] = claim, self._keys.setdefault(made, made)
+        return self._made[known][1]
+
+    def keep(self, keys: Iterable[GroupKey]) -> None:
+        """Forget all but these."""
+        self._keys = {key: key for key in keys}
+        self._made.clear()
 
 
 def make_group_key(claim: Claim, topic_keys: RobotTopicKeys) -> GroupKey:

@@ -34,9 +34,10 @@ from zensim.robot_agent.robot_rows import (
     remap_ints,
 )
 from zensim.robot_agent.robot_telemetry import (
-    StaticMessage,
-    list_static_messages,
+    differs_in_namespace_only,
+    list_own_static_messages,
     make_fixed_transforms,
+    make_shared_transforms,
     prefix_frames,
 )
 from zensim.robot_agent.topic_remapping import RobotTopicKeys
@@ -536,13 +537,51 @@ class StaticValue:
         return self._payload
 
 
-class _EncodedTransforms:
-    """Transforms as bytes of a message: as the first ones of it, and as later ones."""
+NAMESPACE_MARKS = ("\x01", "\x02")
+"""Characters that no name has."""
 
-    def __init__(self, message: TFMessage) -> None:
-        self.count = len(message.transforms)
-        self.first = encode(message)[FIRST_OFFSET:]
-        self.later = encode(TFMessage((EMPTY_TRANSFORM, *message.transforms)))[LATER_OFFSET:]
+
+class _MarkedBytes:
+    """Bytes of a message that differ in one text of a fixed size, and where that is."""
+
+    def __init__(self, one: bytes, other: bytes, size: int) -> None:
+        """Compare a message with the same one with another text."""
+        differs = np.frombuffer(one, np.uint8) != np.frombuffer(other, np.uint8)
+        self.starts: list[int] = np.flatnonzero(differs)[::size].tolist() if size else []
+        self._bytes, self._size = one, size
+
+    def __len__(self) -> int:
+        return len(self._bytes)
+
+    def write(self, text: bytes) -> bytes:
+        """Write the message with a text."""
+        written = bytearray(self._bytes)
+        for start in self.starts:
+            written[start : start + self._size] = text
+        return bytes(written)
+
+
+class TransformTemplate:
+    """Encoded transforms of robots whose namespaces have one size and are all that differs.
+
+    They are bytes of a message: as the first transforms of it, and as later ones.
+    """
+
+    def __init__(self, make: Callable[[str], TFMessage], size: int) -> None:
+        """Encode the transforms.
+
+        Args:
+            make: Makes them for a namespace.
+            size: Of the namespaces [bytes].
+        """
+        one, other = (make(mark * size) for mark in NAMESPACE_MARKS)
+        self.count = len(one.transforms)
+        self.first = _MarkedBytes(*(encode(each)[FIRST_OFFSET:] for each in (one, other)), size)
+        self.later = _MarkedBytes(*map(_encode_later, (one, other)), size)
+
+
+def _encode_later(message: TFMessage) -> bytes:
+    return encode(TFMessage((EMPTY_TRANSFORM, *message.transforms)))[LATER_OFFSET:]
 
 
 class StaticTransformBatch:
@@ -552,7 +591,8 @@ class StaticTransformBatch:
         """Declare the topic."""
         self.size = 0
         """About that of the message [bytes]."""
-        self._robots: dict[int, _EncodedTransforms] = {}
+        self._robots: dict[int, tuple[TransformTemplate, bytes]] = {}
+        """Transforms and namespace by claim."""
         self._payload: bytes | None = None
         self._has_news = False
         self._publisher = LazyTopicPublisher(
@@ -567,24 +607,26 @@ class StaticTransformBatch:
         """Whether there are no robots."""
         return not self._robots
 
-    def add(self, claim: int, transforms: _EncodedTransforms) -> None:
+    def add(self, claim: Claim, transforms: TransformTemplate) -> None:
         """Add a robot; `announce` publishes the message again."""
-        self._robots[claim] = transforms
+        self._robots[claim.claim] = transforms, claim.namespace.encode()
         self.size += len(transforms.later)
         self._payload, self._has_news = None, True
 
     def remove(self, claim: int) -> None:
         """Remove a robot; subscribers keep its transforms, as tf does."""
-        self.size -= len(self._robots.pop(claim).later)
+        transforms, _ = self._robots.pop(claim)
+        self.size -= len(transforms.later)
         self._payload = None
 
     def payload(self) -> bytes | None:
         """Write the message; None without robots."""
         if self._payload is None and self._robots:
-            robots = tuple(self._robots.values())
-            count = COUNT_STRUCT.pack(sum(one.count for one in robots))
-            parts = (robots[0].first, *(one.later for one in robots[1:]))
-            self._payload = b"".join((CDR_HEADER, count, *parts))
+            (first, namespace), *robots = self._robots.values()
+            count = first.count + sum(one.count for one, _ in robots)
+            parts = [one.later.write(name) for one, name in robots]
+            head = (CDR_HEADER, COUNT_STRUCT.pack(count), first.first.write(namespace))
+            self._payload = b"".join((*head, *parts))
         return self._payload
 
     def announce(self) -> None:
@@ -619,9 +661,8 @@ class SharedStaticTopic:
         self._factory: TopicFactory | None = None
         self._batches: list[StaticTransformBatch] = []
 
-    def add(self, claim: int, message: TFMessage) -> None:
+    def add(self, claim: Claim, transforms: TransformTemplate) -> None:
         """Add a robot's transforms; `announce` publishes them."""
-        transforms = _EncodedTransforms(message)
         most = MAX_TF_MESSAGE_BYTES - len(transforms.later)
         batch = next((one for one in self._batches if one.size <= most), None)
         if batch is None:
@@ -668,24 +709,23 @@ class StaticTopics:
         self._shared = shared
         self._ros = ros
         self._fixed: dict[int, tuple[Model, TFMessage]] = {}
+        self._templates: dict[tuple[int, int], TransformTemplate] = {}
+        """Of models whose robots differ in the namespace alone, by model and its size."""
         self._values: dict[msgspec.Struct, StaticValue] = {}
 
     def add(self, claim: Claim, node: RosNode | None = None) -> tuple[TopicMember, ...]:
         """Declare a robot's static topics; its node is in the ROS 2 graph."""
-        members = []
-        for topic, key, message in self._list_messages(claim):
-            if isinstance(message, TFMessage) and key == TF_STATIC.suffix:
-                self._shared.add(claim.claim, message)
-                continue
+        self.add_shared(claim)
+        members, fixed = [], self._get_fixed_transforms(claim.model)
+        for topic, key, message in list_own_static_messages(claim, fixed, self._ros):
             members.append(TopicMember(key, self._get_value(message), node=node))
             self._find_publisher(keys.make_pattern(key), topic).add(members[-1])
         return tuple(members)
 
     def add_shared(self, claim: Claim) -> None:
         """Publish a robot's fixed transforms on the shared topic only."""
-        for _, key, message in self._list_messages(claim):
-            if isinstance(message, TFMessage) and key == TF_STATIC.suffix:
-                self._shared.add(claim.claim, message)
+        if self._ros.has_global_tf and (template := self._get_template(claim)).count:
+            self._shared.add(claim, template)
 
     def remove(self, claim: int, members: tuple[TopicMember, ...]) -> None:
         """Undeclare a robot's static topics."""
@@ -696,15 +736,29 @@ class StaticTopics:
 
     def __getstate__(self) -> dict[str, object]:
         """Leave out what is cached by the identity of models."""
-        return {**self.__dict__, "_fixed": {}}
+        return {**self.__dict__, "_fixed": {}, "_templates": {}}
 
     def forget(self) -> None:
         """Drop the encoded messages, when no robot is left."""
         self._fixed.clear()
+        self._templates.clear()
         self._values.clear()
 
-    def _list_messages(self, claim: Claim) -> Iterator[StaticMessage]:
-        return list_static_messages(claim, self._get_fixed_transforms(claim.model), self._ros)
+    def _get_template(self, claim: Claim) -> TransformTemplate:
+        fixed = self._get_fixed_transforms(claim.model)
+        key = id(claim.model), len(claim.namespace.encode())
+        if (found := self._templates.get(key)) is not None:
+            return found
+        if not differs_in_namespace_only(claim, fixed):
+            message = make_shared_transforms(claim, fixed, self._ros)
+            return TransformTemplate(lambda _: message, 0)
+
+        def make(namespace: str) -> TFMessage:
+            renamed = msgspec.structs.replace(claim, namespace=namespace)
+            return make_shared_transforms(renamed, fixed, self._ros)
+
+        found = self._templates[key] = TransformTemplate(make, key[1])
+        return found
 
     def _get_fixed_transforms(self, model: Model) -> TFMessage:
         # The model is kept, so that no other gets its id.

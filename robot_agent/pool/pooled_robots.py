@@ -36,7 +36,7 @@ from zensim.robot_agent.drive_state_decoder import RobotState, is_repeated, unpa
 from zensim.robot_agent.fleet_odometry import MotionRows
 from zensim.robot_agent.joint_control import JointControl, make_joint_control
 from zensim.robot_agent.pool.group_bases import GroupBaseController
-from zensim.robot_agent.pool.group_key import GroupKey, make_group_key
+from zensim.robot_agent.pool.group_key import GroupKey, GroupKeys
 from zensim.robot_agent.pool.group_sensors import GroupSensors
 from zensim.robot_agent.pool.group_telemetry import (
     FindPublisher,
@@ -534,7 +534,7 @@ class PooledRobots:
         commands_domain = domain if self._ros.has_topic(CMD_VEL.name) else None
         self._commands = FleetCmdVel(rx_session or network, timeout_ns, commands_domain)
         self._groups: dict[GroupKey, RobotGroup] = {}
-        self._group_keys: dict[GroupKey, GroupKey] = {}  # one object each: it takes 2 KiB
+        self._group_keys = GroupKeys()
         self._claims: bytes | None = None
         self._layout = PoolStateLayout((), ())
         self._singles: tuple[_SingleRobot, ...] = ()
@@ -546,8 +546,7 @@ class PooledRobots:
             if _can_be_grouped(claim.model):
                 topic_keys = find_topic_keys(claim, self._ros)
                 self._commands.listen(topic_keys.cmd_vel)
-                group_key = make_group_key(claim, topic_keys)
-                group_key = self._group_keys.setdefault(group_key, group_key)
+                group_key = self._group_keys.find(claim, topic_keys)
                 member = GroupMember(claim, group_key, topic_keys)
                 member.node = self._join_ros_graph(claim.namespace, topic_keys.cmd_vel)
                 self._robot_services.add(member.node, partial(list_robot_parameters, claim))
@@ -765,7 +764,7 @@ class PooledRobots:
         for key in [key for key in self._groups if key not in groups]:
             self._groups.pop(key).close()
         self._groups = {key: self._update_group(key, group) for key, group in groups.items()}
-        self._group_keys = {key: key for key in groups}
+        self._group_keys.keep(groups)
         self._singles = tuple(
             _SingleRobot(self._robots[one], place, *self._layout.find_slices(place))
             for place, one in enumerate(order)

@@ -16,7 +16,7 @@ from tests.robot_agent.models import DRIVE, a_claim, a_state, two_wheeler
 from tests.robot_agent.test_bumpers import a_touchy_robot
 from tests.robot_agent.test_claim_client import FakeShareServer
 from zensim.proto import keys
-from zensim.proto.codec.message_codec import Format, decode
+from zensim.proto.codec.message_codec import Format, MalformedPayload, decode
 from zensim.proto.messages.agent_messages import DriveState, FleetOdometry
 from zensim.proto.messages.model_messages import DiffDrive
 from zensim.proto.messages.process_messages import AgentStats
@@ -60,25 +60,47 @@ class FakeNiceness:
 
 
 class FakeCollector:
-    """Counts what is frozen and unfrozen."""
+    """Counts what is frozen and unfrozen, and lists what happens while robots are added."""
 
     def __init__(self) -> None:
         self.frozen = self.unfrozen = 0
-        self.objects = CollectedObjects(self._freeze, self._unfreeze)
+        self.happened: list[str] = []
+        self.objects = CollectedObjects(
+            self._freeze,
+            self._unfreeze,
+            lambda: self.happened.append("pause"),
+            lambda: self.happened.append("resume"),
+        )
+
+    def add_robots(self, now_s: float) -> None:
+        """Add robots, which takes no time."""
+        with self.objects.adding(now_s):
+            self.happened.append("add")
 
     def _freeze(self) -> None:
         self.frozen += 1
+        self.happened.append("freeze")
 
     def _unfreeze(self) -> None:
         self.unfrozen += 1
 
 
-def test_objects_of_robots_are_frozen_once_after_the_last_of_them() -> None:
+def test_nothing_is_collected_while_robots_are_added_and_they_are_frozen_before_it_is() -> None:
     collector = FakeCollector()
 
-    collector.objects.note_new_robots(1.0)
-    collector.objects.note_new_robots(2.0)
-    counts = []
+    with pytest.raises(MalformedPayload), collector.objects.adding(1.0):
+        raise MalformedPayload("a claim")
+    collector.add_robots(2.0)
+
+    assert collector.happened == ["pause", "freeze", "resume", "pause", "add", "freeze", "resume"]
+
+
+def test_objects_of_robots_are_frozen_once_more_after_the_last_of_them() -> None:
+    collector = FakeCollector()
+
+    collector.add_robots(1.0)
+    collector.add_robots(2.0)
+    collector.frozen, counts = 0, []
     for now_s in (1.0 + FREEZE_AFTER_S, 2.0 + FREEZE_AFTER_S, 100.0):
         collector.objects.poll(now_s)
         counts.append(collector.frozen)
@@ -309,7 +331,8 @@ def test_pool_unfreezes_when_as_many_robots_go_at_once_as_are_left(
         assert agent.poll(now_s)
         return gc.get_freeze_count() > 0
 
-    assert not drive(1, (1, 2, 3, 4, 5), 100.0)
+    assert gc.get_freeze_count() == 0
+    assert drive(1, (1, 2, 3, 4, 5), 100.0)
     assert drive(2, (1, 2, 3, 4, 5), 100.0 + FREEZE_AFTER_S)
 
     assert drive(3, kept, 100.1 + FREEZE_AFTER_S) == is_frozen

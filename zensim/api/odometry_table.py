@@ -21,7 +21,7 @@ OLD_EPOCH_S = 2.0
 TABLE_DEPTH = 512
 """Messages of 64 KiB that wait: of 10,000 robots, some 20 a step."""
 MAX_KNOWN_NAMES = 256
-"""Lists of names whose rows are kept: an agent cuts its robots into the same messages at most steps."""
+"""Lists of names whose rows are kept: at most steps an agent sends the same lists."""
 
 
 @dataclass(frozen=True)

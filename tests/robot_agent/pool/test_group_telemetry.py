@@ -20,7 +20,8 @@ from zensim.proto.codec.cdr_batch import CdrBatch
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.fleet_publisher import MAX_PUBLISHERS
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveCommand, DriveState
-from zensim.proto.messages.model_messages import GroundTruth, Model
+from zensim.proto.messages.drive_messages import DiffDrive
+from zensim.proto.messages.model_messages import Frame, GroundTruth, Model, Origin
 from zensim.proto.messages.standard_messages import (
     Header,
     JointState,
@@ -43,6 +44,7 @@ from zensim.robot_agent.odometry import BaseMotion, OdometryHeader, make_covaria
 from zensim.robot_agent.pool import group_telemetry
 from zensim.robot_agent.pool.group_telemetry import TfMessageBatch
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
+from zensim.robot_agent.robot_telemetry import make_fixed_transforms, make_shared_transforms
 from zensim.robot_agent.robots import IndividualRobots
 
 NUMBER = st.floats(allow_nan=False, allow_infinity=False)
@@ -367,6 +369,38 @@ def test_fixed_transforms_are_those_of_robots_that_are_driven_one_by_one() -> No
         whole.transforms, key=repr
     )
     assert plain.payload == encode(decode(TFMessage, plain.payload, plain.encoding))
+
+
+NAMESPACES = ("r", "fleet/r2", "r2", "a" * 40, "q2", "fleet/r3")
+
+
+@pytest.mark.parametrize("frame", ["camera", "r2/camera"])
+@pytest.mark.parametrize(
+    "drive", [DRIVE, msgspec.structs.replace(DRIVE, odometry_source="encoder")]
+)
+def test_fixed_transforms_of_one_model_have_the_namespace_of_each_robot(
+    drive: DiffDrive, frame: str
+) -> None:
+    joint = Frame(frame, "base_link", Origin((0.2, 0.0, 0.1)))
+    model = two_wheeler(drive, frames=(*two_wheeler().frames, joint))
+    spawns = np.random.default_rng(1).uniform(-1.0, 1.0, (len(NAMESPACES), STATE_COLUMNS))
+    claims = [
+        Claim(number, name, name, model, spawn_state=tuple(spawn.tolist()))
+        for number, (name, spawn) in enumerate(zip(NAMESPACES, spawns, strict=True), 1)
+    ]
+    bus, settings = MemoryBus(), RosSettings()
+    received = bus.subscribe("tf_static", 64)
+    pool = PooledRobots(bus, 0, RosGraph(bus, settings))
+
+    pool.add_claims(claims)
+    pool.announce()
+
+    fixed = make_fixed_transforms(model)
+    alone = [make_shared_transforms(one, fixed, settings) for one in claims]
+    (message,) = received.take()
+    assert message.payload == encode(
+        TFMessage(tuple(edge for one in alone for edge in one.transforms))
+    )
 
 
 def watched_robot() -> Model:
