@@ -1,7 +1,7 @@
 """One topic of many robots on plain and ROS 2 keys; publishers are declared lazily."""
 
 import time
-from collections import deque
+from collections import ChainMap, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Final, Generic, Protocol, TypeVar
@@ -573,7 +573,7 @@ class FleetTopicPublisher:
 
     @property
     def version(self) -> int:
-        """Changes with what `find_demand` returns."""
+        """Changes with what `list_demand` returns."""
         return self._own_version + (0 if self._ros is None else self._ros.version)
 
     @property
@@ -588,13 +588,13 @@ class FleetTopicPublisher:
         """Find the members with a key."""
         return self._members.get(key, ())
 
-    def find_demand(self, member: TopicMember) -> int:
-        """Find who needs a member's messages: `UNWANTED`, `NAMED` or `OTHERS`."""
+    def list_demand(self) -> Mapping[TopicMember, int]:
+        """List the members whose messages are needed, and by whom: `NAMED` or `OTHERS`."""
         searched = [self._searched, None if self._ros is None else self._ros.searched]
         known = [one for one in searched if one is not None]
-        if any(member in one.named for one in known):
-            return NAMED
-        return OTHERS if any(member in one.others for one in known) else UNWANTED
+        others = (dict.fromkeys(one.others, OTHERS) for one in known)
+        named = (dict.fromkeys(one.named, NAMED) for one in known)
+        return dict(ChainMap(*named, *others))
 
     def check_all(self) -> None:
         """Declare all missing publishers if there are subscribers, and check all."""
@@ -628,13 +628,16 @@ class FleetTopicPublisher:
         """Start to publish last values to new subscribers; see `announce_some`."""
         if self._unannounced:
             return
-        members = [member for members in self._members.values() for member in members]
         if self.is_wanted:
-            self._unannounced = members if self._searched is None else list(self._matched.matched)
+            listed = self._list_members() if self._searched is None else self._matched.matched
+            self._unannounced = list(listed)
         elif self._has_announced:
-            for member in members:
+            for member in self._list_members():
                 member.was_matched = False
             self._has_announced = False
+
+    def _list_members(self) -> Iterator[TopicMember]:
+        return (member for members in self._members.values() for member in members)
 
     def announce_some(self) -> None:
         """Continue `announce` with a part of the robots."""
@@ -665,7 +668,7 @@ class FleetTopicPublisher:
 
     def close(self) -> None:
         """Undeclare the topic."""
-        for member in [member for members in self._members.values() for member in members]:
+        for member in tuple(self._list_members()):
             self.remove(member)
         self._probe.close()
         self._queries.close()

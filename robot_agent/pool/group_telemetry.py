@@ -5,12 +5,19 @@ from collections.abc import Callable, Iterator, Sequence
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from zensim.proto import keys, message_paths
 from zensim.proto.codec.cdr import encode
 from zensim.proto.codec.cdr_batch import CdrBatch
 from zensim.proto.codec.cdr_layout import HEADER_BYTES
-from zensim.proto.fleet_publisher import NAMED, OTHERS, FleetTopicPublisher, TopicMember
+from zensim.proto.fleet_publisher import (
+    NAMED,
+    OTHERS,
+    UNWANTED,
+    FleetTopicPublisher,
+    TopicMember,
+)
 from zensim.proto.joint_transforms import POSE_COLUMNS, JointTransforms
 from zensim.proto.message_paths import list_tf_paths, list_tf_stamps
 from zensim.proto.messages.agent_messages import Claim
@@ -144,7 +151,7 @@ class GroupTopic:
             return rows
         if self._demand_version != self.publisher.version:
             self._demand_version = self.publisher.version
-            self._demand = np.array(list(map(self.publisher.find_demand, self._members)), np.int8)
+            self._demand = self._find_demand()
         demand = self._demand[rows]
         named: IntArray = rows[demand == NAMED]
         others = rows[demand == OTHERS]
@@ -155,6 +162,15 @@ class GroupTopic:
             self._next_row = int(others[-1]) + 1 if count else self._next_row
         wanted: IntArray = np.sort(np.concatenate([named, others]))
         return wanted
+
+    def _find_demand(self) -> npt.NDArray[np.int8]:
+        """Find who needs the messages of each row: `UNWANTED`, `NAMED` or `OTHERS`."""
+        demand = np.full(len(self._members), UNWANTED, np.int8)
+        for member, needed_by in self.publisher.list_demand().items():
+            # The publisher has the members of other groups, too.
+            if member.row < len(demand) and self._members[member.row] is member:
+                demand[member.row] = needed_by
+        return demand
 
     def payload(self, row: int) -> bytes | None:
         """See `LastValues`."""

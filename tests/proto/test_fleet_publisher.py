@@ -15,7 +15,6 @@ from zensim.proto.fleet_publisher import (
     MAX_ROS_DECLARED_AT_ONCE,
     NAMED,
     OTHERS,
-    UNWANTED,
     AttachmentRows,
     FleetTopicPublisher,
     MatchedPublishers,
@@ -428,7 +427,7 @@ def test_many_robots_declare_no_publisher_and_reach_their_subscribers(clock: Man
 
     assert bus.declared == ["*/text"]
     assert [sample.payload for sample in received.take()] == [b"1"]
-    assert [publisher.find_demand(member) for member in some] == [NAMED, UNWANTED]
+    assert [publisher.list_demand().get(member) for member in some] == [NAMED, None]
     assert [publisher.has_subscribers(member) for member in some] == [True, False]
 
 
@@ -455,7 +454,7 @@ def test_wildcard_makes_all_of_many_wanted_within_a_budget(clock: ManualClock) -
     search(publisher, clock)
 
     (one,) = members_of(publisher, "r300")
-    assert publisher.find_demand(one) == OTHERS
+    assert publisher.list_demand()[one] == OTHERS
     assert publisher.budget is not None
     assert bus.declared == ["*/text"]
 
