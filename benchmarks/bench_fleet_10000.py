@@ -10,7 +10,9 @@ that come and go are ten, then a hundred, for 5 s each. With lidars, a hundred o
 5 Hz, and all scans are subscribed. Rates are counts over the whole window of the seconds, and gaps
 reach from its begin and to its end. With ROS 2 a session joins after the seconds and watches all
 tokens, of 500 robots of each pool and of those with subscribers on keys of ROS 2, until none came
-for 15 s; the time is that of the last one. Memory is what came after the start without robots.
+for 15 s; the time is that of the last one. Another one subscribes to the odometry of the last
+robot, which is beyond those 500, as `ros2 topic echo` with a type does: a node of ROS 2 sees that
+robot in its graph from then on. Memory is what came after the start without robots.
 Floors: bare tokens with the keys of robots, declared in a session of another process, with a
 session that joins late; and as many drives as robots, on circles in plain arrays, with one message
 for all: what the arithmetic takes at this rate, without a network, an engine or neighbours.
@@ -37,9 +39,11 @@ from zensim.proto import keys
 from zensim.proto.bus import Bus, BusSubscription
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder
+from zensim.proto.messages.standard_messages import Odometry
 from zensim.proto.messages.telemetry_messages import Stats
-from zensim.proto.ros2.rmw_keys import OFF
+from zensim.proto.ros2.rmw_keys import OFF, make_data_key
 from zensim.proto.ros2.ros_graph import MAX_ROBOTS_ANNOUNCED
+from zensim.proto.ros2.type_hash import hash_type
 from zensim.proto.topic_catalog import ODOM, SCAN, STATS
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.spawner.client.sim_client import SimClient
@@ -55,6 +59,7 @@ SETTLE_S, SETTLE_WHEN_SHORT_S = 5.0, 0.5
 """From the claim of the last robot to the first second that counts."""
 CHANGE_S, CHANGE_WHEN_SHORT_S = 5.0, 0.5
 COMING_AND_GOING = (10, 0, 100, 0)
+LONGEST_ECHO_S = 2.0
 QUIET_S, QUIET_WHEN_SHORT_S = 15.0, 1.0
 """Time without a further token after which an observer has all."""
 DRIVEN_S = 60.0
@@ -390,6 +395,28 @@ def _watch_tokens(
     yield Figure(what=f"{label}: tokens seen, late", unit="s", samples=(seen_s,), limit=most)
     what = f"{label}: longest gap while the observer of tokens joins"
     yield Figure(what=what, unit="ms", samples=_find_gaps_ms(meanwhile))
+    first_s, announced_s = _echo(bus.endpoint, f"box_bot{robots - 1}")
+    most = Limit("max", "<=", LONGEST_ECHO_S)
+    what = f"{label}: first odometry of the last robot on its key of ROS 2"
+    yield Figure(what=what, unit="s", samples=(first_s,), limit=most)
+    what = f"{label}: the last robot in the graph"
+    yield Figure(what=what, unit="s", samples=(announced_s,))
+
+
+def _echo(endpoint: str, name: str) -> tuple[float, float]:
+    """Subscribe to the odometry of a robot as a node of ROS 2 that knows its type.
+
+    Returns:
+        Times [s] until the first message, and until the topic is in the graph.
+    """
+    key = make_data_key(0, ODOM.key(name), Odometry.ros_type, hash_type(Odometry))
+    with connected(endpoint) as node:
+        began_s, odometry = time.monotonic(), node.subscribe(key, ODOM_DEPTH)
+        poll_until(lambda: odometry.take() or None, PATIENCE_S)
+        first_s = time.monotonic() - began_s
+        token = f"@ros2_lv/0/*/*/*/MP/*/*/*/%{name}%{ODOM.suffix}/**"
+        poll_until(lambda: node.list_tokens(token) or None, PATIENCE_S)
+        return first_s, time.monotonic() - began_s
 
 
 def _join_late(endpoint: str, quiet_s: float) -> tuple[int, float]:

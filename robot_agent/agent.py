@@ -58,6 +58,9 @@ RTF_WINDOW_S = 0.5
 """Wall time over which the real-time factor is measured."""
 FAST_RTF, SLOW_RTF = 1.5, 1.2
 """Real-time factors above which the priority is lowered, and below which it is restored."""
+FAST_WINDOWS = 3
+"""Successive windows with a factor above `FAST_RTF` after which the priority is lowered. After work
+that took seconds, the newest state is later than the time that it is compared with: one window."""
 
 
 class ProcessPriority:
@@ -70,7 +73,7 @@ class ProcessPriority:
             set_niceness: Sets the niceness of this process; returns whether it is done.
         """
         self._set_niceness = set_niceness
-        self._niceness = 0
+        self._niceness = self._fast_windows = 0
         self._since: tuple[float, int] | None = None
 
     def note_state(self, now_s: float, state: DriveState) -> None:
@@ -83,7 +86,9 @@ class ProcessPriority:
             return
         factor = (state.time_ns - self._since[1]) / NANOSECONDS / elapsed_s
         self._since = (now_s, state.time_ns)
-        wanted = NICENESS if factor > FAST_RTF else 0 if factor < SLOW_RTF else self._niceness
+        self._fast_windows = self._fast_windows + 1 if factor > FAST_RTF else 0
+        is_fast = self._fast_windows >= FAST_WINDOWS
+        wanted = NICENESS if is_fast else 0 if factor < SLOW_RTF else self._niceness
         if wanted != self._niceness and self._set_niceness(wanted):
             self._niceness = wanted
 

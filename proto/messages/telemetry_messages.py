@@ -75,7 +75,10 @@ class WorldClock(Clock, frozen=True):
 
 
 class AgentCommands(msgspec.Struct, frozen=True):
-    """Drive commands of an agent: one is due for each step whose state it got."""
+    """Drive commands of an agent: one is due for each step whose state it got.
+
+    It is due when it comes, or when the next state is sent.
+    """
 
     ros_type: ClassVar[str] = "zensim/msg/AgentCommands"
 

@@ -1,4 +1,8 @@
-"""Drive commands taken of each agent against those due: one for each step whose state it got."""
+"""Drive commands taken of each agent against those due: one for each step whose state it got.
+
+A command is due when it comes, or else when the next state is sent: what is still on its way at the
+end of a second is not missing.
+"""
 
 from dataclasses import dataclass
 
@@ -19,7 +23,9 @@ class _CommandCount:
     taken_before: int = 0
     due_hz: float = 0.0
     taken_hz: float = 0.0
-    last_due: Step = NO_STEP
+    last_sent: Step = NO_STEP
+    is_awaited: bool = False
+    """Whether the command for the last step sent is not due yet."""
     last_taken: Step = NO_STEP
 
 
@@ -36,13 +42,18 @@ class CommandCounts:
         """Least share of the commands due that an agent sent in the last window, at most 1."""
         self._agents: dict[str, _CommandCount] = {}
 
-    def note_due(self, agent: str, step: Step) -> None:
-        """Count a state that an agent got; the same step again counts once."""
+    def note_sent(self, agent: str, step: Step) -> None:
+        """Note a state that an agent gets; the same step again counts once."""
         count = self._agents.setdefault(agent, _CommandCount())
-        if count.last_due != step:
-            count.last_due = step
-            count.due += 1
-            self.due += 1
+        if count.last_sent != step:
+            self._end_wait(count)
+            count.last_sent, count.is_awaited = step, True
+
+    def _end_wait(self, count: _CommandCount) -> None:
+        """Count the command for the last step sent as due."""
+        count.due += count.is_awaited
+        self.due += count.is_awaited
+        count.is_awaited = False
 
     def note_taken(self, agent: str, step: Step) -> None:
         """Count a command that was taken; a second one for a step does not count."""
@@ -51,6 +62,8 @@ class CommandCounts:
             count.last_taken = step
             count.taken += 1
             self.taken += 1
+        if count.last_sent == step:
+            self._end_wait(count)
 
     def forget(self, agent: str) -> None:
         """Forget an agent that is gone."""

@@ -233,7 +233,7 @@ class AgentSessions:
         form = self._agents.state_formats.get(agent, Format.MSGPACK)
         self._publisher.publish_drive_state(agent, sent, form)
         if sent.claims:
-            self._commands.note_due(agent, (sent.epoch, sent.step))
+            self._commands.note_sent(agent, (sent.epoch, sent.step))
         self._awaited_since_ns[agent] = self._pacing.now_ns()
         if agent not in self._command_timeouts and agent not in self._world.claims.silent:
             self._note_command(agent, sent.claims, self._pacing.now_ns())

@@ -120,10 +120,15 @@ def test_objects_are_collected_again_when_as_many_robots_have_gone_as_are_left()
 
 
 def run(
-    priority: ProcessPriority, factor: float, *, from_s: float = 0.0, awaited: bool = False
+    priority: ProcessPriority,
+    factor: float,
+    *,
+    from_s: float = 0.0,
+    seconds: float = 2.0,
+    awaited: bool = False,
 ) -> None:
-    """Let two seconds pass, told every 10 ms of them."""
-    for tick in range(200):
+    """Let some seconds pass, with a state every 10 ms of them."""
+    for tick in range(round(100 * seconds)):
         now_s = from_s + tick * 0.01
         drive_state = state(round(1000 * from_s * MS + tick * 10 * MS * factor), is_awaited=awaited)
         priority.note_state(now_s, drive_state)
@@ -156,9 +161,20 @@ def test_priority_stays_when_time_waits_for_the_agent() -> None:
 def test_priority_is_set_again_when_the_kernel_refuses() -> None:
     niceness = FakeNiceness(refusals=2)
 
-    run(ProcessPriority(niceness), factor=4.0)
+    run(ProcessPriority(niceness), factor=4.0, seconds=4.0)
 
     assert niceness.requested == [NICENESS] * 3
+
+
+def test_priority_stays_when_states_are_later_than_the_time_of_their_poll() -> None:
+    niceness = FakeNiceness()
+    priority = ProcessPriority(niceness)
+    for turn in range(20):
+        polled_s = 20.0 * turn
+        priority.note_state(polled_s, state(round((polled_s + 15.0) * 1000) * MS))
+        run(priority, factor=1.0, from_s=polled_s + 15.5)
+
+    assert niceness.requested == []
 
 
 def test_priority_is_restored_when_time_runs_slowly_again() -> None:
