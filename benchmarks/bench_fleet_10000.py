@@ -7,15 +7,17 @@ counts both, and each sample is its second, scaled to pools times the control ra
 too slow shows there, while the real-time factor stays at 1. Cores are those of server, pools and
 sensor process, without the commanding process. Odometry is subscribed robot by robot. Subscribers
 that come and go are ten, then a hundred, for 5 s each. With lidars, a hundred of the robots scan at
-5 Hz, and all scans are subscribed. Rates are counts over the whole window of the seconds, and gaps
-reach from its begin and to its end. With ROS 2 a session joins after the seconds and watches all
-tokens, of 500 robots of each pool and of those with subscribers on keys of ROS 2, until none came
-for 15 s; the time is that of the last one. Another one subscribes to the odometry of the last
-robot, which is beyond those 500, as `ros2 topic echo` with a type does: a node of ROS 2 sees that
-robot in its graph from then on. Memory is what came after the start without robots.
-Floors: bare tokens with the keys of robots, declared in a session of another process, with a
-session that joins late; and as many drives as robots, on circles in plain arrays, with one message
-for all: what the arithmetic takes at this rate, without a network, an engine or neighbours.
+5 Hz, and all scans are subscribed. By wildcard, `zensim hz '*/odom'` runs beside, and then a
+`zensim echo '*/odom'` whose output is not read; each pool publishes 10,000 messages a second to
+both, and the server warns of what it withholds by an event. Rates are counts over the whole window
+of the seconds, and gaps reach from its begin and to its end. With ROS 2 a session joins after the
+seconds and watches all tokens, of 500 robots of each pool and of those with subscribers on keys of
+ROS 2, until none came for 15 s; the time is that of the last one. Another one subscribes to the
+odometry of the last robot, which is beyond those 500, as `ros2 topic echo` with a type does: a node
+of ROS 2 sees that robot in its graph from then on. Memory is what came after the start without
+robots. Floors: bare tokens with the keys of robots, declared in a session of another process, with
+a session that joins late; and as many drives as robots, on circles in plain arrays, with one
+message for all: what the arithmetic takes at this rate, without a network, an engine or neighbours.
 """
 
 import time
@@ -24,6 +26,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -40,15 +43,19 @@ from zensim.proto.bus import Bus, BusSubscription
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Odometry
-from zensim.proto.messages.telemetry_messages import Stats
+from zensim.proto.messages.telemetry_messages import Event, Stats
 from zensim.proto.ros2.rmw_keys import OFF, make_data_key
 from zensim.proto.ros2.ros_graph import MAX_ROBOTS_ANNOUNCED
 from zensim.proto.ros2.type_hash import hash_type
-from zensim.proto.topic_catalog import ODOM, SCAN, STATS
+from zensim.proto.subscriber_search import WILDCARD_MESSAGES_HZ
+from zensim.proto.topic_catalog import EVENTS, ODOM, SCAN, STATS
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn.spawn_client import read_payload, spawn_many
 from zensim.spawner.spawn.spawn_poses import make_fleet_layout
+
+if TYPE_CHECKING:
+    import subprocess
 
 __all__ = ["rows", "table"]
 
@@ -60,11 +67,13 @@ SETTLE_S, SETTLE_WHEN_SHORT_S = 5.0, 0.5
 CHANGE_S, CHANGE_WHEN_SHORT_S = 5.0, 0.5
 COMING_AND_GOING = (10, 0, 100, 0)
 LONGEST_ECHO_S = 2.0
+MOST_READER_MB, KIB, MEGABYTE = 150.0, 1024, 1e6
 QUIET_S, QUIET_WHEN_SHORT_S = 15.0, 1.0
 """Time without a further token after which an observer has all."""
 DRIVEN_S = 60.0
 """Longest wait for pools that drive; what is measured then shows that they do not."""
 STATS_DEPTH, ODOM_DEPTH, SCAN_DEPTH, TOKENS_DEPTH = 64, 256, 4096, 1 << 18
+EVENTS_DEPTH = 1 << 15
 LIDARS, LIDARS_WHEN_SHORT = 100, 5
 LIDAR, LIDAR_RATE, SCAN_HZ = "box_bot_lidar", "<update_rate>10</update_rate>", 5.0
 LEAST_SCAN_HZ = 4.9
@@ -86,6 +95,8 @@ class Case:
     """Whether other subscribers come and go."""
     lidars: int = 0
     """Robots that scan, among all."""
+    has_wildcard: bool = False
+    """Whether `zensim hz` subscribes to the odometry of all robots."""
     domain: str = OFF
     factor: float = 0.99
     commands: Limit = NEARLY_ALL
@@ -113,6 +124,7 @@ CASES = (
         factor=0.98,
         commands=Limit("min", ">=", 38.0),
     ),
+    Case("all by wildcard", has_wildcard=True, factor=0.95, commands=Limit("mean", ">=", 38.0)),
     Case("ten subscribers, a hundred lidars", listened=10, lidars=LIDARS),
     Case(
         "ROS 2, ten subscribers",
@@ -123,7 +135,7 @@ CASES = (
         pool_kib=25.0,
     ),
 )
-CASES_WHEN_SHORT = CASES[-3:]
+CASES_WHEN_SHORT = CASES[-4:]
 
 
 @dataclass(frozen=True)
@@ -179,6 +191,7 @@ def _measured(case: Case, robots: int, *, is_short: bool) -> Iterator[Figure]:
     seen, seconds = Seen(), SECONDS_WHEN_SHORT if is_short else SECONDS
     with _started(case, robots, seen) as (bus, pids):
         users = _subscribe(case, bus, robots, is_short=is_short)
+        hz = _start_hz(bus) if case.has_wildcard else None
         claimed_s = time.monotonic()
         _observe(Seen(), users, SETTLE_WHEN_SHORT_S if is_short else SETTLE_S)
         _wait_until_driven(users.stats, POOLS * case.hz)
@@ -199,6 +212,8 @@ def _measured(case: Case, robots: int, *, is_short: bool) -> Iterator[Figure]:
         what = f"{label}: from the last claim to the first second measured"
         yield Figure(what=what, unit="s", samples=(driven_s,))
         yield from _figures(label, case, seen)
+        if hz is not None:
+            yield from _watch_wildcard(label, bus, hz, seconds)
         if case.domain != OFF:
             quiet_s = QUIET_WHEN_SHORT_S if is_short else QUIET_S
             yield from _watch_tokens(label, bus, users, robots, quiet_s)
@@ -401,6 +416,46 @@ def _watch_tokens(
     yield Figure(what=what, unit="s", samples=(first_s,), limit=most)
     what = f"{label}: the last robot in the graph"
     yield Figure(what=what, unit="s", samples=(announced_s,))
+
+
+@dataclass
+class RunningHz:
+    """`zensim hz` of the odometry of all robots, and the events of the server since its start."""
+
+    process: "subprocess.Popen[str]"
+    events: BusSubscription
+    stack: ExitStack
+
+
+def _start_hz(bus: Bus) -> RunningHz:
+    stack, events = ExitStack(), bus.subscribe(EVENTS.key("default"), EVENTS_DEPTH)
+    arguments = ("hz", ODOM.key("*"), "--connect", bus.endpoint, "--json", "--window", "20000")
+    return RunningHz(stack.enter_context(running(*arguments)), events, stack)
+
+
+def _watch_wildcard(label: str, bus: Bus, hz: RunningHz, seconds: float) -> Iterator[Figure]:
+    """Read what `zensim hz` has seen; then run `zensim echo` for as long, without reading it."""
+    with hz.stack:
+        lines = [line_with("{", hz.process)]
+        kib = read_memory_kib(hz.process.pid)
+        hz.process.terminate()
+        assert hz.process.stdout is not None
+        lines += hz.process.stdout
+        rates = [msgspec.json.decode(line)["rate_hz"] for line in lines]
+    kinds = [decode(Event, one.payload, one.encoding).kind for one in hz.events.take()]
+    with running("echo", ODOM.key("*"), "--connect", bus.endpoint) as echo:
+        time.sleep(seconds)
+        echo_kib = read_memory_kib(echo.pid)
+    bound = Limit("max", "<=", POOLS * WILDCARD_MESSAGES_HZ * 1.1, is_timed=True)
+    what = f"{label}: messages, zensim hz"
+    yield Figure(what=what, unit="1/s", samples=tuple(rates), limit=bound)
+    least = Limit("min", ">=", POOLS, is_timed=True)
+    what, warned = f"{label}: events of a pool that withholds", kinds.count("warning")
+    yield Figure(what=what, unit="", samples=(warned,), limit=least)
+    most = Limit("max", "<=", MOST_READER_MB, is_timed=True)
+    for name, used_kib in (("zensim hz", kib), ("zensim echo, not read", echo_kib)):
+        megabytes = (used_kib * KIB / MEGABYTE,)
+        yield Figure(what=f"{label}: memory, {name}", unit="MB", samples=megabytes, limit=most)
 
 
 def _echo(endpoint: str, name: str) -> tuple[float, float]:
