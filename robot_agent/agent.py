@@ -487,6 +487,7 @@ class Agent:
         except MalformedPayload as error:
             self._note_malformed("contacts", error)
         if sample is None:
+            self._odometry.send_some()
             self._revise()
             return False
         began_ns = time.perf_counter_ns()
@@ -540,7 +541,8 @@ class Agent:
     def _publish(self, state: DriveState) -> None:
         self._robots.publish()
         if self._odometry.is_wanted:
-            self._odometry.publish(state, self._robots.list_odometry())
+            publish = self._odometry.publish if state.is_awaited else self._odometry.begin
+            publish(state, self._robots.list_odometry())
 
     def _revise(self) -> None:
         """Apply a command that came since the last state before the next state."""

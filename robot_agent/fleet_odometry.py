@@ -1,5 +1,6 @@
 """The odometry of all robots of an agent in few messages, published for subscribers only."""
 
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
@@ -11,6 +12,9 @@ from zensim.proto.topic_catalog import FLEET_ODOMETRY
 MAX_MOTION_BYTES = 60_000
 """Of the rows of a message: with its names and headers it fits a batch of 64 KiB. What is sent in
 fragments is lost with any of them."""
+MAX_SENT_AT_ONCE = 6
+"""Messages of one step that are sent in one poll. A link holds 16, a router gets those of several
+agents at once, and what does not fit is lost."""
 ROW_BYTES = 8 * STATE_COLUMNS
 MAX_NAME_BYTES = 5
 """Written before the characters of a name."""
@@ -47,6 +51,7 @@ class FleetOdometryPublisher:
         """Declare the topic of an agent."""
         key = FLEET_ODOMETRY.key(world, agent)
         self._publisher = network.advertise(key, FLEET_ODOMETRY.encoding)
+        self._unsent: deque[FleetOdometry] = deque()
 
     @property
     def is_wanted(self) -> bool:
@@ -55,11 +60,26 @@ class FleetOdometryPublisher:
 
     def publish(self, state: DriveState, rows: Iterable[MotionRows]) -> None:
         """Publish the odometry that a state made new."""
-        for message in make_messages(state, rows):
-            self._publisher.send(encode(message, Format.MSGPACK))
+        self.begin(state, rows)
+        self._send(len(self._unsent))
+
+    def begin(self, state: DriveState, rows: Iterable[MotionRows]) -> None:
+        """Publish a part of the odometry that a state made new; `send_some` sends the rest."""
+        self._send(len(self._unsent))
+        self._unsent.extend(make_messages(state, rows))
+        self.send_some()
+
+    def send_some(self) -> None:
+        """Send the next messages of the last state, if there are any."""
+        self._send(min(MAX_SENT_AT_ONCE, len(self._unsent)))
+
+    def _send(self, count: int) -> None:
+        for _ in range(count):
+            self._publisher.send(encode(self._unsent.popleft(), Format.MSGPACK))
 
     def close(self) -> None:
-        """Undeclare the topic."""
+        """Send what is left, and undeclare the topic."""
+        self._send(len(self._unsent))
         self._publisher.close()
 
 

@@ -4,9 +4,17 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zensim.proto.codec.message_codec import Format, encode
-from zensim.proto.messages.agent_messages import DriveState
-from zensim.robot_agent.fleet_odometry import ROW_BYTES, MotionRows, make_messages
+from tests.fakes import MemoryBus
+from zensim.proto.codec.message_codec import Format, decode, encode
+from zensim.proto.messages.agent_messages import DriveState, FleetOdometry
+from zensim.proto.topic_catalog import FLEET_ODOMETRY
+from zensim.robot_agent.fleet_odometry import (
+    MAX_SENT_AT_ONCE,
+    ROW_BYTES,
+    FleetOdometryPublisher,
+    MotionRows,
+    make_messages,
+)
 
 BATCH_BYTES = 1 << 16
 STATE = DriveState(2, 7, 70_000_000, b"", b"", b"", b"")
@@ -61,3 +69,54 @@ def test_messages_have_robots_of_one_kind_of_rate() -> None:
         (("b", "c"), True),
         (("a",), False),
     ]
+
+
+class PublishedOdometry:
+    """Odometry of 5000 robots, and the messages that have come."""
+
+    def __init__(self) -> None:
+        bus = MemoryBus()
+        self.rows = make_rows([[f"box_bot{number}" for number in range(5000)]])
+        self.whole = list(make_messages(STATE, self.rows))
+        self.publisher = FleetOdometryPublisher(bus, "default", "a")
+        self._received = bus.subscribe(FLEET_ODOMETRY.key("default", "a"), 100)
+
+    def take(self) -> list[FleetOdometry]:
+        """Take what has come."""
+        taken = self._received.take()
+        return [decode(FleetOdometry, one.payload, one.encoding) for one in taken]
+
+
+def test_messages_of_a_state_are_sent_in_parts_and_in_order() -> None:
+    odometry = PublishedOdometry()
+
+    odometry.publisher.begin(STATE, iter(odometry.rows))
+    first = odometry.take()
+    odometry.publisher.send_some()
+    second = odometry.take()
+    odometry.publisher.send_some()
+
+    assert [first, second] == [odometry.whole[:MAX_SENT_AT_ONCE], odometry.whole[MAX_SENT_AT_ONCE:]]
+    assert len(first) == MAX_SENT_AT_ONCE > len(second) > 0
+    assert odometry.take() == []
+
+
+def test_unsent_messages_of_a_state_come_before_those_of_the_next_and_before_the_end() -> None:
+    odometry, next_state = PublishedOdometry(), DriveState(2, 8, 80_000_000, b"", b"", b"", b"")
+
+    odometry.publisher.begin(STATE, odometry.rows)
+    odometry.publisher.begin(next_state, odometry.rows)
+    steps = [one.step for one in odometry.take()]
+    odometry.publisher.close()
+
+    whole = len(odometry.whole)
+    assert steps == [7] * whole + [8] * MAX_SENT_AT_ONCE
+    assert [one.step for one in odometry.take()] == [8] * (whole - MAX_SENT_AT_ONCE)
+
+
+def test_awaited_odometry_is_sent_at_once() -> None:
+    odometry = PublishedOdometry()
+
+    odometry.publisher.publish(STATE, odometry.rows)
+
+    assert odometry.take() == odometry.whole
