@@ -148,16 +148,20 @@ def _list_joint_motors(
 def make_stop_targets(
     model: Model, positions: FloatArray, last: FloatArray | None = None
 ) -> FloatArray:
-    """Make targets that stop a body: zero speeds and efforts, current angles.
+    """Make targets that stop a body, or several of one model: zero speeds and efforts, angles kept.
 
     Args:
-        model: Of the body.
-        positions: Of its joints, in the order of `Model.joints`.
-        last: Its last targets; joints that hold a position go on. None = joints become free.
+        model: Of the bodies.
+        positions: Of its joints, in the order of `Model.joints`; (joints,), or a row per body.
+        last: Last targets of one body; joints that hold a position go on. None = joints become
+            free.
+
+    Returns:
+        Targets of the body, or a row of them per body.
     """
     actuation = make_actuation(model)
-    targets = np.zeros(actuation.width)
-    targets[actuation.angles.columns] = positions[actuation.angles.joints]
+    targets = np.zeros((*positions.shape[:-1], actuation.width))
+    targets[..., actuation.angles.columns] = positions[..., actuation.angles.joints]
     if last is None:
         return targets
     for motor in actuation.joint_motors:

@@ -558,20 +558,26 @@ class SimulatedWorld:
             self.clock.add_event("timed_out", entity=name, agent=agent, message=SILENT_MESSAGE)
 
     def _stop(self, entities: Sequence[Entity]) -> None:
-        """Command entities to stop, all in one call: a pool may have driven hundreds."""
+        """Command entities to stop, all in one call: a pool may have driven thousands."""
         if not entities:
             return
-        bodies = [entity.body for entity in entities]
-        positions = self.engine.read(bodies).joint_positions
-        ends = np.cumsum([len(entity.model.joints) for entity in entities])
-        parts = zip(entities, np.split(positions, ends[:-1]), strict=True)
-        targets = [
-            make_stop_targets(entity.model, part, self._joint_targets.get(entity.name))
-            for entity, part in parts
-        ]
-        for entity, own in zip(entities, targets, strict=True):
-            if entity.name in self._joint_targets:
-                self._joint_targets[entity.name] = own
+        groups: dict[tuple[int, str], list[Entity]] = {}
+        for entity in entities:
+            # Joints of one entity that hold a position go on.
+            own_name = entity.name if entity.name in self._joint_targets else ""
+            groups.setdefault((id(entity.model), own_name), []).append(entity)
+        bodies = [entity.body for group in groups.values() for entity in group]
+        positions, targets = self.engine.read(bodies).joint_positions, []
+        for (_, own_name), group in groups.items():
+            model = group[0].model
+            own, positions = np.split(positions, [len(group) * len(model.joints)])
+            if own_name:
+                last = self._joint_targets[own_name]
+                targets.append(make_stop_targets(model, own, last))
+                self._joint_targets[own_name] = targets[-1]
+            else:
+                rows = own.reshape(len(group), len(model.joints))
+                targets.append(make_stop_targets(model, rows).ravel())
         self.engine.command(bodies, np.concatenate(targets))
 
     def command(self, agent: str, command: DriveCommand) -> bool:

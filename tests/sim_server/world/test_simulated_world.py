@@ -42,6 +42,7 @@ from zensim.sim_server.errors import (
     NamespaceRefused,
     RequestRefused,
 )
+from zensim.sim_server.physics.actuation import make_stop_targets
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.engine import BodyStates, EngineRefused, FloatArray, can_move
 from zensim.sim_server.physics.engine_config import EngineConfig
@@ -1148,3 +1149,40 @@ def test_joint_stays_when_its_agent_ends_and_the_next_one_goes_on_with_it(make: 
     assert place == pytest.approx(-0.3, abs=0.01)
     targets = [one.joint_targets for one in (first, second, third)]
     assert targets == [(), (1.0, -0.3), ()]
+
+
+class RecordedStops(ObedientEngine):
+    """Keeps the targets of each body in the last command."""
+
+    def __init__(self, config: EngineConfig) -> None:
+        super().__init__(config)
+        self.last: dict[int, list[float]] = {}
+
+    def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
+        ends = np.cumsum([self._bodies[body].model.target_count for body in bodies])
+        parts = np.split(targets, ends[:-1])
+        self.last = {body: part.tolist() for body, part in zip(bodies, parts, strict=True)}
+        super().command(bodies, targets)
+
+
+def test_robots_of_a_pool_stop_with_the_targets_of_each_alone() -> None:
+    models = {"c0": a_cart(), "f0": a_fork(), "arm": a_controlled_arm(), "f1": a_fork()}
+    models |= {"c1": models["c0"], "f2": models["f0"], "idle_arm": models["arm"]}
+    with running(RecordedStops) as engine:
+        world = SimulatedWorld(engine, name="w", step_ns=STEP_NS, control_steps=1)
+        for number, (name, model) in enumerate(models.items()):
+            world.spawn(a_spawn(name, model=model, base=a_state((4.0 * number, 0.0, 0.0))))
+        world.claim("other", ("arm",), "stop")
+        world.command("other", a_command(world, "other", 1.0, -0.3))
+        _advance(world, 2)
+        world.release("other")
+        names = tuple(models)
+        world.claim("a", names, "stop")
+        states = {name: engine.read([world.entities.find(name).body]) for name in names}
+
+        world.stop_silent("a")
+
+        for name, model in models.items():
+            held = np.array([1.0, -0.3]) if name == "arm" else None
+            alone = make_stop_targets(model, states[name].joint_positions, held)
+            assert engine.last[world.entities.find(name).body] == alone.tolist(), name
