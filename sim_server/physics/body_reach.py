@@ -17,7 +17,9 @@ SHAPE_MARGIN_M = 1e-3
 """Collision margin of engines around a shape [m]."""
 
 MAX_CACHED_REACHES = 256
-"""Measured models in the cache."""
+"""Measured models in a cache."""
+MAX_CACHED_RADII = 16_384
+"""Measured meshes of a process."""
 MeshRadius = Callable[[Shape], float]
 """Radius of a mesh about its frame [m]; raises OSError when its file is missing."""
 MAX_REACH_M = 1e6
@@ -91,13 +93,19 @@ def _norm(vector: Vec3) -> float:
     return math.hypot(*vector)
 
 
+_MESH_RADII: dict[tuple[str, Vec3], float] = {}
+"""Radius [m] by file, which is named by its content, and scale.
+
+The layers of an engine and its cells measure the same models; a mesh takes milliseconds.
+"""
+
+
 class ReachCache:
     """Measures models and caches the result: meshes are slow."""
 
     def __init__(self, mesh_folder: str) -> None:
         self._mesh_folder = mesh_folder
         self._reaches: dict[int, tuple[Model, BodyReach]] = {}
-        self._mesh_radii: dict[tuple[str, Vec3], float] = {}
 
     def __getstate__(self) -> dict[str, object]:
         """Leave out what is cached by the identity of models."""
@@ -107,7 +115,7 @@ class ReachCache:
         """Measure one mesh of a model; return whether none is left, or its file is missing."""
         meshes = (shape for link in model.links for shape in link.collisions if shape.mesh)
         for shape in meshes:
-            if (shape.mesh, shape.size) not in self._mesh_radii:
+            if (self._find_file(shape), shape.size) not in _MESH_RADII:
                 with suppress(OSError):
                     self.mesh_radius(shape)
                     return False
@@ -115,12 +123,18 @@ class ReachCache:
 
     def mesh_radius(self, shape: Shape) -> float:
         """Measure a mesh; raises OSError when its file is missing."""
-        key = (shape.mesh, shape.size)
-        if key not in self._mesh_radii:
-            corners = read_corners(Path(self._mesh_folder, f"{shape.mesh}.stl").read_bytes())
+        file = self._find_file(shape)
+        if (radius_m := _MESH_RADII.get((file, shape.size))) is None:
+            corners = read_corners(Path(file).read_bytes())
             arms = np.linalg.norm(corners * np.array(shape.size), axis=1)
-            self._mesh_radii[key] = float(arms.max(initial=0.0))
-        return self._mesh_radii[key]
+            radius_m = float(arms.max(initial=0.0))
+            if len(_MESH_RADII) >= MAX_CACHED_RADII:
+                _MESH_RADII.clear()
+            _MESH_RADII[file, shape.size] = radius_m
+        return radius_m
+
+    def _find_file(self, shape: Shape) -> str:
+        return f"{self._mesh_folder}/{shape.mesh}.stl"
 
     def measure(self, model: Model) -> BodyReach:
         """Measure a model."""
@@ -129,7 +143,6 @@ class ReachCache:
             return known[1]
         if len(self._reaches) >= MAX_CACHED_REACHES:
             self._reaches.clear()
-            self._mesh_radii.clear()
         found = measure_reach(model, self.mesh_radius)
         self._reaches[id(model)] = model, found
         return found

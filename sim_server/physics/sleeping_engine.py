@@ -361,6 +361,10 @@ class SleepingEngine(EngineLayer):
         """Sleeping bodies."""
         return tuple(self._bodies_in(SleepState.ASLEEP).tolist())
 
+    def prepare(self, model: Model) -> bool:
+        """See `Engine.prepare`; also measures one mesh."""
+        return super().prepare(model) and self._reaches.prepare(model)
+
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
         # Whatever may fail comes first: a body must not remain in the engine alone.

@@ -1,6 +1,7 @@
 """Sleep of bodies at rest."""
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 from tests.engines import STEP_NS, advance
 from tests.models import a_box, a_box_bot, a_state, an_arm, box_bot_at
 from tests.sim_server.physics.bullet_probe import client_of
-from zensim.proto.messages.model_messages import Decay, Model
+from zensim.proto.messages.model_messages import Decay, Link, Model, Shape
+from zensim.proto.stl import write_corners
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.engine import BodyStates, FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
@@ -489,3 +491,21 @@ def test_runs_with_sleep_repeat_exactly() -> None:
         return found
 
     assert run() == run()
+
+
+def test_add_of_a_prepared_model_reads_no_mesh(tmp_path: Path) -> None:
+    file, corners = tmp_path / "a.stl", np.array([[[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0] * 3]])
+    file.write_bytes(write_corners(corners))
+    model = Model(
+        "m", (Link("l", collisions=(Shape("mesh", (1.0, 1.0, 1.0), mesh="a"),)),), is_static=True
+    )
+    config = EngineConfig(STEP_NS, mesh_folder=str(tmp_path))
+    sleeping = SleepingEngine(PyBulletEngine(config), config)
+
+    answers = [sleeping.prepare(model) for _ in range(3)]
+    file.unlink()
+    body = sleeping.add(model, a_state())
+
+    assert answers == [False, False, True]
+    assert sleeping.read([body]).base[0, 2] == 0.0
+    sleeping.close()
