@@ -41,6 +41,7 @@ MIN_BLOCK_BYTES = 1 << 19
 """malloc maps blocks of at least this size one by one."""
 RELEASE_CHUNK_BYTES = 1 << 16
 """Compared with zero and released at once."""
+ZEROS = bytes(RELEASE_CHUNK_BYTES)
 M_MMAP_THRESHOLD, MADV_DONTNEED = -3, 4
 MALLOC_IS_MMAPPED, MALLOC_FLAGS = 2, 7
 """Bits of the word before a block, which holds its size and flags."""
@@ -52,24 +53,43 @@ def use_mmap_for_large_blocks() -> bool:
     return _is_glibc() and bool(ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, MIN_BLOCK_BYTES))
 
 
-def release_zero_pages() -> int:
-    """Release pages of zeros; return how many bytes. Does nothing if there are other threads."""
-    threads = Path("/proc/self/task")
-    if not _is_glibc() or not threads.is_dir() or len(list(threads.iterdir())) > 1:
-        return 0
-    advise = ctypes.CDLL(None).madvise
+class ZeroPages:
+    """Pages of zeros in the large blocks of malloc: each block is searched once.
+
+    A cell of PyBullet maps 20 MB that it hardly uses. To search the blocks of all cells for each
+    new one takes the square of their number, and maps the released pages again.
+    """
+
+    def __init__(self) -> None:
+        self._searched: frozenset[tuple[int, int]] = frozenset()
+
+    def release(self) -> int:
+        """Release those of new blocks; return how many bytes. Nothing if other threads run."""
+        threads = Path("/proc/self/task")
+        if not _is_glibc() or not threads.is_dir() or len(list(threads.iterdir())) > 1:
+            return 0
+        blocks = [block for area in _anonymous_areas() for block in _mmapped_blocks(*area)]
+        released = sum(_release(*block) for block in blocks if block not in self._searched)
+        self._searched = frozenset(blocks)
+        return released
+
+    def forget(self) -> None:
+        """Search all blocks again: one that was freed may have been mapped again."""
+        self._searched = frozenset()
+
+
+def _release(start: int, end: int) -> int:
+    """Release the chunks of zeros of a block; return how many bytes."""
+    libc = ctypes.CDLL(None)
+    advise, compare = libc.madvise, libc.memcmp
     advise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
+    compare.argtypes = (ctypes.c_void_p, ctypes.c_char_p, ctypes.c_size_t)
     released = 0
-    for start, end in [block for area in _anonymous_areas() for block in _mmapped_blocks(*area)]:
-        for address in range(start, end - RELEASE_CHUNK_BYTES + 1, RELEASE_CHUNK_BYTES):
-            if _is_zero(address) and advise(address, RELEASE_CHUNK_BYTES, MADV_DONTNEED) == 0:
-                released += RELEASE_CHUNK_BYTES
+    for address in range(start, end - RELEASE_CHUNK_BYTES + 1, RELEASE_CHUNK_BYTES):
+        is_zero = compare(address, ZEROS, RELEASE_CHUNK_BYTES) == 0
+        if is_zero and advise(address, RELEASE_CHUNK_BYTES, MADV_DONTNEED) == 0:
+            released += RELEASE_CHUNK_BYTES
     return released
-
-
-def _is_zero(address: int) -> bool:
-    words = RELEASE_CHUNK_BYTES // ctypes.sizeof(ctypes.c_uint64)
-    return not np.ctypeslib.as_array((ctypes.c_uint64 * words).from_address(address)).any()
 
 
 def _anonymous_areas() -> Iterator[tuple[int, int]]:
@@ -221,6 +241,7 @@ class CellWorker:
         self._cells: dict[int, HostedCell] = {}
         self._config: CellConfig | None = None
         self._model: Model | None = None
+        self._zero_pages = ZeroPages()
 
     def run(self) -> None:
         """Execute calls until the server closes the pipe."""
@@ -256,7 +277,7 @@ class CellWorker:
     def _make(self, cell: int) -> None:
         assert self._config is not None
         self._cells[cell] = HostedCell(self._config.make())
-        release_zero_pages()
+        self._zero_pages.release()
 
     def _hide(self, cell: int, body: int) -> None:
         hosted = self._cells[cell]
@@ -269,6 +290,7 @@ class CellWorker:
 
     def _close(self, cell: int) -> None:
         self._cells.pop(cell).engine.close()
+        self._zero_pages.forget()
 
     def _confirm(self) -> CellWorkerReply:
         """Reply: all calls of before are executed."""

@@ -5,27 +5,32 @@ import subprocess
 import sys
 import threading
 
-from zensim.sim_server.physics.cell_worker import release_zero_pages
+from zensim.sim_server.physics.cell_worker import ZeroPages
 
 PROGRAM = """
 import numpy as np, psutil
-from zensim.sim_server.physics.cell_worker import release_zero_pages, use_mmap_for_large_blocks
+from zensim.sim_server.physics.cell_worker import ZeroPages, use_mmap_for_large_blocks
 held = lambda: psutil.Process().memory_full_info().uss
 assert use_mmap_for_large_blocks()
 blank, full, mixed = np.empty(1 << 20), np.empty(1 << 20), np.empty(1 << 20)
 blank[:], full[:], mixed[:] = 0.0, 1.5, 0.0
 mixed[::200_000] = 2.5
 before = held()
-given = release_zero_pages()
+pages = ZeroPages()
+given = pages.release()
 print(given, before - held())
 assert not blank.any() and (full == 1.5).all()
 assert mixed.sum() == 6 * 2.5 and (mixed[::200_000] == 2.5).all()
 blank[:] = 3.5
 assert (blank == 3.5).all()
+blank[:] = 0.0
+assert pages.release() < 1 << 20
+pages.forget()
+assert pages.release() > 7 << 20
 """
 
 
-def test_zero_pages_are_released_and_others_stay() -> None:
+def test_zero_pages_of_new_blocks_are_released_and_others_stay() -> None:
     done = subprocess.run(
         (sys.executable, "-c", PROGRAM),
         capture_output=True,
@@ -45,7 +50,7 @@ def test_nothing_is_released_with_other_threads() -> None:
     thread = threading.Thread(target=is_over.wait)
     thread.start()
     try:
-        assert release_zero_pages() == 0
+        assert ZeroPages().release() == 0
     finally:
         is_over.set()
         thread.join()
