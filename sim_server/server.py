@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import logging
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -242,17 +242,20 @@ def _make_parts(
     clock = HostClock()
     store = AssetStore(folder=None if journal is None else journal.assets)
     cleanup.callback(store.close)
-    parser = ParserClient(store, clock.now_ns)
-    cleanup.callback(parser.close)
-    world = make_initial_world(config, loaded, store, journal)
-    cleanup.callback(world.close)
+    make_world = partial(make_initial_world, config, loaded, store, journal)
+    is_restored = journal is not None and journal.contents is not None
+    # A restore needs all cores: its parser starts later, any other beside the making of the world.
+    world = cleanup.enter_context(closing(make_world())) if is_restored else None
+    parser = cleanup.enter_context(closing(ParserClient(store, clock.now_ns)))
+    if world is None:
+        world = cleanup.enter_context(closing(make_world()))
     parts = make_parts(config, loaded, world, parser, store=store, now_ns=clock.now_ns)
     if config.mesh_http:
         parts.descriptions.published = _offer_meshes(config, store, cleanup)
     tracker = None if journal is None else journal.record(parts)
     if tracker is not None:
         cleanup.callback(tracker.close)
-    if journal is None or journal.contents is None:
+    if not is_restored:
         _wait_for_parser(parser, clock, should_stop)
     return parts, tracker
 

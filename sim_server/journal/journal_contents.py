@@ -209,7 +209,7 @@ def restore_world(
         _restore_entity(contents, row, world, request, result)
         progress.done += 1
     world.expect(())
-    _set_states(contents, world, result)
+    _set_joints(contents, world, result)
     # An entity that crashes the first step must do so here, while the mark file exists.
     world.step()
     _set_states(contents, world, result)
@@ -218,14 +218,35 @@ def restore_world(
     return result
 
 
-def _set_states(contents: JournalContents, world: SimulatedWorld, result: RestoreResult) -> None:
+def _set_joints(contents: JournalContents, world: SimulatedWorld, result: RestoreResult) -> None:
+    """Set the last states of entities that were made with other joint positions, which are 0."""
     rows = {row.name: row for row in contents.entities}
     for one in result.restored:
+        base, positions = _find_state_at_rest(contents, rows[one.entity.name])
+        if positions.any():
+            _place(world, one.entity.name, base, positions)
+
+
+def _set_states(contents: JournalContents, world: SimulatedWorld, result: RestoreResult) -> None:
+    """Set the last states of entities that the step has moved; others are as they were made."""
+    rows = {row.name: row for row in contents.entities}
+    index = world.entities.index
+    states = world.engine.read(index.bodies)
+    for one in result.restored:
         name = one.entity.name
-        try:
-            world.place(name, *_find_state_at_rest(contents, rows[name]))
-        except SimError as error:  # it is frozen, and stays so
-            LOG.warning("state not restored name=%s reason=%s", name, error)
+        base, positions = _find_state_at_rest(contents, rows[name])
+        joints = index.joints_of(name)
+        is_moved = (states.base[index.row[name]] != base).any()
+        is_moved |= (states.joint_positions[joints] != positions).any()
+        if is_moved or states.joint_velocities[joints].any():
+            _place(world, name, base, positions)
+
+
+def _place(world: SimulatedWorld, name: str, base: FloatArray, positions: FloatArray) -> None:
+    try:
+        world.place(name, base, positions)
+    except SimError as error:  # it is frozen, and stays so
+        LOG.warning("state not restored name=%s reason=%s", name, error)
 
 
 def _restore_meshes(

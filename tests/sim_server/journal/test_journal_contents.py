@@ -86,6 +86,20 @@ def test_restored_world_equals_the_former(tmp_path: Path) -> None:
     assert restarted.world.entities.find("box").info == info
 
 
+def test_restore_places_only_what_is_not_where_it_was_made(tmp_path: Path) -> None:
+    server = JournaledServer(tmp_path, "standing", "turned")
+    server.world.place("turned", on_ground(3.0), np.array([0.5, -0.25]))
+    server.world.spawn(a_spawn("driven", model=a_box(), base=on_ground(5.0)))
+    server.world.place("driven", np.array([*on_ground(5.0)[:7], 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    server.tracker.record(is_requested=True)
+    expected = describe(server.world)
+
+    restarted = restart(server)
+
+    assert describe(restarted.world) == expected
+    assert restarted.world.placement_count == 2
+
+
 def test_time_continues_in_a_higher_epoch(tmp_path: Path) -> None:
     server = JournaledServer(tmp_path, "r0")
     server.server.turn_for(1.0)
