@@ -655,6 +655,8 @@ class MujocoEngine(Engine):
         self._is_sleep_changed = False
         """Whether MuJoCo does not know yet which bodies sleep, or where static ones are."""
         self._has_loads = False
+        self._may_be_invalid = False
+        """Whether a solve of this step changed a speed too much."""
         self._selections: dict[tuple[int, ...], BodySelection] = {}
         self._solved_motors: IndexArray | None = None
         """Those of the last step, in the order of their rows; None before the first."""
@@ -952,6 +954,7 @@ class MujocoEngine(Engine):
     def step(self) -> bool:
         """See `Engine.step`; releases the interpreter's lock."""
         data, inputs = self._data, self.begin_step()
+        self._may_be_invalid = False
         self._drive_motors(inputs)
         if data.ncon:
             self._solve_contacts()
@@ -961,7 +964,7 @@ class MujocoEngine(Engine):
             data.xfrc_applied[:] = 0.0
             data.qfrc_applied[:] = 0.0
             self._has_loads = False
-        if not math.isfinite(data.qvel.sum()):
+        if self._may_be_invalid and not math.isfinite(data.qvel.sum()):
             self._find_diverged()
         return not self._diverged
 
@@ -1185,11 +1188,11 @@ class MujocoEngine(Engine):
         positions, velocities = data.qpos.copy(), data.qvel.copy()
         mujoco.mj_step2(model, data)
         change = data.qvel - velocities
-        # The norm is a bound of the largest change, and faster.
-        with np.errstate(over="ignore"):
-            square = change.dot(change)
-        if square <= MAX_SPEED_CHANGE**2 or np.abs(change).max() <= MAX_SPEED_CHANGE:
+        # False for NaN, so that small changes are finite, and speeds with them.
+        most, least = change.max(initial=0.0), change.min(initial=0.0)
+        if most <= MAX_SPEED_CHANGE and least >= -MAX_SPEED_CHANGE:
             return positions, velocities
+        self._may_be_invalid = True
         self._solve_again((positions, velocities), change)
         return positions, velocities
 
