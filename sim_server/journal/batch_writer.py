@@ -122,7 +122,10 @@ class BatchWriter:
 
     def _apply_change(self, change: EntityChange) -> None:
         row = self._make_row(change.after) if change.after else None
-        if (before := self._database.body("entity", change.name)) is not None:
+        # Each statement waits for the interpreter's lock, which the loop holds; most names are new.
+        is_known = ("entity", change.name) in self._database
+        before = self._database.body("entity", change.name) if is_known else None
+        if before is not None:
             self._count_use(msgspec.msgpack.decode(before, type=EntityRow), -1)
             self._database.remove("entity", change.name)
         if row is not None:
