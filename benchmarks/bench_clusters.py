@@ -4,7 +4,10 @@ Engines alone, without a network, in turns: box_bots, one per square metre, driv
 one each simulated second, and meet now and then. All are commanded and read at each step. "One
 world" is the same engine without cells. CPU time of this process, which has all cells, except in
 the last rows: there a worker has half of them, and wall time is compared with the same cells
-without a worker. Fleet sizes are compared within a turn.
+without a worker. Fleet sizes are compared within a turn. The last row steps eight worlds of 125
+robots one after another, once each, and then each ten times in a row: what the cache of the
+processor gives to a world that it still holds, and a server cannot have, as each step has to end
+before the next one is due.
 """
 
 import time
@@ -16,6 +19,7 @@ import numpy as np
 from benchmarks.figures import Figure, Limit, table
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
+from zensim.sim_server.physics.cells.cell_executor import StepThreads
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.engine_config import Clustering, EngineConfig, EngineOptions
 from zensim.sim_server.physics.engine_factory import create_world_engine
@@ -31,6 +35,8 @@ TURNS, ROBOT_STEPS = 9, 12_000
 """Number of turns, and their length: robots times steps."""
 SETTLED = 60
 """Unmeasured steps at the start: overfull cells hand over robots."""
+CELLS, CELL_ROBOTS, STEPS_IN_A_ROW = 8, 125, 10
+CELLS_WHEN_SHORT, CELL_ROBOTS_WHEN_SHORT = 2, 2
 CASES: tuple[tuple[str, int, Clustering], ...] = (
     ("one world", 100, "off"),
     ("one world", 400, "off"),
@@ -98,6 +104,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         limit=None if is_short else Limit("median", "<=", 1.3),
     )
     yield from _with_a_worker(many, is_short=is_short)
+    yield _compare_orders(is_short=is_short)
 
 
 def _with_a_worker(robots: int, *, is_short: bool) -> Iterator[Figure]:
@@ -114,6 +121,31 @@ def _with_a_worker(robots: int, *, is_short: bool) -> Iterator[Figure]:
         what=f"{robots} robots in cells with a worker: real-time factor at {STEP_HZ} Hz",
         unit="",
         samples=tuple(1e6 / STEP_HZ / robots / each for each in shared),
+    )
+
+
+def _compare_orders(*, is_short: bool) -> Figure:
+    cells, robots = CELLS, CELL_ROBOTS
+    if is_short:
+        cells, robots = CELLS_WHEN_SHORT, CELL_ROBOTS_WHEN_SHORT
+    with ExitStack() as ending:
+        fleets = [Fleet(robots, "off", 0) for _ in range(cells)]
+        for fleet in fleets:
+            ending.callback(fleet.engine.close)
+            fleet.go(2 if is_short else SETTLED)
+        engines, threads = [fleet.engine for fleet in fleets], StepThreads(1)
+        took: list[tuple[float, float]] = []
+        for _ in range(2 if is_short else TURNS):
+            start_s = time.process_time()
+            for _ in range(STEPS_IN_A_ROW):
+                threads.step(engines, 1)
+            middle_s = time.process_time()
+            threads.step(engines, STEPS_IN_A_ROW)
+            took.append((middle_s - start_s, time.process_time() - middle_s))
+    return Figure(
+        what=f"{cells} worlds of {robots} robots: a step of each in turn, to ten of each in a row",
+        unit="",
+        samples=_ratios(*zip(*took, strict=True)),
     )
 
 
