@@ -8,9 +8,18 @@ import msgspec
 import pytest
 
 from tests.fakes import MemoryBus, MemoryToken, MemoryTokenWatch
+from zensim.api.in_process_recorder import NewestOfWorld, WorldSubscription
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.input_messages import Inputs, ServiceRequest
-from zensim.proto.messages.standard_messages import Header, Odometry, String, Time, Twist
+from zensim.proto.messages.standard_messages import (
+    Header,
+    Imu,
+    Odometry,
+    String,
+    Time,
+    Twist,
+    time_from_ns,
+)
 from zensim.proto.messages.telemetry_messages import Event, WorldClock
 from zensim.proto.network_protocols import Sample
 from zensim.proto.ros2.liveliness_tokens import GraphEndpoint, GraphNode, make_endpoint_token
@@ -41,6 +50,8 @@ class MessageList:
     def __init__(self) -> None:
         self.messages: list[RecordedMessage] = []
         self.parts: list[int] = []
+        self.begins: list[int] = []
+        """Number of messages before each part."""
 
     def put(self, batch: list[RecordedMessage]) -> None:
         self.messages += batch
@@ -48,6 +59,7 @@ class MessageList:
     def start_part(self, log_ns: int, publish_ns: int) -> None:
         del publish_ns
         self.parts.append(log_ns)
+        self.begins.append(len(self.messages))
 
     def note_event(self, event: Event) -> None:
         del event
@@ -193,9 +205,9 @@ Make = Callable[..., tuple[Recorder, MessageList]]
 
 @pytest.fixture
 def make(bus: MemoryBus) -> Make:
-    def make(**selected: object) -> tuple[Recorder, MessageList]:
+    def make(*, period_ns: int = 0, **selected: object) -> tuple[Recorder, MessageList]:
         chosen = TopicFilter(msgspec.convert(selected, TopicSelection))
-        settings = RecorderSettings(world=WORLD, domain=0, step_ns=STEP_NS)
+        settings = RecorderSettings(world=WORLD, domain=0, step_ns=STEP_NS, period_ns=period_ns)
         sink = MessageList()
         # It thins nothing here.
         return Recorder(cast("MessageNetwork", bus), chosen, settings, sink), sink
@@ -362,6 +374,39 @@ def test_new_epoch_begins_a_file_and_an_older_time_does_not(bus: MemoryBus, make
         recorder.take()
 
     assert sink.parts == [2_000_000_000]
+
+
+@pytest.mark.parametrize("period_ns", [0, 10 * SECOND_NS], ids=["all", "thinned"])
+def test_messages_of_the_time_after_a_reset_are_in_its_file(
+    bus: MemoryBus, make: Make, period_ns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def subscribe_newest(key: str, depth: int, keeps_all: Callable[[str], bool]) -> NewestOfWorld:
+        return NewestOfWorld(WorldSubscription(bus.subscribe(key, depth), ""), keeps_all)
+
+    monkeypatch.setattr(bus, "subscribe_newest", subscribe_newest, raising=False)
+    recorder, sink = make(period_ns=period_ns, topics=("r1/*", "clock"))
+    put_clock(bus, 30.0, epoch=0)
+    bus.put_message("r1/odom", Odometry(Header(Time(29, 990_000_000))))
+    bus.put_message("r1/cmd_vel", Twist())
+    put_clock(bus, 0.0, epoch=1)
+    bus.put_message("r1/imu", Imu(Header(Time(0, 50_000_000))))
+    put_clock(bus, 0.06, epoch=1)
+
+    recorder.take()
+    recorder.take(is_last=True)
+
+    (begin,) = sink.begins
+    before, after = (
+        [(topic.name, log_ns) for topic, log_ns, *_ in part if topic.name != "/clock"]
+        for part in (sink.messages[:begin], sink.messages[begin:])
+    )
+    assert sorted(before) == [("/r1/cmd_vel", 30 * SECOND_NS), ("/r1/odom", 29_990_000_000)]
+    assert after == [("/r1/imu", 50_000_000)]
+
+
+def put_clock(bus: MemoryBus, time_s: float, *, epoch: int) -> None:
+    clock = WorldClock(time_from_ns(round(time_s * SECOND_NS)), round(time_s * 100), epoch)
+    bus.put_message(CLOCK.key(WORLD), clock, Format.MSGPACK)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ class RecorderProcess(WorldRecorder):
         """Start to record; see `Simulation.record`."""
         super().__init__(path)
         self._arguments = (
-            *("record", "--json", "--quiet", "--output", str(path)),
+            *("record", "--json", "--quiet", "--output", str(self.path)),
             *("--connect", address, "--world-name", world),
             *options,
         )

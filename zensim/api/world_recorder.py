@@ -11,11 +11,11 @@ class WorldRecorder(ClosedOnExit):
     """Records topics of a world until it or its simulation is closed.
 
     Attributes:
-        path: File or folder that is written.
+        path: File or folder that is written, absolute.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path = path.absolute()  # a program may change its directory
 
     @abstractmethod
     def close(self) -> None:

@@ -210,6 +210,8 @@ class Recorder:
         self._now_ns, self._epoch = self._read_first_clock()
         self._period, self._taken_ns, self._taken_s = 0, 0, 0.0
         self._last_ns: dict[RecordedTopic, int] = {}
+        self._early: list[Sample] = []
+        """Messages of the time after a reset, until they are due."""
         self._record_latched()
 
     @property
@@ -334,9 +336,46 @@ class Recorder:
         self, received_ns: int, batch: list[RecordedMessage], *, is_due: bool
     ) -> None:
         """Append what was received to a batch, and hand it over."""
+        if is_due:
+            early, self._early = self._early, []
+            self._convert(early, received_ns, batch)
         for one in (*self._subscriptions, *self._of_robots.values()):
             self._take_one(one, received_ns, batch, is_due=is_due)
         self._hand_over(batch)
+
+    def _take_before(self, reset_ns: int, received_ns: int, batch: list[RecordedMessage]) -> None:
+        """Hand over what was received and is of the time before a reset; keep the rest.
+
+        Args:
+            reset_ns: Clock after the reset.
+            received_ns: Time of day.
+            batch: What is handed over, too.
+        """
+        early, self._early = self._early, []
+        self._convert(self._keep_early(early, reset_ns), received_ns, batch)
+        for one in (*self._subscriptions, *self._of_robots.values()):
+            self._take_one(one, received_ns, batch, is_due=True, reset_ns=reset_ns)
+        self._hand_over(batch)
+
+    def _keep_early(self, samples: Iterable[Sample], reset_ns: int) -> list[Sample]:
+        """Keep messages whose stamp is nearer to the clock after a reset; return the others."""
+        before: list[Sample] = []
+        for sample in samples:
+            stamp_ns = self._read_stamp(sample)
+            is_early = stamp_ns is not None and abs(stamp_ns - reset_ns) < abs(
+                stamp_ns - self._now_ns
+            )
+            (self._early if is_early else before).append(sample)
+        return before
+
+    def _read_stamp(self, sample: Sample) -> int | None:
+        topic = self._table.find(sample)
+        if topic is None or topic.is_latched:
+            return None
+        try:
+            return topic.read_stamp(topic.to_cdr(sample))
+        except MalformedPayload:
+            return None  # counted when it is converted
 
     def _take_one(
         self,
@@ -345,12 +384,16 @@ class Recorder:
         batch: list[RecordedMessage],
         *,
         is_due: bool,
+        reset_ns: int | None = None,
     ) -> None:
         """Append what a subscription received; estimate how many were lost if it was full."""
         samples, start = one.take(is_due=is_due), len(batch)
         self._most_taken = max(self._most_taken, len(samples))
+        is_overflown = one.is_overflown(samples)
+        if reset_ns is not None:
+            samples = self._keep_early(samples, reset_ns)
         self._convert(samples, received_ns, batch)
-        if one.is_overflown(samples):
+        if is_overflown:
             self.overflows += 1
             self.missing += self._count_missing(batch[start:])
 
@@ -435,11 +478,14 @@ class Recorder:
             # On the network, the first time that was read may be later than what waits here.
             is_back = self._settings.is_in_process and now_ns < self._now_ns
             if clock.epoch != self._epoch or is_back:
-                # What has arrived is of the time before.
                 if self._fleet is not None:
                     self._fleet.collect(self._epoch)
                 self._append_fleet(received_ns, batch)
-                self._take_samples(received_ns, batch, is_due=True)
+                if self._settings.is_in_process:
+                    # Nothing has been published since.
+                    self._take_samples(received_ns, batch, is_due=True)
+                else:
+                    self._take_before(now_ns, received_ns, batch)
                 batch = []
                 self._epoch = clock.epoch
                 self._last_ns.clear()

@@ -236,13 +236,15 @@ class RecordingParts(Generic[Topic]):
         Raises:
             OSError: It exists, or cannot be created.
         """
-        self._settings, self._facts = settings, facts
-        self._is_limited = bool(settings.max_bytes or settings.max_duration_ns)
-        self._is_folder = settings.path.suffix != SUFFIX
-        self._folder = settings.path if self._is_folder else settings.path.parent
         require_new(settings.path)
+        # A program that records itself may change its directory.
+        path = settings.path.absolute()
+        self._settings, self._facts = msgspec.structs.replace(settings, path=path), facts
+        self._is_limited = bool(settings.max_bytes or settings.max_duration_ns)
+        self._is_folder = path.suffix != SUFFIX
+        self._folder = path if self._is_folder else path.parent
         if self._is_folder:
-            settings.path.mkdir(parents=True)
+            path.mkdir(parents=True)
         self._metadata_file = self._find_metadata_file()
         self._number = 0
         self._done: list[PartFacts] = []

@@ -207,3 +207,26 @@ def test_full_disk_ends_the_recording_and_not_the_world(
     assert time == pytest.approx(4.0, abs=1e-6)
     assert failure.value.slug == "no_recorder"
     assert 0 < zensim.Recording(file).counts["/r1/odom"] < 320
+
+
+def test_recording_with_a_relative_path_goes_on_when_the_directory_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(tmp_path)
+    with zensim.World() as world:
+        recorder = world.record("run.mcap", "clock")
+        world.run_for(0.1)
+        monkeypatch.chdir(elsewhere)
+        world.reset()
+        world.run_for(0.1)
+        recording = recorder.read()
+
+    assert recording.counts["/clock"] > 5
+    assert sorted(one.name for one in tmp_path.iterdir() if one.is_file()) == [
+        "metadata.yaml",
+        "run.mcap",
+        "run_1.mcap",
+    ]
+    assert list(elsewhere.iterdir()) == []
