@@ -36,9 +36,9 @@ class Inputs(msgspec.Struct, frozen=True):
     sequence: UInt64 = 0
     """Number of this message; a gap means that messages were lost."""
     epoch: UInt32 = 0
-    """When the message was made."""
+    """Of the records."""
     step: UInt64 = 0
-    """Likewise."""
+    """When the message was made."""
     requests: tuple[ServiceRequest, ...] = ()
     """For people: records have all that they did."""
     records: bytes = b""

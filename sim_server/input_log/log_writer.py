@@ -170,16 +170,20 @@ class InputLog:
         self._waiting_bytes = 0
 
     def _follow_world(self) -> None:
-        """Note that a world was loaded or reset: readers may begin there, too."""
+        """Note that a world was loaded or reset: readers may begin there, too.
+
+        Messages have records of one epoch, as a recorder keeps those of each in a file.
+        """
         engine = self._world.engine
         if engine is not self._engine:
             if isinstance(engine, LoggedEngine):
+                self._flush()
                 self._follow_engine(engine)
             else:
                 self._finish()
                 self._begin()
         elif self._epoch != self._world.clock.epoch:
-            self._take_calls()
+            self._flush()
             self._note_present()
 
     def _follow_engine(self, engine: LoggedEngine) -> None:
@@ -287,7 +291,7 @@ class InputLog:
             *(((), part) for part in write_records(records)),
         ]
         for part, data in contents:
-            message = Inputs(self._name, self._sequence, clock.epoch, clock.steps, part, data)
+            message = Inputs(self._name, self._sequence, self._epoch, clock.steps, part, data)
             self._sequence += 1
             self._waiting.append(message)
             self._waiting_bytes += measure_message(message)

@@ -384,13 +384,16 @@ def test_messages_of_the_time_after_a_reset_are_in_its_file(
         return NewestOfWorld(WorldSubscription(bus.subscribe(key, depth), ""), keeps_all)
 
     monkeypatch.setattr(bus, "subscribe_newest", subscribe_newest, raising=False)
-    recorder, sink = make(period_ns=period_ns, topics=("r1/*", "clock"))
+    recorder, sink = make(period_ns=period_ns, topics=("r1/*", "clock", "sim/default/inputs"))
     put_clock(bus, 30.0, epoch=0)
     bus.put_message("r1/odom", Odometry(Header(Time(29, 990_000_000))))
     bus.put_message("r1/cmd_vel", Twist())
     put_clock(bus, 0.0, epoch=1)
     bus.put_message("r1/imu", Imu(Header(Time(0, 50_000_000))))
     put_clock(bus, 0.06, epoch=1)
+    for epoch in (0, 1):
+        inputs = Inputs("log", sequence=epoch, epoch=epoch)
+        bus.put_message(INPUTS.key(WORLD), inputs, Format.MSGPACK)
 
     recorder.take()
     recorder.take(is_last=True)
@@ -400,8 +403,12 @@ def test_messages_of_the_time_after_a_reset_are_in_its_file(
         [(topic.name, log_ns) for topic, log_ns, *_ in part if topic.name != "/clock"]
         for part in (sink.messages[:begin], sink.messages[begin:])
     )
-    assert sorted(before) == [("/r1/cmd_vel", 30 * SECOND_NS), ("/r1/odom", 29_990_000_000)]
-    assert after == [("/r1/imu", 50_000_000)]
+    assert sorted(before) == [
+        ("/r1/cmd_vel", 30 * SECOND_NS),
+        ("/r1/odom", 29_990_000_000),
+        ("/sim/default/inputs", 30 * SECOND_NS),
+    ]
+    assert sorted(after) == [("/r1/imu", 50_000_000), ("/sim/default/inputs", 60_000_000)]
 
 
 def put_clock(bus: MemoryBus, time_s: float, *, epoch: int) -> None:

@@ -343,30 +343,37 @@ class Recorder:
             self._take_one(one, received_ns, batch, is_due=is_due)
         self._hand_over(batch)
 
-    def _take_before(self, reset_ns: int, received_ns: int, batch: list[RecordedMessage]) -> None:
+    def _take_before(
+        self, reset: WorldClock, received_ns: int, batch: list[RecordedMessage]
+    ) -> None:
         """Hand over what was received and is of the time before a reset; keep the rest.
 
         Args:
-            reset_ns: Clock after the reset.
+            reset: Clock after the reset.
             received_ns: Time of day.
             batch: What is handed over, too.
         """
         early, self._early = self._early, []
-        self._convert(self._keep_early(early, reset_ns), received_ns, batch)
+        self._convert(self._keep_early(early, reset), received_ns, batch)
         for one in (*self._subscriptions, *self._of_robots.values()):
-            self._take_one(one, received_ns, batch, is_due=True, reset_ns=reset_ns)
+            self._take_one(one, received_ns, batch, is_due=True, reset=reset)
         self._hand_over(batch)
 
-    def _keep_early(self, samples: Iterable[Sample], reset_ns: int) -> list[Sample]:
-        """Keep messages whose stamp is nearer to the clock after a reset; return the others."""
+    def _keep_early(self, samples: Iterable[Sample], reset: WorldClock) -> list[Sample]:
+        """Keep messages that are of the time after a reset; return the others."""
         before: list[Sample] = []
         for sample in samples:
-            stamp_ns = self._read_stamp(sample)
-            is_early = stamp_ns is not None and abs(stamp_ns - reset_ns) < abs(
-                stamp_ns - self._now_ns
-            )
-            (self._early if is_early else before).append(sample)
+            (self._early if self._is_after(sample, reset) else before).append(sample)
         return before
+
+    def _is_after(self, sample: Sample, reset: WorldClock) -> bool:
+        """Whether the epoch of inputs, or the stamp of a message, is of the time after a reset."""
+        if sample.key == self._inputs_key:
+            with suppress(MalformedPayload):
+                return decode(Inputs, sample.payload, sample.encoding).epoch == reset.epoch
+            return False
+        stamp_ns, reset_ns = self._read_stamp(sample), ns_from_time(reset.clock)
+        return stamp_ns is not None and abs(stamp_ns - reset_ns) < abs(stamp_ns - self._now_ns)
 
     def _read_stamp(self, sample: Sample) -> int | None:
         topic = self._table.find(sample)
@@ -384,14 +391,14 @@ class Recorder:
         batch: list[RecordedMessage],
         *,
         is_due: bool,
-        reset_ns: int | None = None,
+        reset: WorldClock | None = None,
     ) -> None:
         """Append what a subscription received; estimate how many were lost if it was full."""
         samples, start = one.take(is_due=is_due), len(batch)
         self._most_taken = max(self._most_taken, len(samples))
         is_overflown = one.is_overflown(samples)
-        if reset_ns is not None:
-            samples = self._keep_early(samples, reset_ns)
+        if reset is not None:
+            samples = self._keep_early(samples, reset)
         self._convert(samples, received_ns, batch)
         if is_overflown:
             self.overflows += 1
@@ -485,7 +492,7 @@ class Recorder:
                     # Nothing has been published since.
                     self._take_samples(received_ns, batch, is_due=True)
                 else:
-                    self._take_before(now_ns, received_ns, batch)
+                    self._take_before(clock, received_ns, batch)
                 batch = []
                 self._epoch = clock.epoch
                 self._last_ns.clear()

@@ -373,6 +373,25 @@ def test_reset_and_frozen_entities_repeat(engine: EngineName, tmp_path: Path) ->
     assert result.equal_states == result.states >= 3
 
 
+def test_reset_begins_a_message_so_that_what_follows_can_be_run_alone(tmp_path: Path) -> None:
+    logged = LoggedWorld("mujoco")
+    logged.spawn_robots(2)
+    logged.drive(4.0, 5.0)
+    logged.step(STEPS_PER_S + 1)
+    logged.world.reset(ResetScope.TIME | ResetScope.STATE)
+    logged.step(STEPS_PER_S)
+
+    parts = [[one for one in logged.messages if one.epoch == epoch] for epoch in (0, 1)]
+
+    for epoch, part in enumerate(parts):
+        starts = [one for one in list_records(part) if isinstance(one, LogStart)]
+        assert [one.epoch for one in starts] == [epoch]
+    assert isinstance(next(iter(list_records(parts[1]))), LogStart)
+    result = resim(parts[1], tmp_path, ResimChanges(only_compares=True))
+    assert (result.starts, result.skipped_messages) == (1, 0)
+    assert result.states >= 1
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 def test_meshes_are_in_the_log(engine: EngineName, tmp_path: Path) -> None:
     logged = LoggedWorld(engine)
