@@ -538,7 +538,8 @@ class FleetTopicPublisher:
         if self._is_searched:
             self._make_found()
             return
-        if self._has_put and not self._undeclared:
+        # Whoever publishes only to those with subscribers publishes none while there are none.
+        if not self._undeclared and (self._has_put or not self._matched.matched):
             self._matched.check_some()
             self._has_put = False
         some, self._undeclared = (

@@ -245,6 +245,23 @@ def test_endpoints_are_declared_in_parts() -> None:
     )
 
 
+def test_subscriber_is_found_again_when_nothing_is_published_without_one() -> None:
+    bus = MemoryBus()
+    publisher = FleetTopicPublisher(bus, "*/text", String)
+    member = TopicMember("r1/text", NoValues())
+    publisher.add(member)
+    bus.subscribe("r2/text")
+    publisher.declare_some()
+    publisher.put([member], [b"first"])
+    publisher.declare_some()
+    before = publisher.has_subscribers(member)
+
+    bus.subscribe("r1/text")
+    publisher.declare_some()
+
+    assert (before, publisher.has_subscribers(member)) == (False, True)
+
+
 def test_subscriber_of_one_robot_makes_the_topic_wanted() -> None:
     bus = MemoryBus()
     publisher, _ = make_ros_publisher(bus, "r1", "r2")
