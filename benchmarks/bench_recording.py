@@ -1,12 +1,13 @@
 """Recording
 
 A process publishes odometry (724 B) and transforms of robots that do not exist, at 50 Hz each, and
-counts them; `zensim record` writes them through its router. A sample of the recorder is a run. Then
-the time from SIGTERM to the end of a recorder of 1000 topics; `zensim bag recover` of a file that
-was never closed, by messages in a second of CPU time, and by its memory; and the time in which
-odometry becomes a table. At last `zensim up --robots 100` in pairs, without and with a recorder of
-all topics, with both engines at their default rates: the real-time factors, and which program takes
-how much of a core.
+counts them; `zensim record` writes them through its router. A sample of the recorder is a run: a
+minute of a hundred robots, and 20 s of others. Then the time from SIGTERM to the end of a recorder
+of 1000 topics; `zensim bag recover` of files that were never closed: messages in a second of CPU
+time where a chunk has 1450, as of odometry, and memory of a file with as many chunks as if it had
+been compressed to an eighth; and the time in which odometry becomes a table. At last `zensim up
+--robots 100` with both engines at their default rates, in pairs of 10 s without and with a recorder
+of all topics: the real-time factors, and which program takes how much of a core.
 """
 
 import json
@@ -26,13 +27,16 @@ from benchmarks.figures import Figure, Limit, table
 from benchmarks.message_source import TOPICS_OF_ROBOT, publishing
 from tests.integration.processes import (
     command_line,
-    free_endpoint,
     read_json_line,
     running,
+    running_up,
     zensim,
 )
+from zensim.proto.bus import Bus
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.standard_messages import Odometry
+from zensim.proto.messages.telemetry_messages import InfoRequest
+from zensim.proto.service_catalog import INFO
 from zensim.recording.bag_info import read_info
 from zensim.recording.mcap_records import Channel, Schema
 from zensim.recording.mcap_writer import McapWriter
@@ -45,18 +49,24 @@ __all__ = ["rows", "table"]
 
 HZ = 50.0
 TOPICS = ("*/odom", "*/tf")
-SECONDS, SECONDS_WHEN_SHORT = 60.0, 2.0
+SECONDS, SECONDS_OF_OTHERS, SECONDS_WHEN_SHORT = 60.0, 20.0, 2.0
 PAIRS = 3
-RUN_S, SETTLED_S = 20.0, 3.0
+RUN_S, SETTLED_S = 10.0, 2.0
 PROGRAMS = {"agent": "agents", "record": "recorder", "router": "router", "sensors": "sensors"}
 """By a word of their command lines."""
 KEPT_HZ = 10.0
+TARGET = "whole.mcap"
 MEBI = 1 << 20
 RECOVERED_BYTES, RECOVERED_BYTES_WHEN_SHORT = 4 << 30, 20 * MEBI
+TIMED_BYTES, TIMED_BYTES_WHEN_SHORT = 128 * MEBI, 2 * MEBI
+FEW_MESSAGES, FULL_EVERY = 120, 50
+"""Of a small chunk, which random bytes fill as odometry does when it is compressed to an eighth;
+and which chunk is full, as memory depends on the size of chunks, too."""
 EXPORTED_S = 10.0
 """Of a hundred robots at 50 Hz: 50,000 messages of odometry."""
-PAYLOADS = 64
-"""Different messages of the file that is recovered."""
+PAYLOADS, PAYLOADS_OF_LARGE = 64, 4096
+"""Different messages of a file that is recovered: a chunk of many compresses to a tenth, and one of
+as many as it has messages does not."""
 LOST = Limit("max", "<=", 0.0, is_timed=True)
 
 
@@ -73,12 +83,13 @@ class Recorded:
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure recorders, the simulation beside one, and recovery."""
-    seconds = SECONDS_WHEN_SHORT if is_short else SECONDS
-    for robots, share, disk in ((10, 0.03, 0.3), (100, 0.2, 2.6)):
-        yield from _describe(f"{robots} robots", record(robots, seconds), share, disk)
-    yield from _thinned(10 if is_short else 1000, seconds)
+    seconds, of_others = (SECONDS_WHEN_SHORT,) * 2 if is_short else (SECONDS, SECONDS_OF_OTHERS)
+    yield from _describe("10 robots", record(10, of_others), 0.03, 0.3)
+    yield from _describe("100 robots", record(100, seconds), 0.2, 2.6)
+    yield from _thinned(10 if is_short else 1000, of_others)
     yield from _terminated(20 if is_short else 500)
-    yield from _recovered(RECOVERED_BYTES_WHEN_SHORT if is_short else RECOVERED_BYTES)
+    yield from _timed_recovery(TIMED_BYTES_WHEN_SHORT if is_short else TIMED_BYTES)
+    yield from _large_recovery(RECOVERED_BYTES_WHEN_SHORT if is_short else RECOVERED_BYTES)
     yield from _exported(0.2 if is_short else EXPORTED_S)
     if not is_short:
         for engine in ("mujoco", "pybullet"):
@@ -159,7 +170,7 @@ def _terminated(robots: int) -> Iterator[Figure]:
         path = Path(folder) / "run.mcap"
         with running("record", *TOPICS, "-o", str(path), "--connect", source.endpoint) as process:
             source.read()
-            time.sleep(3.0)
+            time.sleep(1.0)
             began_s = time.monotonic()
             process.terminate()
             process.wait()
@@ -178,22 +189,25 @@ def _terminated(robots: int) -> Iterator[Figure]:
     )
 
 
-def _recovered(size: int) -> Iterator[Figure]:
-    """Recover a file of this size that was never closed."""
+def _timed_recovery(size: int) -> Iterator[Figure]:
+    """Time the recovery of a file of odometry that was never closed."""
     with tempfile.TemporaryDirectory() as folder:
-        path, target = Path(folder) / "run.mcap", Path(folder) / "whole.mcap"
-        messages = write_unclosed(path, size)
-        cpu_s, peak = run_measured(
-            command_line(("bag", "recover", str(path), "-o", str(target), "--json"))
-        )
-        found = json.loads(zensim("bag", "info", str(target), "--json").stdout)["messages"]
-    label = f"recover of {size / 1e9:.1f} GB"
+        messages, cpu_s, _ = _recover(Path(folder), size, is_large=False)
     yield Figure(
-        what=f"messages in a second of CPU time, {label}",
+        what=f"messages in a second of CPU time, recover of {messages} messages",
         unit="1/s",
         samples=(messages / cpu_s,),
         limit=Limit("min", ">=", 200_000.0, is_timed=True),
     )
+
+
+def _large_recovery(size: int) -> Iterator[Figure]:
+    """Recover a large file that was never closed, and count its messages."""
+    with tempfile.TemporaryDirectory() as folder:
+        messages, _, peak = _recover(Path(folder), size, is_large=True)
+        target = str(Path(folder) / TARGET)
+        found = json.loads(zensim("bag", "info", target, "--json").stdout)["messages"]
+    label = f"recover of {size / 1e9:.1f} GB"
     yield Figure(
         what=f"most memory, {label}",
         unit="MiB",
@@ -202,6 +216,14 @@ def _recovered(size: int) -> Iterator[Figure]:
     )
     lost = Limit("max", "<=", 0.0)
     yield Figure(what=f"lost, {label}", unit="", samples=(float(messages - found),), limit=lost)
+
+
+def _recover(folder: Path, size: int, *, is_large: bool) -> tuple[int, float, int]:
+    """Write a file that is not closed, and recover it; return its messages, CPU time and memory."""
+    path, target = folder / "run.mcap", folder / TARGET
+    messages = write_unclosed(path, size, is_large=is_large)
+    arguments = ("bag", "recover", str(path), "-o", str(target), "--json")
+    return messages, *run_measured(command_line(arguments))
 
 
 def _exported(seconds: float) -> Iterator[Figure]:
@@ -224,18 +246,28 @@ def _exported(seconds: float) -> Iterator[Figure]:
     )
 
 
-def write_unclosed(path: Path, size: int) -> int:
-    """Write odometry that does not compress to a file that is not closed; return its messages."""
+def write_unclosed(path: Path, size: int, *, is_large: bool) -> int:
+    """Write odometry to a file that is not closed; return its messages.
+
+    Args:
+        path: New file.
+        size: Bytes of it.
+        is_large: Whether its messages do not compress, and most chunks have few of them.
+    """
     output = OutputFile(path)
     writer = McapWriter(output)
     writer.define(Schema(1, Odometry.ros_type, "ros2msg", b""))
     writer.define(*(Channel(one, 1, f"/r{one}/odom", "cdr", {}) for one in range(1, 101)))
     whole = len(encode(Odometry(), Format.CDR))
-    payloads = [os.urandom(whole) for _ in range(PAYLOADS)]
+    payloads = [os.urandom(whole) for _ in range(PAYLOADS_OF_LARGE if is_large else PAYLOADS)]
     number = 0
     while output.position < size:
-        writer.write_message(1 + number % 100, number * 10**6, number, payloads[number % PAYLOADS])
+        writer.write_message(
+            1 + number % 100, number * 10**6, number, payloads[number % len(payloads)]
+        )
         number += 1
+        if is_large and not number % FEW_MESSAGES and number // FEW_MESSAGES % FULL_EVERY:
+            writer.flush()
     writer.flush()
     output.close()
     return number
@@ -252,13 +284,11 @@ def run_measured(command: Sequence[str]) -> tuple[float, int]:
 
 def _paired(engine: str) -> Iterator[Figure]:
     """Compare the real-time factor of a fleet without and with a recorder of all its topics."""
-    ratios: list[float] = []
-    plain_runs, recorded_runs = [], []
-    for _ in range(PAIRS):
-        with tempfile.TemporaryDirectory() as folder:
-            plain_runs.append(run_fleet(engine))
-            recorded_runs.append(run_fleet(engine, "--record", str(Path(folder) / "run.mcap")))
-        ratios.append(recorded_runs[-1].real_time_factor / plain_runs[-1].real_time_factor)
+    plain, recorded = run_pairs(engine)
+    ratios = [
+        two.real_time_factor / one.real_time_factor
+        for one, two in zip(plain, recorded, strict=True)
+    ]
     label = f"100 robots, {engine}"
     yield Figure(
         what=f"real-time factor with a recorder, of that without, {label}",
@@ -266,9 +296,9 @@ def _paired(engine: str) -> Iterator[Figure]:
         samples=tuple(ratios),
         limit=Limit("median", ">=", 0.97, is_timed=True),
     )
-    factors = tuple(one.real_time_factor for one in plain_runs)
+    factors = tuple(one.real_time_factor for one in plain)
     yield Figure(what=f"real-time factor without a recorder, {label}", unit="", samples=factors)
-    for what, runs in (("without", plain_runs), ("with", recorded_runs)):
+    for what, runs in (("without", plain), ("with", recorded)):
         for program in dict.fromkeys(name for one in runs for name in one.cores):
             cores = tuple(one.cores.get(program, 0.0) for one in runs)
             yield Figure(what=f"{program}, {what} a recorder, {label}", unit="cores", samples=cores)
@@ -276,33 +306,53 @@ def _paired(engine: str) -> Iterator[Figure]:
 
 @dataclass(frozen=True)
 class FleetRun:
-    """A run of `zensim up`."""
+    """Some seconds of `zensim up`."""
 
     real_time_factor: float
     cores: dict[str, float]
     """Share of a core of each program, while robots drive."""
 
 
-def run_fleet(engine: str, *options: str) -> FleetRun:
-    """Run a hundred robots that drive circles, at a wanted factor of 1 and the default rates."""
+def run_pairs(engine: str) -> tuple[list[FleetRun], list[FleetRun]]:
+    """Run a hundred robots that drive circles, at a wanted factor of 1 and the default rates.
+
+    Returns:
+        Runs without a recorder, and with one; all are of one simulation, in turns.
+    """
     arguments = ("--robots", "100", "--behaviour", "circle", "--engine", engine, "--no-viewer")
-    with running("up", *arguments, "--listen", free_endpoint(), "--json", *options) as process:
-        read_json_line(process)
+    plain, recorded = [], []
+    with running_up(*arguments) as (up, _, bus), tempfile.TemporaryDirectory() as folder:
         time.sleep(SETTLED_S)
-        before, began_s = read_programs(process.pid), time.monotonic()
-        time.sleep(RUN_S)
-        after, took_s = read_programs(process.pid), time.monotonic() - began_s
-        process.send_signal(signal.SIGINT)
-        figures = read_json_line(process)
-        process.wait()
+        for number in range(PAIRS):
+            plain.append(_measure_run(bus, up.pid))
+            output = str(Path(folder) / f"run{number}.mcap")
+            options = ("-o", output, "--connect", bus.endpoint, "--json", "--quiet")
+            with running("record", "--all", *options) as recorder:
+                read_json_line(recorder)
+                time.sleep(SETTLED_S)
+                recorded.append(_measure_run(bus, up.pid, recorder.pid))
+    return plain, recorded
+
+
+def _measure_run(bus: Bus, *pids: int) -> FleetRun:
+    """Measure the programs below `zensim up`, and a recorder, for a while."""
+    before, began_ns, began_s = read_programs(*pids), _read_clock(bus), time.monotonic()
+    time.sleep(RUN_S)
+    after, ended_ns, took_s = read_programs(*pids), _read_clock(bus), time.monotonic() - began_s
     cores = {name: (used_s - before.get(name, 0.0)) / took_s for name, used_s in after.items()}
-    return FleetRun(float(str(figures["real_time_factor"])), cores)
+    return FleetRun((ended_ns - began_ns) * 1e-9 / took_s, cores)
 
 
-def read_programs(pid: int) -> dict[str, float]:
-    """Read the CPU time [s] of the processes of `zensim up`, by program."""
+def _read_clock(bus: Bus) -> int:
+    """Read the simulation time [ns]."""
+    return round(bus.call(INFO, InfoRequest(), world="default").sim_time_s * 1e9)
+
+
+def read_programs(pid: int, *others: int) -> dict[str, float]:
+    """Read the CPU time [s] of the processes of `zensim up` and of others, by program."""
     found: dict[str, float] = {}
-    for process in psutil.Process(pid).children(recursive=True):
+    processes = [*psutil.Process(pid).children(recursive=True), *map(psutil.Process, others)]
+    for process in processes:
         words = process.cmdline()
         name = next((name for word, name in PROGRAMS.items() if word in words), "server")
         found[name] = found.get(name, 0.0) + _read_cpu(process)
