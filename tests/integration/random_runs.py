@@ -2,7 +2,7 @@
 
 import random
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from itertools import pairwise
@@ -32,6 +32,8 @@ SPREAD_M = 1.2
 """Half the side of the square that robots share, so that they collide."""
 WITHIN_S = 60.0
 DEPTH = 1 << 16
+MAX_CHANGES = 5
+STEPS_PER_S = 240
 MAX_SPEED = 12.0
 """Of wheels [rad/s]."""
 
@@ -71,6 +73,35 @@ def change_command(messages: Sequence[Inputs], after_step: int) -> tuple[list[In
             sums = (one.step for one in records if isinstance(one, StateSums))
             next_step = next(sums, next_step)
     return changed, next_step
+
+
+def find_change(
+    messages: Sequence[Inputs], find_difference: Callable[[Sequence[Inputs]], int | None]
+) -> tuple[int, int]:
+    """Change one byte of a command in the middle of a run, and find where the states part.
+
+    A motor with its greatest torque may have it with another target, too; if nothing differs within
+    a second, a later command is changed.
+
+    Args:
+        messages: Of the run.
+        find_difference: Runs messages again, and returns the step of the first difference.
+
+    Returns:
+        Control step at which the change may act first, and that of the first difference.
+
+    Raises:
+        LookupError: No change made a difference.
+    """
+    after = messages[-1].step // 2
+    for _ in range(MAX_CHANGES):
+        changed, step = change_command(messages, after)
+        end = step + STEPS_PER_S
+        found = find_difference([one for one in changed if one.step <= end])
+        if found is not None:
+            return step, found
+        after = step
+    raise LookupError(f"no difference after {MAX_CHANGES} changes of commands")
 
 
 def _acts(record: object, following: object) -> bool:
