@@ -194,7 +194,7 @@ def _timed_recovery(size: int) -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         messages, cpu_s, _ = _recover(Path(folder), size, is_large=False)
     yield Figure(
-        what=f"messages in a second of CPU time, recover of {messages} messages",
+        what=f"messages in a second of CPU time, recover of {size / 1e9:.1f} GB",
         unit="1/s",
         samples=(messages / cpu_s,),
         limit=Limit("min", ">=", 200_000.0, is_timed=True),
