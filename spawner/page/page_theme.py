@@ -61,12 +61,16 @@ SCALE_HEIGHT_M: Final = 0.003
 """Of the lines above the ground, which would hide them."""
 TICK_M: Final = 0.05
 """Half of the length of a tick."""
-STROKE_M: Final = 0.1
+STROKE_M: Final = 0.085
 """Width of a character on the ground."""
-RISE_M: Final = 0.2
+RISE_M: Final = 0.17
 """Half of its height: long as on a road, since first views look along the ground."""
-GAP_M: Final = 0.06
+GAP_M: Final = 0.055
 """Between two characters, and between them and the axis."""
+SPACE_M: Final = 0.05
+"""Width of the space before a unit."""
+END_M: Final = 0.35
+"""Between the end of an axis and its letter, which is then clear of the last numeral."""
 
 Segments = list[tuple[tuple[float, float], tuple[float, float]]]
 READ_ALONG: Final[tuple[float, float]] = (0.5**0.5, 0.5**0.5)
@@ -113,12 +117,16 @@ def _draw_numerals() -> Segments:
         beside = TICK_M + GAP_M + _find_reach(text)
         drawn += _draw_text(text, (float(at), -beside))
         drawn += _draw_text(text, (-beside, float(at)))
-    ahead = SCALE_M + GAP_M + _find_reach("x")
+    ahead = SCALE_M + END_M + _find_reach("x")
     return [*drawn, *_draw_text("x", (ahead, 0.0)), *_draw_text("y", (0.0, ahead))]
 
 
 def _find_width(text: str) -> float:
-    return len(text) * (STROKE_M + GAP_M) - GAP_M
+    return sum(map(_find_advance, text)) - GAP_M
+
+
+def _find_advance(character: str) -> float:
+    return (SPACE_M if character == " " else STROKE_M) + GAP_M
 
 
 def _find_reach(text: str) -> float:
@@ -129,11 +137,12 @@ def _find_reach(text: str) -> float:
 def _draw_text(text: str, middle: tuple[float, float]) -> Segments:
     """Draw characters about a point, upright for a camera that looks along `READ_ALONG`."""
     drawn: Segments = []
-    for number, character in enumerate(text):
-        left = number * (STROKE_M + GAP_M) - _find_width(text) / 2.0
+    left = -_find_width(text) / 2.0
+    for character in text:
         for stroke in _STROKES.get(character, ()):
             start, end = (_place(middle, left, corner) for corner in stroke)
             drawn.append((start, end))
+        left += _find_advance(character)
     return drawn
 
 

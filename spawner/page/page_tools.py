@@ -86,6 +86,10 @@ STYLE: Final = """
 @media (max-width: 640px) {
   #zensim-tools { bottom: auto; top: 12px; flex-direction: column-reverse; }
 }
+/* Rows of lists, for which viser has one colour in both themes. */
+[data-mantine-color-scheme=light] .mantine-Button-root[style*="#424750"]:not(:disabled) {
+  --button-bg: #e6eaef !important; --button-hover: #d5dbe3 !important;
+  --button-color: #23272e !important; --button-bd: 1px solid #b4bcc7 !important; }
 .mantine-Slider-markLabel { color: var(--mantine-color-dimmed) !important; }
 /* Six tabs in one row of a panel 320 pixels wide. */
 [data-dock-strip] > [data-dock-tab] { padding: 0 .6em !important; }

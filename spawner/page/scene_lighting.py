@@ -86,8 +86,9 @@ class Scenery:
             self._client.scene.set_background_image(make_sky(self.theme, background), format="png")
 
 
-SUN_POSITION: Final = (-4.0, 5.0, 8.0)
-"""Position of the default light."""
+SUN_POSITION: Final = (-5.0, -3.0, 8.0)
+"""Position of the default light: behind the camera of first views, whose robots are lit, beside it,
+so that shadows are seen."""
 LAMP_DISTANCE_M: Final = 10.0
 """Distance of directional lamps from the origin."""
 LAMP_INTENSITY: Final = 2.2

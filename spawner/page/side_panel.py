@@ -95,14 +95,17 @@ def _write_factor(status: SimulationStatus) -> str:
 
 
 def make_robot_html(member: EntityModel, state: Array, command: LastCommand | None) -> str:
-    """Format namespace, pose, speed and last command of a robot."""
+    """Format namespace, pose, speed and last command of a robot.
+
+    Orders of fleets drive without `cmd_vel`.
+    """
     pose, speed = format_pose(state)
     return _make_table(
         [
             ("Namespace", escape(printable(member.namespace))),
             ("Pose", pose),
             ("Speed", speed),
-            ("Command", format_command(command)),
+            ("cmd_vel", format_command(command)),
         ]
     )
 

@@ -157,6 +157,31 @@ def test_world_goes_on_and_the_page_comes_back_when_the_page_dies() -> None:
             assert SimClient(bus).info().entities == 1
 
 
+def test_world_and_page_go_on_when_a_wall_and_a_deleted_robot_are_clicked() -> None:
+    arguments = ("--robots", "2", "--world", "walls", "--engine", "mujoco", "--sensors", "0")
+    with running(
+        "up", "--listen", free_endpoint(), "--json", *arguments, "--viewer-port", "0"
+    ) as process:
+        ready = read_json_line(process)
+        page = find_child(process, "view")
+        with PageUser(str(ready["viewer"])) as user, connected(str(ready["endpoint"])) as bus:
+            for name in ("outer_walls", "box_bot1"):
+                user.wait_for_row(name)
+                user.send("ZensimSelect", entity=name)
+                assert user.control(name)["type"] == "GuiFolderMessage"
+            SimClient(bus).delete("box_bot1")
+            eventually(lambda: "box_bot1" not in user.list_labels(), 20.0, "no such entity")
+
+            user.send("ZensimSelect", entity="box_bot1")
+            user.send("ZensimSelect", entity="box_bot0")
+
+            assert user.control("box_bot0")["type"] == "GuiFolderMessage"
+            assert "playing" in user.texts()
+            assert SimClient(bus).info().state == "playing"
+        assert process.poll() is None
+        assert find_child(process, "view") == page
+
+
 def can_connect(port: int) -> bool:
     try:
         socket.create_connection(("127.0.0.1", port), 1.0).close()

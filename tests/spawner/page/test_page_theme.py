@@ -93,6 +93,19 @@ def test_numerals_are_beside_their_axis(theme: PageTheme) -> None:
     assert (flat[near].max(axis=1) > SCALE_M).all()  # "x" and "y" at the ends
 
 
+@pytest.mark.parametrize("theme", THEMES.values(), ids=THEMES)
+def test_letters_of_axes_are_clear_of_numerals(theme: PageTheme) -> None:
+    points, colours = make_scale(theme)
+    numerals = points[(colours[:, 0] == to_linear([theme.numerals])[0]).all(axis=1)]
+
+    last, letter = numerals[-22:-13], numerals[-4:-2]  # strokes of "10 m" and of "x"
+    gaps = np.linalg.norm(letter.reshape(-1, 1, 3) - last.reshape(-1, 3), axis=2)
+
+    assert last.mean(axis=(0, 1))[0] == pytest.approx(SCALE_M, abs=0.2)
+    assert letter.mean(axis=(0, 1))[1] == pytest.approx(0.0, abs=0.1)
+    assert gaps.min() > 0.2
+
+
 def find_contrast(one: Rgb, other: Rgb) -> float:
     """Find the contrast of two colours as WCAG 2.2 defines it."""
     low, high = sorted(_find_luminance(colour) for colour in (one, other))

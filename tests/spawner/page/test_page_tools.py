@@ -2,7 +2,8 @@
 
 import re
 
-from zensim.spawner.page.page_tools import make_help_html, make_tools_script
+from zensim.spawner.page.entity_panel import MUTED_BUTTON
+from zensim.spawner.page.page_tools import STYLE, make_help_html, make_tools_script
 
 
 def test_help_lists_given_keys_as_text() -> None:
@@ -17,3 +18,9 @@ def test_script_cannot_end_its_element() -> None:
 
     assert not re.search("</", script)
     assert "#zensim-tools" in script
+
+
+def test_style_knows_the_colour_of_muted_buttons() -> None:
+    colour = "#" + "".join(f"{part:02x}" for part in MUTED_BUTTON)
+
+    assert f'[style*="{colour}"]' in STYLE
