@@ -13,7 +13,7 @@ camera move.
 import statistics
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -25,10 +25,11 @@ from benchmarks.fleet_server import PATIENCE_S, FleetServer, program, run_fleet_
 from benchmarks.machine import used_s
 from benchmarks.page_visitor import Second
 from tests.integration.page_user import PageUser
-from tests.integration.processes import eventually, running, serving
+from tests.integration.processes import connected, eventually, running, serving
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntitiesOrder, SpawnEntity
 from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
+from zensim.proto.topic_catalog import SCAN
 from zensim.sim_server.description.builtin_models import read_builtin_model
 
 __all__ = ["rows", "table"]
@@ -52,6 +53,7 @@ SHOWN = {"Trails": 0.02, "Names": 0.02, "Real-time factor": 0.02}
 SHOWN_OF_ONE = {"Speed": 0.02, "Show scan": 0.03}
 """The same for what is shown of a selected robot: a plot, and its lidar of 360 rays at 10 Hz."""
 LEAST_DRAWINGS = {"Speed": 4.0, "Show scan": 8.0}
+MOST_SCANS = 10_000
 LIDAR_BOT, LIDAR_AT, ROOM_M = "lidar_bot", (-3.0, -3.0), 3.0
 WALL = """<collision name="{name}"><pose>{x} {y} 0.5 0 0 0</pose><geometry><box>
 <size>{length} {width} 1</size></box></geometry></collision>"""
@@ -205,7 +207,10 @@ def _measure_shown_of_one(page: Page, server: FleetServer) -> Iterator[Figure]:
     without = statistics.median(page.measure_visits(1, entity=LIDAR_BOT).cores)
     with running("sensors", "run", "--name", "s1", "--quiet", "--connect", server.endpoint):
         for label, most in SHOWN_OF_ONE.items():
-            visits = page.measure_visits(1, label, entity=LIDAR_BOT)
+            scans: list[float] = []
+            is_scan = label == "Show scan"
+            with _count_scans(server.endpoint, scans) if is_scan else nullcontext():
+                visits = page.measure_visits(1, label, entity=LIDAR_BOT)
             what = f"{page.robots} robots drive, one is selected, {label}"
             more = tuple(core - without for core in visits.cores)
             yield _make_cores(f"{what}, more", more, most)
@@ -215,6 +220,20 @@ def _measure_shown_of_one(page: Page, server: FleetServer) -> Iterator[Figure]:
                 samples=tuple(second.drawings for second in visits.seconds),
                 limit=_limit("median", ">=", LEAST_DRAWINGS[label]),
             )
+            if scans:
+                yield Figure(what=f"{what}: published a second", unit="", samples=tuple(scans))
+
+
+@contextmanager
+def _count_scans(endpoint: str, rates: list[float]) -> Iterator[None]:
+    """Append how many scans of the lidar come in a second; the page cannot draw more."""
+    with (
+        connected(endpoint) as bus,
+        closing(bus.subscribe(SCAN.key(LIDAR_BOT), depth=MOST_SCANS)) as scans,
+    ):
+        began = time.perf_counter()
+        yield
+        rates.append(len(scans.take()) / (time.perf_counter() - began))
 
 
 def _order_lidar() -> Iterator[SpawnEntity]:
