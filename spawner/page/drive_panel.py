@@ -29,6 +29,10 @@ PAD: Final = (
 """Held buttons, and their deflection."""
 DRIVING: Final = "drive"
 """Purpose of a click on the floor."""
+NO_ROBOT: Final = (
+    "Select a robot to drive it: click it, or its row in Entities. Then hold a button below, or "
+    "W A S D or the arrows."
+)
 WARN_AGAIN_S: Final = 3.0
 """Minimum time between two notifications that another visitor drives the robot."""
 
@@ -75,7 +79,7 @@ class DrivePanel(Panel):
     def update(self, state: PageState) -> None:
         """Show who drives the robot."""
         if not self._robot:
-            self._text.content = _make_html("Select a robot to drive it.")
+            self._text.content = _make_html(NO_ROBOT)
             return
         driver = self._driver.find_driver(self._robot)
         who = "no visitor" if driver is None else "another visitor"

@@ -279,8 +279,8 @@ def make_pictures_html(models: Sequence[str]) -> str:
     """
     pictures = list_pictures()
     buttons = "".join(
-        f'<button type="button" data-zensim-model="{model}">'
-        f'<img alt="" src="{pictures[model]}"><span>{model}</span></button>'
+        f'<button type="button" data-zensim-model="{model}" aria-label="{model}">'
+        f'<img alt="" src="{pictures[model]}"><span>{model.replace("_", "_<wbr>")}</span></button>'
         for model in models
         if model in pictures
     )

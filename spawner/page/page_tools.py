@@ -90,7 +90,8 @@ STYLE: Final = """
 [data-mantine-color-scheme=light] .mantine-Button-root[style*="#424750"]:not(:disabled) {
   --button-bg: #e6eaef !important; --button-hover: #d5dbe3 !important;
   --button-color: #23272e !important; --button-bd: 1px solid #b4bcc7 !important; }
-.mantine-Slider-markLabel { color: var(--mantine-color-dimmed) !important; }
+.mantine-Notification-description, .mantine-Slider-markLabel {
+  color: var(--mantine-color-dimmed) !important; }
 /* Six tabs in one row of a panel 320 pixels wide. */
 [data-dock-strip] > [data-dock-tab] { padding: 0 .6em !important; }
 .zensim-models { display: grid; grid-template-columns: repeat(4, 1fr); gap: 4px;

@@ -81,7 +81,7 @@ class TimePanel(Panel):
         self._add_button("Run to this time", self.run_to, "Pauses there.")
         self._add_button("Cancel run", self.cancel_run, "Also that of another visitor.")
         self._run_text = gui.add_html("")
-        self._what = gui.add_dropdown("What", tuple(RESETS), hint="What a reset resets.")
+        self._what = gui.add_dropdown("What to reset", tuple(RESETS))
         self._add_button("Reset", self.reset, f"Of time and poses also {RESET.keys}")
         client.add_command(PLAY_OR_PAUSE, self.play_or_pause)
         client.add_command(STEP_ONCE, lambda: self.step(STEPS[0]))
@@ -172,7 +172,8 @@ class TimePanel(Panel):
         except RunActive as active:
             self._client.warn(str(active))
             return
-        self._pause()
+        if time_s >= self._client.state.status.sim_time_s:  # else the server refuses it
+            self._pause()
         request = RunToRequest(time_from_ns(round(time_s * NANOSECONDS)))
 
         def end(_: object) -> None:

@@ -21,6 +21,7 @@ LEAST_CONTRAST = 4.5
 LEAST_TARGET_PX = 44
 TAB_PRESSES = 120
 PATIENCE_S = 120.0
+NOTICE_S = 60.0
 FIND = """
 const CONTROLS = "button, a[href], input:not([type=hidden]), textarea, select, summary," +
   "[role=button], [role=tab], [role=slider]";
@@ -249,6 +250,15 @@ def test_every_text_has_contrast(tab: Tab, title: str) -> None:
     find_none(tab, LOW_CONTRASTS)
 
     assert len(find(tab, CONTRASTS)) > 10
+
+
+def test_notifications_have_contrast(tab: Tab) -> None:
+    turn_to(tab, "Edit")
+    tab.click(*tab.until(PLACE_OF_BUTTON % "Undo", PATIENCE_S))
+
+    is_readable = f"one[0].startsWith('nothing is being') && one[1] >= {LEAST_CONTRAST}"
+    seen = f"{CONTRASTS.strip()}.some((one) => {is_readable})"
+    assert tab.until(f"(() => {{ {FIND} return {seen}; }})()", NOTICE_S)
 
 
 @pytest.mark.parametrize("title", TABS)

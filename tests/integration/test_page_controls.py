@@ -1124,13 +1124,13 @@ def test_world_runs_to_a_time_and_a_run_is_canceled(page: Page) -> None:
     page.until_info(lambda info: info.state == "paused", "its end")
 
 
-@uses(a_choice("Time", "What"), a_button("Time", "Reset", 1))
+@uses(a_choice("Time", "What to reset"), a_button("Time", "Reset", 1))
 def test_time_alone_is_reset(page: Page) -> None:
     before = page.server.client.info()
-    page.controls.choose(a_choice("Time", "What"), "time")
+    page.controls.choose(a_choice("Time", "What to reset"), "time")
     page.controls.click(a_button("Time", "Reset", 1))
     page.until_info(lambda info: info.epoch == before.epoch + 1, "a reset")
-    page.controls.choose(a_choice("Time", "What"), "time and poses")
+    page.controls.choose(a_choice("Time", "What to reset"), "time and poses")
 
 
 # The page of a recording.

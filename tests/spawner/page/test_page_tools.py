@@ -2,6 +2,7 @@
 
 import re
 
+from zensim.spawner.page.edit_panel import make_pictures_html
 from zensim.spawner.page.entity_panel import MUTED_BUTTON
 from zensim.spawner.page.page_tools import STYLE, make_help_html, make_tools_script
 
@@ -24,3 +25,10 @@ def test_style_knows_the_colour_of_muted_buttons() -> None:
     colour = "#" + "".join(f"{part:02x}" for part in MUTED_BUTTON)
 
     assert f'[style*="{colour}"]' in STYLE
+
+
+def test_names_of_models_break_after_underscores_and_are_read_as_one() -> None:
+    html = make_pictures_html(("box_bot_lidar",))
+
+    assert "<span>box_<wbr>bot_<wbr>lidar</span>" in html
+    assert 'aria-label="box_bot_lidar"' in html
