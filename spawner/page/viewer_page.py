@@ -239,6 +239,7 @@ class ViewerPage:
 
     def show_disconnected(self) -> None:
         """Show that no server replies, in a grey scene."""
+        self._has_new_text = False
         self._status.content = make_status_html(SimulationStatus())
         self._set_grey(is_grey=True)
 

@@ -28,6 +28,7 @@ from tests.integration.page_client import (
     find_control,
     read_messages,
 )
+from tests.integration.page_user import PageUser
 from tests.integration.processes import eventually
 from tests.spawner.page.builders import make_models_by_name, make_robot, make_snapshot, make_wall
 from zensim.proto.messages.model_messages import Shape
@@ -46,7 +47,7 @@ from zensim.spawner.page.render_state import (
 )
 from zensim.spawner.page.robot_driver import RobotDriver
 from zensim.spawner.page.shortcuts import LOOK_SHORTCUTS, SHORTCUTS
-from zensim.spawner.page.viewer_page import ViewerPage
+from zensim.spawner.page.viewer_page import TEXT_PERIOD_S, ViewerPage
 
 TOKEN, OTHER_TOKEN = "7f3a-page", "9c1e-page"
 STATUS = SimulationStatus("playing", 1.0, 1.0, robots=2, entities=3)
@@ -196,6 +197,22 @@ def test_page_keeps_working_when_a_following_client_disconnects(page: ViewerPage
     wait_until(page, is_watched=False)
 
     assert page.selected == frozenset()
+
+
+def test_a_lost_server_stays_shown_when_a_text_was_due(page: ViewerPage) -> None:
+    with closing(PageUser(url_of(page))) as user:
+        wait_until(page, is_watched=True)
+        for _ in range(2):  # the text of the second one is due later
+            page.show(*a_scene("r1"), STATUS, {})
+        eventually(lambda: STATUS.state in user.texts(), 5.0, "a snapshot")
+
+        page.show_disconnected()
+        page.wait_for_input(2.0 * TEXT_PERIOD_S)
+        page.move_cameras()
+        page.warn("the last")
+
+        eventually(lambda: "the last" in user.notifications, 5.0, "all messages")
+        assert STATUS.state not in user.texts()
 
 
 def test_page_refuses_share_requests(
