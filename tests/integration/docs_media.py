@@ -10,6 +10,7 @@ import io
 import math
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -30,7 +31,7 @@ from zensim.spawner.page.side_panel import format_clock
 IMAGES = ROOT / "docs" / "images"
 WIDE, PHONE = (1280, 800), (390, 844)
 FILM_WINDOW, FILM_SIZE = (960, 600), (720, 450)
-FRAMES, FRAME_MS, STEPS_OF_FRAME = 50, 80, 24
+FRAMES, FRAME_MS, STEPS_OF_FRAME = 40, 100, 24
 FILM_CAMERA = (-0.9, -1.3, 0.8), (1.2, 0.35, 0.0)
 """Position and target of the camera [m] at the first robot."""
 FILM_WAY_M = 2.0
@@ -127,7 +128,7 @@ def film(tab: Tab, url: str, step: Callable[[], float]) -> None:
         for number in range(FRAMES):
             shown = format_clock(step())
             tab.evaluate(LOOK % find_film_camera(number / FRAMES))
-            eventually(lambda shown=shown: shown in user.texts(), PATIENCE_S, shown)
+            eventually(partial(has_text, user, shown), PATIENCE_S, shown)
             tab.evaluate(DRAWN)
             picture = Image.open(io.BytesIO(tab.screenshot())).convert("RGB")
             pictures.append(picture.resize(FILM_SIZE, Image.Resampling.LANCZOS))
@@ -137,6 +138,11 @@ def film(tab: Tab, url: str, step: Callable[[], float]) -> None:
     size = (IMAGES / "page.gif").stat().st_size
     if size > MOST_BYTES:
         raise RuntimeError(f"page.gif has {size} bytes, more than {MOST_BYTES}")
+
+
+def has_text(user: PageUser, text: str) -> bool:
+    """Whether the page has sent a visitor a text."""
+    return text in user.texts()
 
 
 def find_film_camera(share: float) -> str:
