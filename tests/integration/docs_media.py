@@ -15,6 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from tests.contract.repository import ROOT
@@ -37,6 +38,10 @@ FILM_CAMERA = (-0.9, -1.3, 0.8), (1.2, 0.35, 0.0)
 FILM_WAY_M = 2.0
 """Along the row of robots."""
 FILM_GREYS, FILM_COLOURS = 72, 88
+SAMPLED = 50_000
+"""Pixels and colours of which a palette is made."""
+KMEANS = 2
+"""Changes of colours until which they are moved towards their pixels."""
 LEAST_CHROMA = 40
 """Difference of the channels of a colourful pixel."""
 MOST_BYTES = 3_000_000
@@ -157,12 +162,20 @@ def make_palette(pictures: Sequence[Image.Image]) -> Image.Image:
     is_colourful = np.ptp(pixels.astype(int), axis=1) > LEAST_CHROMA
     chosen = bytearray()
     for count, part in ((FILM_GREYS, ~is_colourful), (FILM_COLOURS, is_colourful)):
-        colours = np.unique(pixels[part], axis=0)  # a few white lines count as much as the ground
-        found = Image.fromarray(colours[None]).quantize(count).getpalette() or []
-        chosen += bytes(found[: 3 * count])
+        chosen += choose_colours(pixels[part], count)
     palette = Image.new("P", (1, 1))
     palette.putpalette(chosen)
     return palette
+
+
+def choose_colours(pixels: NDArray[np.uint8], count: int) -> bytes:
+    """Choose colours near all pixels (n, 3); a rare colour counts as much as a frequent one."""
+    frequent = pixels[:: max(1, len(pixels) // SAMPLED)]
+    colours = np.unique(pixels, axis=0)
+    rare = np.resize(colours[:: max(1, len(colours) // SAMPLED)], frequent.shape)
+    both = Image.fromarray(np.concatenate((frequent, rare))[None])
+    found = both.quantize(count, kmeans=KMEANS).getpalette() or []
+    return bytes(found[: 3 * count])
 
 
 def make_media() -> None:
