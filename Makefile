@@ -23,7 +23,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 STAMP := .venv/.setup-done
 
 .PHONY: help setup demo test browser short lint fmt types imports schemas docs site docs-media bench house chaos fuzz mutants pins \
-	interop interop-short interpreters ci clean packages wheel wheel-tests platforms notice image sizes
+	interop interop-short interop-build interpreters ci clean packages wheel wheel-tests platforms notice image sizes
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 18
@@ -47,17 +47,9 @@ demo: setup ## ten robots in one world, and the address of the page that shows t
 	$(BIN)/zensim up
 
 packages: # Debian packages that the tests use
-	@sh .ci/need chromium chromium chromium-browser google-chrome
-	@sh .ci/need iproute2 ip
-	@sh .ci/need strace strace
-	@sh .ci/need systemd systemd-analyze
-	@sh .ci/need nodejs node
-	@sh .ci/need npm npm
-	@sh .ci/need openssl openssl
+	@sh .ci/need chromium=chromium,chromium-browser,google-chrome iproute2=ip strace=strace \
+		systemd=systemd-analyze nodejs=node npm=npm openssl=openssl libegl1 libgl1-mesa-dri
 	@sh .ci/promtool >/dev/null
-	@for library in libegl1 libgl1-mesa-dri; do \
-		dpkg-query -W $$library >/dev/null 2>&1 || sh .ci/need $$library; \
-	done
 
 # Side by side, but those of a file one after another: they share a server. Tests of processes often
 # wait, so there is one worker more than cores; small files come last, so that all end together.
@@ -131,6 +123,9 @@ interop: setup ## ROS 2 peers that share no code with zensim, and rewrite docs/i
 
 interop-short: setup ## a minute of them, and 15 more for the first build
 	$(BIN)/python -m tests.interop --short
+
+interop-build: setup # what interop-short runs
+	@$(BIN)/python -m tests.interop --short --build
 
 interpreters: ## install and drive with each Python from 3.10 to 3.14 that is here; CI: the newest
 	sh .ci/interpreters

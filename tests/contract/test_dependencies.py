@@ -61,22 +61,23 @@ def modules_of(package: str) -> frozenset[str]:
     return frozenset(line.split(",")[0].split("/")[0].split(".")[0] for line in record.splitlines())
 
 
-def importable(extras: set[str]) -> set[str]:
+@cache
+def importable(extras: frozenset[str]) -> frozenset[str]:
     needs = [Requirement(line) for line in requires("zensim") or []]
     declared = {
         need.name
         for need in needs
         if need.marker is None or any(need.marker.evaluate({"extra": extra}) for extra in extras)
     }
-    return {module for package in declared for module in modules_of(package)}
+    return frozenset(module for package in declared for module in modules_of(package))
 
 
-def extras_of(path: Path) -> set[str]:
+def extras_of(path: Path) -> frozenset[str]:
     name = shown(path)
     if name.startswith("tests/"):
         ours = {"server", "pybullet", "check", "mujoco", "viewer", "top", "dataset", "rl"}
-        return {"", *ours, "metrics", "dev"}
-    return next((ours for part, ours in EXTRA_OF.items() if name.startswith(part)), {""})
+        return frozenset({"", *ours, "metrics", "dev"})
+    return frozenset(next((ours for part, ours in EXTRA_OF.items() if name.startswith(part)), {""}))
 
 
 def test_module_imports_only_what_its_extra_declares() -> None:

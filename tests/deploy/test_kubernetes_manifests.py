@@ -6,12 +6,12 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-import kubernetes_validate
 import pytest
 import yaml
 from typer.main import get_command
 
 from tests.contract.repository import ROOT
+from tests.contract.schema_validators import kubernetes_validate
 from tests.deploy.manifests import (
     FOLDER,
     POD_OWNERS,
@@ -46,7 +46,7 @@ def validate(manifest: Manifest) -> None:
     Raises:
         kubernetes_validate.ValidationError: It is not valid.
     """
-    kubernetes_validate.validate(manifest, VERSION, strict=True)
+    kubernetes_validate().validate(manifest, VERSION, strict=True)
 
 
 @pytest.fixture(autouse=True)
@@ -82,7 +82,7 @@ def test_mistake_in_a_manifest_is_found(change: tuple[str, str]) -> None:
     service, stateful_set = yaml.safe_load_all(text.replace(*change))
 
     validate(service)
-    with pytest.raises(kubernetes_validate.ValidationError):
+    with pytest.raises(kubernetes_validate().ValidationError):
         validate(stateful_set)
 
 

@@ -1,13 +1,10 @@
 """The JSON Schema and the reference of scenario files against the types of the format."""
 
-from functools import cache
-from importlib import import_module
-from types import ModuleType
-
 import pytest
 import yaml
 
 from tests.contract.repository import ROOT
+from tests.contract.schema_validators import jsonschema
 from tests.scenario.test_scenario_reader import BROKEN, FULL
 from zensim.scenario.scenario_reader import SHIPPED
 from zensim.scenario.scenario_schema import (
@@ -23,12 +20,6 @@ FOUND_BY_THE_SCHEMA = (
     *("unknown_key", "missing_version", "wrong_unit", "unknown_unit", "unknown_choice"),
     *("text_for_number", "negative_seed", "map_for_list", "missing_model", "unknown_behaviour"),
 )
-
-
-@cache
-def jsonschema() -> ModuleType:
-    """Import it for these tests only: with its formats it takes 4 s, in each worker."""
-    return import_module("jsonschema")
 
 
 def validate(text: str) -> None:

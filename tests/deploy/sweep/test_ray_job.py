@@ -8,12 +8,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import jsonschema
-import kubernetes_validate
 import pytest
 import yaml
 
 from tests.contract.repository import ROOT, text_of
+from tests.contract.schema_validators import jsonschema, kubernetes_validate
 from zensim.deploy.sweep.sweep_plan import make_plan
 
 MANIFEST = ROOT / "deploy" / "kubernetes" / "ray_job.yaml"
@@ -34,7 +33,7 @@ def pod_specs(job: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_job_fits_the_schema_of_its_definition() -> None:
-    jsonschema.validate(documents()["RayJob"], SCHEMA)
+    jsonschema().validate(documents()["RayJob"], SCHEMA)
 
 
 @pytest.mark.parametrize(
@@ -54,13 +53,13 @@ def test_schema_refuses_mistakes(path: tuple[str, ...], value: object) -> None:
         place = place[word]
     place[path[-1]] = value
 
-    with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(job, SCHEMA)
+    with pytest.raises(jsonschema().ValidationError):
+        jsonschema().validate(job, SCHEMA)
 
 
 @pytest.mark.parametrize("kind", ["ConfigMap", "PersistentVolumeClaim"])
 def test_other_documents_are_valid(kind: str) -> None:
-    kubernetes_validate.validate(documents()[kind], KUBERNETES, strict=True)
+    kubernetes_validate().validate(documents()[kind], KUBERNETES, strict=True)
 
 
 @pytest.mark.parametrize("name", ["head", "runs"])
@@ -68,7 +67,7 @@ def test_pods_are_valid_and_may_do_little(name: str) -> None:
     spec = pod_specs(documents()["RayJob"])[name]
     pod = {"apiVersion": "v1", "kind": "Pod", "metadata": {"name": name}, "spec": spec}
 
-    kubernetes_validate.validate(pod, KUBERNETES, strict=True)
+    kubernetes_validate().validate(pod, KUBERNETES, strict=True)
 
     assert spec["securityContext"]["runAsNonRoot"]
     (container,) = spec["containers"]
