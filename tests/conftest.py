@@ -3,7 +3,7 @@
 import gc
 import logging
 import signal
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 
 import pytest
 from hypothesis import settings
@@ -19,8 +19,13 @@ settings.register_profile("commit", deadline=None, derandomize=True)
 settings.register_profile("fuzz", deadline=None, max_examples=5000)
 settings.load_profile("commit")
 
-LONG = ("tests/integration/", "tests/zensim/", "tests/spawner/cli/", "tests/contract/test_wheel.py")
-"""Files that wait for processes: they come first, so that all workers end together."""
+WAITING = (
+    *("tests/integration/", "tests/zensim/", "tests/spawner/cli/", "tests/deploy/"),
+    *("tests/mutation/", "tests/contract/test_wheel.py"),
+)
+"""Files whose tests mostly wait for processes."""
+LAST_SHARE = 0.3
+"""Of the other files: they come last, so that all workers end together."""
 
 
 @pytest.hookimpl(wrapper=True)
@@ -35,8 +40,19 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put long files first; the order within a file stays."""
-    items.sort(key=lambda item: not item.nodeid.startswith(LONG))
+    """Spread the files that wait among those that compute; the order within a file stays."""
+    places = find_places([item.nodeid.partition("::")[0] for item in items])
+    items.sort(key=lambda item: places[item.nodeid.partition("::")[0]])
+
+
+def find_places(files: Sequence[str]) -> dict[str, float]:
+    """Find the place of each file in a run, 0 to 1, so that both kinds are mixed until the last."""
+    kinds: tuple[list[str], list[str]] = ([], [])
+    for file in dict.fromkeys(files):
+        kinds[file.startswith(WAITING)].append(file)
+    computing, waiting = kinds
+    places = {file: (1.0 - LAST_SHARE) * n / len(waiting) for n, file in enumerate(waiting)}
+    return places | {file: n / len(computing) for n, file in enumerate(computing)}
 
 
 @pytest.fixture(autouse=True)

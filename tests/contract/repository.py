@@ -26,8 +26,9 @@ def _list_files() -> tuple[Path, ...]:
     return tuple(path for path in paths if path.is_file())
 
 
+@cache
 def text_of(path: Path) -> str:
-    """Read a file as text; invalid bytes become replacement characters."""
+    """Read a file as text, once; invalid bytes become replacement characters."""
     return path.read_text(encoding="utf-8", errors="replace")
 
 

@@ -9,14 +9,16 @@ import pytest
 
 from tests.contract.repository import ROOT, shown, text_of
 
+RAISES = "pytest.raises"
 SENTENCE = re.compile(r"[A-Za-z]+(?: [A-Za-z]+){2}")
 """Three words in a row."""
 
 
 def find_sentences(path: Path) -> Iterator[str]:
     """Find `match` patterns of `pytest.raises` that contain a sentence."""
-    for node in ast.walk(ast.parse(text_of(path))):
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "pytest.raises":
+    text = text_of(path)
+    for node in ast.walk(ast.parse(text)) if "match" in text else ():
+        if isinstance(node, ast.Call) and node.keywords and ast.unparse(node.func) == RAISES:
             for keyword in node.keywords:
                 pattern = ast.unparse(keyword.value)
                 if keyword.arg == "match" and SENTENCE.search(pattern):

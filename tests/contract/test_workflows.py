@@ -4,12 +4,12 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from tests.contract.repository import ROOT, text_of
+from tests.contract.schema_validators import find_schema_mistakes
 
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 USED = re.compile(r"uses: (\S+)(.*)")
@@ -34,19 +34,10 @@ def actionlint() -> str:
 
 def find_mistakes(actionlint: str, *paths: Path) -> str:
     """Check the schema of workflows, and where actionlint is, expressions and references, too."""
-    commands = [("check-jsonschema", "--builtin-schema", "vendor.github-workflows")]
-    commands += [(actionlint, "-no-color", "-shellcheck=")] if actionlint else []
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    found = ""
-    for command in commands:
-        done = subprocess.run(
-            [*command, *map(str, paths)],
-            env={**os.environ, "PATH": path},
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=60,
-        )
+    found = find_schema_mistakes("vendor.github-workflows", *paths)
+    if actionlint:
+        words = [actionlint, "-no-color", "-shellcheck=", *map(str, paths)]
+        done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=60)
         found += done.stdout + done.stderr if done.returncode else ""
     return found
 

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from tests.integration.processes import zensim
+from tests.integration.processes import run_in_process, zensim
 from zensim.proto.exit_codes import ExitCode
 
 BOX_BOT = (resources.files("zensim.sim_server") / "models" / "box_bot.urdf").read_text()
@@ -70,7 +70,7 @@ def test_check_with_wrong_arguments_says_so(
 ) -> None:
     given = [str(robots / word) if word in ("gone", ".") else word for word in arguments]
 
-    done = zensim("check", *given)
+    done = run_in_process("check", *given)
 
     assert done.returncode == status, done.stdout
     assert done.stderr
