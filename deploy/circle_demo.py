@@ -7,12 +7,12 @@ is numpy imported, which takes 15 MB.
 import struct
 import time
 import uuid
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
-from zensim.api.closed_on_exit import ClosedOnExit
 from zensim.api.local_deployment import OPERATOR, LocalDeployment
 from zensim.deploy.demo_patterns import RADIUS, SPEED
 from zensim.deploy.other_commands import OtherCommands
+from zensim.deploy.up_driver import UpDriver
 from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, NoServer, open_bus
 from zensim.proto.codec.message_codec import Format, encode
@@ -26,7 +26,7 @@ PLAY_POLL_S = 0.2
 RELEASED = struct.pack("<3d", *[float("nan")] * 3)
 
 
-class CircleDemo(ClosedOnExit):
+class CircleDemo(UpDriver):
     """Orders circles once the world plays; `update` has to be called often.
 
     A robot that gets a `cmd_vel`, or an order of another client, is left to that for good.
@@ -59,15 +59,6 @@ class CircleDemo(ClosedOnExit):
         elif self._is_playing():
             self._has_ordered = True
             self._order(self._ours, CIRCLE)
-
-    def watch(self, should_stop: Callable[[], bool]) -> Callable[[], bool]:
-        """Update whenever a loop checks whether to stop."""
-
-        def update_and_check() -> bool:
-            self.update()
-            return should_stop()
-
-        return update_and_check
 
     def close(self) -> None:
         """End; the robots stop."""

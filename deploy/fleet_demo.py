@@ -1,16 +1,16 @@
 """Drives the robots of `zensim up` where poses decide, each until something else commands it."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from zensim.api.closed_on_exit import ClosedOnExit
 from zensim.api.local_deployment import OPERATOR, LocalDeployment
 from zensim.api.server_access import ServerAccess
 from zensim.api.sim import Sim
 from zensim.deploy.demo_patterns import RADIUS, SPEED, PoseBehaviour
 from zensim.deploy.other_commands import OtherCommands
+from zensim.deploy.up_driver import UpDriver
 from zensim.proto.bus import Bus, BusConfig, open_bus
 from zensim.scenario.robot_behaviours import (
     FleetState,
@@ -23,7 +23,7 @@ from zensim.scenario.scenario_format import FollowWaypoints, RandomWalk
 from zensim.spawner.spawn.spawn_poses import RobotPlacement
 
 
-class FleetDemo(ClosedOnExit):
+class FleetDemo(UpDriver):
     """Commands the robots in a world that runs by itself; `update` has to be called often.
 
     A robot that gets a `cmd_vel`, or an order of another client, is left to that for good.
@@ -69,15 +69,6 @@ class FleetDemo(ClosedOnExit):
             self._sent = twists.copy()
             fleet = self._fleet[self._is_ours]
             fleet.drive(v=twists[self._is_ours, 0], w=twists[self._is_ours, 1])
-
-    def watch(self, should_stop: Callable[[], bool]) -> Callable[[], bool]:
-        """Update whenever a loop checks whether to stop."""
-
-        def update_and_check() -> bool:
-            self.update()
-            return should_stop()
-
-        return update_and_check
 
     def close(self) -> None:
         """End; the robots stop."""

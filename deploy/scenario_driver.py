@@ -7,13 +7,14 @@ from zensim.api.local_deployment import OPERATOR, LocalDeployment
 from zensim.api.server_access import ServerAccess
 from zensim.api.sim import Sim
 from zensim.deploy.other_commands import OtherCommands
+from zensim.deploy.up_driver import UpDriver
 from zensim.proto.bus import BusConfig, open_bus
 from zensim.scenario.check_monitors import CheckResult
 from zensim.scenario.scenario_reader import Scenario
 from zensim.scenario.scenario_runner import ScenarioRun, find_end
 
 
-class ScenarioDriver:
+class ScenarioDriver(UpDriver):
     """Spawns, drives and checks the robots of a scenario; `update` has to be called often."""
 
     def __init__(
@@ -33,12 +34,12 @@ class ScenarioDriver:
         self._on_failure = on_failure
         self._failed: set[str] = set()
         self._next = -math.inf
-        self.is_over = False
+        self._is_over = False
 
     def update(self) -> None:
         """Do what is due at the newest state, if there is a new one."""
         now = self._sim.time
-        if self.is_over or now < self._next:
+        if self._is_over or now < self._next:
             return
         self._next = now + self._sim.control_period / 2.0
         self._run.leave(self._others.take())
@@ -47,16 +48,11 @@ class ScenarioDriver:
             if monitor.check.name not in self._failed and monitor.has_failed(state.now):
                 self._failed.add(monitor.check.name)
                 self._on_failure(monitor.report())
-        self.is_over = state.now >= self._end or self._run.is_over(state)
+        self._is_over = state.now >= self._end or self._run.is_over(state)
 
-    def watch(self, should_stop: Callable[[], bool]) -> Callable[[], bool]:
-        """Update whenever a loop checks whether to stop; the end of the scenario stops it, too."""
-
-        def update_and_check() -> bool:
-            self.update()
-            return self.is_over or should_stop()
-
-        return update_and_check
+    def ends_the_run(self) -> bool:
+        """Whether the scenario is over."""
+        return self._is_over
 
     def close(self) -> None:
         """End; the robots stop, and the recording is whole."""

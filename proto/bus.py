@@ -66,8 +66,29 @@ RUNTIME_VARIABLE: Final = "ZENOH_RUNTIME"
 """Read by Zenoh when the first session of a process is opened."""
 
 
-class BusPublisher:
+class _KeyPublisher:
     """Publisher on one key. Never blocks: a congested network drops messages."""
+
+    _put: Callable[..., None]
+    _traffic: BusTraffic
+
+    def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
+        """Publish a message; subscribers drop a second one with the same timestamp."""
+        self._traffic.sent += 1
+        self._traffic.sent_bytes += len(payload)
+        # Each argument costs a tenth of the put.
+        if stamp is not None:
+            self._put(
+                payload, attachment=attachment or None, timestamp=cast("zenoh.Timestamp", stamp)
+            )
+        elif attachment:
+            self._put(payload, attachment=attachment)
+        else:
+            self._put(payload)
+
+
+class BusPublisher(_KeyPublisher):
+    """Publisher on a key that the network knows of."""
 
     def __init__(self, publisher: zenoh.Publisher, traffic: BusTraffic) -> None:
         self._publisher = publisher
@@ -88,20 +109,6 @@ class BusPublisher:
             self._was_matched = change.matching
         return self._was_matched
 
-    def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
-        """Publish a message; subscribers drop a second one with the same timestamp."""
-        self._traffic.sent += 1
-        self._traffic.sent_bytes += len(payload)
-        # Each argument costs a tenth of the put.
-        if stamp is not None:
-            self._put(
-                payload, attachment=attachment or None, timestamp=cast("zenoh.Timestamp", stamp)
-            )
-        elif attachment:
-            self._put(payload, attachment=attachment)
-        else:
-            self._put(payload)
-
     def close(self) -> None:
         """Undeclare the publisher."""
         if self._changes is not None:
@@ -109,7 +116,7 @@ class BusPublisher:
         self._publisher.undeclare()
 
 
-class UndeclaredPublisher:
+class UndeclaredPublisher(_KeyPublisher):
     """Publisher on a key that the network does not know of before a message comes.
 
     A message costs a router ten times as much as one on a declared key, and a silent key nothing:
@@ -129,19 +136,6 @@ class UndeclaredPublisher:
             encoding=zenoh.Encoding(encoding),
             congestion_control=zenoh.CongestionControl.DROP,
         )
-
-    def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
-        """Publish a message; subscribers drop a second one with the same timestamp."""
-        self._traffic.sent += 1
-        self._traffic.sent_bytes += len(payload)
-        if stamp is not None:
-            self._put(
-                payload, attachment=attachment or None, timestamp=cast("zenoh.Timestamp", stamp)
-            )
-        elif attachment:
-            self._put(payload, attachment=attachment)
-        else:
-            self._put(payload)
 
     def close(self) -> None:
         """Do nothing: nothing is declared."""

@@ -12,7 +12,7 @@ from errno import EEXIST
 from functools import partial
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Union
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import typer
@@ -80,15 +80,13 @@ from zensim.spawner.spawn.spawn_poses import LAYOUTS, RobotPlacement
 
 # What few runs need is imported where it is used, as this process lives as long as its world.
 if TYPE_CHECKING:
-    from zensim.deploy.circle_demo import CircleDemo
-    from zensim.deploy.fleet_demo import FleetDemo
-    from zensim.deploy.scenario_driver import ScenarioDriver
+    from zensim.deploy.up_driver import UpDriver
     from zensim.scenario.scenario_reader import Scenario
 
 app = make_app()
 
 console = PrintableConsole(stderr=True)
-DriverMaker = Callable[[LocalDeployment], Union["CircleDemo", "FleetDemo", "ScenarioDriver"]]
+DriverMaker = Callable[[LocalDeployment], "UpDriver"]
 MAX_AGENT_PROCESSES = 20
 """Default limit of one agent process per robot; each takes 40 MB."""
 
@@ -287,7 +285,7 @@ def _list_written(context: typer.Context, given: UpOptions) -> dict[str, object]
     return written | ({"verbose": True} if CURRENT.is_verbose else {})
 
 
-def _make_scenario_driver(scenario: "Scenario", deployment: LocalDeployment) -> "ScenarioDriver":
+def _make_scenario_driver(scenario: "Scenario", deployment: LocalDeployment) -> "UpDriver":
     from zensim.deploy.scenario_driver import ScenarioDriver
 
     return ScenarioDriver(
@@ -301,11 +299,11 @@ def _make_scenario_driver(scenario: "Scenario", deployment: LocalDeployment) -> 
 
 def _make_demo(
     behaviour: MovingBehaviour, deployment: LocalDeployment, *, is_quiet: bool
-) -> "CircleDemo | FleetDemo":
+) -> "UpDriver":
     if behaviour == "circle":
         from zensim.deploy.circle_demo import make_circle_demo
 
-        demo: CircleDemo | FleetDemo = make_circle_demo(deployment)
+        demo: UpDriver = make_circle_demo(deployment)
     else:
         from zensim.deploy.fleet_demo import make_demo
 
