@@ -36,9 +36,9 @@ def down(
     *,
     listen: Annotated[
         str,
-        typer.Option("--listen", metavar="ENDPOINT", help="Only that with this --listen."),
+        typer.Option("--listen", metavar="ENDPOINT", help="End only what listens here."),
     ] = "",
-    everything: Annotated[bool, flag("--all", help="End all, if there are several.")] = False,
+    everything: Annotated[bool, flag("--all", help="End all of them, if several run.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """End what 'zensim up' runs on this host: page, agents, server."""

@@ -57,14 +57,16 @@ class ResimOptions:
     ] = ""
     step_hz: Annotated[
         float | None,
-        typer.Option(metavar="HZ", help=r"The same with another physics rate \[Hz]."),
+        typer.Option(metavar="HZ", help=r"Use this physics rate \[Hz], and report distances."),
     ] = None
     gravity: Annotated[
-        str, typer.Option(metavar="X,Y,Z", help=r"The same with another gravity \[m/s^2].")
+        str, typer.Option(metavar="X,Y,Z", help=r"Use this gravity \[m/s^2], and report.")
     ] = ""
     ground_friction: Annotated[
         float | None,
-        typer.Option(min=0.0, metavar="NUMBER", help="The same with another ground friction."),
+        typer.Option(
+            min=0.0, metavar="NUMBER", help="Use this friction of the ground, and report."
+        ),
     ] = None
     report: Annotated[
         bool,

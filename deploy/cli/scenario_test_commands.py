@@ -53,7 +53,7 @@ class ScenarioTestOptions:
     repeat: Annotated[
         int,
         typer.Option(
-            "--repeat", min=1, metavar="N", help="Run each so often; unequal states are a failure."
+            "--repeat", min=1, metavar="N", help="Runs of each; unequal states are a failure."
         ),
     ] = 1
     served: Annotated[

@@ -106,7 +106,9 @@ class RecordOptions(ConnectionOptions):
     ] = None
     named_topics: Annotated[
         list[str] | None,
-        typer.Option("--topics", metavar="TOPIC...", help="The same, as of rosbag2.", **_topics),
+        typer.Option(
+            "--topics", metavar="TOPIC...", help="Topics, as the option of rosbag2.", **_topics
+        ),
     ] = None
     all_topics: Annotated[
         bool,

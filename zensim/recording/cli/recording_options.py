@@ -71,7 +71,7 @@ StartOffsetOption = Annotated[
     typer.Option(
         min=0.0,
         metavar="SECONDS",
-        help=r"Begin so long after the first message \[s].",
+        help=r"Begin this time after the first message \[s].",
         rich_help_panel=TIME_PANEL,
     ),
 ]
