@@ -52,10 +52,10 @@ packages: # Debian packages that the tests use
 	@sh .ci/promtool >/dev/null
 
 # Side by side, but those of a file one after another: they share a server. Tests of processes often
-# wait, so there is one worker more than cores; small files come last, so that all end together.
+# wait, so there is one worker more than cores; tests/conftest.py mixes them with those that compute.
 # Up to five that fail run again, alone, and are named at the end: CONTRIBUTING.md.
-PYTEST := $(BIN)/python .ci/run_tests.py -n $$(($$(getconf _NPROCESSORS_ONLN) + 1)) --dist loadfile \
-	--no-loadscope-reorder
+WORKERS ?= $$(($$(getconf _NPROCESSORS_ONLN) + 1))
+PYTEST := $(BIN)/python .ci/run_tests.py -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 test: setup packages ## all tests but those of `make browser` and `make short`
 	@if [ "$$(id -u)" = 0 ]; then $(PYTEST) -m "not browser and not short_form and not interop and not images"; \
