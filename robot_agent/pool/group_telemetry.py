@@ -592,8 +592,12 @@ class TransformTemplate:
         """
         one, other = (make(mark * size) for mark in NAMESPACE_MARKS)
         self.count = len(one.transforms)
-        self.first = _MarkedBytes(*(encode(each)[FIRST_OFFSET:] for each in (one, other)), size)
-        self.later = _MarkedBytes(*map(_encode_later, (one, other)), size)
+        self.first = _MarkedBytes(_encode_first(one), _encode_first(other), size)
+        self.later = _MarkedBytes(_encode_later(one), _encode_later(other), size)
+
+
+def _encode_first(message: TFMessage) -> bytes:
+    return encode(message)[FIRST_OFFSET:]
 
 
 def _encode_later(message: TFMessage) -> bytes:

@@ -1185,4 +1185,5 @@ def test_robots_of_a_pool_stop_with_the_targets_of_each_alone() -> None:
         for name, model in models.items():
             held = np.array([1.0, -0.3]) if name == "arm" else None
             alone = make_stop_targets(model, states[name].joint_positions, held)
+            assert isinstance(engine, RecordedStops)
             assert engine.last[world.entities.find(name).body] == alone.tolist(), name
