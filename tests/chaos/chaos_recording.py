@@ -36,7 +36,8 @@ HZ = 50.0
 LONGEST_S = 3600.0
 BETWEEN_S = (1.0, 3.0)
 SEED = 19
-TINY_MB = (6, 64)
+TINY_DISKS = ((6, "zstd_fast"), (64, "none"))
+"""Size [MB], and storage profile: without compression a minute fills the larger one, too."""
 FULL_S = 600.0
 NONE = Limit("max", "<=", 0.0)
 
@@ -47,8 +48,8 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     for robots, most_s in ((10, 1.0), (100, 0.6))[: 1 if is_short else 2]:
         yield from _kill_recorders(robots, kills, most_s)
     yield from _damage_files(DAMAGED_WHEN_SHORT if is_short else DAMAGED)
-    for size_mb in () if is_short else TINY_MB:
-        yield from _fill_disk(size_mb)
+    for size_mb, profile in () if is_short else TINY_DISKS:
+        yield from _fill_disk(size_mb, profile)
 
 
 def _kill_recorders(robots: int, kills: int, most_s: float) -> Iterator[Figure]:
@@ -126,12 +127,12 @@ def _count_recovered(damaged: Path) -> int | None:
     return result.messages if sum(count_by_mcap(target).values()) == result.messages else None
 
 
-def _fill_disk(size_mb: int) -> Iterator[Figure]:
+def _fill_disk(size_mb: int, profile: str) -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as folder, _mounted(Path(folder), size_mb) as is_mounted:
         if not is_mounted:
             return
         with publishing(200, HZ, LONGEST_S) as source:
-            wrong = _record_until_full(source, Path(folder) / "run.mcap")
+            wrong = _record_until_full(source, Path(folder) / "run.mcap", profile)
     yield Figure(
         what=f"disk of {size_mb} MB that is full: wrong status, closed file or counts",
         unit="",
@@ -140,10 +141,12 @@ def _fill_disk(size_mb: int) -> Iterator[Figure]:
     )
 
 
-def _record_until_full(source: Source, path: Path) -> int:
+def _record_until_full(source: Source, path: Path, profile: str) -> int:
     """Record until the disk is full; count what is wrong then."""
-    options = ("--connect", source.endpoint, "--json", "--min-free", "0")
-    with running("record", *TOPICS, "-o", str(path), *options) as process:
+    options = ("--storage-preset-profile", profile, "--json", "--min-free", "0")
+    with running(
+        "record", *TOPICS, "-o", str(path), "--connect", source.endpoint, *options
+    ) as process:
         read_json_line(process)
         source.read()
         status = process.wait(FULL_S)
