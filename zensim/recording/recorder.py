@@ -166,6 +166,7 @@ class Recorder:
     """About how many were lost then, by the gaps between stamps."""
     _has_arrivals = True
     _has_unstamped = False
+    _period, _taken_ns, _taken_s = 0, 0, 0.0
     _most_taken = 0
     """Messages of one key expression in the last take."""
     _stamped_period_s = SHORT_PERIOD_S
@@ -208,10 +209,8 @@ class Recorder:
         self._announced: dict[str, set[str]] = {}
         """Tokens of the publishers of each key that is subscribed to as they announce it."""
         self._now_ns, self._epoch = self._read_first_clock()
-        self._period, self._taken_ns, self._taken_s = 0, 0, 0.0
         self._last_ns: dict[RecordedTopic, int] = {}
-        self._early: list[Sample] = []
-        """Messages of the time after a reset, until they are due."""
+        self._early: list[Sample] = []  # of the time after a reset, until they are due
         self._record_latched()
 
     @property
