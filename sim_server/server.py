@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
-import numpy.ma  # noqa: F401  # else the first np.unique in the loop imports it: 60 ms
 
 from zensim.proto import keys
 from zensim.proto.bus import (
@@ -37,7 +36,6 @@ from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.mesh_server import MeshServer, PublishedFiles
 from zensim.sim_server.parser_process.parser_client import ParserClient
 from zensim.sim_server.physics.engine_config import choose_engine, find_installed_engines
-from zensim.sim_server.ros2_node.server_node import start_server_node
 from zensim.sim_server.runtime.loop import ServerLoop, request_short_time_slice
 from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
 from zensim.sim_server.runtime.memory_trimmer import MemoryTrimmer
@@ -130,8 +128,6 @@ def run_server(
         bus = network.open(is_restoring=journal is not None and journal.contents is not None)
         hooks = ServerHooks(stop, on_ready, status, network.replies)
         made = _make_parts(config, loaded, journal, cleanup, stop)
-        _start_garbage_collection()
-        request_short_time_slice()
         _run(config, made, bus, collector, hooks)
 
 
@@ -279,6 +275,13 @@ def _run(
     collector: LogCollector,
     hooks: ServerHooks,
 ) -> None:
+    # Imported here: replies during a restore need neither.
+    import numpy.ma  # noqa: F401  # else the first np.unique in the loop imports it: 60 ms
+
+    from zensim.sim_server.ros2_node.server_node import start_server_node
+
+    _start_garbage_collection()
+    request_short_time_slice()
     parts, tracker = made
     with ExitStack() as cleanup:
         node = start_server_node(bus, config.ros, list_server_parameters(config), collector)

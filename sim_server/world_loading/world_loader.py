@@ -11,7 +11,6 @@ import numpy as np
 from zensim.proto.child_process import make_module_command, run_process
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
-from zensim.sim_server.description.sdf.sdf_world import read_world
 from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import RequestRefused, SimError
 from zensim.sim_server.physics.engine_config import EngineConfig
@@ -63,6 +62,9 @@ def load_world_in_process(request: WorldLoaderRequest) -> LoadedWorld:
         ConfigError: There is no such world, or it cannot be parsed.
     """
     if request.name in list_builtin_worlds():
+        # Imported here: a server that restores its journal reads no world.
+        from zensim.sim_server.description.sdf.sdf_world import read_world
+
         return LoadedWorld(read_world(read_builtin_world(request.name)))
     outcome = run_process(COMMAND, msgspec.msgpack.encode(request))
     if outcome.status:
