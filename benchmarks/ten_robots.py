@@ -30,6 +30,8 @@ class Fleet:
 
     server: Server
     robots: list[Robot]
+    agents: tuple[int, ...]
+    """Processes of the agents, or of the pool."""
 
     def circle(self) -> None:
         """Command every robot to drive in a circle."""
@@ -47,10 +49,12 @@ def fleet(count: int, *serve_arguments: str, is_pooled: bool = False) -> Iterato
             raise RuntimeError(f"no fleet was spawned: {done.stderr}")
         names = [f"box_bot{i}" for i in range(count)]
         connected = ("--connect", server.endpoint, "--quiet", "--cmd-vel-timeout", "0")
-        for given in [("--pool", "0")] if is_pooled else [(name,) for name in names]:
-            stack.enter_context(running("agent", *given, *connected))
+        agents = [
+            stack.enter_context(running("agent", *given, *connected)).pid
+            for given in ([("--pool", "0")] if is_pooled else [(name,) for name in names])
+        ]
         wait_for_agents(server, names)
-        yield Fleet(server, [robot(server.bus, name) for name in names])
+        yield Fleet(server, [robot(server.bus, name) for name in names], tuple(agents))
 
 
 def stats_of(found: Fleet) -> BusSubscription:
