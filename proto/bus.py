@@ -12,12 +12,12 @@ import threading
 import time
 import uuid
 from collections import deque
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import cached_property, partial
 from itertools import cycle
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Final, Generic, Literal, TypeVar, cast
+from typing import TYPE_CHECKING, Final, Generic, Literal, Protocol, TypeVar, cast
 
 import msgspec
 import zenoh
@@ -56,9 +56,13 @@ MAX_REQUEST_BYTES = 3 << 20
 """Encoded size limit: decoding a larger request would delay the physics step."""
 
 Message = TypeVar("Message", bound=msgspec.Struct)
+Item = TypeVar("Item")
+Item_co = TypeVar("Item_co", covariant=True)
 
 MAX_COPIED_BYTES: Final = 32 << 20
 """Of payloads that a subscription of `subscribe_copying` keeps."""
+MAX_EXPECTED_KEYS: Final = 4096
+"""Keys that a session declares for what it receives: 0.2 ms each, and memory of the router."""
 MAX_TAKEN: Final = 256
 """Requests that one `take` returns, so that it takes about a millisecond at most."""
 EMPTY_PAYLOAD: Final = zenoh.ZBytes(b"")
@@ -66,16 +70,61 @@ RUNTIME_VARIABLE: Final = "ZENOH_RUNTIME"
 """Read by Zenoh when the first session of a process is opened."""
 
 
+class HeldMessages:
+    """Messages of one thread that leave right after one another.
+
+    A session sends each message in a packet of its own, unless the next one comes while the packet
+    is written: a message between two computations costs sender, router and receiver a wake-up.
+    """
+
+    def __init__(self) -> None:
+        self._thread = 0
+        """Whose messages are held; 0 = none."""
+        self._waiting: list[Callable[[], None]] = []
+
+    @property
+    def is_holding(self) -> bool:
+        """Whether a message of this thread is held."""
+        return self._thread != 0 and self._thread == threading.get_ident()
+
+    def add(self, put: Callable[[], None]) -> None:
+        """Hold what sends a message."""
+        self._waiting.append(put)
+
+    def send(self) -> None:
+        """Send what is held."""
+        waiting, self._waiting = self._waiting, []
+        for put in waiting:
+            put()
+
+    @contextmanager
+    def hold(self) -> Iterator[None]:
+        """Hold the messages of this thread until the block ends; blocks do not nest."""
+        self._thread = threading.get_ident()
+        try:
+            yield
+        finally:
+            self._thread = 0
+            self.send()
+
+
 class _KeyPublisher:
     """Publisher on one key. Never blocks: a congested network drops messages."""
 
     _put: Callable[..., None]
     _traffic: BusTraffic
+    _held: HeldMessages
 
     def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
         """Publish a message; subscribers drop a second one with the same timestamp."""
         self._traffic.sent += 1
         self._traffic.sent_bytes += len(payload)
+        if self._held.is_holding:
+            self._held.add(partial(self._send_now, payload, attachment, stamp))
+        else:
+            self._send_now(payload, attachment, stamp)
+
+    def _send_now(self, payload: bytes, attachment: bytes, stamp: Stamp | None) -> None:
         # Each argument costs a tenth of the put.
         if stamp is not None:
             self._put(
@@ -90,9 +139,10 @@ class _KeyPublisher:
 class BusPublisher(_KeyPublisher):
     """Publisher on a key that the network knows of."""
 
-    def __init__(self, publisher: zenoh.Publisher, traffic: BusTraffic) -> None:
+    def __init__(self, publisher: zenoh.Publisher, traffic: BusTraffic, held: HeldMessages) -> None:
         self._publisher = publisher
         self._traffic = traffic
+        self._held = held
         self._put = publisher.put
         self._changes: zenoh.MatchingListener[Handler[zenoh.MatchingStatus]] | None = None
         self._was_matched = False
@@ -111,6 +161,8 @@ class BusPublisher(_KeyPublisher):
 
     def close(self) -> None:
         """Undeclare the publisher."""
+        if self._held.is_holding:
+            self._held.send()
         if self._changes is not None:
             self._changes.undeclare()
         self._publisher.undeclare()
@@ -127,9 +179,15 @@ class UndeclaredPublisher(_KeyPublisher):
     """Nothing says otherwise."""
 
     def __init__(
-        self, session: zenoh.Session, key: str, encoding: str, traffic: BusTraffic
+        self,
+        session: zenoh.Session,
+        key: str,
+        encoding: str,
+        traffic: BusTraffic,
+        held: HeldMessages,
     ) -> None:
         self._traffic = traffic
+        self._held = held
         self._put = partial(
             session.put,
             zenoh.KeyExpr(key),
@@ -163,11 +221,96 @@ class BusSubscriberWatch:
 
     def advertise(self, key: str, encoding: str) -> UndeclaredPublisher:
         """Make a publisher that declares nothing."""
-        return UndeclaredPublisher(self._session, key, encoding, self._bus.traffic)
+        return UndeclaredPublisher(
+            self._session, key, encoding, self._bus.traffic, self._bus.held_messages
+        )
 
     def close(self) -> None:
         """Close the session."""
         self._bus.close()
+
+
+class ArrivalSignal:
+    """Ends the pause of a loop when messages or requests arrive at its session.
+
+    It costs a call of Python in the thread that receives, less than two polls that find nothing.
+    """
+
+    def __init__(self) -> None:
+        # A lock is the cheapest that a thread can wait for. It is held until something arrives.
+        self._lock = threading.Lock()
+        self._lock.acquire()
+        self._requests: deque[None] = deque(maxlen=1)
+
+    def make_queue(self, depth: int, *, is_of_requests: bool) -> "ArrivedQueue[Item]":
+        """Make a queue whose arrivals are signalled; requests are queries and changed tokens."""
+        return ArrivedQueue(depth, self._lock, self._requests if is_of_requests else None)
+
+    def take_requests(self) -> bool:
+        """Whether there were queries or changed tokens since the last call."""
+        found = bool(self._requests)
+        self._requests.clear()
+        return found
+
+    def wait(self, timeout_s: float) -> None:
+        """Pause until something arrives, or arrived since the last call, or time is over."""
+        self._lock.acquire(timeout=timeout_s)
+
+
+class ArrivedQueue(Generic[Item]):
+    """The newest of what arrived; each is signalled."""
+
+    def __init__(
+        self, depth: int, lock: threading.Lock, requests: "deque[None] | None" = None
+    ) -> None:
+        """See `ArrivalSignal.make_queue`."""
+        self._items: deque[Item] = deque(maxlen=depth)
+        self.add = _make_adder(self._items.append, lock, requests)
+        """Adds one, in any thread; the oldest is dropped where there is no room."""
+
+    def try_recv(self) -> Item | None:
+        """Take the oldest; None if there is none. One thread may call it."""
+        return self._items.popleft() if self._items else None
+
+
+def _make_adder(
+    append: Callable[[Item], None], lock: threading.Lock, requests: "deque[None] | None"
+) -> Callable[[Item], None]:
+    """Make one function of few calls: it is called for each message, in a cold cache."""
+    is_locked, release = lock.locked, lock.release
+
+    def add(item: Item) -> None:
+        append(item)
+        if requests is not None:
+            requests.append(None)
+        if is_locked():
+            try:
+                release()
+            except RuntimeError:  # another thread was first
+                return
+
+    return add
+
+
+class ItemQueue(Protocol[Item_co]):
+    """A queue of Zenoh, or `ArrivedQueue`."""
+
+    def try_recv(self) -> Item_co | None:
+        """Take the oldest; None if there is none."""
+
+
+_Handler = tuple[Callable[[Item], object], ItemQueue[Item]]
+"""As declarations of Zenoh take it: what is called with each message, and the queue."""
+
+
+def _make_queue(
+    depth: int, signal: ArrivalSignal | None, *, is_of_requests: bool = False
+) -> _Handler[Item]:
+    """Make the queue of a declaration, which signals what arrives, or which is polled."""
+    if signal is None:
+        return cast("_Handler[Item]", RingChannel(depth))
+    queue: ArrivedQueue[Item] = signal.make_queue(depth, is_of_requests=is_of_requests)
+    return Callback(queue.add, indirect=False), queue
 
 
 class BusSubscription:
@@ -175,20 +318,22 @@ class BusSubscription:
 
     def __init__(
         self,
-        subscriber: "zenoh.Subscriber[Handler[zenoh.Sample]]",
+        subscriber: "zenoh.Subscriber[ItemQueue[zenoh.Sample]]",
         max_bytes: int,
         traffic: BusTraffic,
     ) -> None:
         self._subscriber = subscriber
+        self._queue = subscriber.handler
         self._max_bytes = max_bytes
         self._traffic = traffic
 
     def take(self) -> list[Sample]:
         """Take all queued messages, oldest first."""
-        found, receive, max_bytes = [], self._subscriber.try_recv, self._max_bytes
+        found, receive, max_bytes = [], self._queue.try_recv, self._max_bytes
         while (sample := receive()) is not None:
-            if len(sample.payload) <= max_bytes:  # before it is copied
-                found.append(to_sample(sample))
+            payload = sample.payload  # a copy of a reference, which takes a tenth of the time
+            if len(payload) <= max_bytes:  # before it is copied
+                found.append(_make_sample(sample, payload))
         if found:
             self._traffic.received += len(found)
             self._traffic.received_bytes += sum([len(one.payload) for one in found])
@@ -197,7 +342,7 @@ class BusSubscription:
     def take_payloads(self) -> list[bytes]:
         """Take the bytes of all queued messages, oldest first, at half the cost of `take`."""
         found = []
-        while (sample := self._subscriber.try_recv()) is not None:
+        while (sample := self._queue.try_recv()) is not None:
             if len(sample.payload) <= self._max_bytes:
                 found.append(sample.payload.to_bytes())
         if found:
@@ -207,7 +352,7 @@ class BusSubscription:
 
     def newest(self) -> Sample | None:
         """Take all queued messages and return the last."""
-        last, receive = None, self._subscriber.try_recv
+        last, receive = None, self._queue.try_recv
         while (sample := receive()) is not None:
             if len(sample.payload) <= self._max_bytes:
                 last = sample
@@ -471,11 +616,12 @@ class BusQueryQueue:
 
     def __init__(
         self,
-        queryable: "zenoh.Queryable[Handler[zenoh.Query]]",
+        queryable: "zenoh.Queryable[ItemQueue[zenoh.Query]]",
         sender: ReplySender,
         traffic: BusTraffic,
     ) -> None:
         self._queryable = queryable
+        self._queue = queryable.handler
         self._sender = sender
         self._traffic = traffic
 
@@ -484,7 +630,7 @@ class BusQueryQueue:
         calls: list[BusQuery] = []
         if self._sender.is_full:
             return calls
-        while len(calls) < MAX_TAKEN and (query := self._queryable.try_recv()) is not None:
+        while len(calls) < MAX_TAKEN and (query := self._queue.try_recv()) is not None:
             calls.append(BusQuery(query, self._sender, self._traffic))
         self._traffic.received += len(calls)
         return calls
@@ -508,13 +654,14 @@ class LivelinessToken:
 class LivelinessWatch:
     """Changes of liveliness tokens."""
 
-    def __init__(self, subscriber: "zenoh.Subscriber[Handler[zenoh.Sample]]") -> None:
+    def __init__(self, subscriber: "zenoh.Subscriber[ItemQueue[zenoh.Sample]]") -> None:
         self._subscriber = subscriber
+        self._queue = subscriber.handler
 
     def take(self) -> list[tuple[str, bool]]:
         """Take all queued changes: key, and whether it is alive."""
         changes = []
-        while (sample := self._subscriber.try_recv()) is not None:
+        while (sample := self._queue.try_recv()) is not None:
             changes.append((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
         return changes
 
@@ -602,10 +749,14 @@ def receive_in_one_thread() -> None:
 
 def to_sample(sample: zenoh.Sample) -> Sample:
     """Convert a Zenoh sample."""
+    return _make_sample(sample, sample.payload)
+
+
+def _make_sample(sample: zenoh.Sample, payload: zenoh.ZBytes) -> Sample:
     attachment = sample.attachment
     return Sample(
         str(sample.key_expr),
-        sample.payload.to_bytes(),
+        payload.to_bytes(),
         str(sample.encoding),
         attachment.to_bytes() if attachment else b"",
     )
@@ -614,6 +765,7 @@ def to_sample(sample: zenoh.Sample) -> Sample:
 __all__ = [
     "LATEST",
     "MAX_MESSAGE_BYTES",
+    "ArrivalSignal",
     "Bus",
     "BusConfig",
     "BusError",
@@ -823,11 +975,16 @@ class Bus:
     def __init__(self, session: zenoh.Session, config: BusConfig) -> None:
         self._session = session
         self._sender = ReplySender()
+        self.held_messages = HeldMessages()
+        """Of this session, and of those that it opens."""
+        self._expected_keys: dict[str, zenoh.KeyExpr] = {}
         self._user_token: zenoh.LivelinessToken | None = None
         # Names this session in its requests: a server shares its time among sessions.
         self._source = zenoh.SourceInfo(session.id, 0)
         self.config = config
         self.traffic = BusTraffic()
+        self.arrivals: ArrivalSignal | None = None
+        """Of subscriptions that were declared since `watch_arrivals`."""
 
     def __enter__(self) -> "Bus":
         """Return the bus."""
@@ -888,7 +1045,7 @@ class Bus:
             joined_publishers=joined_publishers,
         )
         opened = open_bus(config)
-        opened.traffic = self.traffic
+        opened.traffic, opened.held_messages = self.traffic, self.held_messages
         return opened
 
     def watch_subscribers(self, patterns: Iterable[str]) -> BusSubscriberWatch:
@@ -903,6 +1060,18 @@ class Bus:
         listed = tuple(patterns)
         opened = self.open_session(joined_publishers=listed)
         return BusSubscriberWatch(opened, opened._session, listed)  # noqa: SLF001 - of this class
+
+    def hold_messages(self) -> AbstractContextManager[None]:
+        """Hold what this thread publishes until the block ends, so that it takes few packets."""
+        return self.held_messages.hold()
+
+    def send_held(self) -> None:
+        """Send at once what is held."""
+        self.held_messages.send()
+
+    def watch_arrivals(self) -> None:
+        """Signal all that arrives at what is declared from now on."""
+        self.arrivals = ArrivalSignal()
 
     def close(self) -> None:
         """Send the replies that wait, and close the session and all that it declared."""
@@ -931,7 +1100,7 @@ class Bus:
             encoding=encoding,
             congestion_control=zenoh.CongestionControl.DROP,
         )
-        return BusPublisher(declared, self.traffic)
+        return BusPublisher(declared, self.traffic, self.held_messages)
 
     def subscribe(
         self, key: str, depth: int = LATEST, max_bytes: int = MAX_MESSAGE_BYTES
@@ -943,8 +1112,18 @@ class Bus:
             depth: Queue length; the newest messages are kept.
             max_bytes: Larger messages are dropped.
         """
-        declared = self._session.declare_subscriber(_to_key_expression(key), RingChannel(depth))
+        handler: _Handler[zenoh.Sample] = _make_queue(depth, self.arrivals)
+        declared = self._session.declare_subscriber(_to_key_expression(key), handler)
         return BusSubscription(declared, max_bytes, self.traffic)
+
+    def expect_key(self, key: str) -> None:
+        """Declare a key on which many messages come, for a session with many subscriptions.
+
+        They then come with a number, by which the session finds its subscriptions; else it compares
+        the key with each of them. Beyond `MAX_EXPECTED_KEYS` nothing changes.
+        """
+        if len(self._expected_keys) < MAX_EXPECTED_KEYS and key not in self._expected_keys:
+            self._expected_keys[key] = self._session.declare_keyexpr(key)
 
     def subscribe_newest(
         self, key: str, depth: int, keeps_all: Callable[[str], bool]
@@ -996,8 +1175,9 @@ class Bus:
             depth: Queue length.
             is_complete: Whether no other queryable has a part of the reply; else Zenoh queries all.
         """
+        handler: _Handler[zenoh.Query] = _make_queue(depth, self.arrivals, is_of_requests=True)
         declared = self._session.declare_queryable(
-            _to_key_expression(key), RingChannel(depth), complete=is_complete
+            _to_key_expression(key), handler, complete=is_complete
         )
         return BusQueryQueue(declared, self._sender, self.traffic)
 
@@ -1012,7 +1192,8 @@ class Bus:
     def watch_tokens(self, key: str, depth: int = 16384) -> LivelinessWatch:
         """Watch liveliness tokens, beginning with the present ones."""
         liveliness = self._session.liveliness()
-        return LivelinessWatch(liveliness.declare_subscriber(key, RingChannel(depth), history=True))
+        handler: _Handler[zenoh.Sample] = _make_queue(depth, self.arrivals, is_of_requests=True)
+        return LivelinessWatch(liveliness.declare_subscriber(key, handler, history=True))
 
     def list_tokens(self, key: str, timeout_s: float = 1.0) -> list[str]:
         """List the present liveliness tokens."""

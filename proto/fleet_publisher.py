@@ -352,6 +352,8 @@ class RosFleetPublisher:
 
     def put(self, members: Sequence[TopicMember], payloads: Sequence[bytes]) -> None:
         """Publish to members with subscribers; those without a publisher yet are skipped."""
+        if not self._matched.matched:
+            return
         if self._surplus:
             payloads = [payload[: -self._surplus] for payload in payloads]
         matched = self._matched.matched

@@ -4,6 +4,7 @@ Each consumer names the smallest protocol that it needs; the last ones combine o
 """
 
 from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager
 from typing import Final, NewType, Protocol, TypeVar
 
 import msgspec
@@ -154,6 +155,16 @@ class TokenWatch(Closable, Protocol):
         """Take all changes: key, and whether the token is alive."""
 
 
+class Arrivals(Protocol):
+    """What arrived at a session since the last look."""
+
+    def take_requests(self) -> bool:
+        """Whether there were queries or changed tokens since the last call."""
+
+    def wait(self, timeout_s: float) -> None:
+        """Pause until something arrives, or arrived since the last call, or time is over."""
+
+
 class PublishingNetwork(Protocol):
     """Declares publishers."""
 
@@ -162,6 +173,12 @@ class PublishingNetwork(Protocol):
 
     def advertise(self, key: str, encoding: str) -> Publisher:
         """Declare a publisher."""
+
+    def hold_messages(self) -> AbstractContextManager[None]:
+        """Hold what this thread publishes until the block ends, so that it takes few packets."""
+
+    def send_held(self) -> None:
+        """Send at once what is held."""
 
 
 class SubscriberWatch(Closable, Protocol):
@@ -294,6 +311,10 @@ class AgentNetwork(
     Protocol,
 ):
     """Network for agents."""
+
+    @property
+    def arrivals(self) -> Arrivals | None:
+        """What arrives; None where an agent polls for it."""
 
     def open_session(self) -> "AgentNetwork":
         """Open another session to the same network."""

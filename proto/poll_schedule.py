@@ -1,4 +1,7 @@
-"""Pauses between polls for states that come periodically; no event wakes a poller."""
+"""Pauses of a loop between states that come periodically.
+
+A loop that nothing wakes polls for them. One that is woken by what arrives pauses until then.
+"""
 
 import math
 
@@ -21,13 +24,15 @@ PERIOD_GROWTH = 1.1
 class PollSchedule:
     """Pauses between polls, from the wall time between states."""
 
-    def __init__(self, longest_s: float = MAX_PAUSE_S) -> None:
+    def __init__(self, longest_s: float = MAX_PAUSE_S, *, is_woken: bool = False) -> None:
         """Start without a known period.
 
         Args:
             longest_s: Maximum pause [s].
+            is_woken: Whether what arrives ends a pause.
         """
         self._longest_s = longest_s
+        self._is_woken = is_woken
         self._state_s = self._eager_until_s = -math.inf
         self._period_s = 0.0
 
@@ -39,8 +44,16 @@ class PollSchedule:
         if is_awaited:
             self._eager_until_s = now_s + EAGER_S
 
+    def deaf_s(self, now_s: float) -> float:
+        """Find how long not even an arrival ends the pause [s], so that states are not too many."""
+        if not self._is_woken or now_s < self._eager_until_s:
+            return 0.0
+        return min(MIN_PERIOD_S, max(0.0, MIN_PERIOD_S - (now_s - self._state_s)))
+
     def pause_s(self, now_s: float) -> float:
         """Find the pause until the next poll [s]."""
+        if self._is_woken:
+            return self._longest_s
         if now_s < self._eager_until_s:
             return EAGER_POLL_S
         passed_s = now_s - self._state_s

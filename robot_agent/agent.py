@@ -13,7 +13,7 @@ from typing import Protocol
 import msgspec
 
 from zensim.proto import keys
-from zensim.proto.bus import BusConfig, open_bus_with_retry
+from zensim.proto.bus import BusConfig, open_bus_with_retry, receive_in_one_thread
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
 from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
@@ -257,6 +257,8 @@ class EarlyState:
 LOG = logging.getLogger("zensim.agent")
 HOUSEKEEPING_PERIOD_S = 0.02
 """Period of everything but driving, which is not urgent."""
+SLOW_HOUSEKEEPING_PERIOD_S = 0.1
+"""The same with robots where requests end the pause: then only what is due by time is left."""
 
 
 MAX_LOGGED_CLAIMS = 20
@@ -363,9 +365,7 @@ class Agent:
         self._odometry = FleetOdometryPublisher(network, world, agent)
         self._priority = ProcessPriority(set_niceness)
         self._objects = None if config.pool_limit is None else CollectedObjects()
-        self._poll_schedule = PollSchedule(
-            MAX_COMMAND_PAUSE_S if config.pool_limit is None else MAX_PAUSE_S
-        )
+        self._poll_schedule = _make_poll_schedule(config, is_woken=network.arrivals is not None)
         self._late_command_window = LateCommandWindow()
         self._housekeeping_s = self._now_s = -math.inf
 
@@ -378,6 +378,10 @@ class Agent:
         self._watches.close()
         if self._rx_session is not self._network:
             self._rx_session.close()
+
+    def deaf_s(self, now_s: float) -> float:
+        """Find how long to sleep [s] first, whatever arrives."""
+        return self._poll_schedule.deaf_s(now_s)
 
     def pause_s(self, now_s: float) -> float:
         """Find how long to sleep [s] before the next poll."""
@@ -396,10 +400,15 @@ class Agent:
             MalformedPayload: See there.
         """
         self._now_s = now_s
-        if now_s >= self._housekeeping_s:
-            self._housekeeping_s = now_s + HOUSEKEEPING_PERIOD_S
+        arrivals = self._network.arrivals
+        if now_s >= self._housekeeping_s or (arrivals is not None and arrivals.take_requests()):
+            is_slow = arrivals is not None and bool(self._claims)
+            self._housekeeping_s = now_s + (
+                SLOW_HOUSEKEEPING_PERIOD_S if is_slow else HOUSEKEEPING_PERIOD_S
+            )
             self._do_housekeeping(now_s)
-        return self._drive()
+        with self._network.hold_messages():
+            return self._drive()
 
     def make_stats(self) -> AgentStats:
         """Make the statistics of this process."""
@@ -536,6 +545,8 @@ class Agent:
             self._commands.send(payload)
         else:
             self._commands.send(payload)
+            # The server should not wait for what is published of its state.
+            self._network.send_held()
             self._publish(state)
 
     def _publish(self, state: DriveState) -> None:
@@ -579,6 +590,8 @@ def run_agent(
 ) -> None:
     """Claim and drive entities until `should_stop`, or until they cannot be claimed.
 
+    What arrives ends a pause where the network signals it; else the agent polls.
+
     Raises:
         ServiceError: See `NamedClaimClient.poll`, as for the others.
         NoServer: See there.
@@ -591,7 +604,18 @@ def run_agent(
         while not should_stop():
             status.note_turn()
             agent.poll(clock())
-            sleep(agent.pause_s(clock()))
+            now_s = clock()
+            if network.arrivals is None:
+                sleep(agent.pause_s(now_s))
+            else:
+                sleep(agent.deaf_s(now_s))
+                network.arrivals.wait(agent.pause_s(now_s))
+
+
+def _make_poll_schedule(config: AgentConfig, *, is_woken: bool) -> PollSchedule:
+    if is_woken:
+        return PollSchedule(HOUSEKEEPING_PERIOD_S, is_woken=True)
+    return PollSchedule(MAX_COMMAND_PAUSE_S if config.pool_limit is None else MAX_PAUSE_S)
 
 
 def _make_robot_set(
@@ -649,6 +673,7 @@ def run_agent_process(start: AgentProcessConfig) -> None:
         signal.signal(number, signal.SIG_DFL)
     status = make_program_status(config.world, CLIENT_TURN_S)
     CONTEXT.world = config.world
+    receive_in_one_thread()
     deadline_s = time.monotonic() + config.wait_s
     with (
         served_status(start.metrics, status),
@@ -662,6 +687,9 @@ def run_agent_process(start: AgentProcessConfig) -> None:
         with suppress(KeyboardInterrupt):
             stop = StopFlag(is_armed=False, on_stop=status.drain)
             config = msgspec.structs.replace(config, agent=name, wait_s=left_s)
+            if config.pool_limit is None:
+                # A pool gets many messages between two states, and takes them with the next one.
+                bus.watch_arrivals()
             run_agent(bus, config, stop, status=status)
 
 

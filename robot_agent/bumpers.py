@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from zensim.proto import keys
 from zensim.proto.codec import cdr
 from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.message_paths import HEADER_STAMP
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.gazebo_messages import ContactsState, ContactState
 from zensim.proto.messages.model_messages import Sensor, Vec3
@@ -85,6 +86,10 @@ class Bumper:
         }
         self._seen_step: int | None = None
         self._payload: bytes | None = None
+        # Most robots touch nothing most of the time.
+        self._untouched = cdr.CdrTemplate(
+            self._make_message(0, []), numbers=(), stamps=HEADER_STAMP
+        )
 
     def reset(self) -> None:
         """Forget the last message; time may have gone back."""
@@ -103,7 +108,10 @@ class Bumper:
             for touch in report.touches.get(self._entity, ())
             if (touch.link, touch.collision) in self._names
         ]
-        self._payload = cdr.encode(self._make_message(report.time_ns, touches))
+        if touches:
+            self._payload = cdr.encode(self._make_message(report.time_ns, touches))
+        else:
+            self._payload = self._untouched.payload(report.time_ns, ())
         return self._payload
 
     def payload(self, row: int = 0) -> bytes | None:  # noqa: ARG002 - of the protocol

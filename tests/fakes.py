@@ -3,6 +3,7 @@
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Generic, NoReturn, TypeVar, cast
@@ -19,7 +20,7 @@ from zensim.proto import keys
 from zensim.proto.bus import LATEST, MAX_MESSAGE_BYTES, NoServer
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.keys import intersect
-from zensim.proto.network_protocols import Sample, Stamp
+from zensim.proto.network_protocols import Arrivals, Sample, Stamp
 from zensim.proto.service_catalog import Request, Response, Service, require_ok
 from zensim.proto.token_thread import TokenThread
 
@@ -61,8 +62,11 @@ class MemoryBus:
     While a caller waits for a reply, the functions in `pumps` run.
     """
 
+    arrivals: Arrivals | None = None
+
     def __init__(self) -> None:
         self.pumps: list[Callable[[], object]] = []
+        self.expected_keys: list[str] = []
         self.is_closed = False
         self.opened_sessions: list[MemoryBus] = []
         self._network = InProcessNetwork(_refuse_call)
@@ -78,6 +82,17 @@ class MemoryBus:
     @property
     def zid(self) -> str:
         return "ab12"
+
+    def expect_key(self, key: str) -> None:
+        """Keep the key."""
+        self.expected_keys.append(key)
+
+    def hold_messages(self) -> AbstractContextManager[None]:
+        """Hold nothing: a message takes no packet."""
+        return nullcontext()
+
+    def send_held(self) -> None:
+        """Do nothing: nothing is held."""
 
     def stamp(self) -> Stamp:
         return cast("Stamp", object())

@@ -573,10 +573,11 @@ class ServerLoop:
         if self._world.is_control_step:
             if self._inputs.is_active:
                 self._inputs.note_control_step()
-            # First the contacts: an agent that replies to a state has them.
-            self._publish_contacts()
-            self._agent_sessions.publish_states()
-            self._sensor_sessions.publish_state()
+            with self._publisher.hold_messages():
+                # First the contacts: an agent that replies to a state has them.
+                self._publish_contacts()
+                self._agent_sessions.publish_states()
+                self._sensor_sessions.publish_state()
             self._agent_sessions.wake_joined_clients()
 
     def _publish_contacts(self) -> None:

@@ -1,6 +1,7 @@
 """Input and output of the loop: requests, commands and liveliness in, topics and states out."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Protocol
 
 import msgspec
@@ -185,6 +186,9 @@ class WorldPublisher(Protocol):
     def forget_agent(self, agent: str) -> None:
         """Close the publisher of an agent."""
 
+    def hold_messages(self) -> AbstractContextManager[None]:
+        """Hold what is published until the block ends, so that it takes few packets."""
+
 
 class LatchedWorldTopic:
     """A topic of the world whose last message goes to late subscribers, too."""
@@ -299,6 +303,10 @@ class BusWorldPublisher:
             publisher = self._network.advertise(key, make_encoding(DriveState, form))
             self._agents[agent] = publisher
         publisher.send(encode(state, form))
+
+    def hold_messages(self) -> AbstractContextManager[None]:
+        """See `WorldPublisher`."""
+        return self._network.hold_messages()
 
     def forget_agent(self, agent: str) -> None:
         """See `WorldPublisher`."""

@@ -133,6 +133,135 @@ def test_messages_arrive_in_order_as_they_were_published(pair: Pair) -> None:
     assert subscription.newest() is None
 
 
+def test_held_messages_arrive_in_order_after_the_block(pair: Pair) -> None:
+    subscription = pair.far.subscribe("r1/*", 10)
+    odom, scan = pair.near.advertise("r1/odom", ""), pair.near.advertise("r1/scan", "")
+    pair.wait(lambda: odom.is_matched and scan.is_matched, "subscribers")
+
+    with pair.near.hold_messages():
+        odom.send(b"1")
+        scan.send(b"2", b"attached")
+        pair.near.send_held()
+        odom.send(b"3", stamp=pair.near.stamp())
+        odom.close()
+    scan.send(b"4")
+
+    found = [(one.payload, one.attachment) for one in take_all(pair, subscription, 4)]
+    assert found == [(b"1", b""), (b"2", b"attached"), (b"3", b""), (b"4", b"")]
+
+
+def test_messages_are_held_until_the_block_ends_or_they_are_sent(router: Bus) -> None:
+    with paired("zenoh", router) as pair:
+        subscription = pair.far.subscribe("r1/*", 10)
+        held, other = pair.near.advertise("r1/odom", ""), pair.far.advertise("r1/scan", "")
+        pair.wait(lambda: held.is_matched, "a subscriber")
+
+        with suppress(RuntimeError), pair.near.hold_messages():
+            held.send(b"1")
+            other.send(b"2")
+            assert [one.payload for one in take_all(pair, subscription, 1)] == [b"2"]
+            raise RuntimeError
+
+        assert [one.payload for one in take_all(pair, subscription, 1)] == [b"1"]
+
+
+def test_messages_of_undeclared_publishers_are_held_too(router: Bus) -> None:
+    with paired("zenoh", router) as pair:
+        assert isinstance(pair.near, Bus)
+        subscription = pair.far.subscribe("r1/*", 10)
+        with closing(pair.near.watch_subscribers(["*/odom"])) as watch:
+            publisher = watch.advertise("r1/odom", "")
+            pair.wait(lambda: watch.has_subscribers("r1/odom"), "a subscriber")
+            other = pair.far.advertise("r1/scan", "")
+
+            with pair.near.hold_messages():
+                publisher.send(b"1")
+                other.send(b"2")
+                first = take_all(pair, subscription, 1)
+
+            assert [one.payload for one in (*first, *take_all(pair, subscription, 1))] == [
+                b"2",
+                b"1",
+            ]
+
+
+def test_messages_of_another_thread_are_not_held(router: Bus) -> None:
+    with paired("zenoh", router) as pair:
+        subscription = pair.far.subscribe("r1/*", 10)
+        publisher = pair.near.advertise("r1/odom", "")
+        pair.wait(lambda: publisher.is_matched, "a subscriber")
+
+        with pair.near.hold_messages():
+            publisher.send(b"1")
+            thread = threading.Thread(target=publisher.send, args=(b"2",))
+            thread.start()
+            thread.join()
+            assert [one.payload for one in take_all(pair, subscription, 1)] == [b"2"]
+
+
+def test_messages_of_expected_keys_arrive_at_every_subscription(router: Bus) -> None:
+    with paired("zenoh", router) as pair:
+        assert isinstance(pair.far, Bus)
+        wide, exact = pair.far.subscribe("**/odom", 10), pair.far.subscribe("r1/odom", 10)
+        publishers = [pair.near.advertise(f"r{number}/odom", "") for number in (1, 2)]
+        pair.wait(lambda: all(one.is_matched for one in publishers), "subscribers")
+        for _ in range(2):
+            pair.far.expect_key("r1/odom")
+
+        for one in publishers:
+            one.send(b"1")
+        late = pair.far.subscribe("*/odom", 10)
+        take_all(pair, wide, 2)
+
+        found: list[Sample] = []
+
+        def is_late_one_there() -> bool:
+            publishers[0].send(b"2")
+            found.extend(late.take())
+            return bool(found)
+
+        pair.wait(is_late_one_there, "a message of a later subscription")
+        assert [one.payload for one in take_all(pair, exact, 2)][:2] == [b"1", b"2"]
+        late.close()
+
+
+def test_arrivals_end_a_pause_and_differ_from_requests(router: Bus) -> None:
+    with paired("zenoh", router) as pair:
+        assert isinstance(pair.far, Bus)
+        pair.far.watch_arrivals()
+        arrivals = pair.far.arrivals
+        assert arrivals is not None
+        subscription, queue = pair.far.subscribe("r1/odom", 2), pair.far.serve("r1/get")
+        publisher = pair.near.advertise("r1/odom", "application/cdr")
+        pair.wait(lambda: publisher.is_matched, "a subscriber")
+        for number in range(4):
+            publisher.send(bytes([number]))
+        arrivals.wait(WITHIN_S)
+
+        assert not arrivals.take_requests()
+        found: list[Sample] = []
+
+        def is_newest_there() -> bool:
+            found.extend(subscription.take())
+            return bool(found) and found[-1].payload == b"\x03"
+
+        pair.wait(is_newest_there, "the newest message")
+        assert isinstance(pair.near, Bus)
+        thread = threading.Thread(target=pair.near.get, args=("r1/get", WITHIN_S))
+        thread.start()
+        requests: list[Query] = []
+
+        def is_requested() -> bool:
+            arrivals.wait(0.1)
+            if arrivals.take_requests():
+                requests.extend(queue.take())
+            return bool(requests)
+
+        pair.wait(is_requested, "a request")
+        requests[0].reply(b"1", "")
+        thread.join()
+
+
 def test_a_full_queue_keeps_the_newest(pair: Pair) -> None:
     shallow, deep = pair.far.subscribe("a", 2), pair.far.subscribe("a", 10)
     publisher = pair.near.advertise("a", "")

@@ -215,6 +215,17 @@ def make(bus: MemoryBus) -> Make:
     return make
 
 
+def test_recorder_expects_messages_on_keys_that_it_records(bus: MemoryBus, make: Make) -> None:
+    recorder, _ = make(wants_all=True, exclude_topics=("r2/odom",))
+
+    for _ in range(2):
+        for key in ("r1/odom", "r2/odom", "r3/odom"):
+            bus.put_message(key, Odometry())
+        recorder.take()
+
+    assert bus.expected_keys == ["r1/odom", "r3/odom"]
+
+
 def announce(bus: MemoryBus, topic: str, number: int) -> MemoryToken:
     """Announce a publisher of a ROS 2 node."""
     endpoint = GraphEndpoint(

@@ -27,6 +27,7 @@ from zensim.proto.topic_catalog import AGENT_STATS, CONTACTS, DRIVE_STATE, FLEET
 from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.agent import (
     FREEZE_AFTER_S,
+    HOUSEKEEPING_PERIOD_S,
     MAX_WINDOW_S,
     MIN_WINDOW_S,
     NICENESS,
@@ -627,6 +628,63 @@ def test_run_agent_drives_until_an_error_is_raised() -> None:
     assert refusal.value.code == ResultCode.NOT_FOUND
 
     assert clock.now_s == pytest.approx(2.5, abs=1.0)
+
+
+class ManualArrivals:
+    """Arrivals of a network that signals them; a pause lasts as long as it may."""
+
+    def __init__(self, clock: ManualClock) -> None:
+        self.has_requests = False
+        self.pauses_s: list[float] = []
+        self._clock = clock
+
+    def take_requests(self) -> bool:
+        found, self.has_requests = self.has_requests, False
+        return found
+
+    def wait(self, timeout_s: float) -> None:
+        self.pauses_s.append(timeout_s)
+        self._clock.sleep(timeout_s)
+
+
+def test_agent_pauses_until_something_arrives_where_that_is_signalled() -> None:
+    clock = ManualClock()
+    bus, arrivals = MemoryBus(), ManualArrivals(clock)
+    bus.arrivals = arrivals
+    FakeServer(bus, "r1")
+    turns = iter(range(100))
+    config = AgentConfig(agent=AGENT, entities=("r1",))
+
+    run_agent(bus, config, lambda: next(turns) == 99, clock=clock, sleep=clock.sleep)
+
+    assert len(arrivals.pauses_s) == 99
+    assert set(arrivals.pauses_s) == {HOUSEKEEPING_PERIOD_S}
+
+
+def test_agent_replies_to_a_signalled_request_at_once() -> None:
+    bus, arrivals = MemoryBus(), ManualArrivals(ManualClock())
+    bus.arrivals = arrivals
+    server = FakeServer(bus, "r1")
+    agent = Agent(bus, AgentConfig(agent=AGENT, entities=("r1",)))
+    agent.poll(0.0)
+    server.send(a_state(0))
+    agent.poll(0.05)
+    agent.poll(0.1)
+    replies: list[int] = []
+
+    def get_when(now_s: float, *, is_signalled: bool) -> None:
+        def poll() -> None:
+            arrivals.has_requests = is_signalled
+            agent.poll(now_s)
+
+        bus.pumps.append(poll)
+        replies.append(len(bus.get("r1/odom")))
+        bus.pumps.remove(poll)
+
+    get_when(0.101, is_signalled=False)
+    get_when(0.102, is_signalled=True)
+
+    assert replies == [0, 1]
 
 
 @pytest.fixture

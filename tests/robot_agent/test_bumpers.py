@@ -9,7 +9,7 @@ import pytest
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import DRIVE, two_wheeler
 from zensim.api.in_process_network import InProcessSubscription
-from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.gazebo_messages import ContactsState
 from zensim.proto.messages.model_messages import Model, Sensor
@@ -19,8 +19,8 @@ from zensim.proto.messages.sensor_messages import (
     Environment,
     SensorTopic,
 )
-from zensim.proto.messages.standard_messages import Time, Vector3
-from zensim.robot_agent.bumpers import read_contact_report
+from zensim.proto.messages.standard_messages import Header, Time, Vector3, time_from_ns
+from zensim.robot_agent.bumpers import make_bumpers, read_contact_report
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 from zensim.robot_agent.robots import IndividualRobots
 
@@ -194,3 +194,14 @@ def test_contacts_of_released_robots_are_ignored(kind: str) -> None:
 def test_contacts_that_do_not_fit_together_are_malformed(told: Contacts) -> None:
     with pytest.raises(MalformedPayload):
         read_contact_report(told)
+
+
+@pytest.mark.parametrize("step", [1, 123_456_789])
+def test_bumper_that_touches_nothing_has_the_bytes_of_an_empty_message(step: int) -> None:
+    claim = Claim(1, "r1", "r1", a_touchy_robot(), "<robot/>", environment=ENVIRONMENT)
+    bumper = make_bumpers(claim)[0]
+    time = time_from_ns(step * STEP_NS)
+
+    assert bumper.take(read_contact_report(contacts(step))) == encode(
+        ContactsState(Header(time, "world")), Format.CDR
+    )

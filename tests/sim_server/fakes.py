@@ -1,6 +1,7 @@
 """A world, an inbox, a publisher and a wall clock for tests of the server; no network, no sleep."""
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -203,6 +204,10 @@ class RecordingPublisher:
 
     def serve_late_subscribers(self) -> None:
         pass
+
+    def hold_messages(self) -> AbstractContextManager[None]:
+        """Hold nothing."""
+        return nullcontext()
 
     def publish_drive_state(
         self, agent: str, state: DriveState, form: Format = Format.MSGPACK

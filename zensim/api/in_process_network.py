@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import Any, Generic, TypeVar, cast
 
@@ -9,7 +10,13 @@ import msgspec
 
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import decode
-from zensim.proto.network_protocols import MAX_FLEET_COMMAND_BYTES, Query, Sample, Stamp
+from zensim.proto.network_protocols import (
+    MAX_FLEET_COMMAND_BYTES,
+    Arrivals,
+    Query,
+    Sample,
+    Stamp,
+)
 from zensim.proto.service_catalog import Request, Response, Service
 
 Message = TypeVar("Message", bound=msgspec.Struct)
@@ -164,6 +171,9 @@ class InProcessQueries:
 class InProcessNetwork:
     """The network of agents and topics of one process."""
 
+    arrivals: Arrivals | None = None
+    """Nothing is signalled."""
+
     def __init__(self, on_call: Callable[[Service[Any, Any], Any], Any]) -> None:
         """Take the function that handles service calls."""
         self.version = 0
@@ -183,6 +193,13 @@ class InProcessNetwork:
     def open_session(self) -> "InProcessNetwork":
         """Return this network."""
         return self
+
+    def hold_messages(self) -> AbstractContextManager[None]:
+        """Hold nothing: a message takes no packet."""
+        return nullcontext()
+
+    def send_held(self) -> None:
+        """Do nothing: nothing is held."""
 
     def stamp(self) -> Stamp:
         """Make a time stamp."""

@@ -222,7 +222,22 @@ def _encode_clock(sample: Sample) -> bytes:
 class TopicTable:
     """The topic of each key and encoding; looked up for each message."""
 
-    def __init__(self, world: str, accepts: AcceptsTopic, step_ns: int = 0) -> None:
+    def __init__(
+        self,
+        world: str,
+        accepts: AcceptsTopic,
+        step_ns: int = 0,
+        note_key: Callable[[str], object] = len,
+    ) -> None:
+        """Know no topic yet.
+
+        Args:
+            world: Name of the world.
+            accepts: Decides which topics are recorded.
+            step_ns: See `make_topic`.
+            note_key: Is called once with each key whose messages are recorded.
+        """
+        self._note_key = note_key
         self._world = world
         self._step_ns = step_ns
         self._accepts = accepts
@@ -251,6 +266,7 @@ class TopicTable:
         if not self._accepts(name, topic.ros_type if topic is not None else ""):
             return None
         if topic is not None and self._kinds.setdefault(topic.name, topic.kind) is topic.kind:
+            self._note_key(sample.key)
             return topic
         self.unknown.add(name)
         return None
