@@ -265,6 +265,7 @@ ACTIVATION_ASLEEP = (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVAT
 ACTIVATION_AWAKE = (pybullet.ACTIVATION_STATE_WAKE_UP, pybullet.ACTIVATION_STATE_DISABLE_SLEEPING)
 COLLIDE_WITH_NOTHING, COLLIDE_WITH_ALL = (0, 0), (1, -1)  # group, mask
 ORIGIN_STATE: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
+ORIGIN_POSE = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 LEAST_FRICTION = 1e-9
 """Of a controlled joint: a motor without force keeps the effort that it last exerted."""
@@ -653,6 +654,7 @@ class PyBulletEngine(Engine):
         for body, efforts in self._joint_efforts.items():
             for joint, effort in efforts:
                 self._apply_effort(body, joint, effort)
+        self._separate_ground_from_sleepers()
         pybullet.stepSimulation(physicsClientId=self._client)
         self._set_activation(self._pool.after_step(), ACTIVATION_ASLEEP)
         self._apply_pending_velocities()
@@ -920,6 +922,18 @@ class PyBulletEngine(Engine):
         for _ in range(2):  # until it sleeps
             pybullet.stepSimulation(physicsClientId=self._client)
         return ground
+
+    def _separate_ground_from_sleepers(self) -> None:
+        """Keep the ground out of the broad-phase tree of bodies that do not move.
+
+        Its box has no end, and the boxes around it in the tree neither: each part that moves was
+        compared with a large part of the sleeping bodies. A body that is placed goes to the tree of
+        moving ones for two steps; placed where it is, it changes no pair of bodies.
+        """
+        if self._ground is not None and len(self._asleep) > 1:
+            pybullet.resetBasePositionAndOrientation(
+                self._ground, *ORIGIN_POSE, physicsClientId=self._client
+            )
 
     def _create(self, recipe: BodyRecipe, base: FloatArray) -> int:
         self._origin.changes += 1

@@ -528,3 +528,60 @@ def test_body_that_slept_when_a_state_was_taken_sleeps_when_it_is_restored() -> 
 
         # Bullet lets a body fall for one more step before it sleeps.
         assert restored.read((box,)).base[0, 2] == pytest.approx(height, abs=0.001)
+
+
+def drive_beside(sleepers: int, steps: int) -> np.ndarray:
+    """Drive a robot among others that sleep; return the states (steps, 13) of its base."""
+    with running(PyBulletEngine) as engine:
+        driven = engine.add(a_box_bot(), box_bot_at())
+        asleep = [engine.add(a_box_bot(), box_bot_at(100.0 + 3.0 * at)) for at in range(sleepers)]
+        engine.sleep(asleep)
+        engine.command([driven], np.array([5.0, 4.0]))
+        return np.array([engine.step() and engine.read([driven]).base[0] for _ in range(steps)])
+
+
+def placed_bodies(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Collect the bodies that are placed from now on."""
+    placed: list[int] = []
+    place = pybullet.resetBasePositionAndOrientation
+
+    def note(body: int, *given: object, **options: object) -> None:
+        placed.append(body)
+        place(body, *given, **options)
+
+    monkeypatch.setattr(pybullet, "resetBasePositionAndOrientation", note)
+    return placed
+
+
+def test_ground_is_placed_anew_in_steps_beside_sleeping_bodies_only(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    placed = placed_bodies(monkeypatch)
+
+    drive_beside(0, 3)
+    without = len(placed)
+    drive_beside(2, 3)
+
+    assert (without, len(placed)) == (0, 3)
+    assert len(set(placed)) == 1
+
+
+def test_placing_the_ground_anew_changes_no_bit_of_a_motion(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seen = drive_beside(3, 60)
+    monkeypatch.setattr(pybullet, "resetBasePositionAndOrientation", lambda *_, **__: None)
+
+    assert np.array_equal(seen, drive_beside(3, 60))
+
+
+def test_sleeping_body_keeps_its_pose_while_the_ground_is_placed_anew() -> None:
+    with running(PyBulletEngine) as engine:
+        box = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
+        advance(engine, 60)
+        engine.sleep([box])
+        advance(engine, 2)
+        before = engine.read([box]).base
+        advance(engine, 60)
+
+        assert np.array_equal(engine.read([box]).base, before)
