@@ -23,6 +23,7 @@ from zensim.sim_server.physics.cells.cell_worker_client import (
     CellWorkerReply,
     SharedArray,
 )
+from zensim.sim_server.physics.cells.memory_reserve import is_glibc
 from zensim.sim_server.physics.engine import (
     GROUND,
     BodyStates,
@@ -50,7 +51,7 @@ MALLOC_HEADER_BYTES = 2 * ctypes.sizeof(ctypes.c_size_t)
 
 def use_mmap_for_large_blocks() -> bool:
     """Make malloc map each large block separately; return whether it does."""
-    return _is_glibc() and bool(ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, MIN_BLOCK_BYTES))
+    return is_glibc() and bool(ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, MIN_BLOCK_BYTES))
 
 
 class ZeroPages:
@@ -66,7 +67,7 @@ class ZeroPages:
     def release(self) -> int:
         """Release those of new blocks; return how many bytes. Nothing if other threads run."""
         threads = Path("/proc/self/task")
-        if not _is_glibc() or not threads.is_dir() or len(list(threads.iterdir())) > 1:
+        if not is_glibc() or not threads.is_dir() or len(list(threads.iterdir())) > 1:
             return 0
         blocks = [block for area in _anonymous_areas() for block in _mmapped_blocks(*area)]
         released = sum(_release(*block) for block in blocks if block not in self._searched)
@@ -120,10 +121,6 @@ def _mmapped_blocks(start: int, end: int) -> Iterator[tuple[int, int]]:
             return
         yield start + mmap.PAGESIZE, start + size
         start += size
-
-
-def _is_glibc() -> bool:
-    return sys.platform == "linux" and hasattr(ctypes.CDLL(None), "gnu_get_libc_version")
 
 
 FORWARDED_METHODS = (

@@ -59,6 +59,8 @@ MAX_CELL_BODIES: dict[EngineName, int] = {"pybullet": 128, "mujoco": 128}
 more CPU a body (ADR 109). Smaller cells of MuJoCo are slower."""
 MAX_CELL_BODIES_LARGE_WORLD: dict[EngineName, int] = {"pybullet": 128, "mujoco": 256}
 """The same in worlds of about 1000 bodies: MuJoCo takes a fifth less time with more."""
+NEW_CELL_BYTES: dict[EngineName, int] = {"pybullet": 30 << 20, "mujoco": 0}
+"""Memory that an engine writes to when it is made: four fifths of that time are page faults."""
 MAX_PARALLEL_CELLS = 8
 """Default limit of threads or processes."""
 
@@ -100,7 +102,8 @@ def create_world_engine(
 
 def _make_cell_executor(cell: CellConfig, threads: int, workers: int) -> CellExecutor:
     if workers:
-        return WorkerCellExecutor(cell.make, cell, workers=workers)
+        cell_bytes = NEW_CELL_BYTES[cell.engine]
+        return WorkerCellExecutor(cell.make, cell, workers=workers, cell_bytes=cell_bytes)
     return InProcessCellExecutor(cell.make, threads=threads)
 
 

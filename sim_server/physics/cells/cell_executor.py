@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from zensim.sim_server.physics.cells.cell_worker_client import CellWorkerClient, RemoteCell
+from zensim.sim_server.physics.cells.memory_reserve import MemoryReserve
 from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray, SteppedTogether
 
 
@@ -31,7 +32,7 @@ class CellExecutor(Protocol):
     """Makes engines for cells, and steps many of them at once."""
 
     def start(self) -> None:
-        """Prepare for more than one cell, without waiting."""
+        """Prepare for one more cell, without waiting."""
 
     def make(self) -> Engine:
         """Make an engine for a new cell."""
@@ -141,13 +142,21 @@ class WorkerShare:
 class WorkerCellExecutor:
     """Cells shared evenly by this process and worker processes."""
 
-    def __init__(self, make: Callable[[], Engine], orders: object, *, workers: int) -> None:
+    def __init__(
+        self,
+        make: Callable[[], Engine],
+        orders: object,
+        *,
+        workers: int,
+        cell_bytes: int = 0,
+    ) -> None:
         """Prepare to make cells.
 
         Args:
             make: Makes an engine in this process.
             orders: How a worker makes engines; pickled.
             workers: Number of workers to start with the second cell.
+            cell_bytes: Memory that an engine writes to when it is made, if that takes long.
         """
         self._make = make
         self._orders = orders
@@ -156,6 +165,7 @@ class WorkerCellExecutor:
         self._own: list[Engine] = []
         self._workers: list[CellWorkerClient] = []
         self._numbers = count()
+        self._reserve = MemoryReserve(cell_bytes)
 
     @property
     def process_ids(self) -> list[int]:
@@ -163,16 +173,26 @@ class WorkerCellExecutor:
         return [worker.process_id for worker in self._workers]
 
     def start(self) -> None:
-        """Start the workers if they do not run; the first call waits for them."""
+        """See `CellExecutor.start`; the first call of a worker waits for it."""
+        self._start_workers()
+        if self._find_next_worker() is None:
+            self._reserve.prepare()
+
+    def _start_workers(self) -> None:
         while len(self._workers) < self._wanted:
             self._workers.append(CellWorkerClient(self._orders, len(self._workers) + 1))
+
+    def _find_next_worker(self) -> CellWorkerClient | None:
+        """Find the worker that gets the next cell; None = this process."""
+        emptiest = min(self._workers, key=lambda worker: worker.cells, default=None)
+        return None if emptiest is None or len(self._own) < emptiest.cells else emptiest
 
     def make(self) -> Engine:
         """See `CellExecutor.make`; the process with the fewest cells gets it, a worker first."""
         if self._own:
-            self.start()
-        emptiest = min(self._workers, key=lambda worker: worker.cells, default=None)
-        if emptiest is None or len(self._own) < emptiest.cells:
+            self._start_workers()
+        if (emptiest := self._find_next_worker()) is None:
+            self._reserve.release()
             self._own.append(self._make())
             return self._own[-1]
         emptiest.cells += 1
@@ -219,6 +239,7 @@ class WorkerCellExecutor:
         for worker in self._workers:
             worker.close()
         self._workers.clear()
+        self._reserve.release()
 
     def _split_by_worker(
         self, cells: Sequence[Engine]

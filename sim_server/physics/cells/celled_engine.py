@@ -543,8 +543,8 @@ def _raise_to_fastest(speeds: FloatArray, groups: IntArray) -> FloatArray:
     return np.maximum(speeds, fastest[groups] - SPEED_MARGIN_MPS / 2.0)
 
 
-WORKER_START_RATIO = 0.8
-"""Share of `CellSettings.single_cell_bodies` at which workers start."""
+CELL_START_RATIO = 0.8
+"""Share of the bodies that the cells hold at which one more is prepared."""
 
 
 class ExpectedBody(NamedTuple):
@@ -612,6 +612,13 @@ class CellMap:
         """Whether there is one cell, and it gets the next body."""
         return len(self.engines) == 1 and self.members.moving_count < self._single_cell_bodies
 
+    @property
+    def _held_bodies(self) -> int:
+        """Moving bodies for which the cells have room."""
+        if len(self.engines) == 1:
+            return self._single_cell_bodies
+        return len(self.engines) * self._capacity.max_bodies(self.members.moving_count)
+
     def fits_single_cell(self, models: Sequence[Model]) -> bool:
         """Whether one cell is enough when bodies of some models come."""
         moving = sum(map(can_move, models))
@@ -654,7 +661,7 @@ class CellMap:
             self.members.by_number[number].copies = copies
             self.record_static(number)
             return number
-        if self.members.moving_count > self._single_cell_bodies * WORKER_START_RATIO:
+        if self.members.moving_count > self._held_bodies * CELL_START_RATIO:
             self._cells.start()
         cell = self._find_planned_cell(model, base)
         if cell is None:

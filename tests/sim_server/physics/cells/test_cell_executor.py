@@ -13,12 +13,14 @@ import pytest
 from tests.engines import STEP_NS, advance
 from tests.integration.processes import eventually
 from tests.models import a_box, a_cart, a_fork, a_puck, a_state, an_arm, on_ground
+from tests.page_faults import PAGE_BYTES, count_page_faults
 from zensim.sim_server.physics.cells.cell_executor import InProcessCellExecutor, WorkerCellExecutor
 from zensim.sim_server.physics.cells.cell_worker_client import CellWorkerDied, RemoteCell
 from zensim.sim_server.physics.cells.celled_engine import CelledEngine, CellSettings
+from zensim.sim_server.physics.cells.memory_reserve import is_glibc
 from zensim.sim_server.physics.engine import Engine, EngineRefused
 from zensim.sim_server.physics.engine_config import EngineConfig
-from zensim.sim_server.physics.engine_factory import CellConfig
+from zensim.sim_server.physics.engine_factory import NEW_CELL_BYTES, CellConfig
 
 SETTINGS = CellSettings(single_cell_bodies=2, cell_bodies=3, period_steps=3)
 ORDERS = CellConfig("pybullet", EngineConfig(STEP_NS))
@@ -187,6 +189,23 @@ def test_workers_start_before_the_second_cell_is_needed() -> None:
         assert len(cells.process_ids) == 1
     finally:
         engine.close()
+
+
+@pytest.mark.skipif(not is_glibc(), reason="only glibc reuses what is freed")
+def test_cell_of_this_process_that_was_prepared_causes_few_page_faults() -> None:
+    size = NEW_CELL_BYTES["pybullet"]
+    cells = WorkerCellExecutor(ORDERS.make, ORDERS, workers=1, cell_bytes=size)
+    made = [cells.make() for _ in range(3)]
+    try:
+        cells.start()
+        faults = count_page_faults(lambda: made.append(cells.make()))
+
+        assert not isinstance(made[-1], RemoteCell)
+        assert faults < size // PAGE_BYTES // 2
+    finally:
+        for cell in made:
+            cells.end(cell)
+        cells.close()
 
 
 def test_cells_are_shared_evenly_again_after_others_ended() -> None:

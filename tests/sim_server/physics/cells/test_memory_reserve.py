@@ -1,0 +1,45 @@
+"""Memory that another thread writes to before it is needed."""
+
+import ctypes
+
+import pytest
+
+from tests.page_faults import PAGE_BYTES, count_page_faults
+from zensim.sim_server.physics.cells.memory_reserve import MemoryReserve, is_glibc
+
+BLOCK_BYTES = 16 << 20
+
+pytestmark = pytest.mark.skipif(not is_glibc(), reason="only glibc reuses what is freed")
+
+
+def write_to_new_block() -> None:
+    libc = ctypes.CDLL(None)
+    libc.malloc.restype = ctypes.c_void_p
+    address = libc.malloc(ctypes.c_size_t(BLOCK_BYTES))
+    ctypes.memset(address, 1, BLOCK_BYTES)
+    libc.free(ctypes.c_void_p(address))
+
+
+def test_released_memory_is_used_without_page_faults() -> None:
+    reserve = MemoryReserve(BLOCK_BYTES + (1 << 20))
+
+    reserve.prepare()
+    reserve.release()
+
+    assert count_page_faults(write_to_new_block) < BLOCK_BYTES // PAGE_BYTES // 10
+
+
+def test_reserve_is_prepared_once_until_it_is_released() -> None:
+    reserve = MemoryReserve(BLOCK_BYTES)
+    reserve.prepare()
+
+    assert count_page_faults(reserve.prepare) < BLOCK_BYTES // PAGE_BYTES // 10
+    reserve.release()
+    reserve.release()
+
+
+def test_reserve_of_no_size_does_nothing() -> None:
+    reserve = MemoryReserve(0)
+
+    reserve.prepare()
+    reserve.release()
