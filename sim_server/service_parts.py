@@ -38,12 +38,14 @@ class DeferredResponse(Generic[Response]):
     """A response that a handler finishes in a later turn of the loop.
 
     Attributes:
-        is_ready: Called at every turn of the loop, so it must be cheap.
+        is_ready: Called at every turn of the loop in which it is due, so it must be cheap.
         outcome: Called once, when ready; raises as a handler does.
+        is_due: Whether it may have become ready: reads one value, as its time is not measured.
     """
 
     is_ready: Callable[[], bool]
     outcome: Callable[[], Response]
+    is_due: Callable[[], bool] = lambda: True
 
 
 @dataclass(frozen=True)

@@ -273,6 +273,9 @@ class RequestDispatcher:
         """
         is_complete = True
         for pending in self._pending[:]:
+            # To measure 16 waiting ones in each turn took a twentieth of the loop.
+            if not pending.deferred.is_due():
+                continue
             client = pending.call.client
             if not budget.may_finish(client):
                 is_complete = False

@@ -175,8 +175,9 @@ def spawn_entity_when_parsed(
     if spawning.descriptions.provider.is_parsed(order):
         return spawn_entity(spawning, order)
     return DeferredResponse(
-        lambda: spawning.descriptions.has_new and spawning.descriptions.provider.is_parsed(order),
+        lambda: spawning.descriptions.provider.is_parsed(order),
         lambda: spawn_entity(spawning, order),
+        lambda: spawning.descriptions.has_new,
     )
 
 
@@ -455,9 +456,7 @@ def get_spawnables(
         return sum(descriptions.provider.is_parsed(order) for order in orders) == len(orders)
 
     return (
-        respond()
-        if is_read()
-        else DeferredResponse(lambda: descriptions.has_new and is_read(), respond)
+        respond() if is_read() else DeferredResponse(is_read, respond, lambda: descriptions.has_new)
     )
 
 

@@ -73,6 +73,32 @@ def test_loop_continues_while_a_description_is_parsed() -> None:
     assert names_in(server.world) == []
 
 
+def count_clock_reads(server: ServerFixture, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Count the readings of the loop's CPU time in a turn."""
+    reads = 0
+
+    def read_used_ns() -> int:
+        nonlocal reads
+        reads += 1
+        return 0
+
+    budget = server.loop._budget  # noqa: SLF001  its clock is read by nothing else
+    monkeypatch.setattr(budget, "_read_used_ns", read_used_ns)
+    server.loop.turn()
+    return reads
+
+
+def test_spawns_that_wait_for_parsing_are_not_measured_in_each_turn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    server = a_slow_server()
+    for name in ("r0", "r1", "r2"):
+        request_spawn(server, name)
+    server.loop.turn()
+
+    assert count_clock_reads(server, monkeypatch) == 0
+
+
 def test_loop_spawns_in_the_order_of_requests_when_descriptions_are_parsed() -> None:
     server = a_slow_server()
     calls = [request_spawn(server, name) for name in ("r2", "r0", "r1")]
