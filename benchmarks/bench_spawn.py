@@ -6,8 +6,8 @@ took, and for how long the loop's own work delayed a step (CPU time: the rest is
 programs): first without spawns, then with them. Floor: the same description parsed and added to
 PyBullet in this process, among as many bodies. Last: 2000 `spawn_entity` calls, each with a text of
 its own, 16 outstanding, while one process drives a hundred robots at real-time factor 1 and 240 Hz;
-the same floor as a rate, and what PyBullet alone takes of a core to step, command and read the
-hundred.
+the same floor as a rate, what PyBullet alone takes of a core to step, command and read the hundred,
+and of CPU time to make another world, as a spawn needs when a cell is full.
 """
 
 import random
@@ -42,6 +42,7 @@ from zensim.proto.messages.telemetry_messages import Stats
 from zensim.proto.topic_catalog import STATS
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn.spawn_client import make_resource, read_payload
 
@@ -59,6 +60,7 @@ OUTSTANDING = 16
 COLUMNS, APART_M = 50, 3.0
 WARM_S = 1.0
 FLOOR_STEPS = 240
+NEW_WORLDS = 5
 FACTOR = Limit("min", ">=", 0.8)
 
 
@@ -144,6 +146,7 @@ def _rates(*, is_short: bool) -> Iterator[Figure]:
     rate_hz = 1e3 * len(floor.samples) / sum(floor.samples)
     yield Figure(what="floor: read, and put into PyBullet, rate", unit="1/s", samples=(rate_hz,))
     yield _stepping_floor(driven)
+    yield _new_world_floor()
 
 
 def _spawn_many_singly(driven: int, count: int, dynamics: str) -> SpawnRun:
@@ -204,6 +207,20 @@ def _stepping_floor(robots: int) -> Figure:
     cores = used_s / (FLOOR_STEPS * CONFIG.step_ns * 1e-9)
     what = f"floor: {robots} driven robots stepped by PyBullet"
     return Figure(what=what, unit="cores", samples=(cores,))
+
+
+def _new_world_floor() -> Figure:
+    """Measure the longest call that a spawn may need: PyBullet makes another world."""
+    samples = tuple(_connect_ms() for _ in range(NEW_WORLDS))
+    return Figure(what="floor: new world of PyBullet", unit="CPU ms", samples=samples)
+
+
+def _connect_ms() -> float:
+    start_s = time.thread_time()
+    engine = PyBulletEngine(EngineConfig(CONFIG.step_ns))
+    took_s = time.thread_time() - start_s
+    engine.close()
+    return took_s * MILLISECONDS
 
 
 def _add_ms(engine: PyBulletEngine, text: str) -> float:
