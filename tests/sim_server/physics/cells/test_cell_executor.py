@@ -17,7 +17,6 @@ from tests.page_faults import PAGE_BYTES, count_page_faults
 from zensim.sim_server.physics.cells.cell_executor import InProcessCellExecutor, WorkerCellExecutor
 from zensim.sim_server.physics.cells.cell_worker_client import CellWorkerDied, RemoteCell
 from zensim.sim_server.physics.cells.celled_engine import CelledEngine, CellSettings
-from zensim.sim_server.physics.cells.memory_reserve import is_glibc
 from zensim.sim_server.physics.engine import Engine, EngineRefused
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_factory import NEW_CELL_BYTES, CellConfig
@@ -191,7 +190,6 @@ def test_workers_start_before_the_second_cell_is_needed() -> None:
         engine.close()
 
 
-@pytest.mark.skipif(not is_glibc(), reason="only glibc reuses what is freed")
 def test_cell_of_this_process_that_was_prepared_causes_few_page_faults() -> None:
     size = NEW_CELL_BYTES["pybullet"]
     cells = WorkerCellExecutor(ORDERS.make, ORDERS, workers=1, cell_bytes=size)

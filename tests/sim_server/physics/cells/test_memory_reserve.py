@@ -2,14 +2,10 @@
 
 import ctypes
 
-import pytest
-
 from tests.page_faults import PAGE_BYTES, count_page_faults
-from zensim.sim_server.physics.cells.memory_reserve import MemoryReserve, is_glibc
+from zensim.sim_server.physics.cells.memory_reserve import MemoryReserve
 
 BLOCK_BYTES = 16 << 20
-
-pytestmark = pytest.mark.skipif(not is_glibc(), reason="only glibc reuses what is freed")
 
 
 def write_to_new_block() -> None:
