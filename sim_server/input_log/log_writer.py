@@ -175,16 +175,20 @@ class InputLog:
         Messages have records of one epoch, as a recorder keeps those of each in a file.
         """
         engine = self._world.engine
-        if engine is not self._engine:
-            if isinstance(engine, LoggedEngine):
-                self._flush()
-                self._follow_engine(engine)
-            else:
-                self._finish()
-                self._begin()
-        elif self._epoch != self._world.clock.epoch:
-            self._flush()
+        is_same = engine is self._engine
+        if is_same and self._epoch == self._world.clock.epoch:
+            return
+        if not isinstance(engine, LoggedEngine):
+            self._finish()
+            self._begin()
+            return
+        self._flush()
+        if not self.is_active:  # too much waited: the next poll begins anew
+            return
+        if is_same:
             self._note_present()
+        else:
+            self._follow_engine(engine)
 
     def _follow_engine(self, engine: LoggedEngine) -> None:
         """Note an engine that was logged from its first call on."""

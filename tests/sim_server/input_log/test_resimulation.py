@@ -508,6 +508,29 @@ def test_log_that_grows_faster_than_it_is_published_begins_anew(
     assert any(one.log != first and one.sequence == 0 for one in logged.messages)
 
 
+@pytest.mark.parametrize("is_wanted", [False, True])
+def test_reset_at_which_a_log_is_full_ends_it_and_another_one_begins(
+    monkeypatch: pytest.MonkeyPatch, *, is_wanted: bool
+) -> None:
+    monkeypatch.setattr(log_writer, "MAX_KEPT_BYTES", 50_000)
+    logged = LoggedWorld("mujoco", is_fresh=not is_wanted)
+    logged.is_wanted = is_wanted
+    logged.spawn_robots(1)
+    logged.poll()
+    logged.messages.clear()
+    note_requests(logged, 20, 10_000)
+    logged.world.reset(ResetScope.TIME | ResetScope.STATE)
+
+    logged.poll()
+
+    assert not logged.log.is_active
+    logged.is_wanted = True
+    logged.poll()
+    starts = [one for one in list_records(logged.messages) if isinstance(one, LogStart)]
+    assert [(one.origin, one.epoch) for one in starts] == [("bodies", 1)]
+    assert logged.messages[0].sequence == 0
+
+
 def test_nothing_is_noted_without_a_subscriber() -> None:
     logged = LoggedWorld("mujoco", is_fresh=False)
     logged.is_wanted = False
