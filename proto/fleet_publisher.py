@@ -540,7 +540,7 @@ class FleetTopicPublisher:
         if self._is_searched:
             self._make_found()
             return
-        # Whoever publishes only to those with subscribers publishes none while there are none.
+        # A process that publishes to subscribers only puts nothing while it knows of none.
         if not self._undeclared and (self._has_put or not self._matched.matched):
             self._matched.check_some()
             self._has_put = False

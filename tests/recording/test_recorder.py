@@ -422,6 +422,24 @@ def test_messages_of_the_time_after_a_reset_are_in_its_file(
     assert sorted(after) == [("/r1/imu", 50_000_000), ("/sim/default/inputs", 60_000_000)]
 
 
+def test_inputs_of_two_resets_between_two_takes_are_in_the_file_of_each(
+    bus: MemoryBus, make: Make
+) -> None:
+    recorder, sink = make(topics=("sim/default/inputs",))
+    put_clock(bus, 30.0, epoch=0)
+    for epoch in (1, 2):
+        put_clock(bus, 0.0, epoch=epoch)
+    inputs = [Inputs("log", epoch, epoch) for epoch in (0, 1, 2)]
+    for one in inputs:
+        bus.put_message(INPUTS.key(WORLD), one, Format.MSGPACK)
+
+    recorder.take()
+
+    assert sink.begins == [1, 2]
+    for one, (*_, payload) in zip(inputs, sink.messages, strict=True):
+        assert encode(one, Format.MSGPACK) in payload
+
+
 def put_clock(bus: MemoryBus, time_s: float, *, epoch: int) -> None:
     clock = WorldClock(time_from_ns(round(time_s * SECOND_NS)), round(time_s * 100), epoch)
     bus.put_message(CLOCK.key(WORLD), clock, Format.MSGPACK)

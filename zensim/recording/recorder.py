@@ -372,7 +372,9 @@ class Recorder:
         """Whether the epoch of inputs, or the stamp of a message, is of the time after a reset."""
         if sample.key == self._inputs_key:
             with suppress(MalformedPayload):
-                return decode(Inputs, sample.payload, sample.encoding).epoch == reset.epoch
+                # More resets may follow. A server that was started again may begin at 0.
+                epoch = decode(Inputs, sample.payload, sample.encoding).epoch
+                return self._epoch != epoch >= reset.epoch
             return False
         stamp_ns, reset_ns = self._read_stamp(sample), ns_from_time(reset.clock)
         return stamp_ns is not None and abs(stamp_ns - reset_ns) < abs(stamp_ns - self._now_ns)
