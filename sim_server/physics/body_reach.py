@@ -19,7 +19,7 @@ SHAPE_MARGIN_M = 1e-3
 MAX_CACHED_REACHES = 256
 """Measured models in a cache."""
 MAX_CACHED_RADII = 16_384
-"""Measured meshes of a process."""
+"""Measured meshes of a process, besides those of models that are prepared."""
 MeshRadius = Callable[[Shape], float]
 """Radius of a mesh about its frame [m]; raises OSError when its file is missing."""
 MAX_REACH_M = 1e6
@@ -128,8 +128,6 @@ class ReachCache:
             corners = read_corners(Path(file).read_bytes())
             arms = np.linalg.norm(corners * np.array(shape.size), axis=1)
             radius_m = float(arms.max(initial=0.0))
-            if len(_MESH_RADII) >= MAX_CACHED_RADII:
-                _MESH_RADII.clear()
             _MESH_RADII[file, shape.size] = radius_m
         return radius_m
 
@@ -144,5 +142,7 @@ class ReachCache:
         if len(self._reaches) >= MAX_CACHED_REACHES:
             self._reaches.clear()
         found = measure_reach(model, self.mesh_radius)
+        if len(_MESH_RADII) > MAX_CACHED_RADII:  # not before: `prepare` would never end
+            _MESH_RADII.clear()
         self._reaches[id(model)] = model, found
         return found

@@ -10,6 +10,7 @@ import pytest
 from tests.models import TRACK_M, a_box, a_cart, a_fork, a_puck, an_arm
 from zensim.proto.messages.model_messages import Link, Model, Origin, Shape
 from zensim.proto.stl import write_corners
+from zensim.sim_server.physics import body_reach
 from zensim.sim_server.physics.body_reach import MAX_REACH_M, SHAPE_MARGIN_M, ReachCache
 from zensim.sim_server.physics.engine import can_move
 
@@ -89,3 +90,21 @@ def test_prepare_skips_missing_meshes(tmp_path: Path) -> None:
     shape = Shape("mesh", (1.0, 1.0, 1.0), mesh="gone")
 
     assert ReachCache(str(tmp_path)).prepare(Model("m", (Link("base", collisions=(shape,)),)))
+
+
+def test_prepare_of_more_meshes_than_are_kept_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(body_reach, "MAX_CACHED_RADII", 2)
+    monkeypatch.setattr(body_reach, "_MESH_RADII", {})
+    corners = np.array([[[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0] * 3]])
+    (tmp_path / "a.stl").write_bytes(write_corners(corners))
+    shapes = [Shape("mesh", (scale, scale, scale), mesh="a") for scale in (1.0, 2.0, 3.0)]
+    cache = ReachCache(str(tmp_path))
+
+    model = Model("m", (Link("l", collisions=tuple(shapes)),), is_static=True)
+    answers = [cache.prepare(model) for _ in range(4)]
+    cache.measure(model)
+
+    assert answers == [False, False, False, True]
+    assert not cache.prepare(model)  # forgotten
