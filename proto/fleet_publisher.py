@@ -1,7 +1,7 @@
 """One topic of many robots on plain and ROS 2 keys; publishers are declared lazily."""
 
 import time
-from collections import ChainMap, deque
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Final, Generic, Protocol, TypeVar
@@ -471,6 +471,8 @@ class FleetTopicPublisher:
         if watches is not None:
             watches.include(pattern)
         self._own_version = 0
+        self._demand: tuple[int, Mapping[TopicMember, int]] | None = None
+        """Of a version; see `list_demand`."""
         self._ros = ros
         self._faults = TopicFaults() if faults is None else faults
         self._message_type = message_type
@@ -592,12 +594,17 @@ class FleetTopicPublisher:
         return self._members.get(key, ())
 
     def list_demand(self) -> Mapping[TopicMember, int]:
-        """List the members whose messages are needed, and by whom: `NAMED` or `OTHERS`."""
-        searched = [self._searched, None if self._ros is None else self._ros.searched]
-        known = [one for one in searched if one is not None]
-        others = (dict.fromkeys(one.others, OTHERS) for one in known)
-        named = (dict.fromkeys(one.named, NAMED) for one in known)
-        return dict(ChainMap(*named, *others))
+        """List the members whose messages are needed, and by whom: `NAMED` or `OTHERS`.
+
+        All groups of robots ask for it; it is made once for each `version`.
+        """
+        if self._demand is None or self._demand[0] != self.version:
+            searched = [self._searched, None if self._ros is None else self._ros.searched]
+            known = [one for one in searched if one is not None]
+            demand = {member: OTHERS for one in known for member in one.others}
+            demand.update({member: NAMED for one in known for member in one.named})
+            self._demand = self.version, demand
+        return self._demand[1]
 
     def check_all(self) -> None:
         """Declare all missing publishers if there are subscribers, and check all."""

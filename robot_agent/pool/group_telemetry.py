@@ -165,9 +165,12 @@ class GroupTopic:
 
     def _find_demand(self) -> npt.NDArray[np.int8]:
         """Find who needs the messages of each row: `UNWANTED`, `NAMED` or `OTHERS`."""
+        listed = self.publisher.list_demand()
+        # The publisher has the members of other groups, too: few groups or many.
+        if len(listed) > len(self._members):
+            return np.array([listed.get(one, UNWANTED) for one in self._members], np.int8)
         demand = np.full(len(self._members), UNWANTED, np.int8)
-        for member, needed_by in self.publisher.list_demand().items():
-            # The publisher has the members of other groups, too.
+        for member, needed_by in listed.items():
             if member.row < len(demand) and self._members[member.row] is member:
                 demand[member.row] = needed_by
         return demand

@@ -463,6 +463,21 @@ def test_later_subscriber_of_one_of_many_receives_messages(clock: ManualClock) -
     assert [sample.payload for sample in late.take()] == [b"2"]
 
 
+def test_demand_is_listed_once_for_all_groups_until_it_changes(clock: ManualClock) -> None:
+    bus = DeclaringBus()
+    bus.subscribe("r7/text", 8)
+    publisher = make_large(bus)
+    search(publisher, clock)
+    (one,) = members_of(publisher, "r8")
+
+    first, again = publisher.list_demand(), publisher.list_demand()
+    bus.subscribe("r8/text", 8)
+    search(publisher, clock)
+
+    assert again is first
+    assert (one in first, publisher.list_demand()[one]) == (False, NAMED)
+
+
 def test_wildcard_makes_all_of_many_wanted_within_a_budget(clock: ManualClock) -> None:
     bus = DeclaringBus()
     bus.subscribe("*/text", 8)
