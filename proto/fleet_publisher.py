@@ -445,6 +445,9 @@ MAX_DECLARED_AT_ONCE = 32
 class FleetTopicPublisher:
     """One topic of many robots on the keys of one pattern."""
 
+    _demand: tuple[int, Mapping[TopicMember, int]] | None = None
+    """Of a version; see `list_demand`."""
+
     def __init__(
         self,
         network: AgentNetwork,
@@ -471,8 +474,6 @@ class FleetTopicPublisher:
         if watches is not None:
             watches.include(pattern)
         self._own_version = 0
-        self._demand: tuple[int, Mapping[TopicMember, int]] | None = None
-        """Of a version; see `list_demand`."""
         self._ros = ros
         self._faults = TopicFaults() if faults is None else faults
         self._message_type = message_type
