@@ -122,6 +122,8 @@ class InputLog:
         self, service: str, client: str, request: msgspec.Struct, code: int, message: str
     ) -> None:
         """Note a request that changed the world, or was refused."""
+        if self.is_active:  # a request that ends an epoch is noted in the next, as its step is
+            self._follow_world()
         step = self._world.clock.steps
         self._requests.append(make_noted_request(step, service, client, request, code, message))
 

@@ -461,6 +461,21 @@ def note_requests(logged: LoggedWorld, count: int, characters: int) -> None:
         logged.log.note_request("delete_entity", "c", request, ResultCode.OK, "")
 
 
+def test_requests_after_a_reset_are_in_messages_of_its_epoch() -> None:
+    logged = LoggedWorld("mujoco")
+    logged.spawn_robots(1)
+    logged.poll()
+    logged.messages.clear()
+
+    note_requests(logged, 1, 1)
+    logged.world.reset(ResetScope.TIME | ResetScope.STATE)
+    note_requests(logged, 2, 1)
+    logged.poll()
+
+    found = [(one.epoch, len(one.requests)) for one in logged.messages if one.requests]
+    assert found == [(0, 1), (1, 2)]
+
+
 def test_requests_count_as_what_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(log_writer, "MAX_KEPT_BYTES", 100_000)
     logged = LoggedWorld("mujoco")
