@@ -122,10 +122,11 @@ def secured_fleet(count: int) -> Iterator[tuple[Fleet, SecureFolder]]:
         done = zensim("fleet", "box_bot", *layout, "--join", operator)
         if done.returncode:
             raise RuntimeError(f"no fleet was spawned: {done.stderr}")
+        agents: list[int] = []
         for account in accounts:
             joined = ("--join", folder.write_token(account, endpoint))
-            stack.enter_context(
-                running("agent", *account.user.robots, *joined, "-q", "--cmd-vel-timeout", "0")
-            )
+            options = ("-q", "--cmd-vel-timeout", "0")
+            agent = running("agent", *account.user.robots, *joined, *options)
+            agents.append(stack.enter_context(agent).pid)
         wait_for_agents(server, names)
-        yield Fleet(server, [robot(bus, name) for name in names]), folder
+        yield Fleet(server, [robot(bus, name) for name in names], tuple(agents)), folder

@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import AbstractContextManager, closing
 
 import pytest
 
@@ -102,6 +102,12 @@ class FailingNetwork:
 
     def stamp(self) -> Stamp:
         return self._bus.stamp()
+
+    def hold_messages(self) -> AbstractContextManager[None]:
+        return self._bus.hold_messages()
+
+    def send_held(self) -> None:
+        self._bus.send_held()
 
 
 def test_a_failure_of_the_network_ends_no_later_command(

@@ -4,7 +4,7 @@ import ctypes
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import msgspec
@@ -545,9 +545,9 @@ def placed_bodies(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     placed: list[int] = []
     place = pybullet.resetBasePositionAndOrientation
 
-    def note(body: int, *given: object, **options: object) -> None:
+    def note(body: int, at: Sequence[float], facing: Sequence[float], **client: int) -> None:
         placed.append(body)
-        place(body, *given, **options)
+        place(body, at, facing, **client)
 
     monkeypatch.setattr(pybullet, "resetBasePositionAndOrientation", note)
     return placed
