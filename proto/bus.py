@@ -248,9 +248,10 @@ class ArrivalSignal:
 
     def take_requests(self) -> bool:
         """Whether there were queries or changed tokens since the last call."""
-        found = bool(self._requests)
+        if not self._requests:  # clearing it then could lose one that arrives meanwhile
+            return False
         self._requests.clear()
-        return found
+        return True
 
     def wait(self, timeout_s: float) -> None:
         """Pause until something arrives, or arrived since the last call, or time is over."""
