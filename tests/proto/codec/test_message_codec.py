@@ -232,12 +232,14 @@ def test_fields_of_a_subclass_are_in_all_formats_but_cdr() -> None:
 
 
 TWO_THREADS = """
+import sys
 import threading
 import msgspec
 from zensim.proto.codec.message_codec import decode
 
 def read(message_type):
-    print(decode(message_type, msgspec.msgpack.encode({"inner": {"number": 1}})).inner.number)
+    number = decode(message_type, msgspec.msgpack.encode({"inner": {"number": 1}})).inner.number
+    sys.stdout.write(f"{number}\\n")  # in one piece, as both threads write
 
 def read_in_another_thread():
     other = threading.Thread(target=read, args=(Other,))
