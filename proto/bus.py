@@ -248,7 +248,7 @@ class ArrivalSignal:
 
     def take_requests(self) -> bool:
         """Whether there were queries or changed tokens since the last call."""
-        if not self._requests:  # clearing it then could lose one that arrives meanwhile
+        if not self._requests:  # to clear it anyway could lose a request that arrives now
             return False
         self._requests.clear()
         return True

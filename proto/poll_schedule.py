@@ -1,6 +1,6 @@
 """Pauses of a loop between states that come periodically.
 
-A loop that nothing wakes polls for them. One that is woken by what arrives pauses until then.
+A loop polls for states, or pauses until an `ArrivalSignal` ends the pause.
 """
 
 import math
@@ -44,8 +44,8 @@ class PollSchedule:
         if is_awaited:
             self._eager_until_s = now_s + EAGER_S
 
-    def deaf_s(self, now_s: float) -> float:
-        """Find how long not even an arrival ends the pause [s], so that states are not too many."""
+    def minimum_pause_s(self, now_s: float) -> float:
+        """Find the part of the pause that no arrival ends [s]: it limits the rate of answers."""
         if not self._is_woken or now_s < self._eager_until_s:
             return 0.0
         return min(MIN_PERIOD_S, max(0.0, MIN_PERIOD_S - (now_s - self._state_s)))

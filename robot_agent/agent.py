@@ -379,9 +379,9 @@ class Agent:
         if self._rx_session is not self._network:
             self._rx_session.close()
 
-    def deaf_s(self, now_s: float) -> float:
+    def minimum_pause_s(self, now_s: float) -> float:
         """Find how long to sleep [s] first, whatever arrives."""
-        return self._poll_schedule.deaf_s(now_s)
+        return self._poll_schedule.minimum_pause_s(now_s)
 
     def pause_s(self, now_s: float) -> float:
         """Find how long to sleep [s] before the next poll."""
@@ -608,7 +608,7 @@ def run_agent(
             if network.arrivals is None:
                 sleep(agent.pause_s(now_s))
             else:
-                sleep(agent.deaf_s(now_s))
+                sleep(agent.minimum_pause_s(now_s))
                 network.arrivals.wait(agent.pause_s(now_s))
 
 

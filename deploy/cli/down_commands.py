@@ -36,7 +36,7 @@ def down(
     *,
     listen: Annotated[
         str,
-        typer.Option("--listen", metavar="ENDPOINT", help="End only what listens here."),
+        typer.Option("--listen", metavar="ENDPOINT", help="End only the world of this endpoint."),
     ] = "",
     everything: Annotated[bool, flag("--all", help="End all of them, if several run.")] = False,
     as_json: JsonOption = False,

@@ -75,7 +75,7 @@ class ZeroPages:
         return released
 
     def forget(self) -> None:
-        """Search all blocks again: one that was freed may have been mapped again."""
+        """Search all blocks next time: the system may have mapped a freed address again."""
         self._searched = frozenset()
 
 

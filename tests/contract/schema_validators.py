@@ -17,7 +17,7 @@ def jsonschema() -> ModuleType:
 
 @cache
 def kubernetes_validate() -> ModuleType:
-    """Import the schemas of Kubernetes, which bring jsonschema along."""
+    """Import the schemas of Kubernetes, which import jsonschema."""
     return import_module("kubernetes_validate")
 
 
@@ -25,7 +25,7 @@ def find_schema_mistakes(schema: str, *paths: Path) -> str:
     """Check files by the command check-jsonschema, in this process.
 
     Args:
-        schema: One that the command brings along, such as `vendor.compose-spec`.
+        schema: A schema of the command, such as `vendor.compose-spec`.
         paths: YAML files.
 
     Returns:

@@ -43,7 +43,7 @@ FILM_WAY_M = 2.0
 """Along the row of robots."""
 FILM_GREYS, FILM_COLOURS = 72, 88
 SAMPLED = 50_000
-"""Pixels and colours of which a palette is made."""
+"""Number of pixels that the palette is computed from."""
 KMEANS = 2
 """Changes of colours until which they are moved towards their pixels."""
 LEAST_CHROMA = 40

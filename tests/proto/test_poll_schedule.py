@@ -88,13 +88,13 @@ def test_a_woken_loop_answers_as_often_as_one_that_polls() -> None:
     rhythm = PollSchedule(is_woken=True)
     rhythm.note_state(10.0, is_awaited=False)
 
-    assert rhythm.deaf_s(10.0) == MIN_PERIOD_S
-    assert 0.0 < rhythm.deaf_s(10.0 + MIN_PERIOD_S / 2) < MIN_PERIOD_S
-    assert rhythm.deaf_s(10.0 + 2 * MIN_PERIOD_S) == 0.0
+    assert rhythm.minimum_pause_s(10.0) == MIN_PERIOD_S
+    assert 0.0 < rhythm.minimum_pause_s(10.0 + MIN_PERIOD_S / 2) < MIN_PERIOD_S
+    assert rhythm.minimum_pause_s(10.0 + 2 * MIN_PERIOD_S) == 0.0
 
 
 def test_a_woken_loop_answers_awaited_states_at_once() -> None:
     rhythm = PollSchedule(is_woken=True)
     rhythm.note_state(10.0, is_awaited=True)
 
-    assert rhythm.deaf_s(10.0) == PollSchedule().deaf_s(10.0) == 0.0
+    assert rhythm.minimum_pause_s(10.0) == PollSchedule().minimum_pause_s(10.0) == 0.0
