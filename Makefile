@@ -22,7 +22,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 STAMP := .venv/.setup-done
 
-.PHONY: help setup demo test browser short lint fmt types imports schemas docs site docs-media bench house chaos fuzz mutants pins \
+.PHONY: help setup demo test browser long short lint fmt types imports schemas docs site docs-media bench house chaos fuzz mutants pins \
 	interop interop-short interop-build interpreters ci clean packages wheel wheel-tests platforms notice image sizes
 
 help: ## list the targets
@@ -57,17 +57,23 @@ packages: # Debian packages that the tests use
 WORKERS ?= $$(($$(getconf _NPROCESSORS_ONLN) + 1))
 PYTEST := $(BIN)/python .ci/run_tests.py -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
+# Tests that other targets run.
+ELSEWHERE := short_form and not long_form and not interop and not images
+
 test: setup packages ## all tests but those of `make browser` and `make short`
-	@if [ "$$(id -u)" = 0 ]; then $(PYTEST) -m "not browser and not short_form and not interop and not images"; \
+	@if [ "$$(id -u)" = 0 ]; then $(PYTEST) -m "not browser and not $(ELSEWHERE)"; \
 	elif ! command -v sudo >/dev/null; then \
 		echo "tests of network namespaces need root, and there is no sudo; run make test as root" >&2; \
 		exit 1; \
-	else $(PYTEST) -m "not root and not browser and not short_form and not interop and not images" && \
-		sudo $(BIN)/python -B .ci/run_tests.py -p no:cacheprovider -m "root and not short_form and not images"; \
+	else $(PYTEST) -m "not root and not browser and not $(ELSEWHERE)" && \
+		sudo $(BIN)/python -B .ci/run_tests.py -p no:cacheprovider -m "root and not $(ELSEWHERE)"; \
 	fi
 
 browser: setup packages ## tests of the page in Chromium
-	$(PYTEST) -m "browser and not short_form"
+	$(PYTEST) -m "browser and not $(ELSEWHERE)"
+
+long: setup packages ## further cases of tests of `make test` and `make browser`, and long ones; as root
+	$(PYTEST) -m long_form
 
 short: setup packages ## short forms of `make bench`, `make chaos` and `make fuzz`
 	$(PYTEST) --dist load -m short_form

@@ -180,6 +180,7 @@ def test_program_of_the_documents_runs_on_the_wheel(python: Path, title: str) ->
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.long_form
 def test_tests_pass_on_the_wheel(python: Path, wheel: Path) -> None:
     outside = wheel.parent / "outside"
     shutil.copytree(ROOT / "tests", outside / "tests")

@@ -4,12 +4,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.contract.repository import ROOT
 
 EXAMPLE = ROOT / "examples" / "learning" / "ppo_reach.py"
 PNG = b"\x89PNG"
 
 
+@pytest.mark.long_form
 def test_example_learns_and_draws_its_curve(tmp_path: Path) -> None:
     picture = tmp_path / "curve.png"
     options = ["--updates", "2", "--worlds", "1", "--picture", str(picture)]

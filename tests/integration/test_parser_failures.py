@@ -122,6 +122,7 @@ def glb_of(text: bytes) -> bytes:
     return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON") + text
 
 
+@pytest.mark.long_form
 def test_spawn_is_refused_and_the_next_succeeds_when_a_mesh_exceeds_memory(
     server: Server, tmp_path: Path
 ) -> None:

@@ -13,7 +13,9 @@ from zensim.sim_server.physics.engine_config import EngineName
 SECONDS = 1.5
 
 
-@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+@pytest.mark.parametrize(
+    "engine", [pytest.param("pybullet", marks=pytest.mark.long_form), "mujoco"]
+)
 def test_run_over_the_network_is_repeated(engine: EngineName, tmp_path: Path) -> None:
     run = make_random_run(engine, seconds=SECONDS, seed=3)
     again = Resimulation(tmp_path, ResimChanges())
@@ -33,7 +35,9 @@ def test_run_over_the_network_is_repeated(engine: EngineName, tmp_path: Path) ->
     }
 
 
-@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+@pytest.mark.parametrize(
+    "engine", ["pybullet", pytest.param("mujoco", marks=pytest.mark.long_form)]
+)
 def test_changed_byte_of_a_command_is_found_in_the_second_in_which_it_acts(
     engine: EngineName, tmp_path: Path
 ) -> None:

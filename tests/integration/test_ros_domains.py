@@ -60,7 +60,7 @@ def spawn(observe: CallObserver, name: str) -> None:
     assert result_of(response) == ResultCode.OK
 
 
-@pytest.fixture(scope="module", params=DOMAINS)
+@pytest.fixture(scope="module", params=[0, pytest.param(7, marks=pytest.mark.long_form)])
 def domain(request: pytest.FixtureRequest) -> int:
     return int(request.param)
 

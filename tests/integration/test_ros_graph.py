@@ -75,7 +75,9 @@ GID = bytes(range(16))
 SEQUENCE, HEADER = 41, b"\x00\x01"
 
 
-@pytest.fixture(scope="module", params=["jazzy", "humble"])
+@pytest.fixture(
+    scope="module", params=["jazzy", pytest.param("humble", marks=pytest.mark.long_form)]
+)
 def distribution(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 

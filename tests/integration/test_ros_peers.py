@@ -81,7 +81,13 @@ def flatten(settings: dict[str, object], prefix: str = "") -> dict[str, object]:
     return found
 
 
-DEPLOYMENTS = [router, clients_of_router, serve, up, secured]
+DEPLOYMENTS = [
+    pytest.param(router, marks=pytest.mark.long_form),
+    clients_of_router,
+    serve,
+    pytest.param(up, marks=pytest.mark.long_form),
+    secured,
+]
 
 
 @pytest.fixture(scope="module", params=DEPLOYMENTS, ids=lambda one: one.__name__)

@@ -68,7 +68,12 @@ class Installation:
 
 @pytest.fixture(
     scope="module",
-    params=[(agents, distro) for agents in ("each", "pool") for distro in ("jazzy", "humble")],
+    params=[
+        ("each", "jazzy"),
+        pytest.param(("each", "humble"), marks=pytest.mark.long_form),
+        pytest.param(("pool", "jazzy"), marks=pytest.mark.long_form),
+        ("pool", "humble"),
+    ],
     ids="-".join,
 )
 def installation(request: pytest.FixtureRequest) -> Installation:

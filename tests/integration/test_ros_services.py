@@ -53,7 +53,9 @@ def listed(call_service: CallService) -> list[object]:
     ("kind", "type_hash", "resource"),
     [
         (SPAWN, ros.SPAWN_V2_HASH, {"entity_resource": {"uri": "box_bot"}}),
-        (ros.SPAWN_V1, ros.SPAWN_V1_HASH, {"uri": "box_bot"}),
+        pytest.param(
+            *(ros.SPAWN_V1, ros.SPAWN_V1_HASH, {"uri": "box_bot"}), marks=pytest.mark.long_form
+        ),
         (ros.SPAWN_V1, ros.OF_HUMBLE, {"uri": "box_bot"}),
     ],
     ids=["2.1", "1.x", "humble"],

@@ -37,7 +37,7 @@ Flat = tuple[float, float, float]
 """x, y [m] and yaw [rad] in the parent."""
 
 
-@pytest.fixture(scope="module", params=["each", "pool"])
+@pytest.fixture(scope="module", params=[pytest.param("each", marks=pytest.mark.long_form), "pool"])
 def server(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Server]:

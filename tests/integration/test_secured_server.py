@@ -179,7 +179,10 @@ def test_newcomer_needs_the_token_only(secured: Secured) -> None:
 
 
 @pytest.mark.usefixtures("agent")
-@pytest.mark.parametrize(("role", "may_control"), [("operator", True), ("observer", False)])
+@pytest.mark.parametrize(
+    ("role", "may_control"),
+    [pytest.param("operator", True, marks=pytest.mark.long_form), ("observer", False)],
+)
 def test_foxglove_has_the_rights_of_its_role(
     secured: Secured, role: str, *, may_control: bool
 ) -> None:
@@ -408,7 +411,9 @@ def test_join_with_a_wrong_password_is_in_the_audit(secured: Secured) -> None:
     assert secured.operator.stats().refused > before.refused
 
 
-@pytest.mark.parametrize(("role", "acts"), [("page", False), ("operator", True)])
+@pytest.mark.parametrize(
+    ("role", "acts"), [pytest.param("page", False, marks=pytest.mark.long_form), ("operator", True)]
+)
 def test_page_has_the_controls_that_its_role_may_use(
     secured: Secured, role: str, *, acts: bool
 ) -> None:

@@ -55,6 +55,7 @@ def test_lidar_publishes_each_period_with_the_time_of_its_step(alone: ScanHasher
     assert max(abs(one - other) for one, other in zip(found, due, strict=True)) <= STEPS
 
 
+@pytest.mark.long_form
 def test_sixty_seconds_of_lockstep_have_six_hundred_scans() -> None:
     scans = record_lockstep_scans(1, 60 * STEP_HZ, ["only"])
 

@@ -139,8 +139,7 @@ def test_database_names_a_shipped_model(server: Server) -> None:
     assert server.client.entities() == ("d1",)
 
 
-@pytest.mark.parametrize("source", ["-stdin", "-"])
-@pytest.mark.parametrize("text", [BOX, SMALL_XACRO])
+@pytest.mark.parametrize(("source", "text"), [("-stdin", BOX), ("-", SMALL_XACRO)])
 def test_description_is_read_from_standard_input(server: Server, source: str, text: str) -> None:
     done = subprocess.run(
         command_line(["spawn", source, "-entity", "s1", "--connect", server.endpoint]),

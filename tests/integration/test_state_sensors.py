@@ -42,7 +42,7 @@ def an_agent(server: Server, kind: str) -> Iterator[None]:
         yield
 
 
-@pytest.mark.parametrize("kind", ["alone", "pool"])
+@pytest.mark.parametrize("kind", [pytest.param("alone", marks=pytest.mark.long_form), "pool"])
 def test_robot_feels_itself_and_the_wall_that_it_drives_into(tmp_path: Path, kind: str) -> None:
     model, world = tmp_path / "seeing.urdf", tmp_path / "field.sdf"
     model.write_text(read_builtin_model("box_bot_lidar").replace("</robot>", GPS))

@@ -86,6 +86,7 @@ def test_server_is_ready_spawns_robots_and_stops(server: SystemdHost) -> None:
     assert (ended["ExecMainStatus"], ended["NRestarts"]) == (str(int(ExitCode.OK)), "0")
 
 
+@pytest.mark.long_form
 def test_pool_by_a_copy_of_the_unit_drives_the_robots(server: SystemdHost) -> None:
     spawn_missing(server)
 
@@ -107,6 +108,7 @@ def test_killed_server_is_started_again_with_its_robots(server: SystemdHost) -> 
     assert len(list_agents(server)) == ROBOTS
 
 
+@pytest.mark.long_form
 def test_stuck_server_is_ended_by_the_watchdog_and_started_again(server: SystemdHost) -> None:
     spawn_missing(server)
     server.run("systemctl", "stop", SERVICE)

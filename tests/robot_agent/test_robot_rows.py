@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from zensim.proto.rate_limiter import RateLimiter
@@ -13,6 +13,7 @@ STEPS = st.lists(st.sampled_from([0, 4_166_667, 12_500_000, 10_000_000, 1]), max
 
 
 @pytest.mark.parametrize("rate_hz", RATES)
+@settings(max_examples=25)
 @given(st.lists(STEPS, min_size=1, max_size=4))
 def test_rows_open_as_single_rate_limiters_do(rate_hz: float, courses: list[list[int]]) -> None:
     limiters, singles, time_ns = GroupRateLimiter(rate_hz), [], 0

@@ -17,7 +17,7 @@ from zensim.scenario.time_operators import (
     combine_results,
 )
 
-RTAMT_SEEDS = range(50) if sys.version_info < (3, 13) else range(0)
+RTAMT_SEEDS = range(20) if sys.version_info < (3, 13) else range(0)
 """rtamt pins a parser that later versions of Python cannot import."""
 
 

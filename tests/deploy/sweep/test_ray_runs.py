@@ -111,6 +111,7 @@ def test_cluster_that_is_not_there_is_reported_in_one_line(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.long_form
 def test_cluster_that_does_not_start_is_reported_and_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -232,7 +232,7 @@ def a_twist(rng: np.random.Generator) -> Twist:
 
 
 @pytest.mark.parametrize("drive", DRIVES.values(), ids=DRIVES)
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(PERIODS_NS))
 def test_pool_drives_and_publishes_as_individual_robots_do(
     drive: Drive, seed: int, period_ns: int
