@@ -257,9 +257,10 @@ def pub(
     message_type: Annotated[
         str,
         typer.Argument(
-            metavar="TYPE", help="Type, as geometry_msgs/msg/Twist; may be left out for cmd_vel."
+            metavar="TYPE",
+            help="Type, as geometry_msgs/msg/Twist; by default that of the topic of a robot.",
         ),
-    ],
+    ] = "",
     values: Annotated[
         str, typer.Argument(metavar="VALUES", help="Fields as YAML; those left out are 0.")
     ] = "",
@@ -302,7 +303,7 @@ def make_message(key: str, message_type: str, values: str) -> msgspec.Struct:
         ValueError: The type is unknown, or the fields are not those of the type.
     """
     kind = ROS_TYPES.get(message_type)
-    if kind is None and not values and message_type.lstrip().startswith("{"):
+    if kind is None and not values and message_type.lstrip()[:1] in ("", "{"):
         topic = ROBOT_TOPICS.get(last_chunk(key))
         kind, values = (topic.messages[0] if topic else None), message_type
     if kind is None:

@@ -131,6 +131,14 @@ def test_message_is_made_from_yaml_of_a_known_type() -> None:
     assert message.angular.z == 1.0
 
 
+@pytest.mark.parametrize(("given", "turn"), [("", 0.0), ("{angular: {z: 1}}", 1.0)])
+def test_type_of_a_topic_of_a_robot_may_be_left_out(given: str, turn: float) -> None:
+    message = make_message("r1/cmd_vel", given, "")
+
+    assert isinstance(message, Twist)
+    assert message.angular.z == turn
+
+
 @pytest.mark.parametrize("verb", ["list", "info"])
 def test_topic_fails_without_a_server(verb: str) -> None:
     done = run(app, verb, *(("r1/odom",) if verb == "info" else ()), "--connect", NOWHERE)
