@@ -1,9 +1,10 @@
-"""Profiles of property tests; handling of Ctrl-C; log level; order of files; garbage collection."""
+"""Profiles of property tests; Ctrl-C; log level; which files are read; their order; collection."""
 
 import gc
 import logging
 import signal
 from collections.abc import Generator, Sequence
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -26,6 +27,24 @@ WAITING = (
 """Files whose tests mostly wait for processes."""
 LAST_SHARE = 0.3
 """Of the other files: they come last, so that all workers end together."""
+WRITTEN_MARKS = frozenset({"root", "browser", "short_form", "interop", "images"})
+"""Each is written in the files of its tests; tests/contract/test_selection.py checks that."""
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out files without a mark that every selected test has: to import all takes a minute."""
+    marks = find_required_marks(config.getoption("markexpr"))
+    if not marks or collection_path.suffix != ".py":
+        return None
+    text = collection_path.read_text(encoding="utf-8")
+    return True if any(f"mark.{mark}" not in text for mark in marks) else None
+
+
+def find_required_marks(expression: str) -> list[str]:
+    """Find the written marks that each test has which `-m` selects."""
+    if "(" in expression or " or " in expression:
+        return []
+    return [term for term in expression.split(" and ") if term in WRITTEN_MARKS]
 
 
 @pytest.hookimpl(wrapper=True)

@@ -1,0 +1,59 @@
+"""Files that a run of marked tests does not read have none of its tests."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import WRITTEN_MARKS, find_required_marks, pytest_ignore_collect
+from tests.contract.repository import ROOT
+
+
+def test_marks_of_the_project_are_those_that_files_write() -> None:
+    _, _, rest = (ROOT / "pyproject.toml").read_text().partition("\nmarkers = [")
+
+    assert set(re.findall(r'"(\w+): ', rest.partition("\n]")[0])) == WRITTEN_MARKS
+
+
+def test_only_files_of_tests_write_marks() -> None:
+    mark = re.compile(rf"mark\.({'|'.join(WRITTEN_MARKS)})\b")
+
+    assert [
+        path
+        for path in (ROOT / "tests").rglob("*.py")
+        if not path.name.startswith("test_") and mark.search(path.read_text())
+    ] == []
+
+
+@pytest.mark.parametrize(
+    ("expression", "marks"),
+    [
+        ("short_form", ["short_form"]),
+        ("root and not short_form and not images", ["root"]),
+        ("not root and not browser", []),
+        ("root or browser", []),
+        ("hypothesis", []),
+        ("", []),
+    ],
+)
+def test_required_marks_are_those_of_every_selected_test(expression: str, marks: list[str]) -> None:
+    assert find_required_marks(expression) == marks
+
+
+@pytest.mark.parametrize(
+    ("expression", "text", "is_left_out"),
+    [
+        ("browser", "def test_a(): pass", True),
+        ("browser", "pytestmark = pytest.mark.browser", None),
+        ("not browser", "def test_a(): pass", None),
+    ],
+)
+def test_file_without_the_required_mark_is_left_out(
+    tmp_path: Path, expression: str, text: str, *, is_left_out: bool | None
+) -> None:
+    file = tmp_path / "test_a.py"
+    file.write_text(text)
+    config = pytest.Config.fromdictargs({"markexpr": expression}, [str(tmp_path)])
+
+    assert pytest_ignore_collect(file, config) is is_left_out
+    assert pytest_ignore_collect(tmp_path, config) is None
