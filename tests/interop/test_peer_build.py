@@ -1,12 +1,15 @@
 """Builds of the peers: found again by their contents, and refused without cargo."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from benchmarks.benchmark_report import Section
 from tests.interop import __main__ as interop
 from tests.interop.crate_pins import pin_crates
-from tests.interop.peer_build import SOURCES, PeersMissing, find_cargo, key_of
+from tests.interop.foreign_peers import JAZZY
+from tests.interop.peer_build import SOURCES, PeersMissing, find_cargo, find_peers, key_of
 
 LOCK = """version = 4
 
@@ -91,3 +94,45 @@ def test_run_without_cargo_is_skipped_unless_it_is_required(
 
     assert interop.run() == status
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.fixture
+def _cargo_that_must_not_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    cargo = tmp_path / "cargo"
+    cargo.write_text(f"#!/bin/sh\ntouch {tmp_path}/has_run\nexit 1\n")
+    cargo.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    monkeypatch.setenv("INTEROP_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("INTEROP", "cached")
+
+
+@pytest.mark.usefixtures("_cargo_that_must_not_run")
+def test_run_from_the_cache_is_left_out_in_a_line_without_a_build(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr("sys.argv", ["tests.interop", "--short"])
+
+    assert interop.run() == 0
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert not (tmp_path / "has_run").exists()
+
+
+@pytest.mark.usefixtures("_cargo_that_must_not_run")
+def test_run_from_the_cache_measures_with_the_build_that_is_there(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("sys.argv", ["tests.interop", "talk", "--short"])
+    built = find_peers(JAZZY)
+    built.parent.mkdir(parents=True)
+    built.touch()
+    measured: list[str] = []
+
+    def measure(name: str, *, is_short: bool) -> Section:
+        measured.append(name)
+        return Section(f"short: {is_short}", ("a figure",))
+
+    monkeypatch.setattr(interop, "DOCUMENT", replace(interop.DOCUMENT, make=measure))
+
+    assert interop.run() == 1
+    assert measured == ["talk"]
+    assert not (tmp_path / "has_run").exists()
