@@ -76,7 +76,7 @@ long: setup packages ## further cases of tests of `make test` and `make browser`
 	$(PYTEST) -m long_form
 
 short: setup packages ## short forms of `make bench`, `make chaos` and `make fuzz`
-	$(PYTEST) --dist load -m short_form
+	$(PYTEST) --dist load --maxschedchunk 1 -m short_form
 
 lint: setup ## style of the code, and dead code
 	$(BIN)/ruff check

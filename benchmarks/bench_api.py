@@ -30,16 +30,17 @@ BARE, IMPORT = "pass", "import zensim"
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure import, start, properties, commands and the loop of a controller."""
-    yield _import_cost(3 if is_short else 20)
-    yield _plugin_cost(3 if is_short else 20)
+    starts = 1 if is_short else 20
+    yield _import_cost(starts)
+    yield _plugin_cost(starts)
     repeats = 1 if is_short else REPEATS
     yield _figure("launch to a driven robot", "s", 3.0, [_launch() for _ in range(repeats)])
     with zensim.launch() as sim:
-        samples = [_connect(sim.endpoint) for _ in range(3 * repeats)]
+        samples = [_connect(sim.endpoint) for _ in range(1 if is_short else 3 * repeats)]
         yield _figure("connect and close", "s", 0.3, samples)
-        yield from _steps(sim, repeats, 100 if is_short else 400)
+        yield from _steps(sim, repeats, 20 if is_short else 400)
         sim.reset()
-        yield from _fleet(sim, 50 if is_short else FLEET)
+        yield from _fleet(sim, 10 if is_short else FLEET)
 
 
 def _figure(what: str, unit: str, most: float, samples: list[float]) -> Figure:

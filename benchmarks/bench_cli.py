@@ -81,7 +81,7 @@ def _measure_commands(
         samples: dict[str, list[float]] = {what: [] for what in commands}
         for _ in range(rounds):
             for what, (arguments, _) in commands.items():
-                samples[what].append(_measure_cpu_s(arguments, cache))
+                samples[what].append(_measure_cpu_s(arguments, None if is_short else cache))
     for what, (_, bound) in commands.items():
         yield Figure(
             what=what,
@@ -91,9 +91,11 @@ def _measure_commands(
         )
 
 
-def _measure_cpu_s(arguments: tuple[str, ...], cache: str) -> float:
-    # An installed package has its byte code.
-    environment = {**os.environ, "PYTHONPYCACHEPREFIX": cache, "PYTHONDONTWRITEBYTECODE": ""}
+def _measure_cpu_s(arguments: tuple[str, ...], cache: str | None) -> float:
+    """Measure a command, with byte code in a folder, as of an installed package, or as it is."""
+    environment = {**os.environ}
+    if cache is not None:
+        environment |= {"PYTHONPYCACHEPREFIX": cache, "PYTHONDONTWRITEBYTECODE": ""}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(
         [sys.executable, *arguments], stdout=subprocess.DEVNULL, check=True, env=environment

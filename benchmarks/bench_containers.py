@@ -16,7 +16,7 @@ from typing import TypeAlias
 from benchmarks.drive_states import make_claims, make_drive_states
 from benchmarks.figures import Figure, table
 from benchmarks.machine import used_s
-from benchmarks.ten_robots import CIRCLE, ROBOTS, ROBOTS_WHEN_SHORT, SPACING_M
+from benchmarks.ten_robots import CIRCLE, ROBOTS, SPACING_M
 from tests.fakes import MemoryBus
 from tests.integration.processes import Server, running, serving, wait_for_agents
 from tests.integration.robots import robot
@@ -44,7 +44,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         for name, make in CONTAINERS.items():
             states = STATES_WHEN_SHORT if is_short else STATES
             yield from _state_figures(f"{robots} robots, {name}", make, robots, states)
-    robots = ROBOTS_WHEN_SHORT if is_short else ROBOTS
+    robots = 1 if is_short else ROBOTS
     starts: dict[str, list[float]] = {name: [] for name in CONTAINERS}
     waits: dict[str, list[float]] = {name: [] for name in CONTAINERS}
     cores: dict[str, list[float]] = {name: [] for name in CONTAINERS}

@@ -27,7 +27,7 @@ from zensim.spawner.client.sim_client import SimClient
 __all__ = ["rows", "table"]
 
 SECONDS = 30
-SECONDS_WHEN_SHORT = 2
+SECONDS_WHEN_SHORT = 1
 COMMANDS_HZ = 10
 MEGABYTES = 1e-6
 FACTOR = Limit("mean", ">=", 0.99)

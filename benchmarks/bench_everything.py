@@ -35,8 +35,8 @@ from zensim.proto.endpoints import with_free_port
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.recording.recording_reader import RecordingReader
 
-SECONDS, SECONDS_WHEN_SHORT = 20, 2
-WARM_UP, WARM_UP_WHEN_SHORT = 5, 1
+SECONDS, SECONDS_WHEN_SHORT = 20, 1
+WARM_UP, WARM_UP_WHEN_SHORT = 5, 0
 """Seconds before the first sample, in which the scene is sent."""
 MODEL = "box_bot_lidar"
 SPACING_M = 1.2

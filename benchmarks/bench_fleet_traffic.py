@@ -11,10 +11,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from benchmarks.figures import Figure, Limit, table
-from benchmarks.fleet_server import spawn
 from benchmarks.installation import Span, observe, run_fleet_users, run_installation
 from benchmarks.motion import PATIENCE_S, SPEED, response_ms
-from benchmarks.ten_robots import MILLISECONDS
+from benchmarks.ten_robots import MILLISECONDS, spawn
 from tests.integration.processes import eventually
 from tests.integration.robots import Robot, robot
 

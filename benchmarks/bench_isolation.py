@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 __all__ = ["rows", "table"]
 
-RUNS = 5
+RUNS, SHARES_WHEN_SHORT = 5, 16
 MESHES_WHEN_SHORT = len(large_robot.ENDINGS)
 FAR_M = 500.0
 QUIET_S = 4.5
@@ -94,7 +94,8 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             for what, is_held in (("robot", False), ("scene", True)):
                 cargo = a_cargo(path, 2 * run + is_held, is_held=is_held, **size)
                 record_lateness.during(_acts(record_lateness.client, cargo, what))
-            record_lateness.during(_refusals(record_lateness.client, path, run))
+            every = SHARES_WHEN_SHORT if is_short else RUNS
+            record_lateness.during(_refusals(record_lateness.client, path, run, every))
     yield from _figures(record_lateness)
 
 
@@ -134,13 +135,13 @@ def _acts(client: SimClient, cargo: SpawnPayload, what: str) -> dict[str, Act]:
     }
 
 
-def _refusals(client: SimClient, folder: Path, run: int) -> dict[str, Act]:
-    """Distribute the refused inputs over the runs."""
+def _refusals(client: SimClient, folder: Path, run: int, every: int) -> dict[str, Act]:
+    """Take one of so many refused inputs, others in each run."""
     texts = sorted(corpus(), key=lambda case: len(case.text))[-LARGEST:]
     meshes = list(bad_meshes())
     return {
-        "refused descriptions": partial(_refuse_texts, client, texts[run::RUNS]),
-        "refused meshes": partial(_refuse_meshes, client, folder, meshes[run::RUNS]),
+        "refused descriptions": partial(_refuse_texts, client, texts[run::every]),
+        "refused meshes": partial(_refuse_meshes, client, folder, meshes[run::every]),
     }
 
 

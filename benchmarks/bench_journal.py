@@ -22,7 +22,6 @@ from typing import NamedTuple
 from benchmarks.bench_spawn import LONGEST_PAUSE_S, Spawner, an_order
 from benchmarks.bodies import standing_at
 from benchmarks.figures import Figure, Limit, table
-from benchmarks.fleet_server import spawn
 from benchmarks.ten_robots import (
     MILLISECONDS,
     ROBOTS,
@@ -30,6 +29,7 @@ from benchmarks.ten_robots import (
     fleet,
     latest_steps,
     observe,
+    spawn,
     stats_of,
 )
 from tests.integration.journals import kill_hard, serving_with_journal
@@ -45,7 +45,7 @@ from zensim.spawner.client.sim_client import SimClient
 __all__ = ["rows", "table"]
 
 SPAWNS, SPAWNS_WHEN_SHORT = 100, 5
-KEPT, KEPT_WHEN_SHORT = 100, 3
+KEPT = 100
 STARTS, STARTS_WHEN_SHORT = 10, 1
 SYNCED_BYTES = 64 * 1024
 LARGE, LARGE_WHEN_SHORT = {2000: (3.5, 8.0), 10_000: (15.0, 25.0)}, {20: (3.5, 8.0)}
@@ -60,14 +60,19 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure replies and steps with and without a journal, and restarts."""
     with tempfile.TemporaryDirectory() as folder:
         kept = ("--journal", f"{folder}/driven")
-        for what, arguments in (("without journal", ()), ("with journal", kept)):
+        without: tuple[tuple[str, Sequence[str]], ...] = (("without journal", ()),)
+        for what, arguments in (*(() if is_short else without), ("with journal", kept)):
             yield from _driven(what, arguments, is_short=is_short)
         yield Figure(
             what="floor: write and sync 64 KiB",
             unit="ms",
-            samples=tuple(_sync_ms(Path(folder) / "floor") for _ in range(SPAWNS)),
+            samples=tuple(
+                _sync_ms(Path(folder) / "floor")
+                for _ in range(SPAWNS_WHEN_SHORT if is_short else SPAWNS)
+            ),
         )
-        yield from _starts(Path(folder) / "kept", is_short=is_short)
+        if not is_short:  # the larger ones start in the same way
+            yield from _starts(Path(folder) / "kept")
         yield from _large_starts(Path(folder), is_short=is_short)
 
 
@@ -99,17 +104,16 @@ def _sync_ms(path: Path) -> float:
         return (time.perf_counter() - start_s) * MILLISECONDS
 
 
-def _starts(folder: Path, *, is_short: bool) -> Iterator[Figure]:
-    endpoint, count = free_endpoint(), KEPT_WHEN_SHORT if is_short else KEPT
+def _starts(folder: Path) -> Iterator[Figure]:
+    endpoint, count = free_endpoint(), KEPT
     with serving_with_journal(folder, endpoint) as server:
         for number in range(count):
             server.client.spawn(an_order(number))
         kill_hard(server)
-    times = STARTS_WHEN_SHORT if is_short else STARTS
     yield Figure(
         what=f"exec to the first list of {count} robots, after a kill",
         unit="s",
-        samples=tuple(_first_list_s(folder, endpoint) for _ in range(times)),
+        samples=tuple(_first_list_s(folder, endpoint) for _ in range(STARTS)),
         limit=Limit("max", "<=", 3.0),
     )
 
@@ -146,7 +150,7 @@ def _large_starts(folder: Path, *, is_short: bool) -> Iterator[Figure]:
             spawn(server.client, count)
             kill_hard(server)
         quiet = [_restart(kept, endpoint) for _ in range(starts)]
-        with _busy_cores():
+        with _busy_cores(1 if is_short else os.cpu_count() or 1):
             busy = [_restart(kept, endpoint) for _ in range(starts)]
         for when, found, most_s in (("idle", quiet, quiet_s), ("busy", busy, busy_s)):
             label = f"{count} robots, {when} cores: exec to"
@@ -186,10 +190,10 @@ def _make_bodies_s(count: int) -> float:
 
 
 @contextmanager
-def _busy_cores() -> Iterator[None]:
-    """Keep each core busy with a process until the block ends."""
+def _busy_cores(count: int) -> Iterator[None]:
+    """Keep so many cores busy with a process each until the block ends."""
     command = (sys.executable, "-c", COUNTING)
-    counting = [subprocess.Popen(command) for _ in range(os.cpu_count() or 1)]
+    counting = [subprocess.Popen(command) for _ in range(count)]
     try:
         yield
     finally:

@@ -43,7 +43,7 @@ __all__ = ["rows", "table"]
 
 LOAD_S, LOAD_WHEN_SHORT_S = 10.0, 0.3
 RECOVERY_S, RECOVERY_WHEN_SHORT_S = 5.0, 0.1
-SHORT_LOADS = ("64 get_entities in flight", "stopped with 2000 unread get_models")
+SHORT_LOADS = ("stopped with 2000 unread get_models",)
 THREE = "three clients "
 STOPPED = "stopped with 2000 unread get_models"
 FLOOR = "floor: "

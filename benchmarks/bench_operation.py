@@ -16,7 +16,8 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 from benchmarks.figures import Figure, Limit, table
-from tests.integration.processes import Server, eventually, running, serving
+from benchmarks.ten_robots import spawn
+from tests.integration.processes import eventually, running, serving
 from tests.integration.scraping import find_free_port, probe, scrape
 from zensim.proto.metric_families import DurationHistogram
 
@@ -38,7 +39,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     repeats = REPEATS_WHEN_SHORT if is_short else REPEATS
     port, pool_port = find_free_port(), find_free_port()
     with serving("--metrics", port, "--dynamics", "kinematic") as server:
-        _spawn(server, robots)
+        spawn(server.client, robots)
         pool = ("agent", "--pool", "0", "--metrics", pool_port, "--connect", server.endpoint)
         with running(*pool):
             eventually(lambda: server.client.info().claimed == robots, WITHIN_S, "claiming")
@@ -68,7 +69,7 @@ def _end_server(robots: int, most_s: float) -> Iterator[Figure]:
         tempfile.TemporaryDirectory() as folder,
         serving("--metrics", port, "--dynamics", "kinematic", "--journal", folder) as server,
     ):
-        _spawn(server, robots)
+        spawn(server.client, robots)
         server.process.send_signal(signal.SIGTERM)
         began_s = time.perf_counter()
         while probe(port, "/readyz") == IS_READY:
@@ -83,17 +84,6 @@ def _end_server(robots: int, most_s: float) -> Iterator[Figure]:
     yield Figure(what=f"{what} the end", unit="s", samples=(spent_s,), limit=limit)
     limit = Limit("max", "<=", 0.0)
     yield Figure(what=f"{what} the end, status", unit="", samples=(float(status),), limit=limit)
-
-
-def _spawn(server: Server, robots: int) -> None:
-    """Spawn robots on a grid.
-
-    Raises:
-        RuntimeError: They were not spawned.
-    """
-    done = server.zensim("fleet", "box_bot", "--robots", str(robots), "--layout", "grid")
-    if done.returncode:
-        raise RuntimeError(f"no fleet was spawned: {done.stderr}")
 
 
 def _timed(what: str, samples: tuple[float, ...], bound_ms: float) -> Figure:

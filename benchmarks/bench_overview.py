@@ -19,13 +19,14 @@ import msgspec
 import psutil
 
 from benchmarks.figures import written
-from benchmarks.fleet_server import program, spawn
+from benchmarks.fleet_server import program
 from benchmarks.installation import Installation, run_installation
+from benchmarks.ten_robots import spawn
 from tests.integration.processes import eventually
 from zensim.proto.messages.telemetry_messages import Info
 
 SECONDS, SECONDS_WHEN_SHORT = 5.0, 0.5
-SETTLE_S = 3.0
+SETTLE_S, SETTLE_WHEN_SHORT_S = 3.0, 0.2
 """After all are claimed; all are commanded within one second."""
 POOLS, POOL = 2, ("--pool", "0", "--cmd-vel-timeout", "0")
 CLAIMED_WITHIN_S = 120.0
@@ -93,7 +94,9 @@ def rows(*, is_short: bool) -> Iterator[Fleet]:
     seconds = SECONDS_WHEN_SHORT if is_short else SECONDS
     for physics, counts in (FLEETS_WHEN_SHORT if is_short else FLEETS).items():
         for robots in counts:
-            yield drive_fleet(physics, robots, seconds)
+            yield drive_fleet(
+                physics, robots, seconds, settle_s=SETTLE_WHEN_SHORT_S if is_short else SETTLE_S
+            )
 
 
 def table(fleets: Iterable[Fleet]) -> str:
@@ -102,7 +105,7 @@ def table(fleets: Iterable[Fleet]) -> str:
     return head + "".join(f"| {' | '.join(_cells(fleet))} |\n" for fleet in fleets)
 
 
-def drive_fleet(physics: Physics, robots: int, seconds: float) -> Fleet:
+def drive_fleet(physics: Physics, robots: int, seconds: float, *, settle_s: float) -> Fleet:
     """Run a fleet for this wall time [s], and measure it."""
     serve = ("--step-hz", f"{physics.step_hz:g}", *physics.arguments)
     with run_installation(serve, (POOL,) * POOLS, has_router=False) as crew:
@@ -111,7 +114,7 @@ def drive_fleet(physics: Physics, robots: int, seconds: float) -> Fleet:
         eventually(lambda: _ask(crew).claimed == robots, CLAIMED_WITHIN_S, "claiming")
         spawned_s = time.monotonic() - began_s
         with program("fleet_commander", crew.bus.endpoint, str(robots)):
-            time.sleep(SETTLE_S)
+            time.sleep(settle_s)
             factor, cores = _observe(crew, seconds)
             memory_mb = _measure_memory(crew)
             driving = _find_driving(crew) / robots

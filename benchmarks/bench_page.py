@@ -21,9 +21,10 @@ import msgspec
 import psutil
 
 from benchmarks.figures import Figure, Limit, Statistic, table
-from benchmarks.fleet_server import PATIENCE_S, FleetServer, program, run_fleet_server, spawn
+from benchmarks.fleet_server import PATIENCE_S, FleetServer, program, run_fleet_server
 from benchmarks.machine import used_s
 from benchmarks.page_visitor import Second
+from benchmarks.ten_robots import spawn
 from tests.integration.page_user import PageUser
 from tests.integration.processes import connected, eventually, running, serving
 from zensim.proto.messages.simulation_messages import State
@@ -34,8 +35,8 @@ from zensim.sim_server.description.builtin_models import read_builtin_model
 
 __all__ = ["rows", "table"]
 
-SECONDS, SECONDS_WHEN_SHORT = 20, 2
-WARM_UP_S, WARM_UP_WHEN_SHORT_S = 5.0, 0.5
+SECONDS, SECONDS_WHEN_SHORT = 20, 1
+WARM_UP_S, WARM_UP_WHEN_SHORT_S = 5.0, 0.0
 FLEETS, FLEETS_WHEN_SHORT = (100, 1000), (3,)
 MANY = 1000
 """Robots from which on the limits of large fleets hold."""
@@ -129,10 +130,14 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             if robots < MANY:
                 yield from _measure_shown_of_one(page, server)
             yield from _measure_search(page)
-    robots = FLEETS_WHEN_SHORT[0] if is_short else FLEETS[0]
-    with serving() as quiet, _serve_page(quiet.endpoint) as (url, pid):
-        spawn(quiet.client, robots)
-        page = Page(url, pid, robots, is_short)
+    if not is_short:
+        yield from _measure_standing_while_time_passes(FLEETS[0])
+
+
+def _measure_standing_while_time_passes(robots: int) -> Iterator[Figure]:
+    with serving() as server, _serve_page(server.endpoint) as (url, pid):
+        spawn(server.client, robots)
+        page = Page(url, pid, robots, is_short=False)
         yield from _measure_standing(page, "time passes")
 
 

@@ -29,7 +29,7 @@ from zensim.spawner.page.side_panel import format_clock
 
 __all__ = ["rows", "table"]
 
-PRESSES, PRESSES_WHEN_SHORT = 20, 2
+PRESSES, PRESSES_WHEN_SHORT = 20, 1
 HELD_S = 0.3
 REPEAT_S = 0.05
 POLL_S = 0.001

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import msgspec
 
-from benchmarks.bench_overview import Physics, drive_fleet
+from benchmarks.bench_overview import SETTLE_S, Physics, drive_fleet
 from benchmarks.figures import written
 from benchmarks.machine import ROOT
 from benchmarks.peers import environment
@@ -78,7 +78,7 @@ def rows(*, is_short: bool) -> Iterator[Row]:
         for label, command in programs.items():
             yield _run(label, command, robots, seconds, turns=1 if is_short else TURNS)
         for physics in NETWORK[-1:] if is_short else NETWORK:
-            fleet = drive_fleet(physics, robots, seconds)
+            fleet = drive_fleet(physics, robots, seconds, settle_s=SETTLE_S)
             yield Row(physics.label, robots, physics.step_hz, fleet.factor, fleet.step_us)
 
 

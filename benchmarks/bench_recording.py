@@ -49,7 +49,7 @@ __all__ = ["rows", "table"]
 
 HZ = 50.0
 TOPICS = ("*/odom", "*/tf")
-SECONDS, SECONDS_OF_OTHERS, SECONDS_WHEN_SHORT = 60.0, 20.0, 2.0
+SECONDS, SECONDS_OF_OTHERS, SECONDS_WHEN_SHORT = 60.0, 20.0, 1.0
 PAIRS = 3
 RUN_S, SETTLED_S = 10.0, 2.0
 PROGRAMS = {"agent": "agents", "record": "recorder", "router": "router", "sensors": "sensors"}
@@ -85,7 +85,8 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure recorders, the simulation beside one, and recovery."""
     seconds, of_others = (SECONDS_WHEN_SHORT,) * 2 if is_short else (SECONDS, SECONDS_OF_OTHERS)
     yield from _describe("10 robots", record(10, of_others), 0.03, 0.3)
-    yield from _describe("100 robots", record(100, seconds), 0.2, 2.6)
+    fleet = 3 if is_short else 100
+    yield from _describe(f"{fleet} robots", record(fleet, seconds), 0.2, 2.6)
     yield from _thinned(10 if is_short else 1000, of_others)
     yield from _terminated(20 if is_short else 500)
     yield from _timed_recovery(TIMED_BYTES_WHEN_SHORT if is_short else TIMED_BYTES)

@@ -16,7 +16,7 @@ from tests.integration.processes import Server
 __all__ = ["rows", "table"]
 
 SAMPLES = 500
-SAMPLES_WHEN_SHORT = 20
+SAMPLES_WHEN_SHORT = 3
 LONGEST_PAUSE_S = 0.01
 SEED = 7
 

@@ -15,7 +15,7 @@ from tests.integration.processes import free_endpoint, read_json_line, running
 
 __all__ = ["rows", "table"]
 
-ROBOTS, ROBOTS_WHEN_SHORT = (1, 2000, 10_000), (1, 30)
+ROBOTS, ROBOTS_WHEN_SHORT = (1, 2000, 10_000), (2,)
 RUNS = 3
 SPACING_M = 2.0
 LIMITS_S = {2000: 5.0, 10_000: 18.0}

@@ -26,7 +26,7 @@ from benchmarks.wheel_trial import KINEMATIC, Trial, run_trial
 from zensim.sim_server.description.motion_prediction import predict_nominal_motions
 
 ENGINES = ("pybullet", "mujoco", KINEMATIC)
-SHORT_ROBOTS = ("mass_ratio_100", "ball_mu_0.5", "skid_square")
+SHORT_ROBOTS = ("skid_square",)
 SERVICE_ROBOTS = ("mass_ratio_100", "ball_mu_0.5", "skid_square")
 TURN_SCALE = 0.5
 """Turn [rad/s] to which a drift is relative."""

@@ -36,7 +36,7 @@ ROUND, ALONG = 60, 20
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure both worlds in both engines."""
-    shapes, buildings = (30, 2) if is_short else (3000, 80)
+    shapes, buildings = (3, 1) if is_short else (3000, 80)
     with TemporaryDirectory() as folder:
         for label, file in (
             (f"shapes: {shapes} loose models", write_shapes(Path(folder), shapes)),

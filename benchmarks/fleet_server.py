@@ -15,15 +15,12 @@ import psutil
 
 from benchmarks.machine import ROOT, used_s
 from benchmarks.pybullet_floor import Turn
-from benchmarks.ten_robots import SPACING_M
+from benchmarks.ten_robots import spawn
 from benchmarks.watched_server import Usage, mark
 from tests.integration.processes import connected, end, free_endpoint
 from zensim.proto.messages.simulation_messages import State
-from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.proto.process_limits import PARENT_PID_VARIABLE
 from zensim.spawner.client.sim_client import SimClient
-from zensim.spawner.spawn.spawn_client import read_payload, spawn_many
-from zensim.spawner.spawn.spawn_poses import make_fleet_layout
 
 PATIENCE_S = 120.0
 """Servers start slowly on a busy machine."""
@@ -100,27 +97,6 @@ def run_fleet_server(count: int, *serve_arguments: str) -> Iterator[FleetServer]
         driver = stack.enter_context(program("circling_driver", endpoint, str(count)))
         line_with(f"claimed {count}", driver)
         yield found
-
-
-def spawn(
-    client: SimClient,
-    count: int,
-    *,
-    prefix: str = "box_bot",
-    at: tuple[float, float] = (0.0, 0.0),
-) -> None:
-    """Spawn robots on a grid with this origin [m], all between two steps.
-
-    Raises:
-        RuntimeError: Some were refused.
-    """
-    places = [
-        msgspec.structs.replace(place, x=place.x + at[0], y=place.y + at[1])
-        for place in make_fleet_layout(prefix, count, "grid", SPACING_M)
-    ]
-    outcomes = spawn_many(client, read_payload("box_bot"), places, SpawnEntityOrder())
-    if refused := [outcome for outcome in outcomes if outcome.message]:
-        raise RuntimeError(f"{len(refused)} robots were refused, first {refused[0]}")
 
 
 @contextmanager

@@ -6,13 +6,19 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
 
+import msgspec
+
 from benchmarks.figures import Figure, Limit
 from tests.integration.processes import Server, running, serving, wait_for_agents
 from tests.integration.robots import Robot, robot
 from zensim.proto.bus import BusSubscription
 from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.proto.messages.telemetry_messages import Stats
 from zensim.proto.topic_catalog import STATS
+from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.spawn.spawn_client import read_payload, spawn_many
+from zensim.spawner.spawn.spawn_poses import make_fleet_layout
 
 T = TypeVar("T")
 ROBOTS = 10
@@ -39,14 +45,32 @@ class Fleet:
             found.command(*CIRCLE)
 
 
+def spawn(
+    client: SimClient,
+    count: int,
+    *,
+    prefix: str = "box_bot",
+    at: tuple[float, float] = (0.0, 0.0),
+) -> None:
+    """Spawn robots on a grid with this origin [m], all between two steps.
+
+    Raises:
+        RuntimeError: Some were refused.
+    """
+    places = [
+        msgspec.structs.replace(place, x=place.x + at[0], y=place.y + at[1])
+        for place in make_fleet_layout(prefix, count, "grid", SPACING_M)
+    ]
+    outcomes = spawn_many(client, read_payload("box_bot"), places, SpawnEntityOrder())
+    if refused := [outcome for outcome in outcomes if outcome.message]:
+        raise RuntimeError(f"{len(refused)} robots were refused, first {refused[0]}")
+
+
 @contextmanager
 def fleet(count: int, *serve_arguments: str, is_pooled: bool = False) -> Iterator[Fleet]:
     """Run a server, robots far apart, and agents without a command timeout, or one pool."""
-    layout = ("--robots", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
     with serving(*serve_arguments) as server, ExitStack() as stack:
-        done = server.zensim("fleet", "box_bot", *layout)
-        if done.returncode:
-            raise RuntimeError(f"no fleet was spawned: {done.stderr}")
+        spawn(server.client, count)
         names = [f"box_bot{i}" for i in range(count)]
         connected = ("--connect", server.endpoint, "--quiet", "--cmd-vel-timeout", "0")
         agents = [

@@ -27,6 +27,8 @@ WAITING = (
 """Files whose tests mostly wait for processes."""
 LAST_SHARE = 0.3
 """Of the other files: they come last, so that all workers end together."""
+SMALL = "tests/benchmarks/test_wheels.py"
+"""Seventy tests of a second each: they come last, for the same reason."""
 WRITTEN_MARKS = frozenset({"root", "browser", "short_form", "interop", "images"})
 """Each is written in the files of its tests; tests/contract/test_selection.py checks that."""
 
@@ -65,13 +67,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def find_places(files: Sequence[str]) -> dict[str, float]:
-    """Find the place of each file in a run, 0 to 1, so that both kinds are mixed until the last."""
+    """Find the place of each file in a run, up to 1; both kinds are mixed until the last."""
     kinds: tuple[list[str], list[str]] = ([], [])
     for file in dict.fromkeys(files):
         kinds[file.startswith(WAITING)].append(file)
     computing, waiting = kinds
-    places = {file: (1.0 - LAST_SHARE) * n / len(waiting) for n, file in enumerate(waiting)}
-    return places | {file: n / len(computing) for n, file in enumerate(computing)}
+    # Among equals those that wait are first: their longest test, in `make short`, is the longest.
+    places = {file: (1.0 - LAST_SHARE) * n / len(waiting) - 0.01 for n, file in enumerate(waiting)}
+    places |= {file: n / len(computing) for n, file in enumerate(computing)}
+    return places | ({SMALL: 1.0} if SMALL in places else {})
 
 
 @pytest.fixture(autouse=True)

@@ -24,7 +24,7 @@ from tests.integration.robots import Robot, robot
 if TYPE_CHECKING:
     import subprocess
 
-ROUNDS, ROUNDS_WHEN_SHORT = 100, 3
+ROUNDS, ROUNDS_WHEN_SHORT = 100, 1
 TIMEOUT_S = 0.5
 """Timeout after which a robot without commands stops anyway."""
 MARGIN_S = 0.05

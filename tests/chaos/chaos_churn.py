@@ -12,7 +12,7 @@ from benchmarks.figures import Figure, Limit
 from tests.integration.processes import Server, serving
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 
-ROUNDS, ROUNDS_WHEN_SHORT = 10_000, 300
+ROUNDS, ROUNDS_WHEN_SHORT = 10_000, 100
 MEGABYTE = 1e6
 
 

@@ -21,7 +21,7 @@ from tests.integration.journals import kill_hard, serving_with_journal
 from tests.integration.processes import command_line, end, eventually, free_endpoint, zensim
 from zensim.sim_server.journal.sqlite_store import FILES
 
-COPIES, COPIES_WHEN_SHORT = 200, 2
+COPIES, COPIES_WHEN_SHORT = 200, 1
 STARTED_EVERY = 20
 ROBOTS = 10
 MESHED = 5

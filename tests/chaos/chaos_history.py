@@ -29,7 +29,7 @@ NAMES = tuple(f"n{i}" for i in range(8))
 KINDS: tuple[Kind, ...] = ("spawn", "delete", "look")
 LIFE_S, LIFE_WHEN_SHORT_S = (1.0, 5.0), (0.2, 0.4)
 """Time from the first reply to the kill."""
-KILLS, KILLS_WHEN_SHORT = sys.maxsize, 2
+KILLS, KILLS_WHEN_SHORT = sys.maxsize, 1
 SEED = 31
 
 

@@ -33,7 +33,7 @@ from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.topic_catalog import EVENTS
 
-ROUNDS, ROUNDS_WHEN_SHORT = 100, 4
+ROUNDS, ROUNDS_WHEN_SHORT = 100, 2
 TAKEOVERS, TAKEOVERS_WHEN_SHORT = 20, 1
 TAKEOVER_S = 2.0
 SEED = 17

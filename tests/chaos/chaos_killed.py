@@ -24,8 +24,8 @@ from zensim.proto.messages.telemetry_messages import WorldClock
 from zensim.proto.topic_catalog import CLOCK
 from zensim.spawner.client.sim_client import SimClient
 
-ROUNDS, ROUNDS_WHEN_SHORT = 100, 2
-ROBOTS, ROBOTS_WHEN_SHORT = 100, 5
+ROUNDS, ROUNDS_WHEN_SHORT = 100, 1
+ROBOTS, ROBOTS_WHEN_SHORT = 100, 3
 EVERY_S = 0.2
 LONGEST_LIFE_S = 2.0
 SEED = 23

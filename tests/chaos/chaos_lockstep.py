@@ -13,7 +13,7 @@ from tests.integration.repeatable_run import RunResult, drive, run_lockstep_flee
 
 RUNS, RUNS_WHEN_SHORT = 10, 2
 ROBOTS, ROBOTS_WHEN_SHORT = 20, 3
-STEPS, STEPS_WHEN_SHORT = 10_000, 480
+STEPS, STEPS_WHEN_SHORT = 10_000, 240
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:

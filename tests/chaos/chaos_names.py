@@ -16,8 +16,8 @@ from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.spawner.client.sim_client import SimClient
 
-CLIENTS, CLIENTS_WHEN_SHORT = 100, 20
-ROUNDS, ROUNDS_WHEN_SHORT = 10, 2
+CLIENTS, CLIENTS_WHEN_SHORT = 100, 8
+ROUNDS, ROUNDS_WHEN_SHORT = 10, 1
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:

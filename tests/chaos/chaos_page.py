@@ -40,10 +40,11 @@ from tests.integration.processes import START_S, eventually, kill, running_up
 from zensim.proto.bus import Bus
 from zensim.spawner.client.sim_client import SimClient
 
-VISITORS, VISITORS_WHEN_SHORT = 100, 20
+ROBOTS, ROBOTS_WHEN_SHORT = 10, 2
+VISITORS, VISITORS_WHEN_SHORT = 100, 6
 MUTE, MUTE_WHEN_SHORT = 20, 3
-LASTS_S, LASTS_WHEN_SHORT_S = 600.0, 5.0
-MUTANTS, MUTANTS_WHEN_SHORT = 100_000, 300
+LASTS_S, LASTS_WHEN_SHORT_S = 600.0, 2.0
+MUTANTS, MUTANTS_WHEN_SHORT = 100_000, 100
 SENDERS, SENDERS_WHEN_SHORT = 40, 4
 STAY_S = (0.1, 1.5)
 """Shortest and longest visit."""
@@ -100,7 +101,8 @@ async def _read(page: AsyncConnection) -> None:
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Load a page, then kill it."""
-    with running_up("--robots", "10", "--viewer-port", "0") as (process, ready, bus):
+    robots = ROBOTS_WHEN_SHORT if is_short else ROBOTS
+    with running_up("--robots", str(robots), "--viewer-port", "0") as (process, ready, bus):
         url = str(ready["viewer"])
         yield from _load(bus, url, process.pid, is_short=is_short)
         yield from _kill(url, process.pid, KILLS_WHEN_SHORT if is_short else KILLS)

@@ -30,7 +30,7 @@ from zensim.recording.recording_reader import RecordingReader
 from zensim.recording.recovery import recover_file
 
 KILLS, KILLS_WHEN_SHORT = 50, 1
-DAMAGED, DAMAGED_WHEN_SHORT = 200, 10
+DAMAGED, DAMAGED_WHEN_SHORT = 200, 3
 MESSAGES, IN_A_CHUNK = 3000, 100
 HZ = 50.0
 LONGEST_S = 3600.0

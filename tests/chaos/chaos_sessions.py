@@ -25,7 +25,7 @@ from zensim.proto.messages.world_messages import LoadWorldRequest
 from zensim.proto.process_limits import PARENT_PID_VARIABLE
 from zensim.proto.service_catalog import LOAD_WORLD
 
-HELD, HELD_WHEN_SHORT = 1000, 100
+HELD, HELD_WHEN_SHORT = 1000, 30
 FILES, FILES_WHEN_SHORT = 1024, 260
 SETTLE_S, SETTLE_WHEN_SHORT_S = 10.0, 1.0
 OWN_SESSIONS = 1

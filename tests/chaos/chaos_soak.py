@@ -16,7 +16,7 @@ from tests.integration.processes import Server, serving
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 
 WARM_UP_ROUNDS, WARM_UP_ROUNDS_WHEN_SHORT = 2100, 200
-SOAK_S, SOAK_WHEN_SHORT_S = 1800.0, 10.0
+SOAK_S, SOAK_WHEN_SHORT_S = 1800.0, 3.0
 ROUND_S, READ_EVERY_S = 0.5, 10.0
 HOUR_S = 3600.0
 MEGABYTE = 1e6

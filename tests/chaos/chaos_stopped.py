@@ -32,8 +32,8 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             found.read_clock()
             last = found.clock.last[1]
             found.clock.received.clear()
-            kill(server.process.pid, signal.SIGCONT)
             went_on_s = time.monotonic()
+            kill(server.process.pid, signal.SIGCONT)
             back.append(found.drive_s())
             rates.append(_steps_in_first_second(found, went_on_s, last))
         steps_back = float(found.clock.steps_back)

@@ -19,7 +19,7 @@ from tests.chaos.one_robot import (
 from tests.integration.processes import Server, agent_of, eventually, kill, running
 from tests.integration.robots import robot
 
-ROUNDS, ROUNDS_WHEN_SHORT = 50, 2
+ROUNDS, ROUNDS_WHEN_SHORT = 50, 1
 CALM_S = 0.3
 WATCHED_S = 0.5
 """Simulation time of observation after the first agent resumed."""

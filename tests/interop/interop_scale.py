@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 
 from benchmarks.figures import Figure, Limit
-from benchmarks.fleet_server import spawn
+from benchmarks.ten_robots import spawn
 from tests.integration.processes import eventually
 from tests.interop.acceptance import all_of
 from tests.interop.foreign_peers import SERVE, Stage, stage
