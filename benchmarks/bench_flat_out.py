@@ -49,7 +49,7 @@ class Served:
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure one robot and a fleet of ten."""
     window_s = WINDOW_WHEN_SHORT_S if is_short else WINDOW_S
-    windows = 2 if is_short else WINDOWS
+    windows = 1 if is_short else WINDOWS
     for robots in (1,) if is_short else (1, ROBOTS):
         served = {
             what: _serve(robots, windows, window_s, is_pooled=is_pooled)

@@ -12,7 +12,7 @@ from benchmarks.figures import Figure, Limit
 from tests.integration.repeatable_run import RunResult, drive, run_lockstep_fleet
 
 RUNS, RUNS_WHEN_SHORT = 10, 2
-ROBOTS, ROBOTS_WHEN_SHORT = 20, 3
+ROBOTS, ROBOTS_WHEN_SHORT = 20, 2
 STEPS, STEPS_WHEN_SHORT = 10_000, 240
 
 

@@ -23,7 +23,7 @@ from zensim.proto.messages.standard_messages import NANOSECONDS, Odometry, ns_fr
 from zensim.proto.topic_catalog import ODOM, SCAN
 
 PROCESSES = (("only",), ("z_first", "a_second"))
-ROBOTS, ROBOTS_WHEN_SHORT = 20, 3
+ROBOTS, ROBOTS_WHEN_SHORT = 20, 2
 STEPS, STEPS_WHEN_SHORT = 2400, 120
 KILLED_AMONG, KILLED_AMONG_WHEN_SHORT = 100, 2
 KILLS, KILLS_WHEN_SHORT = 5, 1

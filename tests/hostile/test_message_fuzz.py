@@ -4,7 +4,7 @@ import pytest
 
 from tests.hostile.message_fuzz import BATCH, fuzz_messages
 
-MESSAGES = 3000
+MESSAGES = 1000
 
 
 @pytest.mark.short_form

@@ -19,7 +19,7 @@ from tests.hostile.server_fuzz import (
 from zensim.sim_server.description.pipeline import read_robot
 from zensim.sim_server.errors import ModelError
 
-RUNS = 40
+RUNS = 20
 SILENT = Path("/dev/null")
 
 
