@@ -29,7 +29,7 @@ LAST_SHARE = 0.3
 """Of the other files: they come last, so that all workers end together."""
 SMALL = "tests/benchmarks/test_wheels.py"
 """Seventy tests of a second each: they come last, for the same reason."""
-WRITTEN_MARKS = frozenset({"root", "browser", "short_form", "interop", "images"})
+WRITTEN_MARKS = frozenset({"root", "browser", "short_form", "long_form", "interop", "images"})
 """Each is written in the files of its tests; tests/contract/test_selection.py checks that."""
 
 
