@@ -27,7 +27,7 @@ CHASSIS_M = 0.1
 """From the middle of a robot to its farthest corner, and 3 cm."""
 NOISE_M = 0.01
 
-pytestmark = pytest.mark.short_form
+pytestmark = pytest.mark.long_form
 TYPES = get_typestore(Stores.ROS2_HUMBLE)
 
 
