@@ -1,0 +1,44 @@
+"""The page that the tests of a file share."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from tests.integration.chromium import Chromium
+from tests.integration.control_page import (
+    ROBOTS,
+    Page,
+    list_spawns,
+    open_small,
+)
+from tests.integration.page_controls import PageControls
+from tests.integration.processes import serving
+from tests.integration.test_view import viewing
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.spawn_messages import SpawnEntitiesOrder
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """Open the page of four robots and a wall once for all tests."""
+    folder = tmp_path_factory.mktemp("downloads")
+    with serving() as server:
+        server.client.spawn_all(SpawnEntitiesOrder((*list_spawns(),)))
+        with viewing(server.endpoint) as (url, _), Chromium() as browser:
+            tab = open_small(browser, url, folder)
+            tab.until("document.body.innerText.includes('playing')", 120.0)
+            yield Page(server, url, tab, PageControls(tab), folder)
+
+
+@pytest.fixture
+def page(opened: Page) -> Page:
+    """Return the page with nothing selected, in a world that plays and is as it was."""
+    for name in set(opened.server.client.entities()) - {*ROBOTS, "wall"}:
+        opened.server.client.delete(name)
+    opened.controls.press_key("Escape")
+    opened.controls.leave_field()
+    if opened.server.client.simulation_state() != State.PLAYING:
+        opened.server.client.set_simulation_state(State.PLAYING)
+    opened.controls.until_text("playing")
+    opened.deselect()
+    return opened
