@@ -24,6 +24,8 @@ FLAGS = (
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-dev-shm-usage",
+    # Only WebGL needs the slow renderer in software; panels would be drawn by it, too.
+    "--disable-gpu-compositing",
     "--disable-quic",
     "--disable-sync",
 )

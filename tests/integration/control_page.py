@@ -71,6 +71,13 @@ SELECT_ALONE = """
 })()
 """
 """Selects an entity or none; whether its name alone is shown. Asks again rarely."""
+DRAW_WHEN_ASKED = """
+for (const kind of ["Arrays", "Elements", "ArraysInstanced", "ElementsInstanced"]) {
+  const page = WebGL2RenderingContext.prototype, draw = page[`draw${kind}`];
+  page[`draw${kind}`] = function (...all) { if (window.zensimDraws) draw.apply(this, all); };
+}
+"""
+"""Draws nothing until a test asks for it: that took most of the time, and few tests look at it."""
 NOTE_DRIVING = """
 (() => {
   const drives = window.zensimDrives;
@@ -261,6 +268,8 @@ def open_small(browser: Chromium, url: str, folder: Path) -> Tab:
     tab.call("Emulation.setFocusEmulationEnabled", enabled=True)
     tab.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(folder))
     tab.set_size(*WINDOW)
+    tab.call("Page.enable")
+    tab.call("Page.addScriptToEvaluateOnNewDocument", source=DRAW_WHEN_ASKED)
     tab.call("Page.navigate", url=f"{url}/?fixedDpr={COARSE}")
     tab.until(HAS_ROBOTS, 120.0)
     tab.evaluate(NOTE_DRIVING)

@@ -98,6 +98,7 @@ PICTURE, FILM = "Save a picture of the view, PNG", "Save a film of the view, Web
 
 @uses(a_button("", PICTURE), a_button("", FILM))
 def test_view_is_saved_in_files(page: Page) -> None:
+    page.tab.evaluate("window.zensimDraws = true")
     page.controls.click(a_button("", PICTURE))
     assert page.until_file("*.png").read_bytes().startswith(b"\x89PNG")
 
@@ -105,6 +106,7 @@ def test_view_is_saved_in_files(page: Page) -> None:
     page.controls.until("document.getElementById('zensim-tools').innerText.includes('Stop')")
     page.controls.click(a_button("", FILM))
     assert page.until_file("*.webm").read_bytes().startswith(b"\x1a\x45\xdf\xa3")
+    page.tab.evaluate("window.zensimDraws = false")
 
 
 SCHEME = "document.documentElement.dataset.mantineColorScheme"

@@ -28,7 +28,7 @@ from tests.integration.processes import eventually
 from tests.integration.test_page_sensors import PLACE_OF
 from tests.integration.test_view import CAMERA, read
 from zensim.proto.messages.simulation_messages import State
-from zensim.proto.messages.spawn_messages import Resource, SpawnEntity
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import (
     Point,
     Pose,
@@ -303,7 +303,7 @@ def undo(page: Page, act: Callable[[], None]) -> None:
 
 def spawn(page: Page, name: str) -> None:
     page.server.client.spawn(
-        SpawnEntity(
+        SpawnEntityOrder(
             name=name,
             entity_resource=Resource(resource_string=read_builtin_model("box_bot")),
             initial_pose=PoseStamped(pose=Pose(Point(-2.0))),
