@@ -24,11 +24,11 @@ FLAGS = (
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-dev-shm-usage",
-    # Only WebGL needs the slow renderer in software; panels would be drawn by it, too.
-    "--disable-gpu-compositing",
     "--disable-quic",
     "--disable-sync",
 )
+PANELS_WITHOUT_WEBGL = "--disable-gpu-compositing"
+"""Panels would be drawn by WebGL in software, too, which is slower where no scene is drawn."""
 START_TIMEOUT_S = 30.0
 WIDTH, HEIGHT = 1280, 800
 DEVTOOLS = "DevTools listening on "
@@ -167,13 +167,13 @@ class Tab:
 class Chromium:
     """A separate browser process; close it after use."""
 
-    def __init__(self) -> None:
+    def __init__(self, *flags: str) -> None:
         program = next((found for name in NAMES if (found := shutil.which(name))), None)
         if program is None:
             raise FileNotFoundError("no Chromium found; apt-get install chromium")
         self._profile = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         self._process = subprocess.Popen(
-            [program, *FLAGS, f"--user-data-dir={self._profile.name}", "about:blank"],
+            [program, *FLAGS, *flags, f"--user-data-dir={self._profile.name}", "about:blank"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.integration.chromium import Chromium
+from tests.integration.chromium import PANELS_WITHOUT_WEBGL, Chromium
 from tests.integration.control_page import (
     ROBOTS,
     Page,
@@ -24,7 +24,7 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     folder = tmp_path_factory.mktemp("downloads")
     with serving() as server:
         server.client.spawn_all(SpawnEntitiesOrder((*list_spawns(),)))
-        with viewing(server.endpoint) as (url, _), Chromium() as browser:
+        with viewing(server.endpoint) as (url, _), Chromium(PANELS_WITHOUT_WEBGL) as browser:
             tab = open_small(browser, url, folder)
             tab.until("document.body.innerText.includes('playing')", 120.0)
             yield Page(server, url, tab, PageControls(tab), folder)

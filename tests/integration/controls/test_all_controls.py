@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.deploy.recorded_worlds import write_world
-from tests.integration.chromium import Chromium
+from tests.integration.chromium import PANELS_WITHOUT_WEBGL, Chromium
 from tests.integration.control_page import (
     CHARTS,
     NUMBER_OF_CHARTS,
@@ -150,7 +150,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageControls]
     path = write_world(folder / "run.mcap")
     with running("view", "--recording", str(path), "--port", "0", "--loop") as process:
         assert process.stdout is not None
-        with Chromium() as browser:
+        with Chromium(PANELS_WITHOUT_WEBGL) as browser:
             yield PageControls(open_small(browser, process.stdout.readline().split()[-1], folder))
 
 
