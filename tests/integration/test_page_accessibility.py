@@ -23,8 +23,7 @@ CONTROL_ROLES = {
 }
 LEAST_CONTRAST = 4.5
 LEAST_TARGET_PX = 44
-TAB_PRESSES, PRESSES_AT_ONCE = 120, 15
-SCHEMES = ("dark", "light")
+TAB_PRESSES = 120
 PATIENCE_S = 120.0
 FIND = """
 const CONTROLS = "button, a[href], input:not([type=hidden]), textarea, select, summary," +
@@ -134,19 +133,6 @@ list().filter((one) => {
   return `${nameOf(one)} ${Math.round(width)} x ${Math.round(height)}`;
 })
 """
-NOTE_REACHED = """
-(() => {
-  const isNew = !window.zensimReached;
-  window.zensimReached = new Set();
-  document.activeElement.blur();
-  if (isNew) addEventListener("focusin", (event) => window.zensimReached.add(event.target));
-})()
-"""
-"""Notes from now on what has had the focus."""
-SWITCH_TO = """
-document.documentElement.dataset.mantineColorScheme === "%s" ||
-  document.querySelector('[aria-label="Switch between light and dark"]').click()
-"""
 UNREACHED = """
 list().filter((one) => !window.zensimReached.has(one)).filter((one) => {
   const tabs = one.closest("[role=tablist]");  // of which the arrow keys choose one
@@ -198,23 +184,35 @@ def url(server: Server) -> Iterator[str]:
         yield found
 
 
-SYSTEMS = {WIDE: "light", PHONE: "dark"}
-"""The theme of the system, by the size of its window."""
+WINDOWS = {
+    "wide-dark": (WIDE, "dark"),
+    "phone-light": (PHONE, "light"),
+    "wide-light": (WIDE, "light"),
+    "phone-dark": (PHONE, "dark"),
+}
+ONE_THEME = ("wide-dark", "phone-light")
+"""A theme changes colours only; the first windows, so that a page stays open for all its tests."""
+at_each_size = pytest.mark.parametrize("tab", ONE_THEME, indirect=True)
 
 
-@pytest.fixture(scope="module", params=SYSTEMS, ids=["wide", "phone"])
+@pytest.fixture(scope="module", params=WINDOWS)
 def tab(request: pytest.FixtureRequest, url: str) -> Iterator[Tab]:
-    """Open the page in a window of a size, a phone with a touch screen, and select a robot."""
-    size = request.param
+    """Open the page in a window of a size and theme, and select a robot."""
+    size, scheme = WINDOWS[request.param]
     with Chromium() as browser:
-        found = show(browser, url, size, SYSTEMS[size])
-        found.call("Emulation.setTouchEmulationEnabled", enabled=size == PHONE)
+        found = show(browser, url, size, scheme)
         found.until(SELECT_ROBOT, PATIENCE_S)
         yield found
 
 
-on_phone = pytest.mark.parametrize("tab", [PHONE], ids=["phone"], indirect=True)
-in_each_theme = pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.fixture(scope="module")
+def phone(url: str) -> Iterator[Tab]:
+    """Open the page on a phone with a touch screen."""
+    with Chromium() as browser:
+        found = show(browser, url, PHONE, "light")
+        found.call("Emulation.setTouchEmulationEnabled", enabled=True)
+        found.until(SELECT_ROBOT, PATIENCE_S)
+        yield found
 
 
 def find(tab: Tab, script: str) -> list[str]:
@@ -225,12 +223,6 @@ def turn_to(tab: Tab, title: str) -> None:
     tab.click(*tab.until(PLACE_OF_TAB % title, PATIENCE_S))
     tab.until(IS_SELECTED.strip() % title, PATIENCE_S)
     tab.evaluate("new Promise((done) => setTimeout(done, 600))")  # a name is set each 0.25 s
-
-
-def switch_to(tab: Tab, scheme: str) -> None:
-    """Switch the theme."""
-    tab.evaluate(SWITCH_TO % scheme)
-    tab.until(f"document.documentElement.dataset.mantineColorScheme === '{scheme}'", PATIENCE_S)
 
 
 def find_none(tab: Tab, script: str) -> None:
@@ -280,9 +272,7 @@ def tap(tab: Tab, place: str) -> None:
 
 
 @pytest.mark.parametrize("title", TABS)
-@in_each_theme
-def test_every_text_has_contrast(tab: Tab, scheme: str, title: str) -> None:
-    switch_to(tab, scheme)
+def test_every_text_has_contrast(tab: Tab, title: str) -> None:
     turn_to(tab, title)
 
     find_none(tab, LOW_CONTRASTS)
@@ -290,10 +280,8 @@ def test_every_text_has_contrast(tab: Tab, scheme: str, title: str) -> None:
     assert len(find(tab, CONTRASTS)) > 10
 
 
-@in_each_theme
-def test_notifications_have_contrast(tab: Tab, scheme: str) -> None:
+def test_notifications_have_contrast(tab: Tab) -> None:
     """That of rendering in software stays, so that it is seen also on a slow machine."""
-    switch_to(tab, scheme)
     is_readable = f"one[0].startsWith('WebGL is') && one[1] >= {LEAST_CONTRAST}"
     seen = f"{CONTRASTS.strip()}.some((one) => {is_readable})"
     assert tab.evaluate(HIDE_NOTICES.strip() % "false") == 1
@@ -304,6 +292,7 @@ def test_notifications_have_contrast(tab: Tab, scheme: str) -> None:
         tab.evaluate(HIDE_NOTICES.strip() % "true")
 
 
+@at_each_size
 @pytest.mark.parametrize("title", TABS)
 def test_no_control_is_covered_or_outside(tab: Tab, title: str) -> None:
     turn_to(tab, title)
@@ -312,6 +301,7 @@ def test_no_control_is_covered_or_outside(tab: Tab, title: str) -> None:
     find_none(tab, OUTSIDE)
 
 
+@at_each_size
 @pytest.mark.parametrize("title", TABS)
 def test_every_control_has_a_name_at_each_size(tab: Tab, title: str) -> None:
     turn_to(tab, title)
@@ -319,42 +309,39 @@ def test_every_control_has_a_name_at_each_size(tab: Tab, title: str) -> None:
     eventually(lambda: not list_unnamed(tab), 20.0, f"names of the controls of {title}")
 
 
+@at_each_size
 @pytest.mark.parametrize("title", TABS)
 def test_tab_reaches_every_control(tab: Tab, title: str) -> None:
     turn_to(tab, title)
-    tab.evaluate(NOTE_REACHED)
+    tab.evaluate("window.zensimReached = new Set(), document.activeElement.blur()")
 
-    for _ in range(TAB_PRESSES // PRESSES_AT_ONCE):
-        for _ in range(PRESSES_AT_ONCE):
-            key = {"key": "Tab", "code": "Tab", "windowsVirtualKeyCode": 9}
-            tab.call("Input.dispatchKeyEvent", type="rawKeyDown", **key)
-            tab.call("Input.dispatchKeyEvent", type="keyUp", **key)
-        if not find(tab, UNREACHED):
-            return
+    for _ in range(TAB_PRESSES):
+        key = {"key": "Tab", "code": "Tab", "windowsVirtualKeyCode": 9}
+        tab.call("Input.dispatchKeyEvent", type="rawKeyDown", **key)
+        tab.call("Input.dispatchKeyEvent", type="keyUp", **key)
+        tab.evaluate("window.zensimReached.add(document.activeElement), 0")
 
     assert find(tab, UNREACHED) == []
 
 
-@on_phone
 @pytest.mark.parametrize("title", TABS)
-def test_targets_are_large_on_a_phone(tab: Tab, title: str) -> None:
-    turn_to(tab, title)
+def test_targets_are_large_on_a_phone(phone: Tab, title: str) -> None:
+    turn_to(phone, title)
 
-    find_none(tab, SMALL % {"px": LEAST_TARGET_PX})
+    find_none(phone, SMALL % {"px": LEAST_TARGET_PX})
 
 
-@on_phone
-def test_a_robot_is_selected_driven_and_stopped_on_a_phone(tab: Tab, server: Server) -> None:
-    turn_to(tab, "Entities")
-    tap(tab, PLACE_OF_BUTTON % "box_bot2")
-    tab.until("document.body.innerText.includes('Namespace\\nbox_bot2')", PATIENCE_S)
-    turn_to(tab, "Drive")
+def test_a_robot_is_selected_driven_and_stopped_on_a_phone(phone: Tab, server: Server) -> None:
+    turn_to(phone, "Entities")
+    tap(phone, PLACE_OF_BUTTON % "box_bot2")
+    phone.until("document.body.innerText.includes('Namespace\\nbox_bot2')", PATIENCE_S)
+    turn_to(phone, "Drive")
     with closing(server.bus.subscribe(CMD_VEL.key("box_bot2"), depth=1000)) as commands:
-        touch(tab, *tab.until(PLACE_OF_BUTTON % "Forward", PATIENCE_S))
+        touch(phone, *phone.until(PLACE_OF_BUTTON % "Forward", PATIENCE_S))
         eventually(lambda: any(one.linear.x > 0.0 for one in read(commands)), 20.0, "driving")
-        lift(tab)
+        lift(phone)
         eventually(lambda: Twist() in read(commands), 20.0, "its release")
-        eventually(lambda: is_quiet(tab, commands), 20.0, "the last stop of it")
+        eventually(lambda: is_quiet(phone, commands), 20.0, "the last stop of it")
 
-        tap(tab, PLACE_OF_BUTTON % "Stop all")
+        tap(phone, PLACE_OF_BUTTON % "Stop all")
         eventually(lambda: Twist() in read(commands), 20.0, "a stop")
