@@ -27,8 +27,11 @@ WAITING = (
 """Files whose tests mostly wait for processes."""
 LAST_SHARE = 0.3
 """Of the other files: they come last, so that all workers end together."""
-SMALL = "tests/benchmarks/test_wheels.py"
-"""Seventy tests of a second each: they come last, for the same reason."""
+LONG = (
+    *("tests/integration/test_view.py", "tests/benchmarks/test_benchmarks.py"),
+    *("tests/chaos/test_chaos.py", "tests/hostile/test_server_fuzz.py"),
+)
+"""Files with the longest tests of `make browser` and `make short`: they come first."""
 WRITTEN_MARKS = frozenset({"root", "browser", "short_form", "long_form", "interop", "images"})
 """Each is written in the files of its tests; tests/contract/test_selection.py checks that."""
 
@@ -67,15 +70,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def find_places(files: Sequence[str]) -> dict[str, float]:
-    """Find the place of each file in a run, up to 1; both kinds are mixed until the last."""
+    """Find the place of each file in a run, -1 to 1; both kinds are mixed until the last."""
     kinds: tuple[list[str], list[str]] = ([], [])
     for file in dict.fromkeys(files):
         kinds[file.startswith(WAITING)].append(file)
     computing, waiting = kinds
-    # Among equals those that wait are first: their longest test, in `make short`, is the longest.
-    places = {file: (1.0 - LAST_SHARE) * n / len(waiting) - 0.01 for n, file in enumerate(waiting)}
+    places = {file: (1.0 - LAST_SHARE) * n / len(waiting) for n, file in enumerate(waiting)}
     places |= {file: n / len(computing) for n, file in enumerate(computing)}
-    return places | ({SMALL: 1.0} if SMALL in places else {})
+    return places | dict.fromkeys(places.keys() & LONG, -1.0)
 
 
 @pytest.fixture(autouse=True)
