@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from zensim.proto.stop_signal import STOP_SIGNALS
 from zensim.proto.verbosity import LOG, set_verbosity
 
 # Background shells ignore SIGINT, and child processes would inherit that.
@@ -78,6 +79,15 @@ def find_places(files: Sequence[str]) -> dict[str, float]:
     places = {file: (1.0 - LAST_SHARE) * n / len(waiting) for n, file in enumerate(waiting)}
     places |= {file: n / len(computing) for n, file in enumerate(computing)}
     return places | dict.fromkeys(places.keys() & LONG, -1.0)
+
+
+@pytest.fixture(autouse=True)
+def usual_signals() -> Generator[None]:
+    """Restore the handlers of signals that a command replaces which runs in this process."""
+    before = [(number, signal.getsignal(number)) for number in STOP_SIGNALS]
+    yield
+    for number, handler in before:
+        signal.signal(number, handler)
 
 
 @pytest.fixture(autouse=True)

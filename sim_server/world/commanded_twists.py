@@ -1,9 +1,12 @@
 """CommandedTwists: the twists that clients have ordered, until they release or disappear."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from zensim.proto.codec.cdr import MalformedPayload
 from zensim.proto.messages.agent_messages import TwistCommands
+from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.world.entity import EntityIndex, IntArray
 
 COLUMNS = 3
@@ -12,15 +15,39 @@ NO_CLIENT = -1
 MAX_CACHED_ORDERS = 16
 
 
+@dataclass(frozen=True)
+class OrderRows:
+    """An order of each entity, or none.
+
+    Attributes:
+        twists: (n, 3) NaN where there is none.
+        owners: (n,) Number of the client; -1 where there is none.
+    """
+
+    twists: FloatArray
+    owners: IntArray
+
+    @classmethod
+    def make_empty(cls, count: int) -> "OrderRows":
+        """Make rows without orders."""
+        return cls(np.full((count, COLUMNS), np.nan), np.full(count, NO_CLIENT, dtype=np.int64))
+
+    def set_rows(self, rows: IntArray, twists: FloatArray | float, owners: IntArray | int) -> None:
+        """Replace the orders of some rows."""
+        self.twists[rows], self.owners[rows] = twists, owners
+
+
 class CommandedTwists:
-    """The newest ordered twist of each entity; NaN where there is none."""
+    """The newest ordered twist of each entity; NaN where there is none.
+
+    The order before it, of another client, is kept: it holds again if the newest is released.
+    """
 
     def __init__(self) -> None:
         self.changes = 0
         """Counts orders."""
         self._index: EntityIndex | None = None
-        self._twists = np.zeros((0, COLUMNS))
-        self._owners = np.zeros(0, dtype=np.int64)
+        self._newest, self._displaced = OrderRows.make_empty(0), OrderRows.make_empty(0)
         self._clients: list[str] = []
         self._is_used = False
         self._ending: IntArray = np.zeros(0, dtype=np.intp)
@@ -30,7 +57,7 @@ class CommandedTwists:
     def order(self, index: EntityIndex, commands: TwistCommands) -> None:
         """Take orders; entities that do not exist are left out.
 
-        A row of NaN ends the order of this client, not one that another client gave after it.
+        A row of NaN ends the order of this client; an order that it displaced holds again.
 
         Raises:
             MalformedPayload: The twists do not fit the entities, or are infinite.
@@ -45,10 +72,10 @@ class CommandedTwists:
         self._follow(index)
         rows, places = self._find_rows(index, commands.entities)
         client = self._number_of(commands.client)
-        counts = ~np.isnan(twists[places]).any(axis=1) | (self._owners[rows] == client)
-        rows, places = rows[counts], places[counts]
-        self._twists[rows] = twists[places]
-        self._owners[rows] = client
+        given = twists[places]
+        is_release = np.isnan(given).any(axis=1)
+        self._set_orders(rows[~is_release], given[~is_release], client)
+        self._release(rows[is_release], client)
         self._is_used = True
         self.changes += 1
 
@@ -57,30 +84,33 @@ class CommandedTwists:
         if not self._is_used:
             return b""
         self._follow(index)
-        selected = self._twists[rows]
+        selected = self._newest.twists[rows]
         return b"" if np.isnan(selected).all() else selected.tobytes()
 
     def end_client(self, client: str) -> None:
-        """Order zero once for what a client has ordered; then it is released."""
+        """Order zero once for what a client has ordered and no other; then it is released."""
         if client in self._clients:
-            rows = np.flatnonzero(self._owners == self._clients.index(client))
-            self._twists[rows] = 0.0
-            self._owners[rows] = NO_CLIENT
+            number = self._clients.index(client)
+            rows = np.flatnonzero(self._newest.owners == number)
+            self._release(np.arange(len(self._newest.owners)), number)
+            rows = rows[self._newest.owners[rows] == NO_CLIENT]
+            self._newest.set_rows(rows, 0.0, NO_CLIENT)
             self._ending = np.union1d(self._ending, rows).astype(np.intp)
             self.changes += 1
 
     def note_published(self) -> None:
         """Note that all agents were sent the present twists."""
         if len(self._ending):
-            rows = self._ending[self._owners[self._ending] == NO_CLIENT]
-            self._twists[rows] = np.nan
+            rows = self._ending[self._newest.owners[self._ending] == NO_CLIENT]
+            self._newest.twists[rows] = np.nan
             self._ending = np.zeros(0, dtype=np.intp)
-            self._is_used = not bool(np.isnan(self._twists).all())
+            self._is_used = not bool(np.isnan(self._newest.twists).all())
 
     def forget(self, name: str) -> None:
         """Forget the order of a deleted entity."""
         if self._index is not None and (row := self._index.row.get(name)) is not None:
-            self._twists[row], self._owners[row] = np.nan, NO_CLIENT
+            for orders in (self._newest, self._displaced):
+                orders.set_rows(np.array([row]), np.nan, NO_CLIENT)
 
     def clear(self) -> None:
         """Forget all orders."""
@@ -88,21 +118,36 @@ class CommandedTwists:
         self._rows, self._clients = {}, []
         self._ending = np.zeros(0, dtype=np.intp)
 
+    def _set_orders(self, rows: IntArray, twists: FloatArray, client: int) -> None:
+        """Replace orders; those of other clients are kept as displaced."""
+        newest = self._newest
+        others = rows[(newest.owners[rows] != NO_CLIENT) & (newest.owners[rows] != client)]
+        self._displaced.set_rows(others, newest.twists[others], newest.owners[others])
+        newest.set_rows(rows, twists, client)
+
+    def _release(self, rows: IntArray, client: int) -> None:
+        """End orders of a client; the displaced orders of others hold again."""
+        displaced = self._displaced
+        displaced.set_rows(rows[displaced.owners[rows] == client], np.nan, NO_CLIENT)
+        own = rows[self._newest.owners[rows] == client]
+        self._newest.set_rows(own, displaced.twists[own], displaced.owners[own])
+        displaced.set_rows(own, np.nan, NO_CLIENT)
+
     def _follow(self, index: EntityIndex) -> None:
         """Rearrange the rows when entities have changed."""
         before, self._index = self._index, index
         if before is index:
             return
-        twists, owners = self._twists, self._owners
+        former = self._newest, self._displaced
         self._rows = {}
-        self._twists = np.full((len(index.names), COLUMNS), np.nan)
-        self._owners = np.full(len(index.names), NO_CLIENT)
+        self._newest, self._displaced = (OrderRows.make_empty(len(index.names)) for _ in former)
         if before is None:
             return
         kept = [(row, index.row[name]) for name, row in before.row.items() if name in index.row]
         if kept:
             old, new = np.array(kept, dtype=np.intp).T
-            self._twists[new], self._owners[new] = twists[old], owners[old]
+            for orders, last in zip((self._newest, self._displaced), former, strict=True):
+                orders.set_rows(new, last.twists[old], last.owners[old])
             places = dict(kept)
             ending = [places[row] for row in self._ending.tolist() if row in places]
             self._ending = np.array(ending, dtype=np.intp)

@@ -244,8 +244,9 @@ def write_summary(now: FleetReading) -> str:
         f"step {stats.step_time_s * 1e3:.2f} ms (max {stats.step_time_max_s * 1e3:.1f})",
         f"late {stats.late_max_s * 1e3:.1f} ms",
     )
-    silence = "  NO REPORT: the server is gone or does not reply" if now.is_stale else ""
-    return "   ".join(parts) + silence
+    # First, as terminals cut the end of the line.
+    silence = "NO REPORT: the server is gone or does not reply   " if now.is_stale else ""
+    return silence + "   ".join(parts)
 
 
 def format_value(column: str, value: object) -> str:

@@ -47,6 +47,31 @@ def test_order_follows_its_entity_to_another_row() -> None:
     assert selected(twists, an_index("r2")) == [[0.2, 0.0, 0.5]]
 
 
+def test_displaced_order_holds_again_when_the_newer_is_released() -> None:
+    twists, index = CommandedTwists(), an_index("r1", "r2")
+    twists.order(index, orders({"r1": (0.2, 0.0, 0.0), "r2": (0.2, 0.0, 0.0)}, "c1"))
+    twists.order(index, orders({"r1": (-0.1, 0.0, 0.0), "r2": (-0.1, 0.0, 0.0)}, "c2"))
+    twists.order(index, orders({"r1": (0.3, 0.0, 0.0), "r2": (0.3, 0.0, 0.0)}, "c1"))
+
+    twists.order(index, orders({"r1": (NAN, NAN, NAN)}, "c1"))
+
+    assert selected(twists, index) == [[-0.1, 0.0, 0.0], [0.3, 0.0, 0.0]]
+    twists.end_client("c1")
+    assert selected(twists, index) == [[-0.1, 0.0, 0.0], [-0.1, 0.0, 0.0]]
+
+
+def test_displaced_order_that_was_released_does_not_hold_again() -> None:
+    twists, index = CommandedTwists(), an_index("r1", "r2")
+    twists.order(index, orders({"r1": (0.2, 0.0, 0.0), "r2": (0.2, 0.0, 0.0)}, "c1"))
+    twists.order(index, orders({"r1": (-0.1, 0.0, 0.0), "r2": (-0.1, 0.0, 0.0)}, "c2"))
+    twists.order(index, orders({"r1": (NAN, NAN, NAN)}, "c1"))
+    twists.end_client("c1")
+
+    twists.order(index, orders({"r1": (NAN, NAN, NAN), "r2": (NAN, NAN, NAN)}, "c2"))
+
+    assert selected(twists, index) == []
+
+
 def test_nan_keeps_what_another_client_ordered_later() -> None:
     twists, index = CommandedTwists(), an_index("r1", "r2")
     twists.order(index, orders({"r1": (0.2, 0.0, 0.0), "r2": (0.2, 0.0, 0.0)}, "c1"))
