@@ -189,7 +189,8 @@ class FleetTopic:
 def make_models(robots: int) -> GetModelsResponse:
     """Make what a server says of these robots."""
     links = ("base_footprint", *(one.child for one in WHEELS))
-    model = Model("box_bot", tuple(map(Link, links)), WHEELS, drive=DiffDrive())
+    drive = DiffDrive(publish_odom=True, publish_odom_tf=True)
+    model = Model("box_bot", tuple(map(Link, links)), WHEELS, drive=drive)
     names = (f"box_bot{number}" for number in range(robots))
     entities = tuple(EntityModel(name, name, 0, "pool") for name in names)
     return GetModelsResponse(entities=entities, models=(model,))
