@@ -1,4 +1,4 @@
-"""Process that commands each robot of a fleet once a second, by puts that declare nothing.
+"""Process that commands each robot of a fleet once a second, by puts on declared keys.
 
 `python -m benchmarks.fleet_commander ENDPOINT COUNT` drives box_bot0 and so on in circles, with 50
 bursts a second.

@@ -169,10 +169,10 @@ class BusPublisher(_KeyPublisher):
 
 
 class UndeclaredPublisher(_KeyPublisher):
-    """Publisher on a key that the network does not know of before a message comes.
+    """Publisher that does not ask for subscribers; only its key is declared.
 
-    A message costs a router ten times as much as one on a declared key, and a silent key nothing:
-    messages on all other keys pay for each declared one.
+    Else a router compares the key of each message with all others that it knows: among 10,000
+    robots that takes it half a millisecond.
     """
 
     is_matched = True
@@ -188,15 +188,21 @@ class UndeclaredPublisher(_KeyPublisher):
     ) -> None:
         self._traffic = traffic
         self._held = held
+        self._session = session
+        self._key = session.declare_keyexpr(key)
         self._put = partial(
             session.put,
-            zenoh.KeyExpr(key),
+            self._key,
             encoding=zenoh.Encoding(encoding),
             congestion_control=zenoh.CongestionControl.DROP,
         )
 
     def close(self) -> None:
-        """Do nothing: nothing is declared."""
+        """Undeclare the key."""
+        if self._held.is_holding:
+            self._held.send()
+        with suppress(zenoh.ZError):  # the session of its watch may be closed
+            self._session.undeclare(self._key)
 
 
 class BusSubscriberWatch:
