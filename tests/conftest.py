@@ -87,7 +87,8 @@ def usual_signals() -> Generator[None]:
     before = [(number, signal.getsignal(number)) for number in STOP_SIGNALS]
     yield
     for number, handler in before:
-        signal.signal(number, handler)
+        if handler is not None:  # one that no code in Python has set
+            signal.signal(number, handler)
 
 
 @pytest.fixture(autouse=True)
