@@ -57,20 +57,20 @@ packages: # Debian packages that the tests use
 WORKERS ?= $$(($$(getconf _NPROCESSORS_ONLN) + 1))
 PYTEST := $(BIN)/python .ci/run_tests.py -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
-# Tests that other targets run.
-ELSEWHERE := short_form and not long_form and not interop and not images
+# Without the tests that other targets run.
+HERE := not short_form and not long_form and not interop and not images
 
 test: setup packages ## all tests but those of `make browser` and `make short`
-	@if [ "$$(id -u)" = 0 ]; then $(PYTEST) -m "not browser and not $(ELSEWHERE)"; \
+	@if [ "$$(id -u)" = 0 ]; then $(PYTEST) -m "not browser and $(HERE)"; \
 	elif ! command -v sudo >/dev/null; then \
 		echo "tests of network namespaces need root, and there is no sudo; run make test as root" >&2; \
 		exit 1; \
-	else $(PYTEST) -m "not root and not browser and not $(ELSEWHERE)" && \
-		sudo $(BIN)/python -B .ci/run_tests.py -p no:cacheprovider -m "root and not $(ELSEWHERE)"; \
+	else $(PYTEST) -m "not root and not browser and $(HERE)" && \
+		sudo $(BIN)/python -B .ci/run_tests.py -p no:cacheprovider -m "root and $(HERE)"; \
 	fi
 
 browser: setup packages ## tests of the page in Chromium
-	$(PYTEST) -m "browser and not $(ELSEWHERE)"
+	$(PYTEST) -m "browser and $(HERE)"
 
 long: setup packages ## further cases of tests of `make test` and `make browser`, and long ones; as root
 	$(PYTEST) -m long_form

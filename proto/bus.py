@@ -168,8 +168,8 @@ class BusPublisher(_KeyPublisher):
         self._publisher.undeclare()
 
 
-class UndeclaredPublisher(_KeyPublisher):
-    """Publisher that does not ask for subscribers; only its key is declared.
+class KeyExprPublisher(_KeyPublisher):
+    """Publisher that declares its key expression, and does not ask for subscribers.
 
     Else a router compares the key of each message with all others that it knows: among 10,000
     robots that takes it half a millisecond.
@@ -206,7 +206,7 @@ class UndeclaredPublisher(_KeyPublisher):
 
 
 class BusSubscriberWatch:
-    """A session that says which key expressions have subscribers, at no cost to the router.
+    """A session that says which key expressions have subscribers, at little cost to the router.
 
     Its publishers join those on the patterns, so that the router knows of these only; which
     subscribers match them the session knows itself.
@@ -225,9 +225,9 @@ class BusSubscriberWatch:
         tried.undeclare()
         return is_matched
 
-    def advertise(self, key: str, encoding: str) -> UndeclaredPublisher:
-        """Make a publisher that declares nothing."""
-        return UndeclaredPublisher(
+    def advertise(self, key: str, encoding: str) -> KeyExprPublisher:
+        """Make a publisher that declares its key only."""
+        return KeyExprPublisher(
             self._session, key, encoding, self._bus.traffic, self._bus.held_messages
         )
 
@@ -787,6 +787,7 @@ __all__ = [
     "EndpointTaken",
     "EndpointUnreachable",
     "JoinRefused",
+    "KeyExprPublisher",
     "LinkWatch",
     "LivelinessToken",
     "LivelinessWatch",
@@ -794,7 +795,6 @@ __all__ = [
     "NoServer",
     "PendingBusCall",
     "RouterSecurity",
-    "UndeclaredPublisher",
     "list_client_settings",
     "log_handshakes",
     "open_bus",

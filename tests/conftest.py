@@ -87,7 +87,7 @@ def usual_signals() -> Generator[None]:
     before = [(number, signal.getsignal(number)) for number in STOP_SIGNALS]
     yield
     for number, handler in before:
-        if handler is not None:  # one that no code in Python has set
+        if handler is not None:  # None: the handler is not a Python function
             signal.signal(number, handler)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 
 from tests.integration.chromium import PANELS_WITHOUT_WEBGL, Chromium
-from tests.integration.control_page import (
+from tests.integration.controls.opened_page import (
     ROBOTS,
     Page,
     list_spawns,

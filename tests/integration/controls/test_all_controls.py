@@ -8,7 +8,7 @@ import pytest
 
 from tests.deploy.recorded_worlds import write_world
 from tests.integration.chromium import PANELS_WITHOUT_WEBGL, Chromium
-from tests.integration.control_page import (
+from tests.integration.controls.opened_page import (
     CHARTS,
     NUMBER_OF_CHARTS,
     PALETTE_ENTRIES,

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from tests.integration.control_page import (
+from tests.integration.controls.opened_page import (
     PALETTE_ENTRIES,
     PAUSE,
     SCENE_BOX,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.integration.control_page import (
+from tests.integration.controls.opened_page import (
     USED,
     WITHIN_S,
     Page,

@@ -4,7 +4,7 @@ import functools
 
 import pytest
 
-from tests.integration.control_page import (
+from tests.integration.controls.opened_page import (
     CHARTS,
     NUMBER_OF_CHARTS,
     PAUSE,

@@ -84,7 +84,7 @@ NOTE_DRIVING = """
   window.zensimDrives = (value) => { window.zensimIsDriving = value; drives(value); };
 })()
 """
-"""Notes whether keys drive a robot, of which the server notifies the script of the page."""
+"""Stores whether keys drive a robot, as the server last sent it to the script of the page."""
 PALETTE_ENTRIES = """
 [...document.querySelectorAll(".mantine-Spotlight-actionLabel, [class*=Spotlight-actionLabel]")]
   .map((one) => one.innerText)
