@@ -79,7 +79,7 @@ def die_with_parent(signal_number: signal.Signals = SIGKILL, *, parent: int | No
         ).start()
     # Its end before the call above sends nothing.
     if parent is not None and os.getppid() != parent:
-        sys.exit(1)
+        sys.exit(f"parent process {parent} has ended, so this one ends; see {PARENT_PID_VARIABLE}")
 
 
 def _find_prctl() -> Callable[..., int] | None:

@@ -1,7 +1,8 @@
-"""Profiles of property tests; Ctrl-C; log level; which files are read; their order; collection."""
+"""Profiles of property tests; what each test finds as it was; which files are read; their order."""
 
 import gc
 import logging
+import os
 import signal
 from collections.abc import Generator, Sequence
 from pathlib import Path
@@ -89,6 +90,17 @@ def usual_signals() -> Generator[None]:
     for number, handler in before:
         if handler is not None:  # None: the handler is not a Python function
             signal.signal(number, handler)
+
+
+@pytest.fixture(autouse=True)
+def usual_environment() -> Generator[None]:
+    """Restore variables of the environment that a command changes which runs in this process."""
+    before = dict(os.environ)
+    yield
+    before["PYTEST_CURRENT_TEST"] = os.environ["PYTEST_CURRENT_TEST"]  # names the phase of the test
+    for name in os.environ.keys() - before.keys():
+        del os.environ[name]
+    os.environ.update({name: text for name, text in before.items() if os.environ.get(name) != text})
 
 
 @pytest.fixture(autouse=True)

@@ -82,6 +82,7 @@ class SystemdHost:
             timeout=280,
             check=False,
             stdin=subprocess.DEVNULL,
+            env={"PATH": os.environ["PATH"]},  # no process of this host is its parent
         )
 
     def zensim(self, *words: str) -> "subprocess.CompletedProcess[str]":

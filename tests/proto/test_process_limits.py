@@ -68,6 +68,8 @@ def test_program_does_not_begin_when_its_supervisor_has_gone_already() -> None:
     done = run_child("999999999")
 
     assert (done.returncode, done.stdout) == (1, "")
+    assert PARENT_PID_VARIABLE in done.stderr
+    assert len(done.stderr.splitlines()) == 1
 
 
 def test_program_begins_under_its_supervisor() -> None:
