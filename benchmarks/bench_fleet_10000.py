@@ -34,6 +34,7 @@ import numpy as np
 from benchmarks.arrivals import ArrivalWindow
 from benchmarks.bare_tokens import TOKENS_OF_ROBOT, DeclaredTokens, read_memory_kib
 from benchmarks.figures import Figure, Limit, table
+from benchmarks.fleet_commander import BEGINNING
 from benchmarks.fleet_server import CALL_TIMEOUT_S, PATIENCE_S, line_with, program
 from benchmarks.machine import used_s
 from benchmarks.ten_robots import CIRCLE, MILLISECONDS, POLL_S, SPACING_M, poll_until
@@ -263,7 +264,7 @@ def _started(case: Case, robots: int, seen: Seen) -> Iterator[tuple[Bus, dict[st
         _spawn(client, robots, case.lidars)
         _take_stats(stats, lambda one: one.claimed == robots or None)
         stats.close()
-        stack.enter_context(program("fleet_commander", endpoint, str(robots)))
+        line_with(BEGINNING, stack.enter_context(program("fleet_commander", endpoint, str(robots))))
         yield bus, pids
 
 

@@ -19,7 +19,8 @@ import msgspec
 import psutil
 
 from benchmarks.figures import written
-from benchmarks.fleet_server import program
+from benchmarks.fleet_commander import BEGINNING
+from benchmarks.fleet_server import line_with, program
 from benchmarks.installation import Installation, run_installation
 from benchmarks.ten_robots import spawn
 from tests.integration.processes import eventually
@@ -113,7 +114,8 @@ def drive_fleet(physics: Physics, robots: int, seconds: float, *, settle_s: floa
         spawn(crew.client, robots)
         eventually(lambda: _ask(crew).claimed == robots, CLAIMED_WITHIN_S, "claiming")
         spawned_s = time.monotonic() - began_s
-        with program("fleet_commander", crew.bus.endpoint, str(robots)):
+        with program("fleet_commander", crew.bus.endpoint, str(robots)) as commander:
+            line_with(BEGINNING, commander)
             time.sleep(settle_s)
             factor, cores = _observe(crew, seconds)
             memory_mb = _measure_memory(crew)

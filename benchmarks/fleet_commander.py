@@ -1,7 +1,7 @@
-"""Process that commands each robot of a fleet once a second, by puts on declared keys.
+"""Process that commands each robot of a fleet once a second, by puts that declare nothing.
 
 `python -m benchmarks.fleet_commander ENDPOINT COUNT` drives box_bot0 and so on in circles, with 50
-bursts a second.
+bursts a second; a line says that they begin.
 """
 
 import os
@@ -17,6 +17,8 @@ from zensim.proto.process_limits import die_with_supervisor
 from zensim.proto.topic_catalog import CMD_VEL
 
 BURSTS = 50
+BEGINNING = "commands"
+"""The line that is printed before the first command."""
 
 
 def command(bus: Bus, count: int) -> NoReturn:
@@ -26,6 +28,8 @@ def command(bus: Bus, count: int) -> NoReturn:
     keys = [CMD_VEL.key(f"box_bot{number}") for number in range(count)]
     commands = [watch.advertise(key, encoding) for key in keys]
     payload = encode(Twist(Vector3(x=CIRCLE[0]), Vector3(z=CIRCLE[1])), Format.CDR)
+    sys.stdout.write(f"{BEGINNING}\n")
+    sys.stdout.flush()
     burst, began_s = 0, time.monotonic()
     while True:
         for one in commands[burst % BURSTS :: BURSTS]:

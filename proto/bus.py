@@ -168,11 +168,11 @@ class BusPublisher(_KeyPublisher):
         self._publisher.undeclare()
 
 
-class KeyExprPublisher(_KeyPublisher):
-    """Publisher that declares its key expression, and does not ask for subscribers.
+class UndeclaredPublisher(_KeyPublisher):
+    """Publisher that declares nothing, so that a silent key costs the network nothing.
 
-    Else a router compares the key of each message with all others that it knows: among 10,000
-    robots that takes it half a millisecond.
+    A router compares the key of each message with all declared ones: 25 us with few of them, 0.9 ms
+    with 5000. `Session.declare_keyexpr` would not help: it stays in the session.
     """
 
     is_matched = True
@@ -188,21 +188,15 @@ class KeyExprPublisher(_KeyPublisher):
     ) -> None:
         self._traffic = traffic
         self._held = held
-        self._session = session
-        self._key = session.declare_keyexpr(key)
         self._put = partial(
             session.put,
-            self._key,
+            zenoh.KeyExpr(key),
             encoding=zenoh.Encoding(encoding),
             congestion_control=zenoh.CongestionControl.DROP,
         )
 
     def close(self) -> None:
-        """Undeclare the key."""
-        if self._held.is_holding:
-            self._held.send()
-        with suppress(zenoh.ZError):  # the session of its watch may be closed
-            self._session.undeclare(self._key)
+        """Do nothing: nothing is declared."""
 
 
 class BusSubscriberWatch:
@@ -225,9 +219,9 @@ class BusSubscriberWatch:
         tried.undeclare()
         return is_matched
 
-    def advertise(self, key: str, encoding: str) -> KeyExprPublisher:
-        """Make a publisher that declares its key only."""
-        return KeyExprPublisher(
+    def advertise(self, key: str, encoding: str) -> UndeclaredPublisher:
+        """Make a publisher that declares nothing."""
+        return UndeclaredPublisher(
             self._session, key, encoding, self._bus.traffic, self._bus.held_messages
         )
 
@@ -787,7 +781,6 @@ __all__ = [
     "EndpointTaken",
     "EndpointUnreachable",
     "JoinRefused",
-    "KeyExprPublisher",
     "LinkWatch",
     "LivelinessToken",
     "LivelinessWatch",
@@ -795,6 +788,7 @@ __all__ = [
     "NoServer",
     "PendingBusCall",
     "RouterSecurity",
+    "UndeclaredPublisher",
     "list_client_settings",
     "log_handshakes",
     "open_bus",

@@ -154,11 +154,6 @@ class TopicMember:
     was_matched: bool = False
 
 
-MAX_PUBLISHERS: Final = 300
-"""Robots of a topic whose publishers are all declared while there are subscribers. The time of a
-router for a message grows with the declarations, as that for one more does."""
-
-
 class SearchedMembers:
     """The members of a topic of many robots that have subscribers; they declare no publishers."""
 
@@ -317,8 +312,9 @@ class RosFleetPublisher:
 
     @property
     def _is_searched(self) -> bool:
-        if self.searched is None and self._watches and len(self._members) > MAX_PUBLISHERS:
-            watch = self._watches.find(self._pattern)
+        watches = self._watches
+        if self.searched is None and watches and watches.is_crowded(len(self._members)):
+            watch = watches.find(self._pattern)
             self.searched = SearchedMembers(SubscriberSearch(watch, self._pattern))
             self._note_change()
         return self.searched is not None
@@ -465,8 +461,8 @@ class FleetTopicPublisher:
             message_type: Of the payloads, which are CDR.
             ros: The same on ROS 2 keys.
             faults: Of the topics of this process.
-            watches: With them, from `MAX_PUBLISHERS` robots on no publisher is declared, and those
-                with subscribers are searched for; None = all publishers are declared, always.
+            watches: With them, topics of too many robots declare no publishers, and search for
+                those with subscribers; None = all publishers are declared, always.
         """
         self._searched: SearchedMembers | None = None
         self._watches = watches
@@ -558,8 +554,9 @@ class FleetTopicPublisher:
 
     @property
     def _is_searched(self) -> bool:
-        if self._searched is None and self._watches and len(self._members) > MAX_PUBLISHERS:
-            watch = self._watches.find(self._pattern)
+        watches = self._watches
+        if self._searched is None and watches and watches.is_crowded(len(self._members)):
+            watch = watches.find(self._pattern)
             self._searched = SearchedMembers(SubscriberSearch(watch, self._pattern))
             self._undeclared.clear()
             self._note_change()

@@ -188,7 +188,7 @@ class SubscriberWatch(Closable, Protocol):
         """Whether a key expression has a subscriber; it is false at first."""
 
     def advertise(self, key: str, encoding: str) -> Publisher:
-        """Make a publisher that declares its key only."""
+        """Make a publisher that declares nothing."""
 
 
 class WatchOpeningNetwork(Protocol):

@@ -218,6 +218,7 @@ class SensorShare:
         world, self._name = config.world, config.name
         self.libraries = HostLibraries(network, world, config.name)
         self.topics = SensorTopics(network, graph, watches)
+        self._watches = watches
         self.roster: SceneRoster | None = None
         self.sensors: Sequence[SceneSensor] = ()
         self.unmeasured: Sequence[SceneSensor] = ()
@@ -232,6 +233,8 @@ class SensorShare:
     def set_roster(self, roster: SceneRoster) -> None:
         """Set the entities of the world."""
         self.roster, self._scene, self._view = roster, None, None
+        if self._watches is not None:
+            self._watches.set_world_robots(len(roster.models))
         if any(isinstance(one.sensor.settings, CameraSensor) for one in roster.sensors):
             self.libraries.try_opengl()
         self._set_addresses()

@@ -11,7 +11,6 @@ from zensim.proto.codec import cdr
 from zensim.proto.fleet_publisher import (
     MAX_ANNOUNCED_CACHES,
     MAX_CHECKED_AT_ONCE,
-    MAX_PUBLISHERS,
     MAX_ROS_DECLARED_AT_ONCE,
     NAMED,
     OTHERS,
@@ -33,7 +32,7 @@ from zensim.proto.ros2.liveliness_tokens import (
 from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic
 from zensim.proto.ros2.ros_settings import RosSettings
-from zensim.proto.subscriber_search import SEARCH_PERIOD_S, SubscriberWatches
+from zensim.proto.subscriber_search import MAX_PUBLISHERS, SEARCH_PERIOD_S, SubscriberWatches
 from zensim.proto.topic_endpoints import REPEAT_AFTER_S
 
 GID = bytes(range(16))

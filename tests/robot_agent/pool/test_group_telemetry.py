@@ -18,7 +18,6 @@ from zensim.proto.codec import cdr
 from zensim.proto.codec.cdr import encode
 from zensim.proto.codec.cdr_batch import CdrBatch
 from zensim.proto.codec.message_codec import decode
-from zensim.proto.fleet_publisher import MAX_PUBLISHERS
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveCommand, DriveState
 from zensim.proto.messages.drive_messages import DiffDrive
 from zensim.proto.messages.model_messages import Frame, GroundTruth, Model, Origin
@@ -37,7 +36,12 @@ from zensim.proto.messages.standard_messages import (
 from zensim.proto.ros2.rmw_attachment import read_attachment
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.ros2.ros_settings import RosSettings
-from zensim.proto.subscriber_search import SEARCH_PERIOD_S, MessageBudget, SubscriberWatches
+from zensim.proto.subscriber_search import (
+    MAX_PUBLISHERS,
+    SEARCH_PERIOD_S,
+    MessageBudget,
+    SubscriberWatches,
+)
 from zensim.proto.topic_catalog import TF_STATIC
 from zensim.robot_agent import message_templates
 from zensim.robot_agent.odometry import BaseMotion, OdometryHeader, make_covariances

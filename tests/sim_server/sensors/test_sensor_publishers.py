@@ -2,10 +2,13 @@
 
 from tests.fakes import MemoryBus
 from zensim.api.in_process_network import InProcessPublisher
-from zensim.proto.fleet_publisher import MAX_PUBLISHERS
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.ros2.ros_settings import NO_ROS
-from zensim.proto.subscriber_search import SubscriberWatches
+from zensim.proto.subscriber_search import (
+    MAX_PUBLISHERS,
+    MAX_PUBLISHERS_AMONG_MANY,
+    SubscriberWatches,
+)
 from zensim.proto.topic_catalog import SCAN
 from zensim.sim_server.sensors.sensor_publishers import SensorAddress, SensorTopics
 
@@ -44,6 +47,24 @@ def test_sensors_of_many_robots_declare_no_publishers_and_reach_their_subscriber
     assert not {address.key for address in addresses} & set(bus.declared)
     assert [topics.has_subscribers(address) for address in addresses[7:9]] == [True, False]
     assert [sample.payload for sample in received.take()] == [b"7"]
+    topics.close()
+
+
+def test_sensors_of_some_of_many_robots_declare_no_publishers() -> None:
+    bus = DeclaringBus()
+    watches = SubscriberWatches(bus)
+    topics = SensorTopics(bus, RosGraph(bus, NO_ROS), watches)
+    addresses = make_addresses(MAX_PUBLISHERS_AMONG_MANY + 1)
+    received = bus.subscribe("*/scan", 8)
+
+    watches.set_world_robots(MAX_PUBLISHERS + 1)
+    topics.set_addresses(addresses, addresses)
+    for _ in range(POLLS):
+        topics.poll()
+    topics.put(addresses[:1], [b"0"])
+
+    assert not {address.key for address in addresses} & set(bus.declared)
+    assert [sample.payload for sample in received.take()] == [b"0"]
     topics.close()
 
 
