@@ -134,6 +134,19 @@ def find_near_points(
     return one[is_near], other[is_near]
 
 
+def are_beside(grid: PointGrid, points: FloatArray) -> npt.NDArray[np.bool_]:
+    """Whether points (m, 2) are in a cell with points of a grid, or in one beside it.
+
+    All within the size of the cells are; none beyond the diagonal of two.
+    """
+    keys = grid.find_keys(points)
+    found = np.zeros(len(points), np.bool_)
+    for shift in (-grid.width, 0, grid.width):
+        starts = np.searchsorted(grid.keys, keys + shift - 1, side="left")
+        found |= np.searchsorted(grid.keys, keys + shift + 1, side="right") > starts
+    return found
+
+
 def _square_distances(one: FloatArray, other: FloatArray) -> FloatArray:
     away = one - other
     return np.asarray(np.einsum("ij,ij->i", away, away))

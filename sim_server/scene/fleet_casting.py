@@ -10,9 +10,9 @@ from zensim.proto.se3 import FloatArray
 from zensim.proto.sensor_libraries import find_library_fault
 from zensim.sim_server.scene.broad_phase import IntArray
 from zensim.sim_server.scene.planar_casting import PlanarCaster, find_tilts, make_level_scan
-from zensim.sim_server.scene.ray_casting import RayCaster, cast_rays_exactly
+from zensim.sim_server.scene.ray_casting import PlacedShapes, RayCaster, cast_rays_exactly
 from zensim.sim_server.scene.scan_casting import ScanCaster, cast_ray_by_ray, choose_ignored
-from zensim.sim_server.scene.scene import SceneLayout
+from zensim.sim_server.scene.scene import BoolArray, SceneLayout
 from zensim.sim_server.scene.sensor_faults import has_one_level_row
 
 MAX_LEVEL_TILT_RAD = math.radians(2.0)
@@ -30,13 +30,21 @@ class FleetCaster:
             layout: Entities and shapes.
         """
         self._layout = layout
-        self._planar = PlanarCaster(layout.is_fixed)
+        self._planar = PlanarCaster()
         self._cast_rays = _find_ray_caster(layout)
-        self._shapes = layout.unplaced
+        self._base, self._joint_positions = np.zeros((0, 7)), np.zeros(0)
+        self._shapes: PlacedShapes | None = None
+        """All of this step, once a lidar that is not level needs them."""
+        self._placed: BoolArray | None = None
+        """Entities (n,) whose shapes the planar caster has; None = not those of this step."""
+        self._wanted = self._expected = np.zeros(0, np.bool_)
+        """Entities near level lidars in this step, and in the one before."""
 
     def place(self, base: FloatArray, joint_positions: FloatArray) -> None:
         """See `ScanCaster`."""
-        self._shapes = self._layout.place(base[:, :7], joint_positions)
+        self._base, self._joint_positions = base[:, :7], joint_positions
+        self._shapes = self._placed = None
+        self._wanted, self._expected = np.zeros(len(base), np.bool_), self._wanted
 
     def cast(self, settings: RaySensor, poses: FloatArray, carriers: IntArray) -> FloatArray:
         """See `ScanCaster`."""
@@ -46,16 +54,31 @@ class FleetCaster:
         if len(level):
             ranges[level] = self._cast_level(settings, poses[level], carriers[level])
         if len(others):
+            if self._shapes is None:
+                self._shapes = self._layout.place(self._base, self._joint_positions)
             ranges[others] = cast_ray_by_ray(
                 self._cast_rays, self._shapes, settings, poses[others], carriers[others]
             )
         return ranges
 
     def _cast_level(self, settings: RaySensor, poses: FloatArray, carriers: IntArray) -> FloatArray:
-        self._planar.place(self._shapes)
+        self._place_near(poses, settings.range_max_m)
         ignored, start_m = choose_ignored(settings, carriers)
         scan = make_level_scan(settings.horizontal, settings.range_max_m, start_m)
         return self._planar.cast(scan, poses, ignored)
+
+    def _place_near(self, poses: FloatArray, range_m: float) -> None:
+        """Place what level lidars can reach: the other shapes of a large fleet take most time."""
+        state = self._base, self._joint_positions
+        near = self._layout.find_near(self._base, poses[:, :2], range_m)
+        self._wanted |= near
+        if self._placed is not None and self._placed[near].all():
+            return
+        # Also what lidars of other settings needed before, so that it is placed once in a step.
+        is_known = len(self._expected) == len(near)
+        self._placed = self._wanted | self._expected if is_known else self._wanted.copy()
+        moving = self._layout.place_moving(*state, self._placed)
+        self._planar.place(self._layout.place_fixed(*state), moving)
 
 
 def are_level(settings: RaySensor, poses: FloatArray) -> npt.NDArray[np.bool_]:

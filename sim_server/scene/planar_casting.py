@@ -394,29 +394,25 @@ def find_tilts(poses: FloatArray) -> FloatArray:
 class PlanarCaster:
     """Casts the rays of level lidars at all shapes of a scene."""
 
-    def __init__(self, is_fixed: BoolArray) -> None:
-        """Cast at the shapes of a layout.
+    def __init__(self) -> None:
+        """Cast at nothing yet."""
+        nothing = np.zeros(0, np.intp)
+        self._bands: dict[int, _FixedSection] = {}
+        self._fixed = self._moving = PlacedShapes((), nothing, nothing, np.zeros((0, 7)))
+        self._fixed_bounds = self._moving_bounds = bound_shapes(self._fixed, nothing)
+
+    def place(self, fixed: PlacedShapes, moving: PlacedShapes) -> None:
+        """Take the shapes of one step.
 
         Args:
-            is_fixed: (s,) whether a shape moves only by requests; see `SceneLayout`.
+            fixed: What is kept of them is valid while it is the same object.
+            moving: Those that rays may reach.
         """
-        self._fixed = np.flatnonzero(is_fixed)
-        self._moving = np.flatnonzero(~is_fixed)
-        self._bands: dict[int, _FixedSection] = {}
-        nothing = PlacedShapes((), self._fixed[:0], self._fixed[:0], np.zeros((0, 7)))
-        self._shapes = self._fixed_shapes = nothing
-        self._moving_bounds = self._fixed_bounds = bound_shapes(nothing, self._fixed[:0])
-
-    def place(self, shapes: PlacedShapes) -> None:
-        """Take the poses of one step; what is kept of fixed shapes is valid while they stay."""
-        if shapes is self._shapes:
-            return
-        fixed, known = shapes.poses[self._fixed], self._fixed_shapes.poses
-        if not len(known) or not np.array_equal(fixed, known[self._fixed]):
-            self._bands, self._fixed_shapes = {}, shapes
-            self._fixed_bounds = bound_shapes(shapes, self._fixed)
-        self._shapes = shapes
-        self._moving_bounds = bound_shapes(shapes, self._moving)
+        if fixed is not self._fixed:
+            self._fixed, self._bands = fixed, {}
+            self._fixed_bounds = bound_shapes(fixed, np.arange(len(fixed.geometry)))
+        self._moving = moving
+        self._moving_bounds = bound_shapes(moving, np.arange(len(moving.geometry)))
 
     def cast(
         self,
@@ -454,7 +450,7 @@ class PlanarCaster:
         if not len(heights):
             return
         span = float(heights.min()), float(heights.max())
-        moving = _MovingSection(self._shapes, self._moving_bounds, span)
+        moving = _MovingSection(self._moving, self._moving_bounds, span)
         for start in range(0, len(heights), LIDARS_PER_BLOCK):
             rows = slice(start, start + LIDARS_PER_BLOCK)
             block = lidars.take(rows)
@@ -480,5 +476,5 @@ class PlanarCaster:
             if len(self._bands) >= MAX_BANDS:
                 self._bands = {}
             limits = band * BAND_M, (band + 1) * BAND_M
-            self._bands[band] = _FixedSection(self._fixed_shapes, self._fixed_bounds, limits)
+            self._bands[band] = _FixedSection(self._fixed, self._fixed_bounds, limits)
         return self._bands[band]

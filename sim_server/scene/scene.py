@@ -5,7 +5,7 @@ steps on. Queries return indices of entities, in the order of the models.
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from zensim.proto.forward_kinematics import compute_link_poses
 from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.proto.se3 import IDENTITY_POSE, FloatArray, compose, from_origin, to_matrix
-from zensim.sim_server.scene.broad_phase import IntArray
+from zensim.sim_server.scene.broad_phase import IntArray, are_beside, make_point_grid
 from zensim.sim_server.scene.convex_shapes import (
     ConvexShape,
     MeshVertices,
@@ -145,6 +145,8 @@ class SceneLayout:
         self._has_ground = has_ground
         self._list_shapes = list_shapes
         self._fixed: dict[int, tuple[FloatArray, FloatArray]] = {}
+        self._fixed_part: tuple[FloatArray, PlacedShapes] | None = None
+        """Poses of the fixed entities, and their shapes."""
 
     @cached_property
     def unplaced(self) -> PlacedShapes:
@@ -187,21 +189,100 @@ class SceneLayout:
             shapes.geometries, shapes.geometry, shapes.entity, np.concatenate(poses)
         )
 
+    def place_fixed(self, base: FloatArray, joint_positions: FloatArray) -> PlacedShapes:
+        """Place the shapes of fixed entities and the ground; the same object while they stay."""
+        numbers = [number for number, group in enumerate(self.groups) if group.is_fixed]
+        rows = _concatenate([self.groups[number].rows for number in numbers])
+        known = self._fixed_part
+        if known is None or not np.array_equal(known[0], base[rows, :7]):
+            parts = [self._place_part(number, base, joint_positions) for number in numbers]
+            shapes = self._join(parts, has_ground=self._has_ground)
+            known = self._fixed_part = base[rows, :7], shapes
+        return known[1]
+
+    def place_moving(
+        self, base: FloatArray, joint_positions: FloatArray, is_chosen: BoolArray
+    ) -> PlacedShapes:
+        """Place the shapes of those entities that move and are chosen (n,)."""
+        parts = [
+            self._place_part(number, base, joint_positions, is_chosen[group.rows])
+            for number, group in enumerate(self.groups)
+            if not group.is_fixed
+        ]
+        return self._join(parts, has_ground=False)
+
+    def find_near(self, base: FloatArray, points: FloatArray, range_m: float) -> BoolArray:
+        """Find the entities (n,) that may be within a range of points (m, 2); others may be, too.
+
+        Those that reach without limits always may.
+        """
+        radii = self._radii
+        largest_m = float(radii.max(initial=0.0, where=np.isfinite(radii)))
+        if not len(points) or not np.isfinite(range_m):
+            return np.full(len(radii), bool(len(points)))
+        grid = make_point_grid(points, range_m + largest_m)
+        return are_beside(grid, base[:, :2]) | ~np.isfinite(radii)
+
+    @cached_property
+    def _radii(self) -> FloatArray:
+        """Radii (n,) [m] about the root links that hold all shapes of entities."""
+        radii = np.zeros(sum(len(group.rows) for group in self.groups))
+        for group in self.groups:
+            has_plane = any(shape.kind == "plane" for shape in self._list_all(group.model))
+            found = np.inf if has_plane else find_bounding_radius(group.model, self.vertices)
+            radii[group.rows] = found
+        return radii
+
+    def _place_part(
+        self,
+        number: int,
+        base: FloatArray,
+        joint_positions: FloatArray,
+        is_chosen: BoolArray | None = None,
+    ) -> PlacedShapes:
+        """Place the members of a group, or those (m,) that are chosen."""
+        group = self.groups[number]
+        if is_chosen is not None and not is_chosen.all():
+            group = replace(group, rows=group.rows[is_chosen], joints=group.joints[is_chosen])
+        shapes = self._list_all(group.model)
+        first = sum(len(self._list_all(one.model)) for one in self.groups[:number])
+        poses = self._compute_poses(group, base[group.rows, :7], joint_positions)
+        return PlacedShapes(
+            self.unplaced.geometries,
+            np.repeat(first + np.arange(len(shapes)), len(group.rows)),
+            np.tile(group.rows, len(shapes)),
+            np.concatenate([np.zeros((0, 7)), *poses]),
+        )
+
+    def _join(self, parts: Sequence[PlacedShapes], *, has_ground: bool) -> PlacedShapes:
+        geometries, ground = self.unplaced.geometries, np.ones(int(has_ground), np.intp)
+        return PlacedShapes(
+            geometries,
+            _concatenate([*(part.geometry for part in parts), ground * (len(geometries) - 1)]),
+            _concatenate([*(part.entity for part in parts), ground * GROUND]),
+            np.concatenate([*(part.poses for part in parts), IDENTITY_POSE[None][ground - 1]]),
+        )
+
     def _place_group(
         self, number: int, group: ModelGroup, base: FloatArray, joint_positions: FloatArray
     ) -> list[FloatArray]:
         known = self._fixed.get(number)
         if known is not None and np.array_equal(known[0], base):
             return [known[1]]
+        poses = self._compute_poses(group, base, joint_positions)
+        if group.is_fixed:
+            self._fixed[number] = base.copy(), np.concatenate([np.zeros((0, 7)), *poses])
+        return poses
+
+    def _compute_poses(
+        self, group: ModelGroup, base: FloatArray, joint_positions: FloatArray
+    ) -> list[FloatArray]:
         links = compute_link_poses(group.model, base, joint_positions[group.joints])
-        poses = [
+        return [
             compose(links[link.name], from_origin(shape.origin))
             for link in group.model.links
             for shape in self._list_shapes(link)
         ]
-        if group.is_fixed:
-            self._fixed[number] = base.copy(), np.concatenate([np.zeros((0, 7)), *poses])
-        return poses
 
     def _list_all(self, model: Model) -> list[Shape]:
         return [shape for link in model.links for shape in self._list_shapes(link)]

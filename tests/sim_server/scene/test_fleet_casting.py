@@ -21,6 +21,7 @@ from zensim.sim_server.scene import fleet_casting
 from zensim.sim_server.scene.fleet_casting import FleetCaster, are_level
 from zensim.sim_server.scene.ray_casting import cast_rays_exactly
 from zensim.sim_server.scene.scan_casting import cast_ray_by_ray
+from zensim.sim_server.scene.scene import SceneLayout
 
 FLAT = RaySensor(ScanAxis(90, -math.pi, math.pi), range_max_m=10.0)
 DEEP = RaySensor(ScanAxis(90, -math.pi, math.pi), ScanAxis(8, -0.3, 0.2), range_max_m=10.0)
@@ -55,6 +56,30 @@ def test_fleet_is_cast_as_ray_by_ray(
     assert np.abs(found[is_hit] - expected[is_hit]).max() <= 1e-6
 
 
+def test_lidars_of_some_of_a_large_fleet_see_what_is_near_them_at_each_step() -> None:
+    rng = np.random.default_rng(10)
+    count = 400
+    robot = a_model(Shape("box", (0.4, 0.3, 0.9)), SOLIDS[1], is_static=False)
+    places = rng.uniform(-60.0, 60.0, (count, 2))
+    trial = Trial([(robot, a_pose(x, y, 0.0, 0.0, 0.0, x)) for x, y in places], ground=False)
+    caster = FleetCaster(trial.layout)
+    near = RaySensor(ScanAxis(90, -math.pi, math.pi), range_max_m=3.0)
+
+    for _ in range(4):
+        trial.base[:, :2] += rng.uniform(-4.0, 4.0, (count, 2))
+        caster.place(trial.base, JOINTS)
+        for settings, carriers in ((near, np.arange(5)), (FLAT, np.array([60, 200, 399]))):
+            found = caster.cast(settings, trial.base[carriers], carriers)
+
+            shapes = trial.layout.place(trial.base, JOINTS)
+            sensors = trial.base[carriers]
+            expected = cast_ray_by_ray(cast_rays_exactly, shapes, settings, sensors, carriers)
+            is_hit = np.isfinite(expected)
+            assert is_hit.any()
+            assert np.array_equal(np.isfinite(found), is_hit)
+            assert np.abs(found[is_hit] - expected[is_hit]).max() <= 1e-6
+
+
 @pytest.mark.parametrize(
     ("settings", "pitch_deg", "expected"),
     [
@@ -71,6 +96,18 @@ def test_scan_of_one_row_is_level_up_to_two_degrees(
     poses = np.array([a_pose(0.0, 0.0, 0.1, 0.0, math.radians(pitch_deg), 0.5)])
 
     assert are_level(settings, poses).tolist() == [expected]
+
+
+def test_entities_near_lidars_are_found_with_their_reach() -> None:
+    long, plane = Shape("box", (40.0, 0.1, 0.1)), Shape("plane")
+    short = a_model(SOLIDS[1], is_static=False)
+    models = [short, short, a_model(long, is_static=False), a_model(plane, is_static=False)]
+    layout = SceneLayout(models, lambda _: np.zeros((0, 3)))
+    base = np.array([a_pose(x, 0.0) for x in (5.0, 500.0, 25.0, 900.0)])
+
+    assert layout.find_near(base, np.zeros((1, 2)), 10.0).tolist() == [True, False, True, True]
+    assert layout.find_near(base, np.zeros((0, 2)), 10.0).tolist() == [False] * 4
+    assert layout.find_near(base, np.zeros((1, 2)), math.inf).tolist() == [True] * 4
 
 
 def test_lidar_that_leans_sees_the_ground_and_its_level_neighbour_does_not() -> None:

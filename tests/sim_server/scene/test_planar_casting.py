@@ -63,11 +63,13 @@ class Trial:
         models = [model for model, _ in placed]
         self.base = np.array([pose for _, pose in placed]).reshape(-1, 7)
         self.layout = SceneLayout(models, lambda _: TRIANGLES, has_ground=ground)
-        self.caster = PlanarCaster(self.layout.is_fixed)
+        self.caster = PlanarCaster()
         self.place()
 
     def place(self) -> None:
-        self.caster.place(self.layout.place(self.base, JOINTS))
+        state = self.base, JOINTS
+        moving = self.layout.place_moving(*state, np.ones(len(self.base), np.bool_))
+        self.caster.place(self.layout.place_fixed(*state), moving)
 
     def cast(
         self, scan: LevelScan, sensors: FloatArray, ignored: IntArray | None = None
