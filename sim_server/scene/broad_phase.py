@@ -144,7 +144,9 @@ def are_beside(grid: PointGrid, points: FloatArray) -> npt.NDArray[np.bool_]:
     for shift in (-grid.width, 0, grid.width):
         starts = np.searchsorted(grid.keys, keys + shift - 1, side="left")
         found |= np.searchsorted(grid.keys, keys + shift + 1, side="right") > starts
-    return found
+    # The keys of what is beyond the border are those of the cells there.
+    aside = np.floor((points[:, 1] - grid.origin[1]) / grid.size_m)
+    return np.asarray(found & (aside >= -1.0) & (aside <= grid.width - 3.0))
 
 
 def _square_distances(one: FloatArray, other: FloatArray) -> FloatArray:

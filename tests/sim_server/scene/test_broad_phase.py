@@ -8,6 +8,7 @@ from hypothesis.extra.numpy import arrays
 
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.scene.broad_phase import (
+    are_beside,
     expand_ranges,
     find_near_points,
     find_touching_discs,
@@ -101,6 +102,19 @@ def test_near_points_are_those_found_by_brute_force(
 
     expected = np.argwhere(apart <= 0.7).tolist()
     assert sorted(map(list, zip(*(part.tolist() for part in found), strict=True))) == expected
+
+
+@given(st.lists(places, min_size=1, max_size=20), st.lists(places, max_size=40))
+def test_points_beside_those_of_a_grid_are_all_near_ones_and_no_far_ones(
+    sorted_in: list[tuple[float, float]], given_points: list[tuple[float, float]]
+) -> None:
+    points = np.array(given_points).reshape(-1, 2)
+    gaps = np.linalg.norm(points[:, None] - np.array(sorted_in)[None], axis=2).min(axis=1)
+
+    found = are_beside(make_point_grid(np.array(sorted_in), 3.0), points)
+
+    assert found[gaps <= 3.0].all()
+    assert not found[gaps > 6.0 * np.sqrt(2.0)].any()
 
 
 def test_ranges_are_expanded_with_their_owners() -> None:

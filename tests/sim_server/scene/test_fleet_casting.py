@@ -101,13 +101,15 @@ def test_scan_of_one_row_is_level_up_to_two_degrees(
 def test_entities_near_lidars_are_found_with_their_reach() -> None:
     long, plane = Shape("box", (40.0, 0.1, 0.1)), Shape("plane")
     short = a_model(SOLIDS[1], is_static=False)
-    models = [short, short, a_model(long, is_static=False), a_model(plane, is_static=False)]
+    models = [short, short, a_model(long, is_static=False), a_model(plane, is_static=False), short]
     layout = SceneLayout(models, lambda _: np.zeros((0, 3)))
-    base = np.array([a_pose(x, 0.0) for x in (5.0, 500.0, 25.0, 900.0)])
+    places = (5.0, 0.0), (500.0, 0.0), (25.0, 0.0), (900.0, 0.0), (0.0, 100.0)
+    base = np.array([a_pose(*place) for place in places])
 
-    assert layout.find_near(base, np.zeros((1, 2)), 10.0).tolist() == [True, False, True, True]
-    assert layout.find_near(base, np.zeros((0, 2)), 10.0).tolist() == [False] * 4
-    assert layout.find_near(base, np.zeros((1, 2)), math.inf).tolist() == [True] * 4
+    found = layout.find_near(base, np.zeros((1, 2)), 10.0)
+    assert found.tolist() == [True, False, True, True, False]
+    assert layout.find_near(base, np.zeros((0, 2)), 10.0).tolist() == [False] * 5
+    assert layout.find_near(base, np.zeros((1, 2)), math.inf).tolist() == [True] * 5
 
 
 def test_lidar_that_leans_sees_the_ground_and_its_level_neighbour_does_not() -> None:
