@@ -218,7 +218,8 @@ class SensorShare:
         world, self._name = config.world, config.name
         self.libraries = HostLibraries(network, world, config.name)
         self.topics = SensorTopics(network, graph, watches)
-        self._watches = watches
+        # A search finds a new subscriber later than `--always` allows.
+        self._watches = None if config.is_always_on else watches
         self.roster: SceneRoster | None = None
         self.sensors: Sequence[SceneSensor] = ()
         self.unmeasured: Sequence[SceneSensor] = ()
