@@ -191,17 +191,29 @@ BUDGET_WINDOW_S: Final = 1.0
 """A topic that took nothing for so long leaves its part to others; counts are of such a window."""
 MAX_SAVED_S: Final = 0.1
 """What a topic did not take is kept for so long."""
+MAX_MISSED_SHARE: Final = 0.05
+"""Share of drive states of a window that may be missed before the limit falls."""
+LEAST_SHARE: Final = 0.05
+"""Of the limit, however many states are missed."""
+GROWTH: Final = 1.2
+"""Of a lowered limit, in each window in which few states are missed."""
 
 
 class MessageBudget:
-    """Limits the messages that go to subscribers by wildcard, in equal parts for each topic."""
+    """Limits the messages that go to subscribers by wildcard, in equal parts for each topic.
+
+    The limit is halved in each second in which the process misses drive states, and grows again
+    after it, so that robots are driven on any machine.
+    """
 
     def __init__(
         self, limit_hz: float = WILDCARD_MESSAGES_HZ, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self.withheld_hz = 0
         """Messages that were withheld in the last whole window, a second; 0 if it is over."""
-        self._limit_hz = limit_hz
+        self._limit_hz = self._most_hz = limit_hz
+        self._taken = self._states = self._missed = self._least_steps = self._former_steps = 0
+        """Messages, and drive states, of the window; steps from one state to the next, 0 = none."""
         self._clock = clock
         self._left: dict[object, tuple[float, float]] = {}
         """By topic: time of the last call [s], and messages."""
@@ -218,15 +230,36 @@ class MessageBudget:
         left = min(left + (now_s - before_s) * part_hz, MAX_SAVED_S * part_hz)
         taken = min(count, int(left))
         self._left[topic] = now_s, left - taken
+        self._taken += taken
         self._withheld += count - taken
         return taken
 
+    def note_state(self, steps: int) -> None:
+        """Note a drive state that is answered, by its steps since the one before, > 0.
+
+        States are published at equal distances: the least of this window and the one before.
+        """
+        self._least_steps = min(steps, self._least_steps or steps)
+        passed = steps // min(self._least_steps, self._former_steps or steps)
+        self._states += passed
+        self._missed += passed - 1
+
     def update(self, now_s: float | None = None) -> None:
-        """Set `withheld_hz` if a window is over."""
+        """Set `withheld_hz` and the limit if a window is over."""
         now_s = self._clock() if now_s is None else now_s
         if (passed_s := now_s - self._window_s) >= BUDGET_WINDOW_S:
             self.withheld_hz = round(self._withheld / passed_s)
-            self._withheld, self._window_s = 0, now_s
+            self._limit_hz = self._find_limit_hz()
+            self._taken = self._withheld = self._states = self._missed = 0
+            self._former_steps, self._least_steps = self._least_steps, 0
+            self._window_s = now_s
+
+    def _find_limit_hz(self) -> float:
+        is_late = self._missed > MAX_MISSED_SHARE * self._states
+        # Misses without messages, as at the start of a fleet, have other causes.
+        if is_late and self._taken:
+            return max(self._limit_hz / 2.0, LEAST_SHARE * self._most_hz)
+        return self._limit_hz if is_late else min(GROWTH * self._limit_hz, self._most_hz)
 
 
 class SubscriberWatches:

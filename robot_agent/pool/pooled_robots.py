@@ -614,6 +614,7 @@ class PooledRobots:
         """
         if state.claims != self._claims:
             self._remap(state.claims)
+        self._note_steps(state)
         self._faults.update(state.topic_faults, state.time_ns)
         ordered = self._layout.read_twists(state)
         read = self._layout.read(state, self._commands.at(state.time_ns, ordered))
@@ -625,6 +626,11 @@ class PooledRobots:
             twist = _find_ordered(ordered, single.place)
             targets[single.targets] = single.robot.advance(_extract_state(single, read), twist)
         return self._make_command(state, targets)
+
+    def _note_steps(self, state: DriveState) -> None:
+        before = self._state
+        if self._watches is not None and before is not None and before.epoch == state.epoch:
+            self._watches.budget.note_state(max(1, state.step - before.step))
 
     def repeats(self, state: DriveState) -> bool:
         """Whether a state has the step and claims of the last one that was answered."""

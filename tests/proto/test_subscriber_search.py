@@ -1,6 +1,6 @@
 """Which of many keys have subscribers, found by few probes."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import pytest
 from hypothesis import given
@@ -166,12 +166,57 @@ def test_budget_is_shared_by_the_topics_that_ask() -> None:
     assert budget.withheld_hz > 5000
 
 
-def taken_in_a_second(budget: MessageBudget, clock: ManualClock, *topics: str) -> int:
+def taken_in_a_second(
+    budget: MessageBudget, clock: ManualClock, *topics: str, steps: Sequence[int] = ()
+) -> int:
+    """Take messages of topics 50 times, after states with these steps in turn."""
     taken = 0
-    for _ in range(50):
+    for number in range(50):
         clock.sleep(0.02)
+        if steps:
+            budget.note_state(steps[number % len(steps)])
         taken += sum(budget.take(topic, 100) for topic in topics)
     return taken
+
+
+def test_budget_falls_while_states_are_missed_and_grows_again() -> None:
+    clock = ManualClock()
+    budget = MessageBudget(1000.0, clock)
+
+    driven = taken_in_a_second(budget, clock, "odom", steps=(12,))
+    late = [taken_in_a_second(budget, clock, "odom", steps=(12, 24)) for _ in range(12)]
+    again = [taken_in_a_second(budget, clock, "odom", steps=(12,)) for _ in range(25)]
+
+    assert driven == pytest.approx(1000, rel=0.15)
+    assert late[2] < 0.6 * late[0]
+    assert late[-1] == pytest.approx(50, abs=25)
+    assert again[3] < again[8] < again[-1]
+    assert again[-1] == pytest.approx(1000, rel=0.15)
+
+
+def test_budget_stays_when_states_come_at_other_distances() -> None:
+    clock = ManualClock()
+    budget = MessageBudget(1000.0, clock)
+
+    taken = [
+        taken_in_a_second(budget, clock, "odom", steps=(steps,))
+        for steps in (1, 1, 12, 12, 12, 12, 5, 5)
+    ]
+
+    assert taken[-1] > 0.3 * taken[0]
+
+
+def test_misses_without_messages_do_not_lower_the_budget() -> None:
+    clock = ManualClock()
+    budget = MessageBudget(1000.0, clock)
+
+    for _ in range(20):
+        clock.sleep(0.5)
+        budget.note_state(1)
+        budget.note_state(9)
+        budget.update()
+
+    assert taken_in_a_second(budget, clock, "odom") == pytest.approx(1000, rel=0.15)
 
 
 def test_budget_withholds_nothing_from_few() -> None:

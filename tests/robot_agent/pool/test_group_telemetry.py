@@ -469,8 +469,8 @@ class LargePool:
         for _ in range(100):
             self.pool.reply_to_queries()
 
-    def advance(self) -> DriveCommand:
-        self.step += 1
+    def advance(self, steps: int = 1) -> DriveCommand:
+        self.step += steps
         command = self.pool.advance(a_state(self.claims, self.step))
         self.pool.publish()
         return command
@@ -516,3 +516,23 @@ def test_large_pool_serves_wildcards_in_turn_within_its_budget(
     assert max(counts.values()) - min(counts.values()) <= 1
     assert len(counts) == MAX_PUBLISHERS
     assert large.advance().withheld_hz > 0
+
+
+def test_large_pool_that_misses_states_publishes_less_to_wildcards(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    large = LargePool(monkeypatch)
+    everything = large.bus.subscribe("*/odom", 4096)
+    large.advance()
+    large.search()
+
+    counts = []
+    for missed in (0, 1, 1, 1, 1):
+        everything.take()
+        for turn in range(20):
+            large.clock.sleep(0.05)
+            large.advance(1 + missed * (turn % 2))
+        counts.append(len(everything.take()))
+
+    assert counts[0] == pytest.approx(1000, rel=0.2)
+    assert counts[-1] < counts[0] / 3
