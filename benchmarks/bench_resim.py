@@ -1,16 +1,17 @@
 """Input log and resimulation
 
 Runs: `zensim serve --input-log` with six colliding robots in free running, and commands, spawns,
-deletes and poses over the network at random instants for a minute of wall time; then its log is run
-again as by `zensim resim`, and must have equal states at every control step; and again up to the
-next second after one byte of one command was changed, which must be found where it acts. Cost: the
-engine of a world with driven box_bots and one pool's commands, in turns with and without a
-subscriber of the log, CPU time of this process; and what the log costs a turn of the loop without a
-subscriber.
+deletes and poses over the network at random instants for a minute of wall time, two servers at a
+time; then each log is run again as by `zensim resim`, and must have equal states at every control
+step; and again up to the next second after one byte of one command was changed, which must be found
+where it acts. Cost: the engine of a world with driven box_bots and one pool's commands, in turns
+with and without a subscriber of the log, CPU time of this process; and what the log costs a turn of
+the loop without a subscriber.
 """
 
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,7 +22,12 @@ import numpy as np
 from benchmarks.bodies import standing_at
 from benchmarks.figures import Figure, Limit, table
 from benchmarks.ten_robots import SPACING_M
-from tests.integration.random_runs import STEPS_PER_S, find_change, make_random_run
+from tests.integration.random_runs import (
+    STEPS_PER_S,
+    RandomRun,
+    find_change,
+    make_random_run,
+)
 from tests.sim_server.fakes import WallTime, a_spawn, make_parts
 from zensim.proto.messages.agent_messages import DriveCommand
 from zensim.sim_server.description.builtin_models import read_builtin_model
@@ -43,6 +49,7 @@ __all__ = ["rows", "table"]
 
 ENGINES: tuple[EngineName, ...] = ("pybullet", "mujoco")
 RUNS, SECONDS = 10, 60.0
+RUNS_AT_ONCE = 2
 RUNS_WHEN_SHORT, SECONDS_WHEN_SHORT = 1, 1.0
 ROBOTS, ROBOTS_WHEN_SHORT = 100, 2
 PAIRS, PAIRS_WHEN_SHORT = 7, 2
@@ -154,8 +161,7 @@ def _time_idle(log: InputLog) -> float:
 
 def _run_figures(engine: EngineName, runs: int, seconds: float) -> Iterator[Figure]:
     shares, counts, speeds, found = [], [], [], []
-    for seed in range(runs):
-        run = make_random_run(engine, seconds=seconds, seed=seed)
+    for run in _make_runs(engine, runs, seconds):
         counts.append(float(run.inputs))
         began_s = time.perf_counter()
         result = _run_again(run.messages)
@@ -171,6 +177,16 @@ def _run_figures(engine: EngineName, runs: int, seconds: float) -> Iterator[Figu
         unit="",
         samples=tuple(speeds),
     )
+
+
+def _make_runs(engine: EngineName, runs: int, seconds: float) -> Iterator[RandomRun]:
+    def make(seed: int) -> RandomRun:
+        return make_random_run(engine, seconds=seconds, seed=seed)
+
+    with ThreadPoolExecutor(RUNS_AT_ONCE) as executor:
+        for first in range(0, runs, RUNS_AT_ONCE):
+            # All of them, so that none goes on while logs are run again.
+            yield from list(executor.map(make, range(first, min(first + RUNS_AT_ONCE, runs))))
 
 
 def _run_again(messages: Sequence["Inputs"]) -> ResimResult:
