@@ -212,9 +212,9 @@ class SceneLayout:
         return self._join(parts, has_ground=False)
 
     def find_near(self, base: FloatArray, points: FloatArray, range_m: float) -> BoolArray:
-        """Find the entities (n,) that may be within a range of points (m, 2); others may be, too.
+        """Find the entities (n,) that move and may be within a range of points (m, 2).
 
-        Those that reach without limits always may.
+        Others may be among them. Those that reach without limits always are.
         """
         radii = self._radii
         largest_m = float(radii.max(initial=0.0, where=np.isfinite(radii)))
@@ -225,9 +225,11 @@ class SceneLayout:
 
     @cached_property
     def _radii(self) -> FloatArray:
-        """Radii (n,) [m] about the root links that hold all shapes of entities."""
+        """Radii (n,) [m] about the root links that hold all shapes of entities that move."""
         radii = np.zeros(sum(len(group.rows) for group in self.groups))
         for group in self.groups:
+            if group.is_fixed:
+                continue
             has_plane = any(shape.kind == "plane" for shape in self._list_all(group.model))
             found = np.inf if has_plane else find_bounding_radius(group.model, self.vertices)
             radii[group.rows] = found

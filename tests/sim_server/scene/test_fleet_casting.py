@@ -101,15 +101,16 @@ def test_scan_of_one_row_is_level_up_to_two_degrees(
 def test_entities_near_lidars_are_found_with_their_reach() -> None:
     long, plane = Shape("box", (40.0, 0.1, 0.1)), Shape("plane")
     short = a_model(SOLIDS[1], is_static=False)
+    hall = a_model(Shape("box", (900.0, 900.0, 9.0)))
     models = [short, short, a_model(long, is_static=False), a_model(plane, is_static=False), short]
-    layout = SceneLayout(models, lambda _: np.zeros((0, 3)))
-    places = (5.0, 0.0), (500.0, 0.0), (25.0, 0.0), (900.0, 0.0), (0.0, 100.0)
+    layout = SceneLayout([*models, hall], lambda _: np.zeros((0, 3)))
+    places = (5.0, 0.0), (500.0, 0.0), (25.0, 0.0), (900.0, 0.0), (0.0, 100.0), (0.0, 5000.0)
     base = np.array([a_pose(*place) for place in places])
 
     found = layout.find_near(base, np.zeros((1, 2)), 10.0)
-    assert found.tolist() == [True, False, True, True, False]
-    assert layout.find_near(base, np.zeros((0, 2)), 10.0).tolist() == [False] * 5
-    assert layout.find_near(base, np.zeros((1, 2)), math.inf).tolist() == [True] * 5
+    assert found.tolist() == [True, False, True, True, False, False]
+    assert layout.find_near(base, np.zeros((0, 2)), 10.0).tolist() == [False] * 6
+    assert layout.find_near(base, np.zeros((1, 2)), math.inf).tolist() == [True] * 6
 
 
 def test_lidar_that_leans_sees_the_ground_and_its_level_neighbour_does_not() -> None:
