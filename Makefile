@@ -127,7 +127,7 @@ fuzz: setup ## damaged input for every reader and for servers with each engine, 
 interop: setup ## ROS 2 peers that share no code with zensim, and rewrite docs/interop.md; needs cargo
 	$(BIN)/python -m tests.interop
 
-interop-short: setup ## a minute of them, and 15 more for the first build
+interop-short: setup ## a minute of them, and some more for the first build
 	$(BIN)/python -m tests.interop --short
 
 interop-build: setup # what interop-short runs
