@@ -100,7 +100,8 @@ def find_change(
         found = find_difference([one for one in changed if one.step <= end])
         if found is not None:
             return step, found
-        after = step
+        # The first command of a message may be of an earlier step than the message.
+        after = next(one.step for one, now in zip(messages, changed, strict=True) if one is not now)
     raise LookupError(f"no difference after {MAX_CHANGES} changes of commands")
 
 
