@@ -7,6 +7,7 @@ steps on. Queries return indices of entities, in the order of the models.
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 import numpy.typing as npt
@@ -207,7 +208,7 @@ class SceneLayout:
         parts = [
             self._place_part(number, base, joint_positions, is_chosen[group.rows])
             for number, group in enumerate(self.groups)
-            if not group.is_fixed
+            if not group.is_fixed and is_chosen[group.rows].any()
         ]
         return self._join(parts, has_ground=False)
 
@@ -235,6 +236,12 @@ class SceneLayout:
             radii[group.rows] = found
         return radii
 
+    @cached_property
+    def _shape_ranges(self) -> tuple[tuple[int, int], ...]:
+        """Of each group: index of its first shape in the geometries, and how many it has."""
+        counts = [len(self._list_all(group.model)) for group in self.groups]
+        return tuple(zip(accumulate(counts, initial=0), counts, strict=False))
+
     def _place_part(
         self,
         number: int,
@@ -246,13 +253,12 @@ class SceneLayout:
         group = self.groups[number]
         if is_chosen is not None and not is_chosen.all():
             group = replace(group, rows=group.rows[is_chosen], joints=group.joints[is_chosen])
-        shapes = self._list_all(group.model)
-        first = sum(len(self._list_all(one.model)) for one in self.groups[:number])
+        first, count = self._shape_ranges[number]
         poses = self._compute_poses(group, base[group.rows, :7], joint_positions)
         return PlacedShapes(
             self.unplaced.geometries,
-            np.repeat(first + np.arange(len(shapes)), len(group.rows)),
-            np.tile(group.rows, len(shapes)),
+            np.repeat(first + np.arange(count), len(group.rows)),
+            np.tile(group.rows, count),
             np.concatenate([np.zeros((0, 7)), *poses]),
         )
 
