@@ -196,7 +196,8 @@ class SceneLayout:
         rows = _concatenate([self.groups[number].rows for number in numbers])
         known = self._fixed_part
         if known is None or not np.array_equal(known[0], base[rows, :7]):
-            parts = [self._place_part(number, base, joint_positions) for number in numbers]
+            is_chosen = np.ones(len(base), np.bool_)
+            parts = [self._place_part(one, base, joint_positions, is_chosen) for one in numbers]
             shapes = self._join(parts, has_ground=self._has_ground)
             known = self._fixed_part = base[rows, :7], shapes
         return known[1]
@@ -206,7 +207,7 @@ class SceneLayout:
     ) -> PlacedShapes:
         """Place the shapes of those entities that move and are chosen (n,)."""
         parts = [
-            self._place_part(number, base, joint_positions, is_chosen[group.rows])
+            self._place_part(number, base, joint_positions, is_chosen)
             for number, group in enumerate(self.groups)
             if not group.is_fixed and is_chosen[group.rows].any()
         ]
@@ -215,14 +216,18 @@ class SceneLayout:
     def find_near(self, base: FloatArray, points: FloatArray, range_m: float) -> BoolArray:
         """Find the entities (n,) that move and may be within a range of points (m, 2).
 
-        Others may be among them. Those that reach without limits always are.
+        Others may be among them. Those that reach without limits always are, and those whose
+        positions are not finite.
         """
-        radii = self._radii
-        largest_m = float(radii.max(initial=0.0, where=np.isfinite(radii)))
-        if not len(points) or not np.isfinite(range_m):
-            return np.full(len(radii), bool(len(points)))
+        if not len(points):
+            return np.zeros(len(self._radii), np.bool_)
+        if not np.isfinite([range_m, *np.ptp(points, axis=0)]).all():
+            return np.ones(len(self._radii), np.bool_)
+        is_bounded = np.isfinite(self._radii)
+        largest_m = float(self._radii.max(initial=0.0, where=is_bounded))
         grid = make_point_grid(points, range_m + largest_m)
-        return are_beside(grid, base[:, :2]) | ~np.isfinite(radii)
+        is_bounded &= np.isfinite(base[:, :2]).all(axis=1)
+        return are_beside(grid, np.where(is_bounded[:, None], base[:, :2], 0.0)) | ~is_bounded
 
     @cached_property
     def _radii(self) -> FloatArray:
@@ -247,14 +252,13 @@ class SceneLayout:
         number: int,
         base: FloatArray,
         joint_positions: FloatArray,
-        is_chosen: BoolArray | None = None,
+        is_chosen: BoolArray,
     ) -> PlacedShapes:
-        """Place the members of a group, or those (m,) that are chosen."""
-        group = self.groups[number]
-        if is_chosen is not None and not is_chosen.all():
-            group = replace(group, rows=group.rows[is_chosen], joints=group.joints[is_chosen])
-        first, count = self._shape_ranges[number]
-        poses = self._compute_poses(group, base[group.rows, :7], joint_positions)
+        """Place the members of a group that are chosen (n,)."""
+        group, (first, count) = self.groups[number], self._shape_ranges[number]
+        is_member = is_chosen[group.rows]
+        group = replace(group, rows=group.rows[is_member], joints=group.joints[is_member])
+        poses = self._place_group(number, group, base[group.rows, :7], joint_positions)
         return PlacedShapes(
             self.unplaced.geometries,
             np.repeat(first + np.arange(count), len(group.rows)),
@@ -277,20 +281,15 @@ class SceneLayout:
         known = self._fixed.get(number)
         if known is not None and np.array_equal(known[0], base):
             return [known[1]]
-        poses = self._compute_poses(group, base, joint_positions)
-        if group.is_fixed:
-            self._fixed[number] = base.copy(), np.concatenate([np.zeros((0, 7)), *poses])
-        return poses
-
-    def _compute_poses(
-        self, group: ModelGroup, base: FloatArray, joint_positions: FloatArray
-    ) -> list[FloatArray]:
         links = compute_link_poses(group.model, base, joint_positions[group.joints])
-        return [
+        poses = [
             compose(links[link.name], from_origin(shape.origin))
             for link in group.model.links
             for shape in self._list_shapes(link)
         ]
+        if group.is_fixed:
+            self._fixed[number] = base.copy(), np.concatenate([np.zeros((0, 7)), *poses])
+        return poses
 
     def _list_all(self, model: Model) -> list[Shape]:
         return [shape for link in model.links for shape in self._list_shapes(link)]

@@ -113,6 +113,16 @@ def test_entities_near_lidars_are_found_with_their_reach() -> None:
     assert layout.find_near(base, np.zeros((1, 2)), math.inf).tolist() == [True] * 6
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_positions_that_are_not_finite_leave_nothing_out(value: float) -> None:
+    layout = SceneLayout([a_model(SOLIDS[1], is_static=False)] * 2, lambda _: np.zeros((0, 3)))
+    base = np.array([a_pose(value, 0.0), a_pose(500.0, 0.0)])
+    points = np.array([[0.0, 0.0], [value, 1.0]])
+
+    assert layout.find_near(base, points[:1], 10.0).tolist() == [True, False]
+    assert layout.find_near(base, points, 10.0).tolist() == [True, True]
+
+
 def test_lidar_that_leans_sees_the_ground_and_its_level_neighbour_does_not() -> None:
     caster = FleetCaster(Trial([]).layout)
     caster.place(np.zeros((0, 7)), JOINTS)
