@@ -171,8 +171,8 @@ class BusPublisher(_KeyPublisher):
 class UndeclaredPublisher(_KeyPublisher):
     """Publisher that declares nothing, so that a silent key costs the network nothing.
 
-    A router compares the key of each message with all declared ones: 25 us with few of them, 0.9 ms
-    with 5000. `Session.declare_keyexpr` would not help: it stays in the session.
+    A router compares the key of each message with all declared ones. `Session.declare_keyexpr`
+    would not help: it stays in the session.
     """
 
     is_matched = True
