@@ -1431,7 +1431,11 @@ def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
         "connect/endpoints": list(config.connect),
         "connect/timeout_ms": round(config.open_timeout_s * 1000),
         "connect/exit_on_failure": True,
-        "connect/retry": {"period_init_ms": 20, "period_max_ms": 500, "period_increase_factor": 1.5},
+        "connect/retry": {
+            "period_init_ms": 20,
+            "period_max_ms": 500,
+            "period_increase_factor": 1.5,
+        },
         "scouting/multicast/enabled": False,
         # Peers of rmw_zenoh learn of each other by the gossip of their router only.
         "scouting/gossip/enabled": config.mode != "client",

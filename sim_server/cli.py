@@ -1,6 +1,5 @@
 """Command line of the server: `zensim serve`."""
 
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -212,8 +211,10 @@ def serve(context: typer.Context, given: ServeOptions) -> None:
             raise ValueError("--client-certificates needs --secure; add it")
         folder = _prepare_folder(given) if given.secure else None
         if folder is not None:
+            from zensim.sim_server.server import import_served_world
+
             router = stack.enter_context(secured_router(folder, "serve"))
-            _import_server()  # while the router starts
+            import_served_world()  # while the router starts
             config = msgspec.structs.replace(
                 config, bus=router.wait(), secure_folder=str(folder.path)
             )
@@ -295,11 +296,12 @@ def _run_server(
 
     # Imported here, with SQLite: `zensim up` shares the options of this command.
     from zensim.sim_server.journal.sqlite_store import JournalError
+    from zensim.sim_server.server import run_server
 
     with exit_on_failure(
         "serve", ConfigError, WorldAlreadyServed, JournalError, MissingServerExtra
     ):
-        _import_server()(config, stop, announce)
+        run_server(config, stop, announce)
 
 
 def list_tokens(folder: SecureFolder) -> dict[str, str]:
@@ -322,9 +324,3 @@ def print_tokens(folder: SecureFolder) -> None:
     world = folder.settings.world
     named = "" if world == "default" else f" --world-name {world}"
     print_lines(f"  zensim token create --role agent --robot NAME{named}")
-
-
-def _import_server() -> Callable[..., None]:
-    with server_extra():
-        from zensim.sim_server.server import run_server
-    return run_server

@@ -43,6 +43,7 @@ from zensim.sim_server.world.spawn_request import ValidatedSpawn
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from zensim.sim_server.journal.restore_progress import RestoreProgress
     from zensim.sim_server.parser_process.asset_store import AssetStore
     from zensim.sim_server.physics.engine import FloatArray
     from zensim.sim_server.world.simulated_world import SimulatedWorld
@@ -175,14 +176,6 @@ class RestoreResult:
     def refuse(self, row: EntityRow, error: Exception) -> None:
         """Set an entity aside."""
         self.refused.append(ExcludedEntityRow(entity=row, reason=" ".join(str(error).split())))
-
-
-@dataclass
-class RestoreProgress:
-    """How many entities are restored; read by other threads."""
-
-    total: int = 0
-    done: int = 0
 
 
 def restore_world(

@@ -22,7 +22,6 @@ from zensim.sim_server.journal.batch_writer import BatchWriter, WriterThread
 from zensim.sim_server.journal.journal_contents import (
     JournalContents,
     MeshRestorer,
-    RestoreProgress,
     commit_restore,
     make_spawn_request,
     read_contents,
@@ -39,10 +38,10 @@ from zensim.sim_server.journal.journal_records import (
     ResponseRow,
     WorldRow,
 )
+from zensim.sim_server.journal.restore_progress import RESTORE_MARK_FILE, RestoreProgress
 from zensim.sim_server.journal.sqlite_store import (
     FILES,
     SqliteStore,
-    count_unchecked_rows,
     open_store,
     raising_journal_errors,
 )
@@ -491,8 +490,6 @@ def _find_first_crash(attempts: Sequence[Callable[[], None]], excluded: list[int
     return last if status else None
 
 
-RESTORE_MARK_FILE = "restoring"
-"""Exists during a restore: a server that finds it crashed while restoring."""
 ASSETS = "assets"
 CRASHED_REASON = "crashed the process that restored it twice"
 
@@ -618,14 +615,6 @@ class Journal:
     @property
     def _mark(self) -> Path:
         return self.database.folder / RESTORE_MARK_FILE
-
-
-def count_restorable(folder: str) -> int:
-    """Count the entities of a journal before it is read and checked; 0 if a restore crashed."""
-    path = Path(folder)
-    if not folder or (path / RESTORE_MARK_FILE).exists():
-        return 0
-    return count_unchecked_rows(path, "entity")
 
 
 def open_journal(folder: str) -> Journal:

@@ -13,11 +13,7 @@ import msgspec
 
 from zensim.proto.bus import MAX_REQUEST_BYTES
 from zensim.proto.codec.message_codec import (
-    Format,
     MalformedPayload,
-    detect_format,
-    encode,
-    make_encoding,
 )
 from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.result_messages import Result, ResultCode, SpawnCode
@@ -38,25 +34,16 @@ from zensim.sim_server.physics.engine import EngineLost, describe_fault
 from zensim.sim_server.runtime.request_authorization import RequestAuthorization
 from zensim.sim_server.runtime.request_counts import RequestCounts
 from zensim.sim_server.runtime.request_queue import MAX_WAITING, RequestBudget, RequestBusy
+from zensim.sim_server.runtime.response_encoding import CachedResponse, encode_response
 from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, WorldTelemetry
 from zensim.sim_server.service_parts import DeferredResponse
 from zensim.sim_server.services.service_registry import ServiceHandlers, make_refusal
 
 LOG = logging.getLogger(__name__)
-MAX_DETECTED_BYTES = 4096
-"""A longer request has the format that its encoding says, if it is refused unread."""
 MAX_CACHED_RESPONSES = 4096
 MAX_CACHED_BYTES = 32 << 20
 NOT_JOURNALED = frozenset({CLAIM_ENTITY.name, CLAIM_SHARE.name})
 """Services whose responses are useless after a restart."""
-
-
-@dataclass(frozen=True)
-class CachedResponse:
-    """An encoded response."""
-
-    payload: bytes
-    encoding: str
 
 
 class ResponseCache:
@@ -436,18 +423,6 @@ def _note_request(inputs: InputLog, call: ServiceCall, response: msgspec.Struct)
         inputs.note_request(call.name, call.client, request, result.result, result.error_message)
 
 
-def encode_response(call: ServiceCall, response: msgspec.Struct) -> CachedResponse:
-    """Encode a response in the format of its request."""
-    wanted = _reply_format(call)
-    try:
-        payload = encode(response, wanted)
-    except TypeError:
-        # CDR cannot express some responses, such as claims with models.
-        wanted = Format.MSGPACK
-        payload = encode(response, wanted)
-    return CachedResponse(payload, make_encoding(response, wanted))
-
-
 def _request_type(name: str) -> type[msgspec.Struct]:
     if (service := SERVICES.get(name)) is None:
         raise UnknownService(name)
@@ -507,11 +482,3 @@ class UnknownService(SimError):
 
     def __init__(self, name: str) -> None:
         super().__init__(f"service {name[:80]!r} is unknown; there are {', '.join(SERVICES)}")
-
-
-def _reply_format(call: ServiceCall) -> Format:
-    payload = call.payload if call.size <= MAX_DETECTED_BYTES else b""
-    try:
-        return detect_format(payload, call.encoding)
-    except MalformedPayload:
-        return Format.JSON if "json" in call.encoding else Format.MSGPACK

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import deque
+from importlib.metadata import version
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Final
 
@@ -16,14 +17,13 @@ from zensim.proto.messages.simulation_messages import (
 from zensim.proto.messages.telemetry_messages import PROTOCOL, Info
 from zensim.proto.service_catalog import GET_SIMULATION_STATE, INFO
 from zensim.sim_server.runtime.loop_channels import declare_services
-from zensim.sim_server.runtime.request_dispatcher import encode_response
-from zensim.sim_server.services.simulation_services import VERSION
+from zensim.sim_server.runtime.response_encoding import encode_response
 
 if TYPE_CHECKING:
     import msgspec
 
     from zensim.proto.network_protocols import ServerNetwork, ServiceCall
-    from zensim.sim_server.journal.journal_contents import RestoreProgress
+    from zensim.sim_server.journal.restore_progress import RestoreProgress
 
 POLL_S: Final = 0.01
 SWITCH_INTERVAL_S: Final = 0.001
@@ -44,6 +44,7 @@ class RestoreReplies:
         self._world = world
         self._progress = progress
         self._services = declare_services(network, world, is_secured=is_secured)
+        self._version = version("zensim")
         self._held: deque[ServiceCall] = deque()
         self._held_bytes = 0
         self._is_over = Event()
@@ -94,7 +95,7 @@ class RestoreReplies:
             return None
         return Info(
             world=self._world,
-            version=VERSION,
+            version=self._version,
             protocol=PROTOCOL,
             state="restoring",
             restored=self._progress.done,

@@ -16,7 +16,7 @@ from benchmarks.figures import Figure, Limit
 from tests.integration.journals import kill_hard, serving_with_journal
 from tests.integration.processes import START_S, connected, eventually, free_endpoint, running
 from zensim.proto.bus import NoServer
-from zensim.sim_server.journal.server_journal import RESTORE_MARK_FILE
+from zensim.sim_server.journal.restore_progress import RESTORE_MARK_FILE
 from zensim.spawner.client.sim_client import SimClient
 
 ROBOTS, ROBOTS_WHEN_SHORT = (200, 700, 2000), (160,)

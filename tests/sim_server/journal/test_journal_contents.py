@@ -34,7 +34,8 @@ from zensim.sim_server.journal.journal_contents import (
     summarize_journal,
 )
 from zensim.sim_server.journal.journal_records import ExcludedEntityRow
-from zensim.sim_server.journal.server_journal import RESTORE_MARK_FILE, Journal, open_journal
+from zensim.sim_server.journal.restore_progress import RESTORE_MARK_FILE
+from zensim.sim_server.journal.server_journal import Journal, open_journal
 from zensim.sim_server.journal.sqlite_store import (
     FILES,
     JournalError,

@@ -5,17 +5,15 @@ from typing import cast
 import pytest
 
 from tests.fakes import MemoryCall
-from zensim.proto.codec.message_codec import Format
 from zensim.proto.network_protocols import ServiceCall
 from zensim.sim_server.runtime.request_dispatcher import (
     MAX_CACHED_RESPONSES,
-    CachedResponse,
     QueuedReply,
     ReplyQueue,
     ResponseCache,
-    _reply_format,
     make_journaled_response,
 )
+from zensim.sim_server.runtime.response_encoding import CachedResponse
 
 
 def a_call(request_id: bytes, service: str = "delete_entity") -> ServiceCall:
@@ -150,13 +148,3 @@ def test_cache_holds_32_mebibytes() -> None:
     dropped = [len(answers.keep(a_call(b"%d" % i), an_answer(mebibyte))) for i in range(34)]
 
     assert dropped == [0] * 32 + [1, 1]
-
-
-@pytest.mark.parametrize(
-    ("size", "form"), [(2, Format.JSON), (4096, Format.JSON), (4097, Format.MSGPACK)]
-)
-def test_format_of_a_request_of_4096_bytes_at_most_is_detected(size: int, form: Format) -> None:
-    payload = b"{" + b" " * (size - 2) + b"}"
-    call = cast("ServiceCall", MemoryCall("sim/default/info", payload, "", b""))
-
-    assert _reply_format(call) is form

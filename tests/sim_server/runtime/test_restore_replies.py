@@ -11,7 +11,7 @@ from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.service_catalog import GET_ENTITIES, GET_SIMULATION_STATE, INFO
 from zensim.recording.recorder import RecorderSettings
 from zensim.recording.recording_session import make_start
-from zensim.sim_server.journal.journal_contents import RestoreProgress
+from zensim.sim_server.journal.restore_progress import RestoreProgress
 from zensim.sim_server.runtime.restore_replies import MAX_HELD_BYTES, RestoreReplies
 from zensim.spawner.client.service_client import ServiceClient
 

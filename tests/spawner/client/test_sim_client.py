@@ -13,7 +13,7 @@ from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Point, Pose, Twist, Vector3
 from zensim.proto.messages.telemetry_messages import Info
-from zensim.sim_server.journal.journal_contents import RestoreProgress
+from zensim.sim_server.journal.restore_progress import RestoreProgress
 from zensim.sim_server.runtime.loop import ServerLoop
 from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
 from zensim.sim_server.runtime.restore_replies import RestoreReplies
