@@ -16,8 +16,9 @@ ROS 2, until none came for 15 s; the time is that of the last one. Another one s
 odometry of the last robot, which is beyond those 500, as `ros2 topic echo` with a type does: a node
 of ROS 2 sees that robot in its graph from then on. Memory is what came after the start without
 robots. Floors: bare tokens with the keys of robots, declared in a session of another process, with
-a session that joins late; and as many drives as robots, on circles in plain arrays, with one
-message for all: what the arithmetic takes at this rate, without a network, an engine or neighbours.
+a session that joins late; the messages of the fleet, as many and as large, between processes that
+compute nothing; and as many drives as robots, on circles in plain arrays, with one message for all:
+what the arithmetic takes at this rate, without a network, an engine or neighbours.
 """
 
 import time
@@ -80,6 +81,7 @@ LIDAR, LIDAR_RATE, SCAN_HZ = "box_bot_lidar", "<update_rate>10</update_rate>", 5
 LEAST_SCAN_HZ = 4.9
 ROBOTS_WITH_BARE_TOKENS, ROBOTS_WITH_BARE_TOKENS_WHEN_SHORT = (500, 1000, 2000), (20,)
 FLOOR_SAMPLES, FLOOR_STEPS = 15, 20
+BARE_FLEET_S, BARE_FLEET_WINDOWS = 4.0, 5
 NEARLY_ALL = Limit("mean", ">=", 39.5)
 NO_DROPS = Limit("max", "<=", 0.0)
 
@@ -193,6 +195,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         yield from _measured(case, robots, is_short=is_short)
     for count in ROBOTS_WITH_BARE_TOKENS_WHEN_SHORT if is_short else ROBOTS_WITH_BARE_TOKENS:
         yield from _measure_bare_tokens(count, QUIET_WHEN_SHORT_S if is_short else QUIET_S)
+    yield from _measure_bare_fleet(robots, SECONDS_WHEN_SHORT if is_short else BARE_FLEET_S)
     label = f"floor: {robots} drives in arrays, 20 Hz"
     yield Figure(what=label, unit="cores", samples=tuple(_floor_cores(robots, 20.0)))
 
@@ -520,6 +523,36 @@ def _measure_bare_tokens(robots: int, quiet_s: float) -> Iterator[Figure]:
     yield Figure(what=f"{label}: memory of a robot, router", unit="KiB", samples=(router_kib,))
     own_kib = declared.kib / robots
     yield Figure(what=f"{label}: memory of a robot, session", unit="KiB", samples=(own_kib,))
+
+
+def _measure_bare_fleet(robots: int, seconds: float) -> Iterator[Figure]:
+    """Exchange the messages of a fleet without computing anything."""
+    endpoint, pids = free_endpoint(), {}
+    with ExitStack() as stack:
+        for name, arguments in {
+            "server": ("server", endpoint, str(robots)),
+            **{f"pool {n + 1}": ("pool", endpoint, str(robots), str(n)) for n in range(POOLS)},
+        }.items():
+            process = stack.enter_context(program("bare_fleet", *arguments))
+            line_with("ready", process)
+            pids[name] = process.pid
+        line_with(BEGINNING, stack.enter_context(program("fleet_commander", endpoint, str(robots))))
+        time.sleep(SETTLE_WHEN_SHORT_S)
+        windows = [_use_cores(pids, seconds) for _ in range(BARE_FLEET_WINDOWS)]
+    label = f"floor: messages of {robots} robots alone, CPU"
+    totals = tuple(sum(window.values()) for window in windows)
+    yield Figure(what=f"{label} of all", unit="cores", samples=totals)
+    for name in pids:
+        samples = tuple(window[name] for window in windows)
+        yield Figure(what=f"{label}, {name}", unit="cores", samples=samples)
+
+
+def _use_cores(pids: dict[str, int], seconds: float) -> dict[str, float]:
+    """Find the cores that processes use in the next seconds."""
+    before_s, began_s = {name: used_s(pid) for name, pid in pids.items()}, time.monotonic()
+    time.sleep(seconds)
+    passed_s = time.monotonic() - began_s
+    return {name: (used_s(pid) - before_s[name]) / passed_s for name, pid in pids.items()}
 
 
 def _floor_cores(robots: int, hz: float) -> Sequence[float]:
