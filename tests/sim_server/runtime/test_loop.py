@@ -20,6 +20,7 @@ from zensim.proto.messages.telemetry_messages import Info, InfoRequest, Stats
 from zensim.sim_server.runtime.loop import (
     MAX_LAG_NS,
     POLL_S,
+    find_poll_s,
 )
 
 POLL_NS = round(POLL_S * 1e9)
@@ -81,6 +82,14 @@ def test_loop_waits_for_the_deadline_and_no_longer() -> None:
 
     assert max(server.wall.slept_s) <= POLL_S
     assert sum(server.wall.slept_s) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("wall_step_s", "pause_s"),
+    [(0.0, 0.0003), (1 / 240, 0.0003), (0.01, 0.0004), (0.02, 0.0008), (0.05, 0.001)],
+)
+def test_pauses_are_longer_between_longer_steps(wall_step_s: float, pause_s: float) -> None:
+    assert find_poll_s(wall_step_s) == pytest.approx(pause_s)
 
 
 def test_loop_catches_up_when_it_was_delayed_a_little() -> None:
