@@ -51,9 +51,7 @@ class PollSchedule:
         return min(MIN_PERIOD_S, max(0.0, MIN_PERIOD_S - (now_s - self._state_s)))
 
     def pause_s(self, now_s: float) -> float:
-        """Find the pause until the next poll [s]."""
-        if self._is_woken:
-            return self._longest_s
+        """Find the pause until the next poll [s], of a loop that polls."""
         if now_s < self._eager_until_s:
             return EAGER_POLL_S
         passed_s = now_s - self._state_s

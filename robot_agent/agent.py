@@ -385,6 +385,8 @@ class Agent:
 
     def pause_s(self, now_s: float) -> float:
         """Find how long to sleep [s] before the next poll."""
+        if self._network.arrivals is not None:
+            return max(0.0, self._housekeeping_s - now_s)
         return self._poll_schedule.pause_s(now_s)
 
     def poll(self, now_s: float) -> bool:
@@ -608,13 +610,14 @@ def run_agent(
             if network.arrivals is None:
                 sleep(agent.pause_s(now_s))
             else:
-                sleep(agent.minimum_pause_s(now_s))
                 network.arrivals.wait(agent.pause_s(now_s))
+                if (rest_s := agent.minimum_pause_s(clock())) > 0.0:
+                    sleep(rest_s)
 
 
 def _make_poll_schedule(config: AgentConfig, *, is_woken: bool) -> PollSchedule:
     if is_woken:
-        return PollSchedule(HOUSEKEEPING_PERIOD_S, is_woken=True)
+        return PollSchedule(is_woken=True)
     return PollSchedule(MAX_COMMAND_PAUSE_S if config.pool_limit is None else MAX_PAUSE_S)
 
 

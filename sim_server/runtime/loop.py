@@ -309,10 +309,9 @@ class AgentSessions:
 
 
 POLL_S = 0.0003
-"""Pause of a loop that waits for agents, and the least before a step that is not due."""
-POLL_SHARE = 0.04
-"""The same as a share of a step's wall time, up to `IDLE_POLL_S`: pauses of 0.3 ms between steps of
-50 ms took a tenth of a core."""
+"""Pause of a loop that waits for agents, or for a step for a while after a request."""
+BUSY_NS = 100_000_000
+"""How long: who calls services in turn need not wait, and others wake the loop less often."""
 IDLE_POLL_S = 0.001
 EAGER_NS, EAGER_POLL_S = 20_000_000, 0.0001
 """After a requested step, requests are polled fast for so long."""
@@ -328,11 +327,6 @@ MAX_DRAIN_NS = 10_000_000_000
 """Longest time that the end of a server waits for requests that are not finished."""
 MAX_LAG_NS = 50_000_000
 """Most that the loop catches up; beyond that the deadline moves."""
-
-
-def find_poll_s(wall_step_s: float) -> float:
-    """Find the pause between two looks for input while a step is not due [s]."""
-    return min(max(POLL_S, POLL_SHARE * wall_step_s), IDLE_POLL_S)
 
 
 class LoopClock(Protocol):
@@ -378,7 +372,7 @@ class ServerLoop:
         self._publisher = publisher
         self._clock = clock
         self._deadline_ns = clock.now_ns()
-        self._stepped_ns = -EAGER_NS
+        self._stepped_ns, self._called_ns = -EAGER_NS, -BUSY_NS
         """Wall time of the last requested step."""
         self._paced_ns = 0
         self._factor = parts.pacing.target_real_time_factor
@@ -490,6 +484,7 @@ class ServerLoop:
             self.request_counts.refused_unread += 1
             call.drop()  # unread
             return False
+        self._called_ns = self._clock.now_ns()
         try:
             self._requests.add(call)
         except RequestBusy as error:
@@ -600,8 +595,8 @@ class ServerLoop:
             self.tick(now_ns)
             self._set_deadline()
         else:
-            left_s = (self._deadline_ns - now_ns) * 1e-9
-            self._clock.sleep(min(find_poll_s(self._wall_step_ns * 1e-9), left_s))
+            pause_s = POLL_S if now_ns - self._called_ns < BUSY_NS else IDLE_POLL_S
+            self._clock.sleep(min(pause_s, (self._deadline_ns - now_ns) * 1e-9))
 
     def _apply_speed_change(self, now_ns: int) -> None:
         """Restart pacing when the target speed has changed: the old deadline may be far away."""

@@ -77,13 +77,6 @@ def test_schedule_limits_its_pauses() -> None:
     assert rhythm.pause_s(9.9) == MAX_PAUSE_S
 
 
-def test_a_woken_loop_pauses_until_something_arrives() -> None:
-    rhythm = PollSchedule(0.02, is_woken=True)
-    rhythm.note_state(10.0, is_awaited=False)
-
-    assert rhythm.pause_s(10.0) == rhythm.pause_s(10.011) == 0.02
-
-
 def test_a_woken_loop_answers_as_often_as_one_that_polls() -> None:
     rhythm = PollSchedule(is_woken=True)
     rhythm.note_state(10.0, is_awaited=False)

@@ -22,6 +22,7 @@ from zensim.proto.messages.model_messages import DiffDrive
 from zensim.proto.messages.process_messages import AgentStats
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
+from zensim.proto.poll_schedule import MIN_PERIOD_S
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
 from zensim.proto.topic_catalog import AGENT_STATS, CONTACTS, DRIVE_STATE, FLEET_ODOMETRY
 from zensim.proto.topic_endpoints import TopicFactory
@@ -658,7 +659,32 @@ def test_agent_pauses_until_something_arrives_where_that_is_signalled() -> None:
     run_agent(bus, config, lambda: next(turns) == 99, clock=clock, sleep=clock.sleep)
 
     assert len(arrivals.pauses_s) == 99
-    assert set(arrivals.pauses_s) == {HOUSEKEEPING_PERIOD_S}
+    assert arrivals.pauses_s == pytest.approx([HOUSEKEEPING_PERIOD_S] * 99)
+
+
+def test_agent_that_was_woken_soon_after_a_state_waits_before_it_looks() -> None:
+    clock, bus = ManualClock(), MemoryBus()
+    server = FakeServer(bus, "r1")
+    pauses_s: list[float] = []
+    turns = iter(range(20))
+
+    class FrequentStates(ManualArrivals):
+        """States come four times as often as they may be answered."""
+
+        def wait(self, timeout_s: float) -> None:
+            super().wait(min(timeout_s, MIN_PERIOD_S / 4))
+            server.send(a_state(len(pauses_s)))
+
+    bus.arrivals = FrequentStates(clock)
+
+    def sleep(seconds: float) -> None:
+        pauses_s.append(seconds)
+        clock.sleep(seconds)
+
+    config = AgentConfig(agent=AGENT, entities=("r1",))
+    run_agent(bus, config, lambda: next(turns) == 19, clock=clock, sleep=sleep)
+
+    assert pauses_s[-5:] == pytest.approx([MIN_PERIOD_S * 3 / 4] * 5)
 
 
 def test_agent_replies_to_a_signalled_request_at_once() -> None:

@@ -18,9 +18,9 @@ from zensim.proto.messages.simulation_messages import (
 )
 from zensim.proto.messages.telemetry_messages import Info, InfoRequest, Stats
 from zensim.sim_server.runtime.loop import (
+    IDLE_POLL_S,
     MAX_LAG_NS,
     POLL_S,
-    find_poll_s,
 )
 
 POLL_NS = round(POLL_S * 1e9)
@@ -80,16 +80,20 @@ def test_loop_waits_for_the_deadline_and_no_longer() -> None:
 
     server.turn_for(1.0)
 
-    assert max(server.wall.slept_s) <= POLL_S
+    assert max(server.wall.slept_s) == IDLE_POLL_S
     assert sum(server.wall.slept_s) == pytest.approx(1.0, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    ("wall_step_s", "pause_s"),
-    [(0.0, 0.0003), (1 / 240, 0.0003), (0.01, 0.0004), (0.02, 0.0008), (0.05, 0.001)],
-)
-def test_pauses_are_longer_between_longer_steps(wall_step_s: float, pause_s: float) -> None:
-    assert find_poll_s(wall_step_s) == pytest.approx(pause_s)
+def test_loop_looks_for_input_more_often_for_a_while_after_a_request() -> None:
+    server = a_server()
+    server.request("info", InfoRequest())
+    server.turn_for(0.09)
+
+    busy_s = max(server.wall.slept_s)
+    server.wall.slept_s.clear()
+    server.turn_for(0.09)
+
+    assert (busy_s, max(server.wall.slept_s)) == (POLL_S, IDLE_POLL_S)
 
 
 def test_loop_catches_up_when_it_was_delayed_a_little() -> None:
