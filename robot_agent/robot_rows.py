@@ -45,6 +45,56 @@ def remap_flags(column: BoolArray, before: IntArray) -> BoolArray:
     return out
 
 
+def take_rows(column: FloatArray, rows: IntArray) -> FloatArray:
+    """Select ascending rows of a column (n, ...); all of them are the column itself, not a copy."""
+    return column if len(rows) == len(column) else column[rows]
+
+
+def put_rows(column: FloatArray, rows: IntArray, values: FloatArray) -> None:
+    """Write the values of ascending rows into a column (n, ...)."""
+    column[slice(None) if len(rows) == len(column) else rows] = values
+
+
+def intersect_rows(rows: IntArray, others: IntArray, count: int) -> IntArray:
+    """Find the ascending rows of `count` that are in both."""
+    if len(others) == count:
+        return rows
+    return others if len(rows) == count else np.intersect1d(rows, others, assume_unique=True)
+
+
+@dataclass(frozen=True)
+class RowPlaces:
+    """Where the numbers of a group's rows are in an array of its pool.
+
+    Attributes:
+        places: (n,) or (n, k) indices.
+        span: The same if each is one more than the last: numpy then copies nothing.
+    """
+
+    places: IntArray
+    span: slice | None
+
+    def read(self, array: FloatArray) -> FloatArray:
+        """Select the numbers (n, ...) or (n, k, ...)."""
+        if self.span is None:
+            return array[self.places]
+        return array[self.span].reshape(*self.places.shape, *array.shape[1:])
+
+    def write(self, array: FloatArray, values: FloatArray) -> None:
+        """Write the numbers into an array (m,)."""
+        if self.span is None:
+            array[self.places] = values
+        else:
+            array[self.span] = values.reshape(-1)
+
+
+def make_row_places(places: IntArray) -> RowPlaces:
+    """Find out whether places follow each other."""
+    flat = places.reshape(-1)
+    is_span = len(flat) > 0 and bool((np.diff(flat) == 1).all())
+    return RowPlaces(places, slice(int(flat[0]), int(flat[-1]) + 1) if is_span else None)
+
+
 @dataclass(frozen=True)
 class StateRows:
     """States of robots with equal joints at one step, a row each."""

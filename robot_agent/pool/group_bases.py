@@ -19,8 +19,10 @@ from zensim.robot_agent.robot_rows import (
     GroupRateLimiter,
     IntArray,
     StateRows,
+    put_rows,
     remap_flags,
     remap_floats,
+    take_rows,
 )
 
 MOTION_COLUMNS = 10
@@ -220,17 +222,18 @@ class GroupBaseController:
         rows, elapsed_s = self._limiters.open(time_ns)
         self._drive.forget_last()
         if len(rows):
-            self.targets[rows] = self._drive.update(
+            found = self._drive.update(
                 rows,
-                twists[rows],
-                positions=positions[rows][:, self._measured],
-                velocities=velocities[rows][:, self._measured],
+                take_rows(twists, rows),
+                positions=take_rows(positions, rows)[:, self._measured],
+                velocities=take_rows(velocities, rows)[:, self._measured],
                 elapsed_s=elapsed_s,
             )
+            put_rows(self.targets, rows, found)
         if self._motion_limiter is not None:
             rows, _ = self._motion_limiter.open(time_ns)
         if len(rows):
-            self.motions[rows] = self._new_motions(rows, state.base)
+            put_rows(self.motions, rows, self._new_motions(rows, state.base))
         return rows
 
     def revise(self, twists: FloatArray) -> None:
@@ -247,6 +250,6 @@ class GroupBaseController:
         if self._encoders is not None:
             return self._encoders.motions[rows]
         # Contiguous columns take a tenth less time.
-        columns = tuple(np.ascontiguousarray(base[rows].T))
+        columns = tuple(np.ascontiguousarray(take_rows(base, rows).T))
         motion = find_world_motion(columns, self._group_key.base_in_root, ARRAY_MATH)
         return _stack_motion(len(rows), motion)

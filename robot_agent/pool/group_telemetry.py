@@ -36,9 +36,12 @@ from zensim.robot_agent.robot_rows import (
     GroupRateLimiter,
     IntArray,
     StateRows,
+    intersect_rows,
+    put_rows,
     remap_flags,
     remap_floats,
     remap_ints,
+    take_rows,
 )
 from zensim.robot_agent.robot_telemetry import (
     differs_in_namespace_only,
@@ -126,7 +129,7 @@ class GroupTopic:
         if self._rates is None or not len(rows):
             return rows
         found, _ = self._rates.open(time_ns)
-        return np.intersect1d(rows, found, assume_unique=True)
+        return intersect_rows(rows, found, len(self._has_value))
 
     def publish(self, rows: IntArray, time_ns: int) -> None:
         """Publish some rows."""
@@ -270,8 +273,8 @@ class GroupFramePoses:
         self._found = None
         if len(rows) and self._limiters is not None:
             is_open, _ = self._limiters.open(time_ns)
-            rows = np.intersect1d(rows, is_open, assume_unique=True)
-        self._positions[rows] = positions[rows][:, self._moving]
+            rows = intersect_rows(rows, is_open, len(self._positions))
+        put_rows(self._positions, rows, take_rows(positions, rows)[:, self._moving])
         return rows
 
     def of(self, rows: IntArray) -> FloatArray:
@@ -442,14 +445,13 @@ class GroupJointTopic(GroupTopic):
         """Publish the joints of the rows that are due."""
         rows, _ = self._limiters.open(state.time_ns)
         if len(rows):
-            efforts = np.full_like(state.positions, np.nan)
-            columns = (
-                state.positions,
-                state.velocities,
-                efforts if state.efforts is None else state.efforts,
-            )
-            found = [column[rows][:, self._published] for column in columns]
-            self._states[rows] = np.concatenate(found, axis=1)
+            columns = (state.positions, state.velocities, state.efforts)
+            own = np.split(self._states, len(columns), axis=1)
+            for kept, column in zip(own, columns, strict=True):
+                if column is None:
+                    kept[rows] = np.nan
+                else:
+                    put_rows(kept, rows, take_rows(column, rows)[:, self._published])
             self.publish(rows, state.time_ns)
 
 

@@ -50,7 +50,9 @@ from zensim.robot_agent.robot_rows import (
     NEW_ROW,
     FloatArray,
     IntArray,
+    RowPlaces,
     StateRows,
+    make_row_places,
     remap_floats,
     remap_ints,
 )
@@ -252,11 +254,11 @@ class PoolDriveState:
 class GroupSlots:
     """Indices of a group's rows in the arrays of its pool."""
 
-    places: IntArray
+    places: RowPlaces
     """(n,)."""
-    joints: IntArray
+    joints: RowPlaces
     """(n, joint_count)."""
-    targets: IntArray
+    targets: RowPlaces
     """Of the drive, (n, target_count)."""
     joint_targets: IntArray
     """Of controlled joints, (n, joint_target_count)."""
@@ -318,13 +320,13 @@ class RobotGroup:
             return
         own = StateRows(
             state.time_ns,
-            state.base[slots.places],
-            state.positions[slots.joints],
-            state.velocities[slots.joints],
-            None if state.efforts is None else state.efforts[slots.joints],
+            slots.places.read(state.base),
+            slots.joints.read(state.positions),
+            slots.joints.read(state.velocities),
+            None if state.efforts is None else slots.joints.read(state.efforts),
         )
-        rows = self._bases.update(own, state.twists[slots.places])
-        targets[slots.targets] = self._bases.targets
+        rows = self._bases.update(own, slots.places.read(state.twists))
+        slots.targets.write(targets, self._bases.targets)
         for row, control in self._jointed:
             numbers = control.update(state.time_ns, partial(_list_joints, own, row))
             targets[slots.joint_targets[row]] = numbers
@@ -333,8 +335,8 @@ class RobotGroup:
     def repeat(self, twists: FloatArray, targets: FloatArray) -> None:
         """Write the targets of the last state again, with other twists (n, 6) of the pool."""
         if (slots := self._slots) is not None:
-            self._bases.revise(twists[slots.places])
-            targets[slots.targets] = self._bases.targets
+            self._bases.revise(slots.places.read(twists))
+            slots.targets.write(targets, self._bases.targets)
             for row, control in self._jointed:
                 targets[slots.joint_targets[row]] = control.targets
 
@@ -435,9 +437,9 @@ class PoolStateLayout:
         at = np.array(places, dtype=np.int64)
         joints, targets = self._joints, self._targets
         return GroupSlots(
-            at,
-            joints[at, None] + np.arange(joints[at[0] + 1] - joints[at[0]]),
-            targets[at, None] + np.arange(target_count),
+            make_row_places(at),
+            make_row_places(joints[at, None] + np.arange(joints[at[0] + 1] - joints[at[0]])),
+            make_row_places(targets[at, None] + np.arange(target_count)),
             targets[at, None] + np.arange(target_count, targets[at[0] + 1] - targets[at[0]]),
         )
 

@@ -1,4 +1,4 @@
-"""Rate limiters in rows open as single ones do."""
+"""Rows of robots: rate limiters open as single ones do, selections are those of numpy."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from zensim.proto.rate_limiter import RateLimiter
-from zensim.robot_agent.robot_rows import GroupRateLimiter, remap_floats
+from zensim.robot_agent.robot_rows import (
+    GroupRateLimiter,
+    IntArray,
+    intersect_rows,
+    make_row_places,
+    put_rows,
+    remap_floats,
+    take_rows,
+)
 
 RATES = [0.0, 7.0, 30.0, 50.0, 80.0, 100.0]
 STEPS = st.lists(st.sampled_from([0, 4_166_667, 12_500_000, 10_000_000, 1]), max_size=60)
@@ -57,3 +65,47 @@ def test_rows_that_stay_keep_their_values_and_new_ones_are_zero() -> None:
 
     assert remap_floats(column, before).tolist() == [[3.0, 4.0], [0.0, 0.0], [1.0, 2.0]]
     assert remap_floats(column, before, 7.0)[1].tolist() == [7.0, 7.0]
+
+
+ROWS = st.sets(st.integers(0, 7)).map(lambda found: np.array(sorted(found), dtype=np.int64))
+
+
+@given(ROWS)
+def test_rows_that_are_taken_and_put_are_those_of_numpy(rows: IntArray) -> None:
+    column = np.arange(16.0).reshape(8, 2)
+    expected = column.copy()
+    expected[rows] = column[rows] + 100.0
+
+    put_rows(column, rows, take_rows(column, rows) + 100.0)
+
+    assert column.tolist() == expected.tolist()
+
+
+@given(ROWS, ROWS)
+def test_rows_of_both_are_found(rows: IntArray, others: IntArray) -> None:
+    found = intersect_rows(rows, others, 8)
+
+    assert found.tolist() == sorted({*rows.tolist()} & {*others.tolist()})
+
+
+@pytest.mark.parametrize("places", [[2, 3, 4], [4, 2, 3], [2, 4, 5]])
+def test_numbers_are_read_and_written_where_they_are(places: list[int]) -> None:
+    found, array = make_row_places(np.array(places)), np.arange(10.0)
+
+    read = found.read(array).tolist()
+    found.write(array, np.array([0.1, 0.2, 0.3]))
+
+    assert read == [float(place) for place in places]
+    assert array[places].tolist() == [0.1, 0.2, 0.3]
+
+
+def test_numbers_of_rows_are_read_by_row() -> None:
+    places = make_row_places(np.array([[2, 3], [4, 5]]))
+    matrix = np.arange(20.0).reshape(10, 2)
+
+    assert places.read(np.arange(10.0)).tolist() == [[2.0, 3.0], [4.0, 5.0]]
+    assert make_row_places(np.array([1, 2])).read(matrix).tolist() == [[2.0, 3.0], [4.0, 5.0]]
+
+
+def test_no_places_read_nothing() -> None:
+    assert make_row_places(np.zeros((0, 2), dtype=np.int64)).read(np.arange(4.0)).shape == (0, 2)
