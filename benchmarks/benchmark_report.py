@@ -80,13 +80,17 @@ class Section(msgspec.Struct, frozen=True):
 def measure(name: str, *, is_short: bool) -> Section:
     """Run one benchmark."""
     module = import_module(f"benchmarks.bench_{name}")
-    before = machine.work()
+    additions_ms = machine.time_additions_ms()
+    before, steal = machine.work(), machine.StealWatch()
     rows = list(module.rows(is_short=is_short))
-    others = machine.others_cores(before, machine.work())
+    withheld, others = steal.end(), machine.others_cores(before, machine.work())
+    additions_ms += machine.time_additions_ms()
     title, _, method = str(module.__doc__).partition("\n")
     command = f"`.venv/bin/python -m benchmarks {name}`"
     return Section(
         f"## {title}\n\n{command}\n\n{method.strip()}\n\n{module.table(rows)}\n"
-        f"Other programs kept {others:.2f} cores busy meanwhile.\n",
+        f"Other programs kept {others:.2f} cores busy meanwhile. The host of this machine withheld "
+        f"{withheld}.\nA million additions in Python took {min(additions_ms):.0f} to "
+        f"{max(additions_ms):.0f} ms of CPU time before and after.\n",
         tuple(missed(row) for row in rows if isinstance(row, Figure) and row.is_missed),
     )

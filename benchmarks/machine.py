@@ -3,15 +3,19 @@
 import os
 import platform
 import subprocess
+import threading
 import time
 from datetime import datetime, timezone
 from importlib.metadata import version
 from pathlib import Path
+from statistics import fmean
 
 import msgspec
 import psutil
 
 ROOT = Path(__file__).parents[1]
+STEAL_PERIOD_S = 0.25
+ADDITIONS, LOOPS = 1_000_000, 3
 LIBRARIES = ("eclipse-zenoh", "pybullet", "msgspec", "numpy", "viser")
 
 
@@ -53,7 +57,7 @@ def work() -> Work:
     """Read the current counters."""
     all_, own, wall_s = psutil.cpu_times(), os.times(), time.monotonic()
     # Without iowait, when a core is idle, and guest time, which user time includes.
-    kinds = ("user", "nice", "system", "irq", "softirq", "steal")
+    kinds = ("user", "nice", "system", "irq", "softirq")
     busy_s = sum(float(getattr(all_, kind, 0.0)) for kind in kinds)
     own_s = own.user + own.system + own.children_user + own.children_system
     return Work(wall_s, busy_s, own_s)
@@ -63,6 +67,54 @@ def others_cores(before: Work, after: Work) -> float:
     """Find the number of cores used by others in between."""
     others_s = (after.all_s - after.own_s) - (before.all_s - before.own_s)
     return max(0.0, others_s / (after.wall_s - before.wall_s))
+
+
+class StealWatch:
+    """Notes what share of its cores a virtual machine does not get from its host.
+
+    Threads that may run wait meanwhile, which shows as gaps and late steps.
+    """
+
+    def __init__(self) -> None:
+        """Begin to watch, in a thread."""
+        self._shares: list[float] = []
+        self._has_ended = threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    def end(self) -> str:
+        """End, and format the mean and the worst share."""
+        self._has_ended.set()
+        self._thread.join()
+        if not self._shares:
+            return "0.0 % of its cores"
+        mean, worst = fmean(self._shares), max(self._shares)
+        return f"{mean:.1%} of its cores, {worst:.0%} in the worst quarter of a second"
+
+    def _watch(self) -> None:
+        cores = os.cpu_count() or 1
+        before_s, stolen_s = time.monotonic(), _read_stolen_s()
+        while not self._has_ended.wait(STEAL_PERIOD_S):
+            now_s, now_stolen_s = time.monotonic(), _read_stolen_s()
+            self._shares.append((now_stolen_s - stolen_s) / (now_s - before_s) / cores)
+            before_s, stolen_s = now_s, now_stolen_s
+
+
+def _read_stolen_s() -> float:
+    """Read the time [s] that all cores waited for their host; 0 where none is reported."""
+    return float(getattr(psutil.cpu_times(), "steal", 0.0))
+
+
+def time_additions_ms() -> tuple[float, ...]:
+    """Time a loop of Python a few times [CPU ms]: virtual machines differ from hour to hour."""
+    return tuple(_time_loop_ms() for _ in range(LOOPS))
+
+
+def _time_loop_ms() -> float:
+    began_s, total = time.thread_time(), 0
+    for number in range(ADDITIONS):
+        total += number
+    return (time.thread_time() - began_s) * 1e3
 
 
 def used_s(pid: int) -> float:
