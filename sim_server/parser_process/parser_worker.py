@@ -5,6 +5,7 @@ Run with `python -m`: request frames on stdin, result frames on stdout.
 
 import signal
 import sys
+from contextlib import suppress
 
 import msgspec
 
@@ -78,6 +79,8 @@ def handle_request(frame: bytes, replies: int, texts: RenamedTexts) -> None:
             message=f"parsing took more than {MAX_MEMORY_BYTES >> 20} MiB; make the meshes smaller",
         )
     write_frame(replies, msgspec.msgpack.encode(result))
+    with suppress(MemoryError):
+        texts.check()
 
 
 FileContents = dict[str, bytes]

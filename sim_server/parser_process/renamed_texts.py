@@ -81,6 +81,8 @@ class RenamedTexts:
         self._read_cpu_s = read_cpu_s
         self._models: OrderedDict[ParseRequest, bytes | None] = OrderedDict()
         """By request with marks: the encoded model; empty before the second one, None = differs."""
+        self._unchecked: tuple[ParseRequest, NamedText, ParseResult] | None = None
+        """Of the last text, if it is the second of its form."""
 
     def parse(self, request: ParseRequest) -> ParsedText:
         """Parse a text, or copy the model of one that differs in its names alone."""
@@ -101,9 +103,16 @@ class RenamedTexts:
             if len(self._models) > MAX_FORMS:
                 self._models.popitem(last=False)
         elif self._models[form] is not None:
-            is_copied = not (meshes or is_slow)
-            self._models[form] = self._encode_marked(form, text, result) if is_copied else None
+            self._models[form] = None
+            if not (meshes or is_slow):
+                self._unchecked = form, text, result
         return result, meshes
+
+    def check(self) -> None:
+        """Find out whether later texts may be copies of the last one; call it after its reply."""
+        unchecked, self._unchecked = self._unchecked, None
+        if unchecked is not None:
+            self._models[unchecked[0]] = self._encode_marked(*unchecked)
 
     def _encode_marked(
         self, form: ParseRequest, text: NamedText, result: ParseResult

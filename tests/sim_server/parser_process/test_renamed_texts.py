@@ -35,6 +35,25 @@ class CountingParser:
         return self._parse(request)
 
 
+def parse_and_check(texts: RenamedTexts, request: ParseRequest) -> ParsedText:
+    """Parse as the parser process does, which replies in between."""
+    parsed = texts.parse(request)
+    texts.check()
+    return parsed
+
+
+def test_second_text_is_parsed_once_before_its_reply() -> None:
+    parser = CountingParser()
+    texts = RenamedTexts(parser.parse)
+    parse_and_check(texts, ParseRequest(0, a_text("r0")))
+
+    texts.parse(ParseRequest(1, a_text("r1")))
+    before_the_reply = len(parser.texts)
+    texts.check()
+
+    assert (before_the_reply, len(parser.texts)) == (2, 3)
+
+
 def a_text(name: str) -> str:
     """Make the text that `zensim spawn` sends for a name."""
     return add_namespace(BOX_BOT, name)
@@ -44,10 +63,10 @@ def test_third_text_of_a_form_is_not_parsed() -> None:
     parser = CountingParser()
     texts = RenamedTexts(parser.parse)
     for number in range(2):
-        texts.parse(ParseRequest(number, a_text(f"r{number}")))
+        parse_and_check(texts, ParseRequest(number, a_text(f"r{number}")))
     count = len(parser.texts)
 
-    result, meshes = texts.parse(ParseRequest(9, a_text("far_away")))
+    result, meshes = parse_and_check(texts, ParseRequest(9, a_text("far_away")))
 
     assert len(parser.texts) == count
     assert (result.number, meshes) == (9, {})
@@ -59,9 +78,9 @@ def test_third_text_of_a_form_is_not_parsed() -> None:
 def test_copies_equal_parsed_models(name: str) -> None:
     texts = RenamedTexts(CountingParser().parse)
     for number in range(2):
-        texts.parse(ParseRequest(number, a_text(f"r{number}")))
+        parse_and_check(texts, ParseRequest(number, a_text(f"r{number}")))
 
-    result, _ = texts.parse(ParseRequest(3, a_text(name)))
+    result, _ = parse_and_check(texts, ParseRequest(3, a_text(name)))
 
     assert result == parse_request(ParseRequest(3, a_text(name)), {})[0]
 
@@ -69,9 +88,11 @@ def test_copies_equal_parsed_models(name: str) -> None:
 def test_name_of_the_root_element_is_replaced() -> None:
     texts = RenamedTexts(CountingParser().parse)
     for number in range(2):
-        texts.parse(ParseRequest(number, BOX_BOT.replace('"box_bot"', f'"bot{number}"', 1)))
+        parse_and_check(
+            texts, ParseRequest(number, BOX_BOT.replace('"box_bot"', f'"bot{number}"', 1))
+        )
 
-    result, _ = texts.parse(ParseRequest(3, BOX_BOT.replace('"box_bot"', '"other"', 1)))
+    result, _ = parse_and_check(texts, ParseRequest(3, BOX_BOT.replace('"box_bot"', '"other"', 1)))
 
     assert result.model is not None
     assert result.model.name == "other"
@@ -81,9 +102,9 @@ def test_text_with_other_options_is_parsed() -> None:
     parser = CountingParser()
     texts = RenamedTexts(parser.parse)
     for number in range(2):
-        texts.parse(ParseRequest(number, a_text(f"r{number}")))
+        parse_and_check(texts, ParseRequest(number, a_text(f"r{number}")))
 
-    result, _ = texts.parse(ParseRequest(3, a_text("r3"), drive=DriveOrder(kind="none")))
+    result, _ = parse_and_check(texts, ParseRequest(3, a_text("r3"), drive=DriveOrder(kind="none")))
 
     assert result.model is not None
     assert result.model.drive is None
@@ -99,7 +120,7 @@ def test_text_is_parsed_where_a_name_has_another_effect() -> None:
     parser = CountingParser(parse_by_name)
     texts = RenamedTexts(parser.parse)
     for number in range(8):
-        texts.parse(ParseRequest(number, a_text("r" * (number + 1))))
+        parse_and_check(texts, ParseRequest(number, a_text("r" * (number + 1))))
 
     assert parser.texts[-1] == a_text("r" * 8)
 
@@ -108,7 +129,9 @@ def test_text_whose_meshes_are_made_is_parsed() -> None:
     parser = CountingParser(lambda request: (parse_request(request, {})[0], {"mesh": b""}))
     texts = RenamedTexts(parser.parse)
 
-    found = [texts.parse(ParseRequest(number, a_text(f"r{number}"))) for number in range(4)]
+    found = [
+        parse_and_check(texts, ParseRequest(number, a_text(f"r{number}"))) for number in range(4)
+    ]
 
     assert [meshes for _, meshes in found] == [{"mesh": b""}] * 4
 
@@ -117,7 +140,9 @@ def test_refused_text_is_parsed_each_time() -> None:
     texts = RenamedTexts(CountingParser().parse)
     broken = [a_text(f"r{number}").replace("</robot>", "") for number in range(4)]
 
-    results = [texts.parse(ParseRequest(number, text))[0] for number, text in enumerate(broken)]
+    results = [
+        parse_and_check(texts, ParseRequest(number, text))[0] for number, text in enumerate(broken)
+    ]
 
     assert {(one.model, one.slug) for one in results} == {(None, "xml.syntax")}
 
@@ -131,7 +156,7 @@ def test_invalid_and_reserved_names_are_not_replaced(name: str) -> None:
 
 def parse_four(texts: RenamedTexts, controllers: tuple[str, ...] = ()) -> None:
     for number in range(4):
-        texts.parse(ParseRequest(number, a_text(f"r{number}"), controllers=controllers))
+        parse_and_check(texts, ParseRequest(number, a_text(f"r{number}"), controllers=controllers))
 
 
 def test_text_with_large_controllers_is_not_kept() -> None:
@@ -161,14 +186,15 @@ def test_number_of_forms_is_limited() -> None:
     texts = RenamedTexts(parser.parse)
     first = [a_text(f"r{number}") for number in range(4)]
     for number, text in enumerate(first[:2]):
-        texts.parse(ParseRequest(number, text))
+        parse_and_check(texts, ParseRequest(number, text))
     for number in range(MAX_FORMS):
-        texts.parse(
-            ParseRequest(number, a_text("r0").replace("</robot>", f"<!--{number}--></robot>"))
+        parse_and_check(
+            texts,
+            ParseRequest(number, a_text("r0").replace("</robot>", f"<!--{number}--></robot>")),
         )
     before = len(parser.texts)
 
-    texts.parse(ParseRequest(3, first[2]))
-    texts.parse(ParseRequest(4, first[3]))
+    parse_and_check(texts, ParseRequest(3, first[2]))
+    parse_and_check(texts, ParseRequest(4, first[3]))
 
     assert parser.texts[before] == first[2]
