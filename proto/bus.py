@@ -1424,6 +1424,10 @@ def find_max_sessions(file_limit: int) -> int:
     return max(1, min(MAX_SESSIONS, (file_limit - RESERVED_FILES) // FILES_OF_SESSION))
 
 
+CONNECT_RETRY = {"period_init_ms": 20, "period_max_ms": 500, "period_increase_factor": 1.5}
+"""Pauses before a client tries to connect again: a server that starts is found soon."""
+
+
 def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
     entries: dict[str, object] = {
         "mode": config.mode,
@@ -1431,11 +1435,7 @@ def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
         "connect/endpoints": list(config.connect),
         "connect/timeout_ms": round(config.open_timeout_s * 1000),
         "connect/exit_on_failure": True,
-        "connect/retry": {
-            "period_init_ms": 20,
-            "period_max_ms": 500,
-            "period_increase_factor": 1.5,
-        },
+        "connect/retry": CONNECT_RETRY,
         "scouting/multicast/enabled": False,
         # Peers of rmw_zenoh learn of each other by the gossip of their router only.
         "scouting/gossip/enabled": config.mode != "client",
