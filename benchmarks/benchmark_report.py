@@ -89,8 +89,9 @@ def measure(name: str, *, is_short: bool) -> Section:
     command = f"`.venv/bin/python -m benchmarks {name}`"
     return Section(
         f"## {title}\n\n{command}\n\n{method.strip()}\n\n{module.table(rows)}\n"
-        f"Other programs kept {others:.2f} cores busy meanwhile. The host of this machine withheld "
-        f"{withheld}.\nA million additions in Python took {min(additions_ms):.0f} to "
+        f"Other programs kept {others:.2f} cores busy meanwhile.\n"
+        f"The host of this machine withheld {withheld}.\n"
+        f"A million additions in Python took {min(additions_ms):.0f} to "
         f"{max(additions_ms):.0f} ms of CPU time before and after.\n",
         tuple(missed(row) for row in rows if isinstance(row, Figure) and row.is_missed),
     )
