@@ -87,7 +87,7 @@ class StealWatch:
         self._has_ended.set()
         self._thread.join()
         if not self._shares:
-            return "0.0 % of its cores"
+            return "0.0% of its cores"
         mean, worst = fmean(self._shares), max(self._shares)
         return f"{mean:.1%} of its cores, {worst:.0%} in the worst quarter of a second"
 
