@@ -162,7 +162,7 @@ sizes: setup ## packages and size on disk of each extra, as in docs/packages.md
 pins: ## resolve requirements/ anew
 	@$(FIND_PYTHON); $$python -m venv build/pins
 	build/pins/bin/python -m pip --disable-pip-version-check install -q uv
-	@set -e; for name in dev server pybullet check mujoco all cameras viewer xacro foxglove dataset plot top rl ray metrics base; do \
+	@set -e; for name in dev server all cameras viewer xacro foxglove dataset plot top rl ray metrics base; do \
 		case $$name in \
 			dev) choice="--all-extras" ;; \
 			base) choice="-c requirements/dev.txt" ;; \
