@@ -11,9 +11,11 @@ from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.printable_text import print_lines
 from zensim.sim_server.journal.sqlite_store import (
+    DATABASE,
     FILES,
     JournalError,
     SqliteStore,
+    open_store,
     open_store_read_only,
 )
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
@@ -53,6 +55,13 @@ def journal(
         Path | None, typer.Argument(metavar="TARGET", help="Empty or new folder for a backup.")
     ] = None,
     *,
+    accept_loss: Annotated[
+        bool,
+        typer.Option(
+            "--accept-loss",
+            help="With verify: let a server continue a copy that lacks its newest changes.",
+        ),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Show, verify, export or copy a server journal; the server may be running."""
@@ -60,16 +69,18 @@ def journal(
         with server_extra():
             from zensim.sim_server.journal.journal_contents import format_summary
 
+        if accept_loss:
+            _accept_loss(action, folder)
         with open_store_read_only(folder) as store:
             summary, output, damaged = _read(store, action, folder, target)
         if action is JournalAction.EXPORT or as_json:
             print_lines(json.dumps(output, indent=None if as_json else 2))
         elif action is JournalAction.SHOW:
             print_lines(format_summary(summary))
-        else:
-            _report(action, folder, summary, damaged)
-        if action is not JournalAction.SHOW and store.loss:
+        if store.loss:
             raise JournalError(store.loss)
+        if action in (JournalAction.VERIFY, JournalAction.BACKUP) and not as_json:
+            _report(action, folder, summary, damaged)
 
 
 def _read(
@@ -84,6 +95,8 @@ def _read(
         summarize_journal,
     )
 
+    if store.loss and action is JournalAction.BACKUP:
+        raise JournalError(store.loss)
     contents = read_contents(store)
     summary = summarize_journal(store, contents)
     if action is JournalAction.BACKUP:
@@ -93,6 +106,15 @@ def _read(
         damaged = find_damaged_files(contents, folder / FILES)
     output = export_journal(store, contents) if action is JournalAction.EXPORT else summary
     return summary, output, damaged
+
+
+def _accept_loss(action: JournalAction, folder: Path) -> None:
+    """Let servers continue a copy that was made without its log."""
+    if action is not JournalAction.VERIFY:
+        raise JournalError("--accept-loss needs the action verify")
+    if not (folder / DATABASE).is_file():
+        return  # what reads it says that it is none
+    open_store(folder, accepts_loss=True).close()
 
 
 def _require_target(target: Path | None) -> Path:

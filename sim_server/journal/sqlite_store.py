@@ -133,8 +133,9 @@ class SqliteStore:
         if self.is_log_missing:
             return (
                 f"{self.folder} was copied without {DATABASE}{LOG_SUFFIX} while a server used it: "
-                f"changes after change {self.position} are lost; "
-                "copy it again with `zensim journal backup`"
+                f"changes after change {self.position} are lost; copy it again with "
+                f"`zensim journal backup`, or accept that with "
+                f"`zensim journal verify {self.folder} --accept-loss`"
             )
         if self.lost:
             return (
@@ -295,7 +296,9 @@ class SqliteStore:
         return (self.folder / LOCK).is_file()
 
 
-def open_store(folder: Path, writer: str | None = None) -> SqliteStore:
+def open_store(
+    folder: Path, writer: str | None = None, *, accepts_loss: bool = False
+) -> SqliteStore:
     """Open or create the journal of a folder for one server.
 
     If a server of another version used it, a copy of it is kept before anything is changed.
@@ -303,15 +306,19 @@ def open_store(folder: Path, writer: str | None = None) -> SqliteStore:
     Args:
         folder: Made if it does not exist.
         writer: Version of the server; that of zensim by default.
+        accepts_loss: Whether to continue a copy that was made without its log.
 
     Raises:
-        JournalError: The folder cannot be used or is locked, or the journal is damaged.
+        JournalError: The folder cannot be used or is locked, or the journal is damaged, or
+            a copy without its log.
     """
     with raising_journal_errors(folder):
         (folder / FILES).mkdir(parents=True, exist_ok=True)
         lock = _lock_folder(folder)
         try:
-            return _open_locked(folder, lock, writer or version("zensim"))
+            return _open_locked(
+                folder, lock, writer or version("zensim"), accepts_loss=accepts_loss
+            )
         except BaseException:
             os.close(lock)
             raise
@@ -343,16 +350,21 @@ def open_store_read_only(folder: Path) -> Iterator[SqliteStore]:
             connection.close()
 
 
-def _open_locked(folder: Path, lock: int, writer: str) -> SqliteStore:
+def _open_locked(folder: Path, lock: int, writer: str, *, accepts_loss: bool) -> SqliteStore:
     has_log = _has_log(folder)
     connection = _connect(folder)
     database = SqliteStore(folder, connection, lock)
     try:
-        if (tables := _check_version(folder, connection)) > 0:
+        tables = _check_version(folder, connection)
+        if tables > 0:
+            database.check()
+            database.is_log_missing = OPEN_ROW in database and not has_log
+            if database.is_log_missing and not accepts_loss:
+                raise JournalError(database.loss)
             _keep_former(database, writer, is_migrated=tables < len(MIGRATIONS))
-        _migrate(folder, connection, database._read_mark())  # noqa: SLF001  same module
-        database.check()
-        database.is_log_missing = OPEN_ROW in database and not has_log
+        if tables < len(MIGRATIONS):
+            _migrate(folder, connection, database._read_mark())  # noqa: SLF001  same module
+            database.check()
         database.mark_open(writer)
     except BaseException:
         connection.close()
@@ -416,8 +428,6 @@ def _migrate(folder: Path, connection: sqlite3.Connection, mark: int) -> None:
             f"{folder / DATABASE} is empty, but {mark} changes were written to it; "
             "restore a copy, or use another folder"
         )
-    if version == len(MIGRATIONS):
-        return
     connection.execute("BEGIN IMMEDIATE")
     for script in MIGRATIONS[version:]:
         for statement in filter(str.strip, script.split(";")):

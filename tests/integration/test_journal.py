@@ -43,6 +43,26 @@ def an_order(name: str) -> SpawnEntityOrder:
     return SpawnEntityOrder(name, entity_resource=Resource("box_bot"))
 
 
+def test_copy_without_its_log_is_used_only_when_the_loss_is_accepted(tmp_path: Path) -> None:
+    used, copy = tmp_path / "used", tmp_path / "copy"
+    with serving_with_journal(used, free_endpoint()) as server:
+        server.client.spawn(an_order("r0"))
+        kill_hard(server)
+    leave_log = shutil.ignore_patterns(f"{DATABASE}-*")
+    shutil.copytree(used, copy, ignore=leave_log)
+
+    for action in ("show", "verify", "export"):
+        assert run_in_process("journal", action, str(copy)).returncode == 1
+    assert run_in_process("journal", "backup", str(copy), str(tmp_path / "b")).returncode == 1
+    refused = zensim("serve", "--listen", free_endpoint(), "--journal", str(copy))
+    accepted = run_in_process("journal", "verify", str(copy), "--accept-loss")
+
+    assert (refused.returncode, "--accept-loss" in refused.stderr) == (1, True)
+    assert accepted.returncode == 0
+    with serving_with_journal(copy, free_endpoint()) as server:
+        assert server.client.entities() == ()
+
+
 def test_killed_server_is_restored(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     with serving_with_journal(tmp_path, endpoint) as server:

@@ -371,9 +371,14 @@ def test_copy_without_its_log_is_reported_by_all_that_open_it(
     with open_store_read_only(copy) as shown:
         assert shown.is_log_missing
         assert shown.loss
-    served = open_store(copy)
-    assert served.loss
-    served.close()
+        position = shown.position
+    with pytest.raises(JournalError, match="--accept-loss"):
+        open_store(copy)
+    open_store(copy, accepts_loss=True).close()
+    continued = open_store(copy)
+    assert continued.loss == ""
+    assert continued.position == position
+    continued.close()
 
 
 def test_whole_copies_are_not_reported(tmp_path: Path) -> None:
