@@ -1,5 +1,6 @@
 """Command line of the server: `zensim serve`."""
 
+import sys
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -45,6 +46,7 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.names import check_name
 from zensim.proto.printable_text import print_lines
+from zensim.proto.security.roles import User
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied
 from zensim.proto.verbosity import configure_logging, print_announcement
@@ -282,7 +284,7 @@ def _run_server(
             "engine": engine,
         }
         if folder is not None and given.as_json:
-            facts["tokens"] = list_tokens(folder)
+            facts["tokens_file"] = folder.write_all_tokens()
         print_announcement(
             "serve",
             f"world '{config.world}' at {endpoint} "
@@ -292,7 +294,7 @@ def _run_server(
             as_json=given.as_json or given.announce,
         )
         if folder is not None and not (given.as_json or given.announce):
-            print_tokens(folder)
+            print_users(folder)
 
     # Imported here, with SQLite: `zensim up` shares the options of this command.
     from zensim.sim_server.journal.sqlite_store import JournalError
@@ -304,23 +306,23 @@ def _run_server(
         run_server(config, stop, announce)
 
 
-def list_tokens(folder: SecureFolder) -> dict[str, str]:
-    """List the join tokens of a folder by user."""
-    return {
-        account.user.name: folder.make_token(account).write() for account in folder.list_active()
-    }
-
-
-def print_tokens(folder: SecureFolder) -> None:
-    """Print the join token of each user, and how to use one."""
-    users = {account.user.name: account.user for account in folder.list_active()}
-    print_lines("Join tokens (each is a password; pass one on to one person or program only):")
-    if folder.settings.uses_certificates:
-        print_lines("Their certificates end after 24 h; 'zensim token show USER' makes new ones.")
-    for name, token in list_tokens(folder).items():
-        of = "" if users[name].role == name else f" ({users[name].role})"
-        print_lines(f"  {name + of:<12} {token}")
-    print_lines("Use: zensim list --join TOKEN; a token for the agent of a robot:")
+def print_users(folder: SecureFolder) -> None:
+    """Print who may join, with the tokens the first time that it is on a terminal."""
+    accounts = folder.list_active()
     world = folder.settings.world
     named = "" if world == "default" else f" --world-name {world}"
-    print_lines(f"  zensim token create --role agent --robot NAME{named}")
+    if sys.stdout.isatty() and folder.note_first_display():
+        print_lines("Join tokens, shown once (each is a password for one person or program):")
+        for account in accounts:
+            print_lines(
+                f"  {_describe_user(account.user):<12} {folder.make_token(account).write()}"
+            )
+        print_lines("Use: zensim list --join TOKEN; a token for the agent of a robot:")
+        print_lines(f"  zensim token create --role agent --robot NAME{named}")
+        return
+    print_lines(f"Users: {', '.join(_describe_user(account.user) for account in accounts)}")
+    print_lines(f"On this host, 'zensim token show USER{named}' prints the join token of one.")
+
+
+def _describe_user(user: User) -> str:
+    return user.name if user.role == user.name else f"{user.name} ({user.role})"

@@ -57,7 +57,7 @@ from zensim.proto.setting_variables import name_variable
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied, SupervisedProgram, Supervisor
 from zensim.proto.verbosity import CURRENT
-from zensim.sim_server.cli import MISS_POLICIES, ServeOptions, print_tokens
+from zensim.sim_server.cli import MISS_POLICIES, ServeOptions, print_users
 from zensim.sim_server.security.secure_folder import (
     SecureSettings,
     open_secure_folder,
@@ -533,7 +533,7 @@ def _print_ready(deployment: LocalDeployment, names: Sequence[str], *, as_json: 
     for word, line in lines.items():
         print_lines(f"  {word:<10} {line}")
     if config.join_addresses:
-        print_tokens(open_secure_folder(config.world_name))
+        print_users(open_secure_folder(config.world_name))
     print_lines("Ctrl-C or 'zensim down' to stop.")
 
 

@@ -359,8 +359,8 @@ def _open_locked(folder: Path, lock: int, writer: str, *, accepts_loss: bool) ->
         if tables > 0:
             database.check()
             database.is_log_missing = OPEN_ROW in database and not has_log
-            if database.is_log_missing and not accepts_loss:
-                raise JournalError(database.loss)
+            if not accepts_loss:
+                _require_log(database)
             _keep_former(database, writer, is_migrated=tables < len(MIGRATIONS))
         if tables < len(MIGRATIONS):
             _migrate(folder, connection, database._read_mark())  # noqa: SLF001  same module
@@ -370,6 +370,11 @@ def _open_locked(folder: Path, lock: int, writer: str, *, accepts_loss: bool) ->
         connection.close()
         raise
     return database
+
+
+def _require_log(database: SqliteStore) -> None:
+    if database.is_log_missing:
+        raise JournalError(database.loss)
 
 
 def _keep_former(database: SqliteStore, writer: str, *, is_migrated: bool) -> None:

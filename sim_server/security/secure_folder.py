@@ -269,6 +269,20 @@ class SecureFolder:
         self._write(name, content.encode())
         return f"@{self.path / name}"
 
+    def write_all_tokens(self) -> str:
+        """Write the join tokens as JSON, by user, to a file of mode 600; return its path."""
+        tokens = {one.user.name: self.make_token(one).write() for one in self.list_active()}
+        self._write("tokens.json", msgspec.json.encode(tokens))
+        return str(self.path / "tokens.json")
+
+    def note_first_display(self) -> bool:
+        """Note that the tokens are displayed; whether that is the first time."""
+        try:
+            (self.path / "displayed").touch(mode=0o600, exist_ok=False)
+        except FileExistsError:
+            return False
+        return True
+
     def make_router_config(self, endpoint: str) -> BusConfig:
         """Configure the router for the accounts that are active now."""
         accounts = self.list_active()

@@ -65,14 +65,15 @@ class Reachable(Protocol):
 
 
 @contextmanager
-def on_terminal(server: Reachable, *arguments: str) -> Iterator[Terminal]:
+def on_terminal(server: Reachable | None, *arguments: str) -> Iterator[Terminal]:
     """Run a command on a pseudo-terminal of 30 lines of 100 columns, and end it."""
+    connection = () if server is None else ("--connect", server.endpoint)
     screen, slave = pty.openpty()
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
     # The first terminal that the leader of a session opens controls it, so that Ctrl-C is a signal.
     take_over = ["sh", "-c", 'exec 0<>"$0" 1>&0 2>&0 && exec "$@"', os.ttyname(slave)]
     process = subprocess.Popen(
-        [*take_over, *command_line([*arguments, "--connect", server.endpoint])],
+        [*take_over, *command_line([*arguments, *connection])],
         text=True,
         start_new_session=True,
         env={

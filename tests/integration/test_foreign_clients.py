@@ -85,7 +85,8 @@ def test_robot_is_driven_from_a_remote_host_by_tokens(
         listen = ("--listen", f"tls/{address}:7447", "--json")
         with running("serve", "--secure", *listen, prefix=here) as server:
             assert server.stdout is not None
-            tokens = json.loads(server.stdout.readline())["tokens"]
+            facts = json.loads(server.stdout.readline())
+            tokens = json.loads(Path(facts["tokens_file"]).read_text(encoding="utf-8"))
             made = zensim("token", "create", "--role", "agent", "--robot", "r1", prefix=here)
             agent = ("--join", made.stdout.strip())
 

@@ -25,6 +25,7 @@ from tests.integration.processes import (
     running,
 )
 from tests.integration.processes import zensim as run_zensim
+from tests.integration.terminals import on_terminal
 from tests.node_peers.foxglove_peer import connect_peer
 from zensim.proto import keys
 from zensim.proto.bus import (
@@ -678,3 +679,25 @@ def is_answered(secured: Secured) -> bool:
         return secured.operator.info().world == WORLD
     except (BusError, TimeoutError):
         return False
+
+
+def test_tokens_are_shown_once_on_a_terminal_and_to_no_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    shown: list[int] = []
+    for _ in range(2):
+        secured = ("serve", "--secure", "--listen", free_endpoint("tls"))
+        with on_terminal(None, *secured) as terminal:
+            terminal.wait_for("zensim token")
+            shown.append(terminal.output.count("zs1"))
+    with running("serve", "--secure", "--listen", free_endpoint("tls"), "--json") as server:
+        assert server.stdout is not None
+        line = server.stdout.readline()
+    file = Path(json.loads(line)["tokens_file"])
+
+    assert shown[0] > 1
+    assert shown[1] == 0
+    assert "zs1" not in line
+    assert file.stat().st_mode & 0o777 == 0o600
+    assert set(msgspec.json.decode(file.read_bytes())) >= {"operator", "observer"}
