@@ -1,173 +1,203 @@
-"""Convex hulls of a few hundred points, by quickhull in arrays."""
+"""Convex hulls of points, by manifold3d: exact, or with the corners that matter most."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from manifold3d import Manifold
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Points = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
-    Points = NDArray[np.float64]
-    Corners = NDArray[np.int64]
-
-TOLERANCE = 1e-7
-"""Height over a face up to which a point is part of it, as a share of the extent of the points.
-Meshes are stored with this precision."""
-MAX_DISPLACEMENTS = 5
-DISPLACEMENT = 1e-6
-"""Of points whose hull is ambiguous by rounding; each further attempt has ten times as much."""
+MAX_HULL_CORNERS = 96
+"""Of a reduced hull."""
+FIRST_CORNERS = 48
+"""Extreme points that a hull begins with."""
+MAX_ADDED_CORNERS = 16
+"""At once: each of them changes which point is farthest from the hull."""
+TOLERANCE = 1e-6
+"""Height over a hull up to which a point is part of it, as a share of the extent of the points.
+Meshes are stored with a tenth of it."""
+MAX_POINTS = 100_000
+"""Of more points, the farthest in `DIRECTIONS_OF_MANY` directions stand for all."""
+DIRECTIONS_OF_MANY = 512
+RIM_POINTS = 32
+"""Of the rim of a wheel; even."""
+ROUND_SHARE = 0.96
+"""Least width over the largest of a round outline; a regular polygon of 12 sides has 0.966."""
+POINTS_PER_CHUNK = 1 << 11
+"""Points whose products fit into the processor's cache."""
+FLAT_RATIO = 1e-4
+"""Thickness over width."""
+SLIVER_RATIO = 1e-9
+"""Area over the squared extent; the direction of a smaller triangle is left to rounding."""
 
 
 class HullNotFound(ValueError):
-    """Points are equal or not finite, or rounding leaves no closed hull."""
+    """There are no points, they are equal, or a coordinate is not finite."""
 
 
-class _Faces(NamedTuple):
-    """Triangles of a hull that grows."""
+class Hull(NamedTuple):
+    """Corners (v, 3) and triangles (f, 3) of a hull, wound outwards."""
 
-    corners: Corners
-    """(f, 3), seen from outside against the clock."""
-    normals: Points
-    """(f, 3), outwards."""
-    offsets: NDArray[np.float64]
-    """(f,): of the planes along their normals."""
-    farthest: Corners
-    """(f,): the point that is highest over each face."""
-    heights: NDArray[np.float64]
-    """(f,): of those points."""
+    corners: Points
+    faces: Indices
 
 
-def find_hull_faces(points: Points) -> Corners:
-    """Find the triangles (f, 3) of the convex hull of points (n, 3), wound outwards.
+def find_hull(points: Points) -> Hull:
+    """Find the convex hull of points (n, 3) with at most `MAX_HULL_CORNERS` corners.
 
-    Points less than `TOLERANCE` of the extent in front of the hull may be left out. Points on a
-    plane get the hull of points near them.
-
-    Source: Barber, Dobkin, Huhdanpaa, 'The quickhull algorithm for convex hulls', 1996; its rule
-    for degenerate points, to displace all of them a little, is applied if a hull is not closed.
+    A hull with fewer corners is exact. Of others, corners are added where points are farthest
+    outside. Points on a plane or line get a thickness.
 
     Raises:
-        HullNotFound: The points are equal or not finite.
+        HullNotFound: There are no points, or a coordinate is not finite.
     """
-    if not (np.isfinite(points).all() and len(points) and np.ptp(points, axis=0).max() > 0.0):
-        raise HullNotFound(f"{len(points)} points without extent have no hull")
-    extent = float(np.ptp(points, axis=0).max())
-    tolerance = TOLERANCE * extent
-    found = _grow_hull(points, tolerance)
-    for attempt in range(MAX_DISPLACEMENTS):
-        if found is not None and _is_closed(found):
-            return found
-        reach = DISPLACEMENT * 10.0**attempt * extent
-        found = _grow_hull(points + reach * _make_moves(len(points)), tolerance)
-    raise HullNotFound(f"no closed hull of {len(points)} points is found")
+    _check_points(points)
+    if len(points) > MAX_POINTS:
+        points = points[_find_extreme_points(points, DIRECTIONS_OF_MANY)]
+    points = _thicken(points)
+    chosen = np.union1d(_find_tetrahedron(points), _find_extreme_points(points, FIRST_CORNERS))
+    hull = find_exact_hull(points[chosen])
+    while room := MAX_HULL_CORNERS - len(chosen):
+        outside = _find_outside_points(points, hull)
+        added = outside[~np.isin(outside, chosen)][: min(room, MAX_ADDED_CORNERS)]
+        if not len(added):
+            break
+        chosen = np.union1d(chosen, added)
+        hull = find_exact_hull(points[chosen])
+    return hull
 
 
-def _make_moves(count: int) -> Points:
-    """Make uneven moves (n, 3) from -1 to 1; the sandbox of the parser has no random numbers."""
-    moves = np.outer(np.arange(1, count + 1), np.sqrt([2.0, 3.0, 5.0])) % 1.0
-    return np.asarray(2.0 * moves - 1.0)
+def find_exact_hull(points: Points) -> Hull:
+    """Find the convex hull of at most 256 points (n, 3) with all its corners.
 
+    Hulls of some 600 corners are computed in threads: the sandbox of the parser refuses them, and
+    the order of triangles depends on them. Points are scaled to the same extent on each axis,
+    because manifold3d merges points closer than 1e-7 of the largest coordinate.
 
-def _grow_hull(points: Points, tolerance: float) -> Corners | None:
-    """Add the highest points over faces until none is outside; None if that does not end."""
-    first = _find_tetrahedron(points, tolerance)
-    if first is None:
-        return None
-    faces = _measure_faces(points, first)
-    for _ in range(2 * len(points)):
-        if float(faces.heights.max()) <= tolerance:
-            return faces.corners
-        neighbours = _find_neighbours(faces.corners, len(points))
-        chosen = _choose_points(points, faces, neighbours, tolerance)
-        added = _measure_faces(points, _cover_rims(faces.corners, neighbours, chosen))
-        is_kept = chosen < 0
-        faces = _Faces(
-            *(np.concatenate([old[is_kept], new]) for old, new in zip(faces, added, strict=True))
-        )
-    return None
-
-
-def _choose_points(points: Points, faces: _Faces, neighbours: Corners, tolerance: float) -> Corners:
-    """Choose points to add at once; return the one (f,) that sees each face, or -1.
-
-    Their visible faces have no common edge: then none sees a face that covers the rim of another,
-    which is between the two faces at that rim.
+    Raises:
+        HullNotFound: The points are on a plane, or a coordinate is not finite.
     """
-    is_candidate = np.zeros(len(points), bool)
-    is_candidate[faces.farthest[faces.heights > tolerance]] = True
-    candidates = np.flatnonzero(is_candidate)
-    over = points[candidates] @ faces.normals.T - faces.offsets
-    is_visible = over > tolerance
-    is_near = is_visible | is_visible[:, neighbours].any(axis=2)
-    is_excluded = is_visible.astype(np.float32) @ is_near.T.astype(np.float32) > 0.0
-    chosen = np.full(len(faces.corners), -1)
-    is_free = np.ones(len(candidates), bool)
-    for one in np.argsort(-over.max(axis=1), kind="stable").tolist():
-        if is_free[one]:
-            chosen[is_visible[one]] = candidates[one]
-            is_free &= ~is_excluded[:, one]
-    return chosen
+    _check_points(points)
+    points = np.unique(points, axis=0)
+    low, extent = points.min(axis=0), np.ptp(points, axis=0)
+    if not extent.all():
+        raise HullNotFound(f"{len(points)} different points on a plane have no hull")
+    scaled = 2.0 * (points - low) / extent - 1.0
+    found = Manifold.hull_points(scaled).to_mesh64()
+    number = {place: index for index, place in enumerate(map(tuple, scaled.tolist()))}
+    corner_of = np.array([number[tuple(place)] for place in found.vert_properties.tolist()])
+    used, places = np.unique(corner_of[found.tri_verts], return_inverse=True)
+    return Hull(points[used], _sort_faces(places.reshape(-1, 3)))
 
 
-def _find_tetrahedron(points: Points, tolerance: float) -> Corners | None:
-    """Find four faces (4, 3) of a large tetrahedron; None if the points are on a plane."""
+def _check_points(points: Points) -> None:
+    if not len(points) or not np.isfinite(points).all():
+        raise HullNotFound(f"{len(points)} points, or some that are not finite, have no hull")
+
+
+def _sort_faces(faces: Indices) -> Indices:
+    """Order triangles, each from its least index, so that equal hulls have equal bytes."""
+    first = faces.argmin(axis=1)[:, None]
+    turned = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
+    ordered: Indices = turned[np.lexsort(turned.T[::-1])]
+    return ordered
+
+
+def _find_outside_points(points: Points, hull: Hull) -> Indices:
+    """Find the point farthest outside each face of a hull, the farthest of all first."""
+    first, second, third = (hull.corners[hull.faces[:, side]] for side in range(3))
+    normals = np.cross(second - first, third - first)
+    areas, extent = np.linalg.norm(normals, axis=1), float(np.ptp(hull.corners, axis=0).max())
+    is_wide = areas > SLIVER_RATIO * extent**2
+    normals = normals[is_wide] / areas[is_wide, None]
+    farthest = _find_farthest(points, normals)
+    heights = ((points[farthest] - first[is_wide]) * normals).sum(axis=1)
+    order = np.argsort(-heights, kind="stable")
+    outside = farthest[order][heights[order] > TOLERANCE * extent]
+    found: Indices = outside[np.sort(np.unique(outside, return_index=True)[1])]
+    return found
+
+
+def _find_tetrahedron(points: Points) -> Indices:
+    """Find four points that are far from each other, and not on a plane if others are not."""
     axis = int(np.argmax(np.ptp(points, axis=0)))
     one, two = int(np.argmin(points[:, axis])), int(np.argmax(points[:, axis]))
-    from_line = np.linalg.norm(np.cross(points - points[one], points[two] - points[one]), axis=1)
-    three = int(np.argmax(from_line))
-    normal = np.cross(points[two] - points[one], points[three] - points[one])
-    length = float(np.linalg.norm(normal))
-    if length <= tolerance * float(np.linalg.norm(points[two] - points[one])):
-        return None
-    heights = (points - points[one]) @ (normal / length)
-    four = int(np.argmax(np.abs(heights)))
-    if abs(heights[four]) <= tolerance:
-        return None
-    if heights[four] > 0.0:
-        two, three = three, two
-    return np.array([[one, two, three], [two, one, four], [three, two, four], [one, three, four]])
+    across = np.cross(points - points[one], points[two] - points[one])
+    three = int(np.argmax((across * across).sum(axis=1)))
+    heights = (points - points[one]) @ across[three]
+    return np.array([one, two, three, int(np.argmax(np.abs(heights)))])
 
 
-def _measure_faces(points: Points, corners: Corners) -> _Faces:
-    first, second, third = (points[corners[:, i]] for i in range(3))
-    a, b = second - first, third - first
-    normals = np.stack(
-        [
-            a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
-            a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
-            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
-        ],
-        axis=1,
-    )
-    normals /= np.maximum(np.sqrt((normals * normals).sum(axis=1)), np.finfo(float).tiny)[:, None]
-    offsets = (normals * first).sum(axis=1)
-    over = normals @ points.T - offsets[:, None]
-    farthest = over.argmax(axis=1)
-    return _Faces(corners, normals, offsets, farthest, over[np.arange(len(over)), farthest])
+def _thicken(points: Points) -> Points:
+    """Extend flat points, which have no hull, by a thousandth of their size on all sides."""
+    spread = points - points.mean(axis=0)
+    thinnest, _, widest = np.sqrt(np.maximum(np.linalg.eigvalsh(spread.T @ spread), 0.0)).tolist()
+    if thinnest > FLAT_RATIO * widest:
+        return points
+    reach = max(float(np.abs(spread).max()), 1e-6) * 1e-3
+    corners = np.array(np.meshgrid(*[[-reach, reach]] * 3)).T.reshape(-1, 3)
+    thick: Points = (points[:, None, :] + corners[None, :, :]).reshape(-1, 3)
+    return thick
 
 
-def _find_neighbours(corners: Corners, count: int) -> Corners:
-    """Find the face (f, 3) beyond each edge, which starts at the corner in the same place."""
-    ends = corners[:, [1, 2, 0]]
-    face_of = np.zeros(count * count, np.int64)
-    face_of[corners * count + ends] = np.arange(len(corners))[:, None]
-    return np.asarray(face_of[ends * count + corners])
+def _find_extreme_points(points: Points, count: int) -> Indices:
+    """Find the farthest points in directions on a Fibonacci sphere, and the rim of a wheel."""
+    rim = _find_round_rim(points)
+    even = points / np.maximum(np.ptp(points, axis=0), 1e-9)
+    return np.union1d(_find_farthest(even, _make_directions(count - len(rim))), rim)
 
 
-def _cover_rims(corners: Corners, neighbours: Corners, chosen: Corners) -> Corners:
-    """Make a face from each rim between visible and other faces to the point that sees them."""
-    is_rim = (chosen >= 0)[:, None] & (chosen[neighbours] < 0)
-    tops = np.broadcast_to(chosen[:, None], corners.shape)
-    return np.stack([corners[is_rim], corners[:, [1, 2, 0]][is_rim], tops[is_rim]], axis=1)
+def _make_directions(count: int) -> Points:
+    """Make directions (count, 3) on a Fibonacci sphere."""
+    turns = np.arange(count) * np.pi * (3.0 - np.sqrt(5.0))
+    z = 1.0 - 2.0 * (np.arange(count) + 0.5) / count
+    ring = np.sqrt(1.0 - z * z)
+    directions: Points = np.stack([ring * np.cos(turns), ring * np.sin(turns), z], axis=1)
+    return directions
 
 
-def _is_closed(corners: Corners) -> bool:
-    """Whether triangles are the surface of one body: each edge belongs to two of them."""
-    starts, ends = corners.reshape(-1), corners[:, [1, 2, 0]].reshape(-1)
-    count = int(corners.max()) + 1
-    edges = np.unique(starts * count + ends)
-    used = len(np.unique(corners))
-    is_paired = len(edges) == len(starts) and bool(np.isin(ends * count + starts, edges).all())
-    return is_paired and len(corners) == 2 * used - 4
+def _find_round_rim(points: Points) -> Indices:
+    """Find the farthest points in the plane in which a wheel is round; none of other shapes.
+
+    A curved tread has too few of the points that are farthest in even directions.
+    """
+    rims = [rim for axis in range(3) if len(rim := _find_rim(points, axis))]
+    # A ball is round about each axis.
+    return rims[0] if len(rims) == 1 else np.zeros(0, np.int64)
+
+
+def _find_rim(points: Points, axis: int) -> Indices:
+    """Find the farthest points about a coordinate axis; none if the outline is not round."""
+    across = [one for one in range(3) if one != axis]
+    least, most = sorted(np.ptp(points[:, across], axis=0).tolist())
+    if least >= ROUND_SHARE * most:
+        turns = np.arange(RIM_POINTS) * (2.0 * np.pi / RIM_POINTS)
+        directions = np.zeros((RIM_POINTS, 3))
+        directions[:, across] = np.stack([np.cos(turns), np.sin(turns)], axis=1)
+        rim = _find_farthest(points, directions)
+        reach = (points[rim] * directions).sum(axis=1)
+        widths = reach + np.roll(reach, RIM_POINTS // 2)
+        if widths.min() >= ROUND_SHARE * widths.max():
+            return rim
+    return np.zeros(0, np.int64)
+
+
+def _find_farthest(points: Points, directions: Points) -> Indices:
+    """Find the index of the farthest of points (n, 3) in each direction (m, 3)."""
+    centred = points - points.mean(axis=0)
+    size = max(float(np.abs(centred).max()), 1e-30)
+    columns = (centred / size).astype(np.float32).T.copy()
+    wanted, rows = directions.astype(np.float32), np.arange(len(directions))
+    farthest = np.full(len(directions), -np.inf, np.float32)
+    chosen = np.zeros(len(directions), np.int64)
+    for start in range(0, len(points), POINTS_PER_CHUNK):
+        products = wanted @ columns[:, start : start + POINTS_PER_CHUNK]
+        best = np.argmax(products, axis=1)
+        distances = products[rows, best]
+        chosen = np.where(distances > farthest, best + start, chosen)
+        farthest = np.maximum(distances, farthest)
+    return chosen

@@ -26,7 +26,7 @@ from zensim.proto.messages.asset_messages import list_reference_uris, list_refer
 from zensim.proto.messages.model_messages import ReportEntry, Texture
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.stl import STL_HEAD, STL_RECORD, read_corners, write_corners
-from zensim.sim_server.description.meshes.convex_hull import find_hull_faces
+from zensim.sim_server.description.meshes.convex_hull import find_exact_hull, find_hull
 from zensim.sim_server.description.meshes.generated_solids import is_generated, list_corners
 from zensim.sim_server.description.meshes.mesh_lookup import has_assets
 from zensim.sim_server.description.meshes.textures import (
@@ -909,11 +909,9 @@ def _compact(
     return Triangles(vertices[used], number[faces], appearance)
 
 
-Points = NDArray[np.float64]
 MeshFiles = dict[str, tuple[str, bytes | None]]
 """By mesh URI: sha256 and bytes."""
 
-MAX_HULL_CORNERS = 96
 MAX_STATIC_TRIANGLES = 20_000
 """Of a static collision."""
 MAX_STATIC_TRIANGLES_OF_MODEL = 300_000
@@ -922,16 +920,6 @@ MAX_PIECE_TRIANGLES = 2_500
 """The engine loads such a piece of a static mesh in a few milliseconds."""
 MAX_VISUAL_TRIANGLES = 20_000
 """1 MB, which is sent in one message."""
-MAX_EXACT_HULL_POINTS = 128
-"""With more points, the hull is that of extreme points."""
-RIM_POINTS = 32
-"""Of the rim of a wheel; even."""
-ROUND_SHARE = 0.96
-"""Least width over the largest of a round outline; a regular polygon of 12 sides has 0.966."""
-POINTS_PER_CHUNK = 1 << 11
-"""Points whose products fit into the processor's cache."""
-FLAT_RATIO = 1e-4
-"""Thickness over width."""
 
 
 class ConvertedPart(NamedTuple):
@@ -1158,7 +1146,7 @@ def _convert_shape(shape: Shape, purpose: str, job: _ModelConversion) -> tuple[C
 
 def _read_mesh_or_generate(uri: str, data: bytes, find_file: FindFile) -> Triangles:
     if is_generated(uri):
-        return _make_hull(np.array(list_corners(uri)))
+        return Triangles(*find_exact_hull(np.array(list_corners(uri))))
     return read_mesh(uri, data, find_file)
 
 
@@ -1169,96 +1157,10 @@ def _report_decimation(uri: str, count: int, job: _ModelConversion) -> None:
 
 
 def convex_hull(triangles: Triangles) -> Triangles:
-    """Make the convex hull of the corners; of extreme ones only when there are many."""
+    """Make the convex hull of the corners that triangles use."""
     is_used = np.zeros(len(triangles.vertices), dtype=bool)
     is_used[triangles.faces] = True
-    points = triangles.vertices[is_used]
-    if len(points) > MAX_EXACT_HULL_POINTS:
-        points = _select_extreme_points(points, MAX_EXACT_HULL_POINTS)
-    hull = _make_hull(_thicken(points))
-    if len(hull.vertices) > MAX_HULL_CORNERS:
-        hull = _make_hull(_select_extreme_points(hull.vertices, MAX_HULL_CORNERS))
-    return hull
-
-
-def _thicken(points: Points) -> Points:
-    """Extend a flat mesh, which has no hull, by a thousandth of its size on all sides."""
-    spread = points - points.mean(axis=0)
-    thinnest, _, widest = np.sqrt(np.maximum(np.linalg.eigvalsh(spread.T @ spread), 0.0)).tolist()
-    if thinnest > FLAT_RATIO * widest:
-        return points
-    reach = max(float(np.abs(spread).max()), 1e-6) * 1e-3
-    corners = np.array(np.meshgrid(*[[-reach, reach]] * 3)).T.reshape(-1, 3)
-    thick: Points = (points[:, None, :] + corners[None, :, :]).reshape(-1, 3)
-    return thick
-
-
-def _make_hull(points: Points) -> Triangles:
-    corners = find_hull_faces(points)
-    used, places = np.unique(corners, return_inverse=True)
-    return Triangles(points[used], places.reshape(-1, 3))
-
-
-def _select_extreme_points(points: Points, count: int) -> Points:
-    """Select the farthest points in directions on a Fibonacci sphere, and the rim of a wheel."""
-    rim = _find_round_rim(points)
-    directions = _make_directions(count - len(rim))
-    even = (points / np.maximum(np.ptp(points, axis=0), 1e-9)).astype(np.float32).T.copy()
-    chosen = _find_farthest(even, directions.astype(np.float32))
-    found: Points = points[np.unique(np.concatenate([chosen, rim]))]
-    return found
-
-
-def _make_directions(count: int) -> Points:
-    """Make directions (count, 3) on a Fibonacci sphere."""
-    turns = np.arange(count) * np.pi * (3.0 - np.sqrt(5.0))
-    z = 1.0 - 2.0 * (np.arange(count) + 0.5) / count
-    ring = np.sqrt(1.0 - z * z)
-    directions: Points = np.stack([ring * np.cos(turns), ring * np.sin(turns), z], axis=1)
-    return directions
-
-
-def _find_round_rim(points: Points) -> NDArray[np.int64]:
-    """Find the farthest points in the plane in which a wheel is round; none of other shapes.
-
-    A curved tread has too few of the points that are farthest in even directions.
-    """
-    rims = [rim for axis in range(3) if len(rim := _find_rim(points, axis))]
-    # A ball is round about each axis.
-    return rims[0] if len(rims) == 1 else np.zeros(0, np.int64)
-
-
-def _find_rim(points: Points, axis: int) -> NDArray[np.int64]:
-    """Find the farthest points about a coordinate axis; none if the outline is not round."""
-    across = [one for one in range(3) if one != axis]
-    least, most = sorted(np.ptp(points[:, across], axis=0).tolist())
-    if least >= ROUND_SHARE * most:
-        turns = np.arange(RIM_POINTS) * (2.0 * np.pi / RIM_POINTS)
-        directions = np.zeros((RIM_POINTS, 3))
-        directions[:, across] = np.stack([np.cos(turns), np.sin(turns)], axis=1)
-        even = ((points - points.mean(axis=0)) / max(most, 1e-9)).astype(np.float32).T.copy()
-        rim = _find_farthest(even, directions.astype(np.float32))
-        reach = (points[rim] * directions).sum(axis=1)
-        widths = reach + np.roll(reach, RIM_POINTS // 2)
-        if widths.min() >= ROUND_SHARE * widths.max():
-            return rim
-    return np.zeros(0, np.int64)
-
-
-def _find_farthest(
-    points: NDArray[np.float32], directions: NDArray[np.float32]
-) -> NDArray[np.int64]:
-    """Find the index of the farthest of points (3, n) in each direction (m, 3)."""
-    rows = np.arange(len(directions))
-    farthest = np.full(len(directions), -np.inf, np.float32)
-    chosen = np.zeros(len(directions), np.int64)
-    for start in range(0, points.shape[1], POINTS_PER_CHUNK):
-        products = directions @ points[:, start : start + POINTS_PER_CHUNK]
-        best = np.argmax(products, axis=1)
-        distances = products[rows, best]
-        chosen = np.where(distances > farthest, best + start, chosen)
-        farthest = np.maximum(distances, farthest)
-    return chosen
+    return Triangles(*find_hull(triangles.vertices[is_used]))
 
 
 def split_mesh(triangles: Triangles, max_count: int) -> list[Triangles]:

@@ -22,8 +22,8 @@ from zensim.proto.messages.model_messages import (
 )
 from zensim.proto.stl import read_corners
 from zensim.sim_server.description.meshes import mesh_conversion
+from zensim.sim_server.description.meshes.convex_hull import MAX_HULL_CORNERS
 from zensim.sim_server.description.meshes.mesh_conversion import (
-    MAX_HULL_CORNERS,
     MAX_PARTS,
     MAX_PIECE_TRIANGLES,
     MAX_STATIC_TRIANGLES_OF_MODEL,
