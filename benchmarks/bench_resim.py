@@ -29,13 +29,14 @@ from tests.integration.random_runs import (
     make_random_run,
 )
 from tests.sim_server.fakes import WallTime, a_spawn, make_parts
+from zensim.proto.engine_proofs import EngineName
 from zensim.proto.messages.agent_messages import DriveCommand
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.input_log.log_writer import PERIOD_NS, InputLog
 from zensim.sim_server.input_log.resimulation import ResimChanges, ResimResult, Resimulation
-from zensim.sim_server.physics.engine_config import EngineName, EngineOptions
+from zensim.sim_server.physics.engine_config import EngineOptions
 from zensim.sim_server.server_config import ServerConfig
 from zensim.sim_server.service_parts import CurrentWorld
 from zensim.sim_server.world.simulated_world import SimulatedWorld

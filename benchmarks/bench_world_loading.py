@@ -15,8 +15,9 @@ from typing import get_args
 import numpy as np
 
 from benchmarks.figures import Figure, Limit, table
+from zensim.proto.engine_proofs import EngineName
 from zensim.proto.stl import write_corners
-from zensim.sim_server.physics.engine_config import EngineName
+from zensim.sim_server.physics.engine_config import EngineOptions
 from zensim.sim_server.world_loading.world_inspection import InspectionRequest, inspect_in_process
 from zensim.sim_server.world_loading.world_loader import WorldLoaderRequest
 
@@ -49,7 +50,9 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 def _inspect(label: str, file: Path, engine: EngineName) -> Figure:
     found = inspect_in_process(
         InspectionRequest(
-            world=WorldLoaderRequest(str(file), (str(file.parent),)), settle_s=1.0, engine=engine
+            world=WorldLoaderRequest(str(file), (str(file.parent),)),
+            settle_s=1.0,
+            options=EngineOptions(engine=engine),
         )
     )
     if found.fault or found.moving:

@@ -64,6 +64,7 @@ class TrialRequest(msgspec.Struct, frozen=True, kw_only=True):
     """As `zensim spawn --compat`."""
     dynamics: Dynamics = "full"
     """As `zensim spawn --dynamics`."""
+    allow_failed_engine: bool = False
 
     @property
     def engine_label(self) -> str:

@@ -435,6 +435,15 @@ EngineOption = Annotated[
         envvar="ZENSIM_ENGINE",
     ),
 ]
+AllowFailedEngineOption = Annotated[
+    bool,
+    flag(
+        "--allow-failed-engine",
+        help="Use the engine even if it fails a case of its proof.",
+        envvar="ZENSIM_ALLOW_FAILED_ENGINE",
+        rich_help_panel="Physics",
+    ),
+]
 WorldDynamicsOption = Annotated[
     str,
     _physics(

@@ -5,6 +5,15 @@ from importlib.metadata import PackageNotFoundError, version
 PACKAGES_OF = {"mujoco": ("mujoco-core", "mujoco")}
 """Of several packages, the first that is installed has the library; MuJoCo 3 was one package."""
 
+REPORTED_PACKAGES = ("zensim", "eclipse-zenoh", "pybullet", "mujoco", "viser", "numpy")
+"""Whose versions matter to whoever asks for help."""
+MISSING_PACKAGE = "not installed"
+
+
+def find_reported_versions() -> dict[str, str]:
+    """Find the versions of the packages that are reported."""
+    return {name: find_package_version(name) or MISSING_PACKAGE for name in REPORTED_PACKAGES}
+
 
 def find_package_version(library: str) -> str | None:
     """Find the version of a library; None if it is not installed."""

@@ -12,6 +12,7 @@ import typer
 
 from zensim.proto.bus import Bus, BusError
 from zensim.proto.cli_options import (
+    AllowFailedEngineOption,
     AllowMissingOption,
     ClientCertificatesOption,
     ClustersOption,
@@ -148,6 +149,7 @@ class ServeOptions(RosOptions):
     ] = 30.0
     world_name: WorldNameOption = "default"
     engine: EngineOption = ""
+    allow_failed_engine: AllowFailedEngineOption = False
     rtf: RealTimeFactorOption = None
     step_hz: Annotated[
         float | None,
@@ -266,6 +268,7 @@ def _make_server_config(given: ServeOptions) -> ServerConfig:
             clusters=parse_choice("--clusters", given.clusters, CLUSTERINGS),
             dynamics=parse_choice("--dynamics", given.dynamics, WORLD_DYNAMICS),
             workers=given.engine_workers,
+            allow_failed_engine=given.allow_failed_engine,
         ),
     )
 

@@ -12,12 +12,8 @@ from zensim.proto.names import check_name
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 from zensim.proto.topic_catalog import DRIVE_STATE
 from zensim.sim_server.pacing.lockstep import LockstepSettings
-from zensim.sim_server.physics.engine_config import (
-    EngineMissing,
-    EngineOptions,
-    choose_engine,
-    find_installed_engines,
-)
+from zensim.sim_server.physics.engine_config import EngineOptions, EngineUnusable
+from zensim.sim_server.physics.engine_proof.engine_prover import choose_proven_engine
 
 if TYPE_CHECKING:
     # A world without network does not load zenoh.
@@ -111,7 +107,7 @@ def validate_config(config: ServerConfig) -> ServerConfig:
     """Return the configuration if a server can start with it.
 
     Raises:
-        ConfigError: A value is out of range.
+        ConfigError: A value is out of range, or its engine is missing or fails its proof.
     """
     try:
         check_name(config.world, "world")
@@ -132,8 +128,8 @@ def validate_config(config: ServerConfig) -> ServerConfig:
     if not 0 <= config.seed < 1 << 64:
         raise ConfigError(f"--seed {config.seed} is out of range; use 0 to 2^64 - 1")
     try:
-        choose_engine(config.physics, find_installed_engines())
-    except EngineMissing as error:
+        choose_proven_engine(config.physics)
+    except EngineUnusable as error:
         raise ConfigError(str(error)) from error
     _check_lockstep_timeout(config.lockstep.timeout_s)
     if config.mesh_http:

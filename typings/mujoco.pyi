@@ -1,4 +1,4 @@
-"""The part of MuJoCo 4.0 that the engine calls; SI units, quaternions w x y z."""
+"""The part of MuJoCo 3.17 and 4.0 that engine and proof call; SI units, quaternions w x y z."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -16,8 +16,14 @@ class mjtSolver:
     mjSOL_CG: mjtSolver
     def __int__(self) -> int: ...
 
+class mjtJacobian:
+    mjJAC_DENSE: mjtJacobian
+    mjJAC_SPARSE: mjtJacobian
+    def __int__(self) -> int: ...
+
 class _Option:
     solver: int
+    jacobian: int
     enableflags: int
     iterations: int
     timestep: float
@@ -78,6 +84,8 @@ class MjData:
     qpos: _Floats
     qvel: _Floats
     qacc: _Floats
+    qacc_warmstart: _Floats
+    qfrc_actuator: _Floats
     qfrc_spring: _Floats
     qfrc_applied: _Floats
     xfrc_applied: _Floats
@@ -114,6 +122,7 @@ def mj_resetData(m: MjModel, d: MjData) -> None: ...
 def mj_stateSize(m: MjModel, sig: int) -> int: ...
 def mj_getState(m: MjModel, d: MjData, state: _Floats, sig: int) -> None: ...
 def mj_setState(m: MjModel, d: MjData, state: _Floats, sig: int) -> None: ...
+def mj_forward(m: MjModel, d: MjData) -> None: ...
 def mj_step(m: MjModel, d: MjData) -> None: ...
 def mj_step1(m: MjModel, d: MjData) -> None: ...
 def mj_step2(m: MjModel, d: MjData) -> None: ...

@@ -189,6 +189,14 @@ def createMultiBody(
 def calculateMassMatrix(
     bodyUniqueId: int, objPositions: Sequence[float], physicsClientId: int = ...
 ) -> tuple[tuple[float, ...], ...]: ...
+def calculateInverseDynamics(
+    bodyUniqueId: int,
+    objPositions: Sequence[float],
+    objVelocities: Sequence[float],
+    objAccelerations: Sequence[float],
+    *,
+    physicsClientId: int = ...,
+) -> tuple[float, ...]: ...
 def createConstraint(
     parentBodyUniqueId: int,
     parentLinkIndex: int,

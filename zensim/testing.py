@@ -24,7 +24,7 @@ SCENARIO_SUFFIX = ".scenario.yaml"
 RESULTS_FOLDER = "test-results"
 WORLD_OPTIONS = (
     *("world", "seed", "engine", "step_hz", "control_hz"),
-    *("model_paths", "strict", "allow_missing", "clusters"),
+    *("model_paths", "strict", "allow_missing", "clusters", "allow_failed_engine"),
 )
 OPTIONS = frozenset({*WORLD_OPTIONS, "record"})
 MAX_FOLDER_NAME = 120

@@ -21,17 +21,22 @@ from zensim.deploy.robot_checks import (
     run_checks,
     run_trial_process,
 )
-from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
+from zensim.proto.cli_options import (
+    AllowFailedEngineOption,
+    JsonOption,
+    expand_options,
+    flag,
+    make_app,
+)
 from zensim.proto.drive_orders import parse_drive_order
+from zensim.proto.engine_proofs import EngineName
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.printable_text import print_lines
 from zensim.sim_server.physics.engine_config import (
-    EngineName,
     EngineOptions,
-    choose_engine,
-    find_installed_engines,
     parse_engine_name,
 )
+from zensim.sim_server.physics.engine_proof.engine_prover import choose_proven_engine
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 from zensim.spawner.cli.spawn_arguments import (
     DescriptionOptions,
@@ -69,6 +74,7 @@ class CheckOptions(DescriptionOptions):
             envvar="ZENSIM_ENGINE",
         ),
     ] = ""
+    allow_failed_engine: AllowFailedEngineOption = False
     dynamics: DynamicsOption = "full"
     exclude: Annotated[
         list[str] | None,
@@ -154,7 +160,7 @@ def check(given: CheckOptions) -> None:
 
 
 def _make_requests(given: CheckOptions) -> list[TrialRequest]:
-    compat, engines = parse_compat(given), _choose_engines(given.engine)
+    compat, engines = parse_compat(given), _choose_engines(given)
     dynamics = parse_dynamics(given.dynamics)
     # An order that cannot be parsed is a fault of the command, not of each robot.
     parse_drive_order(given.drive)
@@ -172,6 +178,7 @@ def _make_requests(given: CheckOptions) -> list[TrialRequest]:
             allow_missing=given.allow_missing,
             compat=compat,
             dynamics=dynamics,
+            allow_failed_engine=given.allow_failed_engine,
         )
         for robot in robots
         for engine in engines
@@ -189,12 +196,14 @@ def _add_options(robot: RobotCheck, given: DescriptionOptions, roots: Sequence[s
     )
 
 
-def _choose_engines(word: str) -> list[str]:
-    installed = find_installed_engines()
-    if word == BOTH:
-        names = get_args(EngineName)
-        return [choose_engine(EngineOptions(engine=name), installed) for name in names]
-    return [choose_engine(EngineOptions(engine=parse_engine_name(word)), installed)]
+def _choose_engines(given: CheckOptions) -> list[str]:
+    is_both = given.engine == BOTH
+    names = get_args(EngineName) if is_both else (parse_engine_name(given.engine),)
+    allowed = given.allow_failed_engine
+    return [
+        choose_proven_engine(EngineOptions(engine=name, allow_failed_engine=allowed))
+        for name in names
+    ]
 
 
 def _print_rows(rows: Sequence[CheckRow], given: CheckOptions) -> None:

@@ -11,6 +11,7 @@ import msgspec
 import typer
 
 from zensim.proto.cli_options import (
+    AllowFailedEngineOption,
     AllowMissingOption,
     EngineOption,
     JsonOption,
@@ -58,6 +59,7 @@ class InspectOptions:
         ),
     ] = 0.0
     engine: EngineOption = ""
+    allow_failed_engine: AllowFailedEngineOption = False
     as_json: JsonOption = False
 
 
@@ -85,7 +87,8 @@ def inspect_worlds(given: InspectOptions) -> None:
 def _inspect(given: InspectOptions) -> "list[WorldInspection]":
     with server_extra():
         from zensim.sim_server.description.builtin_models import list_builtin_worlds
-        from zensim.sim_server.physics.engine_config import parse_engine_name
+        from zensim.sim_server.physics.engine_config import EngineOptions, parse_engine_name
+        from zensim.sim_server.physics.engine_proof.engine_prover import choose_proven_engine
         from zensim.sim_server.world_loading.world_inspection import (
             InspectionRequest,
             find_world_files,
@@ -105,7 +108,11 @@ def _inspect(given: InspectOptions) -> "list[WorldInspection]":
             known = f"no such world file or built-in world ({', '.join(builtin)})"
             raise FileNotFoundError(ENOENT, known, name)
     paths = tuple(map(str, given.model_path or ()))
-    engine = parse_engine_name(given.engine)
+    options = EngineOptions(
+        engine=parse_engine_name(given.engine), allow_failed_engine=given.allow_failed_engine
+    )
+    if given.settle:
+        choose_proven_engine(options)
     return [
         inspect_in_process(
             InspectionRequest(
@@ -113,7 +120,7 @@ def _inspect(given: InspectOptions) -> "list[WorldInspection]":
                     name, paths, is_strict=given.strict, allow_missing=given.allow_missing
                 ),
                 settle_s=given.settle,
-                engine=engine,
+                options=options,
             )
         )
         for name in names

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import msgspec
 import typer
 
-from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app, parse_finite
+from zensim.proto.cli_options import (
+    AllowFailedEngineOption,
+    JsonOption,
+    expand_options,
+    flag,
+    make_app,
+    parse_finite,
+)
 from zensim.proto.codec.message_codec import Format, decode, make_encoding
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.messages.input_messages import Inputs
@@ -55,6 +62,7 @@ class ResimOptions:
             show_default="that of the recording",
         ),
     ] = ""
+    allow_failed_engine: AllowFailedEngineOption = False
     step_hz: Annotated[
         float | None,
         typer.Option(metavar="HZ", help=r"Use this physics rate \[Hz], and report distances."),
@@ -111,6 +119,7 @@ def make_changes(given: ResimOptions) -> "ResimChanges":
         gravity=parse_gravity(given.gravity) if given.gravity else None,
         ground_friction=given.ground_friction,
         only_compares=given.report,
+        allow_failed_engine=given.allow_failed_engine,
     )
 
 

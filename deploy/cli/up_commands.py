@@ -361,6 +361,7 @@ def _make_server_config(given: UpOptions) -> LaunchConfig:
         engine=given.engine,
         clusters=given.clusters,
         engine_workers=given.engine_workers,
+        allow_failed_engine=given.allow_failed_engine,
         ros=given.ros,
     )
 

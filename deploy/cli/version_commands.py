@@ -4,22 +4,19 @@ import platform
 import sys
 
 from zensim.proto.cli_options import JsonOption, expand_options, make_app
-from zensim.proto.package_versions import find_package_version
+from zensim.proto.package_versions import find_reported_versions
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT
 from zensim.spawner.cli.command_session import print_json
 
 app = make_app()
 
-PACKAGES = ("zensim", "eclipse-zenoh", "pybullet", "mujoco", "viser", "numpy")
-MISSING = "not installed"
-
 
 @app.command("version")
 @expand_options
 def print_versions(*, as_json: JsonOption = False) -> None:
     """Print the versions of zensim, Python, and the libraries that zensim uses."""
-    versions = {name: find_package_version(name) or MISSING for name in PACKAGES}
+    versions = find_reported_versions()
     versions["python"] = platform.python_version()
     versions["platform"] = f"{sys.platform} {platform.machine()}"
     if as_json:

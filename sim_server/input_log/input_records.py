@@ -11,11 +11,12 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from zensim.proto.engine_proofs import EngineName
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.package_versions import find_package_version
 from zensim.sim_server.physics.engine import BodyStates, Engine, IntArray
 from zensim.sim_server.physics.engine_calls import MAX_STEPS, AnyCall
-from zensim.sim_server.physics.engine_config import EngineConfig, EngineName, EngineOptions
+from zensim.sim_server.physics.engine_config import EngineConfig, EngineOptions
 from zensim.sim_server.physics.engine_factory import MAX_PARALLEL_CELLS
 from zensim.sim_server.world_loading.world_loader import make_layered_engine
 

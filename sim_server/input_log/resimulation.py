@@ -8,6 +8,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
+from zensim.proto.engine_proofs import EngineName
 from zensim.proto.messages.input_messages import Inputs
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.state_hash import hash_states
@@ -52,7 +53,6 @@ from zensim.sim_server.physics.engine_calls import (
     write_floats,
 )
 from zensim.sim_server.physics.engine_config import (
-    EngineName,
     choose_engine,
     find_installed_engines,
 )
@@ -100,17 +100,20 @@ class ResimChanges(msgspec.Struct, frozen=True, kw_only=True):
     ground_friction: float | None = None
     only_compares: bool = False
     """Whether equal states are not expected, though nothing is changed."""
+    allow_failed_engine: bool = False
 
     @property
     def is_exact(self) -> bool:
         """Whether equal states are expected."""
-        return self == ResimChanges()
+        return msgspec.structs.replace(self, allow_failed_engine=False) == ResimChanges()
 
     def apply_to(self, recipe: EngineRecipe) -> EngineRecipe:
         """Change how an engine is made."""
         options = recipe.options
         if self.engine is not None:
             options = msgspec.structs.replace(options, engine=self.engine)
+        if self.allow_failed_engine:
+            options = msgspec.structs.replace(options, allow_failed_engine=True)
         step_ns = self.step_ns or recipe.step_ns
         friction = self.ground_friction
         return msgspec.structs.replace(

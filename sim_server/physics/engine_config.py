@@ -7,10 +7,10 @@ from typing import Literal, get_args
 
 import msgspec
 
+from zensim.proto.engine_proofs import EngineName
 from zensim.proto.messages.model_messages import Dynamics
 
 Clustering = Literal["auto", "on", "off"]
-EngineName = Literal["pybullet", "mujoco"]
 
 INSTALL_COMMANDS: dict[EngineName, str] = {
     "pybullet": "pip install 'zensim[pybullet]' (on Linux x86_64 with Python 3.10 or 3.11)",
@@ -18,7 +18,11 @@ INSTALL_COMMANDS: dict[EngineName, str] = {
 }
 
 
-class EngineMissing(ValueError):
+class EngineUnusable(ValueError):
+    """No world can be made with the chosen engine."""
+
+
+class EngineMissing(EngineUnusable):
     """The library of an engine is not installed."""
 
     slug = "engine.missing"
@@ -40,6 +44,8 @@ class EngineOptions(msgspec.Struct, frozen=True, kw_only=True):
     """Whether threads compile models that spawns may need next, which saves later steps a delay."""
     cores: int | None = None
     """Cores that the choice of cells assumes; None = those that this process may use."""
+    allow_failed_engine: bool = False
+    """Whether an engine that fails a case of its proof is used all the same."""
 
 
 def parse_engine_name(name: str) -> EngineName | None:

@@ -4,6 +4,7 @@ from importlib import import_module
 
 import msgspec
 
+from zensim.proto.engine_proofs import EngineName
 from zensim.proto.process_limits import count_usable_cores
 from zensim.sim_server.physics.cells.cell_executor import (
     CellExecutor,
@@ -12,13 +13,8 @@ from zensim.sim_server.physics.cells.cell_executor import (
 )
 from zensim.sim_server.physics.cells.celled_engine import CelledEngine, CellSettings
 from zensim.sim_server.physics.engine import Engine
-from zensim.sim_server.physics.engine_config import (
-    EngineConfig,
-    EngineName,
-    EngineOptions,
-    choose_engine,
-    find_installed_engines,
-)
+from zensim.sim_server.physics.engine_config import EngineConfig, EngineOptions
+from zensim.sim_server.physics.engine_proof.engine_prover import choose_proven_engine
 from zensim.sim_server.physics.isolating_engine import IsolatingEngine
 from zensim.sim_server.physics.sleeping_engine import wrap_with_sleep
 
@@ -76,9 +72,9 @@ def create_world_engine(
         period_steps: Steps between two control steps.
 
     Raises:
-        EngineMissing: The library is not installed.
+        EngineUnusable: The library is not installed, or fails a case of its proof.
     """
-    name = choose_engine(choice, find_installed_engines())
+    name = choose_proven_engine(choice)
     if choice.clusters == "off":
         return create_engine(name, config)
     releases_lock = name != "pybullet"  # of the interpreter, while it steps

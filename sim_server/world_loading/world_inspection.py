@@ -21,7 +21,7 @@ from zensim.proto.child_process import make_module_command, reserve_stdout, run_
 from zensim.proto.messages.model_messages import ReportEntry, Vec3
 from zensim.proto.process_limits import die_with_parent
 from zensim.sim_server.parser_process.asset_store import AssetStore
-from zensim.sim_server.physics.engine_config import EngineName, EngineOptions
+from zensim.sim_server.physics.engine_config import EngineOptions
 from zensim.sim_server.server_config import ConfigError, ServerConfig, fill_pace
 from zensim.sim_server.world.simulated_world import SimulatedWorld
 from zensim.sim_server.world_loading.world_loader import (
@@ -53,7 +53,7 @@ class InspectionRequest(msgspec.Struct, frozen=True, kw_only=True):
 
     world: WorldLoaderRequest
     settle_s: float = 0.0
-    engine: EngineName | None = None
+    options: EngineOptions = EngineOptions()
 
 
 class InspectedModel(msgspec.Struct, frozen=True):
@@ -182,7 +182,7 @@ def watch_models(
     started = time.perf_counter()
     physics = loaded.model.physics
     config = fill_pace(
-        ServerConfig(physics=EngineOptions(engine=request.engine)),
+        ServerConfig(physics=request.options),
         step_s=physics.step_s,
         real_time_factor=physics.real_time_factor,
     )

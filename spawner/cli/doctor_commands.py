@@ -1,4 +1,4 @@
-"""`zensim doctor`: check endpoint, session, server, robots, and what ROS 2 stacks ask of one."""
+"""`zensim doctor`: check this host, its connection, the server, robots, and the needs of ROS 2."""
 
 import re
 import socket
@@ -38,6 +38,7 @@ from zensim.proto.ros2.rmw_keys import parse_domain
 from zensim.proto.sensor_libraries import find_advice, find_missing_libraries
 from zensim.spawner.cli.command_session import complete_robots, data_console, print_json
 from zensim.spawner.cli.findings import Finding, choose_exit_status, make_findings_table
+from zensim.spawner.cli.host_findings import describe_host
 from zensim.spawner.cli.ros_observation import observe_robot
 from zensim.spawner.cli.ros_requirements import RosStack, check_stack
 from zensim.spawner.cli.sensor_commands import (
@@ -294,12 +295,12 @@ def doctor(
     quiet: Annotated[bool, flag("--quiet", "-q", help="Print only what is wrong.")] = False,
     server: ConnectionOptions,
 ) -> None:
-    """Diagnose problems: check endpoint, session, server, version, time, robots and sensors."""
+    """Diagnose problems: check this host and its engines, the network, server, robots, sensors."""
     with exit_on_failure("doctor"):
         check_name(server.world_name, "world name")
         domain = _check_arguments(robot, ros, ros_domain)
         endpoint = server.connect or DEFAULT_ENDPOINT
-        findings = list(diagnose(endpoint, server.world_name, version("zensim")))
+        findings = [*describe_host(), *diagnose(endpoint, server.world_name, version("zensim"))]
         if ros is not None and choose_exit_status(findings) is ExitCode.OK:
             findings += diagnose_robot(endpoint, server.world_name, robot, ros, domain)
     shown = [one for one in findings if one.mark == "wrong"] if quiet else findings

@@ -14,6 +14,7 @@ from tests.integration.processes import Server, eventually, serving
 from zensim.proto import keys
 from zensim.proto.bus import Bus
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.engine_proofs import EngineName
 from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand, DriveState
 from zensim.proto.messages.entity_messages import EntityState
 from zensim.proto.messages.input_messages import Inputs
@@ -23,7 +24,6 @@ from zensim.proto.service_catalog import CLAIM_ENTITY
 from zensim.proto.topic_catalog import DRIVE_COMMAND, DRIVE_STATE, INPUTS
 from zensim.sim_server.input_log.input_records import StateSums, read_records, write_records
 from zensim.sim_server.physics.engine_calls import Command, Steps
-from zensim.sim_server.physics.engine_config import EngineName
 from zensim.spawner.client.sim_client import SimClient
 
 WORLD, AGENT = "default", "random"

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from tests.integration.random_runs import STEPS_PER_S, find_change, make_random_run
+from zensim.proto.engine_proofs import EngineName
 from zensim.proto.messages.input_messages import Inputs
 from zensim.sim_server.input_log.input_records import StateSums, write_records
 from zensim.sim_server.input_log.resimulation import ResimChanges, Resimulation
 from zensim.sim_server.physics.engine_calls import Command, Steps
-from zensim.sim_server.physics.engine_config import EngineName
 
 SECONDS = 1.5
 

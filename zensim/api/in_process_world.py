@@ -223,7 +223,9 @@ class World(Simulation):
                 range.
         """
         settings = read_world_keywords(options)
-        physics = msgspec.structs.replace(IN_PROCESS, clusters=settings.pop("clusters"))
+        physics = msgspec.structs.replace(
+            IN_PROCESS, **{name: settings.pop(name) for name in ("clusters", "allow_failed_engine")}
+        )
         with api_errors():
             config = ServerConfig(
                 world_file=str(world),

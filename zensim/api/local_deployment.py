@@ -109,6 +109,7 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     engine: str = ""
     clusters: str = "auto"
     engine_workers: int | None = None
+    allow_failed_engine: bool = False
     dynamics: Dynamics = "full"
     """Empty = default of the server."""
     connect: str = ""
@@ -296,6 +297,7 @@ def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
     switches = {
         "--strict": config.is_strict,
         "--allow-missing": config.allow_missing,
+        "--allow-failed-engine": config.allow_failed_engine,
         "--lockstep": config.is_lockstep,
         "--paused": config.is_paused,
         "--input-log": config.keeps_inputs or bool(config.recording),

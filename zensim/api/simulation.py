@@ -89,6 +89,8 @@ class WorldKeywords(TypedDict, total=False):
     """Leave out models and collisions whose file is missing."""
     clusters: Clustering
     """Step bodies that cannot touch in separate cells: auto (in large worlds), on or off."""
+    allow_failed_engine: bool
+    """Use the engine even if it fails a case of its proof."""
 
 
 class HandleMapping(Mapping[str, Handle]):
@@ -745,7 +747,7 @@ def _make_duration(seconds: float | None) -> Duration:
 
 
 def read_world_keywords(options: WorldKeywords) -> dict[str, Any]:
-    """Read keyword arguments as fields of `LaunchConfig`, and but for `clusters` of `ServerConfig`.
+    """Read keyword arguments as fields of `LaunchConfig`; two are of `EngineOptions` in process.
 
     Raises:
         TypeError: One is unknown.
@@ -757,6 +759,7 @@ def read_world_keywords(options: WorldKeywords) -> dict[str, Any]:
         raise Invalid(f"clusters={clusters!r} is unknown", hint="use auto, on or off")
     return {
         "clusters": clusters,
+        "allow_failed_engine": options.get("allow_failed_engine", False),
         "model_paths": tuple(map(str, options.get("model_paths", ()))),
         "is_strict": options.get("strict", False),
         "allow_missing": options.get("allow_missing", False),

@@ -69,6 +69,9 @@ class EngineSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Literal["auto", "on", "off"], described("Split the world into cells of near robots.")
     ] = "auto"
     workers: Annotated[int, described("Processes of the engine; null = chosen.")] | None = None
+    allow_failed: Annotated[
+        bool, described("Use the engine even if it fails a case of its proof.")
+    ] = False
 
 
 class TimeSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

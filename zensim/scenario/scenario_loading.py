@@ -42,6 +42,7 @@ def open_world(scenario: Scenario) -> "World":
         strict=world.strict,
         allow_missing=world.allow_missing,
         clusters=engine.clusters,
+        allow_failed_engine=engine.allow_failed,
         rates=find_agent_rates(scenario),
     )
 

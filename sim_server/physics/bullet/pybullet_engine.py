@@ -1,4 +1,4 @@
-"""The Engine over PyBullet. The only module that imports pybullet."""
+"""The Engine over PyBullet. It and the proof of the engine alone import pybullet."""
 
 import ctypes
 import math

@@ -1,4 +1,4 @@
-"""The Engine over MuJoCo. The only module that imports mujoco."""
+"""The Engine over MuJoCo. It and the proof of the engine alone import mujoco."""
 
 import math
 import os

@@ -8,12 +8,13 @@ import numpy as np
 
 from tests.models import a_box, a_box_bot, a_state, box_bot_at
 from tests.sim_server.fakes import WallTime, a_spawn, make_parts
+from zensim.proto.engine_proofs import EngineName
 from zensim.proto.messages.agent_messages import DriveCommand
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.input_log.log_writer import InputLog
 from zensim.sim_server.parser_process.asset_store import AssetStore
-from zensim.sim_server.physics.engine_config import Clustering, EngineName, EngineOptions
+from zensim.sim_server.physics.engine_config import Clustering, EngineOptions
 from zensim.sim_server.physics.logged_engine import LoggedEngine
 from zensim.sim_server.server_config import ServerConfig
 from zensim.sim_server.service_parts import CurrentWorld

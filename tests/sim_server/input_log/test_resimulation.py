@@ -21,6 +21,7 @@ from tests.sim_server.input_log.logged_worlds import (
     RandomInputs,
 )
 from zensim.proto.codec.message_codec import Format, encode
+from zensim.proto.engine_proofs import EngineName
 from zensim.proto.messages.input_messages import Inputs
 from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.proto.messages.result_messages import ResultCode
@@ -56,7 +57,7 @@ from zensim.sim_server.physics.engine_calls import (
     CommandGroup,
     Steps,
 )
-from zensim.sim_server.physics.engine_config import EngineConfig, EngineName
+from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.logged_engine import LoggedEngine
 
 ENGINES: tuple[EngineName, ...] = ("pybullet", "mujoco")

@@ -5,9 +5,13 @@ from pathlib import Path
 import pytest
 
 from tests.sim_server.world_loading.test_world_loader import CRATE, a_file
+from zensim.proto.engine_proofs import EngineName
 from zensim.proto.messages.model_messages import ReportEntry
 from zensim.sim_server.description.builtin_models import list_builtin_worlds
-from zensim.sim_server.physics.engine_config import EngineName, find_installed_engines
+from zensim.sim_server.physics.engine_config import (
+    EngineOptions,
+    find_installed_engines,
+)
 from zensim.sim_server.world_loading.world_inspection import (
     InspectionRequest,
     WorldInspection,
@@ -24,7 +28,9 @@ BOX = CRATE.replace("</link>", SOLID)
 
 def inspect(file: str, engine: EngineName | None = None, settle_s: float = 0.0) -> WorldInspection:
     order = WorldLoaderRequest(file)
-    return inspect_world(InspectionRequest(world=order, settle_s=settle_s, engine=engine))
+    return inspect_world(
+        InspectionRequest(world=order, settle_s=settle_s, options=EngineOptions(engine=engine))
+    )
 
 
 def test_inspection_lists_models_lights_and_frames(tmp_path: Path) -> None:

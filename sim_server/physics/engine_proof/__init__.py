@@ -1,0 +1,1 @@
+"""Engines prove themselves: cases with known answers, at the first start with a build of one."""
