@@ -1,10 +1,12 @@
 """Versions of installed packages, by the name of the library that they have."""
 
-from importlib.metadata import PackageNotFoundError, version
+import re
+from importlib.metadata import PackageNotFoundError, distribution
 
 PACKAGES_OF = {"mujoco": ("mujoco-core", "mujoco")}
 """Of several packages, the first that is installed has the library; MuJoCo 3 was one package."""
 
+VERSION_LINE = re.compile(r"^Version: *(\S+)", re.MULTILINE)
 REPORTED_PACKAGES = ("zensim", "eclipse-zenoh", "pybullet", "mujoco", "viser", "numpy")
 """Whose versions matter to whoever asks for help."""
 MISSING_PACKAGE = "not installed"
@@ -23,6 +25,9 @@ def find_package_version(library: str) -> str | None:
 
 def _find_version(package: str) -> str | None:
     try:
-        return version(package)
+        found = distribution(package)
     except PackageNotFoundError:
         return None
+    # `found.version` parses the description, too: 3 ms for that of MuJoCo.
+    head = VERSION_LINE.search(found.read_text("METADATA") or "")
+    return head[1] if head else found.version

@@ -102,6 +102,7 @@ SAMPLES = {
     "engine.dynamics": "auto",
     "engine.clusters": "'off'",
     "engine.workers": "0",
+    "engine.allow_failed": "true",
     "time.mode": "lockstep",
     "time.speed": "2",
     "time.seed": "7",

@@ -30,6 +30,7 @@ CHANGED: dict[str, object] = {
     "wait": 3.0,
     "world_name": "other",
     "engine": "mujoco",
+    "allow_failed_engine": True,
     "rtf": 2.0,
     "step_hz": 100.0,
     "control_hz": 50.0,

@@ -15,7 +15,6 @@ from zensim.proto.engine_proofs import (
     write_proof,
 )
 from zensim.sim_server.physics.engine_config import (
-    INSTALL_COMMANDS,
     EngineOptions,
     EngineUnusable,
     choose_engine,
@@ -27,6 +26,12 @@ TRIALS: dict[EngineName, tuple[str, str]] = {
     "pybullet": ("zensim.sim_server.physics.engine_proof.bullet_trials", "BulletTrials"),
     "mujoco": ("zensim.sim_server.physics.engine_proof.mujoco_trials", "MujocoTrials"),
 }
+UPGRADES: dict[EngineName, str] = {
+    "pybullet": "pip install --upgrade --force-reinstall --no-deps pybullet",
+    "mujoco": "pip uninstall mujoco mujoco-core, then pip install 'zensim[server]' "
+    "(docs/upgrade.md)",
+}
+"""Packages of MuJoCo share a folder: what is left of one breaks the next."""
 
 
 class EngineFailed(EngineUnusable):
@@ -51,10 +56,10 @@ def choose_proven_engine(choice: EngineOptions) -> EngineName:
     if choice.allow_failed_engine:
         LOG.warning("%s; it is used all the same", line)
         return name
-    others = [f"--engine {other}" for other in installed if other != name]
-    ways = [INSTALL_COMMANDS[name].replace("install", "install --upgrade", 1), *others]
+    others = [f"use --engine {other}, " for other in installed if other != name]
     raise EngineFailed(
-        f"{EngineFailed.slug}: {line}; use {', '.join(ways)}, or --allow-failed-engine"
+        f"{EngineFailed.slug}: {line}; {UPGRADES[name]}, {''.join(others)}"
+        "or use --allow-failed-engine"
     )
 
 

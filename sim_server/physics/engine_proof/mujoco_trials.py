@@ -18,7 +18,7 @@ from zensim.sim_server.physics.engine_proof.engine_trials import (
 mujoco.set_mju_user_warning(lambda _: None)
 
 ROBOTS_A_SIDE, WHEELS = 4, 4
-STEPS_OF_ROBOTS = 8
+STEPS_OF_ROBOTS = 4
 WHEEL_EFFORTS = (0.3, -0.3)
 """[N m] of the wheels of every second robot, which push one another."""
 DENSE, SPARSE = int(mujoco.mjtJacobian.mjJAC_DENSE), int(mujoco.mjtJacobian.mjJAC_SPARSE)
