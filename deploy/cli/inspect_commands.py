@@ -107,23 +107,21 @@ def _inspect(given: InspectOptions) -> "list[WorldInspection]":
         if name not in builtin and not Path(name).exists():
             known = f"no such world file or built-in world ({', '.join(builtin)})"
             raise FileNotFoundError(ENOENT, known, name)
-    paths = tuple(map(str, given.model_path or ()))
     options = EngineOptions(
         engine=parse_engine_name(given.engine), allow_failed_engine=given.allow_failed_engine
     )
     if given.settle:
         choose_proven_engine(options)
+    order = WorldLoaderRequest(
+        "",
+        tuple(map(str, given.model_path or ())),
+        is_strict=given.strict,
+        allow_missing=given.allow_missing,
+    )
+    orders = [msgspec.structs.replace(order, name=name) for name in names]
     return [
-        inspect_in_process(
-            InspectionRequest(
-                world=WorldLoaderRequest(
-                    name, paths, is_strict=given.strict, allow_missing=given.allow_missing
-                ),
-                settle_s=given.settle,
-                options=options,
-            )
-        )
-        for name in names
+        inspect_in_process(InspectionRequest(world=one, settle_s=given.settle, options=options))
+        for one in orders
     ]
 
 

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
     from zensim.api.in_process_recorder import InProcessRecorder
 
+replace = msgspec.structs.replace
+ENGINE_KEYWORDS = ("clusters", "allow_failed_engine")
+"""Those of `WorldKeywords` that are fields of `EngineOptions`."""
 IN_PROCESS = EngineOptions(workers=0, compiles_ahead=False)
 NO_CLOCK_HINT = "use run_for(), step() or steps(), or zensim.launch(rtf=1) for a world that runs"
 
@@ -223,9 +226,7 @@ class World(Simulation):
                 range.
         """
         settings = read_world_keywords(options)
-        physics = msgspec.structs.replace(
-            IN_PROCESS, **{name: settings.pop(name) for name in ("clusters", "allow_failed_engine")}
-        )
+        physics = {name: settings.pop(name) for name in ENGINE_KEYWORDS}
         with api_errors():
             config = ServerConfig(
                 world_file=str(world),
@@ -235,7 +236,7 @@ class World(Simulation):
                 **settings,
                 is_paused=True,
                 real_time_factor=0.0,
-                physics=msgspec.structs.replace(physics, engine=parse_engine_name(engine)),
+                physics=replace(IN_PROCESS, engine=parse_engine_name(engine), **physics),
             )
             self._open(InProcessServer(config, rates))
 

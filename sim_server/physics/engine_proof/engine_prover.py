@@ -27,7 +27,7 @@ TRIALS: dict[EngineName, tuple[str, str]] = {
     "mujoco": ("zensim.sim_server.physics.engine_proof.mujoco_trials", "MujocoTrials"),
 }
 UPGRADES: dict[EngineName, str] = {
-    "pybullet": "pip install --upgrade --force-reinstall --no-deps pybullet",
+    "pybullet": "pip install --force-reinstall 'zensim[server]'",
     "mujoco": "pip uninstall mujoco mujoco-core, then pip install 'zensim[server]' "
     "(docs/upgrade.md)",
 }
