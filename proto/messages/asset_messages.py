@@ -92,11 +92,12 @@ def resolve_include_uri(include: str, uri: str) -> str:
     """Resolve a URI in an SDF model that was included as `include`.
 
     A relative one is relative to the included file: `meshes/a.stl` in `model://crate`, or in
-    `model://crate/model.sdf`, is `model://crate/meshes/a.stl`. Others are returned unchanged.
+    `model://crate/model.sdf`, is `model://crate/meshes/a.stl`, as is `//meshes/a.stl`, which joins
+    an empty folder. Others are returned unchanged.
     """
     folder = include.rpartition("/")[0] if include.endswith(".sdf") else include.rstrip("/")
-    is_relative = uri and not uri.startswith("/") and "://" not in uri
-    return f"{folder}/{uri}" if folder and is_relative else uri
+    is_relative = uri and (uri[0] != "/" or uri[:2] == "//") and "://" not in uri
+    return f"{folder}/{uri.lstrip('/')}" if folder and is_relative else uri
 
 
 IMAGE_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".tga", ".bmp")

@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from zensim.proto.messages.spawn_messages import Compat
-    from zensim.sim_server.description.meshes.mesh_conversion import FindFile, MeshFiles
+    from zensim.sim_server.description.meshes.mesh_conversion import MeshFiles
+    from zensim.sim_server.description.meshes.mesh_triangles import FindFile
     from zensim.sim_server.description.sdf.sdf_includes import ResolveInclude
     from zensim.sim_server.description.world_model import WorldModel
 

@@ -83,7 +83,7 @@ class SearchPaths(msgspec.Struct, frozen=True):
         if uri.endswith(".sdf"):
             return self.find(uri).path
         scheme = next((known for known in PACKAGE_SCHEMES if uri.startswith(known)), "")
-        for folder in self.package_folders(uri.removeprefix(scheme)) if scheme else ():
+        for folder in self.package_folders(uri.removeprefix(scheme).strip("/")) if scheme else ():
             file = find_model_file(folder)
             if file and any(
                 file.is_relative_to(r) for r in (folder, *self.own_folders, *self.roots)
@@ -110,14 +110,15 @@ class SearchPaths(msgspec.Struct, frozen=True):
         for text in dict.fromkeys((uri, unquote(uri))):
             scheme = next((known for known in PACKAGE_SCHEMES if text.startswith(known)), "")
             if scheme:
-                name, _, inside = text.removeprefix(scheme).partition("/")
+                name, _, inside = text.removeprefix(scheme).lstrip("/").partition("/")
                 for folder in self.package_folders(name):
-                    yield folder / inside, folder
+                    yield folder / inside.lstrip("/"), folder
             else:
                 plain = text.removeprefix(FILE_SCHEME)
-                yield from (
-                    (folder / plain, folder) for folder in (*self.own_folders[:1], *self.roots)
-                )
+                # `//file.dae` is what remains of a folder without a name before `/file.dae`.
+                names = dict.fromkeys((plain, plain.lstrip("/") if plain[:2] == "//" else plain))
+                folders = (*self.own_folders[:1], *self.roots)
+                yield from ((folder / name, folder) for name in names for folder in folders)
 
 
 def collect_search_paths(folders: Sequence[Path], environment: Mapping[str, str]) -> SearchPaths:

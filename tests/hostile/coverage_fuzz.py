@@ -23,7 +23,7 @@ from zensim.proto.codec.message_codec import decode as decode_message
 from zensim.proto.sample_messages import make_sample_message
 from zensim.proto.schema import list_top_level_types
 from zensim.sim_server.description.builtin_models import read_builtin_model
-from zensim.sim_server.description.meshes.mesh_conversion import read_mesh
+from zensim.sim_server.description.meshes.mesh_reader import read_mesh
 from zensim.sim_server.description.pipeline import read_robot
 from zensim.sim_server.errors import SimError
 

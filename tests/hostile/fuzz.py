@@ -26,7 +26,7 @@ from zensim.proto.messages import asset_messages
 from zensim.proto.sample_messages import make_sample_message
 from zensim.proto.schema import list_top_level_types
 from zensim.sim_server.description.builtin_models import read_builtin_model
-from zensim.sim_server.description.meshes.mesh_conversion import read_mesh
+from zensim.sim_server.description.meshes.mesh_reader import read_mesh
 from zensim.sim_server.description.pipeline import read_robot
 from zensim.sim_server.errors import ModelError, SimError
 from zensim.sim_server.parser_process.asset_store import AssetStore

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.integration.processes import eventually
-from tests.sim_server.description.meshes.test_mesh_conversion import BOX, exported
+from tests.sim_server.description.meshes.mesh_samples import BOX, exported
 from tests.sim_server.fakes import WallTime
 from tests.sim_server.parser_process.test_asset_store import put
 from tests.sim_server.parser_process.test_parser_client import MESH_ROBOT

@@ -14,7 +14,7 @@ import pytest
 import trimesh
 
 from tests.integration.processes import eventually
-from tests.sim_server.description.meshes.test_mesh_conversion import BOX, exported
+from tests.sim_server.description.meshes.mesh_samples import BOX, exported
 from tests.sim_server.description.robots import a_link, a_robot
 from tests.sim_server.fakes import WallTime
 from tests.sim_server.parser_process.test_asset_store import put

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from tests.sim_server.description.meshes.test_mesh_conversion import exported
+from tests.sim_server.description.meshes.mesh_samples import exported
 from tests.sim_server.fakes import a_world
 from zensim.proto.messages.model_messages import Shape
 from zensim.sim_server.description.builtin_models import list_builtin_worlds

@@ -20,6 +20,14 @@ def make_paths(file: Path, *roots: Path) -> SearchPaths:
         "../meshes/base.stl",
         "package://my_robot/meshes/../meshes/base.stl",
         "package://my_robot/meshes%2Fbase.stl",
+        "package://my_robot//meshes/base.stl",
+        "package://my_robot/meshes//base.stl",
+        "package://my_robot/./meshes/base.stl",
+        "package:///my_robot/meshes/base.stl",
+        "model://my_robot//meshes/base.stl",
+        "model:///my_robot/meshes/base.stl",
+        "..//meshes//base.stl",
+        "//../meshes/base.stl",
     ],
 )
 def test_mesh_is_found_in_the_package_of_the_description(tmp_path: Path, uri: str) -> None:

@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.spatial import ConvexHull
 
+from zensim.proto.messages.model_messages import Joint, Origin, Shape
 from zensim.sim_server.description.meshes.convex_hull import (
     MAX_HULL_CORNERS,
     Hull,
@@ -20,6 +22,7 @@ from zensim.sim_server.description.meshes.convex_hull import (
     find_exact_hull,
     find_hull,
 )
+from zensim.sim_server.description.model_geometry import find_wheel_sphere
 
 Points = npt.NDArray[np.float64]
 CUBE = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).T.reshape(-1, 3)
@@ -242,3 +245,22 @@ def test_hull_of_points_of_a_grid_encloses_all(points: Points) -> None:
     assert is_closed(hull)
     if spans_space:
         assert find_volume(hull) == pytest.approx(ConvexHull(points).volume, rel=1e-6)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("width", [0.2, 0.5, 1.0])
+def test_hull_of_a_tyre_with_a_curved_tread_is_a_round_wheel(axis: int, width: float) -> None:
+    tyre = trimesh.creation.torus(0.6, 0.4, major_sections=96, minor_sections=48)
+    points = np.roll(np.asarray(tyre.vertices) * [1.0, 1.0, width], axis + 1, axis=1)
+    hull = find_hull(points + np.array([0.1, 0.2, 0.3]))
+    joint = Joint("axle", "continuous", "base", "tyre", axis=tuple(np.eye(3)[axis].tolist()))
+
+    sphere = find_wheel_sphere(
+        Shape("mesh", (1.0, 1.0, 1.0), Origin((-0.1, -0.2, -0.3)), mesh="tyre"),
+        joint,
+        lambda _: hull.corners.astype(np.float32),
+    )
+
+    assert len(hull.corners) <= MAX_HULL_CORNERS
+    assert sphere is not None
+    assert sphere.size[0] == pytest.approx(1.0, rel=1e-3)

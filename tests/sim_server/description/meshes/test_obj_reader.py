@@ -1,100 +1,8 @@
-"""OBJ files in each notation, and limits of COLLADA and GLB files."""
-
-import json
+"""OBJ files in each notation."""
 
 import pytest
 
-from zensim.sim_server.description.meshes.mesh_conversion import (
-    CHUNK_BYTES,
-    GltfError,
-    ObjSyntaxError,
-    TooManyInstances,
-    check_collada_instances,
-    check_glb_header,
-    read_obj,
-)
-
-DRAWN = '<instance_geometry url="#g"/>'
-
-
-def a_scene(*nodes: str) -> bytes:
-    return f'<COLLADA xmlns="urn:c">{"".join(nodes)}</COLLADA>'.encode()
-
-
-def a_node(name: str, *parts: str) -> str:
-    return f'<node id="{name}">{"".join(parts)}</node>'
-
-
-def make_names(*names: str) -> str:
-    return "".join(f'<instance_node url="#{name}"/>' for name in names)
-
-
-def doubled(times: int) -> bytes:
-    above = (a_node(f"n{i}", make_names(f"n{i - 1}", f"n{i - 1}")) for i in range(1, times))
-    return a_scene(a_node("n0", DRAWN), *above)
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        a_scene(a_node("a", DRAWN * 20_000)),
-        a_scene(a_node("a", DRAWN, make_names("ghost"))),
-        a_scene(
-            a_node("a", DRAWN), a_node("b", make_names("a", "a"), a_node("c", make_names("a")))
-        ),
-        doubled(10),
-    ],
-)
-def test_nodes_are_accepted_with_few_instances(data: bytes) -> None:
-    check_collada_instances(data)
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        a_scene(a_node("a", make_names("a"))),
-        a_scene(
-            a_node("a", make_names("b")), a_node("b", make_names("c")), a_node("c", make_names("a"))
-        ),
-        doubled(30),
-        doubled(3000),
-    ],
-)
-def test_nodes_are_refused_when_instances_multiply(data: bytes) -> None:
-    with pytest.raises(TooManyInstances):
-        check_collada_instances(data)
-
-
-HEAD = b"glTF\x02\x00\x00\x00\x00\x00\x00\x00"
-
-
-def a_glb(**head: object) -> bytes:
-    text = json.dumps(head).encode()
-    return HEAD + len(text).to_bytes(4, "little") + b"JSON" + text + b"more"
-
-
-def test_plain_file_is_accepted() -> None:
-    check_glb_header(a_glb(accessors=[{"count": 12}], nodes=[{"children": [1]}, {"mesh": 0}]))
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        b"",
-        HEAD + b"\xff\xff\xff\xffJSON{",
-        HEAD + b"\x60\x00\x00\x00JSON" + b"[" * 96,
-        a_glb(accessors=[{"count": 10**12}]),
-        a_glb(accessors=[{"count": -1}]),
-        a_glb(accessors=[{"count": "many"}]),
-        a_glb(nodes=[{"children": [1, 1]}, {}]),
-        a_glb(nodes=[{}] * 10_001),
-        a_glb(extensionsRequired=["KHR_draco_mesh_compression"]),
-    ],
-)
-def test_file_is_refused_when_a_count_is_too_large(data: bytes) -> None:
-    with pytest.raises(GltfError):
-        check_glb_header(data)
-
+from zensim.sim_server.description.meshes.obj_reader import CHUNK_BYTES, ObjSyntaxError, read_obj
 
 MOST = 10_000
 SQUARE = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
@@ -118,6 +26,7 @@ def triangles(data: bytes) -> set[tuple[int, ...]]:
         b"f 1 2 \\\n3 4",
         b"  f\t1 2 3 4",
         b"f\t1\t2\t3\t4",
+        b"# square\nf 1 2 3 4 # all corners\n #",
     ],
 )
 def test_faces_are_read_in_each_notation(face: bytes) -> None:
