@@ -92,8 +92,10 @@ def resolve_include_uri(include: str, uri: str) -> str:
     """Resolve a URI in an SDF model that was included as `include`.
 
     A relative one is relative to the included file: `meshes/a.stl` in `model://crate`, or in
-    `model://crate/model.sdf`, is `model://crate/meshes/a.stl`. Others are returned unchanged.
+    `model://crate/model.sdf`, is `model://crate/meshes/a.stl`, and so is `//meshes/a.stl`, which
+    some exporters write. Others are returned unchanged.
     """
+    uri = uri.lstrip("/") if uri.startswith("//") else uri
     folder = include.rpartition("/")[0] if include.endswith(".sdf") else include.rstrip("/")
     is_relative = uri and not uri.startswith("/") and "://" not in uri
     return f"{folder}/{uri}" if folder and is_relative else uri

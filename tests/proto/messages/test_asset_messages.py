@@ -16,6 +16,7 @@ from zensim.proto.messages.asset_messages import resolve_include_uri
         ("", "a.stl", "a.stl"),
         ("model://crate", "model://other/a.stl", "model://other/a.stl"),
         ("model://crate", "/opt/a.stl", "/opt/a.stl"),
+        ("model://crate", "//meshes/a.stl", "model://crate/meshes/a.stl"),
         ("model://crate", "", ""),
     ],
 )
