@@ -61,6 +61,7 @@ from zensim.sim_server.physics.engine import (
     EngineCapabilities,
     EngineRefused,
     FloatArray,
+    can_move,
     make_contact_points,
 )
 from zensim.sim_server.physics.engine_config import EngineConfig
@@ -264,6 +265,8 @@ VISUAL_HALF_EXTENTS = (0.01, 0.01, 0.01)
 ACTIVATION_ASLEEP = (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVATION_STATE_SLEEP)
 ACTIVATION_AWAKE = (pybullet.ACTIVATION_STATE_WAKE_UP, pybullet.ACTIVATION_STATE_DISABLE_SLEEPING)
 COLLIDE_WITH_NOTHING, COLLIDE_WITH_ALL = (0, 0), (1, -1)  # group, mask
+COLLIDE_WITH_MOVING = (2, ~2)
+"""Bullet's own of the root of a fixed body; it searches contacts between its further parts."""
 ORIGIN_STATE: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
 ORIGIN_POSE = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
@@ -278,6 +281,11 @@ POSITION_MODE = (pybullet.POSITION_CONTROL, "targetPositions")
 JOINT_TYPES = {kind: getattr(pybullet, f"JOINT_{kind.upper()}") for kind in ("prismatic", "fixed")}
 JOINT_TYPES["revolute"] = JOINT_TYPES["continuous"] = pybullet.JOINT_REVOLUTE
 GEOMETRY_TYPES = {kind: getattr(pybullet, f"GEOM_{kind.upper()}") for kind in COLLISION_SHAPE_KINDS}
+
+
+def find_collision_filter(body: BulletBody) -> tuple[int, int]:
+    """Find group and mask of a body; two that never move do not collide."""
+    return COLLIDE_WITH_ALL if can_move(body.model) else COLLIDE_WITH_MOVING
 
 
 def _arrange(blueprint: Blueprint) -> Blueprint:
@@ -451,7 +459,7 @@ class PyBulletEngine(Engine):
             self._set_activation([body], states)
         parked = self._pool.list_parked()
         for body, known in (*self._bodies.items(), *parked.items()):
-            filters = COLLIDE_WITH_NOTHING if body in parked else COLLIDE_WITH_ALL
+            filters = COLLIDE_WITH_NOTHING if body in parked else find_collision_filter(known)
             self._set_collision_filter(body, known, *filters)
         twists = dict(self._twists)
         for body, known in self._bodies.items():
@@ -516,7 +524,8 @@ class PyBulletEngine(Engine):
         """See `Engine.show`."""
         self._set_activation(bodies, ACTIVATION_AWAKE)
         for body in bodies:
-            self._set_collision_filter(body, known := self._bodies[body], *COLLIDE_WITH_ALL)
+            known = self._bodies[body]
+            self._set_collision_filter(body, known, *find_collision_filter(known))
             self._register(body, known)
 
     def sleep(self, bodies: Sequence[int]) -> None:
@@ -704,6 +713,8 @@ class PyBulletEngine(Engine):
         """Set what createMultiBody does not."""
         blueprint = recipe.blueprint
         self._set_self_collision(body, blueprint)
+        if not can_move(recipe.body.model):
+            self._set_collision_filter(body, recipe.body, *COLLIDE_WITH_MOVING)
         self._com_frames.add(body, blueprint.parts[0])
         for link, arguments in recipe.dynamics:
             pybullet.changeDynamics(body, link, **arguments, physicsClientId=self._client)
@@ -778,7 +789,7 @@ class PyBulletEngine(Engine):
             self._pending_velocities[body] = np.zeros(6), np.zeros(len(known.joints))
         elif (next_awake := self._pool.wake_next(known.model)) is not None:
             self._set_activation([next_awake], ACTIVATION_AWAKE)
-        self._set_collision_filter(body, known, *COLLIDE_WITH_ALL)
+        self._set_collision_filter(body, known, *find_collision_filter(known))
         self._register(body, known)
         self.set_at_rest(body, base)
         return body
