@@ -54,6 +54,7 @@ class BulletBody:
         rolling_frictions: Rolling friction of its wheels while it stands.
         springs: Of its joints; None without any.
         carriers: Bullet's joint numbers of carriers of wheels.
+        mass_kg: Of all parts.
     """
 
     model: Model
@@ -66,6 +67,7 @@ class BulletBody:
     rolling_frictions: RollingFrictions
     springs: JointSprings | None
     carriers: tuple[int, ...]
+    mass_kg: float
 
     @cached_property
     def joints(self) -> tuple[int, ...]:
@@ -91,6 +93,7 @@ def make_bullet_body(model: Model, blueprint: Blueprint, loads: Sequence[LinkFor
         rolling_frictions=find_rolling_frictions(model, blueprint),
         springs=find_joint_springs(model, list_moving_joints(blueprint)),
         carriers=list_carriers(blueprint),
+        mass_kg=max(blueprint.mass_kg, MIN_MASS_KG),
     )
 
 

@@ -4,7 +4,7 @@ import ctypes
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -44,11 +44,14 @@ from zensim.sim_server.physics.bullet.bullet_bodies import (
     make_multibody_arguments,
 )
 from zensim.sim_server.physics.bullet.bullet_contact import (
+    RIGID_ERP,
     SOLVER_ARGUMENTS,
     BulletArguments,
+    find_recovery_share,
     has_self_collision,
     limit_static_body_friction,
     list_self_collision_pairs,
+    make_recovery_arguments,
 )
 from zensim.sim_server.physics.bullet.joint_springs import JointSprings, SpringTable
 from zensim.sim_server.physics.bullet.wheel_carriers import add_wheel_carriers, list_carriers
@@ -275,6 +278,9 @@ LEAST_FRICTION = 1e-9
 CARRIER_TORQUE_NM = 1e6
 """Greatest torque of motors that hold carriers of wheels."""
 OVERLAP_M = 0.001  # depth from which bodies overlap instead of touching
+COMPLIANCE = ("contactStiffness", "contactDamping")
+RECOVERY_TOLERANCE = 0.1
+"""Change of the share of a penetration that a step corrects, from which it is set again."""
 
 VELOCITY_MODE = (pybullet.VELOCITY_CONTROL, "targetVelocities")
 POSITION_MODE = (pybullet.POSITION_CONTROL, "targetPositions")
@@ -423,6 +429,8 @@ class PyBulletEngine(Engine):
         self._spring_table: SpringTable | None = None
         self._pending_velocities: dict[int, tuple[FloatArray, FloatArray]] = {}
         self._joint_efforts: dict[int, list[tuple[int, float]]] = {}
+        self._recovering: dict[int, float] = {}
+        """Bodies that overlap others deeply, and the share of it that a step corrects."""
         self._gravity = config.gravity
         self._dt_s = dt_s = config.step_ns * 1e-9
         self._com_frames = ComFrames()
@@ -457,6 +465,8 @@ class PyBulletEngine(Engine):
         for body in sorted(former._asleep ^ self._asleep):  # noqa: SLF001
             states = ACTIVATION_ASLEEP if body in self._asleep else ACTIVATION_AWAKE
             self._set_activation([body], states)
+        for body in former._recovering.keys() | self._recovering.keys():  # noqa: SLF001
+            self._set_recovery(body, self._recovering.get(body, RIGID_ERP))
         parked = self._pool.list_parked()
         for body, known in (*self._bodies.items(), *parked.items()):
             filters = COLLIDE_WITH_NOTHING if body in parked else find_collision_filter(known)
@@ -500,6 +510,8 @@ class PyBulletEngine(Engine):
     def remove(self, body: int) -> None:
         """See `Engine.remove`; the body goes to the pool if there is room."""
         self._set_rolling_resistance(body, is_held=False)
+        if body in self._recovering:
+            self._set_recovery(body, RIGID_ERP)
         known = self._bodies.pop(body)
         for table in (self._twists, self._loads, self._pending_velocities):
             table.pop(body, None)
@@ -576,17 +588,59 @@ class PyBulletEngine(Engine):
             self._remove_body(body)
 
     def find_overlaps(self, body: int) -> Sequence[int]:
-        """See `Engine.find_overlaps`."""
+        """See `Engine.find_overlaps`; a body that overlaps deeply leaves slowly from now on."""
         client = self._client
         links = range(-1, pybullet.getNumJoints(body, physicsClientId=client))
         boxes = np.array([pybullet.getAABB(body, link, physicsClientId=client) for link in links])
         low, high = boxes[:, 0].min(axis=0).tolist(), boxes[:, 1].max(axis=0).tolist()
         near = pybullet.getOverlappingObjects(low, high, physicsClientId=client) or ()
-        return [
-            other
-            for other in sorted({other for other, _ in near} & self._bodies.keys() - {body})
-            if pybullet.getClosestPoints(body, other, -OVERLAP_M, physicsClientId=client)
-        ]
+        others = sorted({other for other, _ in near} - {body} - self._pool.list_parked().keys())
+        depths = {other: self._measure_overlap(body, other) for other in others}
+        self._limit_recovery(body, depths)
+        return [other for other in others if depths[other] and other in self._bodies]
+
+    def _measure_overlap(self, body: int, other: int) -> float:
+        """Measure how deep two bodies overlap; 0 if they touch at most."""
+        points = pybullet.getClosestPoints(body, other, -OVERLAP_M, physicsClientId=self._client)
+        return max((-point[8] for point in points or ()), default=0.0)
+
+    def _limit_recovery(self, body: int, depths: Mapping[int, float]) -> None:
+        """Let a body leave slowly, or those that it overlaps if it does not move.
+
+        One of a pair is enough: two correct a quarter of the share.
+        """
+        moves = can_move(self._bodies[body].model)
+        for other, depth in depths.items():
+            one, share = body if moves else other, find_recovery_share(depth, self._dt_s)
+            is_deeper = share < self._recovering.get(one, RIGID_ERP)
+            if is_deeper and one in self._bodies and can_move(self._bodies[one].model):
+                self._set_recovery(one, share)
+
+    def _set_recovery(self, body: int, share: float) -> None:
+        """Set the share of a penetration that a step corrects, for all parts of a body."""
+        known = self._bodies[body]
+        arguments = make_recovery_arguments(known.mass_kg, share, self._dt_s)
+        for part in range(-1, known.parts):
+            pybullet.changeDynamics(body, part, **arguments, physicsClientId=self._client)
+        if share < RIGID_ERP:
+            self._recovering[body] = share
+            return
+        self._recovering.pop(body, None)
+        for part, written in self._find_recipe(known.model).dynamics:
+            compliance = {key: written[key] for key in COMPLIANCE if key in written}
+            if compliance:
+                pybullet.changeDynamics(body, part, **compliance, physicsClientId=self._client)
+
+    def _follow_recoveries(self) -> None:
+        """Adapt the correction of bodies that overlap deeply to what is left."""
+        for body, former in list(self._recovering.items()):
+            if body in self._asleep:
+                continue
+            points = pybullet.getContactPoints(body, physicsClientId=self._client) or ()
+            depth = max((-point[8] for point in points), default=0.0)
+            share = find_recovery_share(depth, self._dt_s)
+            if share == RIGID_ERP or abs(share - former) > RECOVERY_TOLERANCE * former:
+                self._set_recovery(body, share)
 
     def read(self, bodies: Sequence[int]) -> BodyStates:
         """See `Engine.read`."""
@@ -665,6 +719,8 @@ class PyBulletEngine(Engine):
                 self._apply_effort(body, joint, effort)
         self._separate_ground_from_sleepers()
         pybullet.stepSimulation(physicsClientId=self._client)
+        if self._recovering:
+            self._follow_recoveries()
         self._set_activation(self._pool.after_step(), ACTIVATION_ASLEEP)
         self._apply_pending_velocities()
         if self._ground is None or self._is_finite(self._ground):
