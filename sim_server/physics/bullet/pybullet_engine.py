@@ -36,6 +36,7 @@ from zensim.sim_server.physics.bullet.bullet_bodies import (
     BulletBody,
     CollisionShapeCache,
     GearConstraint,
+    center_scenery,
     limit_joint_dampings,
     list_gear_constraints,
     list_moving_joints,
@@ -295,7 +296,7 @@ def find_collision_filter(body: BulletBody) -> tuple[int, int]:
 
 
 def _arrange(blueprint: Blueprint) -> Blueprint:
-    return add_wheel_carriers(order_depth_first(blueprint))
+    return center_scenery(add_wheel_carriers(order_depth_first(blueprint)))
 
 
 class BulletOrigin:
