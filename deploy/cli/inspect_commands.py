@@ -185,9 +185,14 @@ def format_world(one: "WorldInspection") -> list[str]:
 
 def _format_motion(one: "WorldInspection") -> list[str]:
     head = f"after {one.settle_s:g} s of simulation ({one.settle_wall_s:.1f} s): "
+    overlaps = [
+        f"overlap    {name}: {_list_names(others)}" for name, others in one.overlaps[:MAX_LISTED]
+    ]
+    if len(one.overlaps) > MAX_LISTED:
+        overlaps.append(f"overlap    {len(one.overlaps) - MAX_LISTED} more models")
     if not one.moving:
-        return [f"{head}all models stand still"]
-    return [f"{head}{len(one.moving)} models move"] + [
+        return [*overlaps, f"{head}all models stand still"]
+    return [*overlaps, f"{head}{len(one.moving)} models move"] + [
         f"  {model.name}: {model.moved_m:.4f} m away, {model.speed_mps:.4f} m/s"
         for model in one.moving[:MAX_LISTED]
     ]

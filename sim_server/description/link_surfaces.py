@@ -192,6 +192,9 @@ def _read_material_colour(colour: Element, name: str, report: ParseReport) -> Qu
 
 DEFAULT_FRICTION = 1.0
 """Coulomb coefficient, as in Gazebo."""
+INFINITE_FRICTION = 1e6
+"""Coefficient of `Inf`, ODE's friction without a limit."""
+INFINITY_TEXTS = ("inf", "+inf", "infinity", "+infinity")
 DEFAULT_CONTACT_DAMPING = 1.0
 """[N s/m], as in Gazebo."""
 RIGID_STIFFNESS = 1e9
@@ -296,7 +299,8 @@ class SurfaceTagReader:
 
     def _read_frictions(self) -> tuple[float | None, Vec3, float]:
         along = self._read_friction()
-        across = self._read_number("mu2")
+        is_infinite = self._texts.get("mu2", "").strip().lower() in INFINITY_TEXTS
+        across = INFINITE_FRICTION if is_infinite else self._read_number("mu2")
         direction = self._read_direction()
         first = DEFAULT_FRICTION if along is None else along
         if across is None or across == first:
@@ -321,6 +325,9 @@ class SurfaceTagReader:
         if "mu1" not in self._texts:
             return None
         where = f"{self._subject}, mu1"
+        if self._texts["mu1"].strip().lower() in INFINITY_TEXTS:
+            self._report.applied(self._subject_of("mu1"), f"infinite: {INFINITE_FRICTION:g}")
+            return INFINITE_FRICTION
         (friction,) = read_numbers(self._texts["mu1"], counts=(1,), where=where, slug=self._slug)
         if friction < 0.0:
             raise ModelError(

@@ -295,14 +295,19 @@ def make_shape_key(shapes: tuple[Shape, ...], *, is_static: bool) -> ShapeKey:
     return tuple((s.kind, s.size, s.origin, s.mesh, is_static and bool(s.mesh)) for s in shapes)
 
 
+MAX_MESHES_PER_PART = 8
+"""Of a static blueprint: a part is built in one go, and each further one takes time in each step.
+"""
+
+
 def split_static_meshes(blueprint: Blueprint, *, max_parts: int) -> Blueprint:
-    """Give each mesh of a static blueprint a part of its own, or several meshes if too many."""
+    """Give the meshes of a static blueprint parts of their own if they are many."""
     meshes = sum(len(_mesh_shapes(part)) for part in blueprint.parts)
     room = max_parts - len(blueprint.parts)
-    if not blueprint.is_static or not meshes or room <= 0:
+    if not blueprint.is_static or meshes <= MAX_MESHES_PER_PART or room <= 0:
         return blueprint
     # Rounding up may add one group for each part.
-    group_size = -(-meshes // max(1, room - len(blueprint.parts)))
+    group_size = max(MAX_MESHES_PER_PART, -(-meshes // max(1, room - len(blueprint.parts))))
     parts = [replace(part, shapes=_non_mesh_shapes(part)) for part in blueprint.parts]
     mesh_parts = [
         _make_mesh_part(part, number, meshes)

@@ -102,6 +102,8 @@ GROUND = -1
 """Stands for the ground among the numbers of bodies."""
 SUPPORT_NORMAL_Z = 0.7
 """Upward share of a normal from which something fixed carries a robot, as a floor or ramp."""
+MAX_PENETRATION_RECOVERY_MPS = 0.2
+"""Limit of the speed that corrects a penetration, such as ODE's `contact_max_correcting_vel`."""
 CONTACT_BODIES, CONTACT_NUMBERS = 4, 10
 
 

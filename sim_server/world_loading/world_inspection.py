@@ -27,6 +27,7 @@ from zensim.sim_server.world.simulated_world import SimulatedWorld
 from zensim.sim_server.world_loading.world_loader import (
     LoadedWorld,
     WorldLoaderRequest,
+    find_model_overlaps,
     make_world_engine,
     spawn_models,
 )
@@ -91,6 +92,8 @@ class WorldInspection(msgspec.Struct, frozen=True, kw_only=True):
     settle_s: float = 0.0
     """Simulation time of the check; 0 = not checked."""
     settle_wall_s: float = 0.0
+    overlaps: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    """Models that overlap others at the start of the check."""
     report: tuple[ReportEntry, ...] = ()
 
     @property
@@ -195,6 +198,9 @@ def watch_models(
             engine, name="default", step_ns=config.step_ns, control_steps=config.control_steps
         )
         spawn_models(world, loaded.model)
+        overlaps = tuple(
+            (one, tuple(others)) for one, others in find_model_overlaps(world) if others
+        )
         before = _read_bases(world)
         for _ in range(round(request.settle_s * 1e9 / config.step_ns)):
             world.step()
@@ -205,6 +211,7 @@ def watch_models(
     return msgspec.structs.replace(
         found,
         models=models,
+        overlaps=overlaps,
         settle_s=request.settle_s,
         settle_wall_s=time.perf_counter() - started,
     )

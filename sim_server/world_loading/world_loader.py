@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import time
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -11,8 +13,10 @@ import numpy as np
 from zensim.proto.child_process import make_module_command, run_process
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
+from zensim.sim_server.description.strict_parsing import quote_names
 from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import RequestRefused, SimError
+from zensim.sim_server.physics.engine import MAX_PENETRATION_RECOVERY_MPS, can_move
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_factory import create_world_engine
 from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
@@ -28,7 +32,11 @@ if TYPE_CHECKING:
     from zensim.sim_server.physics.engine_config import EngineOptions
     from zensim.sim_server.server_config import ServerConfig
 
+LOG = logging.getLogger(__name__)
 PREPARE_POLL_S = 2e-3
+MAX_CHECKED_MODELS = 500
+"""Models that move and are checked for overlaps at load: a check takes about 0.1 ms."""
+MAX_NAMED_OVERLAPS = 10
 COMMAND = make_module_command("zensim.sim_server.world_loading.world_loader_process")
 
 
@@ -114,6 +122,36 @@ def spawn_models_stepwise(world: SimulatedWorld, model: WorldModel) -> Iterator[
             raise ConfigError(f"model '{placed.name}' of the world: {error}") from error
         yield False
     world.expect(())
+    yield from _warn_of_overlaps(world)
+
+
+def _warn_of_overlaps(world: SimulatedWorld) -> Iterator[bool]:
+    """Name the models that overlap others, in events and a line of the log."""
+    overlaps = []
+    for one, others in find_model_overlaps(world):
+        if others:
+            overlaps.append(f"{one!r} and {quote_names(others)}")
+            world.clock.warn(one, f"overlaps {quote_names(others)} in the world file")
+        yield False
+    if overlaps:
+        more = f" and {len(overlaps) - MAX_NAMED_OVERLAPS} more"
+        LOG.warning(
+            "world=%s models overlap and part at %g m/s: %s%s",
+            world.name,
+            MAX_PENETRATION_RECOVERY_MPS,
+            "; ".join(overlaps[:MAX_NAMED_OVERLAPS]),
+            more if len(overlaps) > MAX_NAMED_OVERLAPS else "",
+        )
+
+
+def find_model_overlaps(world: SimulatedWorld) -> Iterator[tuple[str, list[str]]]:
+    """List each of the first models that move, and those that it overlaps; each pair once."""
+    moving = (entity for entity in world.entities if can_move(entity.model))
+    seen: set[str] = set()
+    for entity in islice(moving, MAX_CHECKED_MODELS):
+        found = [other for other in world.find_overlaps(entity) if other not in seen]
+        seen.add(entity.name)
+        yield entity.name, found
 
 
 def make_world_engine(config: ServerConfig, model: WorldModel, mesh_folder: str) -> Engine:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache, partial
 from hashlib import sha256
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from zensim.sim_server.parser_process.description_cache import DescriptionProvider
 
 RESOURCE_SCHEMES = ("model://", "package://", "file://")
+_SLASHES = re.compile("/{2,}")
 MODEL_CONFIG_FILE = "model.config"
 DEFAULT_MODEL_FILE = "model.sdf"
 
@@ -156,10 +158,16 @@ def _find_fuel_folder(name: str, root: Path, list_folders: FolderNames) -> str:
 
 
 def _strip_scheme(uri: str) -> str:
-    for scheme in RESOURCE_SCHEMES:
-        if uri.startswith(scheme):
-            return uri.removeprefix(scheme)
-    return "" if "://" in uri else uri
+    """Find the path of a URI; slashes collapse, and only one at the start means an absolute path.
+
+    That one is of a path or a `file://`: `model:///NAME` is `model://NAME`.
+    """
+    scheme = next((scheme for scheme in RESOURCE_SCHEMES if uri.startswith(scheme)), "")
+    if not scheme and "://" in uri:
+        return ""
+    path = uri.removeprefix(scheme)
+    may_be_absolute = scheme in ("", "file://") and not path.startswith("//")
+    return _SLASHES.sub("/", path if may_be_absolute else path.lstrip("/"))
 
 
 def _read_model_text(path: Path) -> str | None:

@@ -9,7 +9,7 @@ from tests.engines import REAL_ENGINES, STEP_NS, MakeEngine, advance, running
 from tests.models import a_body, a_box, a_box_bot, a_state, box_bot_at
 from zensim.proto.messages.model_messages import Inertial, Joint, Link, Model, Origin, Shape
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
-from zensim.sim_server.physics.engine import GROUND, Engine
+from zensim.sim_server.physics.engine import GROUND, MAX_PENETRATION_RECOVERY_MPS, Engine
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
@@ -37,6 +37,30 @@ def test_engine_tells_the_weight_of_a_resting_box(engine: Engine) -> None:
     assert found.points[:, 2] == pytest.approx(np.zeros(len(found)), abs=2e-3)
     assert (np.abs(found.points[:, 6]) < 2e-3).all()
     assert set(engine.read_contacts((box, other)).bodies[:, 0].tolist()) == {box, other}
+
+
+@pytest.mark.parametrize("step_ns", [STEP_NS, 1_000_000])
+@pytest.mark.parametrize("make", [PyBulletEngine, MujocoEngine])
+@pytest.mark.parametrize("is_static", [True, False])
+def test_bodies_that_overlap_part_slowly(
+    make: MakeEngine, step_ns: int, *, is_static: bool
+) -> None:
+    with running(make, EngineConfig(step_ns, gravity=(0.0, 0.0, -9.81))) as engine:
+        wall = engine.add(a_box("wall", 1.0, is_static=is_static), a_state((0.0, 0.0, 0.5)))
+        sofa = engine.add(a_box("sofa", 1.0), a_state((0.9, 0.0, 0.5)))
+        assert engine.find_overlaps(sofa) == [wall]
+        sunk = engine.add(a_box("sunk", 1.0), a_state((5.0, 0.0, 0.4)))
+        assert engine.find_overlaps(sunk) == []
+        bodies, fastest = (wall, sofa, sunk), 0.0
+        for _ in range(2_000_000_000 // step_ns):
+            advance(engine, 1)
+            fastest = max(fastest, np.abs(engine.read(bodies).base[:, 7:10]).max())
+
+        states = engine.read(bodies).base
+
+    assert fastest < 1.5 * MAX_PENETRATION_RECOVERY_MPS
+    assert states[1, 0] - states[0, 0] == pytest.approx(1.0, abs=0.01)
+    assert states[2, 2] == pytest.approx(0.5, abs=0.01)
 
 
 def test_engine_tells_nothing_of_a_box_in_the_air(engine: Engine) -> None:

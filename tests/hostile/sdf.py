@@ -49,7 +49,7 @@ def _numbers() -> Iterator[Case]:
         }.items():
             yield Case(f"sdf_{slug}_{name}", model(link("a", inside)), slug)
     for name, shape in {
-        "zero": "<box><size>0 1 1</size></box>",
+        "tiny": "<box><size>-1e-9 1 1</size></box>",
         "negative": "<sphere><radius>-1</radius></sphere>",
     }.items():
         solid = f'<collision name="c"><geometry>{shape}</geometry></collision>'

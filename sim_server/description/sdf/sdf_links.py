@@ -402,7 +402,19 @@ def read_geometry(part: Element, where: str, report: ParseReport) -> list[Shape]
         report.suspicious(f"{where}: <submesh>", "not supported; the whole mesh is used")
     if solids[0].tag == "polyline":
         return _read_polylines(solids, where, report)
+    if _has_no_extent(solids[0]):
+        report.suspicious(where, f"<{solids[0].tag}> of size 0; left out")
+        return []
     return [_read_geometry_element(solids[0], where)]
+
+
+EXTENT_TAGS = ("size", "scale", "radius", "length", "radii")
+
+
+def _has_no_extent(solid: Element) -> bool:
+    """Whether one of its sizes is written as 0."""
+    words = " ".join(read_text(solid, tag) for tag in EXTENT_TAGS).split()
+    return any("0" in word and not word.strip("+-0.") for word in words)
 
 
 def _read_polylines(polylines: Sequence[Element], where: str, report: ParseReport) -> list[Shape]:
@@ -542,8 +554,6 @@ def _read_geometry_element(solid: Element, where: str) -> Shape:
         uri, scale = read_text(solid, "uri"), read_vector(solid, "scale", UNIT_SIZE, where)
         if not uri:
             raise ModelError(f"{where}: its mesh has no <uri>; write one", slug="sdf.uri")
-        if 0.0 in scale:
-            raise ModelError(f"{where}: its mesh has scale 0; write 1 1 1", slug="sdf.size")
         return Shape("mesh", scale, mesh=uri)
     return _read_round_solid(solid, where)
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import count
 from typing import TYPE_CHECKING, get_args
 
 import msgspec
@@ -376,6 +377,29 @@ LAX_NAME_VERSIONS = ("1.2", "1.3", "1.4", "1.5", "1.6")
 NAMED_TAGS = ("link", "joint", "frame", "model")
 
 
+def rename_repeated(root: Element, report: ParseReport) -> None:
+    """Rename models, links and joints that have the name of an earlier one beside them.
+
+    SDF up to 1.6 allowed it, and its editors wrote it; what names them means the first.
+    """
+    for owner in root.iter("world", "model"):
+        if owner.get(VERSION_ATTRIBUTE) not in LAX_NAME_VERSIONS:
+            continue
+        named = [child for child in owner if child.tag in ("link", "joint", "model")]
+        taken, seen = {child.get("name") for child in named}, set[tuple[str, str | None]]()
+        for child in named:
+            written = child.get("name")
+            if written and (child.tag, written) in seen:
+                free = (f"{written}_{number}" for number in count(2))
+                child.set("name", next(name for name in free if name not in taken))
+                taken.add(child.get("name"))
+                fault = f"another has this name; renamed to {quote(child.get('name'))}"
+                where = f"{child.tag} {quote(written)}"
+                place = "" if owner.tag == "world" else f"model {quote(owner.get('name'))}: "
+                report.suspicious(f"{place}{where}", fault)
+            seen.add((child.tag, written))
+
+
 def check_sibling_names(owner: Element, report: ParseReport) -> None:
     """Check that links, joints, frames and models of a model or a world have different names.
 
@@ -548,6 +572,7 @@ def read_sdf_model(
     report = ParseReport()
     element = _find_model(parse_sdf(text, report), report)
     IncludeExpander(resolve, report).expand(element)
+    rename_repeated(element, report)
     if read_pose(element, "model").origin != Origin():
         report.ignored("model: <pose>", "the pose is set by the spawn request")
     model = read_model_element(element, MeshPolicy(has_mesh, allow_missing), report)

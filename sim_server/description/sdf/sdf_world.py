@@ -13,6 +13,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NoReturn
 
@@ -56,6 +57,7 @@ from zensim.sim_server.description.sdf.sdf_model import (
     find_placement,
     flatten_model,
     read_model_parts,
+    rename_repeated,
 )
 from zensim.sim_server.description.sdf.sdf_population import expand_populations
 from zensim.sim_server.description.sdf.sdf_values import (
@@ -82,7 +84,7 @@ from zensim.sim_server.description.world_model import (
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from lxml.etree import _Element as Element
 
@@ -138,7 +140,11 @@ def read_physics(physics: Element, report: ParseReport) -> PhysicsSettings:
         ModelError: One is not a number or out of range.
     """
     step = _read_in_range(physics, "max_step_size", (MIN_STEP_S, MAX_STEP_S))
-    factor = _read_in_range(physics, "real_time_factor", (0.0, MAX_REAL_TIME_FACTOR))
+    limits = (-MAX_REAL_TIME_FACTOR, MAX_REAL_TIME_FACTOR)
+    factor = _read_in_range(physics, "real_time_factor", limits)
+    if factor is not None and factor < 0.0:
+        report.suspicious("physics: <real_time_factor>", f"{factor:g}: as fast as possible, as 0")
+        factor = 0.0
     rate = _read_in_range(physics, "real_time_update_rate", (0.0, 1e6))
     if rate is not None:
         # Gazebo's steps per second of wall time override the factor; 0 is unlimited.
@@ -199,6 +205,7 @@ MAX_MODELS = 5000
 SUN, GROUND = "sun", "ground_plane"
 """Names of the models that need no file."""
 MODEL_SCHEME = "model://"
+XACRO_PREFIX = "{http://www.ros.org/wiki/xacro}"
 UNUSED_WORLD_TAGS = {
     "atmosphere": "air is not simulated",
     "audio": "sound is not simulated",
@@ -263,6 +270,7 @@ def read_world(
     expand_populations(world, report)
     _apply_builtin_includes(world, draft)
     IncludeExpander(resolve, report, allow_missing=allow_missing).expand(world)
+    rename_repeated(world, report)
     _add_frames(world, draft)
     for child in world:
         _read_element(child, draft)
@@ -284,6 +292,12 @@ def _read_world_name(world: Element, report: ParseReport) -> str:
 def _find_world(sdf: Element) -> Element:
     worlds = sdf.findall("world")
     if len(worlds) != 1 or len(sdf) != 1:
+        if any(str(child.tag).startswith(XACRO_PREFIX) for child in sdf):
+            raise ModelError(
+                "the file is xacro; expand it first, as with 'xacro FILE > world.sdf'",
+                code=SpawnCode.UNSUPPORTED_FORMAT,
+                slug="sdf.world",
+            )
         content = ", ".join(f"<{child.tag[:40]}>" for child in list(sdf)[:5]) or "nothing"
         raise ModelError(
             f"<sdf> contains {content}; a world file contains one <world> and nothing else",
@@ -328,7 +342,7 @@ def _find_builtin_name(uri: str) -> str:
     if fuel is not None:
         name = "" if fuel.file else fuel.name
     else:
-        name = uri.rstrip("/").removeprefix(MODEL_SCHEME) if uri.startswith(MODEL_SCHEME) else ""
+        name = uri.removeprefix(MODEL_SCHEME).strip("/") if uri.startswith(MODEL_SCHEME) else ""
     name = normalize_model_name(name)
     return name if name in (SUN, GROUND) else ""
 
@@ -386,8 +400,9 @@ def _add_nested_frames(world: Element, models: Sequence[Element], draft: _WorldD
         if not inner or model_name not in by_name:
             continue
         model = by_name[model_name]
-        frames = flatten_model(model, ParseReport()).frames
-        origin = compose(find_placement(model, Origin()), frames.pose(inner))
+        with _naming_model(model_name):
+            frames = flatten_model(model, ParseReport()).frames
+            origin = compose(find_placement(model, Origin()), frames.pose(inner))
         draft.frames.add(name, RelativePose(origin), scope="", implied=model_name)
 
 
@@ -539,21 +554,33 @@ def _report_element(child: Element, report: ParseReport) -> None:
 
 def _read_model(element: Element, draft: _WorldDraft) -> None:
     written = read_name(element, "model")
-    own = ParseReport()
-    try:
-        parts = read_model_parts(element, draft.policy, own)
-    except ModelError as error:
-        # A model is empty if all its includes are missing.
-        is_empty = draft.allow_missing and error.slug == "sdf.no_links"
-        if error.code not in SKIPPABLE_CODES and not is_empty:
-            raise
-        draft.report.suspicious(f"model {quote(written)}", f"left out: {error}")
-        return
+    own, missing = ParseReport(), draft.policy.missing
+    known = len(missing)
+    with _naming_model(written):
+        try:
+            parts = read_model_parts(element, draft.policy, own)
+        except ModelError as error:
+            # A model without links is a place in the world, or all its includes are missing.
+            if error.code not in SKIPPABLE_CODES and error.slug != "sdf.no_links":
+                raise
+            draft.report.suspicious(f"model {quote(written)}", f"left out: {error}")
+            return
+        origin = find_placement(element, draft.frames.pose(written))
+    missing[known:] = [f"model {quote(written)}, {fault}" for fault in missing[known:]]
     for entry in own.entries():
         draft.report.repeat(entry, of=written[:80])
-    origin = find_placement(element, draft.frames.pose(written))
     for part in parts:
         _add_part(part, written, origin, own, draft)
+
+
+@contextmanager
+def _naming_model(name: str) -> Iterator[None]:
+    """Name a model of the world in errors."""
+    try:
+        yield
+    except ModelError as error:
+        fault = f"model {quote(name)}: {error.fault}"
+        raise ModelError(fault, code=error.code, slug=error.slug) from error
 
 
 def _add_part(

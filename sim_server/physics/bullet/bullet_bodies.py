@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zensim.proto.messages.model_messages import Joint, Link, Model, Shape, Vec3
+from zensim.proto.messages.model_messages import IDENTITY, ZERO, Joint, Link, Model, Shape, Vec3
 from zensim.sim_server.physics.actuation import Actuation, make_actuation
 from zensim.sim_server.physics.blueprint import (
     Blueprint,
@@ -54,6 +54,7 @@ class BulletBody:
         rolling_frictions: Rolling friction of its wheels while it stands.
         springs: Of its joints; None without any.
         carriers: Bullet's joint numbers of carriers of wheels.
+        mass_kg: Of all parts.
     """
 
     model: Model
@@ -66,6 +67,7 @@ class BulletBody:
     rolling_frictions: RollingFrictions
     springs: JointSprings | None
     carriers: tuple[int, ...]
+    mass_kg: float
 
     @cached_property
     def joints(self) -> tuple[int, ...]:
@@ -91,6 +93,7 @@ def make_bullet_body(model: Model, blueprint: Blueprint, loads: Sequence[LinkFor
         rolling_frictions=find_rolling_frictions(model, blueprint),
         springs=find_joint_springs(model, list_moving_joints(blueprint)),
         carriers=list_carriers(blueprint),
+        mass_kg=max(blueprint.mass_kg, MIN_MASS_KG),
     )
 
 
@@ -324,6 +327,7 @@ def make_multibody_arguments(
     """
     root, *rest = blueprint.parts
     return BulletArguments(
+        useMaximalCoordinates=is_rigid_scenery(blueprint),
         baseMass=0.0 if blueprint.is_static else max(root.mass_kg, MIN_MASS_KG),
         baseCollisionShapeIndex=shapes[0],
         baseVisualShapeIndex=visual,
@@ -341,6 +345,24 @@ def make_multibody_arguments(
         linkJointTypes=[kinds[part.joint_kind] for part in rest],
         linkJointAxis=[part.joint.axis if part.joint else (0.0, 0.0, 1.0) for part in rest],
     )
+
+
+def is_rigid_scenery(blueprint: Blueprint) -> bool:
+    """Whether a body never moves and has one part.
+
+    Bullet computes the accelerations of a fixed multibody in each step, but nothing of a rigid
+    body.
+    """
+    root = blueprint.parts[0]
+    return blueprint.is_static and len(blueprint.parts) == 1 and root.contact.direction == ZERO
+
+
+def center_scenery(blueprint: Blueprint) -> Blueprint:
+    """Put the centre of mass of a body that never moves into its root link's frame."""
+    if not is_rigid_scenery(blueprint):
+        return blueprint
+    root = replace(blueprint.parts[0], com=ZERO, principal=IDENTITY)
+    return replace(blueprint, parts=(root,))
 
 
 def make_dynamics_arguments(

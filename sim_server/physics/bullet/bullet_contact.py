@@ -12,6 +12,7 @@ from zensim.sim_server.physics.blueprint import (
     RigidPart,
     find_nearest_principal_axis,
 )
+from zensim.sim_server.physics.engine import MAX_PENETRATION_RECOVERY_MPS
 
 BulletArguments = dict[str, Any]
 """Keyword arguments of a function of pybullet."""
@@ -96,6 +97,20 @@ def find_firmness(blueprint: Blueprint, dt_s: float) -> float:
         return math.inf
     share = FIRMNESS_SHARE if driven <= MAX_FIRM_WHEELS else SOFT_SHARE
     return blueprint.mass_kg / (share * dt_s)
+
+
+def find_recovery_share(depth_m: float, dt_s: float) -> float:
+    """Find the share of a penetration that a step may correct, so that bodies part slowly."""
+    slow = MAX_PENETRATION_RECOVERY_MPS * dt_s
+    return RIGID_ERP if depth_m * RIGID_ERP <= slow else slow / depth_m
+
+
+def make_recovery_arguments(mass_kg: float, share: float, dt_s: float) -> BulletArguments:
+    """Make the compliance of a body whose penetrations a step corrects by a share."""
+    firmness = mass_kg / (FIRMNESS_SHARE * dt_s)
+    return BulletArguments(
+        contactStiffness=share * firmness / dt_s, contactDamping=(1.0 - share) * firmness
+    )
 
 
 def make_contact_arguments(

@@ -4,7 +4,7 @@ import ctypes
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -36,6 +36,7 @@ from zensim.sim_server.physics.bullet.bullet_bodies import (
     BulletBody,
     CollisionShapeCache,
     GearConstraint,
+    center_scenery,
     limit_joint_dampings,
     list_gear_constraints,
     list_moving_joints,
@@ -44,11 +45,14 @@ from zensim.sim_server.physics.bullet.bullet_bodies import (
     make_multibody_arguments,
 )
 from zensim.sim_server.physics.bullet.bullet_contact import (
+    RIGID_ERP,
     SOLVER_ARGUMENTS,
     BulletArguments,
+    find_recovery_share,
     has_self_collision,
     limit_static_body_friction,
     list_self_collision_pairs,
+    make_recovery_arguments,
 )
 from zensim.sim_server.physics.bullet.joint_springs import JointSprings, SpringTable
 from zensim.sim_server.physics.bullet.wheel_carriers import add_wheel_carriers, list_carriers
@@ -61,6 +65,7 @@ from zensim.sim_server.physics.engine import (
     EngineCapabilities,
     EngineRefused,
     FloatArray,
+    can_move,
     make_contact_points,
 )
 from zensim.sim_server.physics.engine_config import EngineConfig
@@ -264,6 +269,8 @@ VISUAL_HALF_EXTENTS = (0.01, 0.01, 0.01)
 ACTIVATION_ASLEEP = (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVATION_STATE_SLEEP)
 ACTIVATION_AWAKE = (pybullet.ACTIVATION_STATE_WAKE_UP, pybullet.ACTIVATION_STATE_DISABLE_SLEEPING)
 COLLIDE_WITH_NOTHING, COLLIDE_WITH_ALL = (0, 0), (1, -1)  # group, mask
+COLLIDE_WITH_MOVING = (2, ~2)
+"""Bullet's own of the root of a fixed body; it searches contacts between its further parts."""
 ORIGIN_STATE: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
 ORIGIN_POSE = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
@@ -272,6 +279,9 @@ LEAST_FRICTION = 1e-9
 CARRIER_TORQUE_NM = 1e6
 """Greatest torque of motors that hold carriers of wheels."""
 OVERLAP_M = 0.001  # depth from which bodies overlap instead of touching
+COMPLIANCE = ("contactStiffness", "contactDamping")
+RECOVERY_TOLERANCE = 0.1
+"""Change of the share of a penetration that a step corrects, from which it is set again."""
 
 VELOCITY_MODE = (pybullet.VELOCITY_CONTROL, "targetVelocities")
 POSITION_MODE = (pybullet.POSITION_CONTROL, "targetPositions")
@@ -280,8 +290,13 @@ JOINT_TYPES["revolute"] = JOINT_TYPES["continuous"] = pybullet.JOINT_REVOLUTE
 GEOMETRY_TYPES = {kind: getattr(pybullet, f"GEOM_{kind.upper()}") for kind in COLLISION_SHAPE_KINDS}
 
 
+def find_collision_filter(body: BulletBody) -> tuple[int, int]:
+    """Find group and mask of a body; two that never move do not collide."""
+    return COLLIDE_WITH_ALL if can_move(body.model) else COLLIDE_WITH_MOVING
+
+
 def _arrange(blueprint: Blueprint) -> Blueprint:
-    return add_wheel_carriers(order_depth_first(blueprint))
+    return center_scenery(add_wheel_carriers(order_depth_first(blueprint)))
 
 
 class BulletOrigin:
@@ -415,6 +430,8 @@ class PyBulletEngine(Engine):
         self._spring_table: SpringTable | None = None
         self._pending_velocities: dict[int, tuple[FloatArray, FloatArray]] = {}
         self._joint_efforts: dict[int, list[tuple[int, float]]] = {}
+        self._recovering: dict[int, float] = {}
+        """Bodies that overlap others deeply, and the share of it that a step corrects."""
         self._gravity = config.gravity
         self._dt_s = dt_s = config.step_ns * 1e-9
         self._com_frames = ComFrames()
@@ -449,9 +466,11 @@ class PyBulletEngine(Engine):
         for body in sorted(former._asleep ^ self._asleep):  # noqa: SLF001
             states = ACTIVATION_ASLEEP if body in self._asleep else ACTIVATION_AWAKE
             self._set_activation([body], states)
+        for body in former._recovering.keys() | self._recovering.keys():  # noqa: SLF001
+            self._set_recovery(body, self._recovering.get(body, RIGID_ERP))
         parked = self._pool.list_parked()
         for body, known in (*self._bodies.items(), *parked.items()):
-            filters = COLLIDE_WITH_NOTHING if body in parked else COLLIDE_WITH_ALL
+            filters = COLLIDE_WITH_NOTHING if body in parked else find_collision_filter(known)
             self._set_collision_filter(body, known, *filters)
         twists = dict(self._twists)
         for body, known in self._bodies.items():
@@ -492,6 +511,8 @@ class PyBulletEngine(Engine):
     def remove(self, body: int) -> None:
         """See `Engine.remove`; the body goes to the pool if there is room."""
         self._set_rolling_resistance(body, is_held=False)
+        if body in self._recovering:
+            self._set_recovery(body, RIGID_ERP)
         known = self._bodies.pop(body)
         for table in (self._twists, self._loads, self._pending_velocities):
             table.pop(body, None)
@@ -516,7 +537,8 @@ class PyBulletEngine(Engine):
         """See `Engine.show`."""
         self._set_activation(bodies, ACTIVATION_AWAKE)
         for body in bodies:
-            self._set_collision_filter(body, known := self._bodies[body], *COLLIDE_WITH_ALL)
+            known = self._bodies[body]
+            self._set_collision_filter(body, known, *find_collision_filter(known))
             self._register(body, known)
 
     def sleep(self, bodies: Sequence[int]) -> None:
@@ -567,17 +589,59 @@ class PyBulletEngine(Engine):
             self._remove_body(body)
 
     def find_overlaps(self, body: int) -> Sequence[int]:
-        """See `Engine.find_overlaps`."""
+        """See `Engine.find_overlaps`; a body that overlaps deeply leaves slowly from now on."""
         client = self._client
         links = range(-1, pybullet.getNumJoints(body, physicsClientId=client))
         boxes = np.array([pybullet.getAABB(body, link, physicsClientId=client) for link in links])
         low, high = boxes[:, 0].min(axis=0).tolist(), boxes[:, 1].max(axis=0).tolist()
         near = pybullet.getOverlappingObjects(low, high, physicsClientId=client) or ()
-        return [
-            other
-            for other in sorted({other for other, _ in near} & self._bodies.keys() - {body})
-            if pybullet.getClosestPoints(body, other, -OVERLAP_M, physicsClientId=client)
-        ]
+        others = sorted({other for other, _ in near} - {body} - self._pool.list_parked().keys())
+        depths = {other: self._measure_overlap(body, other) for other in others}
+        self._limit_recovery(body, depths)
+        return [other for other in others if depths[other] and other in self._bodies]
+
+    def _measure_overlap(self, body: int, other: int) -> float:
+        """Measure how deep two bodies overlap; 0 if they touch at most."""
+        points = pybullet.getClosestPoints(body, other, -OVERLAP_M, physicsClientId=self._client)
+        return max((-point[8] for point in points or ()), default=0.0)
+
+    def _limit_recovery(self, body: int, depths: Mapping[int, float]) -> None:
+        """Let a body leave slowly, or those that it overlaps if it does not move.
+
+        One of a pair is enough: two correct a quarter of the share.
+        """
+        moves = can_move(self._bodies[body].model)
+        for other, depth in depths.items():
+            one, share = body if moves else other, find_recovery_share(depth, self._dt_s)
+            is_deeper = share < self._recovering.get(one, RIGID_ERP)
+            if is_deeper and one in self._bodies and can_move(self._bodies[one].model):
+                self._set_recovery(one, share)
+
+    def _set_recovery(self, body: int, share: float) -> None:
+        """Set the share of a penetration that a step corrects, for all parts of a body."""
+        known = self._bodies[body]
+        arguments = make_recovery_arguments(known.mass_kg, share, self._dt_s)
+        for part in range(-1, known.parts):
+            pybullet.changeDynamics(body, part, **arguments, physicsClientId=self._client)
+        if share < RIGID_ERP:
+            self._recovering[body] = share
+            return
+        self._recovering.pop(body, None)
+        for part, written in self._find_recipe(known.model).dynamics:
+            compliance = {key: written[key] for key in COMPLIANCE if key in written}
+            if compliance:
+                pybullet.changeDynamics(body, part, **compliance, physicsClientId=self._client)
+
+    def _follow_recoveries(self) -> None:
+        """Adapt the correction of bodies that overlap deeply to what is left."""
+        for body, former in list(self._recovering.items()):
+            if body in self._asleep:
+                continue
+            points = pybullet.getContactPoints(body, physicsClientId=self._client) or ()
+            depth = max((-point[8] for point in points), default=0.0)
+            share = find_recovery_share(depth, self._dt_s)
+            if share == RIGID_ERP or abs(share - former) > RECOVERY_TOLERANCE * former:
+                self._set_recovery(body, share)
 
     def read(self, bodies: Sequence[int]) -> BodyStates:
         """See `Engine.read`."""
@@ -656,6 +720,8 @@ class PyBulletEngine(Engine):
                 self._apply_effort(body, joint, effort)
         self._separate_ground_from_sleepers()
         pybullet.stepSimulation(physicsClientId=self._client)
+        if self._recovering:
+            self._follow_recoveries()
         self._set_activation(self._pool.after_step(), ACTIVATION_ASLEEP)
         self._apply_pending_velocities()
         if self._ground is None or self._is_finite(self._ground):
@@ -704,6 +770,8 @@ class PyBulletEngine(Engine):
         """Set what createMultiBody does not."""
         blueprint = recipe.blueprint
         self._set_self_collision(body, blueprint)
+        if not can_move(recipe.body.model):
+            self._set_collision_filter(body, recipe.body, *COLLIDE_WITH_MOVING)
         self._com_frames.add(body, blueprint.parts[0])
         for link, arguments in recipe.dynamics:
             pybullet.changeDynamics(body, link, **arguments, physicsClientId=self._client)
@@ -778,7 +846,7 @@ class PyBulletEngine(Engine):
             self._pending_velocities[body] = np.zeros(6), np.zeros(len(known.joints))
         elif (next_awake := self._pool.wake_next(known.model)) is not None:
             self._set_activation([next_awake], ACTIVATION_AWAKE)
-        self._set_collision_filter(body, known, *COLLIDE_WITH_ALL)
+        self._set_collision_filter(body, known, *find_collision_filter(known))
         self._register(body, known)
         self.set_at_rest(body, base)
         return body

@@ -9,7 +9,11 @@ import numpy.typing as npt
 
 from zensim.proto.messages.model_messages import Contact
 from zensim.sim_server.physics.blueprint import MIN_DAMPING_STEPS, RigidPart
-from zensim.sim_server.physics.engine import CONTACT_NUMBERS, FloatArray
+from zensim.sim_server.physics.engine import (
+    CONTACT_NUMBERS,
+    MAX_PENETRATION_RECOVERY_MPS,
+    FloatArray,
+)
 from zensim.sim_server.physics.mujoco.slot_layout import NO_INDEX, IndexArray
 
 RIGID_ERP = 0.2
@@ -34,8 +38,6 @@ MIN_FRICTION = 1e-5
 """MuJoCo's least friction along a tangent."""
 MIN_LEVEL_AXIS = 0.1
 """Length on the plane of contact from which an axis of friction has an effect."""
-MAX_PENETRATION_RECOVERY_MPS = 0.2
-"""Limit of the speed that corrects a penetration."""
 FRICTION_CONDIM = 3
 """Rows of a contact with friction: normal, and two tangents."""
 TANGENTS = 2

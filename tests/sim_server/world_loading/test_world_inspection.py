@@ -61,6 +61,19 @@ def test_builtin_world_stands_still(name: str, engine: EngineName) -> None:
     assert (found.fault, found.name, found.moving) == ("", name.replace("empty", "default"), ())
 
 
+@pytest.mark.parametrize("engine", find_installed_engines())
+def test_models_that_overlap_are_named_and_part_slowly(tmp_path: Path, engine: EngineName) -> None:
+    chairs = [
+        BOX.replace("crate", name).replace("<link", f"<pose>{x} 0 0.5 0 0 0</pose><link", 1)
+        for name, x in (("sofa", 0.0), ("chair", 0.9), ("far", 5.0))
+    ]
+
+    found = inspect(a_file(tmp_path, "".join(chairs)), engine, 0.1)
+
+    assert found.overlaps == (("sofa", ("chair",)),)
+    assert 0.0 < max(model.speed_mps for model in found.models) < 0.3
+
+
 def test_world_is_inspected_alike_in_a_process(tmp_path: Path) -> None:
     request = InspectionRequest(world=WorldLoaderRequest(a_file(tmp_path, BOX)), settle_s=0.1)
 

@@ -169,6 +169,20 @@ def test_models_of_a_world_are_spawned(tmp_path: Path) -> None:
     assert (entity.name, entity.namespace, entity.belongs_to_world) == ("crate", "", True)
 
 
+def test_models_that_overlap_are_warned_of(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    world = a_world()
+    model = load_world_file(a_file(tmp_path, CRATE + CRATE.replace("crate", "chair"))).model
+
+    spawn_models(world, model)
+
+    warned = [event for event in world.clock.take_events() if event.kind == "warning"]
+    assert [event.entity for event in warned] == ["crate"]
+    assert "'chair'" in warned[0].message
+    assert ["'chair'" in record.getMessage() for record in caplog.records] == [True]
+
+
 def test_model_that_the_engine_refuses_is_named(tmp_path: Path) -> None:
     world = a_world()
     model = load_world_file(a_file(tmp_path, CRATE)).model

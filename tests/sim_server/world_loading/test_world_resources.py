@@ -29,6 +29,16 @@ def test_model_is_found_by_the_name_of_its_folder(folder: Path) -> None:
     assert make_model_resolver([folder])("crate/model.sdf") == CRATE
 
 
+@pytest.mark.parametrize(
+    "uri",
+    ["model:///crate", "model:///crate/model.sdf", "model://crate//model.sdf", "//crate/model.sdf"],
+)
+def test_slashes_of_a_uri_may_be_more_than_needed(folder: Path, uri: str) -> None:
+    assert make_model_resolver([folder])(uri) == CRATE
+    assert make_model_resolver([folder / "crate"])("model://crate//model.sdf") == CRATE
+    assert make_file_finder([folder / "crate"])("//model.sdf") == folder / "crate" / "model.sdf"
+
+
 def test_model_is_read_from_the_first_folder_that_has_it(folder: Path, tmp_path: Path) -> None:
     other = tmp_path / "other" / "crate"
     other.mkdir(parents=True)

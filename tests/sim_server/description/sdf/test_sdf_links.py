@@ -349,14 +349,12 @@ def test_unsupported_geometry_is_reported(tag: str) -> None:
 @pytest.mark.parametrize(
     ("inside", "slug"),
     [
-        ("<box><size>1 0 3</size></box>", "sdf.size"),
+        ("<box><size>1 -1 3</size></box>", "sdf.size"),
         ("<box><size>1 2</size></box>", "sdf.number"),
         ("<sphere><radius>-1</radius></sphere>", "sdf.size"),
         ("<plane><normal>0 0 0</normal></plane>", "sdf.size"),
-        ("<plane><size>1 0</size></plane>", "sdf.size"),
         ("<plane><size>1</size></plane>", "sdf.number"),
         ("<mesh/>", "sdf.uri"),
-        ("<mesh><uri>a</uri><scale>1 0 1</scale></mesh>", "sdf.size"),
     ],
 )
 def test_geometry_is_refused_when_a_value_is_invalid(inside: str, slug: str) -> None:
@@ -364,6 +362,22 @@ def test_geometry_is_refused_when_a_value_is_invalid(inside: str, slug: str) -> 
         solid(inside)
 
     assert caught.value.slug == slug
+
+
+@pytest.mark.parametrize(
+    "inside",
+    [
+        "<box><size>1 0 3</size></box>",
+        "<plane><size>1 0.0</size></plane>",
+        "<cylinder><radius>0</radius><length>1</length></cylinder>",
+        "<mesh><uri>a</uri><scale>1 0 1</scale></mesh>",
+    ],
+)
+def test_geometry_of_size_0_is_left_out_and_reported(inside: str) -> None:
+    report = ParseReport()
+
+    assert read_geometry(a_part(f"<geometry>{inside}</geometry>"), "here", report) == []
+    assert subjects(report.entries(), "suspicious") == ["here"]
 
 
 def test_surface_is_that_of_ode() -> None:

@@ -52,7 +52,7 @@ def test_model_of_a_world_has_the_written_dynamics() -> None:
 
 
 TWO = a_link("a") + a_link("b")
-POINT = BALL.replace("0.1", "0")
+POINT = BALL.replace("0.1", "-0.1")
 
 
 def slug_of(text: str) -> str:

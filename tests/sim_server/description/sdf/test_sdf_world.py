@@ -14,6 +14,7 @@ from zensim.proto.messages.sensor_messages import SphericalCoordinates
 from zensim.proto.messages.standard_messages import Point, Vector3
 from zensim.proto.messages.world_messages import Scene
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
+from zensim.sim_server.description.link_surfaces import INFINITE_FRICTION
 from zensim.sim_server.description.sdf.sdf_world import read_world
 from zensim.sim_server.description.world_model import BoundedPose, PhysicsSettings, WorldModel
 from zensim.sim_server.errors import ModelError
@@ -307,7 +308,6 @@ def test_unsupported_model_is_left_out() -> None:
 @pytest.mark.parametrize(
     ("inside", "slug"),
     [
-        (a_crate() + a_crate(), "sdf.duplicate_name"),
         (a_crate(inside=a_pose("0 0 nan 0 0 0")), "sdf.pose"),
         (a_crate("a", a_pose("0 0 0 0 0 0", 'relative_to="a"')), "sdf.pose_cycle"),
         (a_crate("a", a_pose("0 0 0 0 0 0", 'relative_to="z"')), "sdf.unknown_frame"),
@@ -548,6 +548,103 @@ def test_model_of_missing_includes_only_is_left_out() -> None:
 
     assert world.models == ()
     assert mentions(world.report, "suspicious", "model 'bed'", "sdf.no_links")
+
+
+@pytest.mark.parametrize("inside", ["<static>true</static>", "", "<static>true</static><pose/>"])
+def test_model_without_links_is_left_out_by_name(inside: str) -> None:
+    world = read_world(a_world(GROUND, f'<model name="anchor">{inside}</model>', a_crate()))
+
+    assert [placed.name for placed in world.models] == ["crate"]
+    assert mentions(world.report, "suspicious", "model 'anchor'", "sdf.no_links")
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        a_link("l", "<pose>1 2</pose>"),
+        a_link("l") + a_joint("j", ("l", "gone")),
+        "<static>maybe</static>" + a_link("l"),
+    ],
+)
+def test_refusal_names_the_model(fault: str) -> None:
+    nested = a_nested(fault, name="shelf_7")
+
+    with pytest.raises(ModelError) as caught:
+        read_world(a_world(GROUND, a_crate(), nested))
+
+    assert "model 'shelf_7'" in caught.value.fault
+
+
+def test_refusal_of_a_frame_inside_a_model_names_the_model() -> None:
+    frame = '<frame name="a"><pose relative_to="shelf_7::lid"/></frame>'
+
+    with pytest.raises(ModelError) as caught:
+        read_world(a_world(GROUND, a_crate("shelf_7"), frame))
+
+    assert "model 'shelf_7'" in caught.value.fault
+
+
+def test_missing_mesh_of_a_collision_is_refused_with_the_name_of_its_model() -> None:
+    mesh = "<geometry><mesh><uri>gone.stl</uri></mesh></geometry>"
+    solid = a_link("l", f'<collision name="c">{mesh}</collision>')
+
+    with pytest.raises(ModelError) as caught:
+        read_world(a_world(GROUND, a_nested(solid, name="shelf_7")))
+
+    assert "model 'shelf_7'" in caught.value.fault
+
+
+@pytest.mark.parametrize("text", ["Inf", "inf", "+INF"])
+def test_infinite_friction_is_a_large_one(text: str) -> None:
+    mu = f"<surface><friction><ode><mu>{text}</mu><mu2>{text}</mu2></ode></friction></surface>"
+    box = "<geometry><box><size>1 1 1</size></box></geometry>"
+    solid = a_link("l", f'<collision name="c">{box}{mu}</collision>')
+
+    world = read_world(a_world(GROUND, a_nested(solid)))
+
+    assert world.models[0].model.links[0].collisions[0].friction == INFINITE_FRICTION
+
+
+def test_models_of_one_name_are_renamed_and_reported() -> None:
+    include = "<include><uri>model://crate</uri></include>"
+    crate = f'<sdf version="1.6">{a_crate("box")}</sdf>'
+
+    world = read_world(a_world(GROUND, include, a_crate("box_2"), include), resolve=lambda _: crate)
+
+    assert [placed.name for placed in world.models] == ["box", "box_2", "box_3"]
+    assert mentions(world.report, "suspicious", "model 'box'", "'box_3'")
+
+
+def test_links_of_one_name_are_renamed_and_reported() -> None:
+    joint = a_joint("j", ("a", "b"))
+    nested = a_nested(a_link("a") + a_link("b") + a_link("b") + joint, "door")
+
+    world = read_world(a_world(GROUND, nested))
+
+    assert sum(placed.model.mass_kg for placed in world.models) == 6.0
+    assert mentions(world.report, "suspicious", "model 'door': link 'b'", "'b_2'")
+
+
+@pytest.mark.parametrize("parts", [(a_crate(), a_crate()), (a_nested(a_link("b") + a_link("b")),)])
+def test_equal_names_are_refused_from_sdf_1_7_on(parts: tuple[str, ...]) -> None:
+    with pytest.raises(ModelError) as caught:
+        read_world(a_world(GROUND, *parts, version="1.7"))
+
+    assert caught.value.slug in ("sdf.duplicate_name", "sdf.duplicate_link")
+
+
+def test_negative_real_time_factor_is_as_fast_as_possible() -> None:
+    world = read_world(a_world("<physics><real_time_factor>-1</real_time_factor></physics>"))
+
+    assert world.physics.real_time_factor == 0.0
+    assert subjects(world.report, "suspicious") == ["physics: <real_time_factor>", "world"]
+
+
+@pytest.mark.parametrize("uri", ["model:///ground_plane", "model://ground_plane//"])
+def test_built_in_model_is_found_whatever_the_slashes(uri: str) -> None:
+    world = read_world(a_world(f"<include><uri>{uri}</uri></include>"))
+
+    assert world.ground_plane
 
 
 def test_frame_of_a_world_may_be_relative_to_a_frame_inside_a_model() -> None:

@@ -68,6 +68,37 @@ def test_suppress_output_discards_both_streams_of_c_code(capfd: pytest.CaptureFi
     assert (said.out, said.err) == ("", "")
 
 
+def a_static_scene(friction: float = 0.5) -> Model:
+    """A floor with a plinth of another surface, which is a part of its own."""
+    floor = Shape("box", (4.0, 4.0, 0.2))
+    plinth = Shape("box", (1.0, 1.0, 1.0), friction=friction)
+    return Model("scene", (Link("base", collisions=(floor, plinth)),), is_static=True)
+
+
+def test_contacts_between_models_that_do_not_move_are_not_searched() -> None:
+    post, hand = an_arm("revolute").links
+    hand = msgspec.structs.replace(hand, collisions=(Shape("box", (0.3, 0.3, 0.3)),))
+    arm = msgspec.structs.replace(an_arm("revolute"), links=(post, hand))
+    with running(PyBulletEngine) as engine:
+        one = engine.add(a_static_scene(), a_state((0.0, 0.0, 0.0)))
+        other = engine.add(a_static_scene(), a_state((0.3, 0.0, 0.1)))
+        engine.sleep([one, other])
+        advance(engine, 2)
+        assert touching(engine, one, other) == 0
+        assert other in engine.find_overlaps(one)
+
+        engine.hide(other)
+        engine.show([other])
+        advance(engine, 2)
+        assert touching(engine, one, other) == 0
+
+        box = engine.add(a_box("box", 1.0), a_state((0.3, 0.0, 0.9)))
+        swinging = engine.add(arm, a_state((0.0, 0.0, -0.5)))
+        advance(engine, 2)
+        assert touching(engine, box, one) > 0
+        assert touching(engine, swinging, one) > 0
+
+
 def test_suppress_output_ends_with_its_block(capfd: pytest.CaptureFixture[str]) -> None:
     with suppress_output():
         pass
