@@ -5,21 +5,39 @@ simulation shows that they stand still. The worlds are written here: "shapes" ha
 cylinders and spheres at 1 kHz, as gz-sim's example `3k_shapes`; "city" has static models with fine
 concave meshes at 200 Hz, each mesh with 2,400 triangles. Wall time of one process with a cold cache
 of compiled models.
+
+"rooms" has static models of four meshes each, as people's hospitals and offices, at their usual
+1 kHz, and four driven box_bots: CPU time of a step, beside that of the robots alone, and wall time
+to read the file. A step that takes less CPU time than it lasts leaves a real-time factor of 1.
 """
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import get_args
 
+import msgspec
 import numpy as np
 
 from benchmarks.figures import Figure, Limit, table
 from zensim.proto.engine_proofs import EngineName
 from zensim.proto.stl import write_corners
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.pipeline import read_robot
+from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.physics.engine_config import EngineOptions
+from zensim.sim_server.server_config import ServerConfig, fill_pace
+from zensim.sim_server.world.simulated_world import SimulatedWorld
+from zensim.sim_server.world.spawn_request import ValidatedSpawn
 from zensim.sim_server.world_loading.world_inspection import InspectionRequest, inspect_in_process
-from zensim.sim_server.world_loading.world_loader import WorldLoaderRequest
+from zensim.sim_server.world_loading.world_loader import (
+    LoadedWorld,
+    WorldLoaderRequest,
+    load_world_in_process,
+    make_world_engine,
+    spawn_models,
+)
 
 __all__ = ["rows", "table"]
 
@@ -31,6 +49,10 @@ SHAPES = (
 )
 SPACING_M = 1.5
 MESHES = 8
+ROOMS, PER_ROOM, ROBOTS = 170, 4, 4
+MOST_READ_S, MOST_STEP_MS = 4.0, 1.0
+STEPS, ROUNDS = 300, 6
+"""Steps of a round, and rounds; the first one settles."""
 ROUND, ALONG = 60, 20
 """Quadrilaterals of a mesh around and along its axis."""
 
@@ -45,6 +67,62 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         ):
             for engine in get_args(EngineName):
                 yield _inspect(label, file, engine)
+        rooms = 2 if is_short else ROOMS
+        yield from _measure_rooms(rooms, write_rooms(Path(folder), rooms), is_short=is_short)
+
+
+def _measure_rooms(count: int, file: Path, *, is_short: bool) -> Iterator[Figure]:
+    order = WorldLoaderRequest(str(file), (str(file.parent),))
+    started = time.perf_counter()
+    loaded = load_world_in_process(order)
+    yield Figure(
+        what=f"rooms: {count} static models of {PER_ROOM} meshes, read",
+        unit="s",
+        samples=(time.perf_counter() - started,),
+        limit=Limit("max", "<=", MOST_READ_S, is_timed=True),
+    )
+    alone = LoadedWorld(msgspec.structs.replace(loaded.model, models=()))
+    steps = 20 if is_short else STEPS
+    for engine in get_args(EngineName):
+        for label, world in (("robots alone", alone), (f"{count} static models", loaded)):
+            yield Figure(
+                what=f"rooms: a step at 1 kHz with 4 driven box_bots, {label}, {engine}",
+                unit="ms CPU",
+                samples=_time_steps(world, engine, steps),
+                limit=Limit("median", "<=", MOST_STEP_MS, is_timed=True),
+            )
+
+
+def _time_steps(loaded: LoadedWorld, engine: EngineName, steps: int) -> tuple[float, ...]:
+    """Time steps of a world with four robots that drive circles beside it [ms of CPU]."""
+    config = fill_pace(
+        ServerConfig(physics=EngineOptions(engine=engine)), step_s=1e-3, real_time_factor=0.0
+    )
+    store = AssetStore()
+    for name, data in loaded.meshes.items():
+        store.pin(name, data)
+    world = SimulatedWorld(
+        make_world_engine(config, loaded.model, store.folder),
+        name="rooms",
+        step_ns=config.step_ns,
+        control_steps=config.control_steps,
+    )
+    spawn_models(world, loaded.model)
+    robot = read_robot(read_builtin_model("box_bot"))
+    for number in range(ROBOTS):
+        base = np.array([2.0 * number, -6.0, 0.06, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6])
+        world.spawn(ValidatedSpawn(f"r{number}", "", robot, base))
+    bodies = [world.entities.find(f"r{number}").body for number in range(ROBOTS)]
+    world.engine.command(bodies, np.array([5.0, 4.0] * ROBOTS))
+    samples = []
+    for _ in range(ROUNDS):
+        started = time.process_time()
+        for _ in range(steps):
+            world.step()
+        samples.append((time.process_time() - started) / steps * 1e3)
+    world.close()
+    store.close()
+    return tuple(samples[1:])
 
 
 def _inspect(label: str, file: Path, engine: EngineName) -> Figure:
@@ -94,6 +172,21 @@ def write_city(folder: Path, count: int) -> Path:
             "</link></model>"
         )
     return _write_world(folder, "city", 0.005, models)
+
+
+def write_rooms(folder: Path, count: int) -> Path:
+    """Write a world of static models of several meshes, some within each other's bounds."""
+    parts = "".join(
+        f'<collision name="c{at}"><pose>0 0 {0.3 * at} 0 0 0</pose><geometry><mesh>'
+        f"<uri>vase{at}.stl</uri></mesh></geometry></collision>"
+        for at in range(PER_ROOM)
+    )
+    models = [
+        f'<model name="room{at}"><static>1</static><pose>{2 * (at % 13)} {2 * (at // 13)} 0 0 0 0'
+        f'</pose><link name="link">{parts}</link></model>'
+        for at in range(count)
+    ]
+    return _write_world(folder, "rooms", 0.001, models)
 
 
 def make_vase(number: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:

@@ -245,6 +245,8 @@ class EntityModel(msgspec.Struct, frozen=True):
     """Whether it is part of the world file."""
     description: UInt32 = 0
     """Index into `GetModelsResponse.descriptions`, if these were wanted."""
+    is_falling: bool = False
+    """Whether it has left the world: it falls, and nothing is below it."""
 
 
 class ModelFiles(msgspec.Struct, frozen=True):

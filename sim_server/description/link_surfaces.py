@@ -208,7 +208,7 @@ GAZEBO_STEP_S = 1e-3
 """Gazebo's default step: its decay is a share of the velocity per step."""
 MAX_DECAY_SHARE = 1.0 - 1e-6
 UNUSED_SURFACE_TAGS = {
-    "maxVel": "penetration is corrected by a fifth per step, at any speed",
+    "maxVel": "penetration is corrected by a fifth per step, at 0.2 m/s at most",
     "minDepth": "penetration is corrected from depth 0 on",
 }
 SURFACE_TAG_NAMES = {

@@ -124,6 +124,7 @@ def get_models(
                 pose_from_row(entity.initial),
                 entity.belongs_to_world,
                 text_number[text],
+                entity.name in world.fall_watch.falling,
             )
             for entity, text in zip(entities, texts, strict=True)
         ),

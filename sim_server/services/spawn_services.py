@@ -27,9 +27,10 @@ from zensim.proto.se3 import IDENTITY_POSE
 from zensim.sim_server.description.builtin_models import list_builtin_models
 from zensim.sim_server.errors import IncorrectState, ModelError, RequestRefused, SimError
 from zensim.sim_server.parser_process.asset_store import AssetStore
-from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.engine import FloatArray, can_move
 from zensim.sim_server.queries.bounds_queries import make_bounds
 from zensim.sim_server.queries.frame_queries import pose_to_world
+from zensim.sim_server.scene.ray_casting import NO_ENTITY, Rays, cast_rays_exactly
 from zensim.sim_server.scene.scene import place_collision_shapes
 from zensim.sim_server.service_parts import (
     DeferredResponse,
@@ -186,6 +187,8 @@ def _resolve_spawn(
 ) -> tuple[ValidatedSpawn, list[ReportEntry]]:
     pose, notes = _resolve_pose(spawning, order, model)
     notes += make_sensor_notes(spawning, model, pose)
+    if is_above_nothing(spawning, model, pose):
+        notes.append(ReportEntry("suspicious", "initial_pose", NOTHING_BELOW))
     validated = ValidatedSpawn(
         name=order.name or model.name,
         namespace=order.entity_namespace,
@@ -197,6 +200,26 @@ def _resolve_spawn(
         info=None if order.info is None else check_entity_info(order.info),
     )
     return validated, notes
+
+
+NOTHING_BELOW = "nothing is below it, so that it falls; spawn it above a floor of the world"
+SEARCH_RISE_M = 0.5
+"""Height above the pose from which the floor is searched: a frame may be at its soles or below."""
+SEARCH_DEPTH_M = 1e6
+
+
+def is_above_nothing(spawning: Spawning, model: Model, pose: FloatArray) -> bool:
+    """Whether a model that moves is placed where the world has no floor."""
+    world, store = spawning.world, spawning.descriptions.store
+    if spawning.current.model.ground_plane or not can_move(model) or model.is_static:
+        return False
+    if not np.abs(np.array(spawning.current.model.gravity)).any():
+        return False
+    scene = world.support_scene(store.vertices, store.corners)
+    origin = pose[None, :3] + (0.0, 0.0, SEARCH_RISE_M)
+    down = np.array([[0.0, 0.0, -1.0]])
+    rays = Rays(origin, down, SEARCH_DEPTH_M, np.array([NO_ENTITY]))
+    return not np.isfinite(cast_rays_exactly(scene.shapes, rays).ranges[0])
 
 
 def _refuse_suspicious(report: tuple[ReportEntry, ...]) -> None:

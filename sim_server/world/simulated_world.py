@@ -42,6 +42,7 @@ from zensim.sim_server.world.claim_registry import (
 from zensim.sim_server.world.commanded_twists import CommandedTwists
 from zensim.sim_server.world.entity import Entity, EntityIndex, default_info
 from zensim.sim_server.world.entity_store import EntityStore
+from zensim.sim_server.world.fall_watch import CHECK_PERIOD_NS, FallWatch
 from zensim.sim_server.world.injected_faults import BodyFault, InjectedFaults
 from zensim.sim_server.world.simulation_clock import SimulationClock
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
@@ -261,10 +262,13 @@ class SimulatedWorld:
         """Time from spawn to the first command of its agent, by name of entity."""
         self._body_models = BodyModels()
         self._recorded_changes: dict[str, int] = {}
+        self.fall_watch = FallWatch()
+        self._initial_z: tuple[EntityIndex, FloatArray] | None = None
         self._joint_targets: dict[str, FloatArray] = {}
         """Newest targets of entities with controlled joints."""
         self._effort_plan: EffortPlan | None = None
         self._scene_layouts: tuple[EntityIndex, dict[bool, SceneLayout]] | None = None
+        self._support_layout: tuple[tuple[tuple[str, int], ...], SceneLayout] | None = None
         self._states: BodyStates | None = None
         self._states_step = 0
         """The step that the states are of."""
@@ -615,6 +619,39 @@ class SimulatedWorld:
             self._has_invalid_body = True
             self._states = None
             self.states()
+        if self.clock.steps % self._fall_check_steps == 0:
+            self._watch_falls()
+
+    @property
+    def _fall_check_steps(self) -> int:
+        """Steps between two checks, all of them control steps, whose states are read anyway."""
+        control_ns = self.control_steps * self.clock.step_ns
+        return self.control_steps * max(1, round(CHECK_PERIOD_NS / control_ns))
+
+    def _watch_falls(self) -> None:
+        """Warn of the entities that have left the world since the last check."""
+        index, states = self.entities.index, self.states()
+        if self._initial_z is None or self._initial_z[0] is not index:
+            heights = [entity.initial[2] for entity in self.entities]
+            self._initial_z = index, np.array(heights, dtype=np.float64)
+        for name in self.fall_watch.update(index.names, states.base, self._initial_z[1]):
+            height = states.base[index.row[name], 2]
+            self.clock.warn(
+                name,
+                f"has left the world: it falls at z = {height:.0f} m with nothing below; "
+                "set its state, or delete it",
+            )
+
+    def support_scene(self, vertices: MeshVertices, triangles: FindTriangles) -> CollisionScene:
+        """Make the scene of the entities that never move, on which others stand."""
+        fixed = [entity for entity in self.entities if not can_move(entity.model)]
+        key = tuple((entity.name, entity.body) for entity in fixed)
+        if self._support_layout is None or self._support_layout[0] != key:
+            models = [entity.model for entity in fixed]
+            layout = SceneLayout(models, vertices, triangles, has_ground=False)
+            self._support_layout = key, layout
+        states = self.engine.read([entity.body for entity in fixed])
+        return CollisionScene(self._support_layout[1], states.base, states.joint_positions)
 
     def reset(self, scope: int) -> None:
         """Reset time, states and spawned entities, as the bits of `ResetScope` select."""
@@ -789,6 +826,7 @@ class SimulatedWorld:
         self.engine, self.control_steps = other.engine, other.control_steps
         self.entities.replace_all(other.entities)
         self.divergence_guard = DivergenceGuard()
+        self.fall_watch = FallWatch()
         self.clock.start_epoch(state, step_ns=other.clock.step_ns)
         for name in self.entities.by_name:
             self.clock.add_event("spawned", entity=name)
@@ -799,7 +837,7 @@ class SimulatedWorld:
 
         The objects are those in use: copy them before the next call.
         """
-        return {**self.__dict__, "_scene_layouts": None}
+        return {**self.__dict__, "_scene_layouts": None, "_support_layout": None}
 
     def load(self, saved: SavedWorld) -> None:
         """Replace the state by one that was taken of this world or another; it must be a copy."""

