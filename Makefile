@@ -147,7 +147,7 @@ interop-short: setup ## a minute of them, and some more for the first build
 interop-build: setup # what interop-short runs
 	@$(BIN)/python -m tests.interop --short --build
 
-interpreters: ## install and drive with each Python from 3.10 to 3.14 that is here; CI: the newest
+interpreters: ## demo and both engines with each Python from 3.10 to 3.14 that is here; CI: the newest
 	sh .ci/interpreters
 
 mutants: setup packages ## change the code in 100 places, and print the changes that no test notices
