@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 
 import numpy as np
 
@@ -56,12 +57,10 @@ def wait_until_moved(endpoint: str) -> None:
 def connect(endpoint: str) -> zensim.Sim:
     """Connect as soon as the server listens."""
     until_s = time.monotonic() + PATIENCE_S
-    while True:
-        try:
+    while time.monotonic() < until_s:
+        with suppress(zensim.Unreachable):
             return zensim.connect(endpoint)
-        except zensim.Unreachable:
-            if time.monotonic() > until_s:
-                raise
+    return zensim.connect(endpoint)
 
 
 if __name__ == "__main__":

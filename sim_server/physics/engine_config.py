@@ -76,8 +76,7 @@ def has_wheel(name: EngineName) -> bool:
     if name != "pybullet":
         return True
     return (
-        sys.version_info < PYBULLET_BELOW
-        and (sys.platform, platform.machine()) in PYBULLET_SYSTEMS
+        sys.version_info < PYBULLET_BELOW and (sys.platform, platform.machine()) in PYBULLET_SYSTEMS
     )
 
 

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.images
 TARGETS = os.environ.get("IMAGES", "agent server full").split()
 USER = 10001
 WITHIN_S = 120.0
-MOST_MB = {"agent": 240, "server": 330, "full": 400}
+MOST_MB = {"agent": 240, "server": 480, "full": 510}
 PACKAGES = {
     "agent": (set(), {"pybullet", "mujoco", "scipy", "viser"}),
     "server": (
