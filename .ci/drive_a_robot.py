@@ -7,7 +7,8 @@ import sys
 from typing import get_args
 
 import zensim
-from zensim.sim_server.physics.engine_config import EngineName, has_wheel
+from zensim.proto.engine_proofs import EngineName
+from zensim.sim_server.physics.engine_config import has_wheel
 
 SPEED, SECONDS = 0.2, 2.0
 LEAST_SHARE = 0.75

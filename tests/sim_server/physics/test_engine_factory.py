@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import pytest
 
 from tests.engines import STEP_NS
+from zensim.proto.engine_proofs import EngineName
 from zensim.sim_server.physics.engine_config import (
     EngineConfig,
     EngineMissing,
-    EngineName,
     EngineOptions,
     choose_engine,
     explain_default,
