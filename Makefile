@@ -1,4 +1,4 @@
-# `make` lists the targets. PYTHON=/path/to/python3.11 chooses the interpreter of .venv.
+# `make` lists the targets. PYTHON=/path/to/python3 chooses the interpreter of a new .venv.
 
 SHELL := /bin/sh
 MAKEFLAGS += --no-print-directory
@@ -6,21 +6,33 @@ MAKEFLAGS += --no-print-directory
 # Each process would compile every module anew: a third of the time of `make test`.
 unexport PYTHONDONTWRITEBYTECODE
 
-IS_SUITABLE := import sys; sys.exit(sys.version_info[:2] not in ((3, 10), (3, 11)))
-PYTHONS := $(or $(PYTHON), python3.11 python3.10 python3 python \
-	$(wildcard $(HOME)/.pyenv/versions/3.11*/bin/python) \
-	$(wildcard $(HOME)/.pyenv/versions/3.10*/bin/python))
-FIND_PYTHON = for python in $(PYTHONS); do \
-		if $$python -c '$(IS_SUITABLE)' 2>/dev/null; then break; fi; python=; \
+# Those with wheels of both engines first, and of them the one that the figures of docs/ come from.
+VERSIONS := 3.11 3.12 3.13 3.10
+PYTHONS := $(or $(PYTHON), $(VERSIONS:%=python%) python3 python \
+	$(foreach version,$(VERSIONS) 3,$(wildcard $(HOME)/.pyenv/versions/$(version).*/bin/python)))
+IS_SUITABLE := sys.exit(sys.version_info < (3, 10))
+# One that can make .venv comes before one that lacks a package of Debian for that.
+FIND_PYTHON = for modules in "sys, ensurepip, venv" sys; do \
+		for python in $(PYTHONS); do \
+			if $$python -c "import $$modules; $(IS_SUITABLE)" 2>/dev/null; then break 2; fi; python=; \
+		done; \
 	done; \
 	if [ -z "$$python" ]; then \
-		echo "no Python 3.10 or 3.11 found; install one, or name it: make PYTHON=/path/to/python3.11" >&2; \
+		echo "no Python from 3.10 on found; install one, or name it: make PYTHON=/path/to/python3" >&2; \
 		exit 1; \
 	fi
 
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
+DEMO_STAMP := .venv/.demo-done
 STAMP := .venv/.setup-done
+MAKE_VENV = if ! $(BIN)/python -c "import sys; $(IS_SUITABLE)" 2>/dev/null; then \
+		$(FIND_PYTHON); \
+		version=$$($$python -c 'import sys; print("%d.%d" % sys.version_info[:2])') && \
+		{ $$python -c 'import ensurepip, venv' 2>/dev/null || \
+			sh .ci/need python$$version-venv; } && \
+		$$python -m venv --clear .venv; \
+	fi
 
 .PHONY: help setup demo test browser long short lint fmt types imports schemas docs site docs-media bench house chaos fuzz mutants pins \
 	interop interop-short interop-build interpreters ci clean packages wheel wheel-tests platforms notice image sizes
@@ -31,19 +43,21 @@ help: ## list the targets
 setup: $(STAMP) ## make .venv with everything that the demo and the tests need
 
 $(STAMP): pyproject.toml requirements/dev.txt
-	@$(FIND_PYTHON); \
-	if ! $(BIN)/python -c '$(IS_SUITABLE)' 2>/dev/null; then \
-		version=$$($$python -c 'import sys; print("%d.%d" % sys.version_info[:2])') && \
-		{ $$python -c 'import ensurepip, venv' 2>/dev/null || \
-			sh .ci/need python$$version-venv; } && \
-		$$python -m venv --clear .venv; \
-	fi
+	@$(MAKE_VENV)
 	$(PIP) install -q --require-hashes -r requirements/dev.txt
 	@rm -rf zensim.egg-info # what an older build left would be read instead of the new metadata
 	$(PIP) install -q --no-deps --no-build-isolation -e .
+	@touch $(DEMO_STAMP) $@
+
+# Without byte code: most modules of the packages are not imported.
+$(DEMO_STAMP): pyproject.toml requirements/demo.txt requirements/build.txt
+	@$(MAKE_VENV)
+	$(PIP) install -q --no-compile --require-hashes -r requirements/demo.txt -r requirements/build.txt
+	@rm -rf zensim.egg-info # as above
+	$(PIP) install -q --no-deps --no-build-isolation -e .
 	@touch $@
 
-demo: setup ## ten robots in one world, and the address of the page that shows them
+demo: $(DEMO_STAMP) ## ten robots in one world, and the address of the page that shows them
 	$(BIN)/zensim up
 
 packages: # Debian packages that the tests use
@@ -133,7 +147,7 @@ interop-short: setup ## a minute of them, and some more for the first build
 interop-build: setup # what interop-short runs
 	@$(BIN)/python -m tests.interop --short --build
 
-interpreters: ## install and drive with each Python from 3.10 to 3.14 that is here; CI: the newest
+interpreters: ## demo and both engines with each Python from 3.10 to 3.14 that is here; CI: the newest
 	sh .ci/interpreters
 
 mutants: setup packages ## change the code in 100 places, and print the changes that no test notices
@@ -162,10 +176,11 @@ sizes: setup ## packages and size on disk of each extra, as in docs/packages.md
 pins: ## resolve requirements/ anew
 	@$(FIND_PYTHON); $$python -m venv build/pins
 	build/pins/bin/python -m pip --disable-pip-version-check install -q uv
-	@set -e; for name in dev server all cameras viewer xacro foxglove dataset plot top rl ray metrics base; do \
+	@set -e; for name in dev server demo all cameras viewer xacro foxglove dataset plot top rl ray metrics base; do \
 		case $$name in \
 			dev) choice="--all-extras" ;; \
 			base) choice="-c requirements/dev.txt" ;; \
+			demo) choice="-c requirements/dev.txt --extra server --extra viewer --extra xacro" ;; \
 			*) choice="-c requirements/dev.txt --extra $$name" ;; \
 		esac; \
 		build/pins/bin/uv pip compile -q pyproject.toml $$choice --universal --python-version 3.10 \

@@ -3,7 +3,7 @@
 import re
 from importlib.metadata import PackageNotFoundError, distribution
 
-PACKAGES_OF = {"mujoco": ("mujoco-core", "mujoco")}
+PACKAGES_OF = {"mujoco": ("mujoco-core", "mujoco"), "pybullet": ("pybullet", "pybullet-arm64")}
 """Of several packages, the first that is installed has the library; MuJoCo 3 was one package."""
 
 VERSION_LINE = re.compile(r"^Version: *(\S+)", re.MULTILINE)

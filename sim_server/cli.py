@@ -50,12 +50,13 @@ from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import User
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied
-from zensim.proto.verbosity import configure_logging, print_announcement
+from zensim.proto.verbosity import configure_logging, print_announcement, print_note
 from zensim.sim_server.pacing.lockstep import LOCKSTEP_TIMEOUT_S, LockstepSettings, OnMiss
 from zensim.sim_server.physics.engine_config import (
     Clustering,
     EngineOptions,
     choose_engine,
+    explain_default,
     find_installed_engines,
     parse_engine_name,
 )
@@ -277,7 +278,10 @@ def _run_server(
     config: ServerConfig, stop: StopFlag, *, folder: SecureFolder | None, given: ServeOptions
 ) -> None:
     def announce(bus: Bus, config: ServerConfig) -> None:
-        engine = choose_engine(config.physics, find_installed_engines())
+        installed = find_installed_engines()
+        engine = choose_engine(config.physics, installed)
+        if reason := explain_default(config.physics, installed):
+            print_note("serve", reason)
         endpoint = bus.endpoint if folder is None else folder.settings.endpoint
         secured = ", secured" if folder is not None else ""
         facts: dict[str, object] = {

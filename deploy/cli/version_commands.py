@@ -7,6 +7,11 @@ from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.package_versions import find_reported_versions
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT
+from zensim.sim_server.physics.engine_config import (
+    EngineOptions,
+    explain_default,
+    find_installed_engines,
+)
 from zensim.spawner.cli.command_session import print_json
 
 app = make_app()
@@ -26,3 +31,5 @@ def print_versions(*, as_json: JsonOption = False) -> None:
     else:
         for name, found in versions.items():
             print_lines(f"{name:<14} {found}")
+        if reason := explain_default(EngineOptions(), find_installed_engines()):
+            print_lines(reason)

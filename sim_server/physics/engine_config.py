@@ -1,5 +1,7 @@
 """Configuration of physics: of a world, and the server's choice of engine, cells and workers."""
 
+import platform
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -12,10 +14,12 @@ from zensim.proto.messages.model_messages import Dynamics
 
 Clustering = Literal["auto", "on", "off"]
 
-INSTALL_COMMANDS: dict[EngineName, str] = {
-    "pybullet": "pip install 'zensim[pybullet]' (on Linux x86_64 with Python 3.10 or 3.11)",
-    "mujoco": "pip install 'zensim[server]'",
-}
+INSTALL_COMMAND = "pip install 'zensim[server]'"
+"""It installs each engine that has a wheel for this Python and system."""
+PYBULLET_SYSTEMS = (("linux", "x86_64"), ("darwin", "arm64"), ("win32", "AMD64"))
+"""Systems and machines for which PyBullet, or its fork, has wheels."""
+PYBULLET_BELOW = (3, 14)
+"""It has none for this Python, as pyproject.toml says, too."""
 
 
 class EngineUnusable(ValueError):
@@ -58,13 +62,38 @@ def parse_engine_name(name: str) -> EngineName | None:
         if name == known:
             return known  # type: ignore[no-any-return]
     if name:
-        raise ValueError(f"--engine {name!r} is unknown; use {' or '.join(INSTALL_COMMANDS)}")
+        raise ValueError(f"--engine {name!r} is unknown; use {' or '.join(get_args(EngineName))}")
     return None
 
 
 def find_installed_engines() -> list[EngineName]:
     """List the engines whose library is installed, in order of preference."""
-    return [name for name in INSTALL_COMMANDS if find_spec(name) is not None]
+    return [name for name in get_args(EngineName) if find_spec(name) is not None]
+
+
+def has_wheel(name: EngineName) -> bool:
+    """Whether this Python and system can install an engine without a compiler."""
+    if name != "pybullet":
+        return True
+    return (
+        sys.version_info < PYBULLET_BELOW and (sys.platform, platform.machine()) in PYBULLET_SYSTEMS
+    )
+
+
+def explain_missing(name: EngineName) -> str:
+    """Say why an engine is not installed, and what to do about it, in a clause."""
+    if has_wheel(name):
+        return f"{INSTALL_COMMAND} installs {name}"
+    python = ".".join(platform.python_version_tuple()[:2])
+    return f"{name} has no wheel for Python {python} on {sys.platform} {platform.machine()}"
+
+
+def explain_default(choice: EngineOptions, installed: Sequence[EngineName]) -> str | None:
+    """Say why the default engine is not the first one; None if it is, or an engine was chosen."""
+    first = get_args(EngineName)[0]
+    if choice.engine is not None or not installed or first in installed:
+        return None
+    return f"{first} is not installed: {installed[0]} is the engine; {explain_missing(first)}"
 
 
 def choose_engine(choice: EngineOptions, installed: Sequence[EngineName]) -> EngineName:
@@ -76,12 +105,12 @@ def choose_engine(choice: EngineOptions, installed: Sequence[EngineName]) -> Eng
     found = choice.engine or next(iter(installed), None)
     if found is not None and found in installed:
         return found
-    missing = choice.engine or "pybullet"
+    missing = choice.engine or ("pybullet" if has_wheel("pybullet") else "mujoco")
     others = [f"use --engine {name}, which is installed" for name in installed]
-    others += [
-        f"{how} for {name}" for name, how in INSTALL_COMMANDS.items() if name not in installed
-    ]
-    raise EngineMissing(f"{EngineMissing.slug}: {missing} is not installed; {', or '.join(others)}")
+    raise EngineMissing(
+        f"{EngineMissing.slug}: {missing} is not installed; "
+        f"{', or '.join([*others, explain_missing(missing)])}"
+    )
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,7 @@ def test_world_in_process_names_the_extra_when_it_is_not_installed() -> None:
     assert "pip install 'zensim[server]'" in done.stderr.splitlines()[-1]
 
 
-def test_server_without_pybullet_names_its_extra_when_it_is_asked_for() -> None:
+def test_server_without_pybullet_names_the_extra_when_it_is_asked_for() -> None:
     code = f"import sys\nsys.modules['pybullet'] = None\n{CALL_ZENSIM}"
     command = ("serve", "--listen", "tcp/127.0.0.1:0", "--engine", "pybullet")
 
@@ -98,5 +98,5 @@ def test_server_without_pybullet_names_its_extra_when_it_is_asked_for() -> None:
 
     assert len(done.stderr.splitlines()) == 1
     assert "engine.missing: " in done.stderr
-    assert "pip install 'zensim[pybullet]'" in done.stderr
+    assert "pip install 'zensim[server]'" in done.stderr
     assert done.returncode == ExitCode.USAGE

@@ -11,12 +11,10 @@ import pytest
 from packaging.requirements import Requirement
 
 from tests.contract.repository import PACKAGES, ROOT, files, shown, text_of
+from zensim.sim_server.physics.engine_config import has_wheel
 
 EXTRA_OF = {
-    "sim_server/physics/mujoco/": {"", "server", "mujoco"},
     "sim_server/scene/camera_rendering.py": {"", "server", "cameras"},
-    "sim_server/physics/bullet/": {"", "server", "pybullet"},
-    "sim_server/description/urdf/independent_reading.py": {"", "server", "check"},
     "sim_server/": {"", "server"},
     "spawner/page/": {"", "viewer"},
     "proto/operation_server.py": {"", "metrics"},
@@ -75,7 +73,7 @@ def importable(extras: frozenset[str]) -> frozenset[str]:
 def extras_of(path: Path) -> frozenset[str]:
     name = shown(path)
     if name.startswith("tests/"):
-        ours = {"server", "pybullet", "check", "mujoco", "viewer", "top", "dataset", "rl"}
+        ours = {"server", "viewer", "top", "dataset", "rl"}
         return frozenset({"", *ours, "metrics", "dev"})
     return frozenset(next((ours for part, ours in EXTRA_OF.items() if name.startswith(part)), {""}))
 
@@ -100,8 +98,14 @@ PLATFORMS = {
     "macOS arm64": ("darwin", "arm64"),
     "Windows": ("win32", "AMD64"),
 }
-PYBULLET_WHEELS = {("Linux x86_64", "3.10"), ("Linux x86_64", "3.11")}
-"""Those of PyBullet 3.2.7 on PyPI."""
+PYBULLET_WHEELS = {("Linux x86_64", "3.10"): "pybullet", ("Linux x86_64", "3.11"): "pybullet"}
+"""Those of PyBullet 3.2.7, as the index of packages has them."""
+FORK_WHEELS = {
+    (platform, python): "pybullet-arm64"
+    for platform in PLATFORMS.keys() - {"Linux arm64"}
+    for python in PYTHONS[:-1]
+}
+"""Those of its fork, version 3.2.8."""
 
 
 def engines_of(extra: str, platform: str, python: str) -> set[str]:
@@ -119,16 +123,30 @@ def engines_of(extra: str, platform: str, python: str) -> set[str]:
 def test_server_installs_mujoco_on_each_platform(platform: str, python: str) -> None:
     package = "mujoco" if python == "3.10" else "mujoco-core"
 
-    assert engines_of("server", platform, python) == {package}
-    assert engines_of("mujoco", platform, python) == {package}
+    assert package in engines_of("server", platform, python)
 
 
 @pytest.mark.parametrize("python", PYTHONS)
 @pytest.mark.parametrize("platform", PLATFORMS)
-def test_pybullet_is_installed_where_it_has_a_wheel(platform: str, python: str) -> None:
-    has_pybullet = (platform, python) in PYBULLET_WHEELS
+def test_server_installs_pybullet_where_it_has_a_wheel(platform: str, python: str) -> None:
+    package = {**FORK_WHEELS, **PYBULLET_WHEELS}.get((platform, python))
 
-    assert engines_of("pybullet", platform, python) == ({"pybullet"} if has_pybullet else set())
+    found = engines_of("server", platform, python) - {"mujoco", "mujoco-core"}
+
+    assert found == ({package} if package else set())
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+@pytest.mark.parametrize("platform", PLATFORMS)
+def test_hint_of_a_missing_engine_knows_where_pybullet_has_a_wheel(
+    platform: str, python: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    system, machine = PLATFORMS[platform]
+    monkeypatch.setattr("sys.platform", system)
+    monkeypatch.setattr("platform.machine", lambda: machine)
+    monkeypatch.setattr("sys.version_info", tuple(map(int, python.split("."))))
+
+    assert has_wheel("pybullet") == ((platform, python) in {**FORK_WHEELS, **PYBULLET_WHEELS})
 
 
 def test_all_has_each_extra_of_users() -> None:
@@ -136,9 +154,8 @@ def test_all_has_each_extra_of_users() -> None:
     named = re.findall(r"^([a-z0-9]+) = \[", text.partition("\n[")[0], re.M)
     chosen = re.findall(r'^  "zensim\[([a-z,]+)\]', text, re.M)
 
-    assert {"server", "pybullet", "check"} <= set(named)
-    # A server has MuJoCo.
-    assert set(",".join(chosen).split(",")) == set(named) - {"all", "dev", "mujoco"}
+    assert "server" in named
+    assert set(",".join(chosen).split(",")) == set(named) - {"all", "dev"}
 
 
 def test_classifiers_name_the_supported_versions_of_python() -> None:

@@ -15,14 +15,12 @@ PINS = ROOT / "requirements"
 EXTRAS = {
     "base": {""},
     "server": {"", "server"},
-    "pybullet": {"", "pybullet"},
-    "check": {"", "check"},
-    "mujoco": {"", "mujoco"},
+    "demo": {"", "server", "viewer", "xacro"},
     "viewer": {"", "viewer"},
     "xacro": {"", "xacro"},
-    "dev": {"", "server", "pybullet", "check", "viewer", "xacro", "dev"},
+    "dev": {"", "server", "viewer", "xacro", "dev"},
 }
-PYTHONS = ("3.10", "3.11")
+PYTHONS = ("3.10", "3.11", "3.12", "3.13", "3.14")
 FILES = sorted(path.stem for path in PINS.glob("*.txt"))
 HASH = re.compile(r" *--hash=sha256:[0-9a-f]{64}")
 

@@ -22,7 +22,7 @@ DATA = {
     "zensim/sim_server/models/box_bot.urdf",
     "zensim/sim_server/worlds/empty.sdf",
 }
-MOST_MEGABYTES_OF_SERVER = 330
+MOST_MEGABYTES_OF_SERVER = 740
 BARE_NAMES = ("deploy", "proto", "robot_agent", "sim_server", "spawner")
 
 

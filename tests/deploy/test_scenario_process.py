@@ -93,7 +93,7 @@ def test_engine_that_is_not_installed_is_an_error_that_names_its_extra(
     report = run_request(RunRequest(file))
 
     assert report.error.startswith("Invalid: engine.missing: ")
-    assert "pip install 'zensim[pybullet]'" in report.error
+    assert "pip install 'zensim[server]'" in report.error
     assert contextlib.__file__ not in report.error
 
 

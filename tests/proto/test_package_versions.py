@@ -42,5 +42,15 @@ def test_version_of_mujoco_before_it_was_divided_is_that_of_its_package(
     assert find_package_version("mujoco") == "3.17.0"
 
 
+@pytest.mark.parametrize("package", ["pybullet", "pybullet-arm64"])
+def test_version_of_pybullet_is_that_of_its_package_or_its_fork(
+    package: str, packages: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.path", [str(packages)])
+    install(packages, package, "3.2.8")
+
+    assert find_package_version("pybullet") == "3.2.8"
+
+
 def test_package_that_is_not_installed_has_no_version() -> None:
     assert find_package_version("zensim-unknown") is None

@@ -214,7 +214,7 @@ class World(Simulation):
 
         Args:
             world: Name of a shipped world, or an SDF file.
-            engine: `mujoco`, or `pybullet` with the extra of that name.
+            engine: `mujoco`, or `pybullet` where it is installed.
             seed: Of the noise of sensors.
             step_hz: Steps per simulated second; None = of the world file, or 240.
             control_hz: Most control steps per simulated second; None = 100.

@@ -1,6 +1,6 @@
 """A second reading of URDF, by yourdfpy, compared with the Model that the engines get.
 
-The only importer of yourdfpy, which is the extra `check`. Its import takes 2 s of CPU, so no spawn
+The only importer of yourdfpy. Its import takes 2 s of CPU, so no spawn
 waits for it.
 """
 
@@ -29,7 +29,7 @@ TOLERANCE = 1e-6
 WORLD_LINK = "world"
 NOT_INSTALLED = (
     "yourdfpy is not installed, so that URDF is not compared with a second reading; "
-    "use pip install 'zensim[check]'"
+    "use pip install 'zensim[server]'"
 )
 
 
