@@ -9,7 +9,8 @@ from tempfile import TemporaryDirectory
 import zensim
 from benchmarks.figures import Figure, Limit
 
-G = 9.81
+G = 9.8
+"""Gravity [m/s^2] of a world without one, as in SDF."""
 MILLIMETRES = 1e3
 Vector = tuple[float, float, float]
 BLOCK_SIZE: Vector = (0.2, 0.2, 0.2)
@@ -49,13 +50,28 @@ def write_box(
     )
 
 
-def write_ball(radius_m: float, *, mass_kg: float = 1.0, tags: str = "") -> str:
-    """Write a URDF of a ball."""
-    moment = 0.4 * mass_kg * radius_m**2
+def write_bounce(restitution: float, threshold: float = 0.0) -> str:
+    """Write the <surface> of a rebound."""
     return (
-        f'<robot name="ball"><link name="ball">{write_inertial(mass_kg, (moment,) * 3)}'
-        f'<collision><geometry><sphere radius="{radius_m!r}"/></geometry></collision></link>'
-        f'<gazebo reference="ball">{tags}</gazebo></robot>'
+        f"<surface><bounce><restitution_coefficient>{restitution!r}</restitution_coefficient>"
+        f"<threshold>{threshold!r}</threshold></bounce></surface>"
+    )
+
+
+def write_ball(radius_m: float, *, bounce: str, kind: str, mass_kg: float = 1.0) -> str:
+    """Write a ball with a <surface>, as URDF or SDF."""
+    moment = 0.4 * mass_kg * radius_m**2
+    if kind == "URDF":
+        return (
+            f'<robot name="ball"><link name="ball">{write_inertial(mass_kg, (moment,) * 3)}'
+            f'<collision><geometry><sphere radius="{radius_m!r}"/></geometry></collision></link>'
+            f'<gazebo reference="ball"><collision>{bounce}</collision></gazebo></robot>'
+        )
+    return (
+        f'<sdf version="1.9"><model name="ball"><link name="ball"><inertial><mass>{mass_kg!r}'
+        f"</mass><inertia><ixx>{moment!r}</ixx><iyy>{moment!r}</iyy><izz>{moment!r}</izz>"
+        f'</inertia></inertial><collision name="c"><geometry><sphere><radius>{radius_m!r}'
+        f"</radius></sphere></geometry>{bounce}</collision></link></model></sdf>"
     )
 
 

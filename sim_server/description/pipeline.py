@@ -34,7 +34,7 @@ from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     import numpy as np
     import numpy.typing as npt
@@ -214,9 +214,9 @@ def _add_notes(model: Model, meshes: dict[str, bytes]) -> Model:
         return read_corners(meshes[mesh])
 
     if model.drive is None:
-        falls = (FALL,) if falls_without_end(model) else ()
         model = _raise_light_moments(model, corners)
-        return msgspec.structs.replace(model, report=(*model.report, *falls)) if falls else model
+        notes = [*((FALL,) if falls_without_end(model) else ()), *_describe_pairs(model)]
+        return msgspec.structs.replace(model, report=(*model.report, *notes)) if notes else model
     from zensim.sim_server.description.driving_notes import describe_driving
 
     round_wheels = (
@@ -225,6 +225,19 @@ def _add_notes(model: Model, meshes: dict[str, bytes]) -> Model:
     notes = describe_driving(model, corners)
     report = (*model.report, *round_wheels, *notes.entries)
     return msgspec.structs.replace(model, report=report, drags=notes.drags)
+
+
+def _describe_pairs(model: Model) -> Iterator[ReportEntry]:
+    """Say what PyBullet makes of the friction of a loose body; see `bullet.pair_friction`."""
+    if model.is_static or len(model.links) > 1:
+        return
+    slippery = sorted({s.friction for s in model.links[0].collisions if 0.0 < s.friction < 1.0})
+    for friction in slippery[:1]:
+        note = (
+            f"{friction:g} on a moving body of another friction f below 1 grips by the root of "
+            f"{friction:g} f in PyBullet, not by the lesser"
+        )
+        yield ReportEntry("predicted", "friction", note)
 
 
 def _raise_light_moments(model: Model, corners: FindCorners) -> Model:

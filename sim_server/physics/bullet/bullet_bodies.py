@@ -402,9 +402,10 @@ def make_dynamics_arguments(
     # Damping is of the whole body; passing it for a link overwrites the root's friction.
     yield -1, BulletArguments(linearDamping=0.0, angularDamping=0.0)
     firmness = find_firmness(blueprint, dt_s)
-    for number, part in enumerate(blueprint.parts, start=-1):
+    parts = zip(blueprint.parts, find_moving_parts(blueprint), strict=True)
+    for number, (part, moves) in enumerate(parts, start=-1):
         arguments = make_contact_arguments(
-            part, dt_s, is_static=blueprint.is_static, firmness=firmness
+            part, dt_s, is_static=blueprint.is_static, moves=moves, firmness=firmness
         )
         if part.joint is not None or (part.parent < 0 and not blueprint.is_static):
             arguments["localInertiaDiagonal"] = list_moments(part)

@@ -122,7 +122,7 @@ def make_recovery_arguments(mass_kg: float, share: float, dt_s: float) -> Bullet
 
 
 def make_contact_arguments(
-    part: RigidPart, dt_s: float, *, is_static: bool, firmness: float = math.inf
+    part: RigidPart, dt_s: float, *, is_static: bool, moves: bool, firmness: float = math.inf
 ) -> BulletArguments:
     """Make the contact arguments of changeDynamics of a part.
 
@@ -130,6 +130,7 @@ def make_contact_arguments(
         part: Of a body.
         dt_s: Length of a step.
         is_static: Whether the body is.
+        moves: Whether the part can move.
         firmness: See `find_firmness`.
     """
     friction = limit_static_body_friction(part.friction) if is_static else part.friction
@@ -137,7 +138,7 @@ def make_contact_arguments(
         lateralFriction=friction,
         spinningFriction=0.0,
         rollingFriction=0.0,
-        restitution=_find_restitution(part.contact, is_static=is_static),
+        restitution=_find_restitution(part.contact, moves=moves),
         contactProcessingThreshold=CONTACT_PROCESSING_M,
     )
     arguments.update(_make_compliance(part.contact, firmness, dt_s))
@@ -146,10 +147,10 @@ def make_contact_arguments(
     return arguments
 
 
-def _find_restitution(contact: Contact, *, is_static: bool) -> float:
+def _find_restitution(contact: Contact, *, moves: bool) -> float:
     """Find the coefficient of restitution, which Bullet multiplies with that of the other."""
     if contact.restitution is None:
-        return float(is_static)
+        return float(not moves)
     return contact.restitution if contact.bounce_threshold <= MAX_BOUNCE_THRESHOLD_MPS else 0.0
 
 

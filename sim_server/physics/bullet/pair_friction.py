@@ -8,7 +8,7 @@ with one above 1 it meets what moves, by a friction of 1 (ADR 127).
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from zensim.proto.messages.model_messages import ZERO
@@ -75,17 +75,6 @@ def _is_paired(part: RigidPart) -> bool:
     return bool(part.shapes) and not is_neutral and part.contact.direction == ZERO
 
 
-def limit_gripping_frictions(blueprint: Blueprint) -> Blueprint:
-    """Limit the frictions of the links of a fixed robot to 1, so that what they grip counts."""
-    if not blueprint.is_static:
-        return blueprint
-    parts = (
-        replace(part, friction=min(part.friction, 1.0)) if part.contact.direction == ZERO else part
-        for part in blueprint.parts
-    )
-    return replace(blueprint, parts=tuple(parts))
-
-
 def find_moving_parts(blueprint: Blueprint) -> tuple[bool, ...]:
     """Find which parts of a body can move."""
     moves: list[bool] = []
@@ -98,11 +87,12 @@ def find_moving_parts(blueprint: Blueprint) -> tuple[bool, ...]:
 def list_moving_surfaces(blueprint: Blueprint) -> tuple[MovingSurface, ...]:
     """List the surfaces of a body that move."""
     loose = is_loose(blueprint)
+    most = 1.0 if blueprint.is_static else math.inf  # see `limit_static_body_friction`
     moving = enumerate(zip(blueprint.parts, find_moving_parts(blueprint), strict=True), start=-1)
     return tuple(
         MovingSurface(
             number,
-            max(part.friction, part.contact.friction_across),
+            min(max(part.friction, part.contact.friction_across), most),
             part.is_twin,
             loose and not part.is_twin and _is_paired(part),
         )
@@ -160,3 +150,36 @@ class FrictionGroups:
         used = sum(is_paired == surface.is_paired for _, is_paired in self._groups)
         if used < len(bits):
             self._groups[key] = 1 << bits[used]
+
+
+@dataclass
+class SlipperyBodies:
+    """Static bodies with a friction below 1, by number, and their copies.
+
+    Attributes:
+        groups: Of the moving surfaces that they may meet.
+        surfaces: Their parts and frictions; see `list_slippery_surfaces`.
+        copies: Number of each copy, by the group that it carries.
+        originals: Body of each copy.
+    """
+
+    groups: FrictionGroups = field(default_factory=FrictionGroups)
+    surfaces: dict[int, tuple[tuple[int, float], ...]] = field(default_factory=dict)
+    copies: dict[int, dict[int, int]] = field(default_factory=dict)
+    originals: dict[int, int] = field(default_factory=dict)
+
+    def find_original(self, body: int) -> int:
+        """Find the body of a copy; any other body is its own."""
+        return self.originals.get(body, body)
+
+    def list_copies(self, body: int) -> list[int]:
+        """List the copies of a body."""
+        return list(self.copies.get(body, {}).values())
+
+    def forget(self, body: int) -> list[int]:
+        """Forget a body; return its copies."""
+        self.surfaces.pop(body, None)
+        copies = list(self.copies.pop(body, {}).values())
+        for copied in copies:
+            del self.originals[copied]
+        return copies

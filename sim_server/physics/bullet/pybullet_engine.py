@@ -62,10 +62,9 @@ from zensim.sim_server.physics.bullet.pair_friction import (
     STATIC_FILTER,
     STATIC_GROUP,
     CollisionFilter,
-    FrictionGroups,
+    SlipperyBodies,
     add_twin_surfaces,
     find_copy_friction,
-    limit_gripping_frictions,
 )
 from zensim.sim_server.physics.bullet.wheel_carriers import add_wheel_carriers, list_carriers
 from zensim.sim_server.physics.command_cache import CommandCache
@@ -301,8 +300,8 @@ GEOMETRY_TYPES = {kind: getattr(pybullet, f"GEOM_{kind.upper()}") for kind in CO
 
 
 def _arrange(blueprint: Blueprint) -> Blueprint:
-    twinned = add_twin_surfaces(blueprint)
-    return center_scenery(add_wheel_carriers(order_depth_first(limit_gripping_frictions(twinned))))
+    twinned = order_depth_first(add_twin_surfaces(blueprint))
+    return center_scenery(add_wheel_carriers(twinned))
 
 
 class BulletOrigin:
@@ -396,6 +395,14 @@ def _make_refusal(model: Model, error: Exception) -> EngineRefused:
     return EngineRefused(f"model '{model.name}': Bullet cannot create it: {error}")
 
 
+def _set_physics_parameters(client: int, config: EngineConfig) -> None:
+    dt_s = config.step_ns * 1e-9
+    pybullet.setPhysicsEngineParameter(
+        fixedTimeStep=dt_s, **SOLVER_ARGUMENTS, physicsClientId=client
+    )
+    pybullet.setGravity(*config.gravity, physicsClientId=client)
+
+
 def _make_blueprint_cache(config: EngineConfig) -> BlueprintCache:
     return BlueprintCache(
         PyBulletEngine.name,
@@ -441,26 +448,15 @@ class PyBulletEngine(Engine):
         self._recovering: dict[int, float] = {}
         """Bodies that overlap others deeply, and the share of it that a step corrects."""
         self._gravity = config.gravity
-        self._dt_s = dt_s = config.step_ns * 1e-9
+        self._dt_s = config.step_ns * 1e-9
         self._com_frames = ComFrames()
         self._commands = CommandCache(self._find_width)
-        pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=dt_s, **SOLVER_ARGUMENTS, physicsClientId=client
-        )
-        pybullet.setGravity(*config.gravity, physicsClientId=client)
+        _set_physics_parameters(client, config)
         self._visual = pybullet.createVisualShape(
             pybullet.GEOM_BOX, halfExtents=VISUAL_HALF_EXTENTS, physicsClientId=client
         )
-        self._friction_groups = FrictionGroups()
-        self._slippery: dict[int, tuple[tuple[int, float], ...]] = {}
-        """Static bodies with a friction below 1; see `BulletBody.slippery`."""
-        self._copies: dict[int, dict[int, int]] = {}
-        """Copies of these, by the group of the surfaces that they carry."""
-        self._originals: dict[int, int] = {}
-        """Body of each copy."""
+        self._slippery = SlipperyBodies()
         self._ground = self._add_ground(config.ground_friction) if config.has_ground else None
-        if self._ground is not None and config.ground_friction < 1.0:
-            self._add_slippery(self._ground, ((-1, config.ground_friction),))
 
     def __getstate__(self) -> dict[str, object]:
         """Take the state, which fits Bullet's bodies of this engine only.
@@ -572,8 +568,8 @@ class PyBulletEngine(Engine):
     def find_contacts(self, body: int) -> Sequence[int]:
         """See `Engine.find_contacts`."""
         touching = {
-            self._originals.get(point[2], point[2])
-            for number in (body, *self._copies.get(body, {}).values())
+            self._slippery.find_original(point[2])
+            for number in (body, *self._slippery.list_copies(body))
             for point in pybullet.getContactPoints(number, physicsClientId=self._client) or ()
         }
         return sorted(touching & self._bodies.keys() - {body})
@@ -587,8 +583,8 @@ class PyBulletEngine(Engine):
         # and many calls take longer.
         for point in pybullet.getContactPoints(physicsClientId=self._client) or ():
             _, one, other, one_part, other_part, _, _, _, distance, push, *_ = point
-            if self._originals:
-                one, other = (self._originals.get(body, body) for body in (one, other))
+            if self._slippery.originals:
+                one, other = map(self._slippery.find_original, (one, other))
             if (distance > 0.0 and push <= 0.0) or watched.isdisjoint((one, other)):
                 continue
             sides = self._identify(one, one_part), self._identify(other, other_part)
@@ -701,7 +697,7 @@ class PyBulletEngine(Engine):
             body, position, orientation, physicsClientId=self._client
         )
         self._set_velocity(body, state[7:])
-        for copied in self._copies.get(body, {}).values():
+        for copied in self._slippery.list_copies(body):
             pybullet.resetBasePositionAndOrientation(
                 copied, position, orientation, physicsClientId=self._client
             )
@@ -805,6 +801,9 @@ class PyBulletEngine(Engine):
         self._com_frames.add(body, blueprint.parts[0])
         for link, arguments in recipe.dynamics:
             pybullet.changeDynamics(body, link, **arguments, physicsClientId=self._client)
+        if blueprint.is_static and any(recipe.body.moves):
+            # Bullet takes the links of a fixed root as static.
+            self._set_collision_filter(body, recipe.body, collides=True)
         for arguments in recipe.motors:
             pybullet.setJointMotorControl2(body, **arguments, physicsClientId=self._client)
         gears = [
@@ -835,7 +834,7 @@ class PyBulletEngine(Engine):
         self._bodies[body] = known
         if known.slippery:
             self._add_slippery(body, known.slippery)
-        elif known.has_twins or self._slippery:
+        elif known.has_twins or self._slippery.surfaces:
             self._filter_surfaces(body, known)
         if known.loads:
             self._loads[body] = known.loads
@@ -869,9 +868,9 @@ class PyBulletEngine(Engine):
         for part, moves in enumerate(known.moves, start=-1):
             common = COLLIDE_WITH_ALL if moves else STATIC_FILTER
             self._set_part_filter(body, part, common if collides else COLLIDE_WITH_NOTHING)
-        if collides and body in self._slippery:
+        if collides and body in self._slippery.surfaces:
             self._mask_copied(body)
-        elif collides and (known.has_twins or self._slippery):
+        elif collides and (known.has_twins or self._slippery.surfaces):
             self._filter_surfaces(body, known)
 
     def _set_part_filter(self, body: int, part: int, chosen: CollisionFilter) -> None:
@@ -879,21 +878,21 @@ class PyBulletEngine(Engine):
 
     def _filter_surfaces(self, body: int, known: BulletBody) -> None:
         """Set the filters of moving surfaces; where there are slippery bodies, by friction."""
-        if self._slippery:
-            new = self._friction_groups.add(known.surfaces)
-            for static in list(self._slippery) if new else ():
+        if self._slippery.surfaces:
+            new = self._slippery.groups.add(known.surfaces)
+            for static in list(self._slippery.surfaces) if new else ():
                 self._copy_for_groups(static, new)
         for surface in known.surfaces:
             if surface.is_twin or surface.friction not in NEUTRAL_FRICTIONS:
-                chosen = self._friction_groups.find_filter(surface)
+                chosen = self._slippery.groups.find_filter(surface)
                 self._set_part_filter(body, surface.part, chosen)
 
     def _add_slippery(self, body: int, surfaces: tuple[tuple[int, float], ...]) -> None:
         """Copy a static body with a friction below 1 for all frictions of moving surfaces."""
-        is_first = not self._slippery
-        self._slippery[body] = surfaces
-        self._copies[body] = {}
-        self._copy_for_groups(body, self._friction_groups.list_frictions())
+        is_first = not self._slippery.surfaces
+        self._slippery.surfaces[body] = surfaces
+        self._slippery.copies[body] = {}
+        self._copy_for_groups(body, self._slippery.groups.list_frictions())
         if is_first:
             for moving, known in list(self._bodies.items()):
                 if known.surfaces:
@@ -901,15 +900,16 @@ class PyBulletEngine(Engine):
 
     def _copy_for_groups(self, body: int, groups: Mapping[int, float]) -> None:
         for group, friction in groups.items():
-            self._copies[body][group] = copied = self._copy_static(body, group, friction)
-            self._originals[copied] = body
+            copied = self._copy_static(body, group, friction)
+            self._slippery.copies[body][group] = copied
+            self._slippery.originals[copied] = body
         self._mask_copied(body)
 
     def _copy_static(self, body: int, group: int, moving: float) -> int:
         """Copy a static body for moving surfaces of one friction."""
-        slippery = dict(self._slippery[body])
-        if body == self._ground:
-            copied, frames = self._make_plane(), ORIGIN_POSE
+        slippery = dict(self._slippery.surfaces[body])
+        if body not in self._bodies:
+            copied = self._make_plane()
             pybullet.changeDynamics(copied, -1, restitution=1.0, physicsClientId=self._client)
             parts: Iterable[int] = (-1,)
         else:
@@ -933,14 +933,12 @@ class PyBulletEngine(Engine):
 
     def _mask_copied(self, body: int) -> None:
         """Let the copies of a static body collide in its place."""
-        mask = ~(STATIC_GROUP | sum(self._copies[body]))
-        for part, _ in self._slippery[body]:
+        mask = ~(STATIC_GROUP | sum(self._slippery.copies[body]))
+        for part, _ in self._slippery.surfaces[body]:
             self._set_part_filter(body, part, (STATIC_GROUP, mask))
 
     def _remove_copies(self, body: int) -> None:
-        self._slippery.pop(body, None)
-        for copied in self._copies.pop(body, {}).values():
-            del self._originals[copied]
+        for copied in self._slippery.forget(body):
             self._remove_body(copied)
 
     def _set_activation(self, bodies: Sequence[int], states: tuple[int, int]) -> None:
@@ -1122,6 +1120,8 @@ class PyBulletEngine(Engine):
             restitution=1.0,
             physicsClientId=self._client,
         )
+        if friction < 1.0:
+            self._add_slippery(ground, ((-1, friction),))
         # Contacts between sleeping bodies and a sleeping ground are not searched.
         self._set_activation([ground], ACTIVATION_ASLEEP)
         for _ in range(2):  # until it sleeps
