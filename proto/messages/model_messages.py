@@ -82,7 +82,7 @@ class Origin(msgspec.Struct, frozen=True, gc=False):
 
 
 class Contact(msgspec.Struct, frozen=True, gc=False):
-    """Compliance and anisotropic friction of a collision. Source: ODE's surface parameters."""
+    """Compliance, anisotropic friction and rebound of a collision. Source: ODE's surfaces."""
 
     stiffness: float = 0.0
     """[N/m] (kp) per contact point; 0 = rigid."""
@@ -92,6 +92,11 @@ class Contact(msgspec.Struct, frozen=True, gc=False):
     """Unit vector in the link (fdir1) to which `Shape.friction` applies; 0 = all directions."""
     friction_across: float = 0.0
     """Coulomb coefficient (mu2) across `direction`."""
+    restitution: float | None = None
+    """Speed after an impact over the speed before, 0 to 1; None = not given: 0, or of a static
+    model that of the other."""
+    bounce_threshold: float = 0.0
+    """Speed of an impact [m/s] up to which there is no rebound."""
 
 
 class Texture(msgspec.Struct, frozen=True, gc=False):

@@ -207,6 +207,8 @@ MAX_WRITTEN_STIFFNESS = 1e15
 GAZEBO_STEP_S = 1e-3
 """Gazebo's default step: its decay is a share of the velocity per step."""
 MAX_DECAY_SHARE = 1.0 - 1e-6
+MAX_BOUNCE_THRESHOLD_MPS = 100.0
+"""Above, nothing rebounds: exporters write 100000, the default of SDF."""
 UNUSED_SURFACE_TAGS = {
     "maxVel": "penetration is corrected by a fifth per step, at 0.2 m/s at most",
     "minDepth": "penetration is corrected from depth 0 on",
@@ -228,6 +230,32 @@ SURFACE_TAG_NAMES = {
     "self_collide": "selfCollide",
 }
 """Tags by spelling."""
+FRICTION_PATHS = ("surface/friction/ode/mu", "surface/friction/bullet/friction")
+"""In a <collision> of SDF; the first with a text is used."""
+SURFACE_PATHS = {
+    "mu2": "surface/friction/ode/mu2",
+    "fdir1": "surface/friction/ode/fdir1",
+    "kp": "surface/contact/ode/kp",
+    "kd": "surface/contact/ode/kd",
+    "maxVel": "surface/contact/ode/max_vel",
+    "minDepth": "surface/contact/ode/min_depth",
+    "restitution_coefficient": "surface/bounce/restitution_coefficient",
+    "threshold": "surface/bounce/threshold",
+}
+"""Paths in a <collision> of SDF, by the names of URDF and of `SurfaceTagReader`."""
+
+
+def read_surface_texts(collision: Element) -> dict[str, str]:
+    """Find the texts of the <surface> of a <collision> of SDF."""
+    friction = next(
+        (path for path in FRICTION_PATHS if _find_text(collision, path)), FRICTION_PATHS[0]
+    )
+    paths = {"mu1": friction} | SURFACE_PATHS
+    return {tag: text for tag, path in paths.items() if (text := _find_text(collision, path))}
+
+
+def _find_text(owner: Element, path: str) -> str:
+    return (owner.findtext(path) or "").strip()
 
 
 class SurfaceParameters(msgspec.Struct, frozen=True):
@@ -288,7 +316,7 @@ class SurfaceTagReader:
         stiffness, damping = self._read_stiffness()
         return SurfaceParameters(
             friction=friction,
-            contact=Contact(stiffness, damping, direction, across),
+            contact=Contact(stiffness, damping, direction, across, *self._read_bounce()),
             has_gravity=self._read_gravity(),
             decay=self._read_decay(),
             self_collides=self._read_flag("selfCollide"),
@@ -361,6 +389,28 @@ class SurfaceTagReader:
         if damping is not None:
             self._report_stiffness("kd", used_damping, "or more, to limit the rebound")
         return (0.0, 0.0) if is_rigid else (used, used_damping)
+
+    def _read_bounce(self) -> tuple[float | None, float]:
+        """Read the coefficient of restitution, and the speed [m/s] up to which it is 0."""
+        written, threshold = self._read_number("restitution_coefficient"), 0.0
+        if written is None:
+            if "threshold" in self._texts:
+                reason = "no <restitution_coefficient>: nothing rebounds"
+                self._report.ignored(self._subject_of("threshold"), reason)
+            return None, 0.0
+        subject = self._subject_of("restitution_coefficient")
+        if written > 1.0:
+            self._report.suspicious(subject, f"{written:g} would add energy; 1 is used")
+        if "threshold" in self._texts:
+            threshold = self._read_number("threshold") or 0.0
+            self._report.applied(self._subject_of("threshold"))
+        if written == 0.0 or threshold > MAX_BOUNCE_THRESHOLD_MPS:
+            self._report.applied(subject, "no rebound" if written else "")
+            return 0.0, 0.0
+        self._report.applied(
+            subject, f"impacts above {threshold:g} m/s rebound at {min(written, 1.0):g} of it"
+        )
+        return min(written, 1.0), threshold
 
     def _report_stiffness(self, tag: str, used: float, effect: str) -> None:
         written = self._texts[tag][:40]

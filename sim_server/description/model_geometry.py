@@ -92,6 +92,24 @@ def find_ground_clearance(
     )
 
 
+def find_extents(
+    link: Link, directions: Iterable[Vec3], corners: FindCorners = NO_MESHES
+) -> list[float]:
+    """Find the lengths [m] of a link's collisions along unit directions in the link."""
+    found = []
+    for x, y, z in directions:
+        frames = (_TiltedFrame(0.0, (x, y, z)), _TiltedFrame(0.0, (-x, -y, -z)))
+        ends = (
+            min(
+                _lowest_height(shape, frame.inner(shape.origin), corners)
+                for shape in link.collisions
+            )
+            for frame in frames
+        )
+        found.append(-sum(ends))
+    return found
+
+
 FALL = ReportEntry("predicted", "driving", "it falls: it has no collisions")
 """Report entry of a model that falls without end."""
 

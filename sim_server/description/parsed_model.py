@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from zensim.proto.messages.model_messages import Inertial, Joint, Link, Shape, Vec3
+from zensim.sim_server.description.body_moments import describe_moments, find_nearest_moments
 from zensim.sim_server.description.strict_parsing import quote_names
 from zensim.sim_server.errors import ModelError
 
@@ -164,7 +165,9 @@ def has_no_extent(shape: Shape) -> bool:
 
 
 def check_links(links: Sequence[Link], report: ParseReport) -> tuple[Link, ...]:
-    """Check mass, inertia and sizes of links before lumping; negative moments are left out.
+    """Check mass, inertia and sizes of links before lumping.
+
+    Moments that no body can have become the nearest possible ones.
 
     Raises:
         ModelError: A mass is negative, a size is not positive, or one is too large.
@@ -226,30 +229,26 @@ def check_magnitude(name: str, numbers: Iterable[float]) -> None:
 
 
 def _check_inertial(link: str, inertial: Inertial, report: ParseReport) -> Inertial:
-    ixx, _, _, iyy, _, izz = inertial.inertia
     if inertial.mass_kg < 0.0:
         raise ModelError(
             f"link {link!r} has mass {inertial.mass_kg:g} kg; use a value >= 0", slug="urdf.mass"
         )
-    if min(ixx, iyy, izz) < -MOMENT_ROUNDING:
-        fault = f"moments {ixx:g}, {iyy:g}, {izz:g} are negative; its inertia is left out"
-        report.suspicious(f"link {link!r}", fault)
-        return Inertial(inertial.mass_kg, inertial.com_in_link)
-    if inertial.mass_kg > 0.0:
-        _check_moments(link, inertial, report)
-    return inertial
-
-
-def _check_moments(link: str, inertial: Inertial, report: ParseReport) -> None:
     least, middle, most = find_principal_moments(inertial.inertia)
-    if most <= MOMENT_ROUNDING:
-        report.suspicious(f"link {link!r}", "has a mass but no inertia")
-    elif least < -TRIANGLE_RULE_SLACK * most or least + middle < (1.0 - TRIANGLE_RULE_SLACK) * most:
-        report.suspicious(
-            f"link {link!r}",
-            f"moments {least:.3g}, {middle:.3g}, {most:.3g} violate the triangle inequality; "
-            "used as written",
-        )
+    if max(abs(least), abs(most)) <= MOMENT_ROUNDING:
+        if inertial.mass_kg > 0.0:
+            report.suspicious(f"link {link!r}", "has a mass but no inertia")
+        return inertial
+    is_negative = least < -max(TRIANGLE_RULE_SLACK * most, MOMENT_ROUNDING)
+    if not is_negative and least + middle >= (1.0 - TRIANGLE_RULE_SLACK) * most:
+        return inertial
+    nearest = find_nearest_moments(inertial.inertia)
+    fault = "are negative" if is_negative else "violate the triangle inequality"
+    report.suspicious(
+        f"link {link!r}",
+        f"moments {least:.3g}, {middle:.3g}, {most:.3g} {fault}: no body has them; "
+        f"the nearest possible ones are used: {describe_moments(nearest)}",
+    )
+    return msgspec.structs.replace(inertial, inertia=nearest)
 
 
 def find_principal_moments(

@@ -34,7 +34,7 @@ from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     import numpy as np
     import numpy.typing as npt
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from zensim.proto.messages.spawn_messages import Compat
     from zensim.sim_server.description.meshes.mesh_conversion import MeshFiles
     from zensim.sim_server.description.meshes.mesh_triangles import FindFile
+    from zensim.sim_server.description.model_geometry import FindCorners
     from zensim.sim_server.description.sdf.sdf_includes import ResolveInclude
     from zensim.sim_server.description.world_model import WorldModel
 
@@ -205,16 +206,18 @@ def parse_world(
 
 
 def _add_notes(model: Model, meshes: dict[str, bytes]) -> Model:
-    """Add what needs the meshes: round wheels, and how the robot will drive."""
-    if model.drive is None:
-        falls = (FALL,) if falls_without_end(model) else ()
-        return msgspec.structs.replace(model, report=(*model.report, *falls)) if falls else model
-    from zensim.sim_server.description.driving_notes import describe_driving
+    """Add what needs the meshes: least moments, round wheels, and how the robot will drive."""
 
     def corners(mesh: str) -> npt.NDArray[np.float32]:
         from zensim.proto.stl import read_corners
 
         return read_corners(meshes[mesh])
+
+    if model.drive is None:
+        model = _raise_light_moments(model, corners)
+        notes = [*((FALL,) if falls_without_end(model) else ()), *_describe_pairs(model)]
+        return msgspec.structs.replace(model, report=(*model.report, *notes)) if notes else model
+    from zensim.sim_server.description.driving_notes import describe_driving
 
     round_wheels = (
         ReportEntry("applied", "drive", note) for note in describe_mesh_wheels(model, corners)
@@ -222,6 +225,36 @@ def _add_notes(model: Model, meshes: dict[str, bytes]) -> Model:
     notes = describe_driving(model, corners)
     report = (*model.report, *round_wheels, *notes.entries)
     return msgspec.structs.replace(model, report=report, drags=notes.drags)
+
+
+def _describe_pairs(model: Model) -> Iterator[ReportEntry]:
+    """Say what PyBullet makes of the friction of a loose body; see `bullet.pair_friction`."""
+    if model.is_static or len(model.links) > 1:
+        return
+    slippery = sorted({s.friction for s in model.links[0].collisions if 0.0 < s.friction < 1.0})
+    for friction in slippery[:1]:
+        note = (
+            f"{friction:g} on a moving body of another friction f below 1 grips by the root of "
+            f"{friction:g} f in PyBullet, not by the lesser"
+        )
+        yield ReportEntry("predicted", "friction", note)
+
+
+def _raise_light_moments(model: Model, corners: FindCorners) -> Model:
+    from zensim.sim_server.description.body_moments import describe_moments, raise_light_moments
+
+    raised = raise_light_moments(model, corners)
+    if raised is None:
+        return model
+    link = model.links[0]
+    replace = msgspec.structs.replace
+    note = (
+        f"it turns slower than described: moments {describe_moments(link.inertial.inertia)} are "
+        f"too small for its collisions to rest on; {describe_moments(raised.inertia)} are used"
+    )
+    entry = ReportEntry("predicted", f"link {link.name!r}", note)
+    links = (replace(link, inertial=raised),)
+    return replace(model, links=links, report=(*model.report, entry))
 
 
 def _set_compat(model: Model, compat: Compat) -> Model:

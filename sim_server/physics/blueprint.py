@@ -31,7 +31,7 @@ from zensim.sim_server.description.model_geometry import (
     links_in_contact,
 )
 from zensim.sim_server.physics.driven_wheels import find_driven_wheels
-from zensim.sim_server.physics.engine import EngineRefused
+from zensim.sim_server.physics.engine import MIN_INERTIA, EngineRefused
 
 DEFAULT_FRICTION = 1.0
 X_AXIS: Vec3 = (1.0, 0.0, 0.0)
@@ -54,6 +54,7 @@ class RigidPart:
         joint: To its parent; None when fixed at the parent's frame.
         reflected_inertia: Least moment about the joint's axis [kg m^2] of a driven wheel, which its
             geared motor reflects; 0 if not driven.
+        is_twin: Whether it repeats the shapes of another part; see `pair_friction`.
     """
 
     mass_kg: float
@@ -67,6 +68,13 @@ class RigidPart:
     link: int
     joint: Joint | None = None
     reflected_inertia: float = 0.0
+    is_twin: bool = False
+
+    @property
+    def moments(self) -> Vec3:
+        """Principal moments [kg m^2] as engines use them: those of 0 are the least."""
+        x, y, z = (max(moment, MIN_INERTIA) for moment in self.inertia)
+        return (x, y, z)
 
     @property
     def joint_kind(self) -> str:

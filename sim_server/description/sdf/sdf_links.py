@@ -41,6 +41,7 @@ from zensim.sim_server.description.link_surfaces import (
     SurfaceTagReader,
     read_gazebo_material,
     read_rgba,
+    read_surface_texts,
     to_decay_rate,
 )
 from zensim.sim_server.description.meshes.generated_solids import (
@@ -362,17 +363,6 @@ GROUND_SLAB_M: Vec3 = (1000.0, 1000.0, 1.0)
 GROUND_SLAB_ORIGIN = Origin((0.0, 0.0, -0.5))
 """Centre of a slab relative to its plane."""
 SHEET_THICKNESS_M = 0.002
-FRICTION_PATHS = ("surface/friction/ode/mu", "surface/friction/bullet/friction")
-"""The first that has a text is used."""
-SURFACE_PATHS = {
-    "mu2": "surface/friction/ode/mu2",
-    "fdir1": "surface/friction/ode/fdir1",
-    "kp": "surface/contact/ode/kp",
-    "kd": "surface/contact/ode/kd",
-    "maxVel": "surface/contact/ode/max_vel",
-    "minDepth": "surface/contact/ode/min_depth",
-}
-"""By the names of URDF."""
 
 
 def read_geometry(part: Element, where: str, report: ParseReport) -> list[Shape]:
@@ -447,11 +437,7 @@ def read_surface(collision: Element, where: str, report: ParseReport) -> Surface
     Raises:
         ModelError: Its friction is not a number >= 0.
     """
-    friction = next(
-        (path for path in FRICTION_PATHS if read_text(collision, path)), FRICTION_PATHS[0]
-    )
-    paths = {"mu1": friction} | SURFACE_PATHS
-    texts = {tag: text for tag, path in paths.items() if (text := read_text(collision, path))}
+    texts = read_surface_texts(collision)
     return SurfaceTagReader(texts, subject=where, slug="sdf.friction", report=report).read()
 
 

@@ -33,6 +33,7 @@ from zensim.sim_server.description.link_surfaces import (
     find_gazebo_colour,
     read_gazebo_material,
     read_named_materials,
+    read_surface_texts,
     read_visual_look,
 )
 from zensim.sim_server.description.meshes.generated_solids import make_cone, make_ellipsoid
@@ -323,7 +324,7 @@ def _describe_place(where: str, child: Element) -> str:
 
 _NO_EFFECT = "Gazebo tag without effect"
 KEEP_JOINT_TAGS = ("preserveFixedJoint", "disableFixedJointLumping")
-LINK_TAGS = (*SURFACE_TAGS, "material", "sensor", "visual")
+LINK_TAGS = (*SURFACE_TAGS, "collision", "material", "sensor", "visual")
 UNUSED_LINK_TAGS = {
     **dict.fromkeys(
         (
@@ -333,7 +334,6 @@ UNUSED_LINK_TAGS = {
         _NO_EFFECT,
     ),
     "audio_source": "sound is not simulated",
-    "collision": "only the tags of URDF and of this block set a surface",
     "light": "lights of robots are not drawn",
     "particle_emitter": "particles are not simulated",
     "velocity_decay": "write <dampingFactor>",
@@ -502,6 +502,8 @@ def _read_link_tag(
     subject = f"gazebo {link!r}"
     if child.tag in SURFACE_TAGS:
         blocks.surface_texts.setdefault(link, {})[SURFACE_TAGS[child.tag]] = _element_text(child)
+    elif child.tag == "collision":
+        _read_collision_block(link, child, blocks, report)
     elif child.tag == "material":
         _read_material(link, child, blocks, report)
     elif child.tag == "visual":
@@ -516,6 +518,19 @@ def _read_link_tag(
         report.ignored(f"{subject}: <{child.tag}>", UNUSED_LINK_TAGS[child.tag])
     else:
         _report_unread(subject, child.tag, (*LINK_TAGS, *UNUSED_LINK_TAGS), report)
+
+
+def _read_collision_block(
+    link: str, collision: Element, blocks: GazeboExtensions, report: ParseReport
+) -> None:
+    """Read the <surface> of a <collision> in a block, which Gazebo puts into each of the link."""
+    if texts := read_surface_texts(collision):
+        blocks.surface_texts.setdefault(link, {}).update(texts)
+    for child in collision:
+        if child.tag != "surface" or not texts:
+            report.ignored(
+                f"gazebo {link!r}: <collision>, <{child.tag[:80]}>", "only a <surface> is used"
+            )
 
 
 def _read_material(

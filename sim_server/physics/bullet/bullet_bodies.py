@@ -25,8 +25,16 @@ from zensim.sim_server.physics.bullet.bullet_contact import (
     make_contact_arguments,
 )
 from zensim.sim_server.physics.bullet.joint_springs import JointSprings, find_joint_springs
+from zensim.sim_server.physics.bullet.pair_friction import (
+    MovingSurface,
+    find_moving_parts,
+    is_loose,
+    list_moving_surfaces,
+    list_slippery_surfaces,
+)
 from zensim.sim_server.physics.bullet.wheel_carriers import list_carriers
-from zensim.sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArray
+from zensim.sim_server.physics.engine import MIN_MASS_KG, FloatArray
+from zensim.sim_server.physics.free_spin import can_precess
 from zensim.sim_server.physics.joint_inertia import find_joint_mobilities
 from zensim.sim_server.physics.link_forces import LinkForce
 
@@ -55,6 +63,10 @@ class BulletBody:
         springs: Of its joints; None without any.
         carriers: Bullet's joint numbers of carriers of wheels.
         mass_kg: Of all parts.
+        moves: Of each part, whether it can move.
+        surfaces: Those that move.
+        slippery: Parts that never move with a friction below 1, and the friction.
+        spinning_moments: Principal moments of a loose body that can precess; else None.
     """
 
     model: Model
@@ -68,6 +80,15 @@ class BulletBody:
     springs: JointSprings | None
     carriers: tuple[int, ...]
     mass_kg: float
+    moves: tuple[bool, ...]
+    surfaces: tuple[MovingSurface, ...]
+    slippery: tuple[tuple[int, float], ...]
+    spinning_moments: Vec3 | None
+
+    @cached_property
+    def has_twins(self) -> bool:
+        """Whether a surface has a twin."""
+        return any(surface.is_twin for surface in self.surfaces)
 
     @cached_property
     def joints(self) -> tuple[int, ...]:
@@ -94,7 +115,16 @@ def make_bullet_body(model: Model, blueprint: Blueprint, loads: Sequence[LinkFor
         springs=find_joint_springs(model, list_moving_joints(blueprint)),
         carriers=list_carriers(blueprint),
         mass_kg=max(blueprint.mass_kg, MIN_MASS_KG),
+        moves=find_moving_parts(blueprint),
+        surfaces=list_moving_surfaces(blueprint),
+        slippery=list_slippery_surfaces(blueprint),
+        spinning_moments=_find_spinning_moments(blueprint),
     )
+
+
+def _find_spinning_moments(blueprint: Blueprint) -> Vec3 | None:
+    moments = list_moments(blueprint.parts[0])
+    return moments if is_loose(blueprint) and can_precess(moments) else None
 
 
 @dataclass(frozen=True)
@@ -372,9 +402,10 @@ def make_dynamics_arguments(
     # Damping is of the whole body; passing it for a link overwrites the root's friction.
     yield -1, BulletArguments(linearDamping=0.0, angularDamping=0.0)
     firmness = find_firmness(blueprint, dt_s)
-    for number, part in enumerate(blueprint.parts, start=-1):
+    parts = zip(blueprint.parts, find_moving_parts(blueprint), strict=True)
+    for number, (part, moves) in enumerate(parts, start=-1):
         arguments = make_contact_arguments(
-            part, dt_s, is_static=blueprint.is_static, firmness=firmness
+            part, dt_s, is_static=blueprint.is_static, moves=moves, firmness=firmness
         )
         if part.joint is not None or (part.parent < 0 and not blueprint.is_static):
             arguments["localInertiaDiagonal"] = list_moments(part)
@@ -384,13 +415,14 @@ def make_dynamics_arguments(
         yield number, arguments
 
 
-def list_moments(part: RigidPart) -> list[float]:
+def list_moments(part: RigidPart) -> Vec3:
     """List the principal moments [kg m^2] of a part; about an axle with its reflected inertia."""
-    moments = [max(moment, MIN_INERTIA) for moment in part.inertia]
+    moments = list(part.moments)
     if part.joint is not None and part.reflected_inertia > 0.0:
         nearest, _ = find_nearest_principal_axis(part, part.joint.axis)
         moments[nearest] = max(moments[nearest], part.reflected_inertia)
-    return moments
+    x, y, z = moments
+    return (x, y, z)
 
 
 def _link_mass(part: RigidPart) -> float:

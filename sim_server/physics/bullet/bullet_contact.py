@@ -34,6 +34,8 @@ SOLVER_ARGUMENTS: BulletArguments = {
     "minimumSolverIslandSize": 1,
     # Without, friction is a square along the world's axes: what slides in x still sticks in y.
     "enableConeFriction": 1,
+    # Two surfaces collide if each is in the other's mask; pybullet's default is one of both.
+    "collisionFilterMode": 0,
     # The cache ignores that a file has changed.
     "enableFileCaching": 0,
 }
@@ -88,6 +90,12 @@ SOFT_SHARE = 1.0
 """The same with more driven wheels, among which the solver's tolerance decides otherwise."""
 RIGID_ERP = 0.08
 """Share of a penetration that a step corrects, where rigid; pybullet's default."""
+BOUNCING_ERP = 0.005
+"""The same of parts that rebound."""
+RIGID_STEP_DAMPING = 1e9
+"""Step damping [N s/m] of rigid contacts that have one."""
+MAX_BOUNCE_THRESHOLD_MPS = 1.0
+"""Bullet has one threshold for all, 0.2 m/s: parts with one above this do not rebound."""
 
 
 def find_firmness(blueprint: Blueprint, dt_s: float) -> float:
@@ -114,7 +122,7 @@ def make_recovery_arguments(mass_kg: float, share: float, dt_s: float) -> Bullet
 
 
 def make_contact_arguments(
-    part: RigidPart, dt_s: float, *, is_static: bool, firmness: float = math.inf
+    part: RigidPart, dt_s: float, *, is_static: bool, moves: bool, firmness: float = math.inf
 ) -> BulletArguments:
     """Make the contact arguments of changeDynamics of a part.
 
@@ -122,6 +130,7 @@ def make_contact_arguments(
         part: Of a body.
         dt_s: Length of a step.
         is_static: Whether the body is.
+        moves: Whether the part can move.
         firmness: See `find_firmness`.
     """
     friction = limit_static_body_friction(part.friction) if is_static else part.friction
@@ -129,7 +138,7 @@ def make_contact_arguments(
         lateralFriction=friction,
         spinningFriction=0.0,
         rollingFriction=0.0,
-        restitution=0.0,
+        restitution=_find_restitution(part.contact, moves=moves),
         contactProcessingThreshold=CONTACT_PROCESSING_M,
     )
     arguments.update(_make_compliance(part.contact, firmness, dt_s))
@@ -138,18 +147,33 @@ def make_contact_arguments(
     return arguments
 
 
+def _find_restitution(contact: Contact, *, moves: bool) -> float:
+    """Find the coefficient of restitution, which Bullet multiplies with that of the other."""
+    if contact.restitution is None:
+        return float(not moves)
+    return contact.restitution if contact.bounce_threshold <= MAX_BOUNCE_THRESHOLD_MPS else 0.0
+
+
 def _make_compliance(contact: Contact, firmness: float, dt_s: float) -> BulletArguments:
     """Make kp and kd: a step yields by force / (kp dt + kd), and corrects kp dt of that sum."""
     stiffness = contact.stiffness
     damping = max(contact.damping, MIN_DAMPING_STEPS * stiffness * dt_s)
     if stiffness == 0.0:
         if firmness == math.inf:
-            return BulletArguments()
+            return _make_bouncing_compliance(dt_s) if contact.restitution else BulletArguments()
         stiffness, damping = RIGID_ERP / dt_s, 1.0 - RIGID_ERP
         scale = firmness
     else:
         scale = min(1.0, firmness / (stiffness * dt_s + damping))
     return BulletArguments(contactStiffness=scale * stiffness, contactDamping=scale * damping)
+
+
+def _make_bouncing_compliance(dt_s: float) -> BulletArguments:
+    """Correct little of the penetration of a rigid contact, which adds to the rebound."""
+    return BulletArguments(
+        contactStiffness=BOUNCING_ERP * RIGID_STEP_DAMPING / dt_s,
+        contactDamping=(1.0 - BOUNCING_ERP) * RIGID_STEP_DAMPING,
+    )
 
 
 def _make_anisotropic_friction(part: RigidPart) -> BulletArguments:

@@ -19,8 +19,8 @@ import numpy as np
 
 from zensim.proto import rigid_transforms
 from zensim.proto.messages.drive_messages import JointTargetKind
-from zensim.proto.messages.model_messages import ZERO, Model
-from zensim.proto.se3 import conjugate, multiply
+from zensim.proto.messages.model_messages import ZERO, Model, Vec3
+from zensim.proto.se3 import conjugate, multiply, rotate
 from zensim.sim_server.physics.actuation import JointMotor, impose_planar_twists
 from zensim.sim_server.physics.blueprint import (
     Blueprint,
@@ -55,6 +55,17 @@ from zensim.sim_server.physics.bullet.bullet_contact import (
     make_recovery_arguments,
 )
 from zensim.sim_server.physics.bullet.joint_springs import JointSprings, SpringTable
+from zensim.sim_server.physics.bullet.pair_friction import (
+    COLLIDE_WITH_ALL,
+    COLLIDE_WITH_NOTHING,
+    NEUTRAL_FRICTIONS,
+    STATIC_FILTER,
+    STATIC_GROUP,
+    CollisionFilter,
+    SlipperyBodies,
+    add_twin_surfaces,
+    find_copy_friction,
+)
 from zensim.sim_server.physics.bullet.wheel_carriers import add_wheel_carriers, list_carriers
 from zensim.sim_server.physics.command_cache import CommandCache
 from zensim.sim_server.physics.engine import (
@@ -69,6 +80,7 @@ from zensim.sim_server.physics.engine import (
     make_contact_points,
 )
 from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.free_spin import find_explicit_torques, find_spinning
 from zensim.sim_server.physics.link_forces import LinkForce, make_link_forces
 
 Vector3Tuple = tuple[float, float, float]
@@ -268,9 +280,6 @@ MAX_PARTS = 128
 VISUAL_HALF_EXTENTS = (0.01, 0.01, 0.01)
 ACTIVATION_ASLEEP = (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVATION_STATE_SLEEP)
 ACTIVATION_AWAKE = (pybullet.ACTIVATION_STATE_WAKE_UP, pybullet.ACTIVATION_STATE_DISABLE_SLEEPING)
-COLLIDE_WITH_NOTHING, COLLIDE_WITH_ALL = (0, 0), (1, -1)  # group, mask
-COLLIDE_WITH_MOVING = (2, ~2)
-"""Bullet's own of the root of a fixed body; it searches contacts between its further parts."""
 ORIGIN_STATE: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
 ORIGIN_POSE = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
@@ -290,13 +299,9 @@ JOINT_TYPES["revolute"] = JOINT_TYPES["continuous"] = pybullet.JOINT_REVOLUTE
 GEOMETRY_TYPES = {kind: getattr(pybullet, f"GEOM_{kind.upper()}") for kind in COLLISION_SHAPE_KINDS}
 
 
-def find_collision_filter(body: BulletBody) -> tuple[int, int]:
-    """Find group and mask of a body; two that never move do not collide."""
-    return COLLIDE_WITH_ALL if can_move(body.model) else COLLIDE_WITH_MOVING
-
-
 def _arrange(blueprint: Blueprint) -> Blueprint:
-    return center_scenery(add_wheel_carriers(order_depth_first(blueprint)))
+    twinned = order_depth_first(add_twin_surfaces(blueprint))
+    return center_scenery(add_wheel_carriers(twinned))
 
 
 class BulletOrigin:
@@ -390,6 +395,14 @@ def _make_refusal(model: Model, error: Exception) -> EngineRefused:
     return EngineRefused(f"model '{model.name}': Bullet cannot create it: {error}")
 
 
+def _set_physics_parameters(client: int, config: EngineConfig) -> None:
+    dt_s = config.step_ns * 1e-9
+    pybullet.setPhysicsEngineParameter(
+        fixedTimeStep=dt_s, **SOLVER_ARGUMENTS, physicsClientId=client
+    )
+    pybullet.setGravity(*config.gravity, physicsClientId=client)
+
+
 def _make_blueprint_cache(config: EngineConfig) -> BlueprintCache:
     return BlueprintCache(
         PyBulletEngine.name,
@@ -426,6 +439,8 @@ class PyBulletEngine(Engine):
         self._twists: dict[int, list[float]] = {}
         self._resisting: set[int] = set()
         self._loads: dict[int, Sequence[LinkForce]] = {}
+        self._spinning: dict[int, Vec3] = {}
+        """Bodies that may precess, and their moments."""
         self._springs: dict[int, JointSprings] = {}
         self._spring_table: SpringTable | None = None
         self._pending_velocities: dict[int, tuple[FloatArray, FloatArray]] = {}
@@ -433,16 +448,14 @@ class PyBulletEngine(Engine):
         self._recovering: dict[int, float] = {}
         """Bodies that overlap others deeply, and the share of it that a step corrects."""
         self._gravity = config.gravity
-        self._dt_s = dt_s = config.step_ns * 1e-9
+        self._dt_s = config.step_ns * 1e-9
         self._com_frames = ComFrames()
         self._commands = CommandCache(self._find_width)
-        pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=dt_s, **SOLVER_ARGUMENTS, physicsClientId=client
-        )
-        pybullet.setGravity(*config.gravity, physicsClientId=client)
+        _set_physics_parameters(client, config)
         self._visual = pybullet.createVisualShape(
             pybullet.GEOM_BOX, halfExtents=VISUAL_HALF_EXTENTS, physicsClientId=client
         )
+        self._slippery = SlipperyBodies()
         self._ground = self._add_ground(config.ground_friction) if config.has_ground else None
 
     def __getstate__(self) -> dict[str, object]:
@@ -470,8 +483,7 @@ class PyBulletEngine(Engine):
             self._set_recovery(body, self._recovering.get(body, RIGID_ERP))
         parked = self._pool.list_parked()
         for body, known in (*self._bodies.items(), *parked.items()):
-            filters = COLLIDE_WITH_NOTHING if body in parked else find_collision_filter(known)
-            self._set_collision_filter(body, known, *filters)
+            self._set_collision_filter(body, known, collides=body not in parked)
         twists = dict(self._twists)
         for body, known in self._bodies.items():
             self._actuate(body, self._commands.find(body, known.actuation.width))
@@ -514,7 +526,8 @@ class PyBulletEngine(Engine):
         if body in self._recovering:
             self._set_recovery(body, RIGID_ERP)
         known = self._bodies.pop(body)
-        for table in (self._twists, self._loads, self._pending_velocities):
+        self._remove_copies(body)
+        for table in (self._twists, self._loads, self._spinning, self._pending_velocities):
             table.pop(body, None)
         self._joint_efforts.pop(body, None)
         self._forget_springs(body)
@@ -529,16 +542,17 @@ class PyBulletEngine(Engine):
         """See `Engine.hide`; not with gears, which would wake it."""
         if not (known := self._bodies[body]).gears:
             self._loads.pop(body, None)
+            self._spinning.pop(body, None)
             self._forget_springs(body)
-            self._set_collision_filter(body, known, *COLLIDE_WITH_NOTHING)
+            self._remove_copies(body)
+            self._set_collision_filter(body, known, collides=False)
             self._set_activation([body], ACTIVATION_ASLEEP)
 
     def show(self, bodies: Sequence[int]) -> None:
         """See `Engine.show`."""
         self._set_activation(bodies, ACTIVATION_AWAKE)
         for body in bodies:
-            known = self._bodies[body]
-            self._set_collision_filter(body, known, *find_collision_filter(known))
+            self._set_collision_filter(body, known := self._bodies[body], collides=True)
             self._register(body, known)
 
     def sleep(self, bodies: Sequence[int]) -> None:
@@ -553,8 +567,12 @@ class PyBulletEngine(Engine):
 
     def find_contacts(self, body: int) -> Sequence[int]:
         """See `Engine.find_contacts`."""
-        points = pybullet.getContactPoints(body, physicsClientId=self._client) or ()
-        return sorted({point[2] for point in points} & self._bodies.keys() - {body})
+        touching = {
+            self._slippery.find_original(point[2])
+            for number in (body, *self._slippery.list_copies(body))
+            for point in pybullet.getContactPoints(number, physicsClientId=self._client) or ()
+        }
+        return sorted(touching & self._bodies.keys() - {body})
 
     def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
         """See `Engine.read_contacts`."""
@@ -565,6 +583,8 @@ class PyBulletEngine(Engine):
         # and many calls take longer.
         for point in pybullet.getContactPoints(physicsClientId=self._client) or ():
             _, one, other, one_part, other_part, _, _, _, distance, push, *_ = point
+            if self._slippery.originals:
+                one, other = map(self._slippery.find_original, (one, other))
             if (distance > 0.0 and push <= 0.0) or watched.isdisjoint((one, other)):
                 continue
             sides = self._identify(one, one_part), self._identify(other, other_part)
@@ -677,6 +697,10 @@ class PyBulletEngine(Engine):
             body, position, orientation, physicsClientId=self._client
         )
         self._set_velocity(body, state[7:])
+        for copied in self._slippery.list_copies(body):
+            pybullet.resetBasePositionAndOrientation(
+                copied, position, orientation, physicsClientId=self._client
+            )
         if (pending := self._pending_velocities.get(body)) is not None:
             self._pending_velocities[body] = state[7:], pending[1]
 
@@ -713,6 +737,8 @@ class PyBulletEngine(Engine):
         if self._twists:
             self._impose_twists()
         self._apply_loads()
+        if self._spinning:
+            self._apply_gyroscopic_torques()
         if self._springs:
             self._apply_springs()
         for body, efforts in self._joint_efforts.items():
@@ -775,6 +801,9 @@ class PyBulletEngine(Engine):
         self._com_frames.add(body, blueprint.parts[0])
         for link, arguments in recipe.dynamics:
             pybullet.changeDynamics(body, link, **arguments, physicsClientId=self._client)
+        if blueprint.is_static and any(recipe.body.moves):
+            # Bullet takes the links of a fixed root as static.
+            self._set_collision_filter(body, recipe.body, collides=True)
         for arguments in recipe.motors:
             pybullet.setJointMotorControl2(body, **arguments, physicsClientId=self._client)
         gears = [
@@ -788,7 +817,8 @@ class PyBulletEngine(Engine):
 
     def _discard(self, body: int) -> None:
         """Remove a body that could not be completed, and its constraints with it."""
-        for table in (self._bodies, self._twists, self._loads):
+        self._remove_copies(body)
+        for table in (self._bodies, self._twists, self._loads, self._spinning):
             table.pop(body, None)
         self._joint_efforts.pop(body, None)
         self._forget_springs(body)
@@ -802,8 +832,14 @@ class PyBulletEngine(Engine):
 
     def _register(self, body: int, known: BulletBody) -> None:
         self._bodies[body] = known
+        if known.slippery:
+            self._add_slippery(body, known.slippery)
+        elif known.has_twins or self._slippery.surfaces:
+            self._filter_surfaces(body, known)
         if known.loads:
             self._loads[body] = known.loads
+        if known.spinning_moments is not None:
+            self._spinning[body] = known.spinning_moments
         if known.springs is not None:
             self._springs[body] = known.springs
             self._spring_table = None
@@ -824,14 +860,86 @@ class PyBulletEngine(Engine):
 
     def _park(self, body: int, known: BulletBody) -> None:
         """Move a body to the pool, asleep unless it belongs to those kept awake."""
-        self._set_collision_filter(body, known, *COLLIDE_WITH_NOTHING)
+        self._set_collision_filter(body, known, collides=False)
         self.set_base_state(body, self._pool.park(body, known))
         self._set_activation(self._pool.add_awake(body), ACTIVATION_ASLEEP)
 
-    def _set_collision_filter(self, body: int, known: BulletBody, group: int, mask: int) -> None:
-        client = self._client
-        for part in range(-1, known.parts):
-            pybullet.setCollisionFilterGroupMask(body, part, group, mask, physicsClientId=client)
+    def _set_collision_filter(self, body: int, known: BulletBody, *, collides: bool) -> None:
+        for part, moves in enumerate(known.moves, start=-1):
+            common = COLLIDE_WITH_ALL if moves else STATIC_FILTER
+            self._set_part_filter(body, part, common if collides else COLLIDE_WITH_NOTHING)
+        if collides and body in self._slippery.surfaces:
+            self._mask_copied(body)
+        elif collides and (known.has_twins or self._slippery.surfaces):
+            self._filter_surfaces(body, known)
+
+    def _set_part_filter(self, body: int, part: int, chosen: CollisionFilter) -> None:
+        pybullet.setCollisionFilterGroupMask(body, part, *chosen, physicsClientId=self._client)
+
+    def _filter_surfaces(self, body: int, known: BulletBody) -> None:
+        """Set the filters of moving surfaces; where there are slippery bodies, by friction."""
+        if self._slippery.surfaces:
+            new = self._slippery.groups.add(known.surfaces)
+            for static in list(self._slippery.surfaces) if new else ():
+                self._copy_for_groups(static, new)
+        for surface in known.surfaces:
+            if surface.is_twin or surface.friction not in NEUTRAL_FRICTIONS:
+                chosen = self._slippery.groups.find_filter(surface)
+                self._set_part_filter(body, surface.part, chosen)
+
+    def _add_slippery(self, body: int, surfaces: tuple[tuple[int, float], ...]) -> None:
+        """Copy a static body with a friction below 1 for all frictions of moving surfaces."""
+        is_first = not self._slippery.surfaces
+        self._slippery.surfaces[body] = surfaces
+        self._slippery.copies[body] = {}
+        self._copy_for_groups(body, self._slippery.groups.list_frictions())
+        if is_first:
+            for moving, known in list(self._bodies.items()):
+                if known.surfaces:
+                    self._filter_surfaces(moving, known)
+
+    def _copy_for_groups(self, body: int, groups: Mapping[int, float]) -> None:
+        for group, friction in groups.items():
+            copied = self._copy_static(body, group, friction)
+            self._slippery.copies[body][group] = copied
+            self._slippery.originals[copied] = body
+        self._mask_copied(body)
+
+    def _copy_static(self, body: int, group: int, moving: float) -> int:
+        """Copy a static body for moving surfaces of one friction."""
+        slippery = dict(self._slippery.surfaces[body])
+        if body not in self._bodies:
+            copied = self._make_plane()
+            pybullet.changeDynamics(copied, -1, restitution=1.0, physicsClientId=self._client)
+            parts: Iterable[int] = (-1,)
+        else:
+            recipe = self._find_recipe(self._bodies[body].model)
+            copied, parts = self._create(recipe, ORIGIN_STATE), range(-1, recipe.body.parts)
+            for part, arguments in recipe.dynamics:
+                pybullet.changeDynamics(copied, part, **arguments, physicsClientId=self._client)
+            frames = pybullet.getBasePositionAndOrientation(body, physicsClientId=self._client)
+            pybullet.resetBasePositionAndOrientation(copied, *frames, physicsClientId=self._client)
+        for part in parts:
+            if part not in slippery:
+                self._set_part_filter(copied, part, COLLIDE_WITH_NOTHING)
+                continue
+            friction = find_copy_friction(slippery[part], moving)
+            pybullet.changeDynamics(
+                copied, part, lateralFriction=friction, physicsClientId=self._client
+            )
+            self._set_part_filter(copied, part, (STATIC_GROUP, group))
+        self._set_activation([copied], ACTIVATION_ASLEEP)
+        return copied
+
+    def _mask_copied(self, body: int) -> None:
+        """Let the copies of a static body collide in its place."""
+        mask = ~(STATIC_GROUP | sum(self._slippery.copies[body]))
+        for part, _ in self._slippery.surfaces[body]:
+            self._set_part_filter(body, part, (STATIC_GROUP, mask))
+
+    def _remove_copies(self, body: int) -> None:
+        for copied in self._slippery.forget(body):
+            self._remove_body(copied)
 
     def _set_activation(self, bodies: Sequence[int], states: tuple[int, int]) -> None:
         (self._asleep.update if states is ACTIVATION_ASLEEP else self._asleep.difference_update)(
@@ -846,7 +954,7 @@ class PyBulletEngine(Engine):
             self._pending_velocities[body] = np.zeros(6), np.zeros(len(known.joints))
         elif (next_awake := self._pool.wake_next(known.model)) is not None:
             self._set_activation([next_awake], ACTIVATION_AWAKE)
-        self._set_collision_filter(body, known, *find_collision_filter(known))
+        self._set_collision_filter(body, known, collides=True)
         self._register(body, known)
         self.set_at_rest(body, base)
         return body
@@ -931,6 +1039,24 @@ class PyBulletEngine(Engine):
                 wrench = load.wrench(orientation, velocity)
                 self._apply_wrench(body, load.part, position, *wrench)
 
+    def _apply_gyroscopic_torques(self) -> None:
+        bodies = [body for body in self._spinning if body not in self._asleep]
+        client, read = self._client, pybullet.getBaseVelocity
+        spins = np.array([read(body, client)[1] for body in bodies]).reshape(-1, 3)
+        found = np.flatnonzero(find_spinning(spins, self._dt_s)).tolist()
+        if not found:
+            return
+        chosen = [bodies[row] for row in found]
+        moments = np.array([self._spinning[body] for body in chosen])
+        read_pose = pybullet.getBasePositionAndOrientation
+        turns = np.array([read_pose(body, client)[1] for body in chosen])
+        own = rotate(conjugate(turns), spins[found])
+        torques = rotate(turns, find_explicit_torques(moments, own, self._dt_s))
+        for body, torque in zip(chosen, torques.tolist(), strict=True):
+            pybullet.applyExternalTorque(
+                body, -1, torque, pybullet.WORLD_FRAME, physicsClientId=client
+            )
+
     def _forget_springs(self, body: int) -> None:
         if self._springs.pop(body, None) is not None:
             self._spring_table = None
@@ -979,12 +1105,23 @@ class PyBulletEngine(Engine):
     def _is_finite(self, body: int) -> bool:
         return math.isfinite(pybullet.getBaseVelocity(body, physicsClientId=self._client)[0][0])
 
-    def _add_ground(self, friction: float) -> int:
+    def _make_plane(self) -> int:
         plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
         # Without a visual shape Bullet tessellates the plane: 6 MB and 10 ms.
-        ground = pybullet.createMultiBody(0.0, plane, self._visual, physicsClientId=self._client)
-        friction = limit_static_body_friction(friction)
-        pybullet.changeDynamics(ground, -1, lateralFriction=friction, physicsClientId=self._client)
+        body = pybullet.createMultiBody(0.0, plane, self._visual, physicsClientId=self._client)
+        return int(body)
+
+    def _add_ground(self, friction: float) -> int:
+        ground = self._make_plane()
+        pybullet.changeDynamics(
+            ground,
+            -1,
+            lateralFriction=limit_static_body_friction(friction),
+            restitution=1.0,
+            physicsClientId=self._client,
+        )
+        if friction < 1.0:
+            self._add_slippery(ground, ((-1, friction),))
         # Contacts between sleeping bodies and a sleeping ground are not searched.
         self._set_activation([ground], ACTIVATION_ASLEEP)
         for _ in range(2):  # until it sleeps

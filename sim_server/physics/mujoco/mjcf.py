@@ -203,10 +203,9 @@ def _write_body(archetype: Archetype, link: int, names: MeshPieceNames, dt_s: fl
 
 
 def _write_inertial(part: RigidPart) -> str:
-    moments = [max(moment, MIN_INERTIA) for moment in part.inertia]
     pose = _pose_attributes(Origin(part.com, part.principal))
     mass = max(part.mass_kg, MIN_MASS_KG)
-    return f'<inertial {pose} mass="{mass!r}" diaginertia="{_join_numbers(moments)}"/>'
+    return f'<inertial {pose} mass="{mass!r}" diaginertia="{_join_numbers(part.moments)}"/>'
 
 
 def _write_joint(archetype: Archetype, link: int, dt_s: float) -> str:

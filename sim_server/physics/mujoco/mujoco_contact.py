@@ -38,6 +38,8 @@ MIN_FRICTION = 1e-5
 """MuJoCo's least friction along a tangent."""
 MIN_LEVEL_AXIS = 0.1
 """Length on the plane of contact from which an axis of friction has an effect."""
+MIN_REBOUND_MPS = 0.05
+"""Least speed of an impact that rebounds: what rests is hit by gravity in each step."""
 FRICTION_CONDIM = 3
 """Rows of a contact with friction: normal, and two tangents."""
 TANGENTS = 2
@@ -259,6 +261,67 @@ def _has_two_frictions(part: RigidPart) -> bool:
     return any(part.contact.direction) and max(part.friction, part.contact.friction_across) > 0.0
 
 
+@dataclass(frozen=True)
+class Rebounds:
+    """Coefficients of restitution of geometries; of a pair, the lesser counts.
+
+    Attributes:
+        coefficients: (geometries,) infinite where that of the other counts.
+        thresholds: (geometries,) speeds [m/s] up to which nothing rebounds.
+        dt_s: Length of a step.
+    """
+
+    coefficients: FloatArray
+    thresholds: FloatArray
+    dt_s: float
+
+    def apply(
+        self, wanted: FloatArray, velocities: FloatArray, contacts: MjContacts, rows: FloatArray
+    ) -> None:
+        """Let impacts rebound, before rows are solved.
+
+        MuJoCo has no coefficient: the wish of a normal becomes the acceleration that reverses its
+        speed within the step, and what `limit_penetration_recovery` will take from it.
+
+        Args:
+            wanted: Reference acceleration of each row; changed.
+            velocities: Of each row.
+            contacts: In MuJoCo's order.
+            rows: (n, 4) stiffness, damping, impedance and its slope of each row.
+        """
+        pairs = self.coefficients[contacts.geom].min(axis=1)
+        found = np.flatnonzero((pairs > 0.0) & (contacts.efc_address >= 0))
+        normals = contacts.efc_address[found]
+        speeds = -velocities[normals]
+        least = np.maximum(self.thresholds[contacts.geom[found]].min(axis=1), MIN_REBOUND_MPS)
+        hits = speeds > least
+        normals, found = normals[hits], found[hits]
+        change = (1.0 + pairs[found]) * speeds[hits] / self.dt_s
+        wanted[normals] = change / rows[normals, 2]
+        wanted[normals] += _find_excess_pushes(contacts.dist[found], rows[normals], self.dt_s)
+
+
+def make_rebounds(
+    parts: Iterable[tuple[int, RigidPart]], is_fixed: npt.NDArray[np.bool_], dt_s: float
+) -> Rebounds | None:
+    """Make the rebounds of a model; None if nothing rebounds.
+
+    Args:
+        parts: Index of each geometry, and its part.
+        is_fixed: (geometries,) whether it never moves.
+        dt_s: Length of a step.
+    """
+    coefficients = np.where(is_fixed, np.inf, 0.0)
+    thresholds = np.full(len(is_fixed), np.inf)
+    for geometry, part in parts:
+        if part.contact.restitution is not None:
+            coefficients[geometry] = part.contact.restitution
+            thresholds[geometry] = part.contact.bounce_threshold
+    if not (coefficients[~is_fixed] > 0.0).any():
+        return None
+    return Rebounds(coefficients, thresholds, dt_s)
+
+
 def is_deep(depths: FloatArray, dt_s: float) -> bool:
     """Whether the recovery of a penetration among some depths (n,) is limited."""
     return bool(depths.min(initial=0.0) * RIGID_ERP < -MAX_PENETRATION_RECOVERY_MPS * dt_s)
@@ -291,8 +354,13 @@ def limit_penetration_recovery(
     if is_deep(depths, dt_s):
         is_solved = addresses >= 0
         rows = addresses[is_solved]
-        pushes = -parameters[rows, 0] * parameters[rows, 2] * depths[is_solved]
-        wanted[rows] -= np.maximum(pushes - MAX_PENETRATION_RECOVERY_MPS / dt_s, 0.0)
+        wanted[rows] -= _find_excess_pushes(depths[is_solved], parameters[rows], dt_s)
+
+
+def _find_excess_pushes(depths: FloatArray, parameters: FloatArray, dt_s: float) -> FloatArray:
+    """Find by how much the push out of each penetration is too large [m/s^2]."""
+    pushes = -parameters[:, 0] * parameters[:, 2] * depths
+    return np.asarray(np.maximum(pushes - MAX_PENETRATION_RECOVERY_MPS / dt_s, 0.0))
 
 
 @dataclass(frozen=True)

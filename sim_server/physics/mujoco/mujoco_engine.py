@@ -38,6 +38,11 @@ from zensim.sim_server.physics.engine import (
     make_unknown_efforts,
 )
 from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.free_spin import (
+    can_precess,
+    find_implicit_torques,
+    find_spinning,
+)
 from zensim.sim_server.physics.link_forces import LinkForce, make_link_forces
 from zensim.sim_server.physics.mujoco.convex_pieces import load_convex_pieces
 from zensim.sim_server.physics.mujoco.mjcf import (
@@ -51,11 +56,13 @@ from zensim.sim_server.physics.mujoco.mjcf import (
 from zensim.sim_server.physics.mujoco.mujoco_contact import (
     FrictionAxes,
     LiftIteration,
+    Rebounds,
     find_sliding_rows,
     is_deep,
     limit_penetration_recovery,
     make_contact_parameters,
     make_friction_axes,
+    make_rebounds,
     may_slide,
     predict_lifts,
     read_contact_points,
@@ -417,6 +424,37 @@ def make_link_force_arrays(loads: Iterable[tuple[int, LinkForce]]) -> LinkForceA
 
 
 @dataclass(frozen=True)
+class SpinningBodies:
+    """Loose bodies that can precess.
+
+    Attributes:
+        bodies: (n,) their indexes.
+        moments: (n, 3) principal.
+    """
+
+    bodies: IndexArray
+    moments: FloatArray
+
+    def apply_torques(self, data: MjBodyMotions, dt_s: float) -> bool:
+        """Add the torques of the next step; return whether there are any."""
+        velocities = data.cvel[self.bodies, :3]
+        found = np.flatnonzero(find_spinning(velocities, dt_s))
+        if not len(found):
+            return False
+        bodies = self.bodies[found]
+        rotations = data.ximat[bodies].reshape(-1, 3, 3)
+        spins = _rotate_each(rotations.transpose(0, 2, 1), velocities[found])
+        torques = find_implicit_torques(self.moments[found], spins, dt_s)
+        data.xfrc_applied[bodies, 3:] += _rotate_each(rotations, torques)
+        return True
+
+
+def _rotate_each(rotations: FloatArray, vectors: FloatArray) -> FloatArray:
+    x, y, z = vectors.T[:, :, None]
+    return np.asarray(rotations[:, :, 0] * x + rotations[:, :, 1] * y + rotations[:, :, 2] * z)
+
+
+@dataclass(frozen=True)
 class StepInputs:
     """Indexes of all that a step has to set.
 
@@ -426,6 +464,7 @@ class StepInputs:
         pushed: Indexes in qvel of controlled joints that get an effort.
         twisted_roots: Roots with a planar twist.
         link_forces: Gravity compensation and damping.
+        spinning: Loose bodies that can precess.
     """
 
     motors: IndexArray
@@ -434,6 +473,7 @@ class StepInputs:
     pushed: IndexArray
     twisted_roots: StateGather
     link_forces: LinkForceArrays
+    spinning: SpinningBodies
 
     def speeds(self, targets: ActuatorTargets, qpos: FloatArray, dt_s: float) -> FloatArray:
         """Find the target speed of each motor in this step; 0 for joints with friction only."""
@@ -492,6 +532,20 @@ def make_step_inputs(
             for body in bodies
             for load in body.loads
         ),
+        _find_spinning_bodies(bodies),
+    )
+
+
+def _find_spinning_bodies(bodies: Iterable[MujocoBody]) -> SpinningBodies:
+    found = []
+    for body in bodies:
+        parts = body.archetype.link_parts
+        moments = parts[0].moments
+        if body.address.is_free and len(parts) == 1 and can_precess(moments):
+            found.append((body.address.start.bodies, moments))
+    return SpinningBodies(
+        np.array([index for index, _ in found], np.intp),
+        np.array([moments for _, moments in found]).reshape(-1, 3),
     )
 
 
@@ -552,6 +606,7 @@ class CompiledModel:
     model: mujoco.MjModel
     layout: ModelLayout
     friction_axes: FrictionAxes | None
+    rebounds: Rebounds | None
 
     @cached_property
     def most_friction(self) -> float:
@@ -980,6 +1035,8 @@ class MujocoEngine(Engine):
         self._solved_motors = inputs.motors
         if len(inputs.link_forces):
             inputs.link_forces.apply(data, model.body_rootid)
+        if len(inputs.spinning.bodies):
+            self._has_loads |= inputs.spinning.apply_torques(data, self._dt_s)
         return inputs
 
     def replicate(self, bodies: Sequence[int], count: int) -> EngineReplicas:
@@ -1138,7 +1195,10 @@ class MujocoEngine(Engine):
         self._is_sleep_changed = False
 
     def _make_constraints(self) -> None:
-        """Find the contacts and make the rows; again where a contact has two frictions."""
+        """Find the contacts and make the rows; again where a contact has two frictions.
+
+        Impacts of what rebounds get their wish here.
+        """
         if self._is_sleep_changed:
             self._update_sleep()
         model, data, axes = self._model, self._data, self._compiled.friction_axes
@@ -1147,6 +1207,8 @@ class MujocoEngine(Engine):
             mujoco.mj_makeConstraint(model, data)
             mujoco.mj_island(model, data)
             mujoco.mj_referenceConstraint(model, data)
+        if (rebounds := self._compiled.rebounds) is not None and data.ncon:
+            rebounds.apply(data.efc_aref, data.efc_vel, data.contact, data.efc_KBIP)
 
     def _solve_contacts(self) -> None:
         """Solve and integrate; again while contacts slide otherwise than assumed."""
@@ -1645,7 +1707,9 @@ def _compile_model(counts: SlotCounts, config: EngineConfig) -> CompiledModel:
         model.geom_friction[:, 0],
         model.geom_priority,
     )
-    return CompiledModel(model, layout, axes)
+    is_fixed = model.body_weldid[model.geom_bodyid] == 0
+    surfaces = ((geometry, part) for geometry, part, _ in layout.geometries())
+    return CompiledModel(model, layout, axes, make_rebounds(surfaces, is_fixed, dt_s))
 
 
 def _set_contact_parameters(model: mujoco.MjModel, layout: ModelLayout, dt_s: float) -> None:

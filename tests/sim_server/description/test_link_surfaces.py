@@ -239,3 +239,43 @@ def test_decay_rate_is_finite() -> None:
     assert to_decay_rate(0.0) == 0.0
     assert 1e4 < to_decay_rate(1.0) == to_decay_rate(5.0) < 1e5
     assert SurfaceParameters().apply_to_shape(Shape("box", origin=Origin())) == Shape("box")
+
+
+@pytest.mark.parametrize(
+    ("texts", "restitution", "threshold"),
+    [
+        ({"restitution_coefficient": "0.8", "threshold": "0.1"}, 0.8, 0.1),
+        ({"restitution_coefficient": "0.8"}, 0.8, 0.0),
+        ({"restitution_coefficient": "0.8", "threshold": "100000"}, 0.0, 0.0),
+        ({"restitution_coefficient": "3"}, 1.0, 0.0),
+        ({"restitution_coefficient": "0"}, 0.0, 0.0),
+        ({"restitution_coefficient": "-1"}, None, 0.0),
+        ({"threshold": "1"}, None, 0.0),
+    ],
+)
+def test_restitution_is_read_with_its_threshold(
+    texts: dict[str, str], restitution: float | None, threshold: float
+) -> None:
+    contact = read(**texts)[0].contact
+
+    assert (contact.restitution, contact.bounce_threshold) == (restitution, threshold)
+
+
+def test_surface_of_a_collision_block_of_urdf_is_that_of_sdf() -> None:
+    bounce = (
+        "<bounce><restitution_coefficient>0.5</restitution_coefficient>"
+        "<threshold>0.2</threshold></bounce>"
+    )
+    friction = "<friction><ode><mu>0.3</mu></ode></friction>"
+    surface = f"<surface>{bounce}{friction}</surface>"
+    block = f"<collision>{surface}<max_contacts>3</max_contacts></collision>"
+
+    model = read_urdf(a_robot(a_link("a", an_inertial() + a_collision()), a_reference("a", block)))
+
+    shape = model.links[0].collisions[0]
+    assert (shape.friction, shape.contact.restitution, shape.contact.bounce_threshold) == (
+        0.3,
+        0.5,
+        0.2,
+    )
+    assert "gazebo 'a': <collision>, <max_contacts>" in subjects(model.report, "ignored")

@@ -198,6 +198,25 @@ def test_impossible_moments_are_reported(inertial: str, noted: int) -> None:
     assert len(subjects(report_of(a_robot(a_link("a", inertial))), "suspicious")) == noted
 
 
+@pytest.mark.parametrize(
+    ("written", "used"),
+    [
+        ((1.0, 1.0, 3.0), (4.0 / 3.0, 4.0 / 3.0, 8.0 / 3.0)),
+        ((1.0, 1.0, -1.0), (1.0, 1.0, 0.0)),
+        ((-1.0, -1.0, -1.0), (0.0, 0.0, 0.0)),
+        ((0.0, 0.0, 2.0), (2.0 / 3.0, 2.0 / 3.0, 4.0 / 3.0)),
+    ],
+)
+def test_impossible_moments_become_the_nearest_of_a_body(
+    written: tuple[float, float, float], used: tuple[float, float, float]
+) -> None:
+    model = read_urdf(a_robot(a_link("a", moments(*written))))
+
+    ixx, ixy, ixz, iyy, iyz, izz = model.links[0].inertial.inertia
+    assert (ixx, iyy, izz) == pytest.approx(used, abs=1e-9)
+    assert (ixy, ixz, iyz) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+
+
 def test_massless_moving_links_are_reported() -> None:
     text = a_robot(a_link("a"), a_link("b"), a_joint("j", ("a", "b"), "continuous"))
 

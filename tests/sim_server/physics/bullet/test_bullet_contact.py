@@ -46,7 +46,7 @@ def a_part(contact: Contact = RIGID, friction: float = 0.5) -> RigidPart:
 
 
 def test_rigid_part_has_its_friction_and_nothing_else() -> None:
-    arguments = make_contact_arguments(a_part(), DT_S, is_static=False)
+    arguments = make_contact_arguments(a_part(), DT_S, is_static=False, moves=True)
 
     assert arguments == {
         "lateralFriction": 0.5,
@@ -59,14 +59,16 @@ def test_rigid_part_has_its_friction_and_nothing_else() -> None:
 
 @pytest.mark.parametrize(("damping", "used"), [(1.0, 16.0), (100.0, 100.0)])
 def test_compliant_part_has_the_least_damping(damping: float, used: float) -> None:
-    arguments = make_contact_arguments(a_part(Contact(1000.0, damping)), DT_S, is_static=False)
+    arguments = make_contact_arguments(
+        a_part(Contact(1000.0, damping)), DT_S, is_static=False, moves=True
+    )
 
     assert arguments["contactStiffness"] == 1000.0
     assert arguments["contactDamping"] == pytest.approx(used)
 
 
 def test_rigid_part_of_a_robot_yields_by_its_firmness() -> None:
-    arguments = make_contact_arguments(a_part(), DT_S, is_static=False, firmness=100.0)
+    arguments = make_contact_arguments(a_part(), DT_S, is_static=False, moves=True, firmness=100.0)
 
     kp, kd = arguments["contactStiffness"], arguments["contactDamping"]
     assert kp * DT_S + kd == pytest.approx(100.0)
@@ -77,7 +79,9 @@ def test_rigid_part_of_a_robot_yields_by_its_firmness() -> None:
 def test_compliant_part_yields_at_least_by_the_firmness(firmness: float, scale: float) -> None:
     soft = Contact(500.0 / DT_S / 5.0, 900.0)
 
-    arguments = make_contact_arguments(a_part(soft), DT_S, is_static=False, firmness=firmness)
+    arguments = make_contact_arguments(
+        a_part(soft), DT_S, is_static=False, moves=True, firmness=firmness
+    )
 
     assert arguments["contactStiffness"] == pytest.approx(scale * soft.stiffness)
     assert arguments["contactDamping"] == pytest.approx(scale * 900.0)
@@ -100,7 +104,7 @@ def test_frictions_of_two_directions_are_shares_of_the_greater(
 ) -> None:
     contact = Contact(direction=(1.0, 0.0, 0.0), friction_across=across)
 
-    arguments = make_contact_arguments(a_part(contact, along), DT_S, is_static=False)
+    arguments = make_contact_arguments(a_part(contact, along), DT_S, is_static=False, moves=True)
 
     assert arguments["lateralFriction"] == most
     assert arguments["anisotropicFriction"] == pytest.approx(shares)
@@ -110,11 +114,15 @@ def test_frictions_of_two_directions_are_shares_of_the_greater(
 def test_friction_of_static_bodies_is_limited(written: float, used: float) -> None:
     assert limit_static_body_friction(written) == used
     assert (
-        make_contact_arguments(a_part(friction=written), DT_S, is_static=True)["lateralFriction"]
+        make_contact_arguments(a_part(friction=written), DT_S, is_static=True, moves=False)[
+            "lateralFriction"
+        ]
         == used
     )
     assert (
-        make_contact_arguments(a_part(friction=written), DT_S, is_static=False)["lateralFriction"]
+        make_contact_arguments(a_part(friction=written), DT_S, is_static=False, moves=True)[
+            "lateralFriction"
+        ]
         == written
     )
 
