@@ -31,6 +31,7 @@ from zensim.sim_server.description.plugins.wheel_guess import (
 if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Model
     from zensim.sim_server.description.joint_reduction import LumpedModel
+    from zensim.sim_server.description.motion_prediction import PredictedMotion
     from zensim.sim_server.description.report import ParseReport
 
 PLANAR = DriveOrder("planar")
@@ -132,7 +133,7 @@ def try_drive(model: Model, order: DriveOrder, lumped: LumpedModel) -> TriedDriv
     try:
         drive = make_drive(order, lumped)
     except UnusableDrive:
-        return None
+        drive = None
     if drive is None:
         return None
     driven = msgspec.structs.replace(model, drive=drive, joints=lumped.joints)
@@ -146,13 +147,14 @@ def try_drive(model: Model, order: DriveOrder, lumped: LumpedModel) -> TriedDriv
             turn = predict_motion(driven, turn_command(drive), friction)
     except (ArithmeticError, np.linalg.LinAlgError):
         return TriedDrive(order, None, None)
+    return _judge(order, straight, turn)
+
+
+def _judge(order: DriveOrder, straight: PredictedMotion, turn: PredictedMotion) -> TriedDrive:
     motions = (straight, turn)
     if not all(one.ground.rest.is_stable and one.ground.motion.is_converged for one in motions):
         return TriedDrive(order, None, None)
-    if abs(straight.twist[2]) > MAX_DRIFT_RAD_S:
+    if abs(straight.twist[2]) > MAX_DRIFT_RAD_S or not (straight.nominal[0] and turn.nominal[2]):
         return TriedDrive(order, 0.0, 0.0)
-    return TriedDrive(
-        order,
-        straight.twist[0] / straight.nominal[0] if straight.nominal[0] else 0.0,
-        turn.twist[2] / turn.nominal[2] if turn.nominal[2] else 0.0,
-    )
+    speed, rate = straight.twist[0] / straight.nominal[0], turn.twist[2] / turn.nominal[2]
+    return TriedDrive(order, speed, rate)

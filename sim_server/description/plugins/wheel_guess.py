@@ -387,7 +387,9 @@ def _is_mecanum(joints: Sequence[str], lumped: LumpedModel, name: str) -> bool:
     if any(word in one.lower() for one in words for word in MECANUM_WORDS):
         return True
     return all(
-        any(_is_oblique(shape.contact.direction, links[link.name].axis) for shape in link.collisions)
+        any(
+            _is_oblique(shape.contact.direction, links[link.name].axis) for shape in link.collisions
+        )
         for link in lumped.links
         if link.name in links
     )
