@@ -14,8 +14,14 @@ import numpy as np
 
 from zensim.proto.messages.drive_messages import DiffDrive, SteeringDrive
 from zensim.proto.messages.model_messages import ReportEntry
+from zensim.proto.rigid_transforms import rotate
 from zensim.sim_server.description.ground_friction import GroundFriction, GroundMotion
-from zensim.sim_server.description.model_geometry import FALL, NO_MESHES, falls_without_end
+from zensim.sim_server.description.model_geometry import (
+    FALL,
+    NO_MESHES,
+    falls_without_end,
+    find_link_poses,
+)
 from zensim.sim_server.description.motion_prediction import (
     STRAIGHT,
     PredictedMotion,
@@ -27,6 +33,7 @@ from zensim.sim_server.description.motion_prediction import (
     predict_motion,
     turn_command,
 )
+from zensim.sim_server.description.plugins.drive_plugin import MAX_BACKWARD_AXIS_Y
 from zensim.sim_server.description.rest_pose import MAX_TILT_RAD
 
 if TYPE_CHECKING:
@@ -116,7 +123,10 @@ def _list_lines(case: _Case, motions: tuple[PredictedMotion, ...]) -> Iterator[s
     yield from _describe_rest(case.model, straight.ground)
     if all(one.ground.motion.is_converged for one in motions):
         for turn in turns:
-            yield from _describe_motions(case, straight, turn)
+            if line := _describe_reversed(case.model):
+                yield line
+            else:
+                yield from _describe_motions(case, straight, turn)
     elif turns:
         where = _describe_dragged(case.model, straight.ground)
         yield (
@@ -216,6 +226,30 @@ def _describe_motions(
             f"it drives a circle of radius {radius:.2g} m when it is commanded straight: "
             f"{_find_cause(case, straight, 2)}"
         )
+
+
+def _describe_reversed(model: Model) -> str:
+    """Describe wheels that roll backward at positive speed, where the drive does not know it."""
+    if not isinstance(model.drive, DiffDrive):
+        return ""
+    pairs, joints = model.drive.pairs, {joint.name: joint for joint in model.joints}
+    poses = find_link_poses(model.links[0].name, model.joints)
+
+    def rolls_backward(name: str) -> bool:
+        joint = joints[name]
+        return rotate(poses[joint.child].orientation, joint.axis)[1] < MAX_BACKWARD_AXIS_Y
+
+    left = [p.left_joint for p in pairs if rolls_backward(p.left_joint) != p.is_left_reversed]
+    right = [p.right_joint for p in pairs if rolls_backward(p.right_joint) != p.is_right_reversed]
+    wrong = [*left, *right]
+    if not wrong:
+        return ""
+    axis = " ".join(f"{0.0 - part:g}" for part in joints[wrong[0]].axis)
+    named = ", ".join(map(repr, wrong))
+    if len(left) == len(right) == len(pairs):
+        return f"it drives backward, as {named} are reversed; use axis {axis} for each"
+    verb = "is" if len(wrong) == 1 else "are"
+    return f"it turns when told to go straight, as {named} {verb} reversed; use axis {axis}"
 
 
 def _ratio(found: float, nominal: float) -> float:

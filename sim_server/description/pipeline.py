@@ -158,6 +158,11 @@ def _add_drive(read: ModelWithMeshes, controllers: Sequence[str], order: DriveOr
     model, report = read.model, ParseReport()
     lumped = LumpedModel(model.links, model.joints, model.frames, find_corners)
     driven = select_drive(model, lumped, controllers=controllers, order=order, report=report)
+    if driven.drive is None and order.kind != "none" and not model.is_static:
+        # Most robots have a drive, and the trial of one imports numpy.
+        from zensim.sim_server.description.drive_suggestion import report_missing_drive
+
+        report_missing_drive(driven, lumped, report, is_controlled=bool(controllers))
     driven = add_joint_controllers(
         driven, controllers, report, has_free_wheels=order.kind == "none"
     )

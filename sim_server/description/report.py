@@ -1,21 +1,37 @@
 """The effect of each tag of a description, collected during parsing."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from typing import Literal
+
+import msgspec
 
 from zensim.proto.messages.model_messages import ReportEntry, ReportStatus
 
 MAX_ENTRIES = 200
-"""Without suspicious ones."""
+"""Without suspicious and essential ones."""
 MAX_SUSPICIOUS_ENTRIES = 600
 """More than one per link of the largest robot, so that no missing mesh is left out."""
+MAX_ESSENTIAL_ENTRIES = 1000
+"""More than all plug-ins of a robot give, each with its drive and what contradicts its links."""
+MODEL_SEPARATOR = ": "
+"""Between the model of a world and the subject of an entry of its report."""
 MAX_NAMES = 3
 """Named by an entry that stands for several links, joints or plug-ins."""
-GROUPED: frozenset[ReportStatus] = frozenset({"ignored", "unknown"})
+ESSENTIAL_SUBJECTS = ("drive", "driving", "joint controllers")
+"""Their entries decide whether and how a robot moves, as those of each plug-in and controller."""
+_ESSENTIAL_SUBJECT = re.compile(r"(?:plugin|controller) (?:'[^']*'|\"[^\"]*\")")
+GROUPED: frozenset[ReportStatus] = frozenset({"applied", "ignored", "unknown"})
 _QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")
 _NUMBER = re.compile(r"(?<=, visual) \d+|(?<=, collision) \d+")
+_Kind = Literal["listed", "suspicious", "essential"]
+_LIMITS: Mapping[_Kind, int] = {
+    "listed": MAX_ENTRIES,
+    "suspicious": MAX_SUSPICIOUS_ENTRIES,
+    "essential": MAX_ESSENTIAL_ENTRIES,
+}
 
 
 @dataclass
@@ -27,15 +43,16 @@ class _Occurrences:
 
 
 class ParseReport:
-    """Different entries in order; entries beyond the maximum are only counted.
+    """Different entries in order; entries beyond the maximum of their kind are only counted.
 
-    Ignored and unknown entries that differ only in the first quoted name, such as that of a link,
-    are one entry, which has their number and three of the names.
+    Entries that differ only in the first quoted name, such as that of a link, are one entry, which
+    has their number and three of the names; suspicious ones are not. Suspicious entries and those
+    of plug-ins and drives have limits of their own: no number of tags before them leaves them out.
     """
 
     def __init__(self) -> None:
         self._entries: dict[ReportEntry, _Occurrences] = {}
-        self._suspicious = 0
+        self._counts = dict.fromkeys(_LIMITS, 0)
         self._left_out = 0
         self._similar: dict[tuple[str, tuple[str, ...]], list[str]] = {}
 
@@ -57,12 +74,18 @@ class ParseReport:
 
     def repeat(self, entry: ReportEntry, *, of: str) -> None:
         """Copy an entry from the report of a model, named `of`, of this world."""
-        self._add(entry.status, f"{of}: {entry.subject}", entry.reason)
+        found = ReportEntry(entry.status, f"''{MODEL_SEPARATOR}{entry.subject}", entry.reason)
+        kind = _find_kind(entry.status, entry.subject)
+        if entry.status in GROUPED:
+            self._count(found, kind, name=of)
+        else:
+            subject = f"{of}{MODEL_SEPARATOR}{entry.subject}"
+            self._count(msgspec.structs.replace(found, subject=subject), kind)
 
     def unread_tag(self, subject: str, tag: str, known: Iterable[str]) -> None:
         """Report an unknown tag; as suspicious if its name resembles a known one."""
         shown = f"{subject}: <{tag[:80]}>"
-        if not self._has_room("unknown"):
+        if not self._has_room("listed"):
             # The comparison is slow: a hostile file could have many unknown tags.
             self._left_out += 1
             return
@@ -83,26 +106,35 @@ class ParseReport:
         return (*listed, more)
 
     def _add(self, status: ReportStatus, subject: str, reason: str) -> None:
+        kind = _find_kind(status, subject)
         name = _QUOTED.search(subject) if status in GROUPED else None
         if name is None:
-            entry = ReportEntry(status, subject, reason)
-        else:
-            rest = _NUMBER.sub("", subject[name.end() :])
-            entry = ReportEntry(status, f"{subject[: name.start()]}''{rest}", reason)
-        if entry not in self._entries and not self._has_room(status):
-            self._left_out += 1
+            self._count(ReportEntry(status, subject, reason), kind)
             return
-        found = self._entries.setdefault(entry, _Occurrences())
-        if name is not None:
-            found.count += 1
-            found.names[name.group()] = None
-        self._suspicious += status == "suspicious" and found.count == 0
-        found.count = max(found.count, 1)
+        rest = _NUMBER.sub("", subject[name.end() :])
+        entry = ReportEntry(status, f"{subject[: name.start()]}''{rest}", reason)
+        self._count(entry, kind, name=name.group())
 
-    def _has_room(self, status: ReportStatus) -> bool:
-        if status == "suspicious":
-            return self._suspicious < MAX_SUSPICIOUS_ENTRIES
-        return len(self._entries) - self._suspicious < MAX_ENTRIES
+    def _count(self, entry: ReportEntry, kind: _Kind, *, name: str = "") -> None:
+        """Count an entry; `name` is that for which '' stands in its subject."""
+        if entry not in self._entries:
+            if not self._has_room(kind):
+                self._left_out += 1
+                return
+            self._counts[kind] += 1
+        found = self._entries.setdefault(entry, _Occurrences())
+        found.count += 1
+        if name:
+            found.names[name] = None
+
+    def _has_room(self, kind: _Kind) -> bool:
+        return self._counts[kind] < _LIMITS[kind]
+
+
+def _find_kind(status: ReportStatus, subject: str) -> _Kind:
+    if subject in ESSENTIAL_SUBJECTS or _ESSENTIAL_SUBJECT.fullmatch(subject):
+        return "essential"
+    return "listed" if status in GROUPED else "suspicious"
 
 
 def _describe(entry: ReportEntry, found: _Occurrences) -> ReportEntry:
@@ -112,5 +144,6 @@ def _describe(entry: ReportEntry, found: _Occurrences) -> ReportEntry:
     shown, left_out = ", ".join(names[:MAX_NAMES]), len(names) - MAX_NAMES
     shown += f" and {left_out} more" if left_out > 0 else ""
     before, _, after = entry.subject.partition("''")
-    times = f" ({found.count} times)" if found.count > 1 else ""
-    return ReportEntry(entry.status, before + shown + after, entry.reason + times)
+    times = f"({found.count} times)" if found.count > 1 else ""
+    reason = " ".join(filter(None, (entry.reason, times)))
+    return ReportEntry(entry.status, before + shown + after, reason)

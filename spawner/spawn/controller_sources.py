@@ -127,11 +127,11 @@ def _list_uris(name: str) -> Iterator[str]:
 def _find_fitting(robot: ET.Element, paths: SearchPaths) -> ControllerTexts:
     joints = {joint.get("name", "") for joint in robot.iter("joint")}
     fitting = [file for file in _list_yaml_files(paths) if _fits(file, joints)]
-    if len(fitting) == 1:
-        note = ReportEntry(
-            "applied", "controllers", f"{fitting[0]}, the only file here that names its wheels"
-        )
-        return ControllerTexts((_read_text(fitting[0]),), (note,))
+    own = [file for file in fitting if file.parent == paths.folder]
+    for files, why in ((fitting, "the only file here"), (own, "the only file beside it")):
+        if len(files) == 1:
+            note = ReportEntry("applied", "controllers", f"{files[0]}, {why} that names its wheels")
+            return ControllerTexts((_read_text(files[0]),), (note,))
     notes = [
         ReportEntry("ignored", "controllers", f"{file} fits, too; choose by --controllers FILE")
         for file in fitting

@@ -74,10 +74,7 @@ def expand_xacro(text: str, path: Path, arguments: Mapping[str, str], paths: Sea
     if result.missing:
         raise DescriptionError(result.missing)
     if result.reason:
-        raise DescriptionError(
-            f"{path} cannot be expanded: {result.reason}; set arguments with --xacro-arg "
-            "key:=value and package folders with --package-path"
-        )
+        raise DescriptionError(f"{path} cannot be expanded: {result.reason}")
     return result.text
 
 

@@ -59,12 +59,23 @@ def parse_description(text: str) -> ET.Element:
         root = _parse_elements(text)
     except (expat.ExpatError, UnicodeEncodeError) as error:
         raise DescriptionError(f"the description is not well-formed XML: {error}") from error
+    _strip_default_namespace(root)
     if root.tag not in ROOT_TAGS:
         raise DescriptionError(
             f"the root element is <{root.tag[:80]}>; use <robot> for URDF or <sdf> for SDF"
         )
     _check_depth(root)
     return root
+
+
+def _strip_default_namespace(root: ET.Element) -> None:
+    """Remove the default namespace of the root from all tags, as readers of URDF do."""
+    if not isinstance(root.tag, str) or not root.tag.startswith("{"):
+        return
+    prefix = root.tag[: root.tag.index("}") + 1]
+    for element in root.iter():
+        if isinstance(element.tag, str):
+            element.tag = element.tag.removeprefix(prefix)
 
 
 def _parse_elements(text: str) -> ET.Element:

@@ -75,7 +75,8 @@ class SearchPaths(msgspec.Struct, frozen=True):
             hint = f"allow it with --package-path {outside.parent}"
             return FileLocation(reason=f"is outside the search paths; {hint}")
         return FileLocation(
-            reason="no such file in the search paths; add its folder with --package-path"
+            reason="no such file in the search paths; add its folder with --package-path "
+            "(package_paths in a scenario), or to ROS_PACKAGE_PATH"
         )
 
     def find_model(self, uri: str) -> Path | None:

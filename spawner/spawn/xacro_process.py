@@ -4,8 +4,10 @@ It reads a request from stdin and writes the result to stdout.
 """
 
 import os
+import re
 import sys
 from collections.abc import Iterator
+from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -19,6 +21,10 @@ from zensim.proto.process_limits import ResourceLimits, die_with_parent, set_res
 from zensim.spawner.spawn.description_xml import MAX_TEXT_BYTES
 from zensim.spawner.spawn.search_paths import SearchPaths, is_package, read_package_name
 
+UNDEFINED = re.compile(r"name '(\w+)' is not defined")
+ARGUMENT = re.compile(
+    r"<xacro:arg\s[^>]*name\s*=\s*[\"']([^\"']+)[\"']|\$\(\s*arg\s+([^()\s]+)\s*\)"
+)
 XACRO_PACKAGES = ("xacrodoc", "xacro", "rospkg")
 CPU_LIMIT_S = 6
 MEMORY_LIMIT_BYTES = 1 << 29
@@ -84,6 +90,7 @@ def _expand(request: XacroRequest, xacro: ModuleType, packages: ModuleType) -> X
         document = xacro.parse(request.text, str(request.path))
         xacro.process_doc(document, mappings=request.arguments)
         text: str = document.documentElement.toxml()
+        _check_arguments(request, xacro)
     except (
         MemoryError,
         xacro.XacroException,
@@ -93,10 +100,60 @@ def _expand(request: XacroRequest, xacro: ModuleType, packages: ModuleType) -> X
         RecursionError,
         ValueError,
     ) as error:
-        return XacroResult(reason=_describe_error(error))
+        return XacroResult(reason=_describe_failure(error, request, xacro, packages))
     if len(text) > MAX_TEXT_BYTES:
         return XacroResult(reason=f"the result has more than {MAX_TEXT_BYTES} bytes")
     return XacroResult(text)
+
+
+def _list_sources(request: XacroRequest, xacro: ModuleType) -> Iterator[tuple[str, str]]:
+    """List the files that were read, with their texts."""
+    yield request.path.name, request.text
+    for file in map(Path, dict.fromkeys(getattr(xacro, "all_includes", ()))):
+        if file.is_file():
+            yield file.name, file.read_text(encoding="utf-8", errors="replace")
+
+
+def _check_arguments(request: XacroRequest, xacro: ModuleType) -> None:
+    """Check that each given argument is used; xacro itself does not read others.
+
+    Raises:
+        ValueError: One is not.
+    """
+    texts = [text for _, text in _list_sources(request, xacro)]
+    known = sorted(
+        {name for text in texts for pair in ARGUMENT.findall(text) for name in pair if name}
+    )
+    for name in request.arguments:
+        if name in known:
+            continue
+        similar = get_close_matches(name, known, n=1)
+        advice = (
+            f"did you mean {similar[0]!r}?" if similar else f"it has {', '.join(known) or 'none'}"
+        )
+        raise ValueError(f"no argument {name!r} in it; {advice}")
+
+
+def _describe_failure(
+    error: BaseException, request: XacroRequest, xacro: ModuleType, packages: ModuleType
+) -> str:
+    """Describe why a text is not expanded, and what would help."""
+    reason = _describe_error(error)
+    if isinstance(error, packages.PackageNotFoundError) or "PackageNotFoundError" in reason:
+        return (
+            f"{reason}; set package folders with --package-path (package_paths in a list or a "
+            "scenario), or in ROS_PACKAGE_PATH"
+        )
+    if (undefined := UNDEFINED.search(reason)) is None:
+        return reason
+    name = undefined[1]
+    for file, text in _list_sources(request, xacro):
+        if re.search(rf"<property\s[^>]*name\s*=\s*[\"']{re.escape(name)}[\"']", text):
+            return (
+                f"{reason}; {file} sets {name!r} by <property>: xacro reads tags with its prefix "
+                "only, write <xacro:property>"
+            )
+    return f"{reason}; set arguments with --xacro-arg key:=value"
 
 
 def _describe_error(error: BaseException) -> str:

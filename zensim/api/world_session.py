@@ -29,7 +29,10 @@ from zensim.proto.topic_catalog import (
     JOINT_COMMANDS,
     JOINT_STATES,
     ODOM,
+    ROBOT_DESCRIPTION,
     ROBOT_TOPICS,
+    TF,
+    TF_STATIC,
     TOPICS,
 )
 from zensim.robot_agent.topic_remapping import find_topic_keys
@@ -490,6 +493,9 @@ def list_robot_topics(entry: RosterEntry) -> dict[str, tuple[str, type[msgspec.S
             for topic, key in (
                 (CMD_VEL, keys.cmd_vel if entry.model.drive is not None else ""),
                 (ODOM, keys.odom),
+                (TF, keys.tf),
+                (TF_STATIC, f"{entry.namespace}/{TF_STATIC.suffix}"),
+                (ROBOT_DESCRIPTION, f"{entry.namespace}/{ROBOT_DESCRIPTION.suffix}"),
                 (JOINT_STATES, keys.joint_states),
                 (JOINT_COMMANDS, keys.joint_commands),
             )

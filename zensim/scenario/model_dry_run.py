@@ -66,7 +66,10 @@ def read_model(scenario: Scenario, index: int, group: RobotsSection) -> Model:
     """
     file = scenario.find_file(f"robots[{index}].model", group.model)
     word = str(file) if file.is_file() else group.model
-    paths = collect_search_paths([], environ)
+    folders = [
+        scenario.find_file(f"robots[{index}].package_paths", one) for one in group.package_paths
+    ]
+    paths = collect_search_paths(folders, environ)
     controllers = [
         scenario.find_file(f"robots[{index}].controllers", one) for one in group.controllers
     ]

@@ -20,6 +20,9 @@ from zensim.scenario.scenario_nodes import read_nodes as read_yaml_nodes
 from zensim.scenario.typed_reading import TypedReader
 from zensim.spawner.spawn.spawn_poses import make_fleet_layout, make_pose
 
+POSE_LIST_SUFFIXES = (".json", ".yaml", ".yml")
+LAUNCH_KEYS = {"x_pose": "x", "y_pose": "y", "z_pose": "z", "yaw_pose": "yaw", "yaw_angle": "yaw"}
+"""Keys of the lists of robots of launch files, and those of a pose."""
 MAX_TRIES = 1000
 """Draws of a place of the layout `random`."""
 
@@ -127,7 +130,10 @@ def _draw_spots(layout: LayoutSection, half: float, seed: int, path: str) -> Ite
 
 
 def read_pose_file(file: Path, place: Place, path: str) -> list[dict[str, Any]]:
-    """Read the poses of a CSV file, with a head line name,x,y,z,roll,pitch,yaw, or of a JSON list.
+    """Read poses: a CSV file with a head line name,x,y,z,roll,pitch,yaw, a JSON or a YAML list.
+
+    A YAML list may be that of a launch file: below one key, with x_pose, y_pose and z_pose, numbers
+    as texts, and robots that are not `enabled`, which are left out.
 
     Raises:
         ScenarioInvalid: The file or one of its lines is not valid.
@@ -137,14 +143,47 @@ def read_pose_file(file: Path, place: Place, path: str) -> list[dict[str, Any]]:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "cannot be read"
         raise fail_at(place, path, f"`{file}`: {reason.lower()}") from error
+    is_list = file.suffix in POSE_LIST_SUFFIXES
     node = (
-        read_yaml_nodes(text, str(file)) if file.suffix == ".json" else _read_csv(text, str(file))
+        _read_launch_list(read_yaml_nodes(text, str(file)))
+        if is_list
+        else _read_csv(text, str(file))
     )
     reader = TypedReader()
     rows = reader.read(node, inspect.type_info(tuple[PlaceSection, ...]), path)
     if reader.issues:
         raise ScenarioInvalid(tuple(reader.issues))
     return list(rows)
+
+
+def _read_launch_list(node: ScenarioNode) -> ScenarioNode:
+    """Read a list of robots of a launch file as poses; another list stays as it is."""
+    if isinstance(node.value, dict) and len(node.value) == 1:
+        (node,) = node.value.values()
+    if not isinstance(node.value, list):
+        return node
+    return msgspec.structs.replace(
+        node, value=[_read_launch_robot(one) for one in node.value if not _is_disabled(one)]
+    )
+
+
+def _is_disabled(robot: ScenarioNode) -> bool:
+    enabled = robot.value.get("enabled") if isinstance(robot.value, dict) else None
+    return enabled is not None and enabled.value is False
+
+
+def _read_launch_robot(robot: ScenarioNode) -> ScenarioNode:
+    if not isinstance(robot.value, dict):
+        return robot
+    values = {
+        LAUNCH_KEYS.get(key, key): msgspec.structs.replace(one, value=_to_number(one.value))
+        if isinstance(one.value, str) and key != "name"
+        else one
+        for key, one in robot.value.items()
+        if key != "enabled"
+    }
+    places = {LAUNCH_KEYS.get(key, key): place for key, place in robot.key_places.items()}
+    return msgspec.structs.replace(robot, value=values, key_places=places)
 
 
 def _read_csv(text: str, file: str) -> ScenarioNode:

@@ -189,13 +189,20 @@ class RobotsSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     layout: Annotated[LayoutSection, described("Places of the robots.")] | None = None
     poses: Annotated[
         tuple[PlaceSection, ...] | str | None,
-        described("Poses, or a file of them: CSV with a head line name,x,y,z,yaw, or JSON."),
+        described(
+            "Poses, or a file of them: CSV with a head line name,x,y,z,yaw, JSON, or YAML, also "
+            "with x_pose, y_pose, z_pose, as launch files have it."
+        ),
     ] = None
     yaw: Annotated[float, quantity("rad", "Heading, added to that of layout or pose.")] = 0.0
     agent: Annotated[
         Literal["pool", "none"], described("pool = driven by a pool; none = by nothing.")
     ] = "pool"
     xacro: Annotated[dict[str, str], described("Arguments of xacro.")] = {}
+    package_paths: Annotated[
+        tuple[str, ...],
+        described("Folders with packages, models or meshes, besides those of ROS_PACKAGE_PATH."),
+    ] = ()
     controllers: Annotated[tuple[str, ...], described("Files of ros2_control.")] = ()
     drive: Annotated[str, described("Drive in place of that of the description.")] = ""
     namespace: Annotated[

@@ -502,6 +502,9 @@ def _spawn_group(sim: Simulation, scenario: Scenario, index: int, group: RobotsS
     ]
     described: dict[str, object] = {
         "xacro_args": group.xacro,
+        "package_paths": [
+            scenario.find_file(f"robots[{index}].package_paths", one) for one in group.package_paths
+        ],
         "controllers": controllers,
         "drive": group.drive,
         "dynamics": dynamics,

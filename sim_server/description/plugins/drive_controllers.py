@@ -41,7 +41,7 @@ from zensim.sim_server.description.plugins.drive_plugin import (
     measure_wheels,
     read_frame,
 )
-from zensim.sim_server.description.plugins.wheel_guess import find_wheels
+from zensim.sim_server.description.plugins.wheel_guess import MIN_OMNI_WHEELS, find_wheels
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -55,7 +55,6 @@ if TYPE_CHECKING:
 DEFAULT_RATE_HZ = 50.0
 DIAGONAL = 6
 MIN_LENGTH_M = 1e-3
-MIN_OMNI_WHEELS = 3
 MECANUM_WHEELS = ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel")
 MECANUM_LEFT = (-1.0, 1.0, 1.0, -1.0)
 """Direction of each of these by vy."""

@@ -1,4 +1,4 @@
-"""Drive of a robot: ordered by the request, of its controllers, or of its plug-ins; or a guess."""
+"""Drive of a robot: ordered by the request, of its controllers, or of its plug-ins."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from zensim.proto.drive_orders import format_drive_order
 from zensim.proto.messages.drive_messages import (
     PAIR_SIZE,
     DiffDrive,
@@ -24,7 +23,6 @@ from zensim.sim_server.description.model_geometry import describe_contacts
 from zensim.sim_server.description.plugins.drive_controllers import (
     DRIVE_CONTROLLERS,
     MECANUM_WHEELS,
-    MIN_OMNI_WHEELS,
     complete_steering,
     complete_two_axles,
     find_steering_faults,
@@ -46,10 +44,7 @@ from zensim.sim_server.description.plugins.drive_plugin import (
 from zensim.sim_server.description.plugins.joint_controllers import is_joint_controller
 from zensim.sim_server.description.plugins.plugin_registry import summarize_drive
 from zensim.sim_server.description.plugins.plugin_tags import PluginTags, WrittenTags
-from zensim.sim_server.description.plugins.wheel_guess import (
-    find_wheels_rolling_aside,
-    suggest_drive,
-)
+from zensim.sim_server.description.plugins.wheel_guess import MIN_OMNI_WHEELS
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -98,8 +93,6 @@ def select_drive(
         found = msgspec.structs.replace(found, drive=drive)
     if model.drive is not None and found.drive is not model.drive:
         report.ignored(SUBJECT, "the plug-in's drive is replaced")
-    if found.drive is None and order.kind != "none" and not model.is_static:
-        _report_missing(found, lumped, report, is_controlled=bool(controllers))
     return _release_followers(found, report)
 
 
@@ -115,25 +108,6 @@ def _release_followers(model: Model, report: ParseReport) -> Model:
         for one in model.joints
     )
     return msgspec.structs.replace(model, joints=joints)
-
-
-def _report_missing(
-    model: Model, lumped: LumpedModel, report: ParseReport, *, is_controlled: bool
-) -> None:
-    """Report that there is no drive, and the option that would give one."""
-    suggested = suggest_drive(lumped)
-    has_interfaces = any(one.kind == "velocity" for one in model.command_interfaces)
-    if suggested is None and not has_interfaces:
-        if len(find_wheels_rolling_aside(lumped)) >= PAIR_SIZE:
-            report.suspicious(
-                SUBJECT, "no drive: its wheels roll along y, a drive goes along x; turn its links"
-            )
-        return
-    hints = [] if is_controlled or not has_interfaces else ["the controllers' --controllers FILE"]
-    if suggested is not None:
-        hints.append(f"--drive {format_drive_order(suggested)} (wheels by geometry)")
-    advice = f"; use {' or '.join(hints)}, or --drive none" if hints else ""
-    report.suspicious(SUBJECT, f"no drive: nothing moves the wheels{advice}")
 
 
 def _read_controlled(
@@ -218,7 +192,7 @@ def _make_ordered(order: DriveOrder, lumped: LumpedModel, report: ParseReport) -
         if length != 0.0 and not MIN_LENGTH_M <= length <= MAX_LENGTH_M:
             raise _make_order_error(order, f"a length of {length:g} m is out of range")
     try:
-        drive = _make_drive(order, lumped)
+        drive = make_drive(order, lumped)
     except UnusableDrive as fault:
         raise _make_order_error(order, str(fault)) from fault
     if drive is None:
@@ -247,7 +221,12 @@ def _make_order_error(order: DriveOrder, fault: str) -> ModelError:
     return ModelError(f"drive {order.kind}: {fault}", slug="drive.order")
 
 
-def _make_drive(order: DriveOrder, lumped: LumpedModel) -> Drive | None:
+def make_drive(order: DriveOrder, lumped: LumpedModel) -> Drive | None:
+    """Make the drive of an order; None for `none`.
+
+    Raises:
+        UnusableDrive: Its joints or lengths do not fit the robot.
+    """
     base = find_base_link(lumped)
     match order.kind:
         case "diff":

@@ -11,6 +11,7 @@ from zensim.proto.messages.model_messages import GroundTruth, JointStatePublishe
 from zensim.sim_server.description.model_geometry import describe_contacts
 from zensim.sim_server.description.plugins import (
     diff_drive_plugins,
+    mecanum_plugins,
     planar_move_plugins,
     steered_drive_plugins,
 )
@@ -70,6 +71,7 @@ UNUSED_PLUGINS = {
 DRIVE_PLUGINS: tuple[DrivePlugin[Any], ...] = (
     *diff_drive_plugins.PLUGINS,
     *planar_move_plugins.PLUGINS,
+    *mecanum_plugins.PLUGINS,
     *steered_drive_plugins.PLUGINS,
 )
 

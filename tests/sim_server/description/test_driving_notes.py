@@ -3,7 +3,9 @@ import pytest
 
 from benchmarks.wheel_models import WheelRobot, list_robots
 from tests.models import a_body, a_box, a_cart
-from zensim.proto.messages.drive_messages import DiffDrive
+from tests.sim_server.description.plugins.driven_robots import BALLS, a_base, a_tyre
+from tests.sim_server.description.robots import a_robot
+from zensim.proto.messages.drive_messages import DiffDrive, WheelPair
 from zensim.proto.messages.model_messages import Inertial, Link, Model
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.driving_notes import describe_driving
@@ -251,3 +253,34 @@ def test_steering_that_ends_before_the_angle_of_a_turn_is_named() -> None:
 
 def test_steering_that_reaches_the_angle_of_a_turn_gets_no_entry() -> None:
     assert reasons(with_steering_limits(0.4)) == []
+
+
+def a_reversed_cart(left: str, right: str) -> Model:
+    text = a_robot(
+        a_base(), a_tyre("left", 0.0, 0.2, axis=left), a_tyre("right", 0.0, -0.2, axis=right), BALLS
+    )
+    model = read_urdf(text)
+    pairs = (WheelPair("left", "right", 0.4, 0.2),)
+    return msgspec.structs.replace(model, drive=DiffDrive(pairs=pairs, max_torque_nm=50.0))
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "words"),
+    [
+        ("0 1 0", "0 -1 0", ("turns", "'right' is reversed", "axis 0 1 0")),
+        ("0 -1 0", "0 1 0", ("turns", "'left' is reversed", "axis 0 1 0")),
+        ("0 -1 0", "0 -1 0", ("backward", "'left', 'right' are reversed", "axis 0 1 0")),
+    ],
+)
+def test_entry_of_reversed_wheels_names_them(left: str, right: str, words: tuple[str, ...]) -> None:
+    (reason,) = reasons(a_reversed_cart(left, right))
+
+    assert all(word in reason for word in words)
+    assert "friction" not in reason
+
+
+def test_reversed_wheels_that_the_drive_knows_get_no_entry() -> None:
+    model = a_reversed_cart("0 1 0", "0 -1 0")
+    pairs = (WheelPair("left", "right", 0.4, 0.2, is_right_reversed=True),)
+
+    assert reasons(msgspec.structs.replace(model, drive=DiffDrive(pairs=pairs))) == []

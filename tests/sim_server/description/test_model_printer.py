@@ -51,7 +51,10 @@ def test_tree_text_has_links_below_their_parents() -> None:
     assert (
         "drive: left_wheel_joint and right_wheel_joint, separation 0.11 m, diameter 0.07 m" in lines
     )
-    assert "applied    gazebo 'left_wheel': <mu1>" in lines
+    assert (
+        "applied    gazebo 'left_wheel', 'right_wheel', 'front_caster' and 1 more: <mu1>: (4 times)"
+        in lines
+    )
 
 
 def test_tree_text_has_no_drive() -> None:

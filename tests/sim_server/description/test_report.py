@@ -1,6 +1,7 @@
 """The report of a description and its limits."""
 
 from tests.sim_server.description.robots import mentions, subjects
+from zensim.proto.messages.model_messages import ReportEntry
 from zensim.sim_server.description.report import MAX_ENTRIES, MAX_SUSPICIOUS_ENTRIES, ParseReport
 
 
@@ -105,3 +106,44 @@ def test_grouped_entries_leave_room_for_others() -> None:
     report.ignored("last", "no")
 
     assert subjects(report.entries(), "ignored") == ["last"]
+
+
+def test_full_report_has_plugins_drives_and_controllers() -> None:
+    report = ParseReport()
+
+    for index in range(MAX_ENTRIES + 1):
+        report.applied(f"tag {index}", "")
+    for index in range(MAX_SUSPICIOUS_ENTRIES + 1):
+        report.suspicious(f"mesh {index}", "")
+    report.unknown("plugin 'mecanum'", "no plug-in has this file name")
+    report.applied("plugin 'wheels'", "drive")
+    report.suspicious("drive", "no drive")
+    report.ignored("controller 'arm'", "does not drive the robot")
+
+    last = [entry.subject for entry in report.entries()][-5:-1]
+    assert last == ["plugin 'mecanum'", "plugin 'wheels'", "drive", "controller 'arm'"]
+
+
+def test_applied_tags_of_many_links_are_one_entry() -> None:
+    report = ParseReport()
+
+    for index in range(MAX_ENTRIES + 1):
+        report.applied(f"gazebo 'roller_{index}': <mu1>", "0.8")
+    report.applied("gazebo 'wheel': <mu1>", "1")
+
+    assert [(one.subject, one.reason) for one in report.entries()] == [
+        ("gazebo 'roller_0', 'roller_1', 'roller_2' and 198 more: <mu1>", "0.8 (201 times)"),
+        ("gazebo 'wheel': <mu1>", "1"),
+    ]
+
+
+def test_entries_of_like_models_of_a_world_are_one_entry() -> None:
+    report = ParseReport()
+
+    for name in ("chair_1", "chair_2"):
+        report.repeat(ReportEntry("ignored", "link 'leg': <erp>", "no"), of=name)
+        report.repeat(ReportEntry("suspicious", "link 'seat'", "odd"), of=name)
+
+    assert [one.subject for one in report.entries()] == [
+        *("chair_1, chair_2: link 'leg': <erp>", "chair_1: link 'seat'", "chair_2: link 'seat'"),
+    ]

@@ -165,3 +165,13 @@ def test_given_file_that_is_missing_or_too_large_is_refused(tmp_path: Path) -> N
         read_controller_files([tmp_path / "none.yaml"])
     with pytest.raises(ValueError, match="limit"):
         read_controller_files([large])
+
+
+def test_file_beside_the_description_is_preferred_among_several(package: Path) -> None:
+    (package / "config" / "other.yaml").write_text(DRIVE)
+    (package / "urdf" / "control.yaml").write_text(DRIVE + "\n# own")
+
+    found = find(ROBOT, package)
+
+    assert found.texts == (DRIVE + "\n# own",)
+    assert [note.status for note in found.notes] == ["applied"]

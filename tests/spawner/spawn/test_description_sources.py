@@ -338,3 +338,31 @@ def test_package_that_is_not_well_formed_hides_no_other(tmp_path: Path) -> None:
     paths = collect_search_paths([tmp_path / "ws"], {})
 
     assert "<link" in read_description_file(file, {}, paths).text
+
+
+def expand(file: Path, arguments: dict[str, str]) -> str:
+    return expand_xacro(file.read_text(), file, arguments, collect_search_paths((), {}))
+
+
+def test_xacro_names_a_property_without_its_prefix(tmp_path: Path) -> None:
+    (tmp_path / "common.xacro").write_text('<robot><property name="M_PI" value="3.14"/></robot>')
+    include = '<xacro:include filename="common.xacro"/>'
+    file = make_xacro(tmp_path, f'{HEAD}{include}<link name="${{M_PI}}"/></robot>')
+
+    with pytest.raises(DescriptionError, match=r"common\.xacro sets 'M_PI'.*<xacro:property>"):
+        expand(file, {})
+
+
+def test_xacro_names_the_package_folders_when_a_package_is_missing(tmp_path: Path) -> None:
+    file = make_xacro(tmp_path, INCLUDE)
+
+    with pytest.raises(DescriptionError, match=r"--package-path.*package_paths.*ROS_PACKAGE_PATH"):
+        expand(file, {})
+
+
+def test_xacro_argument_that_nothing_reads_is_refused(tmp_path: Path) -> None:
+    file = make_xacro(tmp_path, HEAD + '<xacro:arg name="camera" default="0"/></robot>')
+
+    assert expand(file, {"camera": "1"})
+    with pytest.raises(DescriptionError, match="'camra'.*'camera'"):
+        expand(file, {"camra": "1"})

@@ -195,3 +195,9 @@ def test_invalid_namespace_is_refused(namespace: str) -> None:
 @pytest.mark.parametrize("head", ['<?xml version="1.0" encoding="utf-8"?>', "\ufeff", "\n"])
 def test_text_may_start_with_blanks_and_declarations(head: str) -> None:
     assert find_ros_entries(add_namespace(head + make_robot(make_drive()), "r10")) == TEN
+
+
+def test_default_namespace_of_the_root_is_removed() -> None:
+    root = parse_description('<robot xmlns="http://drake.mit.edu" name="n"><link name="b"/></robot>')
+
+    assert (root.tag, [child.tag for child in root]) == ("robot", ["link"])

@@ -1,0 +1,84 @@
+"""The option that would drive a robot without a drive."""
+
+import pytest
+
+from tests.sim_server.description.plugins.driven_robots import (
+    BALLS,
+    a_car,
+    a_diff_robot,
+    a_four_wheeler,
+    read_driven,
+)
+from tests.sim_server.description.plugins.test_wheel_guess import (
+    OMNI_BASE,
+    RING_ROBOT,
+    SUSPENDED,
+)
+from tests.sim_server.description.robots import a_robot, mentions
+from zensim.proto.drive_orders import format_drive_order
+from zensim.proto.messages.drive_messages import DriveOrder
+from zensim.sim_server.description.drive_suggestion import suggest_drive, try_drive
+from zensim.sim_server.description.joint_reduction import LumpedModel
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
+
+
+def advise(text: str) -> str:
+    """Find the option that the report of a robot suggests; empty without one."""
+    reasons = [one.reason for one in read_driven(text).report if one.subject == "drive"]
+    return next((one.partition("--drive ")[2].split(" ")[0] for one in reasons), "")
+
+
+@pytest.mark.parametrize(
+    ("text", "option"),
+    [
+        (a_diff_robot(BALLS), "diff:left,right"),
+        (a_car(), "ackermann:rear_left,rear_right,steer_left,steer_right"),
+        (OMNI_BASE, "omni:front,left,right"),
+        (RING_ROBOT, "planar"),
+        (SUSPENDED, "diff:left,right"),
+        (a_robot('<link name="base"/>'), ""),
+    ],
+    ids=["diff", "car", "omni", "ring", "suspension", "no wheels"],
+)
+def test_report_names_a_drive_that_moves_the_robot(text: str, option: str) -> None:
+    assert advise(text) == option
+
+
+def test_suggested_drive_is_tried_before_it_is_named() -> None:
+    model = read_urdf(a_four_wheeler())
+    lumped = LumpedModel(model.links, model.joints, model.frames)
+
+    found = suggest_drive(model, lumped)
+
+    assert found is not None
+    assert found.speed == pytest.approx(1.0, abs=0.01)
+    assert found.turn is not None
+    assert 0.2 < found.turn < 0.8, "it skids"
+
+
+def test_drive_of_wheels_in_the_air_ranks_below_one_that_carries() -> None:
+    text = a_four_wheeler(BALLS).replace('xyz="0.25 0.2 0"', 'xyz="0.25 0.2 0.03"')
+    text = text.replace('xyz="0.25 -0.2 0"', 'xyz="0.25 -0.2 0.03"')
+    model = read_urdf(text)
+    lumped = LumpedModel(model.links, model.joints, model.frames)
+
+    front = try_drive(model, DriveOrder("diff", ("fl", "fr")), lumped)
+    rear = try_drive(model, DriveOrder("diff", ("rl", "rr")), lumped)
+
+    assert front is not None
+    assert rear is not None
+    assert rear.rank < front.rank
+
+
+def test_drive_of_joints_that_are_no_wheels_is_not_tried() -> None:
+    model = read_urdf(a_diff_robot())
+    lumped = LumpedModel(model.links, model.joints, model.frames)
+
+    assert try_drive(model, DriveOrder("diff", ("left", "none")), lumped) is None
+
+
+def test_wheels_that_nothing_turns_are_reported() -> None:
+    report = read_driven(RING_ROBOT).report
+
+    assert mentions(report, "suspicious", "no drive")
+    assert mentions(report, "suspicious", format_drive_order(DriveOrder("planar")))
