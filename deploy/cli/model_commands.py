@@ -76,6 +76,9 @@ def _read_model(given: ModelOptions) -> tuple[str, Model]:
     )
     with server_extra():
         from zensim.sim_server.description.builtin_models import read_builtin_model
+        from zensim.sim_server.description.unused_modules import leave_out_unused_modules
+
+        leave_out_unused_modules()
         from zensim.sim_server.description.pipeline import parse_description
 
         text = payload.text or read_builtin_model(given.file)

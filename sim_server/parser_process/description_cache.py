@@ -28,7 +28,7 @@ MAX_MESHES_AT_ONCE = 16
 """Collision meshes whose hulls can be made between two steps."""
 REST_RATIO = 2
 """Pause after a part of a preparation, as a multiple of its duration."""
-TRANSIENT_SLUGS = frozenset({"reader.crashed", "reader.timeout", "bundle.disk"})
+TRANSIENT_SLUGS = frozenset({"reader.busy", "reader.crashed", "reader.timeout", "bundle.disk"})
 """Errors that a retry may avoid: they are not cached."""
 
 

@@ -10,6 +10,9 @@ from zensim.proto.messages.model_messages import Dynamics, Model
 from zensim.proto.messages.spawn_messages import Compat
 from zensim.sim_server.description.world_model import WorldModel
 
+MAX_CPU_S = 7
+"""CPU time of the parser process for each request; up to a second more is counted."""
+
 
 class ParseRequest(msgspec.Struct, frozen=True):
     """A text to parse; a frame with the content of each of `files` follows, in their order."""

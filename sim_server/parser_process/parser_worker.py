@@ -4,7 +4,6 @@ Run with `python -m`: request frames on stdin, result frames on stdout.
 """
 
 import signal
-import sys
 from contextlib import suppress
 
 import msgspec
@@ -17,32 +16,28 @@ from zensim.proto.process_limits import (
     die_with_parent,
     set_resource_limits,
 )
+from zensim.sim_server.description.unused_modules import leave_out_unused_modules
 
-UNUSED_MODULES = ("embreex", "networkx", "rtree", "scipy", "shapely")
-"""Modules that trimesh imports if they are installed, and that parsing does not need."""
-
-# Importing them would delay the first spawn by half the start time.
 if __name__ == "__main__":
-    sys.modules.update(dict.fromkeys(UNUSED_MODULES))  # type: ignore[arg-type]
+    leave_out_unused_modules()
 
-from zensim.sim_server.description.pipeline import (  # noqa: E402
+from zensim.sim_server.description.pipeline import (
     parse_description,
     parse_world,
     warm_up,
 )
-from zensim.sim_server.errors import ModelError  # noqa: E402
-from zensim.sim_server.parser_process.parser_protocol import (  # noqa: E402
+from zensim.sim_server.errors import ModelError
+from zensim.sim_server.parser_process.parser_protocol import (
+    MAX_CPU_S,
     ParsedMesh,
     ParseRequest,
     ParseResult,
     ParserReady,
 )
-from zensim.sim_server.parser_process.renamed_texts import RenamedTexts  # noqa: E402
+from zensim.sim_server.parser_process.renamed_texts import RenamedTexts
 
 MAX_MEMORY_BYTES = 1 << 30
 LIMITS = ResourceLimits(extra_memory_bytes=MAX_MEMORY_BYTES, is_sandboxed=True)
-MAX_CPU_S = 10
-"""For each request."""
 
 
 def main() -> None:

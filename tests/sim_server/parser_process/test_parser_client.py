@@ -271,6 +271,22 @@ def test_requests_behind_one_that_ends_the_process_are_sent_again(store: AssetSt
     parser.close()
 
 
+def test_request_is_refused_when_it_takes_too_much_cpu_time(store: AssetStore) -> None:
+    """The kernel then sends the parser the signal that this test sends."""
+    parser = ParserClient(store, time.monotonic_ns)
+    eventually(lambda: not parser.poll() and parser.is_ready, WITHIN_S, "a parser")
+    os.kill(parser.process_id, signal.SIGSTOP)
+    parser.submit(ParseRequest(1, ROBOT))
+    parser.poll()
+    os.kill(parser.process_id, signal.SIGXCPU)
+    os.kill(parser.process_id, signal.SIGCONT)
+
+    results = poll_for_result(parser, 1)
+
+    assert [one.slug for one in results if isinstance(one, ParseResult)] == ["reader.timeout"]
+    parser.close()
+
+
 def test_parser_has_limits_on_files_memory_and_cpu_time(parser: ParserClient) -> None:
     parse(parser, ParseRequest(1, ROBOT))
 
@@ -293,7 +309,7 @@ def test_request_is_refused_when_the_parser_does_not_start(store: AssetStore) ->
 
     assert before == []
     assert isinstance(result, ParseResult)
-    assert result.slug == "reader.timeout"
+    assert result.slug == "reader.busy"
     parser.close()
 
 
@@ -371,5 +387,5 @@ def test_parser_is_started_when_files_are_free_again(
     found = parse(parser, ParseRequest(2, ROBOT))
     parser.close()
 
-    assert [one.slug for one in refused if isinstance(one, ParseResult)] == ["reader.timeout"]
+    assert [one.slug for one in refused if isinstance(one, ParseResult)] == ["reader.busy"]
     assert [one.slug for one in found if isinstance(one, ParseResult)] == [""]
