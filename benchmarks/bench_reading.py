@@ -2,8 +2,9 @@
 
 CPU time to parse a URDF of 4, 100 and 500 links as the server does; to parse `box_bot_legacy`,
 which has the most to report, with and without a report, in turns; to parse a robot of 100 links
-with twenty meshes of 20,160 triangles; and to add a box_bot to PyBullet as the first and as the
-thousandth of a world.
+with twenty meshes of 20,160 triangles; to convert meshes of 500 to 50,000 corners, all of them
+corners of the hull, into hulls, against reading and writing the same files; and to add a box_bot
+to PyBullet as the first and as the thousandth of a world.
 """
 
 import time
@@ -18,6 +19,9 @@ from benchmarks import large_robot
 from benchmarks.figures import Figure, Limit, table
 from zensim.proto.messages.model_messages import Model, ReportStatus
 from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.meshes.convex_hull import find_hull
+from zensim.sim_server.description.meshes.mesh_reader import read_mesh
+from zensim.sim_server.description.meshes.mesh_triangles import Triangles, write_stl
 from zensim.sim_server.description.pipeline import parse_description
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.urdf import urdf_parser
@@ -37,6 +41,10 @@ RUNS = 5
 CROWD = 1000
 CROWD_WHEN_SHORT = 50
 WORLDS = 3
+HULL_CORNERS = (501, 1500, 5001, 50_001)
+"""Whole triangles."""
+MAX_HULL_RATIO = 200.0
+"""The hull of our own up to November 2026 took minutes for 5,000 corners."""
 LAST = 20
 """Number of last spawns averaged as the thousandth."""
 STEP_NS = 4_166_667
@@ -53,6 +61,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         yield Figure(what=f"read a URDF of {links} links", unit="ms", samples=samples)
     yield from _report(REPEATS_WHEN_SHORT if is_short else REPEATS)
     yield _meshes(1 if is_short else RUNS)
+    yield from _hulls(REPEATS_WHEN_SHORT if is_short else REPEATS)
     run_fleet_users = CROWD_WHEN_SHORT if is_short else CROWD
     model = read_urdf(read_builtin_model("box_bot"))
     spawns = [_spawns(model, run_fleet_users) for _ in range(1 if is_short else WORLDS)]
@@ -87,6 +96,41 @@ def _meshes(repeats: int) -> Figure:
         )
         samples.append(_milliseconds(read))
     return Figure(what="read a robot with twenty meshes", unit="ms", samples=tuple(samples))
+
+
+def _hulls(repeats: int) -> Iterator[Figure]:
+    for corners in HULL_CORNERS:
+        data = an_ellipsoid(corners)
+        hulls, floor = [], []
+        for _ in range(repeats):
+            hulls.append(_milliseconds(partial(_find_hull_of, data)))
+            floor.append(_milliseconds(partial(_copy, data)))
+        what = f"mesh of {corners} corners"
+        yield Figure(what=f"hull of a {what}", unit="ms", samples=tuple(hulls))
+        yield Figure(what=f"floor: read and write a {what}", unit="ms", samples=tuple(floor))
+        ratios = tuple(one / other for one, other in zip(hulls, floor, strict=True))
+        yield Figure(
+            what=f"the first over the second, {corners} corners",
+            unit="",
+            samples=ratios,
+            limit=Limit("median", "<=", MAX_HULL_RATIO),
+        )
+
+
+def _find_hull_of(data: bytes) -> None:
+    find_hull(read_mesh("a.stl", data).vertices)
+
+
+def _copy(data: bytes) -> None:
+    write_stl(read_mesh("a.stl", data))
+
+
+def an_ellipsoid(corners: int) -> bytes:
+    """Write an ellipsoid as binary STL, whose corners are all on its surface."""
+    points = np.random.default_rng(corners).normal(size=(corners, 3))
+    points *= np.array([3.0, 2.0, 1.0]) / np.linalg.norm(points, axis=1)[:, None]
+    # Triangles need not be neighbours for a hull.
+    return write_stl(Triangles(points, np.arange(corners - corners % 3).reshape(-1, 3)))
 
 
 class Silence(ParseReport):

@@ -1,0 +1,1 @@
+"""Robots of our own with the shapes of collisions that public ones have."""
