@@ -615,7 +615,8 @@ class PyBulletEngine(Engine):
         boxes = np.array([pybullet.getAABB(body, link, physicsClientId=client) for link in links])
         low, high = boxes[:, 0].min(axis=0).tolist(), boxes[:, 1].max(axis=0).tolist()
         near = pybullet.getOverlappingObjects(low, high, physicsClientId=client) or ()
-        others = sorted({other for other, _ in near} - {body} - self._pool.list_parked().keys())
+        unreal = self._pool.list_parked().keys() | self._slippery.originals.keys()
+        others = sorted({other for other, _ in near} - {body} - unreal)
         depths = {other: self._measure_overlap(body, other) for other in others}
         self._limit_recovery(body, depths)
         return [other for other in others if depths[other] and other in self._bodies]
@@ -796,14 +797,12 @@ class PyBulletEngine(Engine):
         """Set what createMultiBody does not."""
         blueprint = recipe.blueprint
         self._set_self_collision(body, blueprint)
-        if not can_move(recipe.body.model):
-            self._set_collision_filter(body, recipe.body, *COLLIDE_WITH_MOVING)
+        if blueprint.is_static:
+            # Bullet takes the links of a fixed root as static, and searches contacts between them.
+            self._set_collision_filter(body, recipe.body, collides=True)
         self._com_frames.add(body, blueprint.parts[0])
         for link, arguments in recipe.dynamics:
             pybullet.changeDynamics(body, link, **arguments, physicsClientId=self._client)
-        if blueprint.is_static and any(recipe.body.moves):
-            # Bullet takes the links of a fixed root as static.
-            self._set_collision_filter(body, recipe.body, collides=True)
         for arguments in recipe.motors:
             pybullet.setJointMotorControl2(body, **arguments, physicsClientId=self._client)
         gears = [
