@@ -47,7 +47,7 @@ class AgentOptions(RosTfOptions):
             min=0,
             metavar="N",
             help="Drive a share of all robots that no other agent claims by name: "
-            "at most N, 0 = no limit.",
+            "at most N robots, 0 = all; `--pool 1` drives one.",
         ),
     ] = None
     name: Annotated[

@@ -16,6 +16,22 @@ if TYPE_CHECKING:
 
     from lxml.etree import _Element as Element
 
+HEAD_BYTES = 65536
+"""Of a file, in which its format is searched."""
+OTHER_FORMATS = (
+    (
+        re.compile(r"^levels\s*:", re.MULTILINE),
+        "this is a building map of Open-RMF, no world; make a world of it with 'ros2 run "
+        "rmf_building_map_tools building_map_generator gazebo MAP WORLD MODELS'",
+    ),
+    (re.compile(r"\A#VRML"), "this is a file of Webots; export the robot as URDF, a world as SDF"),
+    (re.compile(r"\A(?:#usda|PXR-USDC)"), "this is USD; convert it to URDF or SDF"),
+    (
+        re.compile(r"\A[\w./-]+:(?:\s|$)"),
+        "this is YAML, no URDF or SDF; a scenario is started with 'zensim up FILE'",
+    ),
+)
+"""Formats that users have and that are not read, by their beginning, and what to do."""
 MAX_QUOTE_LENGTH = 80
 MAX_LINE_LENGTH = 200
 MAX_QUOTED_NAMES = 5
@@ -257,9 +273,16 @@ def _parse_bytes(data: bytes) -> Element:
         if faults - _NAMESPACE_FAULTS == {_HYPHENS_IN_COMMENT} and bare != text:
             return _parse_bytes(bare)
         raise ModelError(
-            f"the description is not well-formed XML: {to_single_line(error.msg or '')}",
+            _name_format(text)
+            or f"the description is not well-formed XML: {to_single_line(error.msg or '')}",
             slug="xml.syntax",
         ) from error
+
+
+def _name_format(data: bytes) -> str:
+    """Name a format that is not read, and what makes a readable file of it; empty if unknown."""
+    head = data[:HEAD_BYTES].decode("utf-8", "replace")
+    return next((advice for format_, advice in OTHER_FORMATS if format_.search(head)), "")
 
 
 def _make_parser(*, recover: bool) -> etree.XMLParser:

@@ -512,3 +512,28 @@ def test_values_are_frozen(tmp_path: Path) -> None:
     with pytest.raises(AttributeError):
         scenario.format.time.seed = 3  # type: ignore[misc]
     assert msgspec.structs.replace(scenario.format.time, seed=3).seed == 3
+
+
+def test_list_of_robots_of_a_launch_file_is_read_as_poses(tmp_path: Path) -> None:
+    (tmp_path / "robots.yaml").write_text(
+        'robots:\n  - {name: tb1, x_pose: "-1.5", y_pose: "0.5", z_pose: 0.01, enabled: true}\n'
+        '  - {name: tb2, x_pose: "1.5", y_pose: "0.5", z_pose: 0.01, enabled: false}\n'
+        "  - {name: tb3, x_pose: 2, y_pose: -3, yaw: 0.5}\n"
+    )
+    text = "zensim: 1\nrobots:\n  - {name: a, model: box_bot, poses: robots.yaml}\n"
+
+    robots = read(tmp_path, text).robots
+
+    assert [(one.name, one.x, one.y, one.z, one.yaw) for one in robots] == [
+        ("tb1", -1.5, 0.5, 0.01, 0.0),
+        ("tb3", 2.0, -3.0, None, 0.5),
+    ]
+
+
+def test_unknown_key_of_a_list_of_robots_is_reported_there(tmp_path: Path) -> None:
+    (tmp_path / "robots.yaml").write_text("robots:\n  - {name: tb1, x_posse: 1, y_pose: 2}\n")
+    text = "zensim: 1\nrobots:\n  - {name: a, model: box_bot, poses: robots.yaml}\n"
+
+    found = issues_of(tmp_path, text)
+
+    assert any(one.place.line == 2 and one.place.file.endswith("robots.yaml") for one in found)

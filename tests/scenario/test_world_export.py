@@ -106,6 +106,26 @@ def test_dry_run_finds_what_a_server_would_refuse(tmp_path: Path) -> None:
     ]
 
 
+def test_dry_run_searches_the_package_folders_of_a_group(tmp_path: Path) -> None:
+    package = tmp_path / "vendor" / "parts"
+    package.mkdir(parents=True)
+    (package / "package.xml").write_text("<package><name>parts</name></package>")
+    (package / "arm.xacro").write_text('<robot><link name="arm"/></robot>')
+    (tmp_path / "r.urdf.xacro").write_text(
+        '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+        '<xacro:include filename="$(find parts)/arm.xacro"/></robot>'
+    )
+    file = tmp_path / "a.scenario.yaml"
+    text = "zensim: 1\nrobots:\n  - {{name: a, model: r.urdf.xacro{}}}\n"
+
+    file.write_text(text.format(""))
+    without = check_models(read_scenario(str(file)))
+    file.write_text(text.format(", package_paths: [vendor]"))
+
+    assert [one.path for one in without] == ["robots[0].model"]
+    assert check_models(read_scenario(str(file))) == ()
+
+
 def test_export_writes_no_file_over_another_unless_told_so(tmp_path: Path) -> None:
     (tmp_path / "crate.urdf").write_text(CRATE)
     file = tmp_path / "out.scenario.yaml"

@@ -227,3 +227,20 @@ def test_number_has_at_most_400_characters() -> None:
     assert read(f"0.{'0' * 397}1", 1) == (0.0,)
     with pytest.raises(ModelError):
         read(f"0.{'0' * 398}1", 1)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("lift: {}\nlevels:\n  L1: {}\n", "building_map_generator"),
+        ("#VRML_SIM R2023b utf8\nWorldInfo {}\n", "Webots"),
+        ("#usda 1.0\n", "USD"),
+        ("zensim: 1\nrobots: []\n", "YAML"),
+        ("nothing", "not well-formed"),
+    ],
+)
+def test_format_that_is_not_read_is_named(text: str, words: str) -> None:
+    with pytest.raises(ModelError, match=words) as refused:
+        parse_xml(text, root_tag="sdf", slug="sdf")
+
+    assert refused.value.slug == "xml.syntax"

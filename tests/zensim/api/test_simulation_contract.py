@@ -360,6 +360,13 @@ def test_odometry_is_that_of_the_last_step(
     assert robot.odom.twist.twist.linear.x == pytest.approx(0.3, abs=0.02)
 
 
+def test_topics_of_a_robot_are_those_below_its_namespace(
+    simulation: zensim.Simulation, robot: zensim.Robot
+) -> None:
+    for name in ("tf", "tf_static", "robot_description"):
+        assert robot.topic(name).key == simulation.topic(f"{robot.name}/{name}").key
+
+
 def test_callbacks_run_while_the_caller_steps(
     simulation: zensim.Simulation, robot: zensim.Robot
 ) -> None:
