@@ -227,9 +227,9 @@ def _add_notes(model: Model, meshes: dict[str, bytes]) -> Model:
     round_wheels = (
         ReportEntry("applied", "drive", note) for note in describe_mesh_wheels(model, corners)
     )
-    notes = describe_driving(model, corners)
-    report = (*model.report, *round_wheels, *notes.entries)
-    return msgspec.structs.replace(model, report=report, drags=notes.drags)
+    driving = describe_driving(model, corners)
+    report = (*model.report, *round_wheels, *driving.entries)
+    return msgspec.structs.replace(model, report=report, drags=driving.drags)
 
 
 def _describe_pairs(model: Model) -> Iterator[ReportEntry]:

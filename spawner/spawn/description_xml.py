@@ -70,12 +70,11 @@ def parse_description(text: str) -> ET.Element:
 
 def _strip_default_namespace(root: ET.Element) -> None:
     """Remove the default namespace of the root from all tags, as readers of URDF do."""
-    if not isinstance(root.tag, str) or not root.tag.startswith("{"):
+    if not root.tag.startswith("{"):
         return
     prefix = root.tag[: root.tag.index("}") + 1]
     for element in root.iter():
-        if isinstance(element.tag, str):
-            element.tag = element.tag.removeprefix(prefix)
+        element.tag = element.tag.removeprefix(prefix)
 
 
 def _parse_elements(text: str) -> ET.Element:

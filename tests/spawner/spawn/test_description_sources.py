@@ -364,5 +364,5 @@ def test_xacro_argument_that_nothing_reads_is_refused(tmp_path: Path) -> None:
     file = make_xacro(tmp_path, HEAD + '<xacro:arg name="camera" default="0"/></robot>')
 
     assert expand(file, {"camera": "1"})
-    with pytest.raises(DescriptionError, match="'camra'.*'camera'"):
+    with pytest.raises(DescriptionError, match=r"'camra'.*'camera'"):
         expand(file, {"camra": "1"})

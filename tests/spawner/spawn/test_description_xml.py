@@ -198,6 +198,8 @@ def test_text_may_start_with_blanks_and_declarations(head: str) -> None:
 
 
 def test_default_namespace_of_the_root_is_removed() -> None:
-    root = parse_description('<robot xmlns="http://drake.mit.edu" name="n"><link name="b"/></robot>')
+    text = '<robot xmlns="http://drake.mit.edu" name="n"><link name="b"/></robot>'
+
+    root = parse_description(text)
 
     assert (root.tag, [child.tag for child in root]) == ("robot", ["link"])
