@@ -14,6 +14,7 @@ NAMES = (
     "cli",
     "cost",
     "accuracy",
+    "mechanics",
     "wheels",
     "cmd_vel",
     "spawn",

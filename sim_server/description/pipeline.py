@@ -211,7 +211,11 @@ def parse_world(
 
 
 def _add_notes(model: Model, meshes: dict[str, bytes]) -> Model:
-    """Add what needs the meshes: least moments, round wheels, and how the robot will drive."""
+    """Add what needs the meshes: moments, round wheels, how it will drive; and its joints."""
+    from zensim.sim_server.description.joint_load_notes import describe_joint_loads
+
+    if joints := describe_joint_loads(model):
+        model = msgspec.structs.replace(model, report=(*model.report, *joints))
 
     def corners(mesh: str) -> npt.NDArray[np.float32]:
         from zensim.proto.stl import read_corners

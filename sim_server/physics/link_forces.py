@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zensim.proto.messages.model_messages import Decay, Inertial, Link, Vec3
+from zensim.proto.messages.model_messages import ZERO, Decay, Inertial, Link, Vec3
 from zensim.proto.se3 import conjugate, rotate
 from zensim.sim_server.physics.blueprint import Blueprint
 from zensim.sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArray
@@ -56,6 +56,15 @@ def make_link_forces(blueprint: Blueprint, gravity: Vec3, dt_s: float) -> list[L
             principal = blueprint.parts[part].principal
             forces.append(_make_link_force(link, principal, part - 1, gravity, dt_s))
     return forces
+
+
+def find_common_gravity(links: Sequence[Link], gravity: Vec3) -> Vec3 | None:
+    """Find the gravity that acts on all of some links, or on none; None if it differs."""
+    heavy = [link for link in links if link.weightless == Inertial()]
+    if len(heavy) == len(links):
+        return gravity
+    is_none = not heavy and all(link.weightless == link.inertial for link in links)
+    return ZERO if is_none else None
 
 
 def _make_link_force(

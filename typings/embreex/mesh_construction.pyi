@@ -1,6 +1,5 @@
 import numpy as np
 import numpy.typing as npt
-
 from embreex.rtcore_scene import EmbreeScene
 
 class TriangleMesh:

@@ -24,6 +24,7 @@ from zensim.sim_server.physics.bullet.bullet_contact import (
     find_rolling_frictions,
     make_contact_arguments,
 )
+from zensim.sim_server.physics.bullet.joint_servos import COUPLING_ERP, Couplings, find_couplings
 from zensim.sim_server.physics.bullet.joint_springs import JointSprings, find_joint_springs
 from zensim.sim_server.physics.bullet.pair_friction import (
     MovingSurface,
@@ -36,7 +37,7 @@ from zensim.sim_server.physics.bullet.wheel_carriers import list_carriers
 from zensim.sim_server.physics.engine import MIN_MASS_KG, FloatArray
 from zensim.sim_server.physics.free_spin import can_precess
 from zensim.sim_server.physics.joint_inertia import find_joint_mobilities
-from zensim.sim_server.physics.link_forces import LinkForce
+from zensim.sim_server.physics.link_forces import LinkForce, find_common_gravity
 
 MAX_PARKED_BODIES = 64
 PARKING_DEPTH_M = 1e4
@@ -67,6 +68,10 @@ class BulletBody:
         surfaces: Those that move.
         slippery: Parts that never move with a friction below 1, and the friction.
         spinning_moments: Principal moments of a loose body that can precess; else None.
+        moving: Its moving joints by Bullet's numbers, carriers included.
+        servo_gravity: Acceleration [m/s^2] of all links on joints; None if it differs.
+        bare: The model without shapes.
+        parents: Bullet's number of the parent of each part but the root.
     """
 
     model: Model
@@ -84,6 +89,10 @@ class BulletBody:
     surfaces: tuple[MovingSurface, ...]
     slippery: tuple[tuple[int, float], ...]
     spinning_moments: Vec3 | None
+    moving: tuple[tuple[int, Joint], ...]
+    servo_gravity: Vec3 | None
+    bare: "BareModel"
+    parents: tuple[int, ...]
 
     @cached_property
     def has_twins(self) -> bool:
@@ -95,13 +104,71 @@ class BulletBody:
         """Bullet's joint numbers, in the order of `Model.joints`."""
         return self.links[1:]
 
+    @cached_property
+    def couplings(self) -> Couplings | None:
+        """Joints whose efforts are found before a step; None without any."""
+        if self.servo_gravity is None:
+            return None
+        driven = (*self.actuation.speeds.joints, *self.actuation.angles.joints)
+        return find_couplings(self.moving, self.actuation.joint_motors, driven)
+
+    @cached_property
+    def borne_parts(self) -> frozenset[int]:
+        """Bullet's numbers of the parts that hang on joints of `couplings`."""
+        moved = set(self.couplings.applied_joints) if self.couplings else set()
+        for number, parent in enumerate(self.parents):
+            if parent in moved:
+                moved.add(number)
+        return frozenset(moved)
+
     def with_model(self, model: Model) -> "BulletBody":
         """Use the body for another model that is built alike."""
         return replace(self, model=model, actuation=make_actuation(model).renumbered(self.joints))
 
 
-def make_bullet_body(model: Model, blueprint: Blueprint, loads: Sequence[LinkForce]) -> BulletBody:
-    """Make the record of a body without gears."""
+@dataclass(frozen=True, eq=False)
+class BareModel:
+    """A model without shapes, for its equations of motion.
+
+    Attributes:
+        creation: Arguments of createMultiBody.
+        moments: Bullet's number of the root and of each part on a joint, and principal moments.
+        is_static: Whether the root is fixed.
+    """
+
+    creation: BulletArguments
+    moments: tuple[tuple[int, list[float]], ...]
+    is_static: bool
+
+
+def make_bare_model(blueprint: Blueprint, creation: BulletArguments) -> BareModel:
+    """Make it from the arguments of createMultiBody of a body."""
+    none = [-1] * (len(blueprint.parts) - 1)
+    parts = enumerate(blueprint.parts, start=-1)
+    moments = tuple(
+        (number, list_moments(part)) for number, part in parts if part.joint or number < 0
+    )
+    bare = BulletArguments(
+        creation,
+        baseCollisionShapeIndex=-1,
+        baseVisualShapeIndex=-1,
+        linkCollisionShapeIndices=none,
+        linkVisualShapeIndices=none,
+        flags=0,
+    )
+    return BareModel(bare, moments, blueprint.is_static)
+
+
+def make_bullet_body(
+    model: Model,
+    blueprint: Blueprint,
+    loads: Sequence[LinkForce],
+    *,
+    gravity: Vec3,
+    creation: BulletArguments,
+) -> BulletBody:
+    """Make the record of a body without gears, from its arguments of createMultiBody."""
+    moving = list_moving_joints(blueprint)
     links = tuple(part - 1 for part in blueprint.link_parts)
     return BulletBody(
         model,
@@ -112,13 +179,17 @@ def make_bullet_body(model: Model, blueprint: Blueprint, loads: Sequence[LinkFor
         loads=loads,
         gears=(),
         rolling_frictions=find_rolling_frictions(model, blueprint),
-        springs=find_joint_springs(model, list_moving_joints(blueprint)),
+        springs=find_joint_springs(model, moving),
         carriers=list_carriers(blueprint),
         mass_kg=max(blueprint.mass_kg, MIN_MASS_KG),
         moves=find_moving_parts(blueprint),
         surfaces=list_moving_surfaces(blueprint),
         slippery=list_slippery_surfaces(blueprint),
         spinning_moments=_find_spinning_moments(blueprint),
+        moving=tuple(moving),
+        servo_gravity=find_common_gravity(blueprint.links[1:], gravity),
+        bare=make_bare_model(blueprint, creation),
+        parents=tuple(part.parent - 1 for part in blueprint.parts[1:]),
     )
 
 
@@ -251,9 +322,9 @@ class GearConstraint(NamedTuple):
     axis: Vec3
     ratio: float
     offset: float
-    force: float = 1e4
+    force: float = 1e9
     """Limit on the follower [N or N m]."""
-    erp: float = 0.2
+    erp: float = COUPLING_ERP
     """Share of the error that a step corrects."""
 
     @property

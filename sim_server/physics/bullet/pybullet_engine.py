@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 from uuid import uuid4
-from weakref import WeakValueDictionary
+from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from zensim.sim_server.physics.blueprint import (
 from zensim.sim_server.physics.bullet.bullet_bodies import (
     COLLISION_SHAPE_KINDS,
     PARKING_DEPTH_M,
+    BareModel,
     BodyPool,
     BodyRecipe,
     BulletBody,
@@ -45,8 +46,10 @@ from zensim.sim_server.physics.bullet.bullet_bodies import (
     make_multibody_arguments,
 )
 from zensim.sim_server.physics.bullet.bullet_contact import (
+    BEARING_ITERATIONS,
     RIGID_ERP,
     SOLVER_ARGUMENTS,
+    SOLVER_ITERATIONS,
     BulletArguments,
     find_recovery_share,
     has_self_collision,
@@ -54,6 +57,7 @@ from zensim.sim_server.physics.bullet.bullet_contact import (
     list_self_collision_pairs,
     make_recovery_arguments,
 )
+from zensim.sim_server.physics.bullet.joint_servos import JointDynamics, JointServos, make_free_mass
 from zensim.sim_server.physics.bullet.joint_springs import JointSprings, SpringTable
 from zensim.sim_server.physics.bullet.pair_friction import (
     COLLIDE_WITH_ALL,
@@ -285,6 +289,11 @@ ORIGIN_POSE = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 LEAST_FRICTION = 1e-9
 """Of a controlled joint: a motor without force keeps the effort that it last exerted."""
+NO_CLIENT = -1
+ROOT_POSITION = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+ROOT_AT_REST = (0.0,) * 6
+MAX_REMOVED_MODELS = 64
+"""Of `BareModels`, beside as many as there are in use, before its client is made anew."""
 CARRIER_TORQUE_NM = 1e6
 """Greatest torque of motors that hold carriers of wheels."""
 OVERLAP_M = 0.001  # depth from which bodies overlap instead of touching
@@ -414,6 +423,83 @@ def _make_blueprint_cache(config: EngineConfig) -> BlueprintCache:
     )
 
 
+class BareModels:
+    """Models without shapes in a client of their own, for their equations of motion.
+
+    Bullet keeps the equations of a body that is removed, for the next one at its address: bodies
+    stay here until the client is closed.
+    """
+
+    def __init__(self) -> None:
+        self._client = NO_CLIENT
+        self._made = 0
+        self._bodies = WeakKeyDictionary[BareModel, int]()
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Write nothing: models are made when they are needed."""
+        return BareModels, ()
+
+    def find_dynamics(
+        self,
+        known: BulletBody,
+        orientation: QuaternionTuple,
+        positions: list[float],
+        speeds: list[float],
+    ) -> JointDynamics:
+        """Find the equations of motion of a body in a state of its joints.
+
+        Args:
+            known: The body.
+            orientation: Of the principal axes of its root.
+            positions: Of its moving joints.
+            speeds: Likewise.
+        """
+        if (body := self._bodies.get(known.bare)) is None:
+            body = self._make(known.bare)
+        client = self._client
+        # The roots here are never turned: gravity is.
+        turned = rigid_transforms.rotate(
+            rigid_transforms.conjugate(orientation), known.servo_gravity or ZERO
+        )
+        pybullet.setGravity(*turned, physicsClientId=client)
+        matrix = np.array(pybullet.calculateMassMatrix(body, positions, physicsClientId=client))
+        still = [0.0] * len(positions)
+        if known.bare.is_static:
+            bias = pybullet.calculateInverseDynamics(
+                body, positions, speeds, still, physicsClientId=client
+            )
+            return JointDynamics(np.array(bias), matrix)
+        bias = pybullet.calculateInverseDynamics(
+            body,
+            [*ROOT_POSITION, *positions],
+            [*ROOT_AT_REST, *speeds],
+            [*ROOT_AT_REST, *still],
+            physicsClientId=client,
+        )
+        return JointDynamics(np.array(bias)[len(ROOT_AT_REST) :], make_free_mass(matrix))
+
+    def _make(self, bare: BareModel) -> int:
+        if self._made > MAX_REMOVED_MODELS + 2 * len(self._bodies):
+            self.close()
+        if self._client == NO_CLIENT:
+            self._client = pybullet.connect(pybullet.DIRECT)
+        body: int = pybullet.createMultiBody(**bare.creation, physicsClientId=self._client)
+        for number, moments in bare.moments:
+            pybullet.changeDynamics(
+                body, number, localInertiaDiagonal=moments, physicsClientId=self._client
+            )
+        self._made += 1
+        self._bodies[bare] = body
+        return body
+
+    def close(self) -> None:
+        """Forget all models."""
+        if self._client != NO_CLIENT:
+            pybullet.disconnect(physicsClientId=self._client)
+        self._client, self._made = NO_CLIENT, 0
+        self._bodies.clear()
+
+
 class PyBulletEngine(Engine):
     """Bullet's multibody dynamics, DIRECT mode, one client."""
 
@@ -443,6 +529,8 @@ class PyBulletEngine(Engine):
         """Bodies that may precess, and their moments."""
         self._springs: dict[int, JointSprings] = {}
         self._spring_table: SpringTable | None = None
+        self._servos: dict[int, JointServos] = {}
+        self._bare_models, self._is_bearing = BareModels(), False
         self._pending_velocities: dict[int, tuple[FloatArray, FloatArray]] = {}
         self._joint_efforts: dict[int, list[tuple[int, float]]] = {}
         self._recovering: dict[int, float] = {}
@@ -476,6 +564,7 @@ class PyBulletEngine(Engine):
         """See `Engine.resume`."""
         former, self._origin.engine = self._origin.engine, self
         _load_bullet(self._client, self.__dict__.pop("_saved"))
+        self._set_iterations()
         for body in sorted(former._asleep ^ self._asleep):  # noqa: SLF001
             states = ACTIVATION_ASLEEP if body in self._asleep else ACTIVATION_AWAKE
             self._set_activation([body], states)
@@ -531,6 +620,7 @@ class PyBulletEngine(Engine):
             table.pop(body, None)
         self._joint_efforts.pop(body, None)
         self._forget_springs(body)
+        self._servos.pop(body, None)
         if self._pool.has_room_for(known) and self._is_finite(body):
             self._park(body, known)
             return
@@ -544,6 +634,7 @@ class PyBulletEngine(Engine):
             self._loads.pop(body, None)
             self._spinning.pop(body, None)
             self._forget_springs(body)
+            self._servos.pop(body, None)
             self._remove_copies(body)
             self._set_collision_filter(body, known, collides=False)
             self._set_activation([body], ACTIVATION_ASLEEP)
@@ -674,18 +765,22 @@ class PyBulletEngine(Engine):
         """See `Engine.read_joint_efforts`; friction and springs of joints are motors, too."""
         jointed = self._list_joints(bodies)
         efforts = read_motor_efforts(jointed, self._client, pybullet.getJointStates)
-        return self._add_joint_efforts(efforts, jointed) if self._joint_efforts else efforts
+        if self._joint_efforts or self._servos:
+            self._add_applied(efforts, jointed)
+        return efforts
 
-    def _add_joint_efforts(
+    def _add_applied(
         self, efforts: FloatArray, jointed: Sequence[tuple[int, Sequence[int]]]
-    ) -> FloatArray:
-        """Add commanded efforts, which are none of Bullet's motors."""
+    ) -> None:
+        """Add efforts that are commanded or found, which are none of Bullet's motors."""
         start = 0
         for body, joints in jointed:
-            for joint, effort in self._joint_efforts.get(body, ()):
+            applied = list(self._joint_efforts.get(body, ()))
+            if (servos := self._servos.get(body)) is not None:
+                applied.extend(servos.list_efforts())
+            for joint, effort in applied:
                 efforts[start + joints.index(joint)] += effort
             start += len(joints)
-        return efforts
 
     def _list_joints(self, bodies: Sequence[int]) -> list[tuple[int, Sequence[int]]]:
         return [(body, found) for body in bodies if (found := self._bodies[body].joints)]
@@ -742,6 +837,7 @@ class PyBulletEngine(Engine):
             self._apply_gyroscopic_torques()
         if self._springs:
             self._apply_springs()
+        self._apply_servos()
         for body, efforts in self._joint_efforts.items():
             for joint, effort in efforts:
                 self._apply_effort(body, joint, effort)
@@ -751,6 +847,7 @@ class PyBulletEngine(Engine):
             self._follow_recoveries()
         self._set_activation(self._pool.after_step(), ACTIVATION_ASLEEP)
         self._apply_pending_velocities()
+        self._limit_iterations()
         if self._ground is None or self._is_finite(self._ground):
             return True
         self.set_base_state(self._ground, ORIGIN_STATE)
@@ -758,6 +855,7 @@ class PyBulletEngine(Engine):
 
     def close(self) -> None:
         """See `Engine.close`."""
+        self._bare_models.close()
         if self._origin.engine is self:
             pybullet.disconnect(physicsClientId=self._client)
 
@@ -780,7 +878,7 @@ class PyBulletEngine(Engine):
         if has_self_collision(blueprint.links):
             creation["flags"] = pybullet.URDF_USE_SELF_COLLISION
         loads = make_link_forces(blueprint, self._gravity, self._dt_s)
-        body = make_bullet_body(model, blueprint, loads)
+        body = make_bullet_body(model, blueprint, loads, gravity=self._gravity, creation=creation)
         dampings = limit_joint_dampings(blueprint, body.springs, self._dt_s)
         return BodyRecipe(
             blueprint,
@@ -821,6 +919,7 @@ class PyBulletEngine(Engine):
             table.pop(body, None)
         self._joint_efforts.pop(body, None)
         self._forget_springs(body)
+        self._servos.pop(body, None)
         self._resisting.discard(body)
         self._remove_body(body)
 
@@ -842,6 +941,8 @@ class PyBulletEngine(Engine):
         if known.springs is not None:
             self._springs[body] = known.springs
             self._spring_table = None
+        if known.couplings is not None:
+            self._servos[body] = JointServos(known.couplings, self._dt_s)
 
     def _set_velocity(self, body: int, velocity: FloatArray) -> None:
         linear, angular = velocity[:3].tolist(), velocity[3:].tolist()
@@ -990,6 +1091,8 @@ class PyBulletEngine(Engine):
 
     def _set_joint_motors(self, body: int, targets: list[float]) -> None:
         """Set the motors of controlled joints; those with an effort get it in each step."""
+        if (servos := self._servos.get(body)) is not None:
+            servos.command(targets)
         efforts = []
         for motor in self._bodies[body].actuation.joint_motors:
             kind, number = motor.find_target(targets)
@@ -1055,6 +1158,55 @@ class PyBulletEngine(Engine):
             pybullet.applyExternalTorque(
                 body, -1, torque, pybullet.WORLD_FRAME, physicsClientId=client
             )
+
+    def _apply_servos(self) -> None:
+        """Apply what motors and couplings exert, and leave the rest of their limits to Bullet."""
+        client = self._client
+        for body, servos in self._servos.items():
+            if not servos.is_active or body in self._asleep:
+                continue
+            couplings = servos.couplings
+            states = pybullet.getJointStates(body, couplings.joints, client)
+            _, orientation = pybullet.getBasePositionAndOrientation(body, client)
+            positions, speeds = [state[0] for state in states], [state[1] for state in states]
+            dynamics = self._bare_models.find_dynamics(
+                self._bodies[body], orientation, positions, speeds
+            )
+            efforts = servos.find_efforts(positions, speeds, dynamics)
+            pybullet.setJointMotorControlArray(
+                body,
+                couplings.applied_joints,
+                pybullet.TORQUE_CONTROL,
+                forces=efforts,
+                physicsClientId=client,
+            )
+            for motor, kind, number, rest in servos.take_limits():
+                arguments = _make_motor_arguments(motor, kind, number)
+                pybullet.setJointMotorControl2(
+                    body, motor.joint, **{**arguments, "force": rest}, physicsClientId=client
+                )
+
+    def _limit_iterations(self) -> None:
+        """Let the next step take more iterations if controlled joints bear contacts now."""
+        is_bearing = any(
+            self._bears_contacts(body)
+            for body, servos in self._servos.items()
+            if servos.is_active and body not in self._asleep
+        )
+        if is_bearing != self._is_bearing:
+            self._is_bearing = is_bearing
+            self._set_iterations()
+
+    def _bears_contacts(self, body: int) -> bool:
+        points = pybullet.getContactPoints(body, physicsClientId=self._client) or ()
+        borne = self._bodies[body].borne_parts
+        return any(point[3] in borne for point in points)
+
+    def _set_iterations(self) -> None:
+        pybullet.setPhysicsEngineParameter(
+            numSolverIterations=BEARING_ITERATIONS if self._is_bearing else SOLVER_ITERATIONS,
+            physicsClientId=self._client,
+        )
 
     def _forget_springs(self, body: int) -> None:
         if self._springs.pop(body, None) is not None:

@@ -14,6 +14,7 @@ from zensim.sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArra
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.mujoco.convex_pieces import HullPoints
 from zensim.sim_server.physics.mujoco.mujoco_contact import (
+    MAX_IMPEDANCE,
     GeomFriction,
     SolverParameters,
     find_geom_friction,
@@ -58,6 +59,7 @@ SCENERY_GEOMETRIES = 64
 MuJoCo's reader needs time with the square of the geometries of a model.
 """
 COMPILER = '<compiler angle="radian" balanceinertia="true" boundmass="0"/>'
+LIMITED_KINDS = ("revolute", "prismatic")
 CYLINDRICAL_KINDS = ("cylinder", "capsule")
 
 
@@ -332,6 +334,8 @@ def _write_exclusions(archetype: Archetype) -> Iterator[str]:
 
 def _write_mimic_equalities(archetype: Archetype, dt_s: float) -> Iterator[str]:
     index = {part.joint.name: link for link, part in enumerate(archetype.link_parts) if part.joint}
+    # As compliant as contacts, a follower would sag by millimetres under the load of a mast.
+    coupling = make_rigid_parameters(dt_s, MAX_IMPEDANCE)
     for link in list_mimic_links(archetype):
         joint = archetype.link_parts[link].joint
         if joint is not None and joint.mimic is not None:
@@ -339,7 +343,7 @@ def _write_mimic_equalities(archetype: Archetype, dt_s: float) -> Iterator[str]:
             yield (
                 f'<joint joint1="j{SLOT_PLACEHOLDER}.{link}" joint2="j{SLOT_PLACEHOLDER}.{leader}" '
                 f'polycoef="{joint.mimic.offset!r} {joint.mimic.multiplier!r} 0 0 0" '
-                f"{_solver_attributes('', make_rigid_parameters(dt_s))}/>"
+                f"{_solver_attributes('', coupling)}/>"
             )
 
 
@@ -380,6 +384,14 @@ class ModelLayout:
                 moments = np.maximum(part.inertia, MIN_INERTIA)
                 if 2.0 * moments.max() > moments.sum():
                     yield address.start.bodies + address.layout.bodies[link], moments
+
+    def limited_joints(self) -> Iterator[int]:
+        """List the degrees of freedom of joints with limits: those of arms, lifts and grippers."""
+        for archetype, address in self.addresses():
+            for joint, part in enumerate(archetype.link_parts[1:]):
+                index = address.joint_velocity(joint)
+                if index != NO_INDEX and part.joint_kind in LIMITED_KINDS:
+                    yield index
 
     def sprung_joints(self) -> Iterator[int]:
         """List the degrees of freedom with a spring."""

@@ -1670,6 +1670,8 @@ def _shift_body(body: MujocoBody, *, positions: int, velocities: int) -> MujocoB
     return replace(body, address=replace(body.address, start=start))
 
 
+JOINT_YIELD_SHARE = 0.3
+"""Of what joints with limits yield under an effort; MuJoCo's least lets long arms sag at 100 Hz."""
 MAX_UNDAMPED_SPRING = 0.25
 """Stiffness of a spring times step squared over mass, up to which it may oscillate undamped."""
 
@@ -1700,6 +1702,8 @@ def _compile_model(counts: SlotCounts, config: EngineConfig) -> CompiledModel:
         stiffness = float(model.jnt_stiffness[model.dof_jntid[index]])
         least = find_least_spring_damping(stiffness, float(model.dof_invweight0[index]), dt_s)
         model.dof_damping[index] = max(float(model.dof_damping[index]), least)
+    # The rows of a joint, its motor's too, yield in proportion to this.
+    model.dof_invweight0[list(layout.limited_joints())] *= JOINT_YIELD_SHARE
     bodies = model.geom_bodyid.tolist()
     _set_contact_parameters(model, layout, dt_s)
     axes = make_friction_axes(

@@ -1,0 +1,286 @@
+"""Efforts of motors and `<mimic>` couplings, by the equations of motion of a body.
+
+Bullet's solver goes from row to row and stops after some iterations, so that heavy chains of joints
+yield. What its rows have to do is found here directly, and applied before each step; the rows are
+left with contacts and with the motion of the root.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from zensim.proto.messages.drive_messages import JointTargetKind
+from zensim.proto.messages.model_messages import Joint
+from zensim.sim_server.physics.actuation import MAX_EFFORT, JointMotor
+from zensim.sim_server.physics.engine import BoolArray, FloatArray, IntArray
+
+POSITION_GAIN = 0.1
+"""Share of the error of a position that a step corrects; Bullet's for its motors."""
+COUPLING_ERP = 0.2
+"""Likewise of a follower."""
+RESERVED_SHARE = 1e-3
+"""Of a motor's limit that is not applied: Bullet's motor keeps it, or it could not move back."""
+
+
+class JointDynamics(NamedTuple):
+    """Equations of motion of the joints of a body: efforts = bias + mass accelerations.
+
+    Attributes:
+        bias: (k,) efforts without acceleration, while the root is at rest: gravity is in them.
+        mass: (k, k) mass matrix; of a root that is not fixed, while it yields freely. That is the
+            least that the joints feel, and the solver adds what the ground does to the root. More
+            than what they feel would not be stable.
+    """
+
+    bias: FloatArray
+    mass: FloatArray
+
+
+def make_free_mass(matrix: FloatArray) -> FloatArray:
+    """Make the mass matrix (k, k) of joints whose root yields, from that of all (6 + k, 6 + k)."""
+    root, across = matrix[:6, :6], matrix[:6, 6:]
+    return np.asarray(matrix[6:, 6:] - across.T @ np.linalg.solve(root, across))
+
+
+@dataclass(frozen=True)
+class Couplings:
+    """Moving joints of a model, and the independent ones whose efforts are found.
+
+    Attributes:
+        joints: Bullet's numbers of all moving joints, whose places are used below.
+        leaders: (m,) places of the independent joints.
+        ratios: (k, m) speed of each joint per speed of an independent one; 0 for other joints.
+        followers: (f,) places of joints with a `<mimic>`.
+        offsets: (f,) of each, from its ratio times the position of the independent joint.
+        motors: Of each independent joint; None without.
+        applied: Places of the joints that get an effort.
+    """
+
+    joints: tuple[int, ...]
+    leaders: IntArray
+    ratios: FloatArray
+    followers: IntArray
+    offsets: FloatArray
+    motors: tuple[JointMotor | None, ...]
+    applied: IntArray
+
+    @cached_property
+    def applied_joints(self) -> list[int]:
+        """Bullet's numbers of the joints that get an effort."""
+        return [self.joints[place] for place in self.applied]
+
+
+def find_couplings(
+    moving: Sequence[tuple[int, Joint]], motors: Sequence[JointMotor], driven: Sequence[int]
+) -> Couplings | None:
+    """Find the joints of controllers, and those that lead or follow; None without any.
+
+    Args:
+        moving: Moving joints by Bullet's numbers.
+        motors: Of controllers.
+        driven: Bullet's numbers of joints of the drive. The ground holds their wheels, so that
+            they, and what mimics them, are left to the solver.
+    """
+    numbers = [number for number, _ in moving]
+    motor_of = {numbers.index(motor.joint): motor for motor in motors}
+    left_out = {numbers.index(number) for number in driven}
+    followers = [one for one in _list_followers(moving) if one.leader not in left_out]
+    following = {one.place for one in followers}
+    leaders = sorted((motor_of.keys() | {one.leader for one in followers}) - following - left_out)
+    if not leaders:
+        return None
+    ratios = np.zeros((len(moving), len(leaders)))
+    ratios[leaders, range(len(leaders))] = 1.0
+    for one in followers:
+        ratios[one.place, leaders.index(one.leader)] = one.ratio
+    return Couplings(
+        tuple(numbers),
+        np.array(leaders, dtype=np.intp),
+        ratios,
+        np.array([one.place for one in followers], dtype=np.intp),
+        np.array([one.offset for one in followers]),
+        tuple(motor_of.get(place) for place in leaders),
+        np.flatnonzero(ratios.any(axis=1)),
+    )
+
+
+class _Follower(NamedTuple):
+    """A joint at `place` whose position is that of the joint at `leader` times ratio, + offset."""
+
+    place: int
+    leader: int
+    ratio: float
+    offset: float
+
+
+def _list_followers(moving: Sequence[tuple[int, Joint]]) -> Iterator[_Follower]:
+    """List the joints that mimic another one that moves, each with the end of its chain."""
+    places = {joint.name: place for place, (_, joint) in enumerate(moving)}
+    for place, (_, joint) in enumerate(moving):
+        at, ratio, offset = place, 1.0, 0.0
+        while (mimic := joint.mimic) is not None and mimic.joint in places:
+            offset += ratio * mimic.offset
+            ratio *= mimic.multiplier
+            at = places[mimic.joint]
+            joint = moving[at][1]  # noqa: PLW2901
+        if at != place:
+            yield _Follower(place, at, ratio, offset)
+
+
+class ServoTargets(NamedTuple):
+    """What each independent joint is to do, (m,) each.
+
+    The speed at the end of a step is `speed + slope (position - own position)`, limited; a joint
+    without a motor that moves it has the effort.
+    """
+
+    is_moved: BoolArray
+    slope: FloatArray
+    position: FloatArray
+    most_speed: FloatArray
+    speed: FloatArray
+    effort: FloatArray
+    most_effort: FloatArray
+
+
+def make_servo_targets(
+    motors: Sequence[JointMotor | None], targets: list[float], dt_s: float
+) -> ServoTargets:
+    """Make the targets of independent joints from those of their body."""
+    found = ServoTargets(np.zeros(len(motors), np.bool_), *np.zeros((6, len(motors))))
+    for row, motor in enumerate(motors):
+        if motor is None:
+            continue
+        kind, number = motor.find_target(targets)
+        found.most_effort[row] = motor.effort
+        if kind == JointTargetKind.POSITION:
+            found.slope[row], found.position[row] = POSITION_GAIN / dt_s, number
+            found.most_speed[row] = motor.velocity
+        elif kind == JointTargetKind.VELOCITY:
+            found.speed[row] = number
+        elif kind == JointTargetKind.EFFORT:
+            found.effort[row] = max(-motor.effort, min(number, motor.effort))
+        found.is_moved[row] = kind in (JointTargetKind.POSITION, JointTargetKind.VELOCITY)
+    return found
+
+
+class JointServos:
+    """Motors and couplings of one body."""
+
+    def __init__(self, couplings: Couplings, dt_s: float) -> None:
+        """Let all joints be free."""
+        self.couplings = couplings
+        self._dt_s = dt_s
+        self._numbers: list[float] = []
+        self._rest: FloatArray = np.zeros(len(couplings.leaders))
+        self._motor_efforts: FloatArray = np.zeros(len(couplings.leaders))
+        self._set_targets(make_servo_targets((None,) * len(couplings.leaders), [], dt_s))
+
+    def command(self, targets: list[float]) -> None:
+        """Set the targets of the body; its motors in Bullet have their whole limits."""
+        self._numbers = targets
+        self._set_targets(make_servo_targets(self.couplings.motors, targets, self._dt_s))
+
+    def list_efforts(self) -> Iterator[tuple[int, float]]:
+        """List Bullet's numbers of joints, and what was found for their motors in the last step."""
+        for motor, effort in zip(self.couplings.motors, self._motor_efforts.tolist(), strict=True):
+            if motor is not None:
+                yield motor.joint, effort
+
+    def take_limits(self) -> Iterator[tuple[JointMotor, int, float, float]]:
+        """List motors with kind and number of their targets, and the rest of their limits.
+
+        Only those are listed for which the rest in the last call is too much, or much too little.
+        """
+        most = self.targets.most_effort
+        found = most - np.abs(self._motor_efforts)
+        changed = (self._rest > found) | (self._rest < found - RESERVED_SHARE * most)
+        if not (changed & self.targets.is_moved).any():
+            return
+        self._rest = np.where(changed, found - RESERVED_SHARE * most / 2.0, self._rest)
+        for row in np.flatnonzero(changed & self.targets.is_moved).tolist():
+            motor = self.couplings.motors[row]
+            if motor is not None and motor.effort < MAX_EFFORT:
+                yield motor, *motor.find_target(self._numbers), float(self._rest[row])
+
+    def _set_targets(self, targets: ServoTargets) -> None:
+        self.targets = targets
+        self.is_active = bool(targets.is_moved.any()) or len(self.couplings.followers) > 0
+        self._motor_efforts = np.where(targets.is_moved, self._motor_efforts, 0.0)
+        self._rest = targets.most_effort
+
+    def find_efforts(
+        self, positions: Sequence[float], speeds: Sequence[float], dynamics: JointDynamics
+    ) -> list[float]:
+        """Find the efforts of `Couplings.applied` in the next step.
+
+        Args:
+            positions: (k,) of all moving joints.
+            speeds: Likewise.
+            dynamics: Of the body.
+        """
+        couplings, targets = self.couplings, self.targets
+        wish = self._find_accelerations(np.array(positions), np.array(speeds))
+        efforts = dynamics.bias + dynamics.mass @ wish
+        sums = efforts @ couplings.ratios
+        is_over = np.abs(sums) > (1.0 - RESERVED_SHARE) * targets.most_effort
+        if (is_over & targets.is_moved).any() or not targets.is_moved.all():
+            own = couplings.ratios.T @ dynamics.mass @ couplings.ratios
+            sums, change = limit_efforts(own, sums, targets)
+            efforts = efforts + dynamics.mass @ (couplings.ratios @ change)
+        self._motor_efforts = np.where(targets.is_moved, sums, 0.0)
+        # The engine applies commanded efforts by itself.
+        efforts[couplings.leaders] -= targets.effort
+        applied: list[float] = efforts[couplings.applied].tolist()
+        return applied
+
+    def _find_accelerations(self, at: FloatArray, moving: FloatArray) -> FloatArray:
+        """Find the accelerations (k,) that reach the targets; 0 of joints without a motor."""
+        couplings, (is_moved, slope, position, most_speed, speed, *_) = self.couplings, self.targets
+        own = moving[couplings.leaders]
+        aim = slope * (position - at[couplings.leaders])
+        aim = np.minimum(np.maximum(aim, -most_speed), most_speed) + speed
+        wish = couplings.ratios @ np.where(is_moved, (aim - own) / self._dt_s, 0.0)
+        if len(followers := couplings.followers):
+            ratios = couplings.ratios[followers]
+            ahead = at[followers] - ratios @ at[couplings.leaders] - couplings.offsets
+            missing = ratios @ own - moving[followers] - COUPLING_ERP * ahead / self._dt_s
+            wish[followers] += missing / self._dt_s
+        return wish
+
+
+def limit_efforts(
+    mass: FloatArray, efforts: FloatArray, targets: ServoTargets
+) -> tuple[FloatArray, FloatArray]:
+    """Keep the efforts of independent joints within the limits of their motors.
+
+    Args:
+        mass: (m, m) mass matrix of the independent joints.
+        efforts: (m,) that give the accelerations which are wished.
+        targets: With the efforts of joints that are not moved.
+
+    Returns:
+        Efforts (m,), and the change of the accelerations (m,) that they mean.
+    """
+    most = (1.0 - RESERVED_SHARE) * targets.most_effort
+    given = np.where(targets.is_moved, np.clip(efforts, -most, most), targets.effort)
+    is_given = ~targets.is_moved | (np.abs(efforts) > most)
+    found, change = efforts, np.zeros(len(efforts))
+    for _ in range(2 * len(efforts) + 2):
+        rows = np.flatnonzero(is_given)
+        change = np.zeros(len(efforts))
+        change[rows] = np.linalg.solve(mass[np.ix_(rows, rows)], (given - efforts)[rows])
+        found = efforts + mass @ change
+        is_over = targets.is_moved & ~is_given & (np.abs(found) > most)
+        # A motor at its limit that moves its joint beyond the wish can do with less.
+        is_beyond = targets.is_moved & is_given & (given * change > 0.0)
+        if not (is_over | is_beyond).any():
+            break
+        given = np.where(is_over, np.clip(found, -most, most), given)
+        is_given = (is_given | is_over) & ~is_beyond
+    return np.clip(
+        found, np.where(targets.is_moved, -most, found), np.where(targets.is_moved, most, found)
+    ), change
