@@ -226,16 +226,16 @@ def relayed(port: int, round_trip_s: float) -> "closing[TcpRelay]":
 
 
 LINKS = [
-    pytest.param(0.0, False, id="0 ms"),
-    pytest.param(0.02, False, id="20 ms", marks=pytest.mark.long_form),
-    pytest.param(0.1, False, id="100 ms"),
-    pytest.param(0.0, True, id="0 ms, TLS", marks=pytest.mark.long_form),
-    pytest.param(0.02, True, id="20 ms, TLS", marks=pytest.mark.long_form),
-    pytest.param(0.1, True, id="100 ms, TLS"),
+    pytest.param(0.0, "TCP", id="0 ms"),
+    pytest.param(0.02, "TCP", id="20 ms", marks=pytest.mark.long_form),
+    pytest.param(0.1, "TCP", id="100 ms"),
+    pytest.param(0.0, "TLS", id="0 ms, TLS", marks=pytest.mark.long_form),
+    pytest.param(0.02, "TLS", id="20 ms, TLS", marks=pytest.mark.long_form),
+    pytest.param(0.1, "TLS", id="100 ms, TLS"),
 ]
 
 
-@pytest.mark.parametrize(("round_trip_s", "has_tls"), LINKS)
+@pytest.mark.parametrize(("round_trip_s", "link"), LINKS)
 @pytest.mark.parametrize(
     ("make", "protocol"),
     [(FoxgloveCase, Subprotocol(SUBPROTOCOLS[0])), (PageCase, PROTOCOL)],
@@ -245,10 +245,10 @@ def test_server_of_websockets_serves_all_others_when_clients_leave(
     make: Any,  # noqa: ANN401
     protocol: Subprotocol,
     round_trip_s: float,
-    has_tls: bool,
+    link: str,
     tmp_path: Path,
 ) -> None:
-    case = make(protocol, make_certificate(tmp_path) if has_tls else None)
+    case = make(protocol, make_certificate(tmp_path) if link == "TLS" else None)
     with case.serve() as port, relayed(port, round_trip_s) as relay, case.open(port) as stays:
         case.greet(stays)
 
