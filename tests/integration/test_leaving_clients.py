@@ -19,6 +19,7 @@ import pytest
 import viser
 from websockets.exceptions import InvalidHandshake, WebSocketException
 from websockets.sync.client import ClientConnection, connect
+from websockets.sync.connection import Connection
 from websockets.typing import Origin, Subprotocol
 
 from tests.foxglove.fake_bus import FakeBus
@@ -60,7 +61,7 @@ class SocketServer:
         self.access = PageAccess("", *files) if files else PageAccess()
         self._trust = ssl.create_default_context(cafile=files[0]) if files else None
 
-    def greet(self, client: ClientConnection) -> None:
+    def greet(self, client: Connection) -> None:
         """Say what makes the server send messages again and again."""
 
     def open(self, port: int) -> ClientConnection:
@@ -87,7 +88,7 @@ class SocketServer:
 class FoxgloveCase(SocketServer):
     """`FoxgloveServer`, with a clock that is published all the time."""
 
-    def greet(self, client: ClientConnection) -> None:
+    def greet(self, client: Connection) -> None:
         """Subscribe to all topics."""
         while json.loads(text := client.recv(WITHIN_S))["op"] != "advertise":
             pass
@@ -120,7 +121,7 @@ class FoxgloveCase(SocketServer):
 class PageCase(SocketServer):
     """The page, with a frame that moves all the time."""
 
-    def greet(self, client: ClientConnection) -> None:
+    def greet(self, client: Connection) -> None:
         """Say where the camera is, as pages do first."""
         client.send(encode_camera())
 
