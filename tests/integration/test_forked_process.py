@@ -46,7 +46,6 @@ print("child", os.waitstatus_to_exitcode(status))
 """
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="no fork")
 @pytest.mark.parametrize("parent", ["open", "closed"])
 @pytest.mark.parametrize("what", ["connect", "launch", "servers", "command"])
 def test_forked_process_is_told_at_once_to_be_spawned(what: str, parent: str) -> None:

@@ -118,8 +118,7 @@ def launch(  # noqa: PLR0913  options of a start, each with a default
         options: model_paths, strict and others; see `WorldKeywords`.
 
     Raises:
-        Error, Timeout: A program ended at its start, or took too long.
-        Unsupported: See `connect`.
+        Error: A program ended, took too long (Timeout), or see `connect` (Unsupported).
     """
     config = LaunchConfig(
         world=str(world),

@@ -22,7 +22,7 @@ from zensim.api.in_process_network import (
 )
 from zensim.api.state_classes import NotState
 from zensim.api.world_snapshots import (
-    Place,
+    SnapshotPlace,
     check_like,
     make_wrong_snapshot,
     read_snapshot,
@@ -492,7 +492,7 @@ class InProcessServer:
             is_more = response.is_more
 
     @property
-    def _place(self) -> Place:
+    def _place(self) -> SnapshotPlace:
         """Where a snapshot is taken and put; what it names is left as it is by `restore`."""
         parts = self.parts
         fixed = {
@@ -501,7 +501,7 @@ class InProcessServer:
             "store": parts.store,
             "pacing": parts.pacing,
         }
-        return Place(self._engine, fixed, parts.store.folder, self._key)
+        return SnapshotPlace(self._engine, fixed, parts.store.folder, self._key)
 
     @property
     def _version(self) -> tuple[int, int]:

@@ -63,11 +63,6 @@ STATE_MODULES: Final = frozenset(
         "sim_server.physics.actuation",
         "sim_server.physics.blueprint",
         "sim_server.physics.body_reach",
-        "sim_server.physics.bullet.bullet_bodies",
-        "sim_server.physics.bullet.bullet_contact",
-        "sim_server.physics.bullet.joint_springs",
-        "sim_server.physics.bullet.pybullet_engine",
-        "sim_server.physics.bullet.wheel_carriers",
         "sim_server.physics.cells.cell_executor",
         "sim_server.physics.cells.celled_engine",
         "sim_server.physics.command_cache",
@@ -77,31 +72,19 @@ STATE_MODULES: Final = frozenset(
         "sim_server.physics.engine_factory",
         "sim_server.physics.isolating_engine",
         "sim_server.physics.joint_inertia",
-        "sim_server.physics.kinematic.collision_limits",
-        "sim_server.physics.kinematic.kinematic_robots",
-        "sim_server.physics.kinematic.planar_vehicle",
-        "sim_server.physics.kinematic.tier_body_table",
-        "sim_server.physics.kinematic.tiered_engine",
         "sim_server.physics.link_forces",
-        "sim_server.physics.mujoco.mujoco_engine",
-        "sim_server.physics.mujoco.slot_layout",
-        "sim_server.physics.mujoco.slot_state",
         "sim_server.physics.sleeping_engine",
         "sim_server.runtime.contact_telemetry",
         "sim_server.runtime.world_telemetry",
         "sim_server.scene.footprints",
-        "sim_server.world.applied_forces",
-        "sim_server.world.body_models",
-        "sim_server.world.claim_registry",
-        "sim_server.world.commanded_twists",
-        "sim_server.world.entity",
-        "sim_server.world.entity_store",
-        "sim_server.world.injected_faults",
-        "sim_server.world.simulated_world",
-        "sim_server.world.simulation_clock",
     )
 )
 """Modules of which a state may have objects."""
+STATE_PACKAGES: Final = tuple(
+    f"zensim.sim_server.{name}."
+    for name in ("physics.bullet", "physics.kinematic", "physics.mujoco", "world")
+)
+"""Packages of which it may have, too: they start nothing, and have no network and clock."""
 FUNCTIONS: Final = frozenset(
     {
         "pybullet:createCollisionShapeArray",
@@ -150,7 +133,7 @@ def find_class(name: str) -> type:
         NotState: It is none.
     """
     module, _, qualname = name.partition(":")
-    if module in STATE_MODULES or module.startswith(MESSAGES):
+    if module in STATE_MODULES or module.startswith((*STATE_PACKAGES, MESSAGES)):
         found = _find(module, qualname)
         if isinstance(found, type) and not issubclass(found, BaseException):
             return found

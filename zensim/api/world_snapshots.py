@@ -51,7 +51,7 @@ CONSTANTS = {"float_math": FLOAT_MATH, "array_math": ARRAY_MATH}
 DIGEST_BYTES = 16
 
 
-class Place(NamedTuple):
+class SnapshotPlace(NamedTuple):
     """Where a state is taken, or put.
 
     Attributes:
@@ -112,7 +112,7 @@ class NamedObjects:
     """
 
     def __init__(
-        self, place: Place, known: Mapping[bytes, bytes] | None = None, root: object = None
+        self, place: SnapshotPlace, known: Mapping[bytes, bytes] | None = None, root: object = None
     ) -> None:
         """Name objects.
 
@@ -170,7 +170,7 @@ class NamedObjects:
         return _SHARED_PARTS.keep(SharedPart(value, digest, body, inner.parts))
 
 
-def write_snapshot(place: Place, state: object) -> bytes:
+def write_snapshot(place: SnapshotPlace, state: object) -> bytes:
     """Write the state of a world: an object with all that it refers to.
 
     Raises:
@@ -182,7 +182,7 @@ def write_snapshot(place: Place, state: object) -> bytes:
     return b"\n".join([_write_header(place), _write_checksum(body, place), body])
 
 
-def read_snapshot(place: Place, snapshot: bytes) -> object:
+def read_snapshot(place: SnapshotPlace, snapshot: bytes) -> object:
     """Read what `write_snapshot` wrote.
 
     Raises:
@@ -228,7 +228,7 @@ def make_wrong_snapshot(cause: Exception) -> Invalid:
     return Invalid(f"these bytes are not the state of a world ({text})", slug=WRONG, hint=HINT)
 
 
-def _check(place: Place, snapshot: bytes) -> bytes:
+def _check(place: SnapshotPlace, snapshot: bytes) -> bytes:
     """Check header and checksum; return what follows them."""
     header, checksum, body = [*snapshot.split(b"\n", 2), b"", b""][:3]
     wanted = _write_header(place)
@@ -248,12 +248,12 @@ def _check(place: Place, snapshot: bytes) -> bytes:
     return body
 
 
-def _write_header(place: Place) -> bytes:
+def _write_header(place: SnapshotPlace) -> bytes:
     python = ".".join(str(number) for number in sys.version_info[:2])
     return b" ".join([MAGIC, _read_version().encode(), python.encode(), place.engine.encode()])
 
 
-def _write_checksum(body: bytes, place: Place) -> bytes:
+def _write_checksum(body: bytes, place: SnapshotPlace) -> bytes:
     return blake2b(body, digest_size=DIGEST_BYTES, key=place.key).hexdigest().encode()
 
 
