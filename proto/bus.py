@@ -11,7 +11,7 @@ import socket
 import threading
 import time
 import uuid
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import cached_property, partial
@@ -44,7 +44,14 @@ from zensim.proto.network_protocols import (
 )
 from zensim.proto.process_limits import limit_unacknowledged_time, raise_file_limit
 from zensim.proto.reply_sender import REPLY_BYTES, ReplySender, Send
-from zensim.proto.service_catalog import Request, Response, Service, require_ok
+from zensim.proto.service_catalog import (
+    SPAWN_ENTITIES,
+    SPAWN_ENTITY,
+    Request,
+    Response,
+    Service,
+    require_ok,
+)
 from zensim.proto.token_thread import TokenThread
 
 if TYPE_CHECKING:
@@ -59,6 +66,9 @@ Message = TypeVar("Message", bound=msgspec.Struct)
 Item = TypeVar("Item")
 Item_co = TypeVar("Item_co", covariant=True)
 
+SPAWNS: Final = frozenset({SPAWN_ENTITY.name, SPAWN_ENTITIES.name})
+MAX_UNANSWERED: Final = 64
+"""Spawns that got no reply in time, and whose ids are kept for a retry."""
 MAX_COPIED_BYTES: Final = 32 << 20
 """Of payloads that a subscription of `subscribe_copying` keeps."""
 MAX_EXPECTED_KEYS: Final = 4096
@@ -780,6 +790,7 @@ __all__ = [
     "Credentials",
     "EndpointTaken",
     "EndpointUnreachable",
+    "ForkedProcess",
     "JoinRefused",
     "LinkWatch",
     "LivelinessToken",
@@ -793,6 +804,7 @@ __all__ = [
     "log_handshakes",
     "open_bus",
     "receive_in_one_thread",
+    "require_threads",
     "to_zenoh_json",
 ]
 
@@ -904,6 +916,16 @@ class EndpointTaken(BusError):
     """Another process listens at the endpoint."""
 
 
+class ForkedProcess(BusError):
+    """A process that was forked after a Zenoh session cannot open one: its threads are gone."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "this process was forked after a Zenoh session was opened, whose threads it does not "
+            "have; use the start method spawn: multiprocessing.set_start_method('spawn')"
+        )
+
+
 class NoServer(BusError):
     """No queryable replies on this key."""
 
@@ -980,6 +1002,8 @@ class Bus:
         """Of this session, and of those that it opens."""
         self._expected_keys: dict[str, zenoh.KeyExpr] = {}
         self._user_token: zenoh.LivelinessToken | None = None
+        self._unanswered: OrderedDict[tuple[str, bytes], str] = OrderedDict()
+        """Ids of spawns without a reply, by key and digest of the request."""
         # Names this session in its requests: a server shares its time among sessions.
         self._source = zenoh.SourceInfo(session.id, 0)
         self.config = config
@@ -1238,6 +1262,9 @@ class Bus:
     ) -> Response:
         """Call a service; a retry has the same `request_id`.
 
+        A spawn that got no reply in time may be carried out all the same. The same request of this
+        session, without an id, is its retry.
+
         Raises:
             ServiceError: The server refused the request, or would refuse it for its size.
             TimeoutError: The server did not reply in time.
@@ -1245,14 +1272,31 @@ class Bus:
             MalformedPayload: The reply is not a response of this service.
         """
         key = keys.service(world, service.name, self.user)
+        retry = self._find_retry(key, service, request)
+        request_id = request_id or self._unanswered.pop(retry, "") or uuid.uuid4().hex
         query = self._make_query(key, service, request, timeout_s, request_id)
         for pause_s in RETRY_AFTER_S:
             for reply in query():
                 if reply.ok:
                     return _read_response(service, to_sample(reply.ok))
+                self._keep_for_retry(retry, request_id)
                 raise self._make_call_error(key, timeout_s, TimeoutError)
             time.sleep(pause_s)
         raise self._make_call_error(key, timeout_s, NoServer)
+
+    def _find_retry(
+        self, key: str, service: Service[Request, Response], request: Request
+    ) -> tuple[str, bytes]:
+        """Find by what the retry of a spawn is known; empty for other services."""
+        if service.name not in SPAWNS:
+            return "", b""
+        return key, hashlib.sha256(encode(request, Format.MSGPACK)).digest()
+
+    def _keep_for_retry(self, retry: tuple[str, bytes], request_id: str) -> None:
+        if retry[0]:
+            self._unanswered[retry] = request_id
+            while len(self._unanswered) > MAX_UNANSWERED:
+                self._unanswered.popitem(last=False)
 
     def begin_call(
         self,
@@ -1325,16 +1369,49 @@ def _read_response(service: Service[Request, Response], reply: Sample) -> Respon
     return require_ok(service, decode(service.response, reply.payload, reply.encoding))
 
 
+class RuntimeThreads:
+    """Whether the threads of Zenoh, which the first session starts, are in this process.
+
+    Attributes:
+        are_started: Whether a session was opened, here or in a process that this one is a fork of.
+        are_lost: Whether that was before the fork.
+    """
+
+    def __init__(self) -> None:
+        self.are_started = self.are_lost = False
+        if hasattr(os, "register_at_fork"):
+            os.register_at_fork(after_in_child=self._note_fork)
+
+    def _note_fork(self) -> None:
+        self.are_lost = self.are_started
+
+
+_RUNTIME_THREADS = RuntimeThreads()
+
+
+def require_threads() -> None:
+    """Check that this process can open a session: Zenoh would wait for ever.
+
+    Raises:
+        ForkedProcess: It was forked after one was opened.
+    """
+    if _RUNTIME_THREADS.are_lost:
+        raise ForkedProcess
+
+
 def open_bus(config: BusConfig) -> Bus:
     """Open a session.
 
     Raises:
+        ForkedProcess: This process was forked after a session was opened.
         EndpointUnreachable: No router or server listens at the endpoints to connect to.
         EndpointTaken: Another process listens at an endpoint to listen at.
         JoinRefused: A secured server does not admit the session, or is another one.
         ValueError: An endpoint or a join token is not valid.
     """
+    require_threads()
     settled = _settle(config)
+    _RUNTIME_THREADS.are_started = True
     try:
         bus = Bus(zenoh.open(_make_zenoh_config(settled)), settled)
     except zenoh.ZError as error:

@@ -1,10 +1,16 @@
 """TcpRelay: passes the bytes of TCP connections on, until it is cut; the connections stay open."""
 
 import socket
+import struct
 import threading
+import time
 from contextlib import suppress
+from queue import SimpleQueue
 
 MAX_BYTES = 65_536
+RESET_AT_ONCE = struct.pack("ii", 1, 0)
+Arrival = tuple[float, bytes | None]
+"""When it is passed on, and bytes, of which none end the stream; None resets the connection."""
 
 
 class TcpRelay:
@@ -14,7 +20,14 @@ class TcpRelay:
         port: Where it listens.
     """
 
-    def __init__(self, target_port: int) -> None:
+    def __init__(self, target_port: int, delay_s: float = 0.0) -> None:
+        """Listen.
+
+        Args:
+            target_port: Of this host.
+            delay_s: Of all bytes and ends, in each direction: half of a round trip.
+        """
+        self._delay_s = delay_s
         self._target = ("127.0.0.1", target_port)
         self._is_open = threading.Event()
         self._is_open.set()
@@ -57,9 +70,28 @@ class TcpRelay:
                     threading.Thread(target=self._copy, args=pair, daemon=True).start()
 
     def _copy(self, source: socket.socket, sink: socket.socket) -> None:
+        arrivals: SimpleQueue[Arrival] = SimpleQueue()
+        threading.Thread(target=self._pass_on, args=(arrivals, sink), daemon=True).start()
+        received: bytes | None = b"..."
+        while received:
+            try:
+                received = source.recv(MAX_BYTES)
+            except OSError:
+                received = None
+            arrivals.put((time.monotonic() + self._delay_s, received))
+
+    def _pass_on(self, arrivals: "SimpleQueue[Arrival]", sink: socket.socket) -> None:
+        pause = threading.Event()
         with suppress(OSError):
-            while received := source.recv(MAX_BYTES):
+            while True:
+                due_s, data = arrivals.get()
+                pause.wait(max(0.0, due_s - time.monotonic()))
                 self._is_open.wait()
-                sink.sendall(received)
-        with suppress(OSError):
-            sink.shutdown(socket.SHUT_WR)
+                if not data:
+                    break
+                sink.sendall(data)
+            if data is None:
+                sink.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_AT_ONCE)
+                sink.close()
+            else:
+                sink.shutdown(socket.SHUT_WR)

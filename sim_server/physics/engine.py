@@ -175,7 +175,7 @@ class EngineCapabilities:
         sleeps: `sleep`, `wake` and `find_contacts`, of which bodies.
         is_remote: Another process does the work: `skip_validation`, `find_overlaps_async` and
             `is_idle` avoid waiting for it.
-        copies: A pickled state can be used in another engine, beside this one.
+        copies: A saved state can be used in another engine, beside this one.
     """
 
     hides: bool = False
@@ -296,7 +296,7 @@ class Engine(ABC):
         """Free the engine."""
 
     def resume(self) -> None:  # noqa: B027
-        """Finish the restoring of an engine that was read from a pickle of another state.
+        """Finish the restoring of an engine that was read from a saved state.
 
         The engine that it replaces is closed afterwards.
         """

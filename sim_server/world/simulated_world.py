@@ -234,8 +234,11 @@ MAX_STATE_AGE_NS = 25_000_000
 """Simulation time for which the states of the last control step are reported again."""
 
 
-SavedWorld = dict[str, Any]
-"""State of a `SimulatedWorld`."""
+class SavedWorld:
+    """State of a `SimulatedWorld`: its attributes."""
+
+    def __init__(self, attributes: Mapping[str, Any]) -> None:
+        self.__dict__.update(attributes)
 
 
 class SimulatedWorld:
@@ -837,14 +840,15 @@ class SimulatedWorld:
 
         The objects are those in use: copy them before the next call.
         """
-        return {**self.__dict__, "_scene_layouts": None, "_support_layout": None}
+        left_out = {"_scene_layouts": None, "_support_layout": None}
+        return SavedWorld({**self.__dict__, **left_out})
 
     def load(self, saved: SavedWorld) -> None:
-        """Replace the state by one that was taken of this world or another; it must be a copy."""
-        former = self.engine
-        self.__dict__.update(saved)
-        self.engine.resume()
-        former.close()
+        """Replace the state by one that was taken of this world or another; it must be a copy.
+
+        The caller resumes its engine, and closes the former one.
+        """
+        self.__dict__.update(vars(saved))
 
     def close(self) -> None:
         """Free the engine."""

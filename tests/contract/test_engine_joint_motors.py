@@ -146,16 +146,16 @@ def test_position_holds_while_other_bodies_come_and_go(engine: Engine) -> None:
 
 @pytest.mark.parametrize("make", [PyBulletEngine, MujocoEngine], ids=lambda make: make.name)
 def test_state_that_is_restored_keeps_its_motors(make: type[Engine]) -> None:
-    from zensim.api.world_snapshots import read_snapshot, write_snapshot  # noqa: PLC0415
+    from zensim.api.world_snapshots import SnapshotPlace, read_snapshot, write_snapshot  # noqa: PLC0415
 
     with running(make) as engine:
         arm = engine.add(a_controlled_arm(), a_state((0.0, 0.0, 0.0)))
         command(engine, arm, EFFORT, -MOMENT_NM)
         advance(engine, 20)
-        saved = write_snapshot(engine.name, engine, {}, "")
+        saved = write_snapshot(SnapshotPlace(engine.name, {}, ""), engine)
         command(engine, arm, FREE)
         advance(engine, 20)
-        other = read_snapshot(engine.name, saved, {}, "")
+        other = read_snapshot(SnapshotPlace(engine.name, {}, ""), saved)
         assert isinstance(other, Engine)
         other.resume()
         advance(other, STEPS_S // 2)

@@ -4,13 +4,14 @@ import atexit
 import os
 import time
 import weakref
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.api.api_errors import NotFound, Unreachable
+from zensim.api.api_errors import NotFound, Unreachable, Unsupported
 from zensim.api.local_deployment import LaunchAgentsConfig, LaunchConfig
 from zensim.api.program_keeper import ProgramKeeper
 from zensim.api.server_access import ServerAccess
@@ -22,8 +23,10 @@ from zensim.proto.bus import (
     Bus,
     BusConfig,
     BusError,
+    ForkedProcess,
     JoinRefused,
     open_bus_with_retry,
+    require_threads,
 )
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_endpoint, with_free_port
 from zensim.proto.join_tokens import (
@@ -73,6 +76,7 @@ def connect(
     Raises:
         Unreachable: No server replies there.
         NotFound: There is no such world.
+        Unsupported: This process was forked after a session was opened.
     """
     where, source = _choose_endpoint(token or endpoint)
     deadline = time.monotonic() + timeout_s
@@ -114,7 +118,7 @@ def launch(  # noqa: PLR0913  options of a start, each with a default
         options: model_paths, strict and others; see `WorldKeywords`.
 
     Raises:
-        Error, Timeout: A program ended at its start, or took too long.
+        Error: A program ended, took too long (Timeout), or see `connect` (Unsupported).
     """
     config = LaunchConfig(
         world=str(world),
@@ -144,6 +148,8 @@ def launch_configured(config: LaunchConfig, timeout_s: float = START_TIMEOUT_S) 
 
 def _start(config: LaunchConfig, timeout_s: float) -> Sim:
     with ExitStack() as stack:
+        with _fork_errors():
+            require_threads()
         keeper = ProgramKeeper(config, timeout_s)
         stack.callback(keeper.close)
         bus = keeper.connect()
@@ -198,11 +204,22 @@ def _check_address(address: str) -> str:
     return check_endpoint(address)
 
 
+@contextmanager
+def _fork_errors() -> Iterator[None]:
+    """Convert the error of a process that was forked too late."""
+    try:
+        yield
+    except ForkedProcess as error:
+        message, _, hint = str(error).partition("; ")
+        raise Unsupported(message, slug="forked", hint=hint) from error
+
+
 def _open(where: str, source: str, timeout_s: float) -> Bus:
     try:
-        return open_bus_with_retry(
-            BusConfig(connect=(where,), open_timeout_s=min(timeout_s, 2.0)), min(timeout_s, 0.2)
-        )
+        with _fork_errors():
+            return open_bus_with_retry(
+                BusConfig(connect=(where,), open_timeout_s=min(timeout_s, 2.0)), min(timeout_s, 0.2)
+            )
     except JoinRefused as error:
         raise Unreachable(str(error), slug="join_refused") from error
     except BusError as error:

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache, cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 from uuid import uuid4
 
 import msgspec
@@ -20,7 +20,14 @@ from zensim.api.in_process_network import (
     InProcessQueries,
     InProcessSubscription,
 )
-from zensim.api.world_snapshots import read_snapshot, write_snapshot
+from zensim.api.state_classes import NotState
+from zensim.api.world_snapshots import (
+    SnapshotPlace,
+    check_like,
+    make_wrong_snapshot,
+    read_snapshot,
+    write_snapshot,
+)
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import ClaimShareRequest, DriveState, expand_grants
@@ -28,11 +35,12 @@ from zensim.proto.messages.input_messages import ServiceRequest
 from zensim.proto.messages.result_messages import Result, ResultCode
 from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor
 from zensim.proto.messages.simulation_messages import State
-from zensim.proto.messages.telemetry_messages import Event, Snapshot
+from zensim.proto.messages.telemetry_messages import Event, InfoRequest, Snapshot
 from zensim.proto.messages.world_messages import WorldResource
 from zensim.proto.network_protocols import Sample
 from zensim.proto.service_catalog import (
     CLAIM_SHARE,
+    INFO,
     JOIN_LOCKSTEP,
     SIMULATE_STEPS,
     Request,
@@ -53,7 +61,7 @@ from zensim.sim_server.initial_world import load_initial_world, make_initial_wor
 from zensim.sim_server.input_log.log_writer import make_noted_request
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.in_process_parser import InProcessParser
-from zensim.sim_server.physics.engine import EngineRefused
+from zensim.sim_server.physics.engine import Engine, EngineRefused
 from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry, TouchingSensors
 from zensim.sim_server.runtime.world_map import WorldMap
 from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, DueTimes, WorldTelemetry
@@ -79,6 +87,7 @@ CLIENT = "world"
 CMD_VEL_TIMEOUT_NS = 500_000_000
 """As of a pool by default: see `AgentConfig.cmd_vel_timeout_s`."""
 NO_RATES: Mapping[str, RateOverrides] = MappingProxyType({})
+KEY_BYTES = 32
 WAIT_S = 2e-4
 """Pause while a thread of the engine compiles a model."""
 
@@ -110,6 +119,21 @@ def open_shared_store(process_id: int) -> AssetStore:
 def read_no_time() -> int:
     """Return wall time 0: what a server divides among turns of its loop is done at once."""
     return 0
+
+
+More = TypeVar("More")
+"""What a caller saves with the state of a server."""
+
+
+def _name_states(engine: Engine) -> tuple[str, bytes]:
+    """Choose the name of the engine of states, and their key.
+
+    States that fit this world only have a name and key of its own: what Bullet reads of a state is
+    not checked, so nobody else may write it.
+    """
+    if engine.capabilities.copies:
+        return engine.name, b""
+    return f"{engine.name}:{uuid4().hex}", os.urandom(KEY_BYTES)
 
 
 class StepRecorder(Protocol):
@@ -151,6 +175,17 @@ class SavedServer:
     """What the caller saves with it."""
 
 
+def _check_kinds(saved: SavedServer) -> None:
+    """Check what the lists of a saved state have; raises Invalid."""
+    listed: tuple[tuple[type, object], ...] = (
+        (InProcessSubscription, saved.subscriptions),
+        (InProcessQueries, saved.queues),
+    )
+    for kind, found in listed:
+        if not isinstance(found, list) or not all(isinstance(one, kind) for one in found):
+            raise make_wrong_snapshot(NotState(f"a list of others than {kind.__name__}"))
+
+
 class InProcessServer:
     """One world, its services, and a pool that drives all robots.
 
@@ -190,7 +225,7 @@ class InProcessServer:
         self._telemetry = InProcessTelemetry(self.parts, self.network, self.robots)
         self.collision_watch: CollisionWatch | None = None
         self.recorders: list[StepRecorder] = []
-        self._name = uuid4().hex
+        self._engine, self._key = _name_states(self.world.engine)
         self._users = weakref.WeakSet[InProcessSubscription]()
         """Subscriptions of the user; those of the robots are a part of the state."""
         self._shared_roster = self.world.entities.roster_number
@@ -255,23 +290,10 @@ class InProcessServer:
         Raises:
             Unsupported: The engine cannot save its state.
         """
-        own = [one for one in self.network.subscriptions if one not in self._users]
-        state = SavedServer(
-            world=self.world.save(),
-            current=(self.parts.current_world.model, self.parts.current_world.resource),
-            seed=self.parts.current_world.seed,
-            robots=self.robots,
-            subscriptions=own,
-            queues=self.network.queues,
-            telemetry=self._telemetry.save(),
-            sensor_faults=self._sensor_faults,
-            followed=(self._followed, self._followed_orders, self._shared_roster),
-            more=more,
-        )
-        return write_snapshot(self._engine, state, self._list_fixed(), self.parts.store.folder)
+        return write_snapshot(self._place, self._hold(more))
 
-    def restore(self, snapshot: bytes) -> object:
-        """Replace the state by a saved one; return what was saved with it.
+    def restore(self, snapshot: bytes, kind: type[More]) -> More:
+        """Replace the state by a saved one; return what was saved with it, of this class.
 
         Subscriptions of users stay. If it fails, the world is as before.
 
@@ -279,11 +301,49 @@ class InProcessServer:
             Invalid: It is not a snapshot of this version and engine.
             Unsupported: The engine cannot restore it in this world.
         """
-        fixed, folder = self._list_fixed(), self.parts.store.folder
         try:
-            saved = cast("SavedServer", read_snapshot(self._engine, snapshot, fixed, folder))
+            saved = read_snapshot(self._place, snapshot)
         except EngineRefused as refused:
             raise Unsupported(str(refused), slug="not_restorable") from refused
+        before, former = self._hold(None), self.world.engine
+        if not isinstance(saved, SavedServer) or not isinstance(saved.more, kind):
+            raise make_wrong_snapshot(NotState(f"a {type(saved).__name__}"))
+        check_like(saved, before)
+        _check_kinds(saved)
+        try:
+            self._load(saved)
+            self.world.engine.resume()
+            self._try_reading()
+        except Exception as error:
+            self._load(before)
+            raise make_wrong_snapshot(error) from error
+        former.close()
+        return saved.more
+
+    def _try_reading(self) -> None:
+        """Read what each step reads; this raises if parts do not fit each other."""
+        self.snapshot()
+        self._handle(INFO, InfoRequest())
+        for _ in self.world.drive_states():
+            pass
+
+    def _hold(self, more: object) -> SavedServer:
+        """Take the state; its objects are those in use."""
+        return SavedServer(
+            world=self.world.save(),
+            current=(self.parts.current_world.model, self.parts.current_world.resource),
+            seed=self.parts.current_world.seed,
+            robots=self.robots,
+            subscriptions=[one for one in self.network.subscriptions if one not in self._users],
+            queues=self.network.queues,
+            telemetry=self._telemetry.save(),
+            sensor_faults=self._sensor_faults,
+            followed=(self._followed, self._followed_orders, self._shared_roster),
+            more=more,
+        )
+
+    def _load(self, saved: SavedServer) -> None:
+        """Replace the state; it must be a copy, or the one that was before."""
         self.world.load(saved.world)
         current = self.parts.current_world
         (current.model, current.resource), current.seed = saved.current, saved.seed
@@ -298,7 +358,6 @@ class InProcessServer:
             self.sensor_network.add(subscription)
         self._followed, self._followed_orders, self._shared_roster = saved.followed
         self._find_sensors()
-        return saved.more
 
     def subscribe(self, key: str, depth: int) -> InProcessSubscription:
         """Subscribe to a topic, the last value of its keys first.
@@ -433,20 +492,16 @@ class InProcessServer:
             is_more = response.is_more
 
     @property
-    def _engine(self) -> str:
-        """Name of the engine; and of this world, if states do not fit another."""
-        engine = self.world.engine
-        return engine.name if engine.capabilities.copies else f"{engine.name}:{self._name}"
-
-    def _list_fixed(self) -> dict[str, object]:
-        """List the objects that a snapshot names, and that `restore` leaves as they are."""
+    def _place(self) -> SnapshotPlace:
+        """Where a snapshot is taken and put; what it names is left as it is by `restore`."""
         parts = self.parts
-        return {
+        fixed = {
             "world": self.world,
             "network": self.network,
             "store": parts.store,
             "pacing": parts.pacing,
         }
+        return SnapshotPlace(self._engine, fixed, parts.store.folder, self._key)
 
     @property
     def _version(self) -> tuple[int, int]:

@@ -4,7 +4,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -121,9 +121,9 @@ class InProcessAccess(WorldAccess):
     def restore(self, snapshot: bytes) -> SavedOrders:
         """Replace the state by a saved one; return the orders that were saved with it."""
         self._require_open()
-        orders = self.server.restore(snapshot)
+        orders = self.server.restore(snapshot, SavedOrders)
         self._state = self._view = None
-        return cast("SavedOrders", orders)
+        return orders
 
     def advance(self, steps: int, twists: TwistCommands | None, timeout_s: float) -> WorldState:
         """See `WorldAccess`."""
@@ -285,7 +285,6 @@ class World(Simulation):
         """Replace the state by a saved one, of this world or another; the run goes on bit by bit.
 
         Robots spawned since are gone, and those deleted since are back. Subscriptions stay.
-        Restore only bytes that you trust: reading them can run code.
 
         Args:
             snapshot: As `snapshot()` returned it, also in another process of the same version.

@@ -12,7 +12,16 @@ from urllib.parse import urlsplit
 
 import msgspec
 
-from zensim.proto.bus import Bus, BusConfig, BusError, BusSubscription, NoServer, open_bus
+from zensim.proto.bus import (
+    Bus,
+    BusConfig,
+    BusError,
+    BusSubscription,
+    ForkedProcess,
+    NoServer,
+    open_bus,
+    require_threads,
+)
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.endpoints import is_endpoint_taken, to_client_endpoint
 from zensim.proto.messages.drive_messages import DriveOrder
@@ -270,7 +279,9 @@ def launch(
     Raises:
         LaunchFailed: Another program has the endpoint, or a program is not ready in time.
         ProgramDied: A process exited.
+        ForkedProcess: See `open_bus`.
     """
+    require_threads()
     if not config.connect and is_endpoint_taken(config.endpoint):
         # Its world would get the robots before the server of this one fails.
         raise LaunchFailed(
@@ -440,6 +451,8 @@ def _open_bus(config: LaunchConfig, supervisor: Supervisor) -> Bus:
         supervisor.watch()
         try:
             return open_bus(bus_config)
+        except ForkedProcess:
+            raise
         except BusError as error:
             if time.monotonic() > deadline:
                 raise LaunchFailed(

@@ -14,6 +14,7 @@ from typing import Final
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
+from websockets.protocol import State
 from websockets.typing import Subprotocol
 
 from zensim.foxglove.foxglove_protocol import (
@@ -118,6 +119,7 @@ class SocketLink:
     """Link to one client."""
 
     def __init__(self, connection: ServerConnection) -> None:
+        self._connection = connection
         self._transport = connection.transport
         self._is_slow = False
         self.jobs = ClientJobs()
@@ -137,21 +139,27 @@ class SocketLink:
 
     def send(self, message: str | bytes) -> None:
         """Send a message; close the link if too many bytes wait for the client."""
-        if self._transport.is_closing():
-            return
         if self._transport.get_write_buffer_size() > MOST_BACKLOG_BYTES:
             self._transport.abort()
             return
-        self._transport.write(frame_message(message))
+        self._write(frame_message(message))
 
     def send_data(self, frames: bytes, messages: int) -> bool:
         """Send whole frames, unless the link is slow."""
-        if self._transport.is_closing():
-            return False
         if self.is_slow():
             self.left_out += messages
             return False
-        self._transport.write(frames)
+        return self._write(frames)
+
+    def _write(self, frames: bytes) -> bool:
+        """Write whole frames, unless either side has begun to end the connection."""
+        if self._connection.state is not State.OPEN or self._transport.is_closing():
+            return False
+        try:
+            self._transport.write(frames)
+        except RuntimeError:  # its sending half was shut, as the client has shut its own
+            self._transport.abort()
+            return False
         return True
 
     def take_notice(self) -> None:

@@ -32,7 +32,7 @@ from tests.sim_server.physics.bullet_probe import (
     next_shape,
     touching,
 )
-from zensim.api.world_snapshots import read_snapshot, write_snapshot
+from zensim.api.world_snapshots import SnapshotPlace, read_snapshot, write_snapshot
 from zensim.proto.messages.model_messages import (
     Inertial,
     Joint,
@@ -547,12 +547,12 @@ def test_body_that_slept_when_a_state_was_taken_sleeps_when_it_is_restored() -> 
         engine.sleep([box])
         advance(engine, 5)
         height = engine.read((box,)).base[0, 2]
-        saved = write_snapshot(engine.name, engine, {}, "")
+        saved = write_snapshot(SnapshotPlace(engine.name, {}, ""), engine)
         engine.wake([box])
         advance(engine, 5)
         assert engine.read((box,)).base[0, 2] < height - 0.001
 
-        restored = read_snapshot(engine.name, saved, {}, "")
+        restored = read_snapshot(SnapshotPlace(engine.name, {}, ""), saved)
         assert isinstance(restored, PyBulletEngine)
         restored.resume()
         advance(restored, 50)
