@@ -12,16 +12,19 @@ import numpy as np
 
 from zensim.proto.drive_orders import format_drive_order
 from zensim.proto.messages.drive_messages import PAIR_SIZE, DriveOrder
+from zensim.proto.rigid_transforms import rotate
 from zensim.sim_server.description.ground_friction import GroundFriction
+from zensim.sim_server.description.model_geometry import find_link_poses
 from zensim.sim_server.description.motion_prediction import (
     STRAIGHT,
     is_moved_by_twist,
     predict_motion,
     turn_command,
 )
-from zensim.sim_server.description.plugins.drive_plugin import UnusableDrive
+from zensim.sim_server.description.plugins.drive_plugin import WHEEL_JOINT_KINDS, UnusableDrive
 from zensim.sim_server.description.plugins.drive_selection import SUBJECT, make_drive
 from zensim.sim_server.description.plugins.wheel_guess import (
+    UPRIGHT_AXIS_Z,
     find_wheels_rolling_aside,
     has_wheels,
     list_drives,
@@ -139,6 +142,8 @@ def try_drive(model: Model, order: DriveOrder, lumped: LumpedModel) -> TriedDriv
     driven = msgspec.structs.replace(model, drive=drive, joints=lumped.joints)
     if is_moved_by_twist(driven):
         return TriedDrive(order, 1.0, 1.0)
+    if _stands_on_joints(order, lumped):
+        return TriedDrive(order, None, None)
     try:
         # A description may have any numbers up to 1e12.
         with np.errstate(all="ignore"):
@@ -148,6 +153,21 @@ def try_drive(model: Model, order: DriveOrder, lumped: LumpedModel) -> TriedDriv
     except (ArithmeticError, np.linalg.LinAlgError):
         return TriedDrive(order, None, None)
     return _judge(order, straight, turn)
+
+
+def _stands_on_joints(order: DriveOrder, lumped: LumpedModel) -> bool:
+    """Whether joints that tilt, such as those of legs or rockers, carry wheels of a drive."""
+    by_child = {joint.child: joint for joint in lumped.joints}
+    by_name = {joint.name: joint for joint in lumped.joints}
+    poses = find_link_poses(lumped.links[0].name, lumped.joints)
+    for name in order.joints:
+        above = by_child.get(by_name[name].parent)
+        while above is not None:
+            axis = rotate(poses[above.child].orientation, above.axis)
+            if above.kind in WHEEL_JOINT_KINDS and abs(axis[2]) < UPRIGHT_AXIS_Z:
+                return True
+            above = by_child.get(above.parent)
+    return False
 
 
 def _judge(order: DriveOrder, straight: PredictedMotion, turn: PredictedMotion) -> TriedDrive:

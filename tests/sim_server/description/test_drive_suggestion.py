@@ -4,9 +4,11 @@ import pytest
 
 from tests.sim_server.description.plugins.driven_robots import (
     BALLS,
+    a_base,
     a_car,
     a_diff_robot,
     a_four_wheeler,
+    a_tyre,
     read_driven,
 )
 from tests.sim_server.description.plugins.test_wheel_guess import (
@@ -14,7 +16,7 @@ from tests.sim_server.description.plugins.test_wheel_guess import (
     RING_ROBOT,
     SUSPENDED,
 )
-from tests.sim_server.description.robots import a_robot, mentions
+from tests.sim_server.description.robots import a_link, a_robot, an_inertial, mentions
 from zensim.proto.drive_orders import format_drive_order
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.sim_server.description.drive_suggestion import suggest_drive, try_drive
@@ -68,6 +70,24 @@ def test_drive_of_wheels_in_the_air_ranks_below_one_that_carries() -> None:
     assert front is not None
     assert rear is not None
     assert rear.rank < front.rank
+
+
+def test_drive_of_wheels_on_legs_is_not_predicted() -> None:
+    legs = "".join(
+        a_link(f"{side}_leg", an_inertial())
+        + f'<joint name="{side}_hip" type="revolute"><parent link="base_link"/>'
+        f'<child link="{side}_leg"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+        + a_tyre(side, 0.0, y, parent=f"{side}_leg")
+        for side, y in (("left", 0.2), ("right", -0.2))
+    )
+    model = read_urdf(a_robot(a_base(), BALLS, legs))
+    lumped = LumpedModel(model.links, model.joints, model.frames)
+
+    found = suggest_drive(model, lumped)
+
+    assert found is not None
+    assert (found.order.joints, found.speed) == (("left", "right"), None)
 
 
 def test_drive_of_joints_that_are_no_wheels_is_not_tried() -> None:
