@@ -33,7 +33,6 @@ IMPOSSIBLE: dict[str, tuple[Vector, Vector]] = {
 }
 """Moments as written, and the nearest ones of a body."""
 BOX_M = 0.2
-BALL_M = 0.05
 
 
 def rows(engine: str, *, is_short: bool) -> Iterator[Figure]:

@@ -38,6 +38,7 @@ class MjModel:
     body_invweight0: _Floats
     body_gravcomp: _Floats
     body_rootid: _Ints
+    body_weldid: _Ints
     body_treeid: _Ints
     body_parentid: _Ints
     tree_sleep_policy: _Ints

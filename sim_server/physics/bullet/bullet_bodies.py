@@ -137,7 +137,7 @@ class BareModel:
     """
 
     creation: BulletArguments
-    moments: tuple[tuple[int, list[float]], ...]
+    moments: tuple[tuple[int, tuple[float, float, float]], ...]
     is_static: bool
 
 

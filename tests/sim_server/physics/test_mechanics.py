@@ -48,7 +48,7 @@ def find_friction(engine: Engine, block: int, start_x: float) -> float:
 
 
 def with_speed(engine: Engine, body: int, speed: float) -> FloatArray:
-    base = engine.read([body]).base[0].copy()
+    base: FloatArray = engine.read([body]).base[0].copy()
     base[7] = speed
     return base
 

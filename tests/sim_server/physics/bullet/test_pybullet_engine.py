@@ -80,6 +80,7 @@ def test_contacts_between_models_that_do_not_move_are_not_searched() -> None:
     hand = msgspec.structs.replace(hand, collisions=(Shape("box", (0.3, 0.3, 0.3)),))
     arm = msgspec.structs.replace(an_arm("revolute"), links=(post, hand))
     with running(PyBulletEngine) as engine:
+        assert isinstance(engine, PyBulletEngine)
         one = engine.add(a_static_scene(), a_state((0.0, 0.0, 0.0)))
         other = engine.add(a_static_scene(), a_state((0.3, 0.0, 0.1)))
         engine.sleep([one, other])
