@@ -32,6 +32,15 @@ class JournalAction(str, Enum):
     BACKUP = "backup"
 
 
+AcceptLossOption = Annotated[
+    bool,
+    typer.Option(
+        "--accept-loss",
+        help="With verify: let a server continue a copy that lacks its newest changes.",
+    ),
+]
+
+
 @app.command(
     epilog="""Examples:
   zensim journal show ./journal
@@ -55,13 +64,7 @@ def journal(
         Path | None, typer.Argument(metavar="TARGET", help="Empty or new folder for a backup.")
     ] = None,
     *,
-    accept_loss: Annotated[
-        bool,
-        typer.Option(
-            "--accept-loss",
-            help="With verify: let a server continue a copy that lacks its newest changes.",
-        ),
-    ] = False,
+    accept_loss: AcceptLossOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Show, verify, export or copy a server journal; the server may be running."""

@@ -12,6 +12,7 @@ import signal
 import sys
 import time
 from collections import Counter
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -183,12 +184,31 @@ def watch_models(
         ConfigError: The engine refuses a model.
     """
     started = time.perf_counter()
-    physics = loaded.model.physics
     config = fill_pace(
         ServerConfig(physics=request.options),
-        step_s=physics.step_s,
-        real_time_factor=physics.real_time_factor,
+        step_s=loaded.model.physics.step_s,
+        real_time_factor=loaded.model.physics.real_time_factor,
     )
+    with _spawned(loaded, config) as world:
+        overlaps = tuple(
+            (one, tuple(others)) for one, others in find_model_overlaps(world) if others
+        )
+        before = _read_bases(world)
+        for _ in range(round(request.settle_s * 1e9 / config.step_ns)):
+            world.step()
+        models = tuple(_add_motion(found.models, before, _read_bases(world)))
+    return msgspec.structs.replace(
+        found,
+        models=models,
+        overlaps=overlaps,
+        settle_s=request.settle_s,
+        settle_wall_s=time.perf_counter() - started,
+    )
+
+
+@contextmanager
+def _spawned(loaded: LoadedWorld, config: ServerConfig) -> Iterator[SimulatedWorld]:
+    """Make a world with its models, and close it."""
     store = AssetStore()
     try:
         for name, data in loaded.meshes.items():
@@ -198,23 +218,10 @@ def watch_models(
             engine, name="default", step_ns=config.step_ns, control_steps=config.control_steps
         )
         spawn_models(world, loaded.model)
-        overlaps = tuple(
-            (one, tuple(others)) for one, others in find_model_overlaps(world) if others
-        )
-        before = _read_bases(world)
-        for _ in range(round(request.settle_s * 1e9 / config.step_ns)):
-            world.step()
-        models = tuple(_add_motion(found.models, before, _read_bases(world)))
+        yield world
         world.close()
     finally:
         store.close()
-    return msgspec.structs.replace(
-        found,
-        models=models,
-        overlaps=overlaps,
-        settle_s=request.settle_s,
-        settle_wall_s=time.perf_counter() - started,
-    )
 
 
 def _read_bases(world: SimulatedWorld) -> dict[str, FloatArray]:

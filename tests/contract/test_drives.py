@@ -74,7 +74,6 @@ COMPUTED_FIELDS: dict[type[Drive], set[str]] = {
     },
     OmniDrive: {
         *("wheels", "max_torque_nm", "linear_limits", "lateral_limits", "angular_limits"),
-        *CONTROLLER_FIELDS,
     },
 }
 """Fields without a parameter: measured from links, set by several tags, or not in the plug-in."""

@@ -45,7 +45,8 @@ for name in packages:
         continue
     package = importlib.import_module(f"zensim.{name}")
     for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-        if ".physics.bullet." not in module.name and not module.name.endswith("__main__"):
+        needs_bullet = ".physics.bullet." in module.name or module.name.endswith("bullet_trials")
+        if not needs_bullet and not module.name.endswith("__main__"):
             importlib.import_module(module.name)
 print("imported")
 """

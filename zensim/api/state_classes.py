@@ -96,10 +96,11 @@ FUNCTIONS: Final = frozenset(
 CALLED: Final = frozenset(
     {
         "zensim.proto.topic_catalog:find_topic",
+        "zensim.sim_server.physics.bullet.pybullet_engine:BareModels",
         "zensim.sim_server.physics.bullet.pybullet_engine:_find_origin",
     }
 )
-"""Functions that find what `__reduce__` of a class has named; they change nothing."""
+"""What `__reduce__` of a class has named to find or make its value; it changes nothing."""
 METHODS: Final = frozenset(
     {
         "_find_publisher",

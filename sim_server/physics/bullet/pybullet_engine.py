@@ -252,12 +252,14 @@ def _cross_columns(left: FloatArray, right: FloatArray) -> FloatArray:
 
 
 OUTPUT_STREAMS = (1, 2)
+C_LIBRARY = None if os.name == "posix" else "ucrtbase"
+"""None is that of the interpreter."""
 
 
 @contextmanager
 def suppress_output() -> Iterator[None]:
     """Discard what C code prints on stdout and stderr."""
-    libc = ctypes.CDLL(None)
+    libc = ctypes.CDLL(C_LIBRARY)
     sys.stdout.flush()
     sys.stderr.flush()
     libc.fflush(None)

@@ -199,7 +199,6 @@ def test_exact_hull_has_all_corners() -> None:
     assert is_closed(hull)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="counts threads in /proc")
 def test_hulls_start_no_thread() -> None:
     """The sandbox of the parser refuses threads, except to root."""
     find_hull(make_cloud(10))
