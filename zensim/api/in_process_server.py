@@ -292,8 +292,8 @@ class InProcessServer:
         """
         return write_snapshot(self._place, self._hold(more))
 
-    def restore(self, snapshot: bytes, kind: type[More]) -> More:
-        """Replace the state by a saved one; return what was saved with it, of this class.
+    def restore(self, snapshot: bytes, like: More) -> More:
+        """Replace the state by a saved one; return what was saved with it, of such a class.
 
         Subscriptions of users stay. If it fails, the world is as before.
 
@@ -305,8 +305,8 @@ class InProcessServer:
             saved = read_snapshot(self._place, snapshot)
         except EngineRefused as refused:
             raise Unsupported(str(refused), slug="not_restorable") from refused
-        before, former = self._hold(None), self.world.engine
-        if not isinstance(saved, SavedServer) or not isinstance(saved.more, kind):
+        before, former = self._hold(like), self.world.engine
+        if not isinstance(saved, SavedServer) or not isinstance(saved.more, type(like)):
             raise make_wrong_snapshot(NotState(f"a {type(saved).__name__}"))
         check_like(saved, before)
         _check_kinds(saved)

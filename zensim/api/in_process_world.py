@@ -121,7 +121,7 @@ class InProcessAccess(WorldAccess):
     def restore(self, snapshot: bytes) -> SavedOrders:
         """Replace the state by a saved one; return the orders that were saved with it."""
         self._require_open()
-        orders = self.server.restore(snapshot, SavedOrders)
+        orders = self.server.restore(snapshot, SavedOrders([], {}))
         self._state = self._view = None
         return orders
 
