@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from zensim.proto.messages.model_messages import Inertial, Joint, Link, Shape, Vec3
-from zensim.sim_server.description.body_moments import describe_moments, find_nearest_moments
 from zensim.sim_server.description.strict_parsing import quote_names
 from zensim.sim_server.errors import ModelError
 
@@ -241,6 +240,9 @@ def _check_inertial(link: str, inertial: Inertial, report: ParseReport) -> Inert
     is_negative = least < -max(TRIANGLE_RULE_SLACK * most, MOMENT_ROUNDING)
     if not is_negative and least + middle >= (1.0 - TRIANGLE_RULE_SLACK) * most:
         return inertial
+    # It needs numpy, and few robots need it.
+    from zensim.sim_server.description.body_moments import describe_moments, find_nearest_moments
+
     nearest = find_nearest_moments(inertial.inertia)
     fault = "are negative" if is_negative else "violate the triangle inequality"
     report.suspicious(

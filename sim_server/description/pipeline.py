@@ -158,7 +158,8 @@ def _add_drive(read: ModelWithMeshes, controllers: Sequence[str], order: DriveOr
     model, report = read.model, ParseReport()
     lumped = LumpedModel(model.links, model.joints, model.frames, find_corners)
     driven = select_drive(model, lumped, controllers=controllers, order=order, report=report)
-    if driven.drive is None and order.kind != "none" and not model.is_static:
+    may_drive = bool(model.joints or controllers) and order.kind != "none" and not model.is_static
+    if driven.drive is None and may_drive:
         # Most robots have a drive, and the trial of one imports numpy.
         from zensim.sim_server.description.drive_suggestion import report_missing_drive
 
@@ -212,10 +213,11 @@ def parse_world(
 
 def _add_notes(model: Model, meshes: dict[str, bytes]) -> Model:
     """Add what needs the meshes: moments, round wheels, how it will drive; and its joints."""
-    from zensim.sim_server.description.joint_load_notes import describe_joint_loads
+    if model.joints:
+        from zensim.sim_server.description.joint_load_notes import describe_joint_loads
 
-    if joints := describe_joint_loads(model):
-        model = msgspec.structs.replace(model, report=(*model.report, *joints))
+        report = (*model.report, *describe_joint_loads(model))
+        model = msgspec.structs.replace(model, report=report)
 
     def corners(mesh: str) -> npt.NDArray[np.float32]:
         from zensim.proto.stl import read_corners
@@ -250,19 +252,21 @@ def _describe_pairs(model: Model) -> Iterator[ReportEntry]:
 
 
 def _raise_light_moments(model: Model, corners: FindCorners) -> Model:
+    root = model.links[0]
+    if not root.collisions:
+        return model
     from zensim.sim_server.description.body_moments import describe_moments, raise_light_moments
 
     raised = raise_light_moments(model, corners)
     if raised is None:
         return model
-    link = model.links[0]
     replace = msgspec.structs.replace
     note = (
-        f"it turns slower than described: moments {describe_moments(link.inertial.inertia)} are "
+        f"it turns slower than described: moments {describe_moments(root.inertial.inertia)} are "
         f"too small for its collisions to rest on; {describe_moments(raised.inertia)} are used"
     )
-    entry = ReportEntry("predicted", f"link {link.name!r}", note)
-    links = (replace(link, inertial=raised),)
+    entry = ReportEntry("predicted", f"link {root.name!r}", note)
+    links = (replace(root, inertial=raised),)
     return replace(model, links=links, report=(*model.report, entry))
 
 

@@ -38,7 +38,7 @@ def find_heavy_imports(code: str, heavy: tuple[str, ...] = SLOW) -> set[str]:
     """Find the heavy modules that a program imports."""
     program = (
         f"import sys\ntry:\n    {code}\n"
-        f"finally: print('\\n', *[name for name in {heavy} if name in sys.modules])"
+        f"finally: print('\\n', *[name for name in {heavy} if sys.modules.get(name)])"
     )
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False
