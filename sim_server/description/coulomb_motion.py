@@ -68,7 +68,7 @@ def solve_coulomb_motion(terms: SlipTerms) -> CoulombMotion:
 
     Newton's method on smoothed slips, with reweighted least squares where that does not descend.
     """
-    rows, offsets = terms.rows, terms.offsets
+    rows = terms.rows
     count = rows.shape[2]
     if not len(rows):
         return CoulombMotion(np.zeros(count), 0.0, is_converged=True)
@@ -78,9 +78,16 @@ def solve_coulomb_motion(terms: SlipTerms) -> CoulombMotion:
     is_balanced = False
     for smoothing in SMOOTHINGS:
         x, is_balanced = _descend(terms, x, (smoothing * terms.scales) ** 2, weak)
-    slips = rows @ x - offsets
-    power = float(np.sqrt((slips**2).sum(axis=1)).sum() + terms.damping @ x**2 / 2.0)
+    power, at_rest = _find_power(terms, x), _find_power(terms, np.zeros(count))
+    if is_balanced and at_rest <= power * (1.0 + TOLERANCE):
+        # As where weak motors of both sides yield: each speed between their targets costs the same.
+        x, power = np.zeros(count), at_rest
     return CoulombMotion(x, power, is_balanced)
+
+
+def _find_power(terms: SlipTerms, x: FloatArray) -> float:
+    slips = terms.rows @ x - terms.offsets
+    return float(np.sqrt((slips**2).sum(axis=1)).sum() + terms.damping @ x**2 / 2.0)
 
 
 def _descend(
