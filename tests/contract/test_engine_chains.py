@@ -1,12 +1,14 @@
 """Contract of chains of joints under load: held arms, and followers that bear weights."""
 
+import math
 from collections.abc import Iterator
 
+import msgspec
 import numpy as np
 import pytest
 
 from tests.engines import REAL_ENGINES, STEP_NS, MakeEngine, advance, running
-from tests.models import a_body, a_box, a_state
+from tests.models import a_body, a_box, a_box_bot, a_state, box_bot_at
 from zensim.proto.messages.drive_messages import JointTargetKind
 from zensim.proto.messages.model_messages import (
     Inertial,
@@ -195,6 +197,52 @@ def test_follower_of_a_free_leader_moves_with_it(engine: Engine) -> None:
     first, second = engine.read((mast,)).joint_positions
     assert first < -0.05
     assert second == pytest.approx(first, abs=2e-3)
+
+
+def a_robot_with_fingers() -> Model:
+    """A box_bot on wheels of 20 g whose axles are along z, and two fingers that slide apart."""
+    robot, mast = a_box_bot(), a_mast(1, 0.0)
+    base, light = robot.links[0], Inertial(0.02, inertia=(1e-5, 0.0, 0.0, 1e-5, 0.0, 1e-5))
+    replace = msgspec.structs.replace
+    wheels = {joint.child for joint in robot.joints}
+    links = [
+        replace(
+            link,
+            inertial=light,
+            collisions=tuple(replace(shape, origin=Origin()) for shape in link.collisions),
+        )
+        if link.name in wheels
+        else link
+        for link in robot.links
+    ]
+    axles = [
+        replace(
+            joint,
+            origin=Origin(joint.origin.position, (-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))),
+            axis=(0.0, 0.0, 1.0),
+        )
+        for joint in robot.joints
+    ]
+    first, second = mast.joints
+    side = {"axis": (0.0, 1.0, 0.0), "origin": Origin((0.0, 0.0, 0.2)), "parent": base.name}
+    fingers = (
+        replace(first, **side),
+        replace(second, mimic=Mimic("j0", -1.0), **side),
+    )
+    tips = [Link(joint.child, light) for joint in fingers]
+    return replace(robot, links=(*links, *tips), joints=(*axles, *fingers))
+
+
+def test_followers_move_on_a_robot_whose_wheels_are_heavier_about_their_axles(
+    engine: Engine,
+) -> None:
+    robot = engine.add(a_robot_with_fingers(), box_bot_at())
+
+    advance(engine, STEPS_S // 2)
+
+    *_, first, second = engine.read((robot,)).joint_positions
+    assert np.isfinite(engine.read((robot,)).base).all()
+    assert second == pytest.approx(-first, abs=2e-3)
 
 
 @pytest.mark.parametrize("make", [PyBulletEngine, *REAL_ENGINES[1:2]], ids=lambda make: make.name)

@@ -126,6 +126,10 @@ class BulletBody:
         return replace(self, model=model, actuation=make_actuation(model).renumbered(self.joints))
 
 
+MOMENT_ROUNDING = 1e-6
+"""Share by which the largest moment stays below the sum of the others."""
+
+
 @dataclass(frozen=True, eq=False)
 class BareModel:
     """A model without shapes, for its equations of motion.
@@ -146,7 +150,9 @@ def make_bare_model(blueprint: Blueprint, creation: BulletArguments) -> BareMode
     none = [-1] * (len(blueprint.parts) - 1)
     parts = enumerate(blueprint.parts, start=-1)
     moments = tuple(
-        (number, list_moments(part)) for number, part in parts if part.joint or number < 0
+        (number, _limit_moments(list_moments(part)))
+        for number, part in parts
+        if part.joint or number < 0
     )
     bare = BulletArguments(
         creation,
@@ -157,6 +163,16 @@ def make_bare_model(blueprint: Blueprint, creation: BulletArguments) -> BareMode
         flags=0,
     )
     return BareModel(bare, moments, blueprint.is_static)
+
+
+def _limit_moments(moments: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Limit the largest moment to the sum of the others: Bullet's equations refuse others.
+
+    Those of driven wheels are larger, as they have the reflected moment of their motors.
+    """
+    most = (1.0 - MOMENT_ROUNDING) * (sum(moments) - max(moments))
+    first, second, third = (min(moment, most) for moment in moments)
+    return first, second, third
 
 
 def make_bullet_body(
