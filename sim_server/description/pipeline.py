@@ -74,6 +74,10 @@ def is_sdf(text: str) -> bool:
     return find_root_tag(text) in SDF_ROOTS
 
 
+SAMPLE_WITHOUT_DRIVE = """<robot name="r"><link name="a"><inertial><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="3" ixy="0" ixz="0" iyz="0"/></inertial></link><link name="b"/>
+<joint name="j" type="continuous"><parent link="a"/><child link="b"/></joint></robot>"""
+"""A wheel that nothing drives, and moments that no body can have."""
 SAMPLE_URDF = """<robot name="sample"><link name="base"><inertial><mass value="1"/>
 <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
 <visual><geometry><mesh filename="{0}"/></geometry></visual>
@@ -299,7 +303,7 @@ def warm_up() -> None:
         parse_description(
             SAMPLE_URDF.format(name), assets={name: ("", data)}, allow_missing=False, compat="fixed"
         )
-    for text in ("", "<robot", read_builtin_model("box_bot")):
+    for text in ("", "<robot", SAMPLE_WITHOUT_DRIVE, read_builtin_model("box_bot")):
         with suppress(ModelError):
             parse_description(
                 text, assets={}, allow_missing=False, compat="fixed", controllers=("a: b",)
