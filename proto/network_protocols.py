@@ -287,8 +287,8 @@ class TopicNetwork(PublishingNetwork, SubscribingNetwork, ServingNetwork, Protoc
     """Network for topics: publishers, subscriptions, and requests for last values."""
 
 
-class ViewerNetwork(SubscribingNetwork, WatchingNetwork, CallingNetwork, Protocol):
-    """Network for the viewer."""
+class FollowingNetwork(SubscribingNetwork, WatchingNetwork, CallingNetwork, Protocol):
+    """Network for a program that follows a world."""
 
 
 class ServerNetwork(TopicNetwork, WatchingNetwork, TokenSession, Protocol):

@@ -13,10 +13,9 @@ import msgspec
 import numpy as np
 
 from zensim.proto import keys
-from zensim.proto.bus import BusConfig, BusError, open_bus_with_retry
+from zensim.proto.bus import BusConfig, open_bus_with_retry
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
 from zensim.proto.json_logs import CONTEXT
-from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.sensor_messages import (
     CameraSensor,
     RaySensor,
@@ -25,7 +24,6 @@ from zensim.proto.messages.sensor_messages import (
     SensorsReply,
     SensorStats,
 )
-from zensim.proto.messages.telemetry_messages import Event, GetModelsRequest
 from zensim.proto.metric_families import MetricFamily, make_counter, make_gauge
 from zensim.proto.network_protocols import AgentNetwork, Sample
 from zensim.proto.operation_server import served_status
@@ -40,11 +38,10 @@ from zensim.proto.sensor_libraries import (
     parse_missing,
 )
 from zensim.proto.sensor_schedule import count_due, find_true_rate_hz, is_due
-from zensim.proto.service_catalog import GET_MODELS
 from zensim.proto.stats_publisher import StatsPublisher, read_process_usage
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
 from zensim.proto.subscriber_search import SubscriberWatches
-from zensim.proto.topic_catalog import EVENTS, SCENE_STATE, SENSOR_STATS, SENSORS_REPLY
+from zensim.proto.topic_catalog import SCENE_STATE, SENSOR_STATS, SENSORS_REPLY
 from zensim.proto.verbosity import configure_logging
 from zensim.sim_server.scene.camera_selection import find_opengl_fault
 from zensim.sim_server.scene.sensor_faults import (
@@ -70,20 +67,15 @@ from zensim.sim_server.sensors.sensor_groups import (
     list_subscriptions,
 )
 from zensim.sim_server.sensors.sensor_publishers import SensorAddress, SensorTopics
+from zensim.spawner.client.world_follower import ENTITY_EVENTS, WorldFollower
 
 LOG = logging.getLogger("zensim.sensors")
 HOUSEKEEPING_PERIOD_S = 0.02
 IDLE_POLL_S = 0.025
 IDLE_AFTER_S = 2.0
 """Without subscribers for so long, the subscription to scene states ends."""
-MODELS_TIMEOUT_S = 2.0
-MODELS_RETRY_S = 0.5
-SETTLE_S = 0.1
-"""After an event on entities, more are awaited for so long before the models are fetched."""
 MAX_WAITING_STATES = 8
 """Older scene states that have not been handled are left out."""
-EVENTS_DEPTH = 1024
-ROSTER_EVENTS = frozenset({"spawned", "deleted", "loaded", "unloaded"})
 
 
 class SensorCounts:
@@ -306,41 +298,6 @@ class SensorShare:
         return self._view
 
 
-class RosterClient:
-    """Fetches the entities of the world when they have changed."""
-
-    def __init__(self, network: AgentNetwork, world: str) -> None:
-        self._network = network
-        self._world = world
-        self._events = network.subscribe(EVENTS.key(world), EVENTS_DEPTH)
-        self._fetch_at_s = -math.inf
-
-    def retry_soon(self) -> None:
-        """Fetch at the next poll."""
-        self._fetch_at_s = -math.inf
-
-    def poll(self, now_s: float, known: SceneRoster | None) -> SceneRoster | None:
-        """Fetch the entities if events say that they have changed; None otherwise."""
-        if any(_is_roster_event(sample) for sample in self._events.take()):
-            self._fetch_at_s = min(self._fetch_at_s, now_s + SETTLE_S)
-        if now_s < self._fetch_at_s:
-            return None
-        found = self.fetch(known)
-        self._fetch_at_s = math.inf if found is not None else now_s + MODELS_RETRY_S
-        return found
-
-    def fetch(self, known: SceneRoster | None) -> SceneRoster | None:
-        """Fetch the entities now; None if no server replies."""
-        try:
-            response = self._network.call(
-                GET_MODELS, GetModelsRequest(), world=self._world, timeout_s=MODELS_TIMEOUT_S
-            )
-        except (BusError, ServiceError, TimeoutError, MalformedPayload) as error:
-            LOG.debug("models reason=%s", error)
-            return None
-        return SceneRoster(response, known)
-
-
 class SceneStream:
     """The subscription to scene states, while it is active."""
 
@@ -364,11 +321,11 @@ class SensorProcess:
 
     def __init__(self, network: AgentNetwork, config: SensorProcessConfig) -> None:
         world, self.name = config.world, config.name
+        self._now_s = -math.inf
         self.counts = SensorCounts()
         self._network = network
         self._config = config
         self._token = network.token(keys.alive_sensors(world, self.name))
-        self._servers = network.watch_tokens(keys.alive_server(world))
         self._processes = network.watch_tokens(keys.alive_sensors(world, "*"))
         self._alive: set[str] = set()
         self._replies = network.advertise(
@@ -378,7 +335,9 @@ class SensorProcess:
         self._rosout = Rosout(network, self._graph)
         self._watches = SubscriberWatches(network)
         self._share = SensorShare(network, config, self._graph, self._watches)
-        self._roster_client = RosterClient(network, world)
+        self._follower = WorldFollower(
+            network, world, kinds=ENTITY_EVENTS, period_s=0.0, clock=lambda: self._now_s
+        )
         self._stats = StatsPublisher(
             network, SENSOR_STATS, SENSOR_STATS.key(world, self.name), self.make_stats
         )
@@ -387,7 +346,7 @@ class SensorProcess:
         self._last: tuple[int, int] | None = None
         """Epoch and step of the last scene state."""
         self._schedule = PollSchedule()
-        self._housekeeping_s = self._now_s = -math.inf
+        self._housekeeping_s = -math.inf
 
     @property
     def is_active(self) -> bool:
@@ -415,6 +374,7 @@ class SensorProcess:
         """Undeclare what is not part of the session."""
         self._set_active(is_active=False)
         self._rosout.close()
+        self._follower.close()
         self._share.topics.close()
         self._share.libraries.close()
         self._graph.close()
@@ -471,9 +431,7 @@ class SensorProcess:
 
     def _do_housekeeping(self) -> None:
         self._watch_tokens()
-        roster = self._roster_client.poll(self._now_s, self._share.roster)
-        if roster is not None:
-            self._set_roster(roster)
+        self._poll_roster()
         self._share.topics.poll()
         self._rosout.poll()
         if self._config.is_always_on or self._share.topics.is_wanted:
@@ -481,15 +439,16 @@ class SensorProcess:
         self._set_active(is_active=self._now_s - self._wanted_s < IDLE_AFTER_S)
         self._stats.poll(self._now_s)
 
-    def _set_roster(self, roster: SceneRoster) -> None:
-        self._share.set_roster(roster)
-        self.counts.keep(roster.sensors)
+    def _poll_roster(self) -> None:
+        """Fetch the entities if they are due."""
+        if self._follower.poll() and self._follower.models is not None:
+            roster = SceneRoster(self._follower.models, self._share.roster)
+            self._share.set_roster(roster)
+            self.counts.keep(roster.sensors)
 
     def _watch_tokens(self) -> None:
-        for _, is_alive in self._servers.take():
-            if is_alive:
-                self._last = None
-                self._roster_client.retry_soon()
+        if any(self._follower.take().servers):
+            self._last = None
         for key, is_alive in self._processes.take():
             process = keys.parse_sensor_process(key)
             (self._alive.add if is_alive else self._alive.discard)(process)
@@ -582,11 +541,9 @@ class SensorProcess:
         except ValueError as error:
             LOG.warning("scene_state reason=%r", str(error))
             return None
+        self._follower.note_roster(state.roster)
+        self._poll_roster()
         roster = self._share.roster
-        if roster is None or roster.number != state.roster:
-            roster = self._roster_client.fetch(roster)
-            if roster is not None:
-                self._set_roster(roster)
         if roster is None or not roster.fits(base, joints):
             return None
         return SceneMoment(state.step, state.time_ns, base, joints)
@@ -642,10 +599,3 @@ def _list_all_addresses(sensors: Iterable[SceneSensor]) -> list[SensorAddress]:
         for sensor in sensors
         for address in (*list_addresses(sensor), *list_subscriptions(sensor))
     ]
-
-
-def _is_roster_event(sample: Sample) -> bool:
-    try:
-        return decode(Event, sample.payload, sample.encoding).kind in ROSTER_EVENTS
-    except MalformedPayload:
-        return False

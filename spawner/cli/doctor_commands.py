@@ -28,7 +28,6 @@ from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.join_tokens import is_join_address, read_join_address
 from zensim.proto.messages.telemetry_messages import (
     EntityModel,
-    GetModelsRequest,
     GetModelsResponse,
     Info,
     InfoRequest,
@@ -45,6 +44,7 @@ from zensim.spawner.cli.sensor_commands import (
     count_sensors_of_processes,
     fetch_sensor_stats,
 )
+from zensim.spawner.client.service_client import ServiceClient
 
 CONNECT_TIMEOUT_S = 2.0
 REPLY_TIMEOUT_S = 1.0
@@ -141,7 +141,7 @@ def _check_server(bus: Bus, world: str, version: str) -> Iterator[Finding]:
     )
     yield _check_versions(info, version)
     yield _check_time(info)
-    models = bus.call(service_catalog.GET_MODELS, GetModelsRequest(), world=world)
+    models = ServiceClient(bus, world).models()
     yield _check_robots(models)
     yield from _check_sensors(bus, world, models)
 
@@ -257,7 +257,7 @@ def diagnose_robot(
         domain: ROS domain id.
     """
     with open_bus(BusConfig(connect=(endpoint,), open_timeout_s=CONNECT_TIMEOUT_S)) as bus:
-        models = bus.call(service_catalog.GET_MODELS, GetModelsRequest(), world=world)
+        models = ServiceClient(bus, world).models()
         entity = next(
             (one for one in models.entities if robot in (one.entity, one.namespace)), None
         )

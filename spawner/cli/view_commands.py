@@ -18,7 +18,7 @@ from zensim.proto.endpoints import DEFAULT_ENDPOINT, is_port_taken
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.names import check_name
-from zensim.proto.network_protocols import ViewerNetwork
+from zensim.proto.network_protocols import FollowingNetwork
 from zensim.proto.printable_text import print_lines
 from zensim.proto.process_limits import raise_niceness
 from zensim.proto.security.roles import ROLES
@@ -88,7 +88,7 @@ class ViewOptions(AccessOptions, ConnectionOptions):
 class PageSource(NamedTuple):
     """What a page shows, and how visitors act on it."""
 
-    network: ViewerNetwork
+    network: FollowingNetwork
     world: str
     driver: "RobotDriver | None" = None
     """Publishes commands; None = visitors may look only."""

@@ -201,9 +201,12 @@ class ServiceClient:
         request = SetEntityStateRequest(entity, state, set_pose=has_pose, set_twist=has_twist)
         self._call(service_catalog.SET_ENTITY_STATE, request)
 
-    def models(self, entities: tuple[str, ...] = ()) -> GetModelsResponse:
-        """Get the models of the named entities, or of all."""
-        return self._call(service_catalog.GET_MODELS, GetModelsRequest(entities))
+    def models(
+        self, entities: tuple[str, ...] = (), *, wants_descriptions: bool = False
+    ) -> GetModelsResponse:
+        """Get the models of the named entities, or of all; see `GetModelsRequest`."""
+        request = GetModelsRequest(entities, wants_descriptions)
+        return self._call(service_catalog.GET_MODELS, request)
 
     def entity_model(self, entity: str) -> EntityModel:
         """Get namespace, agent and model index of an entity."""

@@ -25,24 +25,21 @@ from zensim.proto.messages.simulation_messages import (
     StepSimulationRequest,
 )
 from zensim.proto.messages.telemetry_messages import (
-    Event,
-    GetModelsRequest,
     GetModelsResponse,
     Snapshot,
     Stats,
 )
 from zensim.proto.network_protocols import (
     CallingNetwork,
+    FollowingNetwork,
     Sample,
     SubscribingNetwork,
     Subscription,
-    ViewerNetwork,
 )
 from zensim.proto.se3 import transform_points
 from zensim.proto.service_catalog import (
     DELETE_ENTITY,
     GET_ASSET,
-    GET_MODELS,
     RESET_SIMULATION,
     SET_SIMULATION_STATE,
     STEP_SIMULATION,
@@ -51,7 +48,8 @@ from zensim.proto.service_catalog import (
     Service,
 )
 from zensim.proto.stl import read_corners, stl_size
-from zensim.proto.topic_catalog import CMD_VEL, EVENTS, SNAPSHOT, STATS, find_topic
+from zensim.proto.topic_catalog import CMD_VEL, SNAPSHOT, STATS, find_topic
+from zensim.spawner.client.world_follower import WorldFollower
 from zensim.spawner.page.model_visuals import (
     NO_MESHES,
     TriangleMesh,
@@ -216,10 +214,6 @@ MIN_FRAME_PERIOD_S: Final = 0.025
 """Minimum time between frames: 30 snapshots/s are all shown, of 60/s every other."""
 STILL_PERIOD_S: Final = 0.1
 """Time between two views of a world that plays while nothing in it moves."""
-MODELS_RETRY_S: Final = 0.2
-CLAIMS_PERIOD_S: Final = 1.0
-"""Minimum time between two requests for the agents of entities."""
-EVENT_DEPTH: Final = 256
 SERVER_TIMEOUT_S: Final = 1.8
 """A server sends snapshots at 2 Hz even when paused."""
 
@@ -440,18 +434,15 @@ class ViewerDataSource:
     """Subscriptions to one world; open while a viewer client is connected."""
 
     def __init__(
-        self, network: ViewerNetwork, world: str, clock: MonotonicClock, fetcher: MeshFetcher
+        self, network: FollowingNetwork, world: str, clock: MonotonicClock, fetcher: MeshFetcher
     ) -> None:
         self._network, self._world, self._clock = network, world, clock
         self._fetcher = fetcher
-        self._tokens = network.watch_tokens(keys.alive_server(world))
+        self._follower = WorldFollower(network, world, timeout_s=CALL_TIMEOUT_S, clock=clock)
         self._snapshots = network.subscribe(SNAPSHOT.key(world))
         self._stats_samples = network.subscribe(STATS.key(world))
         self._stats: Stats | None = None
-        self._events = network.subscribe(EVENTS.key(world), depth=EVENT_DEPTH)
-        self._has_new_claims, self._next_claims_at = False, 0.0
-        self._models: GetModelsResponse | None = None
-        self._next_call_at = self._next_frame_at = clock()
+        self._next_frame_at = clock()
         self._received_at = clock()
         self._fleet = RenderedFleet()
         self._fleet_inputs: _FleetInputs | None = None
@@ -463,8 +454,12 @@ class ViewerDataSource:
         self._monitors: dict[str, CommandMonitor] = {}
         self._sensors = SensorMonitors(network)
         self._watches = WatchMonitors(network, world)
-        self.error_text = ""
+
+    @property
+    def error_text(self) -> str:
         """Error of the last call for models; empty = success."""
+        problem = self._follower.problem
+        return problem and f"cannot get the models of the robots: {problem}"
 
     @property
     def is_silent(self) -> bool:
@@ -473,9 +468,8 @@ class ViewerDataSource:
 
     def close(self) -> None:
         """Close all subscriptions."""
-        self._tokens.close()
+        self._follower.close()
         self._snapshots.close()
-        self._events.close()
         self._stats_samples.close()
         self._sensors.close()
         self._watches.close()
@@ -541,19 +535,8 @@ class ViewerDataSource:
         return self._watches.receive(watches, self._fleet, self._clock())
 
     def _watch_server(self) -> None:
-        for _, is_alive in self._tokens.take():
-            if is_alive:
-                self._models = None
-                self._received_at = self._clock()
-            else:
-                self._received_at = float("-inf")
-
-    def _watch_claims(self) -> None:
-        """Note whether agents have claimed or released entities."""
-        for sample in self._events.take():
-            with suppress(MalformedPayload):
-                event = decode(Event, sample.payload, sample.encoding)
-                self._has_new_claims |= event.kind in ("claimed", "released")
+        for is_alive in self._follower.take().servers:
+            self._received_at = self._clock() if is_alive else float("-inf")
 
     def _take_stats(self) -> Stats | None:
         """Take the newest statistics, published once a second."""
@@ -563,18 +546,11 @@ class ViewerDataSource:
                 self._stats = decode(Stats, sample.payload, sample.encoding)
         return self._stats
 
-    def _are_models_old(self, snapshot: Snapshot) -> bool:
-        if self._models is None or snapshot.roster != self._models.roster:
-            return True
-        return self._has_new_claims and self._clock() >= self._next_claims_at
-
     def _view(self, snapshot: Snapshot) -> ViewState | None:
-        self._watch_claims()
-        if self._are_models_old(snapshot):
-            self._request_models()
-        if self._models is None:
+        models = self._find_models(snapshot)
+        if models is None:
             return None
-        inputs = (snapshot.names, self._models, self._fetcher.meshes)
+        inputs = (snapshot.names, models, self._fetcher.meshes)
         if inputs != self._fleet_inputs:
             self._fleet = make_fleet(*inputs)
             self._fleet_inputs = inputs
@@ -600,19 +576,12 @@ class ViewerDataSource:
             self._frame = *made_of, make_frame(self._fleet, snapshot)
         return self._frame[3]
 
-    def _request_models(self) -> None:
-        if self._clock() < self._next_call_at:
-            return
-        try:
-            self._models = self._network.call(
-                GET_MODELS, GetModelsRequest(), world=self._world, timeout_s=CALL_TIMEOUT_S
-            )
-            self._fetcher.set_models(self._models.models)
-            self.error_text = ""
-        except (BusError, ServiceError, TimeoutError, MalformedPayload) as error:
-            self.error_text = f"cannot get the models of the robots: {error}"
-        self._next_call_at = self._clock() + MODELS_RETRY_S
-        self._next_claims_at, self._has_new_claims = self._clock() + CLAIMS_PERIOD_S, False
+    def _find_models(self, snapshot: Snapshot) -> GetModelsResponse | None:
+        """Find the models; None before the server of the snapshot has sent them."""
+        self._follower.note_roster(snapshot.roster)
+        if self._follower.poll() and self._follower.models is not None:
+            self._fetcher.set_models(self._follower.models.models)
+        return self._follower.models if self._follower.is_current else None
 
 
 IDLE_S: Final = 0.1
@@ -678,7 +647,7 @@ class Viewer:
 
     def __init__(
         self,
-        network: ViewerNetwork,
+        network: FollowingNetwork,
         page: PageProtocol,
         world: str,
         *,

@@ -11,15 +11,15 @@ from typing import Final, Generic, TypeVar
 
 import msgspec
 
-from zensim.proto.bus import Bus, BusError, BusSubscription, CopyingSubscription
+from zensim.proto.bus import Bus, BusSubscription, CopyingSubscription
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.process_messages import AgentStats, ProcessUsage
-from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.sensor_messages import SensorStats
 from zensim.proto.messages.telemetry_messages import Snapshot, Stats
 from zensim.proto.stats_publisher import read_host_name
 from zensim.proto.topic_catalog import AGENT_STATS, ODOM, SENSOR_STATS, SNAPSHOT, STATS, TopicSpec
 from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.client.world_follower import WorldFollower
 from zensim.spawner.top.fleet_figures import NO_MODELS, FleetReading
 from zensim.spawner.top.local_processes import list_descendants
 
@@ -27,10 +27,6 @@ Report = TypeVar("Report", bound=msgspec.Struct)
 
 SILENT_S: Final = 3.5
 """A process that has not reported for so long is left out; a silent server is marked."""
-MODELS_S: Final = 5.0
-"""Between calls of `get_models` where nothing says that robots or agents changed."""
-MODELS_TIMEOUT_S: Final = 2.0
-"""Of such a call; the screen shows nothing new meanwhile."""
 REPORTS_DEPTH: Final = 4096
 ODOM_DEPTH: Final = 4096
 QUERY_TIMEOUT_S: Final = 0.5
@@ -112,7 +108,8 @@ class FleetSource:
             client: Of the world.
         """
         bus, world = client.bus, client.world
-        self._client = SimClient(bus, world, MODELS_TIMEOUT_S)
+        self._client = client
+        self._follower = WorldFollower(bus, world)
 
         def subscribe(topic: TopicSpec, *owner: str) -> BusSubscription:
             return bus.subscribe(topic.key(world, *owner), REPORTS_DEPTH)
@@ -121,9 +118,6 @@ class FleetSource:
         self._agents = Reports(subscribe(AGENT_STATS, "*"), AgentStats, lambda one: one.agent)
         self._sensors = Reports(subscribe(SENSOR_STATS, "*"), SensorStats, lambda one: one.process)
         self._rates = OdometryRates(bus)
-        self._models = NO_MODELS
-        self._models_of: object = None
-        self._models_s = 0.0
 
     def watch(self, namespaces: Iterable[str]) -> None:
         """Measure the rates of odometry of these robots, and of no others."""
@@ -135,12 +129,10 @@ class FleetSource:
         now_s = time.monotonic()
         stats, agents = self._stats.read(now_s), self._agents.read(now_s)
         sensors = self._sensors.read(now_s)
-        roster = (snapshot.roster if snapshot else None, tuple(sorted(agents)), _count(agents))
-        if snapshot is None:
-            pass  # a call would only wait, and the silence would be shown late
-        elif roster != self._models_of or now_s - self._models_s > MODELS_S:
-            self._models_of, self._models_s = roster, now_s
-            self._fetch_models()
+        self._follower.take()
+        if snapshot is not None:  # else a call would only wait, and the silence be shown late
+            self._follower.note_roster(snapshot.roster)
+            self._follower.poll()
         reports: list[Stats | AgentStats | SensorStats] = [
             *stats.values(),
             *agents.values(),
@@ -153,14 +145,14 @@ class FleetSource:
             children=tuple(list_descendants(list_local_ids(one.usage for one in reports))),
             read_s=time.monotonic(),
             snapshot=snapshot,
-            models=self._models,
+            models=self._follower.models or NO_MODELS,
             odom_hz=self._rates.read(time.monotonic()),
             is_stale=not stats,
         )
 
     def close(self) -> None:
         """Undeclare all subscriptions."""
-        for one in (self._stats, self._agents, self._sensors, self._rates):
+        for one in (self._follower, self._stats, self._agents, self._sensors, self._rates):
             one.close()
 
     def _fetch_snapshot(self) -> Snapshot | None:
@@ -171,18 +163,7 @@ class FleetSource:
         except MalformedPayload:
             return None
 
-    def _fetch_models(self) -> None:
-        try:
-            self._models = self._client.models()
-        except (BusError, ServiceError, TimeoutError, MalformedPayload):
-            # The last ones are shown until a server replies again.
-            self._models_s = 0.0
-
 
 def list_local_ids(usages: Iterable[ProcessUsage]) -> list[int]:
     """List the ids of the processes that run on this host."""
     return [one.process_id for one in usages if one.host == read_host_name() and one.process_id]
-
-
-def _count(agents: Mapping[str, AgentStats]) -> int:
-    return sum(one.robots for one in agents.values())

@@ -38,8 +38,8 @@ def test_models_that_come_while_tokens_are_read_are_not_lost() -> None:
     watch.take()
     robot = EntityModel("r1", "r1", 0, "a")
     bus.models = GetModelsResponse(entities=(robot,), models=(Model("m", (Link("base"),)),))
-    outcomes = []
-    key.interrupt = lambda: outcomes.append(watch.fetch_models())
+    outcomes: list[object] = []
+    key.interrupt = lambda: outcomes.extend(job() for job in watch.take_jobs())
     tokens.changes = [(key, False)]
     watch.take()
 

@@ -1,17 +1,16 @@
 """InProcessSensors: lidars and cameras of a world in process, measured for subscribers only."""
 
 from zensim.api.in_process_network import InProcessNetwork
-from zensim.proto.messages.telemetry_messages import GetModelsRequest
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.proto.sensor_schedule import is_due
-from zensim.proto.service_catalog import GET_MODELS
 from zensim.proto.topic_faults import TopicFaults
 from zensim.sim_server.sensors.scene_roster import POSE_COLUMNS, SceneRoster
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
 from zensim.sim_server.sensors.sensor_groups import SceneMoment, list_addresses
 from zensim.sim_server.sensors.sensor_process import SensorShare
 from zensim.sim_server.world.simulated_world import SimulatedWorld
+from zensim.spawner.client.service_client import ServiceClient
 
 NAME = "sensors"
 
@@ -72,7 +71,7 @@ class InProcessSensors:
         """Follow changes of the entities and of the subscriptions."""
         roster = self._share.roster
         if roster is None or roster.number != self._world.entities.roster_number:
-            found = self._network.call(GET_MODELS, GetModelsRequest(), world=self._world.name)
+            found = ServiceClient(self._network, self._world.name).models()
             self._share.set_roster(SceneRoster(found, roster))
             self._version = -1
         if self._version != self._network.version:

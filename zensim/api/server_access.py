@@ -32,10 +32,9 @@ from zensim.proto.messages.simulation_messages import (
     SimulateStepsRequest,
     SimulateStepsResponse,
 )
-from zensim.proto.messages.telemetry_messages import GetModelsRequest, InfoRequest, Snapshot
+from zensim.proto.messages.telemetry_messages import InfoRequest, Snapshot
 from zensim.proto.security.roles import ROLES, Operation, User, list_keys
 from zensim.proto.service_catalog import (
-    GET_MODELS,
     INFO,
     JOIN_LOCKSTEP,
     SIMULATE_STEPS,
@@ -45,6 +44,7 @@ from zensim.proto.service_catalog import (
     require_ok,
 )
 from zensim.proto.topic_catalog import SENSOR_STATS, SNAPSHOT, TWISTS
+from zensim.spawner.client.service_client import ServiceClient
 
 if TYPE_CHECKING:
     from zensim.api.recorder_process import RecorderProcess
@@ -337,7 +337,7 @@ class ServerAccess(WorldAccess):
         """See `WorldAccess`."""
         left, deadline = tuple(names), time.monotonic() + timeout_s
         while left:
-            found = self.call(GET_MODELS, GetModelsRequest(left)).entities
+            found = ServiceClient(self, self.world_name).models(left).entities
             left = tuple(one.entity for one in found if not one.agent)
             if left and time.monotonic() > deadline:
                 raise Timeout(

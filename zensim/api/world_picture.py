@@ -10,11 +10,11 @@ import numpy.typing as npt
 from zensim.api.world_access import WorldAccess
 from zensim.api.world_state import POSE, FloatArray, WorldState
 from zensim.proto.messages.sensor_messages import CameraSensor
-from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse
-from zensim.proto.service_catalog import GET_MODELS
+from zensim.proto.messages.telemetry_messages import GetModelsResponse
 from zensim.sim_server.sensors.camera_sensors import ViewedScene
 from zensim.sim_server.sensors.scene_roster import SceneMeshes, SceneRoster
 from zensim.sim_server.sensors.sensor_groups import SceneMoment
+from zensim.spawner.client.service_client import ServiceClient
 from zensim.spawner.spawn.spawn_poses import make_pose
 
 CAMERA = CameraSensor(width=960, height=600, near_m=0.05, far_m=1000.0)
@@ -33,7 +33,7 @@ def take_picture(access: WorldAccess) -> bytes:
         CamerasUnavailable: Images cannot be made on this host.
         ServiceError: The server refused to describe its entities.
     """
-    models = access.call(GET_MODELS, GetModelsRequest())
+    models = ServiceClient(access, access.world_name).models()
     state, roster = access.refresh(), SceneRoster(models, None)
     meshes = SceneMeshes(access, access.world_name)
     meshes.fetch(roster.visual_meshes)

@@ -10,9 +10,7 @@ from zensim.api.in_process_server import InProcessServer
 from zensim.envs.world_layout import FloatArray, WorldLayout
 from zensim.proto.messages.model_messages import IDENTITY, Model, Sensor
 from zensim.proto.messages.sensor_messages import Environment, ImuSensor, RaySensor
-from zensim.proto.messages.telemetry_messages import GetModelsRequest
 from zensim.proto.sensor_noise import SensorNoise, make_noise_key
-from zensim.proto.service_catalog import GET_MODELS
 from zensim.proto.topic_catalog import IMU
 from zensim.robot_agent.mounted_sensors import list_state_sensors, mount_sensors
 from zensim.robot_agent.robot_rows import NEW_ROW, StateRows
@@ -25,6 +23,7 @@ from zensim.sim_server.sensors.scene_roster import (
     SceneRoster,
     SensorPlaces,
 )
+from zensim.spawner.client.service_client import ServiceClient
 
 SensorName = Literal["scan", "imu"]
 SENSORS: dict[str, type] = {"scan": RaySensor, "imu": ImuSensor}
@@ -60,7 +59,7 @@ class BatchSensors:
         self._lidars = BatchLidars(server, layout) if "scan" in names else None
         self._imus: BatchImus | None = None
         if "imu" in names:
-            found = server.call(GET_MODELS, GetModelsRequest())
+            found = ServiceClient(server.network, server.world.name).models()
             self._imus = BatchImus(found.environment, layout, worlds)
         self.restart({world: world for world in range(worlds)})
 
@@ -137,7 +136,7 @@ class BatchLidars:
     def __init__(self, server: InProcessServer, layout: WorldLayout) -> None:
         """Prepare the scene; see `BatchSensors`."""
         self._layout = layout
-        roster = SceneRoster(server.call(GET_MODELS, GetModelsRequest()))
+        roster = SceneRoster(ServiceClient(server.network, server.world.name).models())
         self._environment = roster.environment
         meshes = SceneMeshes(server.network, server.world.name)
         meshes.fetch(roster.meshes)

@@ -9,8 +9,8 @@ from typing import Final
 from zensim.foxglove.scene_entities import MESH_URL
 from zensim.proto.bus import Bus
 from zensim.proto.messages.asset_messages import MAX_FILE_BYTES, GetAssetRequest
-from zensim.proto.messages.telemetry_messages import GetModelsRequest
-from zensim.proto.service_catalog import GET_ASSET, GET_MODELS
+from zensim.proto.service_catalog import GET_ASSET
+from zensim.spawner.client.service_client import ServiceClient
 
 CALL_TIMEOUT_S: Final = 5.0
 QUESTION_PERIOD_S: Final = 0.5
@@ -52,10 +52,8 @@ class MeshFiles:
         """Find the sha256 of a file that a description names; the newest, if several do."""
         if uri not in self._named and time.monotonic() >= self._next_question_s:
             self._next_question_s = time.monotonic() + QUESTION_PERIOD_S
-            request = GetModelsRequest(wants_descriptions=True)
-            models = self._bus.call(
-                GET_MODELS, request, world=self._world, timeout_s=CALL_TIMEOUT_S
-            )
+            client = ServiceClient(self._bus, self._world, CALL_TIMEOUT_S)
+            models = client.models(wants_descriptions=True)
             self._named = {one.uri: one.sha256 for of in models.files for one in of.files}
         return self._named.get(uri, "")
 

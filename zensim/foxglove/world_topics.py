@@ -4,56 +4,44 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from zensim.foxglove.live_topics import LiveTopic, list_live_topics
 from zensim.foxglove.merged_transforms import Transform, make_transform
 from zensim.foxglove.scene_entities import WORLD_FRAME, make_scene
-from zensim.foxglove.scene_messages import SceneEntity
-from zensim.proto import keys
-from zensim.proto.bus import Bus, BusError
-from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.bus import Bus
 from zensim.proto.messages.entity_messages import (
     EntityFilters,
     EntityState,
     GetEntitiesStatesOrder,
 )
 from zensim.proto.messages.model_messages import Model
-from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.standard_messages import Vector3
 from zensim.proto.messages.telemetry_messages import (
     EntityModel,
-    Event,
-    GetModelsRequest,
     GetModelsResponse,
 )
-from zensim.proto.network_protocols import Sample
 from zensim.proto.rigid_transforms import from_rpy, to_rpy
 from zensim.proto.ros2.liveliness_tokens import (
     TOKEN_SPACE,
     AnnouncedEndpoint,
     parse_endpoint_token,
 )
-from zensim.proto.service_catalog import GET_ENTITIES_STATES, GET_MODELS
-from zensim.proto.topic_catalog import EVENTS, TF
+from zensim.proto.service_catalog import GET_ENTITIES_STATES
+from zensim.proto.topic_catalog import TF
 from zensim.proto.topic_discovery import PUBLISHER, TopicFacts, list_robot_topics, merge_endpoints
+from zensim.spawner.client.world_follower import FAILURES, Fetch, WorldFollower
+
+if TYPE_CHECKING:
+    from zensim.foxglove.scene_messages import SceneEntity
 
 CALL_TIMEOUT_S: Final = 2.0
-FETCH_PERIOD_S: Final = 0.3
-"""Least time between two calls of `get_models`: robots are spawned and deleted in groups."""
 POSES_PERIOD_S: Final = 0.5
-"""The same for poses of entities without an agent, while one of them moves."""
+"""Least time between two calls for poses of entities without an agent, while one of them moves."""
 MOVING_M_S, MOVING_RAD_S = 0.01, 0.01
 MAX_PATTERN: Final = 500
 """Characters of a filter by names; instead of a longer one, the states of all are requested."""
-EVENTS_DEPTH: Final = 1024
 TOKENS_DEPTH: Final = 65_536
-CHANGES: Final = frozenset(
-    {"spawned", "deleted", "claimed", "released", "reset", "loaded", "unloaded"}
-)
-"""Kinds of events that change entities or agents."""
-FAILURES: Final = (BusError, ServiceError, TimeoutError, MalformedPayload)
-
 Update: TypeAlias = Callable[[], None]
 """What remains to be done in the thread of the hub."""
 
@@ -70,16 +58,13 @@ class WorldTopics:
             domain: Of ROS 2, whose endpoints are watched; None = none.
         """
         self._bus, self._world, self._domain = bus, world, domain
-        self._servers = bus.watch_tokens(keys.alive_server(world))
-        self._events = bus.subscribe(EVENTS.key(world), EVENTS_DEPTH)
+        self._follower = WorldFollower(bus, world)
         tokens = f"{TOKEN_SPACE}/{domain}/**"
         self._tokens = None if domain is None else bus.watch_tokens(tokens, TOKENS_DEPTH)
         self._endpoints: dict[str, AnnouncedEndpoint] = {}
-        self._models: GetModelsResponse | None = None
         self._is_changed = True
-        self._needs_models = True
         self._needs_poses = False
-        self._next_fetch_s = 0.0
+        self._next_poses_s = 0.0
         self.scene: Mapping[str, SceneEntity] = {}
         """See `WorldFacts`."""
         self.own_tf: frozenset[str] = frozenset()
@@ -89,8 +74,7 @@ class WorldTopics:
 
     def take(self) -> dict[str, LiveTopic] | None:
         """Take changes; return all topics by name, if they may have changed."""
-        if self._servers.take() or self._take_events():
-            self._needs_models = True
+        self._follower.take()
         self._take_tokens()
         if not self._is_changed:
             return None
@@ -100,37 +84,42 @@ class WorldTopics:
 
     def take_jobs(self) -> Sequence[Callable[[], Update | None]]:
         """Take the work that blocks and is due; what it returns is to be called in this thread."""
-        now_s = time.monotonic()
-        if now_s < self._next_fetch_s:
-            return []
-        if self._needs_models:
-            self._needs_models, self._next_fetch_s = False, now_s + FETCH_PERIOD_S
-            return [self.fetch_models]
-        if self._needs_poses and self._models is not None:
-            self._needs_poses, self._next_fetch_s = False, now_s + POSES_PERIOD_S
-            return [partial(self._fetch_poses, self._models)]
+        if (fetch := self._follower.take_fetch()) is not None:
+            return [partial(self._fetch_all, fetch)]
+        now_s, models = time.monotonic(), self._follower.models
+        if self._needs_poses and models is not None and now_s >= self._next_poses_s:
+            self._needs_poses, self._next_poses_s = False, now_s + POSES_PERIOD_S
+            return [partial(self._fetch_scene, models)]
         return []
 
-    def fetch_models(self) -> Update | None:
-        """Get the entities from the server; blocks for `CALL_TIMEOUT_S` at most, twice."""
-        try:
-            models = self._bus.call(
-                GET_MODELS, GetModelsRequest(), world=self._world, timeout_s=CALL_TIMEOUT_S
-            )
-        except FAILURES:
-            # Due again at the next event, or when a server starts.
+    def _fetch_all(self, fetch: Fetch) -> Update | None:
+        """Get the entities from the server; blocks for two timeouts at most."""
+        models = fetch()
+        if models is None:
             return None
-        return self._fetch_poses(models)
+        update = self._fetch_scene(models)
 
-    def _fetch_poses(self, models: GetModelsResponse) -> Update:
+        def replace() -> None:
+            self._is_changed = True
+            self._follower.accept(models)
+            update()
+
+        return replace
+
+    def _fetch_scene(self, models: GetModelsResponse) -> Update:
         """Get where entities without an agent are; without a reply, they are where they began."""
         try:
             states = self._get_states(find_unled(models))
         except FAILURES:
             states = {}
         poses = {name: state.pose for name, state in states.items()}
-        is_moving = any(map(is_in_motion, states.values()))
-        return partial(self._update, models, make_scene(models, poses), is_moving=is_moving)
+        scene, is_moving = make_scene(models, poses), any(map(is_in_motion, states.values()))
+
+        def update() -> None:
+            if models is self._follower.models:
+                self.scene, self._needs_poses = scene, is_moving
+
+        return update
 
     def _get_states(self, names: Sequence[str]) -> Mapping[str, EntityState]:
         if not names:
@@ -145,27 +134,11 @@ class WorldTopics:
         )
         return dict(zip(found.entities, found.states, strict=False))
 
-    def _update(
-        self,
-        models: GetModelsResponse,
-        scene: Mapping[str, SceneEntity],
-        *,
-        is_moving: bool,
-    ) -> None:
-        """Replace what is known of the world."""
-        self._is_changed |= models is not self._models
-        self._models, self.scene = models, scene
-        self._needs_poses = is_moving
-
     def close(self) -> None:
         """End the subscriptions."""
-        self._servers.close()
-        self._events.close()
+        self._follower.close()
         if self._tokens is not None:
             self._tokens.close()
-
-    def _take_events(self) -> bool:
-        return any(_is_change(sample) for sample in self._events.take())
 
     def _take_tokens(self) -> None:
         for key, is_alive in self._tokens.take() if self._tokens is not None else ():
@@ -179,16 +152,15 @@ class WorldTopics:
 
     def _find_own_tf(self) -> None:
         """Find the robots whose node in ROS 2 does not publish the shared transforms."""
-        entities = self._models.entities if self._models is not None else ()
-        robots = [one for one in entities if one.agent and one.namespace]
+        found = self._follower.models or GetModelsResponse()
+        robots = [one for one in found.entities if one.agent and one.namespace]
         ends = self._endpoints.values()
         nodes = {one.node for one in ends if one.key == TF.suffix}
         sharing = {one.key.rpartition("/")[0] for one in ends if one.node in nodes}
         own = frozenset(one.namespace for one in robots) - sharing
-        if own != self.own_tf and self._models is not None:
-            models = self._models.models
+        if own != self.own_tf:
             made = (
-                make_odometry_frame(one, models[one.model])
+                make_odometry_frame(one, found.models[one.model])
                 for one in robots
                 if one.namespace in own
             )
@@ -197,7 +169,7 @@ class WorldTopics:
 
     def _list_facts(self) -> list[TopicFacts]:
         announced = merge_endpoints(self._endpoints.values())
-        return [*announced, *(list_robot_topics(self._models) if self._models is not None else ())]
+        return [*announced, *list_robot_topics(self._follower.models or GetModelsResponse())]
 
 
 def find_unled(models: GetModelsResponse) -> list[str]:
@@ -217,14 +189,6 @@ def is_in_motion(state: EntityState) -> bool:
 
 def _measure(vector: Vector3) -> float:
     return math.hypot(vector.x, vector.y, vector.z)
-
-
-def _is_change(sample: Sample) -> bool:
-    """Whether an event changes entities or agents."""
-    try:
-        return decode(Event, sample.payload, sample.encoding).kind in CHANGES
-    except MalformedPayload:
-        return False
 
 
 def make_odometry_frame(entity: EntityModel, model: Model) -> Transform | None:

@@ -18,11 +18,11 @@ from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.asset_messages import MAX_FILE_BYTES, GetAssetRequest
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import ServiceError
-from zensim.proto.messages.telemetry_messages import GetModelsRequest
-from zensim.proto.messages.world_messages import GetCurrentWorldRequest, WorldResource
+from zensim.proto.messages.world_messages import WorldResource
 from zensim.proto.network_protocols import CallingNetwork
-from zensim.proto.service_catalog import GET_ASSET, GET_CURRENT_WORLD, GET_MODELS
+from zensim.proto.service_catalog import GET_ASSET
 from zensim.recording.mcap_records import AttachedFile
+from zensim.spawner.client.service_client import ServiceClient
 
 SHA256: Final = re.compile("[0-9a-f]{64}")
 FAILURES: Final = (BusError, ServiceError, TimeoutError, MalformedPayload)
@@ -96,19 +96,15 @@ class EntityFiles:
             self._go_on_with_meshes()
 
     def _attach_texts(self) -> None:
-        call, world = self._bus.call, self._world
-        current = call(
-            GET_CURRENT_WORLD, GetCurrentWorldRequest(), world=world, timeout_s=TIMEOUT_S
-        )
+        client = ServiceClient(self._bus, self._world, TIMEOUT_S)
         try:
-            text = read_world_file(current.world)
+            text = read_world_file(client.current_world())
         except FileRefused as refusal:
             text = ""
             self._note(str(refusal))
         if text:
             self._attach_once(WORLD_FILE, "application/xml", text.encode())
-        request = GetModelsRequest(wants_descriptions=True)
-        found = call(GET_MODELS, request, world=world, timeout_s=TIMEOUT_S)
+        found = client.models(wants_descriptions=True)
         for one in found.descriptions:
             content = one.encode()
             digest = hashlib.sha256(content).hexdigest()

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -32,9 +31,8 @@ from zensim.proto.messages.agent_messages import STATE_COLUMNS, FleetOdometry
 from zensim.proto.messages.model_messages import Joint, Model
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.standard_messages import NANOSECONDS, Odometry, TFMessage
-from zensim.proto.messages.telemetry_messages import Event, GetModelsRequest, GetModelsResponse
+from zensim.proto.messages.telemetry_messages import Event, GetModelsResponse
 from zensim.proto.network_protocols import CallingNetwork, Closable, Sample
-from zensim.proto.service_catalog import GET_MODELS
 from zensim.proto.tf_joints import MOVABLE_KINDS
 from zensim.proto.topic_catalog import FLEET_ODOMETRY
 from zensim.recording.fleet_robots import (
@@ -45,6 +43,7 @@ from zensim.recording.fleet_robots import (
     list_robots,
 )
 from zensim.recording.recorded_topics import RecordedTopic
+from zensim.spawner.client.service_client import ServiceClient
 
 DEPTH: Final = 4096
 MAX_WAITING_BYTES: Final = 32 << 20
@@ -527,11 +526,11 @@ class FleetMessages:
     def _get_models(self, names: tuple[str, ...]) -> GetModelsResponse:
         """Get some models; all if there are many, or if one is of no entity (any more)."""
         names = names if len(names) <= MOST_NAMED else ()
-        call = partial(self._network.call, GET_MODELS, world=self._world, timeout_s=CALL_TIMEOUT_S)
+        client = ServiceClient(self._network, self._world, CALL_TIMEOUT_S)
         try:
-            return call(GetModelsRequest(names))
+            return client.models(names)
         except ServiceError:
-            return call(GetModelsRequest())
+            return client.models()
 
     def _list_unread(self) -> list[_KnownRobot]:
         """List the robots that publish but have not replied; all at first."""

@@ -16,14 +16,13 @@ from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.telemetry_messages import (
     EntityModel,
     Event,
-    GetModelsRequest,
     GetModelsResponse,
 )
 from zensim.proto.network_protocols import CallingNetwork, Sample
-from zensim.proto.service_catalog import GET_MODELS
 from zensim.proto.tf_joints import MOVABLE_KINDS, list_hidden_joints
 from zensim.proto.topic_catalog import ODOM, TF
 from zensim.recording.recorded_topics import RecordedTopic
+from zensim.spawner.client.service_client import ServiceClient
 
 LEAST_ROBOTS: Final = 300
 """Robots from which on a world has a large fleet: pools publish all topics of fewer."""
@@ -97,7 +96,7 @@ def is_of_many(expression: str) -> bool:
 def has_large_fleet(network: CallingNetwork, world: str) -> bool:
     """Whether a world has so many robots that their odometry is taken from agents."""
     with suppress(*FAILURES):
-        found = network.call(GET_MODELS, GetModelsRequest(), world=world)
+        found = ServiceClient(network, world).models()
         return sum(1 for _ in list_robots(found)) >= LEAST_ROBOTS
     return False
 

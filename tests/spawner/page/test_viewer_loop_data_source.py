@@ -25,13 +25,13 @@ from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModels
 from zensim.proto.messages.world_messages import Scene
 from zensim.proto.service_catalog import Request, Response, Service
 from zensim.proto.stl import write_corners
+from zensim.spawner.client.world_follower import PERIOD_S
 from zensim.spawner.page.render_state import LastCommand
 from zensim.spawner.page.viewer_loop import (
     FETCH_BUDGET_S,
     MESH_BUDGET_BYTES,
     MESH_RETRY_S,
     MIN_FRAME_PERIOD_S,
-    MODELS_RETRY_S,
     SERVER_TIMEOUT_S,
     STILL_PERIOD_S,
     MeshFetcher,
@@ -203,7 +203,7 @@ def test_models_are_requested_at_a_limited_rate() -> None:
     setup.receive("r1", "r3", roster=7)
     count = setup.server.count(GetModelsRequest)
 
-    setup.clock.sleep(MODELS_RETRY_S / 2.0)
+    setup.clock.sleep(PERIOD_S / 2.0)
     setup.server.publish(make_snapshot("r1", "r3", roster=8, joints=2))
     setup.source.newest()
 

@@ -6,11 +6,11 @@ import pytest
 
 from tests.foxglove.fake_bus import FakeBus
 from tests.spawner.top.readings import MODELS, a_snapshot
-from zensim.proto.codec.message_codec import Format, MalformedPayload, encode
+from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.network_protocols import Sample
 from zensim.proto.topic_catalog import SNAPSHOT
+from zensim.spawner.client import world_follower
 from zensim.spawner.client.sim_client import SimClient
-from zensim.spawner.top import fleet_source
 from zensim.spawner.top.fleet_source import FleetSource
 
 WORLD = "default"
@@ -62,19 +62,4 @@ def test_server_that_replies_to_no_call_is_not_waited_for_long(bus: SuspendedBus
 
     source.read()
 
-    assert max(bus.waits_s) <= fleet_source.MODELS_TIMEOUT_S
-
-
-def test_malformed_reply_leaves_the_models_of_before(
-    bus: SuspendedBus, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    source = FleetSource(SimClient(bus.as_bus, WORLD))
-    source.read()
-
-    def fail(*_: object, **__: object) -> None:
-        raise MalformedPayload("cut")
-
-    monkeypatch.setattr(bus, "call", fail)
-    monkeypatch.setattr(fleet_source, "MODELS_S", 0.0)
-
-    assert source.read().models == MODELS
+    assert max(bus.waits_s) <= world_follower.TIMEOUT_S

@@ -4,11 +4,10 @@ from collections.abc import Collection, Iterable, Iterator
 from typing import Final, Protocol
 
 from zensim.proto import keys
-from zensim.proto.messages.telemetry_messages import GetModelsRequest
 from zensim.proto.network_protocols import CallingNetwork
 from zensim.proto.ros2.liveliness_tokens import TOKEN_SPACE, parse_endpoint_token
-from zensim.proto.service_catalog import GET_MODELS
 from zensim.proto.topic_catalog import TOPICS
+from zensim.spawner.client.service_client import ServiceClient
 
 PUBLISHER: Final = "MP"
 ROOT_KEYS: Final = frozenset(one.suffix for one in TOPICS.values() if one.root_message is not None)
@@ -68,7 +67,7 @@ def _list_worlds(network: TokenNetwork, wanted: Collection[str], world: str) -> 
     """List what running worlds publish: namespaces of robots, and keys of the root."""
     for token in network.list_tokens(keys.alive_server("*")):
         name = token.split("/")[1]
-        models = network.call(GET_MODELS, GetModelsRequest(), world=name, timeout_s=WORLD_TIMEOUT_S)
+        models = ServiceClient(network, name, WORLD_TIMEOUT_S).models()
         namespaces = {one.namespace.strip("/") for one in models.entities}
         for namespace in _find_namespaces(wanted, namespaces):
             yield f"namespace '{namespace}' is of a living robot of world '{name}'"
