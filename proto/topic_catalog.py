@@ -94,7 +94,7 @@ class TopicSpec(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     is_gettable: bool = True
     """Whether a get on the key replies with the last message."""
     description: str
-    """One line of the README."""
+    """One line of docs/keys.md."""
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle its name."""

@@ -27,6 +27,9 @@ COMMAND = re.compile(
 OPTION = re.compile(r"(?<=\s)--?[A-Za-z][\w-]*")
 CHANGES = {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
 READMES = ("README.md", "README.zh-CN.md")
+CONTENTS = ROOT / "docs" / "contents.md"
+HEADING = re.compile(r"^## ", re.MULTILINE)
+MAX_README_WORDS = 900
 MAX_ADR_LINES = 45
 MAX_COLUMNS = 120
 SOURCE_PATH = re.compile(
@@ -150,6 +153,26 @@ def test_readmes_have_the_same_commands() -> None:
 
     english, chinese = ([re.sub(r" *#.*", "", block) for block in one] for one in blocks)
     assert english == chinese
+
+
+def test_readmes_have_the_same_sections_and_links() -> None:
+    english, chinese = (FENCE.sub("", text_of(ROOT / name)) for name in READMES)
+
+    assert len(HEADING.findall(english)) == len(HEADING.findall(chinese))
+    assert set(LINK.findall(english)) - {"README.zh-CN.md"} == (
+        set(LINK.findall(chinese)) - {"README.md"}
+    )
+
+
+def test_readme_is_read_in_five_minutes() -> None:
+    assert len(text_of(ROOT / "README.md").split()) <= MAX_README_WORDS
+
+
+def test_list_of_documents_names_each() -> None:
+    named = {(ROOT / "docs" / one).resolve() for one in LINK.findall(text_of(CONTENTS))}
+
+    pages = {*(ROOT / "docs").glob("*.md")} - {CONTENTS, ROOT / "docs" / "pypi.md"}
+    assert [shown(one) for one in sorted(pages - named)] == []
 
 
 def test_change_log_has_its_format() -> None:

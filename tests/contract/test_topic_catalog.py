@@ -27,7 +27,7 @@ PLACEHOLDERS = {
 }
 
 
-def write_readme_row(topic: TopicSpec) -> str:
+def write_key_row(topic: TopicSpec) -> str:
     messages = " or ".join(kind.__name__ for kind in topic.messages)
     rate = f"{topic.rate_hz:g}" if topic.rate_hz else ""
     key = topic.key(*PLACEHOLDERS[topic.scope])
@@ -95,8 +95,8 @@ def test_echo_decodes_each_message_of_a_topic(topic: TopicSpec) -> None:
 
 
 @pytest.mark.parametrize("topic", TOPICS.values(), ids=TOPICS)
-def test_readme_has_a_row_for_the_topic(topic: TopicSpec) -> None:
-    assert write_readme_row(topic) in text_of(ROOT / "README.md").splitlines()
+def test_page_of_keys_has_a_row_for_the_topic(topic: TopicSpec) -> None:
+    assert write_key_row(topic) in text_of(ROOT / "docs" / "keys.md").splitlines()
 
 
 @pytest.mark.parametrize("topic", TOPICS.values(), ids=TOPICS)
