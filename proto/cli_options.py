@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -143,7 +144,8 @@ def _require_finite(given: Mapping[str, object]) -> None:
     for name, value in given.items():
         if isinstance(value, float) and not abs(value) <= MAX_NUMBER:
             option = f"--{name.replace('_', '-')}"
-            raise ValueError(f"{option} {value:g} is not valid; use at most {MAX_NUMBER:g}")
+            what = "no number" if math.isnan(value) else f"too large; use at most {MAX_NUMBER:g}"
+            raise ValueError(f"{option} {value:g} is {what}")
 
 
 def _list_missing_switches(names: Sequence[str]) -> list[inspect.Parameter]:

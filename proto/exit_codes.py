@@ -8,6 +8,7 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import IntEnum
+from pathlib import Path
 
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.printable_text import print_lines
@@ -86,6 +87,9 @@ def format_failure(error: Exception) -> str:
         text = to_cli_words(error.message)
     elif isinstance(error, OSError) and error.filename:
         text = f"{error.filename}: {error.strerror}"
+        folder = Path(os.fsdecode(error.filename)).parent
+        if isinstance(error, FileNotFoundError) and not folder.is_dir():
+            text = f"{error.filename}: there is no folder {folder}"
     else:
         text = str(error)
     return " ".join(text.split())

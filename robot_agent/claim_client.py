@@ -3,7 +3,7 @@
 import logging
 import math
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import NoReturn
 
@@ -21,9 +21,11 @@ from zensim.proto.messages.agent_messages import (
 )
 from zensim.proto.messages.result_messages import ClaimCode, ResultCode, ServiceError
 from zensim.proto.messages.telemetry_messages import PROTOCOL, Event
+from zensim.proto.near_names import name_choices
 from zensim.proto.network_protocols import AgentNetwork, PendingCall, Subscription
 from zensim.proto.service_catalog import CLAIM_ENTITY, CLAIM_SHARE
 from zensim.proto.topic_catalog import EVENTS
+from zensim.spawner.client.service_client import ServiceClient
 
 LOG = logging.getLogger("zensim.agent")
 CALL_TIMEOUT_S = 5.0
@@ -65,9 +67,12 @@ def raise_with_wait(error: Exception, wait_s: float) -> NoReturn:
 class ClaimRetry:
     """Back-off of calls that fail, and the deadline of the first success."""
 
-    def __init__(self, agent: str, wait_s: float) -> None:
+    def __init__(
+        self, agent: str, wait_s: float, describe: Callable[[Exception], str] = str
+    ) -> None:
         self.has_succeeded = False
         self._agent = agent
+        self._describe = describe
         self._wait_s = wait_s
         self._give_up_s: float | None = None
         self._pause_s = MIN_RETRY_S
@@ -104,7 +109,7 @@ class ClaimRetry:
             raise_with_wait(error, self._wait_s)
         if str(error) != self._reason:
             self._reason = str(error)
-            LOG.info("waiting agent=%s reason=%r", self._agent, self._reason)
+            LOG.info("waiting agent=%s reason=%r", self._agent, self._describe(error))
         next_s = now_s + self._pause_s
         self._pause_s = min(2.0 * self._pause_s, MAX_RETRY_S)
         return next_s
@@ -135,7 +140,7 @@ class NamedClaimClient:
         self._settings = settings
         self._missing = settings.entities
         self._is_split = False
-        self._retry = ClaimRetry(settings.agent, settings.wait_s)
+        self._retry = ClaimRetry(settings.agent, settings.wait_s, self._describe)
         self._next_s = -math.inf
         self._events: Subscription | None = None
 
@@ -171,6 +176,18 @@ class NamedClaimClient:
         claims = self._claim(now_s)
         self._note_granted(claims)
         return claims
+
+    def _describe(self, error: Exception) -> str:
+        """Describe why the agent waits; for a name that nothing has, what there is instead."""
+        if not isinstance(error, ServiceError) or error.code != ResultCode.NOT_FOUND:
+            return str(error)
+        world, timeout_s = self._settings.world, MIN_CALL_TIMEOUT_S
+        with suppress(ServiceError, NoServer, TimeoutError, MalformedPayload):
+            known = ServiceClient(self._network, world, timeout_s).entities()
+            absent = [one for one in self._missing if one not in known]
+            choices = name_choices(absent[0], known) if absent else ""
+            return f"{' and '.join(absent)} not spawned yet; there are {choices or 'none'}"
+        return str(error)
 
     def _react_to_events(self) -> None:
         if self._events is None:

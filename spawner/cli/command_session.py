@@ -1,8 +1,9 @@
 """What all client commands share: name completion, the client, the consoles."""
 
 import logging
+import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Annotated, Any, TypeVar
 
 import msgspec
@@ -15,13 +16,16 @@ from zensim.proto.bus import BusConfig, open_bus
 from zensim.proto.cli_options import ClientOptions, ConnectionOptions
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure, list_expected_failures
+from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.names import check_name
+from zensim.proto.near_names import name_choices
 from zensim.proto.printable_text import print_lines, printable_lines
 from zensim.proto.topic_discovery import list_topics
 from zensim.proto.verbosity import configure_logging
 from zensim.spawner.client.sim_client import SimClient
 
 Item = TypeVar("Item")
+ABSENT_ENTITY = re.compile(r"entity '(?P<name>[^']+)' does not exist")
 LOG = logging.getLogger(__name__)
 
 COMPLETION_TIMEOUT_S = 0.3
@@ -138,7 +142,23 @@ def open_client(
         configure_logging()
         with open_bus(config) as bus:
             LOG.info("connected to %s, world=%s", bus.endpoint, options.world_name)
-            yield SimClient(bus, options.world_name, timeout_s)
+            client = SimClient(bus, options.world_name, timeout_s)
+            try:
+                yield client
+            except ServiceError as error:
+                name_similar_entities(client, error)
+                raise
+
+
+def name_similar_entities(client: SimClient, error: ServiceError) -> None:
+    """Name the entities that there are in a refusal because there is none of this name."""
+    absent = ABSENT_ENTITY.search(error.message)
+    if absent is None or error.code != ResultCode.NOT_FOUND:
+        return
+    with suppress(*list_expected_failures()):
+        choices = name_choices(absent["name"], client.entities())
+        advice = f"there are {choices}" if choices else "there are none"
+        error.message = f"{error.message[: absent.end()]}; {advice}"
 
 
 def _check_seconds(option: str, given_s: float, least_s: float) -> None:

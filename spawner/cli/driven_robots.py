@@ -2,12 +2,12 @@
 
 import time
 from collections.abc import Sequence
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
 
 from zensim.proto.bus import BusError, BusPublisher
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse
+from zensim.proto.near_names import name_choices
 from zensim.proto.topic_catalog import CMD_VEL
 from zensim.proto.verbosity import print_note
 from zensim.spawner.client.sim_client import SimClient
@@ -16,7 +16,8 @@ POLL_S = 0.002
 ASK_S = 0.05
 """Between questions to the server."""
 SUBSCRIBER_TIMEOUT_S = 3.0
-MAX_NAMES_SHOWN = 5
+ABSENCE_TIMEOUT_S = 0.5
+"""A robot that is not there may be spawned by the command before this one."""
 
 
 class NoSubscriber(BusError):
@@ -75,14 +76,15 @@ def await_driver(client: SimClient, publisher: BusPublisher, robot: str) -> None
 
     Raises:
         NoSubscriber: They have none within `SUBSCRIBER_TIMEOUT_S`.
-        NoSuchRobot: There is no such robot.
+        NoSuchRobot: There is none within `ABSENCE_TIMEOUT_S`.
     """
-    deadline = time.monotonic() + SUBSCRIBER_TIMEOUT_S
+    began_s = time.monotonic()
     while (problem := _ask(client, robot, is_matched=publisher.is_matched)) is not None:
-        if publisher.is_matched and isinstance(problem, NoSuchRobot):
+        is_absent = isinstance(problem, NoSuchRobot)
+        if publisher.is_matched and is_absent:
             print_note("drive", str(problem))
             return
-        if time.monotonic() > deadline:
+        if time.monotonic() - began_s > (ABSENCE_TIMEOUT_S if is_absent else SUBSCRIBER_TIMEOUT_S):
             raise problem
         time.sleep(ASK_S)
 
@@ -129,9 +131,5 @@ def _make_absence(models: GetModelsResponse, robot: str) -> NoSuchRobot:
 
 def name_robots(models: GetModelsResponse, *, like: str = "") -> str:
     """Name the robots that there are, those with a name like the given one first."""
-    names = [one.namespace or one.entity for one in list_robots(models)]
-    similar = get_close_matches(like, names, MAX_NAMES_SHOWN)
-    ordered = [*similar, *(name for name in names if name not in similar)]
-    more = f" and {len(names) - MAX_NAMES_SHOWN} more" if len(names) > MAX_NAMES_SHOWN else ""
-    shown = ", ".join(ordered[:MAX_NAMES_SHOWN])
-    return f"the robots are {shown}{more}" if names else "spawn one: 'zensim spawn box_bot'"
+    shown = name_choices(like, (one.namespace or one.entity for one in list_robots(models)))
+    return f"the robots are {shown}" if shown else "spawn one: 'zensim spawn box_bot'"

@@ -207,7 +207,7 @@ FactorArgument = Annotated[
 ]
 
 
-@app.command()
+@app.command(context_settings={"ignore_unknown_options": True})  # -1 is a number
 @expand_options
 def rtf(
     factor: FactorArgument = None, *, as_json: JsonOption = False, server: ClientOptions

@@ -36,6 +36,8 @@ from zensim.spawner.cli.command_session import (
     print_json,
 )
 from zensim.spawner.cli.driven_robots import await_driver
+from zensim.spawner.cli.topic_search import ABSENCE_TIMEOUT_S, note_absence
+from zensim.spawner.client.sim_client import SimClient
 
 ROS_TYPES = {kind.ros_type: kind for kind in list_messages().values() if hasattr(kind, "ros_type")}
 ZENSIM_TYPES = {
@@ -268,7 +270,7 @@ def echo(
                 printed += 1
                 if printed == limit:
                     return
-            samples = _wait_for_samples(subscription, key, timeout)
+            samples = _wait_for_samples(client, subscription, key.strip("/"), timeout)
 
 
 def get_last_messages(bus: Bus, key: str) -> list[Sample]:
@@ -287,11 +289,15 @@ def _is_of_topic(key: str) -> bool:
 
 
 def _wait_for_samples(
-    subscription: CopyingSubscription, key: str, timeout_s: float
+    client: SimClient, subscription: CopyingSubscription, key: str, timeout_s: float
 ) -> list[Sample]:
-    deadline = time.monotonic() + (timeout_s or math.inf)
+    began_s, is_noted = time.monotonic(), False
     while not (samples := subscription.take()):
-        if time.monotonic() > deadline:
+        waited_s = time.monotonic() - began_s
+        if waited_s > ABSENCE_TIMEOUT_S and not is_noted:
+            note_absence(client, "echo", key)
+            is_noted = True
+        if waited_s > (timeout_s or math.inf):
             raise TimeoutError(f"no message on {key} within {timeout_s:g} s")
         time.sleep(POLL_S)
     return samples
@@ -325,11 +331,11 @@ def hz(given: MeasureOptions) -> None:
         _print_rate(arrivals, as_json=given.as_json)
 
     with open_client("hz", given) as client:
-        measure_topic(client.bus, given, receive, report)
+        measure_topic(client, given, receive, report)
 
 
 def measure_topic(
-    bus: Bus,
+    client: SimClient,
     given: MeasureOptions,
     receive: Callable[[float, list[Sample]], None],
     report: Callable[[], None],
@@ -337,16 +343,23 @@ def measure_topic(
     """Receive the messages of the topic of the options, and report every second of wall time.
 
     Args:
-        bus: To subscribe at.
+        client: Of the world of the topic.
         given: Which topic, and for how long.
         receive: Called with the monotonic time [s] and the new messages.
         report: Called every second, and at least once.
     """
-    subscription = bus.subscribe_copying(given.key.strip("/"), QUEUE_DEPTH)
+    key = given.key.strip("/")
+    subscription = client.bus.subscribe_copying(key, QUEUE_DEPTH)
     end = time.monotonic() + (given.duration or math.inf)
+    look_at = time.monotonic() + ABSENCE_TIMEOUT_S
     report_at = min(time.monotonic() + 1.0, end)
     while (now := time.monotonic()) <= end or report_at <= end:
-        receive(now, subscription.take())
+        samples = subscription.take()
+        look_at = math.inf if samples else look_at
+        receive(now, samples)
+        if now >= look_at:
+            look_at = math.inf
+            note_absence(client, "hz", key)
         if now >= report_at:
             report_at = now + 1.0
             report()

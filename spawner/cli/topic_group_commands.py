@@ -28,13 +28,13 @@ from zensim.proto.codec.message_codec import (
     parse_schema_name,
 )
 from zensim.proto.keys import last_chunk
-from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
-from zensim.proto.messages.telemetry_messages import GetModelsResponse, WorldClock
+from zensim.proto.messages.telemetry_messages import WorldClock
 from zensim.proto.network_protocols import Sample
 from zensim.proto.printable_text import print_lines
 from zensim.proto.topic_catalog import CLOCK, ROBOT_TOPICS
-from zensim.proto.topic_discovery import TopicEndpoint, TopicFacts, list_topics
+from zensim.proto.topic_discovery import TopicEndpoint
 from zensim.proto.verbosity import CURRENT, print_note
 from zensim.spawner.cli.command_session import open_client, print_json, print_table
 from zensim.spawner.cli.driven_robots import wait_for_subscriber
@@ -48,7 +48,7 @@ from zensim.spawner.cli.topic_commands import (
     measure_topic,
     publish_at_rate,
 )
-from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.cli.topic_search import advise_topic, find_topics
 
 app = make_app("topic")
 app.command("echo")(echo)
@@ -106,10 +106,10 @@ def info_command(
 ) -> None:
     """Show type, publishers and subscriptions of a topic; with --verbose their nodes and QoS."""
     with open_client("topic info", server) as client:
-        topics = {one.key: one for one in find_topics(client)}
-        found = topics.get(key.strip("/"))
+        topics = find_topics(client)
+        found = next((one for one in topics if one.key == key.strip("/")), None)
         if found is None:
-            raise NoSuchTopic(f"there is no topic '{key}'; 'zensim topic list' lists all")
+            raise NoSuchTopic(f"there is no topic '{key}'; {advise_topic(key, topics)}")
     if as_json:
         print_json(found)
         return
@@ -122,16 +122,6 @@ def info_command(
 
 def _format_endpoint(one: TopicEndpoint) -> str:
     return f"  {one.node}: {one.ros_type}, {one.reliability}, {one.durability}, depth {one.depth}"
-
-
-def find_topics(client: SimClient) -> list[TopicFacts]:
-    """Find all topics; without a server, those that programs announce."""
-    models: GetModelsResponse | None = None
-    try:
-        models = client.models()
-    except (BusError, ServiceError, TimeoutError) as error:
-        print_note("topic", f"the topics of the server are left out: {error}")
-    return list_topics(client.bus, client.world, models)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,7 +148,7 @@ def bw(given: BandwidthOptions) -> None:
         _print_bandwidth(arrivals, as_json=given.as_json)
 
     with open_client("topic bw", given) as client:
-        measure_topic(client.bus, given, receive, report)
+        measure_topic(client, given, receive, report)
 
 
 def _print_bandwidth(arrivals: list[tuple[float, int]], *, as_json: bool) -> None:
@@ -209,7 +199,7 @@ def delay(given: MeasureOptions) -> None:
         def report() -> None:
             _print_delays(delays, as_json=given.as_json)
 
-        measure_topic(client.bus, given, receive, report)
+        measure_topic(client, given, receive, report)
 
 
 def read_stamp_ns(sample: Sample) -> int:

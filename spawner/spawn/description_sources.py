@@ -146,6 +146,8 @@ def read_model_argument(
     """
     if Path(model).is_file():
         return read_description_file(Path(model), arguments, paths)
+    if Path(model).is_dir():
+        raise IsADirectoryError(21, "is a folder; give a file of it", model)
     if not NAME_PATTERN.fullmatch(model):
         raise FileNotFoundError(2, "no such file or built-in model", model)
     return _read_builtin_model(model) or RobotDescription(uri=model)
@@ -163,6 +165,8 @@ def read_description_file(
     """
     if (size := file.stat().st_size) > MAX_TEXT_BYTES:
         raise _too_large_error(f"{file} has {size} bytes")
+    if size == 0:
+        raise make_refusal(SpawnCode.NO_RESOURCE, "resource.empty", f"{file} is empty")
     text = decode_description(file.read_bytes(), str(file))
     if is_xacro(text, file):
         text = expand_xacro(text, file, arguments, paths.with_folder_of(file))

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -124,6 +125,13 @@ def test_refusals_of_services_name_commands(message: str) -> None:
     assert "allow_renaming" not in text.replace("--allow-renaming", "")
     assert "get_entities" not in text
     assert text != message
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError) as caught:
+        (tmp_path / "no" / "file.mcap").open("wb")
+
+    assert str(tmp_path / "no") + "\n" in format_failure(caught.value) + "\n"
 
 
 def test_unexpected_error_propagates() -> None:

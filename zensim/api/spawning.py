@@ -3,7 +3,6 @@
 import math
 import os
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TypedDict
 
@@ -20,6 +19,7 @@ from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder, SpawnEntityReport
 from zensim.proto.messages.standard_messages import PoseStamped
 from zensim.proto.names import check_name, check_namespace
+from zensim.proto.near_names import list_near
 from zensim.spawner.spawn.description_sources import read_model_argument
 from zensim.spawner.spawn.search_paths import collect_search_paths
 from zensim.spawner.spawn.spawn_client import SpawnPayload, add_payload, make_payload
@@ -130,7 +130,7 @@ def check_keywords(given: Mapping[str, object], kind: type) -> None:
     known = list_keywords(kind)
     for name in given:
         if name not in known:
-            near = get_close_matches(name, known, 3, 0.4) or sorted(known)
+            near = list_near(name, known, most=3) or sorted(known)
             raise TypeError(f"unexpected keyword argument '{name}'; use {', '.join(near)}")
 
 

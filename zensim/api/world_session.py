@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Any
 
 import msgspec
@@ -22,6 +21,7 @@ from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.sensor_messages import CameraSensor, Environment, RaySensor
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import PROTOCOL, Info
+from zensim.proto.near_names import list_near
 from zensim.proto.path_following import PathController
 from zensim.proto.topic_catalog import (
     CMD_VEL,
@@ -471,7 +471,7 @@ def _merge_orders(
 def make_not_found(what: str, name: str, known: Iterable[str]) -> NotFound:
     """Make an error that names similar names."""
     names = list(known)
-    near = get_close_matches(name, names, MAX_NEAR_NAMES, 0.5) or names[:MAX_NEAR_NAMES]
+    near = list_near(name, names, most=MAX_NEAR_NAMES) or names[:MAX_NEAR_NAMES]
     hint = f"there are {', '.join(near)}" if near else "there are none"
     return NotFound(f"{what} '{name[:80]}' does not exist", hint=hint)
 

@@ -32,6 +32,12 @@ def test_list_prints_json(two: Server) -> None:
     assert second["y"] == pytest.approx(-3.0)
 
 
+def test_inspect_names_similar_entities(two: Server) -> None:
+    done = run_at(two, app, "inspect", "r3")
+
+    assert_failed(done, ExitCode.NOT_FOUND, "zensim inspect: ", "'r3'", "r1", "r2")
+
+
 def test_list_is_empty_without_entities(server: Server) -> None:
     assert run_at(server, app, "list", "--json").json() == []
 

@@ -132,6 +132,8 @@ def test_interrupt_cancels_and_prints_the_completed_steps(server: Server) -> Non
         ),
         (("run-to", "1e300"), ExitCode.USAGE, "zensim run-to: "),
         (("rtf", "1e9"), ExitCode.FAILED, "zensim rtf: "),
+        (("rtf", "-1"), ExitCode.FAILED, "zensim rtf: "),
+        (("rtf", "nan"), ExitCode.USAGE, "zensim rtf: "),
         (
             ("step", "--world-name", "x"),
             ExitCode.UNREACHABLE,

@@ -101,6 +101,18 @@ def test_drive_is_not_misled_by_a_subscription_with_wildcards(two: Server) -> No
     assert "'r7'" in unknown.err
 
 
+@pytest.mark.parametrize("verb", ["echo", "hz"])
+def test_a_topic_that_is_not_there_is_named_with_similar_ones(two: Server, verb: str) -> None:
+    limit = ("--timeout", "1", "--once") if verb == "echo" else ("--duration", "1")
+
+    absent = run_at(two, app, verb, "sim/default/clokc", *limit)
+    present = run_at(two, app, verb, "sim/default/clock", *limit)
+
+    assert "'sim/default/clokc'" in absent.err
+    assert "sim/default/clock" in absent.err
+    assert "there is no topic" not in present.err
+
+
 def make_static_order(name: str) -> SpawnEntityOrder:
     return SpawnEntityOrder(name, entity_resource=Resource(resource_string=CRATE))
 

@@ -269,6 +269,18 @@ def test_database_uses_the_last_file_in_model_config(tmp_path: Path) -> None:
     assert find_model_by_name("crate", {}, paths).text == SDF
 
 
+def test_a_folder_is_no_model(tmp_path: Path) -> None:
+    with pytest.raises(IsADirectoryError):
+        read_model_argument(str(tmp_path), {}, SearchPaths())
+
+
+def test_an_empty_file_is_refused_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "empty.urdf").touch()
+
+    with pytest.raises(ServiceError, match=r"empty\.urdf is empty"):
+        read_model_argument(str(tmp_path / "empty.urdf"), {}, SearchPaths())
+
+
 def test_database_defaults_to_model_sdf(tmp_path: Path) -> None:
     assert find_model_by_name("crate", {}, make_model_folder(tmp_path, model=SDF)).text == SDF
 
