@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from urllib.parse import SplitResult, parse_qs, parse_qsl, urlencode, urlsplit
 
+from zensim.proto.bounded_files import read_text_file
 from zensim.proto.endpoints import Exposed, is_loopback
 
 if TYPE_CHECKING:
@@ -180,7 +181,7 @@ def read_page_token(path: Path | None) -> str:
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     except FileExistsError:
-        if not TOKEN_PATTERN.fullmatch(token := path.read_text("ascii").strip()):
+        if not TOKEN_PATTERN.fullmatch(token := read_text_file(path, encoding="ascii").strip()):
             raise ValueError(
                 f"{path} has no token of 22 or more letters, digits, '-' and '_'; remove the file"
             ) from None

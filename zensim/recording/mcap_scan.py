@@ -9,6 +9,7 @@ from typing import BinaryIO, Final, TypeAlias
 
 import msgspec
 
+from zensim.proto.bounded_files import open_regular_file
 from zensim.recording.chunk_compression import DamagedChunk, decompress
 from zensim.recording.mcap_records import (
     MAGIC,
@@ -111,7 +112,7 @@ def scan_places(path: Path, report: ScanReport) -> Iterator[ScannedPlace]:
         OSError: The file cannot be read.
         ValueError: It is not an MCAP file, or its compression is not supported.
     """
-    with path.open("rb") as stream:
+    with open_regular_file(path) as stream:
         if stream.read(len(MAGIC)) != MAGIC:
             raise ValueError(f"{path} is not an MCAP file")
         yield from _Scan(stream, path.stat().st_size, report).run()

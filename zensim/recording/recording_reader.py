@@ -12,6 +12,7 @@ from typing import Final, TypeAlias
 
 import msgspec
 
+from zensim.proto.bounded_files import open_regular_file
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.ros2.liveliness_tokens import Qos
 from zensim.recording.chunk_compression import DamagedChunk, decompress
@@ -142,11 +143,11 @@ class RecordedFile:
             OSError: The file cannot be read.
             MalformedRecord: It is damaged.
         """
-        with self.index.path.open("rb") as stream:
+        with open_regular_file(self.index.path) as stream:
             return read_attachment(read_record_of(stream, place.at, place.length)[1])
 
     def _read_records(self, place: ChunkPlace) -> bytes:
-        with self.index.path.open("rb") as stream:
+        with open_regular_file(self.index.path) as stream:
             if place.is_loose:
                 stream.seek(place.at)
                 return stream.read(place.length)
