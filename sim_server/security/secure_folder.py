@@ -334,7 +334,7 @@ class SecureFolder:
     def _ensure_router_certificate(self) -> None:
         """Make the certificate of the router, unless it is valid and lists the revoked."""
         router, revoked = self.path / "router.pem", self.list_revoked()
-        if self._is_noted(router, revoked):
+        if self._is_noted(revoked):
             return
         from zensim.sim_server.security import certificates  # noqa: PLC0415  needs an extra
 
@@ -352,7 +352,7 @@ class SecureFolder:
         note = CertificateNote(_hash(former), _hash(b"".join(revoked)), renewal_s)
         self._write("router.json", msgspec.json.encode(note))
 
-    def _is_noted(self, router: Path, revoked: Iterable[bytes]) -> bool:
+    def _is_noted(self, revoked: Iterable[bytes]) -> bool:
         """Whether this very certificate was found to list the revoked, and is not due."""
         try:
             note = msgspec.json.decode(self._read("router.json"), type=CertificateNote)

@@ -8,6 +8,7 @@ import matplotlib as mpl
 from matplotlib import style
 from matplotlib.figure import Figure
 
+from zensim.proto.printable_text import printable
 from zensim.recording.message_series import MessageSeries
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def draw_series(series: Sequence[MessageSeries], path: Path, *, title: str) -> N
     }
     with mpl.rc_context(settings), style.context(STYLE):
         figure = Figure(figsize=(WIDTH_IN, PANEL_HEIGHT_IN * len(groups)), layout="constrained")
-        figure.suptitle(title)
+        figure.suptitle(printable(title))
         panels = figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0]
         for panel, members in zip(panels, groups.values(), strict=True):
             _draw_panel(panel, members, start_s if is_wall else 0.0)
@@ -62,7 +63,7 @@ def _draw_panel(panel: "Axes", members: Sequence[MessageSeries], origin_s: float
         panel.plot(one.times_s - origin_s, one.values, linewidth=1.2, label=label)
     fields = list(dict.fromkeys(one.field for one in members))
     unit = members[0].unit
-    panel.set_ylabel(", ".join(fields[:3]) + (f" [{unit}]" if unit else ""))
+    panel.set_ylabel(printable(", ".join(fields[:3])) + (f" [{unit}]" if unit else ""))
     panel.grid(visible=True, alpha=0.3)
     more = len(members) - MAX_LABELS
     title = f"and {more} more" if more > 0 else None
@@ -71,4 +72,4 @@ def _draw_panel(panel: "Axes", members: Sequence[MessageSeries], origin_s: float
 
 def _write_label(one: MessageSeries) -> str:
     run = f" (run {one.run + 1})" if one.run else ""
-    return f"{one.topic}:{one.field}{run}"
+    return printable(f"{one.topic}:{one.field}{run}")
