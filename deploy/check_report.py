@@ -158,7 +158,7 @@ def to_junit(rows: Sequence[CheckRow]) -> bytes:
     for engine in dict.fromkeys(row.engine for row in rows):
         own = [row for row in rows if row.engine == engine]
         suite = ElementTree.SubElement(
-            root, "testsuite", {"name": f"zensim check {engine}", **_count_cases(own)}
+            root, "testsuite", {"name": to_xml(f"zensim check {engine}"), **_count_cases(own)}
         )
         for row in own:
             _add_case(suite, row)

@@ -40,7 +40,6 @@ cannot read other files.
 """
 REFERRING_SUFFIXES = (".dae", ".obj", MATERIAL_SUFFIX)
 """Files that name images or files of materials."""
-BLOCK_BYTES = 1 << 20
 MIB = 1 << 20
 
 

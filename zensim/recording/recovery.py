@@ -54,8 +54,7 @@ def recover_file(source: Path, target: Path, *, is_any_size: bool = False) -> Re
 
     Raises:
         OSError: A file cannot be read or written, or the target exists.
-        ValueError: The source is not an MCAP file, or its compression is not supported.
-        TooCompressed: Its chunks have too many bytes.
+        ValueError: See `scan_places`.
     """
     report = ScanReport()
     scanned = scan_file(source, report, is_any_size=is_any_size)
