@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import msgspec
 
 from zensim.deploy.robot_checks import CheckRow, DrivenPart, count_verdicts, find_ratio
+from zensim.proto.printable_text import to_markdown, to_xml
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,8 +30,6 @@ KEPT_SHARE = 0.05
 """Of the command, by which a total allows speed or turn to deviate."""
 MAX_REMARKS = 200
 """Characters of the remarks in a table."""
-XML_CONTROLS = dict.fromkeys((*range(9), 11, 12, *range(14, 32), 0xFFFE, 0xFFFF))
-"""Characters that XML 1.0 does not allow."""
 
 
 def format_cells(row: CheckRow) -> tuple[str, ...]:
@@ -138,13 +137,8 @@ def format_markdown(rows: Sequence[CheckRow]) -> str:
 def format_markdown_table(table: Sequence[tuple[str, ...]]) -> list[str]:
     """Format rows, the first of which is the head, as lines of a Markdown table."""
     head, *rows = table
-    return [
-        f"| {' | '.join(map(_escape, cells))} |" for cells in (head, ("---",) * len(head), *rows)
-    ]
-
-
-def _escape(cell: str) -> str:
-    return cell.replace("|", "\\|").replace("<", "&lt;")
+    lines = [f"| {' | '.join(map(to_markdown, cells))} |" for cells in (head, *rows)]
+    return [lines[0], f"|{' --- |' * len(head)}", *lines[1:]]
 
 
 def to_json(rows: Sequence[CheckRow]) -> dict[str, object]:
@@ -164,7 +158,7 @@ def to_junit(rows: Sequence[CheckRow]) -> bytes:
     for engine in dict.fromkeys(row.engine for row in rows):
         own = [row for row in rows if row.engine == engine]
         suite = ElementTree.SubElement(
-            root, "testsuite", {"name": f"zensim check {engine}", **_count_cases(own)}
+            root, "testsuite", {"name": to_xml(f"zensim check {engine}"), **_count_cases(own)}
         )
         for row in own:
             _add_case(suite, row)
@@ -191,18 +185,11 @@ def _add_case(suite: ElementTree.Element, row: CheckRow) -> None:
     case = ElementTree.SubElement(
         suite,
         "testcase",
-        {"name": to_xml_text(row.name), "classname": to_xml_text(row.robot.path)},
+        {"name": to_xml(row.name), "classname": to_xml(row.robot.path)},
     )
     if tag := _choose_tag(row):
         ElementTree.SubElement(
-            case, tag, {"type": row.verdict, "message": to_xml_text(row.reason or row.verdict)}
+            case, tag, {"type": row.verdict, "message": to_xml(row.reason or row.verdict)}
         )
     output = ElementTree.SubElement(case, "system-out")
-    output.text = to_xml_text(
-        "\n".join(map(": ".join, zip(HEADERS, format_cells(row), strict=True)))
-    )
-
-
-def to_xml_text(text: str) -> str:
-    """Leave out the characters that XML does not allow."""
-    return text.translate(XML_CONTROLS)
+    output.text = to_xml("\n".join(map(": ".join, zip(HEADERS, format_cells(row), strict=True))))

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import msgspec
 
+from zensim.proto.bounded_files import MAX_OWN_FILE_BYTES, read_file
 from zensim.proto.process_limits import lock_file
 
 END_TIMEOUT_S = 20.0
@@ -88,7 +89,7 @@ def _read_run(path: Path) -> LocalRun | None:
         lock_file(descriptor)
     except OSError:
         with suppress(OSError, msgspec.DecodeError):
-            return msgspec.json.decode(path.read_bytes(), type=LocalRun)
+            return msgspec.json.decode(read_file(path, MAX_OWN_FILE_BYTES), type=LocalRun)
         return None
     finally:
         os.close(descriptor)

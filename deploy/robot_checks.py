@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
+from zensim.proto.bounded_files import MAX_TEXT_FILE_BYTES, open_regular_file, read_file
 from zensim.proto.child_process import SINGLE_THREADED, make_module_command, run_process
 from zensim.proto.messages.model_messages import Dynamics, Vec3
 
@@ -179,7 +180,7 @@ def _search_folder(folder: Path) -> list[Path]:
 
 def _is_robot(file: Path) -> bool:
     try:
-        with file.open("rb") as stream:
+        with open_regular_file(file) as stream:
             head = stream.read(ROOT_BYTES)
     except OSError:
         return False
@@ -199,7 +200,9 @@ def read_robot_list(file: Path) -> tuple[RobotCheck, ...]:
         ValueError: It is not JSON, or has fields of other names or types.
     """
     try:
-        robots = msgspec.json.decode(file.read_bytes(), type=tuple[RobotCheck, ...])
+        robots = msgspec.json.decode(
+            read_file(file, MAX_TEXT_FILE_BYTES), type=tuple[RobotCheck, ...]
+        )
     except msgspec.DecodeError as error:
         raise ValueError(f"{file} is not a list of robots: {error}") from error
 

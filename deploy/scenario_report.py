@@ -8,7 +8,8 @@ from xml.etree import ElementTree
 
 import msgspec
 
-from zensim.deploy.check_report import format_markdown_table, to_xml_text
+from zensim.deploy.check_report import format_markdown_table
+from zensim.proto.printable_text import to_xml
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -98,7 +99,7 @@ def _add_suite(root: ElementTree.Element, run: RunReport) -> None:
         root,
         "testsuite",
         {
-            "name": to_xml_text(run.file),
+            "name": to_xml(run.file),
             "tests": str(len(run.checks) + bool(run.error)),
             "failures": str(failures),
             "errors": str(int(bool(run.error))),
@@ -107,26 +108,28 @@ def _add_suite(root: ElementTree.Element, run: RunReport) -> None:
     )
     properties = ElementTree.SubElement(suite, "properties")
     for name in ("seed", "state_hash", "sha256", "version", "repeat", "recording"):
-        value = to_xml_text(str(getattr(run, name)))
+        value = to_xml(str(getattr(run, name)))
         ElementTree.SubElement(properties, "property", {"name": name, "value": value})
     for check in run.checks:
         _add_case(suite, run, check)
     if run.error:
-        case = ElementTree.SubElement(suite, "testcase", {"name": "run", "classname": run.name})
-        ElementTree.SubElement(case, "error", {"type": "error", "message": to_xml_text(run.error)})
+        case = ElementTree.SubElement(
+            suite, "testcase", {"name": "run", "classname": to_xml(run.name)}
+        )
+        ElementTree.SubElement(case, "error", {"type": "error", "message": to_xml(run.error)})
 
 
 def _add_case(suite: ElementTree.Element, run: RunReport, check: CheckResult) -> None:
     case = ElementTree.SubElement(
-        suite, "testcase", {"name": to_xml_text(check.name), "classname": to_xml_text(run.name)}
+        suite, "testcase", {"name": to_xml(check.name), "classname": to_xml(run.name)}
     )
     if check.is_failure:
         failure = ElementTree.SubElement(
-            case, "failure", {"type": check.verdict, "message": to_xml_text(check.message)}
+            case, "failure", {"type": check.verdict, "message": to_xml(check.message)}
         )
-        failure.text = to_xml_text(
+        failure.text = to_xml(
             f"{check.place}: {check.name}: margin {format_margin(check)}\nrepeat: {run.repeat}"
         )
     elif check.message:
         output = ElementTree.SubElement(case, "system-out")
-        output.text = to_xml_text(f"warning: {check.message}")
+        output.text = to_xml(f"warning: {check.message}")

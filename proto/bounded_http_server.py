@@ -1,12 +1,18 @@
-"""An http server in threads that clients cannot exhaust: few connections, each for a short time."""
+"""An http server in threads that clients cannot exhaust: few connections, each for a short time.
+
+Pages of other sites reach none: see `is_own_origin`.
+"""
 
 import socket
 import threading
 import time
 from contextlib import suppress
+from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socketserver import TCPServer
 from typing import Final
+
+from zensim.proto.web_access import is_own_origin
 
 MAX_CONNECTIONS: Final = 32
 """At a time; further ones are closed at once."""
@@ -33,6 +39,8 @@ class BoundedHttpServer(ThreadingHTTPServer):
         """
         if ":" in host:
             self.address_family = socket.AF_INET6
+        self.host = host
+        """Address that is served."""
         self._began_s: dict[socket.socket, float] = {}
         self._thread: threading.Thread | None = None
         super().__init__((host, port), handler)
@@ -97,6 +105,18 @@ class BoundedHttpRequest(BaseHTTPRequestHandler):
 
     timeout = IDLE_S
     server_version, sys_version = "zensim", ""
+
+    server: BoundedHttpServer
+
+    def parse_request(self) -> bool:
+        """Read the head of the request, and refuse that of a page of another site."""
+        if not super().parse_request():
+            return False
+        hosts, origins = (self.headers.get_all(name) or () for name in ("Host", "Origin"))
+        if is_own_origin(hosts, origins, bound_to=self.server.host):
+            return True
+        self.send_error(HTTPStatus.FORBIDDEN)
+        return False
 
     def log_message(self, format: str, *args: object) -> None:
         """Log nothing: clients decide what would be logged."""

@@ -4,6 +4,7 @@ import dataclasses
 import inspect
 import math
 import os
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -21,10 +22,14 @@ from zensim.proto.ros2.ros_settings import BRIDGED_COMMANDS, RosSettings, parse_
 from zensim.proto.topic_catalog import select_ros_topics
 from zensim.proto.verbosity import LOG_FORMAT_VARIABLE, print_old_spelling, set_verbosity
 from zensim.proto.web_access import (
+    TOKEN_NAME,
     PageAccess,
     check_certificate,
     check_page_exposure,
+    keep_token,
     read_page_token,
+    split_token,
+    split_url,
 )
 
 Choice = TypeVar("Choice", bound=str)
@@ -391,16 +396,49 @@ ADDED_SWITCHES: Final = (
     ("log_format", LogFormatOption, ""),
 )
 """Options that each command has: name, type, default."""
-MetricsOption = Annotated[
-    str,
-    typer.Option(
-        "--metrics",
-        metavar="[HOST:]PORT",
-        help="Serve /livez, /readyz and /metrics by http here; without a host on 127.0.0.1.",
-        show_default="not served",
-        rich_help_panel="Operation",
-    ),
-]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MetricsOptions:
+    """Where a program serves its health and metrics."""
+
+    metrics: Annotated[
+        str,
+        typer.Option(
+            "--metrics",
+            metavar="[HOST:]PORT",
+            help="Serve /livez, /readyz and /metrics by http here; without a host on 127.0.0.1.",
+            show_default="not served",
+            rich_help_panel="Operation",
+        ),
+    ] = ""
+    metrics_insecure: Annotated[
+        bool,
+        typer.Option(
+            "--metrics-insecure",
+            metavar="",
+            help="Serve --metrics to other hosts, too, without TLS or a token.",
+            rich_help_panel="Operation",
+        ),
+    ] = False
+
+    def choose_metrics(self, command: str, *, is_insecure: bool = False) -> str:
+        """Return where they are served; empty = not at all.
+
+        Args:
+            command: To type, with its verb.
+            is_insecure: Whether the program serves every client anyway.
+
+        Raises:
+            Exposed: Other hosts could read them, and no option permits it.
+            UnusableMetrics: The address is not valid.
+        """
+        from zensim.proto.operation_server import check_metrics_exposure  # noqa: PLC0415
+
+        check_metrics_exposure(
+            command, self.metrics, is_insecure=self.metrics_insecure or is_insecure
+        )
+        return self.metrics
 
 
 def choose_spelling(command: str, old: tuple[str, Value | None], new: tuple[str, Value]) -> Value:
@@ -674,6 +712,24 @@ class AccessOptions:
         )
         token = read_page_token(self.page_token) if self.secure else ""
         return PageAccess(token, str(self.certificate or ""), str(self.key or ""))
+
+    def write_address(self, what: str, url: str) -> str:
+        """Write the address of what is served for people, with its token on a terminal only.
+
+        Elsewhere, as in the log of a service, it is followed by the file that has the token.
+
+        Args:
+            what: One word.
+            url: With the token, if one is needed.
+
+        Raises:
+            OSError: The file of the token cannot be written.
+        """
+        bare, token = split_token(url)
+        if not token or sys.stdout.isatty():
+            return f"{what} {url}"
+        file = self.page_token or keep_token(token, f"{what}-{split_url(url).port}")
+        return f"{what} {bare}\nits token is in {file}; add ?{TOKEN_NAME}=TOKEN to the address"
 
 
 @dataclass(frozen=True, kw_only=True)

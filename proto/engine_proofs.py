@@ -10,6 +10,7 @@ from typing import Final, Literal
 
 import msgspec
 
+from zensim.proto.bounded_files import MAX_OWN_FILE_BYTES, read_file
 from zensim.proto.package_versions import find_package_version
 from zensim.proto.whole_files import writing_whole
 
@@ -116,7 +117,9 @@ def find_proofs_folder() -> Path:
 def read_proof(build: EngineBuild) -> EngineProof | None:
     """Read the proof of a build; None if there is no valid one."""
     with suppress(OSError, RuntimeError, msgspec.DecodeError):
-        proof = msgspec.json.decode(_find_file(build).read_bytes(), type=EngineProof)
+        proof = msgspec.json.decode(
+            read_file(_find_file(build), MAX_OWN_FILE_BYTES), type=EngineProof
+        )
         if proof.build == build:
             return proof
     return None

@@ -17,6 +17,7 @@ from typing import Final
 
 import msgspec
 
+from zensim.proto.bounded_files import read_file
 from zensim.proto.endpoints import check_endpoint
 from zensim.proto.names import check_name
 
@@ -103,8 +104,7 @@ def read_join_address(address: str) -> JoinToken:
     if not address.startswith("@"):
         return parse_join_token(address)
     path = Path(address[1:]).expanduser()
-    with path.open("rb") as stream:
-        return parse_join_file(stream.read(MAX_FILE_BYTES).decode(errors="replace"), str(path))
+    return parse_join_file(read_file(path, MAX_FILE_BYTES).decode(errors="replace"), str(path))
 
 
 def find_stored_token(endpoint: str) -> Path:

@@ -1,10 +1,19 @@
-"""Text that people read: without control characters, whatever a description or a name contains."""
+"""Text that people read: without control characters, whatever a description or a name contains.
+
+One function for each medium: terminals and logs, XML, HTML, Markdown, and names of files.
+"""
 
 import logging
+import re
 import sys
+from html import escape
 from typing import Final
 
 LAYOUT: Final = "\n\t"
+MAX_FILE_NAME: Final = 120
+"""Characters of the name of a file that is made from another name."""
+_NOT_IN_FILE_NAMES: Final = re.compile(r'[/\\:*?"<>|]|^[.-]')
+_MARKDOWN: Final = re.compile(r"([\\`*\[\]|~])")
 
 
 def printable(text: str) -> str:
@@ -20,6 +29,29 @@ def printable_lines(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(one if one in LAYOUT else _escape(one) for one in text)
+
+
+def to_xml(text: str) -> str:
+    """Write the characters that XML does not allow as `printable_lines` does.
+
+    A writer of XML replaces the others that have a meaning there.
+    """
+    return printable_lines(text)
+
+
+def to_html(text: str) -> str:
+    """Write a text as one line of HTML, also of an attribute in quotes, that shows it as it is."""
+    return escape(printable(text))
+
+
+def to_markdown(text: str) -> str:
+    """Write a text as a cell of a table in Markdown, where HTML is no HTML."""
+    return _MARKDOWN.sub(r"\\\1", escape(printable(text), quote=False))
+
+
+def to_file_name(text: str) -> str:
+    """Write a name as that of a file, in any file system; different names may become the same."""
+    return _NOT_IN_FILE_NAMES.sub("_", printable(text))[:MAX_FILE_NAME] or "_"
 
 
 def print_lines(text: object = "", *, err: bool = False, nl: bool = True) -> None:

@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from urllib.parse import SplitResult, parse_qs, parse_qsl, urlencode, urlsplit
 
+from zensim.proto.bounded_files import read_text_file
 from zensim.proto.endpoints import Exposed, is_loopback
+from zensim.proto.whole_files import writing_whole
 
 if TYPE_CHECKING:
     import ssl
@@ -180,7 +182,7 @@ def read_page_token(path: Path | None) -> str:
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     except FileExistsError:
-        if not TOKEN_PATTERN.fullmatch(token := path.read_text("ascii").strip()):
+        if not TOKEN_PATTERN.fullmatch(token := read_text_file(path, encoding="ascii").strip()):
             raise ValueError(
                 f"{path} has no token of 22 or more letters, digits, '-' and '_'; remove the file"
             ) from None
@@ -206,6 +208,30 @@ def make_page_url(
     place = f"{f'[{name}]' if ':' in name else name}:{port}"
     query = f"/?{TOKEN_NAME}={token}" if token else ""
     return f"{protocol}{'s' if has_tls else ''}://{place}{query}"
+
+
+def split_token(url: str) -> tuple[str, str]:
+    """Split an address of `make_page_url` into that without the token, and the token."""
+    bare, _, token = url.partition(f"?{TOKEN_NAME}=")
+    return bare, token
+
+
+def keep_token(token: str, what: str) -> Path:
+    """Write a token into a file of mode 0600, whose name others can be told.
+
+    Args:
+        token: Of a page.
+        what: Name of the file, without its suffix.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    file = Path(state) / "zensim" / "pages" / f"{what}.secret"
+    file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with writing_whole(file, mode=0o600) as stream:
+        stream.write(token.encode())
+    return file
 
 
 def split_url(url: str) -> SplitResult:

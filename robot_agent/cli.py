@@ -8,7 +8,7 @@ import typer
 from zensim.proto.cli_options import (
     ConnectOption,
     JsonOption,
-    MetricsOption,
+    MetricsOptions,
     OdomHzOption,
     RosTfOptions,
     TfHzOption,
@@ -33,7 +33,7 @@ ON_RELEASE: tuple[OnRelease, ...] = get_args(OnRelease)
 
 
 @dataclass(frozen=True, kw_only=True)
-class AgentOptions(RosTfOptions):
+class AgentOptions(RosTfOptions, MetricsOptions):
     """All options of `zensim agent`."""
 
     entities: Annotated[
@@ -83,7 +83,6 @@ class AgentOptions(RosTfOptions):
             rich_help_panel="Connection",
         ),
     ] = "default"
-    metrics: MetricsOption = ""
     old_world: Annotated[str | None, typer.Option("--world", hidden=True)] = None
     wait: Annotated[
         float,
@@ -122,7 +121,7 @@ def agent(given: AgentOptions) -> None:
                 endpoint=endpoint,
                 config=_make_config(given),
                 is_quiet=given.quiet,
-                metrics=given.metrics,
+                metrics=given.choose_metrics("zensim agent"),
             )
         )
 

@@ -21,7 +21,7 @@ from zensim.proto.cli_options import (
     InsecureOption,
     JsonOption,
     LockstepOption,
-    MetricsOption,
+    MetricsOptions,
     ModelPathOption,
     RealTimeFactorOption,
     RosOptions,
@@ -91,7 +91,7 @@ WORLD_DYNAMICS: tuple[Dynamics, ...] = tuple(filter(None, get_args(Dynamics)))
 
 
 @dataclass(frozen=True, kw_only=True)
-class ServeOptions(RosOptions):
+class ServeOptions(RosOptions, MetricsOptions):
     """All options of `zensim serve`."""
 
     world: WorldOption = "empty"
@@ -143,7 +143,6 @@ class ServeOptions(RosOptions):
             show_default="descriptions name them as given",
         ),
     ] = ""
-    metrics: MetricsOption = ""
     wait: Annotated[
         float,
         _connection(min=0.0, metavar="SECONDS", help=r"Timeout of connecting to the router \[s]."),
@@ -263,7 +262,7 @@ def _make_server_config(given: ServeOptions) -> ServerConfig:
         lockstep=LockstepSettings(given.lockstep, given.lockstep_timeout, on_miss),
         ros=given.ros,
         mesh_http=given.mesh_http,
-        metrics=given.metrics,
+        metrics=given.choose_metrics("zensim serve", is_insecure=given.insecure),
         physics=EngineOptions(
             engine=parse_engine_name(given.engine),
             clusters=parse_choice("--clusters", given.clusters, CLUSTERINGS),

@@ -14,6 +14,7 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
+from zensim.proto.bounded_files import read_text_file
 from zensim.proto.setting_variables import CONFIG_VARIABLE, name_variable
 
 if TYPE_CHECKING:
@@ -117,7 +118,7 @@ def read_settings(file: Path, settings: CommandSettings) -> dict[str, object]:
     """
     from zensim.scenario.scenario_nodes import read_nodes
 
-    text = file.read_text(encoding="utf-8")
+    text = read_text_file(file)
     sections = read_nodes(text, str(file))
     _require_known(sections, list_sections(sections.items), "command")
     section = sections.items.get(settings.name)

@@ -21,8 +21,9 @@ from zensim.spawner.cli.spawn_arguments import (
     parse_compat,
     read_local_description,
 )
+from zensim.spawner.spawn.asset_bundle import read_assets
 from zensim.spawner.spawn.description_xml import count_elements, parse_description
-from zensim.spawner.spawn.spawn_client import SpawnPayload, make_payload
+from zensim.spawner.spawn.spawn_client import make_payload
 
 app = make_app()
 
@@ -84,7 +85,7 @@ def _read_model(given: ModelOptions) -> tuple[str, Model]:
         text = payload.text or read_builtin_model(given.file)
         described = parse_description(
             text,
-            assets=_read_assets(payload),
+            assets=read_assets(payload.bundle),
             allow_missing=given.allow_missing,
             compat=compat,
             controllers=payload.controllers.texts,
@@ -92,11 +93,6 @@ def _read_model(given: ModelOptions) -> tuple[str, Model]:
         )
     report = (*described.model.report, *payload.controllers.notes)
     return text, msgspec.structs.replace(described.model, report=report)
-
-
-def _read_assets(payload: SpawnPayload) -> dict[str, tuple[str, bytes | None]]:
-    paths = {file.sha256: file.path for file in payload.bundle.files}
-    return {ref.uri: (ref.sha256, paths[ref.sha256].read_bytes()) for ref in payload.bundle.refs}
 
 
 def _check_report(parsed: Model) -> None:

@@ -8,7 +8,7 @@ import typer
 from zensim.proto.cli_options import (
     ConnectOption,
     JsonOption,
-    MetricsOption,
+    MetricsOptions,
     RosOptions,
     WorldNameOption,
     expand_options,
@@ -27,7 +27,7 @@ __all__ = ["app"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorRunOptions(RosOptions):
+class SensorRunOptions(RosOptions, MetricsOptions):
     """All options of `zensim sensors run`."""
 
     name: Annotated[
@@ -42,7 +42,6 @@ class SensorRunOptions(RosOptions):
     as_json: JsonOption = False
     connect: ConnectOption = ""
     world_name: WorldNameOption = "default"
-    metrics: MetricsOption = ""
     wait: Annotated[
         float,
         typer.Option(
@@ -78,6 +77,6 @@ def run(given: SensorRunOptions) -> None:
                 wait_s=given.wait,
                 ros=given.ros,
                 is_quiet=given.quiet,
-                metrics=given.metrics,
+                metrics=given.choose_metrics("zensim sensors run"),
             )
         )

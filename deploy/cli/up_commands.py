@@ -57,6 +57,7 @@ from zensim.proto.setting_variables import name_variable
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied, SupervisedProgram, Supervisor
 from zensim.proto.verbosity import CURRENT
+from zensim.proto.web_access import split_token
 from zensim.sim_server.cli import MISS_POLICIES, ServeOptions, print_users
 from zensim.sim_server.security.secure_folder import (
     SecureSettings,
@@ -350,7 +351,7 @@ def _make_server_config(given: UpOptions) -> LaunchConfig:
         uses_certificates=given.client_certificates,
         is_insecure=given.insecure,
         mesh_http=given.mesh_http,
-        metrics=given.metrics,
+        metrics=given.choose_metrics("zensim up", is_insecure=given.insecure),
         wait_s=given.wait,
         is_paused=given.paused,
         seed=given.seed,
@@ -521,7 +522,7 @@ def _print_ready(deployment: LocalDeployment, names: Sequence[str], *, as_json: 
     first = names[0] if names else "NAME"
     where = _make_client_options(config)
     lines = {
-        "page": deployment.viewer_url or "none (--no-viewer)",
+        "page": _write_page(deployment) or "none (--no-viewer)",
         "endpoint": config.connect or config.endpoint,
         "engine": deployment.ready_info.engine,
         "drive": f"zensim drive {first} 0.2 0.5{where}",
@@ -536,6 +537,14 @@ def _print_ready(deployment: LocalDeployment, names: Sequence[str], *, as_json: 
     if config.join_addresses:
         print_users(open_secure_folder(config.world_name))
     print_lines("Ctrl-C or 'zensim down' to stop.")
+
+
+def _write_page(deployment: LocalDeployment) -> str:
+    """Write the address of the page, with its token on a terminal only."""
+    bare, token = split_token(deployment.viewer_url)
+    if not token or sys.stdout.isatty():
+        return deployment.viewer_url
+    return f"{bare} (token in {deployment.config.page_token})"
 
 
 def _make_client_options(config: LaunchConfig) -> str:

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
+from zensim.proto.bounded_files import MAX_OWN_FILE_BYTES, read_file, read_text_file
 from zensim.proto.child_process import end_processes, make_module_command, start_process
 from zensim.proto.endpoints import reserve_port
 from zensim.proto.process_limits import die_with_parent
@@ -108,7 +109,7 @@ def _await_address(head: "subprocess.Popen[bytes]", folder: Path) -> str:
 
 def _read_address(folder: Path) -> str:
     try:
-        return (folder / ADDRESS_FILE).read_text().strip()
+        return read_text_file(folder / ADDRESS_FILE).strip()
     except FileNotFoundError:
         return ""
 
@@ -117,7 +118,7 @@ def _find_reason(folder: Path, status: int | None) -> str:
     """Find the last line that `ray start` has printed before it ended."""
     if status is None:
         return f"it was not ready after {START_TIMEOUT_S:g} s; use --on processes on a busy host"
-    lines = (folder / "start.log").read_text(errors="replace").split("\n")
+    lines = read_file(folder / "start.log", MAX_OWN_FILE_BYTES).decode(errors="replace").split("\n")
     return next((line for line in reversed(lines) if line.strip()), f"status {status}")
 
 

@@ -9,6 +9,7 @@ import msgspec
 
 from zensim.deploy.sweep.sweep_plan import SweepPlan
 from zensim.deploy.sweep.sweep_rows import SweepRow, make_columns
+from zensim.proto.bounded_files import MAX_OWN_FILE_BYTES, read_file
 from zensim.proto.whole_files import remove_abandoned, writing_whole
 from zensim.recording.recording_parts import remove_recording
 
@@ -63,7 +64,7 @@ class SweepFolder:
         """
         file = self.path / PLAN_FILE
         try:
-            plan = msgspec.json.decode(file.read_bytes(), type=StoredPlan)
+            plan = msgspec.json.decode(read_file(file, MAX_OWN_FILE_BYTES), type=StoredPlan)
         except msgspec.DecodeError as error:
             raise ValueError(f"{file} is not that of a sweep: {error}") from error
         if plan.version != FORMAT_VERSION:
@@ -117,7 +118,8 @@ class SweepFolder:
 
     def _read_row(self, run_id: str) -> SweepRow | None:
         try:
-            row = msgspec.json.decode(self._find_file(run_id).read_bytes(), type=SweepRow)
+            data = read_file(self._find_file(run_id), MAX_OWN_FILE_BYTES)
+            row = msgspec.json.decode(data, type=SweepRow)
         except (FileNotFoundError, msgspec.DecodeError):
             return None
         return row if row.id == run_id else None

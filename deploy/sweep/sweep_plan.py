@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from zensim.proto.bounded_files import hash_file
 from zensim.scenario.scenario_nodes import Issue, ScenarioInvalid, ScenarioNode
 from zensim.scenario.scenario_reader import (
     Scenario,
@@ -180,7 +181,7 @@ def _digest(text: str) -> str:
 
 @cache
 def _digest_file(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hash_file(path)[0]
 
 
 def _list_files(scenario: Scenario) -> Iterator[Path]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from zensim.deploy.sweep.sweep_rows import SweepRow
+from zensim.proto.printable_text import printable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,14 +45,14 @@ def draw_margins(rows: Sequence[SweepRow], path: Path, *, title: str) -> int:
     with mpl.rc_context(settings), style.context(STYLE):
         size = (2.0 + PANEL_WIDTH_IN * len(inputs), 0.8 + PANEL_HEIGHT_IN * len(names))
         figure = Figure(figsize=size, layout="constrained")
-        figure.suptitle(title)
+        figure.suptitle(printable(title))
         panels = figure.subplots(len(names), len(inputs), sharex="col", squeeze=False)
         for row_number, name in enumerate(names):
             for column, key in enumerate(inputs):
                 _draw_panel(panels[row_number, column], rows, key, name)
-            panels[row_number, 0].set_ylabel(f"margin of {name}")
+            panels[row_number, 0].set_ylabel(printable(f"margin of {name}"))
         for column, key in enumerate(inputs):
-            panels[-1, column].set_xlabel(key)
+            panels[-1, column].set_xlabel(printable(key))
         metadata = {"Date": None} if path.suffix == ".svg" else None
         figure.savefig(path, dpi=DPI, metadata=metadata)
     return len(names) * len(inputs)

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, TypeVar
 import msgspec
 import numpy as np
 
+from zensim.proto.bounded_files import read_file
+from zensim.proto.messages.asset_messages import MAX_BUNDLE_BYTES
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import NANOSECONDS
@@ -295,7 +297,7 @@ class MeshRestorer:
             if mesh in self.store:
                 continue
             path = self.files / f"{mesh}.stl"
-            data = path.read_bytes()
+            data = read_file(path, MAX_BUNDLE_BYTES)
             if not _is_intact(mesh, data):
                 path.unlink(missing_ok=True)
                 raise MeshDamaged(mesh)
@@ -329,7 +331,7 @@ def find_damaged_files(contents: JournalContents, files: Path) -> tuple[str, ...
 
 def _is_readable(sha256: str, path: Path) -> bool:
     try:
-        return _is_intact(sha256, path.read_bytes())
+        return _is_intact(sha256, read_file(path, MAX_BUNDLE_BYTES))
     except OSError:
         return False
 

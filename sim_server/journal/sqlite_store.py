@@ -13,6 +13,7 @@ from contextlib import closing, contextmanager, suppress
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Literal
 
+from zensim.proto.bounded_files import open_regular_file
 from zensim.proto.process_limits import lock_file, sync_folder
 
 if TYPE_CHECKING:
@@ -286,7 +287,10 @@ class SqliteStore:
             os.pwrite(self._lock, POSITION_MARK.pack(self.position, _hash_bytes(body)), 0)
 
     def _read_mark(self) -> int:
-        data = (self.folder / LOCK).read_bytes()[: POSITION_MARK.size] if self._has_mark() else b""
+        if not self._has_mark():
+            return 0
+        with open_regular_file(self.folder / LOCK) as stream:
+            data = stream.read(POSITION_MARK.size)
         if len(data) < POSITION_MARK.size:
             return 0
         position, digest = POSITION_MARK.unpack(data)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
+from zensim.proto.bounded_files import MAX_OWN_FILE_BYTES, read_file
 from zensim.proto.bus import BusConfig, Credentials, RouterSecurity
 from zensim.proto.endpoints import ENDPOINT_PATTERN, check_endpoint
 from zensim.proto.join_tokens import (
@@ -118,15 +119,18 @@ class SecureFolder:
         self._read_state: tuple[int, int] | None = None
         self._accounts: dict[str, Account] = {}
 
+    def _read(self, name: str) -> bytes:
+        return read_file(self.path / name, MAX_OWN_FILE_BYTES)
+
     @property
     def authority(self) -> str:
         """Certificate of the authority, PEM."""
-        return (self.path / "ca.pem").read_text(encoding="ascii")
+        return self._read("ca.pem").decode("ascii")
 
     @property
     def settings(self) -> SecureSettings:
         """Settings of the server that ran last."""
-        return msgspec.json.decode((self.path / "settings.json").read_bytes(), type=SecureSettings)
+        return msgspec.json.decode(self._read("settings.json"), type=SecureSettings)
 
     def prepare(self, settings: SecureSettings) -> None:
         """Make what the folder lacks, and replace its settings."""
@@ -152,7 +156,7 @@ class SecureFolder:
         """Read all accounts by name, if the file has changed."""
         status = (self.path / "users.json").stat()
         if (state := (status.st_mtime_ns, status.st_ino)) != self._read_state:
-            data = (self.path / "users.json").read_bytes()
+            data = self._read("users.json")
             accounts = msgspec.json.decode(data, type=list[Account])
             self._accounts = {account.user.name: account for account in accounts}
             self._read_state = state
@@ -223,7 +227,7 @@ class SecureFolder:
     def list_revoked(self) -> tuple[bytes, ...]:
         """List digests of revoked and expired passwords, oldest first."""
         path = self.path / "revoked"
-        lines = path.read_text(encoding="ascii").split() if path.is_file() else []
+        lines = self._read("revoked").decode("ascii").split() if path.is_file() else []
         now_s = time.time()
         expired = [one for one in self.accounts().values() if not one.is_active(now_s)]
         digests = [bytes.fromhex(line) for line in lines] + [_hash_password(one) for one in expired]
@@ -330,11 +334,11 @@ class SecureFolder:
     def _ensure_router_certificate(self) -> None:
         """Make the certificate of the router, unless it is valid and lists the revoked."""
         router, revoked = self.path / "router.pem", self.list_revoked()
-        if self._is_noted(router, revoked):
+        if self._is_noted(revoked):
             return
         from zensim.sim_server.security import certificates  # noqa: PLC0415  needs an extra
 
-        former = router.read_bytes() if router.is_file() else b""
+        former = self._read("router.pem") if router.is_file() else b""
         if (
             not former
             or certificates.find_renewal_s(former) <= time.time()
@@ -348,13 +352,11 @@ class SecureFolder:
         note = CertificateNote(_hash(former), _hash(b"".join(revoked)), renewal_s)
         self._write("router.json", msgspec.json.encode(note))
 
-    def _is_noted(self, router: Path, revoked: Iterable[bytes]) -> bool:
+    def _is_noted(self, revoked: Iterable[bytes]) -> bool:
         """Whether this very certificate was found to list the revoked, and is not due."""
         try:
-            note = msgspec.json.decode(
-                (self.path / "router.json").read_bytes(), type=CertificateNote
-            )
-            found = _hash(router.read_bytes()), _hash(b"".join(revoked))
+            note = msgspec.json.decode(self._read("router.json"), type=CertificateNote)
+            found = _hash(self._read("router.pem")), _hash(b"".join(revoked))
         except (FileNotFoundError, msgspec.DecodeError):
             return False
         is_same = found == (note.certificate_hash, note.revoked_hash)
@@ -363,18 +365,16 @@ class SecureFolder:
     def _read_authority(self) -> "CertifiedKey":
         from zensim.sim_server.security import certificates  # noqa: PLC0415  needs an extra
 
-        return certificates.CertifiedKey(
-            (self.path / "ca.pem").read_bytes(), (self.path / "ca.key").read_bytes()
-        )
+        return certificates.CertifiedKey(self._read("ca.pem"), self._read("ca.key"))
 
     def _note_revoked(self, account: Account) -> None:
         path = self.path / "revoked"
-        former = path.read_text(encoding="ascii").split() if path.is_file() else []
+        former = self._read("revoked").decode("ascii").split() if path.is_file() else []
         lines = [*former, _hash_password(account).hex()][-MAX_REVOKED:]
         self._write("revoked", "\n".join(lines).encode())
 
     def _server_password(self) -> str:
-        return (self.path / "server.password").read_text(encoding="ascii")
+        return self._read("server.password").decode("ascii")
 
     def _write_accounts(self, accounts: Iterable[Account]) -> None:
         self._write("users.json", msgspec.json.format(msgspec.json.encode(list(accounts))))
@@ -421,7 +421,7 @@ class SecureFolder:
 
     def _is_admitted(self) -> bool:
         with suppress(FileNotFoundError):
-            noted = (self.path / "admitted").read_text(encoding="ascii")
+            noted = self._read("admitted").decode("ascii")
             return noted == _hash_accounts(self.list_active())
         return False
 
@@ -510,7 +510,7 @@ def _hash_accounts(accounts: Iterable[Account]) -> str:
 def _is_private_copy(path: Path, data: bytes) -> bool:
     """Whether a file has this content, and is for its owner only."""
     try:
-        return path.stat().st_mode & 0o077 == 0 and path.read_bytes() == data
+        return path.stat().st_mode & 0o077 == 0 and read_file(path, MAX_OWN_FILE_BYTES) == data
     except FileNotFoundError:
         return False
 

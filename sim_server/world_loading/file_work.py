@@ -1,17 +1,13 @@
-"""Reading of the operator's files: regular ones only, in a thread that may wait for a file system.
-
-A pipe, a device or a stalled network mount would keep a reader waiting for ever.
-"""
+"""Reading of the operator's files in a thread, which a stalled file system may keep for ever."""
 
 from __future__ import annotations
 
-import os
-import stat
 import threading
 import time
-from io import FileIO
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final, Generic, TypeVar
 
+from zensim.proto.bounded_files import read_file
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.errors import ModelError
 
@@ -21,15 +17,6 @@ if TYPE_CHECKING:
 
 STALL_TIMEOUT_S: Final = 1.0
 """A thread that has read nothing for so long waits for a file system that does not answer."""
-CHUNK_BYTES: Final = 1 << 20
-OPEN_FLAGS: Final = (
-    os.O_RDONLY
-    | getattr(os, "O_NONBLOCK", 0)
-    | getattr(os, "O_CLOEXEC", 0)
-    | getattr(os, "O_BINARY", 0)
-)
-"""Without waiting: to open a pipe would wait for a writer."""
-
 Found = TypeVar("Found")
 
 
@@ -45,40 +32,13 @@ class FilesStalled(ModelError):
         )
 
 
-def open_regular_file(path: Path) -> FileIO | None:
-    """Open a file to read; None if it is missing, or anything but a regular file."""
-    try:
-        descriptor = os.open(path, OPEN_FLAGS)
-    except (OSError, ValueError):
-        return None
-    file = FileIO(descriptor)
-    if stat.S_ISREG(os.fstat(descriptor).st_mode):
-        return file
-    file.close()
-    return None
-
-
 def read_regular_file(
-    path: Path, max_bytes: int, on_chunk: Callable[[], None] = lambda: None
+    path: Path, max_bytes: int, on_piece: Callable[[], None] = lambda: None
 ) -> bytes | None:
     """Read a file; None if it is missing, too large, or anything but a regular file."""
-    file = open_regular_file(path)
-    if file is None:
-        return None
-    with file:
-        return _read_chunks(file.read, max_bytes, on_chunk)
-
-
-def _read_chunks(
-    read: Callable[[int], bytes | None], max_bytes: int, on_chunk: Callable[[], None]
-) -> bytes | None:
-    data = bytearray()
-    while chunk := read(CHUNK_BYTES):
-        data += chunk
-        on_chunk()
-        if len(data) > max_bytes:
-            return None
-    return bytes(data)
+    with suppress(OSError, ValueError):
+        return read_file(path, max_bytes, on_piece)
+    return None
 
 
 class FileWork(Generic[Found]):

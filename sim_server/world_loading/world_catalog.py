@@ -9,13 +9,14 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from zensim.proto.bounded_files import open_regular_file
 from zensim.proto.messages.result_messages import LoadWorldCode, ResultCode
 from zensim.proto.messages.spawn_messages import Resource
 from zensim.proto.messages.world_messages import WorldResource
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
 from zensim.sim_server.description.strict_parsing import MAX_BYTES
 from zensim.sim_server.errors import RequestRefused
-from zensim.sim_server.world_loading.file_work import open_regular_file, read_regular_file
+from zensim.sim_server.world_loading.file_work import read_regular_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -266,9 +267,9 @@ def _is_inside(root: Path, path: Path) -> bool:
 
 
 def _read_listed_file(file: Path, uri: str) -> WorldResource | None:
-    stream = open_regular_file(file)
-    if stream is None:
+    try:
+        with open_regular_file(file) as stream:
+            head = stream.read(HEAD_BYTES).decode(errors="replace")
+    except (OSError, ValueError):
         return None
-    with stream:
-        head = (stream.read(HEAD_BYTES) or b"").decode(errors="replace")
     return read_world_metadata(Resource(uri), head) if _WORLD_TAG.search(head) else None

@@ -18,9 +18,11 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
+from zensim.proto.bounded_files import read_file
 from zensim.proto.child_process import make_module_command, reserve_stdout, run_process
 from zensim.proto.messages.model_messages import ReportEntry, Vec3
 from zensim.proto.process_limits import die_with_parent
+from zensim.sim_server.description.strict_parsing import MAX_BYTES
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.physics.engine_config import EngineOptions
 from zensim.sim_server.server_config import ConfigError, ServerConfig, fill_pace
@@ -278,7 +280,7 @@ def find_world_files(folder: Path) -> list[Path]:
 
 def _holds_world(path: Path) -> bool:
     try:
-        return _WORLD_TAG.search(path.read_text(encoding="utf-8", errors="replace")) is not None
+        return _WORLD_TAG.search(read_file(path, MAX_BYTES).decode(errors="replace")) is not None
     except OSError:
         return False
 

@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from zensim.proto.bounded_files import FileTooLarge, NotRegularFile, read_text_file
 from zensim.proto.process_limits import die_with_parent
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
 from zensim.sim_server.description.pipeline import parse_world
+from zensim.sim_server.description.strict_parsing import MAX_BYTES
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.server_config import ConfigError
 from zensim.sim_server.world_loading.world_loader import (
@@ -76,11 +78,13 @@ def load_world_file(
             loaded = _parse_world(read_builtin_world(name), folders, allow_missing=allow_missing)
         else:
             file = Path(name)
-            text = file.read_text(encoding="utf-8")
+            text = read_text_file(file, MAX_BYTES)
             searched = [file.resolve().parent, *folders]
             loaded = _parse_world(text, searched, allow_missing=allow_missing)
     except SimError as error:
         raise ConfigError(f"world '{name}': {error}") from error
+    except (FileTooLarge, NotRegularFile) as error:
+        raise ConfigError(f"world '{name}' {error.strerror}") from error
     except (OSError, UnicodeDecodeError) as error:
         builtin = ", ".join(list_builtin_worlds())
         raise ConfigError(f"world '{name}' is neither a file nor one of {builtin}") from error

@@ -159,6 +159,8 @@ def may_act(bus: Bus, world: str) -> bool:
 
 def _announce(given: ViewOptions, port: int, token: str) -> None:
     url = make_page_url(given.host, port, token, has_tls=given.certificate is not None)
-    print_lines(json.dumps({"viewer": url}) if given.as_json else f"viewer {url}")
+    print_lines(
+        json.dumps({"viewer": url}) if given.as_json else given.write_address("viewer", url)
+    )
     if given.open_page:
         webbrowser.open(url)

@@ -9,6 +9,8 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
+from zensim.proto.bounded_files import read_text_file
+from zensim.proto.bus import MAX_REQUEST_BYTES
 from zensim.proto.cli_options import (
     WORLD_SUFFIXES,
     ClientOptions,
@@ -94,7 +96,7 @@ def _read_world_file(word: str) -> str:
     is_path = path.is_absolute() or word.startswith((f".{os.sep}", f"..{os.sep}", "~"))
     if is_path or (path.suffix in WORLD_SUFFIXES and path.is_file()):
         try:
-            return path.expanduser().read_text(encoding="utf-8")
+            return read_text_file(path.expanduser(), MAX_REQUEST_BYTES)
         except UnicodeDecodeError as error:
             raise ValueError(f"{word} is not UTF-8: {error.reason}; use an SDF file") from error
     return ""

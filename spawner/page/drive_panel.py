@@ -3,11 +3,10 @@
 import json
 import time
 from collections.abc import Callable
-from html import escape
 from typing import Final
 
 from zensim.proto.path_following import PathController
-from zensim.proto.printable_text import printable
+from zensim.proto.printable_text import to_html
 from zensim.proto.se3 import to_yaw
 from zensim.spawner.page.drive_control import STOP, RobotBusy, Velocity, find_scale
 from zensim.spawner.page.floor_picking import Act
@@ -183,4 +182,4 @@ class DrivePanel(Panel):
 
 
 def _make_html(text: str) -> str:
-    return f'<div style="padding:.15em .7em;font-size:.85em">{escape(printable(text))}</div>'
+    return f'<div style="padding:.15em .7em;font-size:.85em">{to_html(text)}</div>'

@@ -2,13 +2,12 @@
 
 import time
 from collections.abc import Sequence
-from html import escape
 from typing import Final, get_args
 
 import viser
 
 from zensim.proto.messages.model_messages import Model
-from zensim.proto.printable_text import printable
+from zensim.proto.printable_text import to_html
 from zensim.spawner.page.entity_list import (
     CATEGORIES,
     CHOICES,
@@ -200,7 +199,7 @@ class EntityDetails:
         stop = client.gui.add_button("Stop following", color=MUTED_BUTTON)
         stop.on_click(client.defer(lambda _: client.select()))
         if len(selected) > 1:
-            client.gui.add_markdown("Also selected: " + ", ".join(map(escape, selected[1:])))
+            client.gui.add_html("Also selected: " + ", ".join(map(to_html, selected[1:])))
 
     def _set_camera(self, mode: CameraMode) -> None:
         self._client.camera_mode = mode
@@ -243,7 +242,6 @@ def make_tree_html(model: Model) -> str:
     if len(lines) > MAX_TREE_LINES:
         lines = [*lines[:MAX_TREE_LINES], (0, f"and {len(lines) - MAX_TREE_LINES} more")]
     rows = "".join(
-        f'<div style="padding-left:{depth}em">{escape(printable(text))}</div>'
-        for depth, text in lines
+        f'<div style="padding-left:{depth}em">{to_html(text)}</div>' for depth, text in lines
     )
     return f'<div style="padding:.15em .7em;font-size:.8em;overflow-x:auto">{rows}</div>'

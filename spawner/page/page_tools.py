@@ -1,9 +1,10 @@
 """Tools of the page that run in the browser alone: help, link, picture, film, scale and names."""
 
-from html import escape
 from typing import Final
 
 import msgspec
+
+from zensim.proto.printable_text import to_html
 
 MOUSE: Final = (
     ("Drag", "turn the camera"),
@@ -33,7 +34,7 @@ def make_help_html(keys: Rows) -> str:
     sections = (("Mouse and touch", MOUSE), ("Keys", (*keys, *KEYS)), ("What is drawn", LEGEND))
     return "".join(
         f"<h3>{title}</h3><dl>"
-        + "".join(f"<dt>{escape(key)}</dt><dd>{escape(what)}</dd>" for key, what in rows)
+        + "".join(f"<dt>{to_html(key)}</dt><dd>{to_html(what)}</dd>" for key, what in rows)
         + "</dl>"
         for title, rows in sections
     )

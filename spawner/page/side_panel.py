@@ -1,13 +1,12 @@
 """Side panel: orders of visitors, and states of simulation and robots as HTML."""
 
 from collections.abc import Callable
-from html import escape
 from typing import Any, Final, Literal, get_args
 
 import msgspec
 
 from zensim.proto.messages.telemetry_messages import EntityModel
-from zensim.proto.printable_text import printable
+from zensim.proto.printable_text import to_html
 from zensim.proto.service_catalog import Service
 from zensim.spawner.page.model_visuals import Array
 from zensim.spawner.page.render_state import LastCommand, SimulationStatus, format_pose
@@ -70,7 +69,7 @@ def make_status_html(status: SimulationStatus) -> str:
         [
             (
                 "State",
-                f'<span style="color:{colour}">&#9679;</span> {escape(printable(status.state))}',
+                f'<span style="color:{colour}">&#9679;</span> {to_html(status.state)}',
             ),
             ("Simulation time", format_clock(status.sim_time_s)),
             ("Real-time factor", _write_factor(status)),
@@ -102,7 +101,7 @@ def make_robot_html(member: EntityModel, state: Array, command: LastCommand | No
     pose, speed = format_pose(state)
     return _make_table(
         [
-            ("Namespace", escape(printable(member.namespace))),
+            ("Namespace", to_html(member.namespace)),
             ("Pose", pose),
             ("Speed", speed),
             ("cmd_vel", format_command(command)),

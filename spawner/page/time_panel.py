@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from html import escape
 from typing import Final
 
 import msgspec
@@ -20,7 +19,7 @@ from zensim.proto.messages.simulation_messages import (
 )
 from zensim.proto.messages.standard_messages import NANOSECONDS, time_from_ns
 from zensim.proto.messages.telemetry_messages import Stats
-from zensim.proto.printable_text import printable
+from zensim.proto.printable_text import to_html
 from zensim.proto.service_catalog import (
     CANCEL_STEPS,
     RESET_SIMULATION,
@@ -201,7 +200,7 @@ def make_factor_html(stats: Stats, step_s: float) -> str:
 
 
 def _make_text_html(text: str, style: str = "") -> str:
-    return f'<div style="{style}padding:.15em .7em;font-size:.85em">{escape(printable(text))}</div>'
+    return f'<div style="{style}padding:.15em .7em;font-size:.85em">{to_html(text)}</div>'
 
 
 def explain_shortfall(stats: Stats, step_s: float) -> str:

@@ -1,6 +1,5 @@
 """Files of a description: found on this host, identified by SHA-256, uploaded if missing."""
 
-import hashlib
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -9,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from zensim.proto.bounded_files import hash_file, open_regular_file, read_file, read_text_file
 from zensim.proto.messages.asset_messages import (
     IMAGE_SUFFIXES,
     MATERIAL_SUFFIX,
@@ -40,7 +40,6 @@ cannot read other files.
 """
 REFERRING_SUFFIXES = (".dae", ".obj", MATERIAL_SUFFIX)
 """Files that name images or files of materials."""
-BLOCK_BYTES = 1 << 20
 MIB = 1 << 20
 
 
@@ -115,7 +114,7 @@ class _FileCollector:
             file, file_paths, uri = self._pending.pop()
             # The server reports errors of included models.
             with suppress(DescriptionError, UnicodeDecodeError):
-                text = file.read_text(encoding="utf-8")
+                text = read_text_file(file, MAX_TEXT_BYTES)
                 self._add(parse_description(text), file_paths, include=uri)
 
     def _add(self, root: ET.Element, paths: SearchPaths, *, include: str) -> None:
@@ -148,7 +147,7 @@ class _FileCollector:
         """
         if file.suffix.lower() not in REFERRING_SUFFIXES or file.stat().st_size > MAX_FILE_BYTES:
             return
-        for name in list_references(resolved, file.read_bytes()):
+        for name in list_references(resolved, read_file(file, MAX_FILE_BYTES)):
             places = zip(
                 list_reference_uris(written, name),
                 list_reference_uris(resolved, name),
@@ -246,12 +245,7 @@ def _check_sizes(paths: tuple[Path, ...]) -> None:
 
 
 def _hash_file(path: Path) -> AssetFile:
-    digest, size = hashlib.sha256(), 0
-    with path.open("rb") as file:
-        while block := file.read(BLOCK_BYTES):
-            digest.update(block)
-            size += len(block)
-    return AssetFile(path, digest.hexdigest(), size)
+    return AssetFile(path, *hash_file(path))
 
 
 def _limit_textures(textures: dict[str, Path], others: set[Path]) -> dict[str, Path]:
@@ -267,6 +261,18 @@ def _limit_textures(textures: dict[str, Path], others: set[Path]) -> dict[str, P
             paths.add(path)
             total += size
     return kept
+
+
+def read_assets(bundle: AssetBundle) -> dict[str, tuple[str, bytes | None]]:
+    """Read the files of a bundle: sha256 and bytes by URI.
+
+    Raises:
+        OSError: A file cannot be read.
+    """
+    paths = {file.sha256: file.path for file in bundle.files}
+    return {
+        ref.uri: (ref.sha256, read_file(paths[ref.sha256], MAX_FILE_BYTES)) for ref in bundle.refs
+    }
 
 
 MAX_SEND_ATTEMPTS = 3
@@ -300,7 +306,7 @@ def send_file(
         TimeoutError: The server does not reply to repeated calls.
     """
     offset, attempts = pending.received, 0
-    with pending.file.path.open("rb") as file:
+    with open_regular_file(pending.file.path) as file:
         while True:
             file.seek(offset)
             try:

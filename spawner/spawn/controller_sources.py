@@ -10,6 +10,7 @@ from pathlib import Path
 
 import msgspec
 
+from zensim.proto.bounded_files import read_text_file
 from zensim.proto.messages.model_messages import ReportEntry
 from zensim.spawner.spawn.description_xml import DescriptionError, parse_description
 from zensim.spawner.spawn.search_paths import SearchPaths, is_package, to_package_uris
@@ -53,9 +54,7 @@ def read_controller_files(files: Sequence[Path]) -> ControllerTexts:
 
 
 def _read_text(file: Path) -> str:
-    if (size := file.stat().st_size) > MAX_CONTROLLERS_BYTES:
-        raise ValueError(f"{file} has {size} bytes; the limit is {MAX_CONTROLLERS_BYTES}")
-    return file.read_text(encoding="utf-8")
+    return read_text_file(file, MAX_CONTROLLERS_BYTES)
 
 
 def find_controller_files(text: str, paths: SearchPaths) -> ControllerTexts:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 import msgspec
 
+from zensim.proto.bounded_files import FileTooLarge, read_file
 from zensim.proto.child_process import make_module_command, run_process
 from zensim.proto.messages.result_messages import ServiceError, SpawnCode
 from zensim.proto.names import NAME_PATTERN
@@ -163,11 +164,13 @@ def read_description_file(
         DescriptionError: The file is not text, or cannot be expanded.
         ServiceError: The file is too large.
     """
-    if (size := file.stat().st_size) > MAX_TEXT_BYTES:
-        raise _too_large_error(f"{file} has {size} bytes")
-    if size == 0:
+    try:
+        data = read_file(file, MAX_TEXT_BYTES)
+    except FileTooLarge as error:
+        raise _too_large_error(f"{file} has more than {MAX_TEXT_BYTES} bytes") from error
+    if not data:
         raise make_refusal(SpawnCode.NO_RESOURCE, "resource.empty", f"{file} is empty")
-    text = decode_description(file.read_bytes(), str(file))
+    text = decode_description(data, str(file))
     if is_xacro(text, file):
         text = expand_xacro(text, file, arguments, paths.with_folder_of(file))
     else:

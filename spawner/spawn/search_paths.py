@@ -12,6 +12,8 @@ from urllib.parse import unquote
 
 import msgspec
 
+from zensim.proto.bounded_files import MAX_TEXT_FILE_BYTES, open_regular_file, read_file
+
 PATH_VARIABLES = (
     ("ROS_PACKAGE_PATH", ""),
     ("GAZEBO_MODEL_PATH", ""),
@@ -145,17 +147,22 @@ def is_package(folder: Path) -> bool:
 def read_package_name(folder: Path) -> str:
     """Read the package name in package.xml; empty if there is none."""
     try:
-        with (folder / "package.xml").open(encoding="utf-8", errors="replace") as file:
-            match = PACKAGE_NAME.search(file.read(MAX_PACKAGE_FILE))
+        with open_regular_file(folder / "package.xml") as file:
+            head = file.read(MAX_PACKAGE_FILE).decode(errors="replace")
     except OSError:
         return ""
+    match = PACKAGE_NAME.search(head)
     return match[1] if match else ""
+
+
+def _read_config(config: Path) -> str:
+    return read_file(config, MAX_TEXT_FILE_BYTES).decode(errors="replace")
 
 
 def find_model_file(folder: Path) -> Path | None:
     """Find the last file named in model.config, or model.sdf; only inside the folder."""
     config = folder / "model.config"
-    names = MODEL_FILE.findall(config.read_text(errors="replace")) if config.is_file() else []
+    names = MODEL_FILE.findall(_read_config(config)) if config.is_file() else []
     for name in (*reversed(names), "model.sdf", "model.urdf"):
         file = _resolve_file(folder / name)
         if file and file.is_relative_to(folder.resolve()):

@@ -16,6 +16,7 @@ from xml.parsers.expat import ExpatError
 
 import msgspec
 
+from zensim.proto.bounded_files import MAX_TEXT_FILE_BYTES, read_file
 from zensim.proto.child_process import reserve_stdout
 from zensim.proto.process_limits import ResourceLimits, die_with_parent, set_resource_limits
 from zensim.spawner.spawn.description_xml import MAX_TEXT_BYTES
@@ -111,7 +112,7 @@ def _list_sources(request: XacroRequest, xacro: ModuleType) -> Iterator[tuple[st
     yield request.path.name, request.text
     for file in map(Path, dict.fromkeys(getattr(xacro, "all_includes", ()))):
         if file.is_file():
-            yield file.name, file.read_text(encoding="utf-8", errors="replace")
+            yield file.name, read_file(file, MAX_TEXT_FILE_BYTES).decode(errors="replace")
 
 
 def _check_arguments(request: XacroRequest, xacro: ModuleType) -> None:

@@ -6,7 +6,11 @@ from collections.abc import Iterator
 
 from tests.contract.repository import ROOT
 
-SOURCE = ROOT / "sim_server"
+SOURCES = (
+    *sorted((ROOT / "sim_server").rglob("*.py")),
+    ROOT / "proto" / "bounded_files.py",
+    ROOT / "zensim" / "recording" / "mcap_scan.py",
+)
 DOCUMENT = ROOT / "docs" / "refusals.md"
 ROW = re.compile(r"^\| `([a-z_]+\.[a-z_<>0-9]+)` \|", re.MULTILINE)
 FORMATS = ("urdf", "sdf")
@@ -18,9 +22,7 @@ PREFIXED = ("PluginTags",)
 def raised_slugs() -> set[str]:
     """List `slug` arguments and class attributes; names in an f-string become <tag>."""
     return {
-        slug
-        for path in SOURCE.rglob("*.py")
-        for slug in _slugs_in(ast.parse(path.read_text(encoding="utf-8")))
+        slug for path in SOURCES for slug in _slugs_in(ast.parse(path.read_text(encoding="utf-8")))
     }
 
 

@@ -11,10 +11,12 @@ from prometheus_client.parser import text_string_to_metric_families
 from tests.integration.processes import eventually
 from zensim.proto.bounded_http_server import IDLE_S, MAX_CONNECTIONS
 from zensim.proto.bus_traffic import BusTraffic
+from zensim.proto.endpoints import Exposed
 from zensim.proto.metric_families import DurationHistogram, MetricFamily, make_counter
 from zensim.proto.operation_server import (
     OperationServer,
     UnusableMetrics,
+    check_metrics_exposure,
     parse_metrics_address,
     served_status,
 )
@@ -162,3 +164,34 @@ def test_metrics_are_what_a_client_of_prometheus_reads(
     assert values["zensim_bus_bytes_total", ("direction", "received"), world] == 70
     assert "process_cpu_seconds" in families
     assert "zensim_build_info" in families
+
+
+@pytest.mark.parametrize("path", ["/livez", "/metrics", "/"])
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Host": "evil.example"},
+        {"Host": ""},
+        {"Origin": "http://evil.example"},
+    ],
+)
+def test_page_of_another_site_reads_nothing(
+    server: OperationServer, path: str, headers: dict[str, str]
+) -> None:
+    connection = HTTPConnection("127.0.0.1", server.port, timeout=10.0)
+    connection.request("GET", path, headers=headers)
+
+    assert connection.getresponse().status == 403
+    connection.close()
+
+
+@pytest.mark.parametrize("address", ["", "9464", "127.0.0.1:9464", "[::1]:0", "localhost:80"])
+def test_metrics_on_loopback_need_no_decision(address: str) -> None:
+    check_metrics_exposure("zensim serve", address, is_insecure=False)
+
+
+@pytest.mark.parametrize("address", ["0.0.0.0:9464", "[::]:9464", "10.0.0.5:0", "pods.example:80"])
+def test_metrics_for_other_hosts_need_a_decision(address: str) -> None:
+    with pytest.raises(Exposed):
+        check_metrics_exposure("zensim serve", address, is_insecure=False)
+    check_metrics_exposure("zensim serve", address, is_insecure=True)

@@ -13,10 +13,12 @@ from zensim.proto.web_access import (
     has_token,
     has_token_in_address,
     is_own_origin,
+    keep_token,
     make_page_url,
     name_cookie,
     read_page_token,
     remove_token,
+    split_token,
 )
 
 OWN = socket.gethostname().lower()
@@ -170,3 +172,21 @@ def test_address_has_the_token(host: str, token: str, url: str, *, has_tls: bool
 )
 def test_an_address_without_the_secret_keeps_the_rest(path: str, kept: str) -> None:
     assert remove_token(path) == kept
+
+
+@pytest.mark.parametrize("token", ["", "secret"])
+def test_address_is_split_into_page_and_token(token: str) -> None:
+    url = make_page_url("127.0.0.1", 80, token, has_tls=True)
+
+    assert split_token(url)[1] == token
+    assert split_token(url)[0].rstrip("/") == "https://127.0.0.1:80"
+
+
+def test_token_is_kept_for_its_owner_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+
+    files = [keep_token(token, "viewer-80") for token in ("former", "secret")]
+
+    assert files[0] == files[1]
+    assert files[1].read_text() == "secret"
+    assert stat.S_IMODE(files[1].stat().st_mode) == 0o600

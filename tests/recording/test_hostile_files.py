@@ -14,16 +14,17 @@ from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.standard_messages import Odometry
 from zensim.recording import chunk_compression, recording_reader
 from zensim.recording.chunk_compression import (
+    FREE_BYTES,
     MAX_CHUNK_BYTES,
     DamagedChunk,
     compress,
     decompress,
 )
 from zensim.recording.file_index import MAX_METADATA_BYTES, read_index
-from zensim.recording.mcap_records import FOOTER_BYTES, RECORD_HEAD, Metadata, Opcode
-from zensim.recording.mcap_scan import ScanReport, scan_file
+from zensim.recording.mcap_records import FOOTER_BYTES, MAGIC, RECORD_HEAD, Metadata, Opcode
+from zensim.recording.mcap_scan import ScanReport, TooCompressed, scan_file
 from zensim.recording.mcap_writer import McapWriter
-from zensim.recording.message_tables import PUBLISH_TIME, read_tables
+from zensim.recording.message_tables import LOG_TIME, PUBLISH_TIME, read_tables
 from zensim.recording.output_file import OutputFile
 from zensim.recording.recording_reader import LAST_NS, RecordingReader
 from zensim.recording.recovery import recover_file
@@ -68,6 +69,42 @@ def test_chunk_is_not_decompressed_beyond_the_limit(monkeypatch: pytest.MonkeyPa
     assert decompress(compress(bytes(1000)), "zstd", 1000) == bytes(1000)
     with pytest.raises(DamagedChunk):
         decompress(compress(bytes(1001)), "zstd", 1001)
+
+
+def write_bombs(path: Path, count: int, mebibytes: int) -> None:
+    """Write a file without index whose chunks have zeros only."""
+    records = bytes(mebibytes << 20)
+    content = compress(records)
+    fields = struct.pack("<QQQI", 0, 1, len(records), 0) + CHUNK_NAME
+    body = fields + struct.pack("<Q", len(content)) + content
+    header = RECORD_HEAD.pack(Opcode.HEADER, 8) + bytes(8)
+    path.write_bytes(MAGIC + header + (RECORD_HEAD.pack(Opcode.CHUNK, len(body)) + body) * count)
+
+
+def test_chunk_of_far_more_bytes_than_the_file_is_not_decompressed(tmp_path: Path) -> None:
+    write_bombs(tmp_path / "run.mcap", 1, (FREE_BYTES >> 20) + 8)
+
+    assert read_index(tmp_path / "run.mcap").damaged == 1
+
+
+def test_chunks_of_far_more_bytes_than_a_file_without_index_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_bombs(path, 40, 16)
+
+    with pytest.raises(TooCompressed):
+        read_index(path)
+    with pytest.raises(TooCompressed):
+        recover_file(path, tmp_path / "whole.mcap")
+    assert not (tmp_path / "whole.mcap").exists()
+
+
+def test_file_whose_chunks_have_far_more_bytes_is_recovered_on_demand(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_bombs(path, 40, 4)
+
+    found = recover_file(path, tmp_path / "whole.mcap", is_any_size=True)
+
+    assert (found.chunks, found.damaged) == (40, 0)
 
 
 FAR_OFFSETS = [1 << 30, 1 << 50, (1 << 63) + 9, (1 << 64) - 1]
@@ -254,21 +291,22 @@ def write_words(path: Path, **options: Any) -> None:  # noqa: ANN401
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-def test_time_of_publication_that_fits_no_table_is_the_last_time(tmp_path: Path) -> None:
+def test_times_beyond_63_bits_are_in_a_table(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     output = OutputFile(path)
     writer = McapWriter(output)
     (odom,) = define_topics(writer)
-    writer.write_message(odom, 5, (1 << 64) - 1, encode(Odometry(), Format.CDR))
+    writer.write_message(odom, 5, 6, encode(Odometry(), Format.CDR))
+    writer.write_message(odom, LAST_NS, LAST_NS, encode(Odometry(), Format.CDR))
     writer.flush()
     writer.close()
     output.close()
 
     (table,) = read_tables(RecordingReader(path))
 
-    times = table.columns[PUBLISH_TIME]
-    assert isinstance(times, np.ndarray)
-    assert times.tolist() == [LAST_NS]
+    times = [table.columns[path] for path in (LOG_TIME, PUBLISH_TIME)]
+    assert all(isinstance(one, np.ndarray) for one in times)
+    assert [list(map(int, one)) for one in times] == [[5, LAST_NS], [6, LAST_NS]]  # type: ignore[call-overload]
 
 
 def count_read_bytes(monkeypatch: pytest.MonkeyPatch, path: Path) -> int:

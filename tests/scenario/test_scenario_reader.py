@@ -1,5 +1,6 @@
 """Reading scenario files: values, units, draws, includes, settings, and every mistake at once."""
 
+import os
 import pickle
 import time
 from pathlib import Path
@@ -395,6 +396,20 @@ def test_mistake_in_an_included_file_is_reported_there(tmp_path: Path) -> None:
     found = issues_of(tmp_path, "zensim: 1\ninclude: [base.yaml]\n")
 
     assert [(Path(one.place.file).name, one.place.line) for one in found] == [("base.yaml", 2)]
+
+
+@pytest.mark.parametrize("what", ["device", "pipe", "large"])
+def test_include_that_is_no_scenario_is_refused_before_it_is_read(
+    tmp_path: Path, what: str
+) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "large").touch()
+    os.truncate(tmp_path / "large", 1 << 40)
+    file = "/dev/zero" if what == "device" else what
+
+    found = issues_of(tmp_path, f"zensim: 1\ninclude: [{file}]\n")
+
+    assert [(one.place.line, one.place.column, one.path) for one in found] == [(2, 11, "include")]
 
 
 def test_include_loop_is_refused(tmp_path: Path) -> None:

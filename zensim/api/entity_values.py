@@ -1,12 +1,12 @@
 """Values of the API: pose, twist, the report of a spawn, and angles."""
 
-import html
 import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
 from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.messages.model_messages import ReportEntry
+from zensim.proto.printable_text import to_html
 from zensim.proto.rigid_transforms import find_yaw
 
 MAX_HTML_ENTRIES = 50
@@ -141,9 +141,9 @@ class SpawnReport:
 
 def make_html_table(head: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> str:
     """Make a table for a notebook; all texts are escaped."""
-    top = "".join(f"<th>{html.escape(name)}</th>" for name in head)
+    top = "".join(f"<th>{to_html(name)}</th>" for name in head)
     lines = (
-        "<tr>" + "".join(f"<td>{html.escape(str(cell)[:200])}</td>" for cell in row) + "</tr>"
+        "<tr>" + "".join(f"<td>{to_html(str(cell)[:200])}</td>" for cell in row) + "</tr>"
         for row in rows
     )
     return f"<table><tr>{top}</tr>{''.join(lines)}</table>"

@@ -31,6 +31,7 @@ from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
 from zensim.proto.messages.telemetry_messages import Event, Info, WorldClock
 from zensim.proto.network_protocols import Sample
+from zensim.proto.operation_server import is_exposed
 from zensim.proto.ros2.ros_settings import RosSettings, to_cli_arguments
 from zensim.proto.supervisor import (
     PREPARED_START_MODULE,
@@ -316,6 +317,7 @@ def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
         "--secure": config.is_secure,
         "--client-certificates": config.uses_certificates,
         "--insecure": config.is_insecure,
+        "--metrics-insecure": is_exposed(config.metrics),
     }
     return (
         *("serve", *at, "--world", config.world, "--world-name", config.world_name, "--announce"),

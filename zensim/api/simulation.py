@@ -44,6 +44,8 @@ from zensim.api.world_session import (
     check_protocol,
     make_not_found,
 )
+from zensim.proto.bounded_files import read_text_file
+from zensim.proto.bus import MAX_REQUEST_BYTES
 from zensim.proto.messages.entity_messages import CastRaysRequest
 from zensim.proto.messages.fault_messages import (
     FOR_EVER,
@@ -392,7 +394,7 @@ class Simulation(ClosedOnExit):
         file = Path(world)
         with api_errors():
             if file.is_file():
-                self._session.client.load_world(text=file.read_text(encoding="utf-8"))
+                self._session.client.load_world(text=read_text_file(file, MAX_REQUEST_BYTES))
             else:
                 self._session.client.load_world(str(world))
         self._session.forget()

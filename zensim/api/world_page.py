@@ -1,11 +1,11 @@
 """WorldPage: the 3D page of a world, served by a process of its own."""
 
-import html
 import threading
 from queue import Empty, SimpleQueue
 
 from zensim.api.api_errors import Error, Timeout
 from zensim.api.program_keeper import ProgramOutput
+from zensim.proto.printable_text import to_html
 from zensim.proto.supervisor import Supervisor
 
 PAGE_HEIGHT = 480
@@ -63,9 +63,7 @@ class WorldPage:
         supervisor.close()
 
     def _repr_html_(self) -> str:
-        return (
-            f'<iframe src="{html.escape(self.url)}" width="100%" height="{PAGE_HEIGHT}"></iframe>'
-        )
+        return f'<iframe src="{to_html(self.url)}" width="100%" height="{PAGE_HEIGHT}"></iframe>'
 
     def __repr__(self) -> str:
         """Write the address."""

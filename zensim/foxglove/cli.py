@@ -114,5 +114,7 @@ def _serve(given: FoxgloveOptions, access: PageAccess) -> None:
         url = make_page_url(
             given.host, server.port, access.token, has_tls=bool(access.certificate), protocol="ws"
         )
-        print_lines(json.dumps({"foxglove": url}) if given.as_json else f"foxglove {url}")
+        print_lines(
+            json.dumps({"foxglove": url}) if given.as_json else given.write_address("foxglove", url)
+        )
         server.run(stop)

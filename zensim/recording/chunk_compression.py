@@ -14,6 +14,11 @@ LEVEL: Final = 1
 PIECE_BYTES: Final = 1 << 20
 MAX_CHUNK_BYTES: Final = 256 << 20
 """Of the records of a chunk: a megabyte of Zstandard can hold 30 GB."""
+FREE_BYTES: Final = 96 << 20
+"""Of records that any chunk may have, and a file without index in all: the largest message and the
+chunk that it ends."""
+MAX_RATIO: Final = 1000
+"""Bytes of records for each byte of a file beyond them; recordings of robots have 3 to 50."""
 
 
 class DamagedChunk(ValueError):
@@ -35,7 +40,7 @@ def decompress(compressed: bytes, compression: str, size: int) -> bytes:
     """Decompress the records of a chunk that has this size [bytes].
 
     Raises:
-        DamagedChunk: It has another size or more than `MAX_CHUNK_BYTES`, or is damaged.
+        DamagedChunk: It has another size, more than it may have, or is damaged.
         ValueError: The compression is not supported.
     """
     if not compression:
@@ -46,8 +51,8 @@ def decompress(compressed: bytes, compression: str, size: int) -> bytes:
         )
     if compression != "zstd":  # MCAP has no other
         raise DamagedChunk(f"compression {compression[:20]!r} is not known")
-    if size > MAX_CHUNK_BYTES:
-        raise DamagedChunk(f"the chunk claims {size} bytes; at most are {MAX_CHUNK_BYTES}")
+    if size > (most := min(MAX_CHUNK_BYTES, find_most_bytes(len(compressed)))):
+        raise DamagedChunk(f"the chunk claims {size} bytes; at most are {most}")
     try:
         content: bytes = zstd.ZstdDecompressor().decompress(compressed, size + 1)
     except zstd.ZstdError as error:
@@ -55,6 +60,11 @@ def decompress(compressed: bytes, compression: str, size: int) -> bytes:
     if len(content) != size:
         raise DamagedChunk(f"the chunk has not {size} bytes")
     return content
+
+
+def find_most_bytes(compressed: int) -> int:
+    """Find how many bytes of records so many bytes of a file may have."""
+    return FREE_BYTES + MAX_RATIO * compressed
 
 
 class CompressedLog:

@@ -1,9 +1,7 @@
 """The files of a world for a recording: world file, models and descriptions of entities, meshes."""
 
 import hashlib
-import os
 import re
-import stat
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
@@ -12,6 +10,7 @@ from typing import Final
 
 import msgspec
 
+from zensim.proto.bounded_files import FileTooLarge, NotRegularFile, read_text_file
 from zensim.proto.bus import BusError
 from zensim.proto.cli_options import SHIPPED
 from zensim.proto.codec.message_codec import MalformedPayload
@@ -184,32 +183,15 @@ def read_world_file(world: WorldResource) -> str:
         if path.suffix not in WORLD_SUFFIXES:
             raise FileRefused(f"{resource.uri[:80]!r} is not attached: no world has this suffix")
     try:
-        text = _read_text(path)
+        text = read_text_file(path, MAX_WORLD_BYTES)
+    except (FileTooLarge, NotRegularFile, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise FileRefused(f"{resource.uri[:80]!r} is not attached: it {reason}") from error
     except OSError:
         return ""
-    except ValueError as error:
-        raise FileRefused(f"{resource.uri[:80]!r} is not attached: {error}") from error
     if WORLD_ROOT.search(text, 0, ROOT_WITHIN) is None:
         raise FileRefused(f"{resource.uri[:80]!r} is not attached: it is no SDF")
     return text
-
-
-def _read_text(path: Path) -> str:
-    """Read a regular file of limited size.
-
-    Raises:
-        OSError: It cannot be read.
-        ValueError: It is no regular file, too large, or not UTF-8.
-    """
-    # Opening a pipe would wait for its other end.
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    with os.fdopen(descriptor, "rb") as stream:
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise ValueError("it is no regular file")
-        content = stream.read(MAX_WORLD_BYTES + 1)
-    if len(content) > MAX_WORLD_BYTES:
-        raise ValueError(f"it has more than {MAX_WORLD_BYTES >> 20} MiB")
-    return content.decode()
 
 
 def list_meshes(models: Iterable[Model]) -> Iterator[str]:

@@ -9,6 +9,7 @@ from typing import BinaryIO, Final
 
 import msgspec
 
+from zensim.proto.bounded_files import open_regular_file
 from zensim.recording.mcap_records import (
     FOOTER,
     FOOTER_BYTES,
@@ -113,7 +114,7 @@ def read_index(file: Path) -> FileIndex:
         OSError: It cannot be read.
         ValueError: It is not an MCAP file, or its compression is not supported.
     """
-    with file.open("rb") as stream:
+    with open_regular_file(file) as stream:
         try:
             found = _read_closed(stream, file)
         except (MalformedRecord, struct.error):

@@ -1,5 +1,6 @@
 """Reads the records of an MCAP file in turn, also of one that was never closed or is damaged."""
 
+import math
 import re
 import struct
 import zlib
@@ -9,7 +10,8 @@ from typing import BinaryIO, Final, TypeAlias
 
 import msgspec
 
-from zensim.recording.chunk_compression import DamagedChunk, decompress
+from zensim.proto.bounded_files import open_regular_file
+from zensim.recording.chunk_compression import MAX_RATIO, DamagedChunk, decompress, find_most_bytes
 from zensim.recording.mcap_records import (
     MAGIC,
     MESSAGE_FIELDS_BYTES,
@@ -40,6 +42,9 @@ CHUNK_START_BYTES: Final = 53
 WASTE_SHARE: Final = 4
 """Of the size of a file: so many bytes are read in search of chunks inside damaged records."""
 MAX_RECORD_BYTES: Final = 1 << 30
+MAX_OTHERS: Final = 1 << 17
+"""Records of a chunk that are no messages: a definition for each number of a schema and a channel.
+What follows more of them is not read: a megabyte of zeros has a hundred thousand."""
 LIMITS_OF_OPCODE: Final = {Opcode.HEADER: 1 << 16, Opcode.SCHEMA: 1 << 20, Opcode.CHANNEL: 1 << 20}
 """Longer ones are damaged."""
 ENDS: Final = (Opcode.DATA_END, Opcode.FOOTER)
@@ -47,6 +52,18 @@ OPCODES: Final = frozenset(Opcode)
 
 ScannedMessage = tuple[int, int, int, bytes]
 """Channel, log time [ns], publish time [ns], payload."""
+
+
+class TooCompressed(ValueError):
+    """The chunks of a file without index have far more bytes than the file."""
+
+    slug = "recording.size"
+
+    def __init__(self, path: Path, most: int) -> None:
+        super().__init__(
+            f"the chunks of {path} have more than {most >> 20} MiB, {MAX_RATIO} times its size; if "
+            "you know where it is from, 'zensim bag recover --any-size' writes its index"
+        )
 
 
 class OpenChunk(msgspec.Struct, frozen=True):
@@ -95,34 +112,43 @@ class ScannedPlace(msgspec.Struct, frozen=True):
     found: Scanned
 
 
-def scan_file(path: Path, report: ScanReport) -> Iterator[Scanned]:
+def scan_file(path: Path, report: ScanReport, *, is_any_size: bool = False) -> Iterator[Scanned]:
     """Read the records as `scan_places` does, without their places."""
-    return (one.found for one in scan_places(path, report))
+    return (one.found for one in scan_places(path, report, is_any_size=is_any_size))
 
 
-def scan_places(path: Path, report: ScanReport) -> Iterator[ScannedPlace]:
+def scan_places(
+    path: Path, report: ScanReport, *, is_any_size: bool = False
+) -> Iterator[ScannedPlace]:
     """Read the records up to the end of the data; skip what is damaged.
 
     Args:
         path: File.
         report: Is completed.
+        is_any_size: Whether chunks may have any number of bytes in all.
 
     Raises:
         OSError: The file cannot be read.
         ValueError: It is not an MCAP file, or its compression is not supported.
+        TooCompressed: Its chunks have more bytes in all than `find_most_bytes` allows.
     """
-    with path.open("rb") as stream:
+    with open_regular_file(path) as stream:
         if stream.read(len(MAGIC)) != MAGIC:
             raise ValueError(f"{path} is not an MCAP file")
-        yield from _Scan(stream, path.stat().st_size, report).run()
+        yield from _Scan(stream, path, report, is_any_size=is_any_size).run()
 
 
 class _Scan:
     """Position in a file."""
 
-    def __init__(self, stream: BinaryIO, size: int, report: ScanReport) -> None:
+    def __init__(
+        self, stream: BinaryIO, path: Path, report: ScanReport, *, is_any_size: bool
+    ) -> None:
         self._stream = stream
-        self._size = size
+        self._path = path
+        self._size = path.stat().st_size
+        self._left = math.inf if is_any_size else find_most_bytes(self._size)
+        """Bytes that chunks may still have."""
         self._report = report
         self._window_at, self._window = 0, b""
         self._wasted = 0
@@ -203,10 +229,24 @@ class _Scan:
         self._stream.seek(at)
         body = self._stream.read(length)
         try:
-            return _parse_record(opcode, body), True
+            return self._parse_record(opcode, body), True
         except (MalformedRecord, DamagedChunk):
             self._wasted += length
             return None, False
+
+    def _parse_record(self, opcode: Opcode, body: bytes) -> Scanned | None:
+        if opcode is Opcode.CHUNK:
+            return self._open_chunk(read_chunk(body))
+        parse = PARSERS.get(opcode)
+        return parse(body) if parse is not None else None
+
+    def _open_chunk(self, chunk: Chunk) -> OpenChunk:
+        """Read the records of a chunk, as long as those of all are not too many."""
+        opened = open_chunk(chunk)
+        self._left -= len(opened.records)
+        if self._left < 0:
+            raise TooCompressed(self._path, find_most_bytes(self._size))
+        return opened
 
     def _find_chunk(self, at: int) -> int:
         """Find the next chunk whose lengths agree; the end of the file if there is none."""
@@ -236,13 +276,13 @@ class _Scan:
         self._report.skipped_bytes += count
 
 
-def _parse_record(opcode: Opcode, body: bytes) -> Scanned | None:
-    parse = PARSERS.get(opcode)
-    return parse(body) if parse is not None else None
+def open_chunk(chunk: Chunk) -> OpenChunk:
+    """Read the records of a chunk, and check them.
 
-
-def _open_chunk(body: bytes) -> OpenChunk:
-    chunk = read_chunk(body)
+    Raises:
+        DamagedChunk: They are not what was written, or too many.
+        ValueError: The compression is not supported.
+    """
     records = decompress(chunk.content, chunk.compression, chunk.size)
     if chunk.crc and chunk.crc != zlib.crc32(records):
         raise DamagedChunk("the checksum of a chunk is wrong")
@@ -261,7 +301,6 @@ DEFINITIONS: Final[dict[int, Callable[[bytes], Schema | Channel]]] = {
     int(Opcode.CHANNEL): read_channel,
 }
 PARSERS: Final[dict[Opcode, Callable[[bytes], Scanned]]] = {
-    Opcode.CHUNK: _open_chunk,
     Opcode.SCHEMA: read_schema,
     Opcode.CHANNEL: read_channel,
     Opcode.ATTACHMENT: read_attachment,
@@ -275,18 +314,21 @@ def read_contents(records: bytes) -> ChunkContents:
     places: list[tuple[int, int, int]] = []
     index = ChunkIndex()
     positions = index.positions
+    others = 0
     unpack, head, message = MESSAGE_HEAD.unpack_from, RECORD_HEAD.size, int(Opcode.MESSAGE)
     # Other records may be shorter than the head of a message.
     padded, at, size = records + bytes(MESSAGE_HEAD.size), 0, len(records)
     while at + head <= size:
         opcode, length, channel, _, log_ns, _ = unpack(padded, at)
         end = at + head + length
-        if end > size:
+        if end > size or others > MAX_OTHERS:
             break
         if opcode == message and length >= MESSAGE_FIELDS_BYTES:
             positions[channel] += (log_ns, at)
-        elif opcode in DEFINITIONS:
-            places.append((opcode, at + head, end))
+        else:
+            others += 1
+            if opcode in DEFINITIONS:
+                places.append((opcode, at + head, end))
         at = end
     definitions = [_read_definition(opcode, records[start:end]) for opcode, start, end in places]
     whole = tuple(one for one in definitions if one is not None)
@@ -309,9 +351,10 @@ def read_messages(records: bytes) -> Iterator[tuple[int, ScannedMessage]]:
 
 def _walk(records: bytes) -> Iterator[tuple[int, int, int]]:
     """Walk over records: opcode, start and end of each body."""
-    unpack, head, at = RECORD_HEAD.unpack_from, RECORD_HEAD.size, 0
-    while at + head <= len(records):
+    unpack, head, at, others = RECORD_HEAD.unpack_from, RECORD_HEAD.size, 0, 0
+    while at + head <= len(records) and others <= MAX_OTHERS:
         opcode, length = unpack(records, at)
+        others += opcode != Opcode.MESSAGE
         start = at + head
         at = start + length
         if at > len(records):

@@ -6,6 +6,7 @@ from typing import Final
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from zensim.proto.schema import list_cdr_types
 from zensim.proto.topic_catalog import find_robot_topic
@@ -159,10 +160,7 @@ class _TableBuilder:
 
     def add(self, messages: list[StoredMessage]) -> None:
         """Decode messages."""
-        # Of the times in a file those of publication may be any.
-        times = np.array(
-            [(log_ns, min(publish_ns, LAST_NS)) for _, log_ns, publish_ns, _ in messages], np.int64
-        )
+        times = np.array([(log_ns, publish_ns) for _, log_ns, publish_ns, _ in messages], np.uint64)
         robots = np.array([self._find_robot(topic) for topic, *_ in messages], np.int32)
         for found in self._decoder.decode([payload for *_, payload in messages]):
             rows = found.messages
@@ -185,6 +183,8 @@ class _TableBuilder:
                 left_out.append(path)
             else:
                 columns[path] = column
+        for path in columns.keys() & {LOG_TIME, PUBLISH_TIME}:
+            columns[path] = _to_signed(np.asarray(columns[path], np.uint64))
         times = columns.get(LOG_TIME, np.zeros(0))
         order = np.argsort(np.asarray(times), kind="stable")
         columns = {path: take_rows(column, order) for path, column in columns.items()}
@@ -193,3 +193,9 @@ class _TableBuilder:
         return RecordedTable(
             self._name, self._ros_type, columns, tuple(left_out), self._decoder.damaged
         )
+
+
+def _to_signed(times: npt.NDArray[np.uint64]) -> Column:
+    """Use int64, in which differences of times are, unless a time is beyond it."""
+    is_near = times.max(initial=np.uint64(0)) <= np.iinfo(np.int64).max
+    return times.astype(np.int64) if is_near else times

@@ -12,6 +12,7 @@ from typing import Final, Generic
 
 import msgspec
 
+from zensim.proto.bounded_files import MAX_OWN_FILE_BYTES, open_regular_file, read_text_file
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.recording.bag_metadata import CUSTOM_DATA, PartFacts, write_bag_metadata
 from zensim.recording.file_index import read_index
@@ -118,7 +119,7 @@ class Part:
         Raises:
             OSError: The file cannot be read.
         """
-        with self.output.path.open("rb") as stream:
+        with open_regular_file(self.output.path) as stream:
             for at, length in self.attached:
                 stream.seek(at + RECORD_HEAD.size)
                 yield read_attachment(stream.read(length - RECORD_HEAD.size))
@@ -217,7 +218,7 @@ def require_new(path: Path) -> None:
 def is_described(path: Path) -> bool:
     """Whether the metadata beside a file is of it, or of one of this name that is gone."""
     try:
-        text = (path.parent / METADATA_FILE).read_text(encoding="utf-8")
+        text = read_text_file(path.parent / METADATA_FILE, MAX_OWN_FILE_BYTES)
     except (OSError, UnicodeDecodeError):
         return False
     return json.dumps(path.name) in text

@@ -1,7 +1,6 @@
 """Reads a recording by time and topic: a file, the files of a folder, or a file never closed."""
 
 import struct
-import zlib
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
@@ -12,9 +11,10 @@ from typing import Final, TypeAlias
 
 import msgspec
 
+from zensim.proto.bounded_files import open_regular_file
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.ros2.liveliness_tokens import Qos
-from zensim.recording.chunk_compression import DamagedChunk, decompress
+from zensim.recording.chunk_compression import DamagedChunk
 from zensim.recording.file_index import (
     AttachmentPlace,
     ChunkPlace,
@@ -33,12 +33,13 @@ from zensim.recording.mcap_records import (
     read_attachment,
     read_chunk,
 )
-from zensim.recording.mcap_scan import MAX_RECORD_BYTES
+from zensim.recording.mcap_scan import MAX_OTHERS, MAX_RECORD_BYTES, open_chunk
 from zensim.recording.recorded_topics import QOS_METADATA, read_qos_profile
 from zensim.recording.topic_selection import LATCHED_SUFFIXES
 from zensim.recording.written_topics import OVERHEAD_BYTES
 
-LAST_NS: Final = (1 << 63) - 1
+LAST_NS: Final = (1 << 64) - 1
+"""Last log time that a file can have."""
 RESET_NS: Final = NANOSECONDS
 """A file that begins so long before the end of the last one is of another run."""
 MAX_LATCHED_BYTES: Final = 64 << 20
@@ -122,13 +123,15 @@ class RecordedFile:
         unpack, head, record_head = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, RECORD_HEAD.size
         find, append = wanted.get, found.append
         start_ns, end_ns = span.start, span.stop
-        at, last = 0, len(records) - head
-        while at <= last:
+        at, last, others = 0, len(records) - head, 0
+        while at <= last and others <= MAX_OTHERS:
             opcode, length, channel, _, log_ns, publish_ns = unpack(records, at)
             end = at + record_head + length
             if end > len(records):
                 break
-            if opcode == MESSAGE and start_ns <= log_ns < end_ns:
+            if opcode != MESSAGE:
+                others += 1
+            elif start_ns <= log_ns < end_ns:
                 topic = find(channel)
                 if topic is not None:
                     append((log_ns, first + at, topic, publish_ns, records[at + head : end]))
@@ -142,22 +145,18 @@ class RecordedFile:
             OSError: The file cannot be read.
             MalformedRecord: It is damaged.
         """
-        with self.index.path.open("rb") as stream:
+        with open_regular_file(self.index.path) as stream:
             return read_attachment(read_record_of(stream, place.at, place.length)[1])
 
     def _read_records(self, place: ChunkPlace) -> bytes:
-        with self.index.path.open("rb") as stream:
+        with open_regular_file(self.index.path) as stream:
             if place.is_loose:
                 stream.seek(place.at)
                 return stream.read(place.length)
             opcode, body = read_record_of(stream, place.at, place.length)
         if opcode != Opcode.CHUNK:
             raise MalformedRecord(f"there is no chunk at byte {place.at}")
-        chunk = read_chunk(body)
-        records = decompress(chunk.content, chunk.compression, chunk.size)
-        if chunk.crc and chunk.crc != zlib.crc32(records):
-            raise DamagedChunk("the checksum of a chunk is wrong")
-        return records
+        return open_chunk(read_chunk(body)).records
 
 
 class RecordingRun:

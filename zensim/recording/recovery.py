@@ -42,17 +42,22 @@ class RecoveryResult(msgspec.Struct, frozen=True, kw_only=True):
     """Messages that are left out, since the definition of their channel is lost."""
 
 
-def recover_file(source: Path, target: Path) -> RecoveryResult:
+def recover_file(source: Path, target: Path, *, is_any_size: bool = False) -> RecoveryResult:
     """Copy all whole records, without compressing them again, and write index and summary.
 
     The space that the source kept for its end is freed.
 
+    Args:
+        source: File to read.
+        target: New file.
+        is_any_size: See `scan_places`.
+
     Raises:
         OSError: A file cannot be read or written, or the target exists.
-        ValueError: The source is not an MCAP file, or its compression is not supported.
+        ValueError: See `scan_places`.
     """
     report = ScanReport()
-    scanned = scan_file(source, report)
+    scanned = scan_file(source, report, is_any_size=is_any_size)
     first = next(scanned, None)  # before the target is created
     output = OutputFile(target)
     try:

@@ -8,6 +8,7 @@ import matplotlib as mpl
 from matplotlib import style
 from matplotlib.figure import Figure
 
+from zensim.proto.printable_text import printable
 from zensim.recording.message_series import MessageSeries
 
 if TYPE_CHECKING:
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 WALL_TIME_S: Final = 1e9
 """Log times above it (September 2001) are times of day."""
 MAX_LABELS: Final = 24
+MAX_LABEL: Final = 80
+"""Characters of a label; of a longer one the end is shown, which differs."""
 WIDTH_IN, PANEL_HEIGHT_IN, DPI = 10.0, 3.6, 120
 STYLE: Final = "tableau-colorblind10"
 """Colours that people with colour blindness distinguish."""
@@ -46,7 +49,7 @@ def draw_series(series: Sequence[MessageSeries], path: Path, *, title: str) -> N
     }
     with mpl.rc_context(settings), style.context(STYLE):
         figure = Figure(figsize=(WIDTH_IN, PANEL_HEIGHT_IN * len(groups)), layout="constrained")
-        figure.suptitle(title)
+        figure.suptitle(_shorten(title))
         panels = figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0]
         for panel, members in zip(panels, groups.values(), strict=True):
             _draw_panel(panel, members, start_s if is_wall else 0.0)
@@ -62,7 +65,7 @@ def _draw_panel(panel: "Axes", members: Sequence[MessageSeries], origin_s: float
         panel.plot(one.times_s - origin_s, one.values, linewidth=1.2, label=label)
     fields = list(dict.fromkeys(one.field for one in members))
     unit = members[0].unit
-    panel.set_ylabel(", ".join(fields[:3]) + (f" [{unit}]" if unit else ""))
+    panel.set_ylabel(_shorten(", ".join(fields[:3])) + (f" [{unit}]" if unit else ""))
     panel.grid(visible=True, alpha=0.3)
     more = len(members) - MAX_LABELS
     title = f"and {more} more" if more > 0 else None
@@ -71,4 +74,9 @@ def _draw_panel(panel: "Axes", members: Sequence[MessageSeries], origin_s: float
 
 def _write_label(one: MessageSeries) -> str:
     run = f" (run {one.run + 1})" if one.run else ""
-    return f"{one.topic}:{one.field}{run}"
+    return _shorten(f"{one.topic}:{one.field}{run}")
+
+
+def _shorten(label: str) -> str:
+    text = printable(label)
+    return text if len(text) <= MAX_LABEL else f"...{text[-MAX_LABEL:]}"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, Literal
 import msgspec
 import numpy as np
 
+from zensim.proto.printable_text import to_file_name
 from zensim.recording.message_columns import Column, TextColumn
 from zensim.recording.message_tables import RecordedTable
 
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
 TableFormat = Literal["parquet", "csv", "npz"]
 COLUMNS_FILE: Final = "columns.json"
 """Types, units and numbers of rows of all tables in a folder."""
-MAX_STEM: Final = 120
-"""Characters of the name of a file."""
 
 
 class MissingDatasetExtra(Exception):
@@ -92,8 +91,7 @@ def _name_files(tables: Sequence[RecordedTable]) -> list[str]:
     found: dict[str, str] = {}
     for table in tables:
         is_only = names.count(table.name) == 1
-        stem = (table.name if is_only else f"{table.name}_{table.ros_type}").replace("/", "_")
-        stem = stem[:MAX_STEM] or "topic"
+        stem = to_file_name(table.name if is_only else f"{table.name}_{table.ros_type}")
         number = 1
         while (name := stem if number == 1 else f"{stem}_{number}").casefold() in found:
             number += 1

@@ -16,9 +16,10 @@ from zensim.sim_server.description.builtin_models import (
 from zensim.sim_server.description.pipeline import parse_description
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.world_loading.world_loader_process import load_world_file
+from zensim.spawner.spawn.asset_bundle import read_assets
 from zensim.spawner.spawn.description_sources import read_model_argument
 from zensim.spawner.spawn.search_paths import collect_search_paths
-from zensim.spawner.spawn.spawn_client import SpawnPayload, make_payload
+from zensim.spawner.spawn.spawn_client import make_payload
 
 REFUSALS = (SimError, ServiceError, OSError, ValueError)
 
@@ -77,17 +78,12 @@ def read_model(scenario: Scenario, index: int, group: RobotsSection) -> Model:
     payload = make_payload(description, paths, allow_missing=True, controllers=controllers)
     return parse_description(
         payload.text or read_builtin_model(word),
-        assets=_read_assets(payload),
+        assets=read_assets(payload.bundle),
         allow_missing=group.allow_missing,
         compat=group.compat,
         controllers=payload.controllers.texts,
         drive=parse_drive_order(group.drive),
     ).model
-
-
-def _read_assets(payload: SpawnPayload) -> dict[str, tuple[str, bytes | None]]:
-    paths = {file.sha256: file.path for file in payload.bundle.files}
-    return {ref.uri: (ref.sha256, paths[ref.sha256].read_bytes()) for ref in payload.bundle.refs}
 
 
 def _list_suspicious(model: Model) -> str:

@@ -9,6 +9,8 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from zensim.proto.bounded_files import MAX_OWN_FILE_BYTES, read_text_file
+
 FloatArray = npt.NDArray[np.float64]
 HEADS = (["time", "v", "w"], ["time", "robot", "v", "w"])
 
@@ -33,7 +35,7 @@ def read_commands(file: Path, names: Sequence[str]) -> RecordedCommands:
     """
     if file.suffix == ".mcap":
         raise ValueError("recordings are not read yet; write its commands as CSV: time,v,w")
-    lines = list(csv.reader(file.read_text(encoding="utf-8").splitlines()))
+    lines = list(csv.reader(read_text_file(file, MAX_OWN_FILE_BYTES).splitlines()))
     head = [word.strip() for word in lines[0]] if lines else []
     if head not in HEADS:
         raise ValueError(f"line 1: the head line is {','.join(head)}; use time,v,w")

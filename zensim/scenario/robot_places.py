@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 from msgspec import inspect
 
+from zensim.proto.bounded_files import read_text_file
 from zensim.proto.messages.standard_messages import Pose
 from zensim.scenario.quantities import make_uniforms, resolve_draws
 from zensim.scenario.scenario_format import (
@@ -139,7 +140,7 @@ def read_pose_file(file: Path, place: Place, path: str) -> list[dict[str, Any]]:
         ScenarioInvalid: The file or one of its lines is not valid.
     """
     try:
-        text = file.read_text(encoding="utf-8")
+        text = read_text_file(file)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "cannot be read"
         raise fail_at(place, path, f"`{file}`: {reason.lower()}") from error

@@ -5,6 +5,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from zensim.proto.bounded_files import read_text_file
 from zensim.scenario.scenario_nodes import (
     Issue,
     Place,
@@ -103,7 +104,7 @@ def _list_includes(node: ScenarioNode) -> list[ScenarioNode]:
 def _read_text(file: Path, place: Place) -> str:
     path = "include" if place.line else ""
     try:
-        return file.read_text(encoding="utf-8")
+        return read_text_file(file)
     except UnicodeDecodeError as error:
         raise fail_at(Place(str(file)), path, "is not text in UTF-8") from error
     except OSError as error:

@@ -7,7 +7,7 @@ from typing import Annotated
 import msgspec
 import typer
 
-from zensim.proto.cli_options import JsonOption, expand_options, make_app
+from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import print_note
@@ -109,12 +109,16 @@ def recover_command(
             show_default="FILE_recovered.mcap",
         ),
     ] = None,
+    any_size: Annotated[
+        bool,
+        flag("--any-size", help="Accept chunks of any size in all, which may take long."),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Copy all whole chunks of a file that was never closed, or is damaged, to a new file."""
     with exit_on_failure("bag recover"):
         target = output or path.with_name(f"{path.stem}_recovered.mcap")
-        result = recover_file(path, target)
+        result = recover_file(path, target, is_any_size=any_size)
     if as_json:
         print_lines(msgspec.json.encode(result).decode())
     else:

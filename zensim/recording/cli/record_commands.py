@@ -18,7 +18,7 @@ from zensim.proto.cli_options import (
     ConnectionOptions,
     JsonOption,
     LogFormatOption,
-    MetricsOption,
+    MetricsOptions,
     QuietOption,
     RosDomainOption,
     VerboseOption,
@@ -94,7 +94,7 @@ _snapshots = {"rich_help_panel": "Snapshots"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordOptions(ConnectionOptions):
+class RecordOptions(ConnectionOptions, MetricsOptions):
     """All options of `zensim record`."""
 
     topics: Annotated[
@@ -233,7 +233,6 @@ class RecordOptions(ConnectionOptions):
             **_snapshots,
         ),
     ] = ""
-    metrics: MetricsOption = ""
     ros_domain: RosDomainOption = "0"
     as_json: JsonOption = False
     quiet: QuietOption = False
@@ -275,7 +274,7 @@ def record_topics(given: RecordOptions) -> None:
         receive_in_one_thread()
         connect = (given.connect,) if given.connect else ()
         config = BusConfig(connect=connect, open_timeout_s=OPEN_TIMEOUT_S)
-        with served_status(given.metrics, status), open_bus(config) as bus:
+        with served_status(given.choose_metrics("zensim record"), status), open_bus(config) as bus:
             stop.arm()
             program = RecordProgram(bus, chosen, recorder_settings, settings)
             program.status = status
