@@ -85,7 +85,7 @@ class _Weight(NamedTuple):
 
 def _find_loads(model: Model) -> dict[str, float]:
     """Find the effort of gravity on each joint, followers' included."""
-    positions = _find_start(model)
+    positions = find_start_positions(model)
     poses = {model.links[0].name: Origin()}
     for joint in model.joints:
         moved = compose(joint.origin, _move(joint, positions[joint.name]))
@@ -104,7 +104,7 @@ def _find_loads(model: Model) -> dict[str, float]:
     return loads
 
 
-def _find_start(model: Model) -> dict[str, float]:
+def find_start_positions(model: Model) -> dict[str, float]:
     """Find the position of each joint at which its controller holds it from the start."""
     initial = {
         one.joint: one.initial or 0.0 for one in model.command_interfaces if one.kind == "position"
