@@ -21,8 +21,11 @@ from zensim.proto.messages.drive_messages import (
 )
 from zensim.proto.rigid_transforms import transform_point
 from zensim.sim_server.description.ground_friction import GroundFriction, GroundMotion, JointTargets
-from zensim.sim_server.description.joint_load_notes import find_start_positions
-from zensim.sim_server.description.model_geometry import NO_MESHES, find_link_poses
+from zensim.sim_server.description.model_geometry import (
+    NO_MESHES,
+    find_link_poses,
+    find_start_positions,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
