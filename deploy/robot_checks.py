@@ -27,6 +27,10 @@ MAX_CREEP_M_S = 1e-3
 MAX_DRIFT_RAD_S = 0.02
 PREDICTION_TOLERANCE = 0.1
 """Largest deviation from the prediction, as a share of the command."""
+FALLS = ("it falls", "it sinks")
+"""How remarks begin that predict that a robot does not stand."""
+MIN_FALL_M = 0.05
+"""By which a robot comes down that was predicted to fall."""
 MAX_SHIFT_M = 3.0
 """Largest distance from its place of a robot that nothing drives."""
 MAX_HEIGHT_M = 1.0
@@ -291,9 +295,15 @@ def judge(result: TrialResult, tolerance: float) -> tuple[Verdict, str]:
     if not faults:
         return "ok", ""
     reason = ", ".join(faults)
-    if _is_predicted(result.straight) and _is_predicted(result.turn) and "rests" not in reason:
+    drives = _is_predicted(result.straight) and _is_predicted(result.turn)
+    if _falls_as_predicted(result) or (drives and "rests" not in reason):
         return "predicted", reason
     return "off", reason
+
+
+def _falls_as_predicted(result: TrialResult) -> bool:
+    is_down = result.tilt_rad > MAX_TILT_RAD or result.shift[2] < -MIN_FALL_M
+    return is_down and any(remark.startswith(FALLS) for remark in result.remarks)
 
 
 def _judge_undriven(result: TrialResult) -> tuple[Verdict, str]:

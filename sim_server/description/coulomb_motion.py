@@ -8,6 +8,7 @@ convex; its few unknowns are the planar twist and the speeds of the wheels that 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,13 @@ MAX_STEPS = 40
 """Of each smoothing."""
 TOLERANCE = 1e-6
 """Unbalanced part of the friction, relative to the largest."""
+LEAST_GAIN = 1e-3
+"""Share of the power of friction that a motion must save: what pulls less does not start a robot.
+
+Wheels of weak motors that pull against each other save 2e-5 where meshes differ by rounding.
+"""
+LEAST_PULL = 1e-4
+"""Unbalanced part of the friction that does not start a robot, relative to the largest."""
 
 
 @dataclass(frozen=True)
@@ -74,15 +82,25 @@ def solve_coulomb_motion(terms: SlipTerms) -> CoulombMotion:
         return CoulombMotion(np.zeros(count), 0.0, is_converged=True)
     size = float(np.abs(rows).max()) or 1.0
     weak = np.eye(count) * size * 1e-9
-    x = np.zeros(count)
-    is_balanced = False
+    found = _Descent(np.zeros(count), 1.0, is_balanced=False)
     for smoothing in SMOOTHINGS:
-        x, is_balanced = _descend(terms, x, (smoothing * terms.scales) ** 2, weak)
+        found = _descend(terms, found.x, (smoothing * terms.scales) ** 2, weak)
+    x = found.x
     power, at_rest = _find_power(terms, x), _find_power(terms, np.zeros(count))
-    if is_balanced and at_rest <= power * (1.0 + TOLERANCE):
+    is_settled = found.is_balanced or found.unbalanced <= LEAST_PULL
+    if is_settled and at_rest <= power * (1.0 + LEAST_GAIN):
         # As where weak motors of both sides yield: each speed between their targets costs the same.
-        x, power = np.zeros(count), at_rest
-    return CoulombMotion(x, power, is_balanced)
+        return CoulombMotion(np.zeros(count), at_rest, is_converged=True)
+    return CoulombMotion(x, power, found.is_balanced)
+
+
+class _Descent(NamedTuple):
+    """Unknowns of little power, and the part of the friction that they leave unbalanced."""
+
+    x: FloatArray
+    unbalanced: float
+    """Relative to the largest."""
+    is_balanced: bool
 
 
 def _find_power(terms: SlipTerms, x: FloatArray) -> float:
@@ -90,17 +108,17 @@ def _find_power(terms: SlipTerms, x: FloatArray) -> float:
     return float(np.sqrt((slips**2).sum(axis=1)).sum() + terms.damping @ x**2 / 2.0)
 
 
-def _descend(
-    terms: SlipTerms, x: FloatArray, smooth: FloatArray, weak: FloatArray
-) -> tuple[FloatArray, bool]:
+def _descend(terms: SlipTerms, x: FloatArray, smooth: FloatArray, weak: FloatArray) -> _Descent:
     rows, damping = terms.rows, terms.damping
     flat = rows.reshape(-1, rows.shape[2])
-    limit = TOLERANCE * max(float(np.abs(flat).max()), 1e-12)
+    largest = max(float(np.abs(flat).max()), 1e-12)
     slips, lengths, power = _measure(terms, x, smooth)
+    unbalanced = 1.0
     for _ in range(MAX_STEPS):
         pull = (slips / lengths[:, None]).reshape(-1) @ flat + damping * x
-        if float(np.abs(pull).max()) <= limit:
-            return x, True
+        unbalanced = float(np.abs(pull).max()) / largest
+        if unbalanced <= TOLERANCE:
+            return _Descent(x, unbalanced, is_balanced=True)
         spread = flat * np.repeat(1.0 / lengths, 2)[:, None]
         bound = flat.T @ spread + np.diag(damping) + weak
         along = np.einsum("ni,nim->nm", slips, rows) / lengths[:, None] ** 1.5
@@ -113,10 +131,10 @@ def _descend(
             if found[2] < power:
                 break
         if found[2] >= power:
-            return x, float(np.abs(pull).max()) <= 1e3 * limit
+            return _Descent(x, unbalanced, is_balanced=unbalanced <= 1e3 * TOLERANCE)
         x = x + share * step
         slips, lengths, power = found
-    return x, False
+    return _Descent(x, unbalanced, is_balanced=False)
 
 
 def _measure(

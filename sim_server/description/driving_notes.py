@@ -37,7 +37,7 @@ from zensim.sim_server.description.plugins.drive_plugin import MAX_BACKWARD_AXIS
 from zensim.sim_server.description.rest_pose import MAX_TILT_RAD
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
     from zensim.proto.drives.measured_joints import PlanarTwist
     from zensim.proto.messages.drive_messages import Drive
@@ -67,6 +67,9 @@ DRAG_SHARE = 0.25
 
 Below, PyBullet's friction is within 1 % of Coulomb's without carriers of wheels.
 """
+SINKS = "it sinks"
+MAX_NAMED = 3
+"""Joints that one entry names."""
 COST = ReportEntry(
     "predicted",
     "cost",
@@ -120,7 +123,7 @@ def _predict_motions(
 
 def _list_lines(case: _Case, motions: tuple[PredictedMotion, ...]) -> Iterator[str]:
     straight, *turns = motions
-    yield from _describe_rest(case.model, straight.ground)
+    yield from _describe_rest(case, straight.ground)
     if all(one.ground.motion.is_converged for one in motions):
         for turn in turns:
             if line := _describe_reversed(case.model):
@@ -148,10 +151,13 @@ def _find_drag_share(model: Model, motion: PredictedMotion) -> float:
     return motion.ground.motion.power_w / most if most > 0.0 else 0.0
 
 
-def _describe_rest(model: Model, ground: GroundMotion) -> Iterator[str]:
-    rest = ground.rest
+def _describe_rest(case: _Case, ground: GroundMotion) -> Iterator[str]:
+    model, rest = case.model, ground.rest
     if falls_without_end(model):
         yield FALL.reason
+        return
+    if not rest.is_stable and (loose := _list_loose_joints(case)):
+        yield f"{SINKS}: nothing holds {_name_some(loose)}, and its wheels are on them"
         return
     if rest.tilt_rad > MAX_TILT_RAD:
         yield "it falls over: its centre of mass is not above its supports"
@@ -161,6 +167,18 @@ def _describe_rest(model: Model, ground: GroundMotion) -> Iterator[str]:
         yield f"it rests tilted by {math.degrees(rest.tilt_rad):.1f} degrees"
     if idle := _list_idle_wheels(model, ground):
         yield f"driven wheels carry no load: {', '.join(idle)}"
+
+
+def _list_loose_joints(case: _Case) -> list[str]:
+    """List the joints that carry supports about level axes, without motor or spring."""
+    joints = (case.model.joints[i] for i in case.friction.rest.free)
+    return [one.name for one in joints if one.kind != "prismatic" and not one.spring_stiffness]
+
+
+def _name_some(names: Sequence[str]) -> str:
+    named = ", ".join(map(repr, names[:MAX_NAMED]))
+    more = len(names) - MAX_NAMED
+    return f"{named} and {more} more" if more > 0 else named
 
 
 def _list_idle_wheels(model: Model, ground: GroundMotion) -> list[str]:

@@ -13,11 +13,12 @@ from zensim.proto.rigid_transforms import (
     rotate,
     transform_point,
 )
+from zensim.sim_server.description.model_geometry import find_start_positions, list_leaders
 from zensim.sim_server.description.rest_pose import GRAVITY
 from zensim.sim_server.description.strict_parsing import quote
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
     from zensim.proto.messages.model_messages import Joint, Link, Model, Vec3
 
@@ -85,7 +86,7 @@ class _Weight(NamedTuple):
 
 def _find_loads(model: Model) -> dict[str, float]:
     """Find the effort of gravity on each joint, followers' included."""
-    positions = _find_start(model)
+    positions = find_start_positions(model)
     poses = {model.links[0].name: Origin()}
     for joint in model.joints:
         moved = compose(joint.origin, _move(joint, positions[joint.name]))
@@ -99,38 +100,9 @@ def _find_loads(model: Model) -> dict[str, float]:
         beyond[joint.parent] = _Weight(above.mass_kg + own.mass_kg, (x, y, z))
     by_name = {joint.name: joint for joint in model.joints}
     for joint in model.joints:
-        for leader, ratio in _list_leaders(joint, by_name):
+        for leader, ratio in list_leaders(joint, by_name):
             loads[leader] += ratio * loads[joint.name] if by_name[leader].mimic is None else 0.0
     return loads
-
-
-def _find_start(model: Model) -> dict[str, float]:
-    """Find the position of each joint at which its controller holds it from the start."""
-    initial = {
-        one.joint: one.initial or 0.0 for one in model.command_interfaces if one.kind == "position"
-    }
-    found = {joint.name: initial.get(joint.name, 0.0) for joint in model.joints}
-    by_name = {joint.name: joint for joint in model.joints}
-    for joint in model.joints:
-        leaders = list(_list_leaders(joint, by_name))
-        if leaders:
-            offset = sum(
-                ratio * mimic.offset
-                for follower, ratio in ((joint.name, 1.0), *leaders)
-                if (mimic := by_name[follower].mimic) is not None
-            )
-            leader, ratio = leaders[-1]
-            found[joint.name] = ratio * initial.get(leader, 0.0) + offset
-    return found
-
-
-def _list_leaders(joint: Joint, by_name: Mapping[str, Joint]) -> Iterator[tuple[str, float]]:
-    """List what a joint mimics, and what that mimics, with the ratio of speeds to each."""
-    ratio = 1.0
-    while (mimic := joint.mimic) is not None and mimic.joint in by_name:
-        ratio *= mimic.multiplier
-        joint = by_name[mimic.joint]
-        yield joint.name, ratio
 
 
 def _move(joint: Joint, position: float) -> Origin:

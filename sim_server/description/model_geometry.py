@@ -36,7 +36,7 @@ from zensim.proto.rigid_transforms import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     import numpy as np
     import numpy.typing as npt
@@ -57,6 +57,35 @@ def find_link_poses(root: str, joints: tuple[Joint, ...]) -> dict[str, Origin]:
     for joint in joints:
         poses[joint.child] = compose(poses[joint.parent], joint.origin)
     return poses
+
+
+def find_start_positions(model: Model) -> dict[str, float]:
+    """Find the position of each joint at which its controller holds it from the start."""
+    initial = {
+        one.joint: one.initial or 0.0 for one in model.command_interfaces if one.kind == "position"
+    }
+    found = {joint.name: initial.get(joint.name, 0.0) for joint in model.joints}
+    by_name = {joint.name: joint for joint in model.joints}
+    for joint in model.joints:
+        leaders = list(list_leaders(joint, by_name))
+        if leaders:
+            offset = sum(
+                ratio * mimic.offset
+                for follower, ratio in ((joint.name, 1.0), *leaders)
+                if (mimic := by_name[follower].mimic) is not None
+            )
+            leader, ratio = leaders[-1]
+            found[joint.name] = ratio * initial.get(leader, 0.0) + offset
+    return found
+
+
+def list_leaders(joint: Joint, by_name: Mapping[str, Joint]) -> Iterator[tuple[str, float]]:
+    """List what a joint mimics, and what that mimics, with the ratio of speeds to each."""
+    ratio = 1.0
+    while (mimic := joint.mimic) is not None and mimic.joint in by_name:
+        ratio *= mimic.multiplier
+        joint = by_name[mimic.joint]
+        yield joint.name, ratio
 
 
 FindCorners: TypeAlias = "Callable[[str], npt.NDArray[np.floating]]"

@@ -21,7 +21,11 @@ from zensim.proto.messages.drive_messages import (
 )
 from zensim.proto.rigid_transforms import transform_point
 from zensim.sim_server.description.ground_friction import GroundFriction, GroundMotion, JointTargets
-from zensim.sim_server.description.model_geometry import NO_MESHES, find_link_poses
+from zensim.sim_server.description.model_geometry import (
+    NO_MESHES,
+    find_link_poses,
+    find_start_positions,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -108,7 +112,8 @@ def make_joint_targets(model: Model, numbers: tuple[float, ...]) -> JointTargets
     """Assign the targets of velocity and position actuators to joints."""
     index = {joint.name: i for i, joint in enumerate(model.joints)}
     steering = model.drive.steering_joints if model.drive else ()
-    positions = np.zeros(len(model.joints))
+    start = find_start_positions(model)
+    positions = np.array([start[joint.name] for joint in model.joints])
     speeds, efforts = {}, {}
     for actuator, number in zip(model.drive_actuators, numbers, strict=True):
         joint = index[actuator.joint]

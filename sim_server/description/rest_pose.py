@@ -437,14 +437,17 @@ def _find_stiffness(support: SupportPoints, weight_n: float) -> FloatArray:
 def _list_free_joints(
     model: Model, tree: LinkTree, support: SupportPoints, frames: LinkFrames
 ) -> list[int]:
-    """List the joints of suspensions: nothing drives them, and they carry supports."""
+    """List the joints of suspensions: nothing drives or holds them, and they carry supports."""
     driven = {actuator.joint for actuator in model.drive_actuators}
+    held = {name for one in model.joint_controllers if one.holds for name in one.joints}
     carrying = {joint for link in set(support.link.tolist()) for joint in tree.ancestors(link)}
     leaves = {i for i in range(len(model.joints)) if i + 1 not in tree.parents}
     found = []
     for i in sorted(carrying):
         joint = model.joints[i]
-        if joint.kind not in MOVABLE_KINDS or joint.name in driven or joint.mimic is not None:
+        if joint.kind not in MOVABLE_KINDS or joint.mimic is not None:
+            continue
+        if joint.name in driven or joint.name in held:
             continue
         if joint.kind != "prismatic" and is_upright(axis_of(frames, joint, i)):
             continue

@@ -92,6 +92,9 @@ def moved(part: DrivenPart, *measured: float, predicted: bool = False) -> Driven
     return DrivenPart(part.commanded, (vx, vy, wz), (vx, vy, wz) if predicted else None)
 
 
+STILL = moved(TURN, 0.0, 0.0, 0.0)
+
+
 @pytest.mark.parametrize(
     ("changes", "verdict"),
     [
@@ -109,6 +112,10 @@ def moved(part: DrivenPart, *measured: float, predicted: bool = False) -> Driven
         ),
         ({"tilt_rad": 0.2}, "off"),
         ({"creep_m_s": 0.01}, "off"),
+        ({"turn": STILL, "shift": (0.0, 0.0, -9.0), "remarks": ("it falls: …",)}, "predicted"),
+        ({"turn": STILL, "tilt_rad": 0.2, "remarks": ("it sinks: …",)}, "predicted"),
+        ({"turn": STILL, "remarks": ("it falls: …",)}, "off"),
+        ({"turn": STILL, "shift": (0.0, 0.0, -9.0)}, "off"),
         ({"has_diverged": True}, "unstable"),
         ({"error": "urdf.number: ..."}, "refused"),
         ({"error": "TypeError: ...", "is_fault": True}, "crashed"),

@@ -326,7 +326,7 @@ def _list_tricycles(lumped: LumpedModel, fixed: Sequence[GuessedPair]) -> Iterat
     upright = _list_upright_joints(lumped)
     by_child = {joint.child: joint for joint in lumped.joints}
     by_name = {joint.name: joint for joint in lumped.joints}
-    paired = {end.joint for pair in fixed for end in (pair.left, pair.right)}
+    paired = {end.joint for pair in find_pairs(lumped) for end in (pair.left, pair.right)}
     single = [wheel for wheel in find_wheels(lumped) if wheel.joint not in paired]
     if not fixed or len(single) != 1:
         return

@@ -94,7 +94,10 @@ on one contact sinks by 0.02 mm at 240 Hz.
 """
 MAX_FIRM_WHEELS = 4
 SOFT_SHARE = 1.0
-"""The same with more driven wheels, among which the solver's tolerance decides otherwise."""
+"""The same with more driven wheels, or wheels that slide, whose loads decide how it turns.
+
+The solver's tolerance decides otherwise: it is as large as the speeds that correct a firm contact.
+"""
 RIGID_ERP = 0.08
 """Share of a penetration that a step corrects, where rigid; pybullet's default."""
 BOUNCING_ERP = 0.005
@@ -110,7 +113,8 @@ def find_firmness(blueprint: Blueprint, dt_s: float) -> float:
     driven = sum(part.reflected_inertia > 0.0 for part in blueprint.parts)
     if not driven:
         return math.inf
-    share = FIRMNESS_SHARE if driven <= MAX_FIRM_WHEELS else SOFT_SHARE
+    is_firm = driven <= MAX_FIRM_WHEELS and not blueprint.drags
+    share = FIRMNESS_SHARE if is_firm else SOFT_SHARE
     return blueprint.mass_kg / (share * dt_s)
 
 

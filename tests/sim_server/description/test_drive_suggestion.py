@@ -8,6 +8,7 @@ from tests.sim_server.description.plugins.driven_robots import (
     a_car,
     a_diff_robot,
     a_four_wheeler,
+    a_steering,
     a_tyre,
     read_driven,
 )
@@ -22,6 +23,18 @@ from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.sim_server.description.drive_suggestion import suggest_drive, try_drive
 from zensim.sim_server.description.joint_reduction import LumpedModel
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
+
+
+def a_car_whose_front_wheels_are_drawn_only() -> str:
+    """Make a car with a steered wheel between its front wheels, which alone carries."""
+    text = a_car(
+        a_steering("steer_middle", 0.6, 0.0),
+        a_tyre("front_middle", 0.0, 0.0, parent="steer_middle_knuckle"),
+    )
+    for side in ("front_left", "front_right"):
+        head, link, tail = text.partition(f'<link name="{side}_tyre"')
+        text = head + link + tail.replace("collision>", "visual>", 2)
+    return text
 
 
 def advise(text: str) -> str:
@@ -39,8 +52,9 @@ def advise(text: str) -> str:
         (RING_ROBOT, "planar"),
         (SUSPENDED, "diff:left,right"),
         (a_robot('<link name="base"/>'), ""),
+        (a_car_whose_front_wheels_are_drawn_only(), "tricycle:front_middle,steer_middle"),
     ],
-    ids=["diff", "car", "omni", "ring", "suspension", "no wheels"],
+    ids=["diff", "car", "omni", "ring", "suspension", "no wheels", "front wheels for show"],
 )
 def test_report_names_a_drive_that_moves_the_robot(text: str, option: str) -> None:
     assert advise(text) == option

@@ -3,9 +3,9 @@ import pytest
 
 from benchmarks.wheel_models import WheelRobot, list_robots
 from tests.models import a_body, a_box, a_cart
-from tests.sim_server.description.plugins.driven_robots import BALLS, a_base, a_tyre
-from tests.sim_server.description.robots import a_robot
-from zensim.proto.messages.drive_messages import DiffDrive, WheelPair
+from tests.sim_server.description.plugins.driven_robots import BALLS, a_base, a_tyre, read_driven
+from tests.sim_server.description.robots import a_joint, a_link, a_robot, an_inertial
+from zensim.proto.messages.drive_messages import DiffDrive, DriveOrder, WheelPair
 from zensim.proto.messages.model_messages import Inertial, Link, Model
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.driving_notes import describe_driving
@@ -16,6 +16,21 @@ from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 
 ROBOTS = {robot.name: robot for robot in list_robots()}
 AS_COMMANDED = ("mass_ratio_1000", "swivels_all_around", "car_20_kg", "tricycle_20_kg", "mover_box")
+
+
+def a_leg(name: str, x: float, y: float) -> str:
+    """A hip above the body, and a wheel 0.8 m below and 0.1 m behind it."""
+    hip = (
+        f'<origin xyz="{x} {y} 0.2"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1" upper="1" effort="100" velocity="1"/>'
+    )
+    tyre = a_tyre(name, -0.1, 0.0, parent=f"{name}_leg").replace('"-0.1 0.0 0"', '"-0.1 0 -0.8"')
+    joint = a_joint(f"{name}_hip", ("base_link", f"{name}_leg"), "revolute", hip)
+    return a_link(f"{name}_leg", an_inertial()) + joint + tyre
+
+
+LEGS = {"fl": (0.35, 0.2), "fr": (0.35, -0.2), "rl": (-0.15, 0.2), "rr": (-0.15, -0.2)}
+LEGGED_BODY = a_base() + "".join(a_leg(name, *place) for name, place in LEGS.items())
 
 
 def reasons(model: Model) -> list[str]:
@@ -284,3 +299,24 @@ def test_reversed_wheels_that_the_drive_knows_get_no_entry() -> None:
     pairs = (WheelPair("left", "right", 0.4, 0.2, is_right_reversed=True),)
 
     assert reasons(msgspec.structs.replace(model, drive=DiffDrive(pairs=pairs))) == []
+
+
+def test_robot_whose_wheels_are_on_legs_that_nothing_holds_sinks() -> None:
+    model = read_driven(a_robot(LEGGED_BODY), order=DriveOrder("diff", tuple(LEGS)))
+
+    (reason,) = reasons(model)
+
+    assert reason.startswith("it sinks: nothing holds 'fl_hip', 'fr_hip', 'rl_hip' and 1 more")
+
+
+def test_legs_that_a_controller_holds_carry_the_robot() -> None:
+    hips = "".join(
+        f'<joint name="{name}_hip"><command_interface name="position"/></joint>' for name in LEGS
+    )
+    control = f'<ros2_control name="c" type="system">{hips}</ros2_control>'
+    model = read_driven(a_robot(LEGGED_BODY, control), order=DriveOrder("diff", tuple(LEGS)))
+
+    straight, _ = predict_nominal_motions(model)
+
+    assert straight.twist == pytest.approx(straight.nominal, abs=1e-3)
+    assert not any(reason.startswith("it sinks") for reason in reasons(model))

@@ -11,6 +11,7 @@ from tests.sim_server.description.plugins.driven_robots import (
     ORDERED_ROBOTS,
     a_car,
     a_diff_robot,
+    a_four_wheeler,
     read_driven,
 )
 from tests.sim_server.description.robots import (
@@ -20,7 +21,7 @@ from tests.sim_server.description.robots import (
     mentions,
 )
 from zensim.proto.drive_orders import parse_drive_order
-from zensim.proto.messages.drive_messages import SteeringDrive
+from zensim.proto.messages.drive_messages import DiffDrive, SteeringDrive
 from zensim.sim_server.description.ground_friction import GroundFriction
 from zensim.sim_server.description.motion_prediction import (
     limit_position,
@@ -83,6 +84,22 @@ def test_robot_that_drags_as_much_as_it_drives_is_not_predicted() -> None:
     model = read_driven(stiff, order=parse_drive_order(order))
 
     assert mentions(model.report, "predicted", "driving", "not predicted")
+
+
+def test_weak_wheels_that_hardly_differ_are_predicted_to_stand_when_told_to_turn() -> None:
+    text = a_four_wheeler()
+    for name in ("fl", "rl"):
+        head, link, tail = text.partition(f'<link name="{name}_tyre"')
+        text = head + link + tail.replace('radius="0.1"', 'radius="0.10001"', 1)
+    model = read_driven(text, order=parse_drive_order("diff:fl+rl,fr+rr"))
+    assert isinstance(model.drive, DiffDrive)
+    weak = msgspec.structs.replace(model.drive, max_torque_nm=1.0)
+    model = msgspec.structs.replace(model, drive=weak)
+
+    turn = predict_motion(model, TURN, GroundFriction(model))
+
+    assert turn.ground.motion.is_converged
+    assert turn.twist == pytest.approx((0.0, 0.0, 0.0), abs=1e-4)
 
 
 def a_narrow_car(limit: float) -> str:

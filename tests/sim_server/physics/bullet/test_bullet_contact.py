@@ -8,7 +8,9 @@ import pytest
 
 from tests.engines import STEP_NS, advance
 from tests.models import a_body, a_box, a_box_bot, a_cart, a_puck, box_bot_at
+from tests.sim_server.description.plugins.driven_robots import read_driven
 from tests.sim_server.physics.bullet_probe import dynamics_of
+from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.model_messages import Contact, Joint, Link, Model, Shape
 from zensim.sim_server.physics.blueprint import RigidPart, make_blueprint
 from zensim.sim_server.physics.bullet.bullet_contact import (
@@ -203,3 +205,52 @@ def test_box_bot_that_has_stopped_does_not_rock(engine: PyBulletEngine) -> None:
         turns.append(np.abs(engine.read([body]).base[0, 10:13]).max())
 
     assert max(turns) < 2e-3
+
+
+def a_heavy_wheel(name: str, x: float, y: float) -> str:
+    return (
+        f'<link name="{name}_tyre"><inertial><mass value="2.6"/><inertia ixx="0.09" iyy="0.09" '
+        'izz="0.09" ixy="0" ixz="0" iyz="0"/></inertial><collision><geometry>'
+        f'<sphere radius="0.32"/></geometry></collision></link><joint name="{name}" '
+        f'type="continuous"><parent link="base"/><child link="{name}_tyre"/>'
+        f'<origin xyz="{x} {y} 0.32"/><axis xyz="0 1 0"/></joint>'
+    )
+
+
+CART_OF_46_KG = (
+    '<robot name="cart"><link name="base"><inertial><origin xyz="-0.51 0.02 0.11"/>'
+    '<mass value="36"/><inertia ixx="4.7" iyy="9.7" izz="10.5" ixy="0" ixz="0" iyz="0"/>'
+    "</inertial></link>"
+    + "".join(
+        a_heavy_wheel(name, *place)
+        for name, place in {
+            "front_left": (1.03, 0.6),
+            "front_right": (1.03, -0.6),
+            "rear_left": (-0.85, 0.6),
+            "rear_right": (-0.85, -0.6),
+        }.items()
+    )
+    + "</robot>"
+)
+
+
+def test_four_wheels_that_slide_share_the_load_as_equal_springs_do() -> None:
+    order = DriveOrder("diff", ("front_left", "front_right", "rear_left", "rear_right"))
+    model = read_driven(CART_OF_46_KG, order=order)
+    engine = PyBulletEngine(EngineConfig(STEP_NS))
+    body = engine.add(model, np.array([0.0] * 6 + [1.0] + [0.0] * 6))
+
+    for _ in range(240):
+        engine.step()
+
+    found = engine.read_contacts([body])
+    loads = dict(zip(found.bodies[:, 1].tolist(), found.points[:, 9].tolist(), strict=True))
+    engine.close()
+    weight, length, width = 9.81 * 46.4, 1.88, 1.2
+    ahead = (36.0 * (0.85 - 0.51) + 5.2 * length) / 46.4 / length
+    left = 36.0 * 0.02 / 46.4 / width
+    expected = [
+        weight * (share + side * left) / 2.0 for share in (ahead, 1.0 - ahead) for side in (1, -1)
+    ]
+    assert model.drags
+    assert [loads[link] for link in (1, 2, 3, 4)] == pytest.approx(expected, abs=0.01 * weight)
