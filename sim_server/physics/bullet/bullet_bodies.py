@@ -67,6 +67,7 @@ class BulletBody:
         moves: Of each part, whether it can move.
         surfaces: Those that move.
         slippery: Parts that never move with a friction below 1, and the friction.
+        is_loose: Whether it is a single link that moves.
         spinning_moments: Principal moments of a loose body that can precess; else None.
         moving: Its moving joints by Bullet's numbers, carriers included.
         servo_gravity: Acceleration [m/s^2] of all links on joints; None if it differs.
@@ -88,6 +89,7 @@ class BulletBody:
     moves: tuple[bool, ...]
     surfaces: tuple[MovingSurface, ...]
     slippery: tuple[tuple[int, float], ...]
+    is_loose: bool
     spinning_moments: Vec3 | None
     moving: tuple[tuple[int, Joint], ...]
     servo_gravity: Vec3 | None
@@ -201,6 +203,7 @@ def make_bullet_body(
         moves=find_moving_parts(blueprint),
         surfaces=list_moving_surfaces(blueprint),
         slippery=list_slippery_surfaces(blueprint),
+        is_loose=is_loose(blueprint),
         spinning_moments=_find_spinning_moments(blueprint),
         moving=tuple(moving),
         servo_gravity=find_common_gravity(blueprint.links[1:], gravity),

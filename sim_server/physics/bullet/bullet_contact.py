@@ -27,6 +27,13 @@ The legs of a quadruped of 14 kg yield by 22 mrad with 20 at 240 Hz, by 1.4 with
 has converged stops before; 50 box_bots take 1.4 times as long beside such a robot.
 """
 
+STACK_ITERATIONS = 50
+"""Limit of a step in which loose bodies lie on one another.
+
+Five boxes creep by 0.6 mm in 30 s with 50 and friction anchors, by 2.1 with 20, by 7 and 9 mm
+without anchors; a step of them takes 120 us instead of 75. With 100 it takes 200, for 0.4 mm.
+"""
+
 SOLVER_RESIDUAL_THRESHOLD = 3e-7
 """The solver stops when no speed [m/s] changes by more than the square root of this.
 

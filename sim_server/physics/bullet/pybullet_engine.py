@@ -50,6 +50,7 @@ from zensim.sim_server.physics.bullet.bullet_contact import (
     RIGID_ERP,
     SOLVER_ARGUMENTS,
     SOLVER_ITERATIONS,
+    STACK_ITERATIONS,
     BulletArguments,
     find_recovery_share,
     has_self_collision,
@@ -70,6 +71,7 @@ from zensim.sim_server.physics.bullet.pair_friction import (
     add_twin_surfaces,
     find_copy_friction,
 )
+from zensim.sim_server.physics.bullet.stacked_bodies import StackedBodies
 from zensim.sim_server.physics.bullet.wheel_carriers import add_wheel_carriers, list_carriers
 from zensim.sim_server.physics.command_cache import CommandCache
 from zensim.sim_server.physics.engine import (
@@ -532,13 +534,13 @@ class PyBulletEngine(Engine):
         self._springs: dict[int, JointSprings] = {}
         self._spring_table: SpringTable | None = None
         self._servos: dict[int, JointServos] = {}
-        self._bare_models, self._is_bearing = BareModels(), False
+        self._bare_models = BareModels()
         self._pending_velocities: dict[int, tuple[FloatArray, FloatArray]] = {}
         self._joint_efforts: dict[int, list[tuple[int, float]]] = {}
         self._recovering: dict[int, float] = {}
         """Bodies that overlap others deeply, and the share of it that a step corrects."""
-        self._gravity = config.gravity
-        self._dt_s = config.step_ns * 1e-9
+        self._gravity, self._dt_s = config.gravity, config.step_ns * 1e-9
+        self._stacks, self._iterations = StackedBodies(self._dt_s), SOLVER_ITERATIONS
         self._com_frames = ComFrames()
         self._commands = CommandCache(self._find_width)
         _set_physics_parameters(client, config)
@@ -572,6 +574,8 @@ class PyBulletEngine(Engine):
             self._set_activation([body], states)
         for body in former._recovering.keys() | self._recovering.keys():  # noqa: SLF001
             self._set_recovery(body, self._recovering.get(body, RIGID_ERP))
+        for body in sorted(former._stacks.anchored ^ self._stacks.anchored):  # noqa: SLF001
+            self._set_anchor(body)
         parked = self._pool.list_parked()
         for body, known in (*self._bodies.items(), *parked.items()):
             self._set_collision_filter(body, known, collides=body not in parked)
@@ -616,6 +620,8 @@ class PyBulletEngine(Engine):
         self._set_rolling_resistance(body, is_held=False)
         if body in self._recovering:
             self._set_recovery(body, RIGID_ERP)
+        if self._stacks.forget(body):
+            self._set_anchor(body)
         known = self._bodies.pop(body)
         self._remove_copies(body)
         for table in (self._twists, self._loads, self._spinning, self._pending_velocities):
@@ -922,6 +928,7 @@ class PyBulletEngine(Engine):
         self._joint_efforts.pop(body, None)
         self._forget_springs(body)
         self._servos.pop(body, None)
+        self._stacks.forget(body)
         self._resisting.discard(body)
         self._remove_body(body)
 
@@ -940,6 +947,8 @@ class PyBulletEngine(Engine):
             self._loads[body] = known.loads
         if known.spinning_moments is not None:
             self._spinning[body] = known.spinning_moments
+        if known.is_loose:
+            self._stacks.add(body)
         if known.springs is not None:
             self._springs[body] = known.springs
             self._spring_table = None
@@ -1189,15 +1198,33 @@ class PyBulletEngine(Engine):
                 )
 
     def _limit_iterations(self) -> None:
-        """Let the next step take more iterations if controlled joints bear contacts now."""
+        """Let the next step take more iterations if something bears contacts now."""
+        if self._stacks.is_due():
+            self._follow_stacks()
         is_bearing = any(
             self._bears_contacts(body)
             for body, servos in self._servos.items()
             if servos.is_active and body not in self._asleep
         )
-        if is_bearing != self._is_bearing:
-            self._is_bearing = is_bearing
+        stacked = STACK_ITERATIONS if self._stacks.are_moving else SOLVER_ITERATIONS
+        iterations = BEARING_ITERATIONS if is_bearing else stacked
+        if iterations != self._iterations:
+            self._iterations = iterations
             self._set_iterations()
+
+    def _follow_stacks(self) -> None:
+        read = partial(pybullet.getContactPoints, physicsClientId=self._client)
+        for body in sorted(self._stacks.search(read, self._asleep)):
+            self._set_anchor(body)
+
+    def _set_anchor(self, body: int) -> None:
+        """Give the parts of a body friction anchors, or take them away."""
+        is_anchored = int(body in self._stacks.anchored)
+        for part in range(-1, self._bodies[body].parts):
+            pybullet.changeDynamics(
+                body, part, frictionAnchor=is_anchored, physicsClientId=self._client
+            )
+        self._set_collision_filter(body, self._bodies[body], collides=True)
 
     def _bears_contacts(self, body: int) -> bool:
         points = pybullet.getContactPoints(body, physicsClientId=self._client) or ()
@@ -1206,8 +1233,7 @@ class PyBulletEngine(Engine):
 
     def _set_iterations(self) -> None:
         pybullet.setPhysicsEngineParameter(
-            numSolverIterations=BEARING_ITERATIONS if self._is_bearing else SOLVER_ITERATIONS,
-            physicsClientId=self._client,
+            numSolverIterations=self._iterations, physicsClientId=self._client
         )
 
     def _forget_springs(self, body: int) -> None:
