@@ -84,16 +84,22 @@ class ParseReport:
 
     def unread_tag(self, subject: str, tag: str, known: Iterable[str]) -> None:
         """Report an unknown tag; as suspicious if its name resembles a known one."""
-        shown = f"{subject}: <{tag[:80]}>"
+        self._add_unread(f"{subject}: <{tag[:80]}>", tag, tuple(known), "<{}>")
+
+    def unread_attribute(self, subject: str, name: str, known: Iterable[str]) -> None:
+        """Report an unknown attribute; as suspicious if its name resembles a known one."""
+        self._add_unread(f"{subject}: attribute {name[:80]}", name, tuple(known), "{}")
+
+    def _add_unread(self, shown: str, name: str, known: tuple[str, ...], form: str) -> None:
         if not self._has_room("listed"):
             # The comparison is slow: a hostile file could have many unknown tags.
             self._left_out += 1
             return
-        key = (tag, tuple(known))
+        key = (name, known)
         if key not in self._similar:
-            self._similar[key] = get_close_matches(*key, n=1, cutoff=0.75)
+            self._similar[key] = get_close_matches(name, known, n=1, cutoff=0.75)
         if similar := self._similar[key]:
-            self.suspicious(shown, f"not read; did you mean <{similar[0]}>?")
+            self.suspicious(shown, f"not read; did you mean {form.format(similar[0])}?")
         else:
             self.unknown(shown, "not read")
 

@@ -1,4 +1,4 @@
-"""Values of SDF elements: numbers, vectors, flags, names, poses, tags of the zensim namespace."""
+"""Values of SDF elements: numbers, vectors, flags, names, poses."""
 
 from __future__ import annotations
 
@@ -15,18 +15,6 @@ from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
-
-ZENSIM_PREFIX = "zensim:"
-
-
-def zensim_tag(child: Element) -> str:
-    """Get the tag, without prefix, of an element of the zensim namespace; empty for others."""
-    tag = str(child.tag)
-    if tag.startswith(ZENSIM_PREFIX):
-        return tag.removeprefix(ZENSIM_PREFIX)
-    space, separator, name = tag.rpartition("}")
-    return name if separator and "zensim" in space else ""
-
 
 MAX_POSITION_M = 1e9
 """Doubles resolve a millimetre up to this distance."""
