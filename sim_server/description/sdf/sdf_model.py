@@ -21,7 +21,7 @@ import msgspec
 from zensim.proto.messages.model_messages import Dynamics, Inertial, Joint, Link, Model, Origin
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.rigid_transforms import compose, invert
-from zensim.sim_server.description.element_rules import check_element, zensim_tag
+from zensim.sim_server.description.element_rules import POSE, check_element, zensim_tag
 from zensim.sim_server.description.joint_reduction import reduce_joints
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
 from zensim.sim_server.description.parsed_model import (
@@ -544,9 +544,25 @@ def _read_part(
     if not is_static:
         moving = [joint for joint in lumped.joints if joint.child not in pivots]
         check_moving_parts(lumped.links, moving, report)
-    model = make_model(name, lumped, plugins=tree.plugins, sensors=tree.sensors, report=report)
+    sensors = [_place_sensor(tag, tree, report) for tag in tree.sensors]
+    model = make_model(name, lumped, plugins=tree.plugins, sensors=sensors, report=report)
     model = msgspec.structs.replace(model, is_static=is_static)
     return ModelPart(model, "" if is_first else parts.links[0].name, origin)
+
+
+def _place_sensor(tag: SensorElement, tree: FlattenedModel, report: ParseReport) -> SensorElement:
+    """Find the pose, in its link, of a sensor whose <pose> has attributes."""
+    pose = tag.element.find("pose")
+    if pose is None or not pose.keys():
+        return tag
+    check_element(pose, POSE, f"sensor {quote(tag.element.get('name'))}, pose", report)
+    found = read_pose(tag.element, f"sensor {quote(tag.element.get('name'))}")
+    if not found.frame:
+        return replace(tag, origin=found.origin)
+    scope = tag.link.rpartition(SCOPE_SEPARATOR)[0]
+    outer = tree.frames.pose(tree.frames.full_name(scope, found.frame))
+    in_link = compose(invert(tree.frames.pose(tag.link)), compose(outer, found.origin))
+    return replace(tag, origin=in_link)
 
 
 @contextmanager

@@ -237,7 +237,9 @@ STATE = ElementRule(
     attributes={"world_name": ANY_TEXT},
     children={
         "model": ElementRule(
-            attributes=NAMED, children={"pose": POSE}, others="only poses of models are used"
+            attributes=NAMED | {VERSION_ATTRIBUTE: ANY_TEXT},
+            children={"pose": POSE},
+            others="only poses of models are used",
         )
     },
     many=("model",),
