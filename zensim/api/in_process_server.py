@@ -576,7 +576,6 @@ class InProcessTelemetry:
         if self._checked != present:
             self._checked = present
             self._robots.check_all()
-            self._robots.announce()
             self._robots.reply_to_queries()
 
     def save(self) -> SavedTelemetry:
