@@ -246,9 +246,9 @@ def test_share_excludes_entities_without_a_drive() -> None:
     ids=["sensor", "joint states", "ground truth"],
 )
 def test_share_has_entities_that_publish_without_a_drive(published: dict[str, Any]) -> None:
-    parts = make_parts()
+    parts = make_parts(a_world())
     pole = msgspec.structs.replace(a_box(), **published)
-    parts.world.spawn(a_spawn("pole", model=pole))
+    parts.world.spawn(a_spawn("pole", model=pole, base=on_ground(5.0)))
 
     assert share(parts, "p").is_more is False
     assert driven_by(parts, "p") == ["pole"]
