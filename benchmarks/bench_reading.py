@@ -139,6 +139,9 @@ class Silence(ParseReport):
     def unread_tag(self, subject: str, tag: str, known: Iterable[str]) -> None:
         """See `ParseReport`."""
 
+    def unread_attribute(self, subject: str, name: str, known: Iterable[str]) -> None:
+        """See `ParseReport`."""
+
     def _add(self, status: ReportStatus, subject: str, reason: str) -> None:
         """See `ParseReport`."""
 

@@ -115,6 +115,24 @@ def on_ground(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
     return a_state((x, y, WHEEL_RADIUS_M), turn=(0.0, 0.0, yaw))
 
 
+SENSOR_POLE = """<robot name="pole"><link name="base"><inertial><mass value="30"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><origin xyz="0 0 0.1"/><geometry><box size="0.4 0.4 0.2"/></geometry></collision></link>
+<link name="top"/><joint name="t" type="fixed"><parent link="base"/><child link="top"/>
+<origin xyz="0 0 0.5"/></joint>
+<gazebo reference="top">
+<sensor name="imu" type="imu"><topic>imu</topic><update_rate>20</update_rate></sensor>
+<sensor name="gps" type="navsat"><topic>fix</topic><update_rate>5</update_rate></sensor>
+<sensor name="compass" type="magnetometer"><update_rate>5</update_rate></sensor>
+<sensor name="height" type="altimeter"><update_rate>5</update_rate></sensor></gazebo>
+<gazebo reference="base"><sensor name="bump" type="contact"><update_rate>20</update_rate></sensor>
+</gazebo></robot>"""
+"""Sensors without a drive and without joints that move."""
+POLE_TOPICS = (
+    "imu", "fix", "magnetic_field", "altimeter", "bumper_states", "tf_static", "robot_description",
+)  # fmt: skip
+
+
 def a_box_bot() -> Model:
     return read_urdf(read_builtin_model("box_bot"))
 

@@ -385,6 +385,13 @@ class Model(msgspec.Struct, frozen=True, gc=False):
         return sum(link.inertial.mass_kg for link in self.links)
 
     @property
+    def needs_agent(self) -> bool:
+        """Whether an agent drives it or publishes for it: sensors, states, transforms."""
+        publishes = self.joint_state is not None or bool(self.ground_truths)
+        measures = any(sensor.settings is not None for sensor in self.sensors)
+        return self.drive is not None or bool(self.joint_controllers) or publishes or measures
+
+    @property
     def actuators(self) -> tuple[Actuator, ...]:
         """Actuators of a drive command, in order: those of the drive, then controlled joints."""
         return self.drive_actuators + self.joint_actuators

@@ -18,6 +18,12 @@ from zensim.proto.messages.model_messages import (
     Vec3,
 )
 from zensim.proto.rigid_transforms import rotate
+from zensim.sim_server.description.element_rules import (
+    ElementRule,
+    make_leaves,
+    make_tree,
+    make_unread,
+)
 from zensim.sim_server.description.strict_parsing import parse_flag, quote, read_numbers
 from zensim.sim_server.errors import ModelError
 
@@ -98,6 +104,28 @@ Source: media/materials/scripts/gazebo.material of Gazebo Classic 11. SkyBlue is
 """
 
 RGB_COUNT = 3
+_NOT_DRAWN = "the page draws diffuse colours and textures"
+_WORKFLOW = ElementRule(
+    children=make_leaves("albedo_map")
+    | make_unread(
+        _NOT_DRAWN,
+        "ambient_occlusion_map", "emissive_map", "environment_map", "glossiness", "glossiness_map",
+        "light_map", "metalness", "metalness_map", "normal_map", "roughness", "roughness_map",
+        "specular_map",
+    ),
+)  # fmt: skip
+MATERIAL_RULE = ElementRule(
+    children=make_leaves("ambient", "diffuse")
+    | make_unread(
+        _NOT_DRAWN,
+        "specular", "emissive", "lighting", "shader", "render_order", "double_sided", "shininess",
+    )
+    | {
+        "script": ElementRule(children=make_leaves("uri", "name"), many=("uri",)),
+        "pbr": ElementRule(children={"metal": _WORKFLOW, "specular": _WORKFLOW}),
+    }
+)  # fmt: skip
+"""A <material> of SDF."""
 
 
 def find_gazebo_colour(name: str) -> Quat | None:
@@ -243,6 +271,35 @@ SURFACE_PATHS = {
     "threshold": "surface/bounce/threshold",
 }
 """Paths in a <collision> of SDF, by the names of URDF and of `SurfaceTagReader`."""
+_NOT_SIMULATED = "not simulated"
+_OF_ODE = "the values of <ode> are read"
+_NO_MASKS = "collisions are not filtered: everything collides with everything"
+SURFACE_RULE = make_tree(
+    (*FRICTION_PATHS, *SURFACE_PATHS.values()),
+    {
+        "surface/friction/ode/slip1": ElementRule(unread=_NOT_SIMULATED, idle=("0", "0.0")),
+        "surface/friction/ode/slip2": ElementRule(unread=_NOT_SIMULATED, idle=("0", "0.0")),
+        "surface/friction/bullet/friction2": ElementRule(unread=_OF_ODE),
+        "surface/friction/bullet/fdir1": ElementRule(unread=_OF_ODE),
+        "surface/friction/bullet/rolling_friction": ElementRule(unread=_NOT_SIMULATED),
+        "surface/friction/torsional": ElementRule(unread=_NOT_SIMULATED),
+        "surface/contact/ode/soft_cfm": ElementRule(unread=_NOT_SIMULATED, idle=("0", "0.0")),
+        "surface/contact/ode/soft_erp": ElementRule(unread=_NOT_SIMULATED, idle=("0.2",)),
+        "surface/contact/bullet": ElementRule(unread=_OF_ODE),
+        "surface/contact/collide_without_contact": ElementRule(
+            unread="every contact has forces", idle=("0", "false")
+        ),
+        "surface/contact/collide_without_contact_bitmask": ElementRule(
+            unread=_NO_MASKS, idle=("1",)
+        ),
+        "surface/contact/collide_bitmask": ElementRule(unread=_NO_MASKS, idle=("65535", "0xffff")),
+        "surface/contact/category_bitmask": ElementRule(unread=_NO_MASKS, idle=("65535", "0xffff")),
+        "surface/contact/poissons_ratio": ElementRule(unread=_NOT_SIMULATED),
+        "surface/contact/elastic_modulus": ElementRule(unread=_NOT_SIMULATED),
+        "surface/soft_contact": ElementRule(unread=_NOT_SIMULATED),
+    },
+)["surface"]
+"""A <surface> of SDF."""
 
 
 def read_surface_texts(collision: Element) -> dict[str, str]:

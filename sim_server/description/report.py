@@ -11,7 +11,7 @@ import msgspec
 from zensim.proto.messages.model_messages import ReportEntry, ReportStatus
 
 MAX_ENTRIES = 200
-"""Without suspicious and essential ones."""
+"""Of what is applied, and of what is not read; without suspicious and essential ones."""
 MAX_SUSPICIOUS_ENTRIES = 600
 """More than one per link of the largest robot, so that no missing mesh is left out."""
 MAX_ESSENTIAL_ENTRIES = 1000
@@ -25,10 +25,11 @@ ESSENTIAL_SUBJECTS = ("drive", "driving", "joint controllers")
 _ESSENTIAL_SUBJECT = re.compile(r"(?:plugin|controller) (?:'[^']*'|\"[^\"]*\")")
 GROUPED: frozenset[ReportStatus] = frozenset({"applied", "ignored", "unknown"})
 _QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")
-_NUMBER = re.compile(r"(?<=, visual) \d+|(?<=, collision) \d+")
-_Kind = Literal["listed", "suspicious", "essential"]
+_PART = re.compile(r"(?<=, visual) (?:\d+|'[^']*')|(?<=, collision) (?:\d+|'[^']*')")
+_Kind = Literal["applied", "unread", "suspicious", "essential"]
 _LIMITS: Mapping[_Kind, int] = {
-    "listed": MAX_ENTRIES,
+    "applied": MAX_ENTRIES,
+    "unread": MAX_ENTRIES,
     "suspicious": MAX_SUSPICIOUS_ENTRIES,
     "essential": MAX_ESSENTIAL_ENTRIES,
 }
@@ -84,16 +85,22 @@ class ParseReport:
 
     def unread_tag(self, subject: str, tag: str, known: Iterable[str]) -> None:
         """Report an unknown tag; as suspicious if its name resembles a known one."""
-        shown = f"{subject}: <{tag[:80]}>"
-        if not self._has_room("listed"):
+        self._add_unread(f"{subject}: <{tag[:80]}>", tag, tuple(known), "<{}>")
+
+    def unread_attribute(self, subject: str, name: str, known: Iterable[str]) -> None:
+        """Report an unknown attribute; as suspicious if its name resembles a known one."""
+        self._add_unread(f"{subject}: attribute {name[:80]}", name, tuple(known), "{}")
+
+    def _add_unread(self, shown: str, name: str, known: tuple[str, ...], form: str) -> None:
+        if not self._has_room("unread"):
             # The comparison is slow: a hostile file could have many unknown tags.
             self._left_out += 1
             return
-        key = (tag, tuple(known))
+        key = (name, known)
         if key not in self._similar:
-            self._similar[key] = get_close_matches(*key, n=1, cutoff=0.75)
+            self._similar[key] = get_close_matches(name, known, n=1, cutoff=0.75)
         if similar := self._similar[key]:
-            self.suspicious(shown, f"not read; did you mean <{similar[0]}>?")
+            self.suspicious(shown, f"not read; did you mean {form.format(similar[0])}?")
         else:
             self.unknown(shown, "not read")
 
@@ -111,7 +118,7 @@ class ParseReport:
         if name is None:
             self._count(ReportEntry(status, subject, reason), kind)
             return
-        rest = _NUMBER.sub("", subject[name.end() :])
+        rest = _PART.sub("", subject[name.end() :])
         entry = ReportEntry(status, f"{subject[: name.start()]}''{rest}", reason)
         self._count(entry, kind, name=name.group())
 
@@ -134,7 +141,9 @@ class ParseReport:
 def _find_kind(status: ReportStatus, subject: str) -> _Kind:
     if subject in ESSENTIAL_SUBJECTS or _ESSENTIAL_SUBJECT.fullmatch(subject):
         return "essential"
-    return "listed" if status in GROUPED else "suspicious"
+    if status not in GROUPED:
+        return "suspicious"
+    return "applied" if status == "applied" else "unread"
 
 
 def _describe(entry: ReportEntry, found: _Occurrences) -> ReportEntry:

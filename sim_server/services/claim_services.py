@@ -201,8 +201,7 @@ def _find_share(
     robots = {
         entity.name: entity
         for entity in world.entities
-        if (entity.model.drive is not None or entity.model.joint_controllers)
-        and not world.divergence_guard.is_frozen(entity.name)
+        if entity.model.needs_agent and not world.divergence_guard.is_frozen(entity.name)
     }
     running = {pool: limit for pool, limit in limits.items() if pool not in silent}
     claims_of = {

@@ -11,15 +11,18 @@ from tests.integration.processes import (
     agent_of,
     eventually,
     running,
+    running_up,
     serving,
     wait_for_agents,
 )
 from tests.integration.robots import drive_for, robot
+from tests.models import POLE_TOPICS, SENSOR_POLE
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.gazebo_messages import ContactsState
 from zensim.proto.messages.standard_messages import Imu, NavSatFix, ns_from_time
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.spawner.client.sim_client import SimClient
 
 GPS = """<gazebo reference="base_link"><sensor type="gps" name="gps"><update_rate>10</update_rate>
 <plugin name="gps" filename="libgazebo_ros_gps_sensor.so">
@@ -124,3 +127,24 @@ def test_imu_and_bumper_give_equal_bytes_in_a_pool_and_alone() -> None:
         last = [set(run[key][-100:]) for run in runs]
         assert len(last[0]) == 100
         assert last[0] == last[1], key
+
+
+@pytest.mark.parametrize("agents", ["per-robot", "pooled"])
+def test_sensors_without_a_drive_publish_in_deployments(tmp_path: Path, agents: str) -> None:
+    model = tmp_path / "pole.urdf"
+    model.write_text(SENSOR_POLE)
+    options = ("--engine", "mujoco", "--no-viewer", "--sensors", "0")
+    with running_up("--robots", "1", "--model", str(model), "--agents", agents, *options) as up:
+        bus = up[2]
+        client = SimClient(bus)
+        (name,) = client.entities()
+        namespace = client.entity_model(name).namespace
+        queues = {topic: bus.subscribe(f"{namespace}/{topic}", 100) for topic in POLE_TOPICS}
+        received = dict.fromkeys(POLE_TOPICS, 0)
+
+        def has_all() -> bool:
+            for topic, queue in queues.items():
+                received[topic] += len(queue.take())
+            return all(received.values())
+
+        eventually(has_all, 30.0, "a message on each topic")

@@ -69,6 +69,7 @@ class Topic(Generic[Message]):
         key: Its key, such as `r1/scan`.
         kind: Class of its messages.
         settings: Of the sensor that publishes it; None for other topics.
+        is_latched: Whether late subscribers get its last message.
     """
 
     def __init__(
@@ -83,6 +84,7 @@ class Topic(Generic[Message]):
         self.key = key
         self.kind = kind
         self.settings: msgspec.Struct | None = None
+        self.is_latched = False
         self._on_callback = on_callback
         self._on_subscribed = on_subscribed
         self._access = access
@@ -155,7 +157,7 @@ class Topic(Generic[Message]):
             time.sleep(POLL_S)
 
     def on(self, call: Callable[[Message], object], queue: int = 1) -> TopicCallback[Message]:
-        """Call a function with messages.
+        """Call a function with messages; with the last one of a latched topic at once.
 
         While the caller steps the world it is called in the caller's thread before the step
         returns, else in a thread of the simulation. An exception ends the subscription, and the
@@ -169,6 +171,8 @@ class Topic(Generic[Message]):
             raise Invalid(f"queue={queue} is out of range", hint=f"use 1 to {MAX_QUEUE}")
         self.collect()
         callback = TopicCallback(self, call, queue)
+        if self.is_latched and self._latest is not None:
+            callback.add([self._latest])
         self._callbacks.append(callback)
         self._dispatcher.add(self)
         self._on_callback()

@@ -34,6 +34,7 @@ from zensim.proto.topic_catalog import (
     TF,
     TF_STATIC,
     TOPICS,
+    TopicSpec,
 )
 from zensim.robot_agent.topic_remapping import find_topic_keys
 from zensim.spawner.client.service_client import CALL_TIMEOUT_S, ServiceClient
@@ -395,7 +396,7 @@ class WorldSession:
 
     def make_topic(self, key: str, kind: type[Message]) -> Topic[Message]:
         """Make another subscription to a topic, which has its own unread messages."""
-        return Topic(
+        topic = Topic(
             self.access,
             self.dispatcher,
             key,
@@ -403,6 +404,9 @@ class WorldSession:
             on_callback=self._start_dispatch_thread,
             on_subscribed=lambda: self._await_sensor(key),
         )
+        spec = _find_spec(key)
+        topic.is_latched = spec is not None and spec.is_latched
+        return topic
 
     def find_robot_topic(self, name: str, topic: str) -> "Topic[Any]":
         """Find a topic of a robot by its name below the namespace, as `scan` or `front/scan`."""
@@ -477,16 +481,21 @@ def make_not_found(what: str, name: str, known: Iterable[str]) -> NotFound:
 
 
 def _find_kind(key: str) -> type[msgspec.Struct]:
-    for topic in (*ROBOT_TOPICS.values(), *TOPICS.values()):
-        if key == topic.suffix or key.endswith("/" + topic.suffix):
-            return topic.messages[0]
-    raise make_not_found("topic", key.rpartition("/")[2], ROBOT_TOPICS)
+    if (topic := _find_spec(key)) is None:
+        raise make_not_found("topic", key.rpartition("/")[2], ROBOT_TOPICS)
+    return topic.messages[0]
+
+
+def _find_spec(key: str) -> TopicSpec | None:
+    every = (*ROBOT_TOPICS.values(), *TOPICS.values())
+    fitting = (one for one in every if key == one.suffix or key.endswith("/" + one.suffix))
+    return next(fitting, None)
 
 
 def list_robot_topics(entry: RosterEntry) -> dict[str, tuple[str, type[msgspec.Struct]]]:
     """List the topics of a robot by name: key and class of messages."""
     found: dict[str, tuple[str, type[msgspec.Struct]]] = {}
-    if entry.model.drive is not None or entry.model.joint_controllers:
+    if entry.model.needs_agent:
         keys = find_topic_keys(Claim(0, entry.name, entry.namespace, entry.model))
         found |= {
             topic.name: (key, topic.messages[0])

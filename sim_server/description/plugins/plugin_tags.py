@@ -2,29 +2,40 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, NamedTuple
 
 from zensim.proto.messages.model_messages import RosBlock
 from zensim.proto.names import InvalidName, check_namespace
+from zensim.sim_server.description.element_rules import (
+    ElementRule,
+    check_element,
+    make_leaves,
+    make_unread,
+)
 from zensim.sim_server.description.strict_parsing import parse_flag, read_number, read_numbers
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from lxml.etree import _Element as Element
 
     from zensim.proto.messages.model_messages import Vec3
     from zensim.sim_server.description.report import ParseReport
 
-UNUSED_ROS_TAGS = {
-    "argument": "there is no ROS node to pass it to",
-    "parameter": "there is no ROS node to pass it to",
-    "qos": "quality of service is fixed",
-}
+_NO_NODE = "there is no ROS node to pass it to"
+ROS_RULE = ElementRule(
+    children=make_leaves("namespace", "remapping")
+    | make_unread(_NO_NODE, "argument", "parameter")
+    | make_unread("quality of service is fixed", "qos"),
+    many=("namespace", "remapping"),
+)
+"""A <ros> block."""
 NOT_A_NUMBER = (".nan", "nan")
 """Spellings of an unset number in YAML."""
-ROS_TAGS = ("namespace", "remapping", *UNUSED_ROS_TAGS)
+_PATH_ENDS = re.compile("[/@]")
+PLUGIN_ATTRIBUTES = ("name", "filename")
 
 
 def read_ros_block(ros: Element, *, subject: str, report: ParseReport) -> RosBlock:
@@ -37,10 +48,7 @@ def read_ros_block(ros: Element, *, subject: str, report: ParseReport) -> RosBlo
             namespaces.append(text)
         elif child.tag == "remapping":
             remappings += _read_remapping(text, subject=subject, report=report)
-        elif child.tag in UNUSED_ROS_TAGS:
-            report.ignored(f"{subject}: <{child.tag}>", UNUSED_ROS_TAGS[child.tag])
-        else:
-            report.unread_tag(f"{subject}: <ros>", child.tag, ROS_TAGS)
+    check_element(ros, ROS_RULE, f"{subject}, ros", report)
     namespace = _read_namespace(namespaces, subject=subject, report=report)
     return RosBlock(namespace=namespace, remappings=tuple(remappings))
 
@@ -89,17 +97,31 @@ class WrittenTags(NamedTuple):
     """Names and values in order; a list is a name several times."""
     ros: Element | None = None
     is_xml: bool = False
+    bare: Sequence[str] = ()
+    """Paths of elements without text, and of attributes as PATH@NAME: most are of no reader."""
 
 
 def list_plugin_tags(plugin: Element) -> WrittenTags:
     """List the tags of a plug-in."""
+    bare = [f"@{name}" for name in map(str, plugin.keys()) if name not in PLUGIN_ATTRIBUTES]
+    for child in plugin:
+        bare += () if child.tag == "ros" else list_bare(child, child.tag)
     return WrittenTags(
         f"plugin {(plugin.get('name') or '')[:80]!r}",
         plugin.get("filename") or "",
         [(child.tag, (child.text or "").strip()) for child in plugin],
         plugin.find("ros"),
         is_xml=True,
+        bare=bare,
     )
+
+
+def list_bare(element: Element, path: str) -> Iterator[str]:
+    """List the attributes of an element, and all below it."""
+    yield from (f"{path}@{name}" for name in map(str, element.keys()))
+    for child in element:
+        yield f"{path}/{child.tag}"
+        yield from list_bare(child, f"{path}/{child.tag}")
 
 
 class PluginTags:
@@ -124,6 +146,8 @@ class PluginTags:
         self._texts: dict[str, list[str]] = {}
         self._renamed: set[str] = set()
         self._read = {"ros"}
+        self._bare = written.bare
+        self._aliases = aliases
         for name, text in written.texts:
             tag = aliases.get(name, name)
             if tag != name:
@@ -242,12 +266,27 @@ class PluginTags:
         return read_ros_block(self._ros, subject=self.subject, report=self.report)
 
     def report_unread(self, unused: Mapping[str, str]) -> None:
-        """Report each tag that was not read; `unused` has the reasons for known tags."""
-        for tag in [one for one in self._texts if one not in self._read]:
+        """Report all that was not read; `unused` has the reasons for known tags."""
+        unread = [tag for tag in self._texts if tag not in self._read]
+        for tag in (*unread, *self._list_unread_bare(unread)):
+            path, separator, attribute = tag.rpartition("@")
             if tag in unused:
                 self.report.ignored(self.label(tag), unused[tag])
+            elif separator:
+                owner = self.label(path) if path else self.subject
+                self.report.unread_attribute(owner, attribute, ())
             else:
                 self.report.unread_tag(self.subject, tag, sorted(self._read))
+
+    def _list_unread_bare(self, unread: Iterable[str]) -> Iterator[str]:
+        """List what nothing read and what is in no tag that is reported."""
+        reported = set(unread)
+        for tag in self._bare:
+            parts = _PATH_ENDS.split(tag)
+            parts[0] = self._aliases.get(parts[0], parts[0])
+            above = {"/".join(parts[:count]) for count in range(1, len(parts))}
+            if tag not in self._read and reported.isdisjoint(above):
+                yield tag
 
     def _parse_number(self, tag: str, text: str) -> float:
         return read_number(text, where=f"{self.subject}, {tag}", slug=self._make_slug(tag))

@@ -87,6 +87,7 @@ MODEL_PLUGINS = {
 """Kind of sensor that a plug-in of a model is, by part of its file name; of ROS 1."""
 _ALWAYS = "every sensor publishes while it has a subscriber"
 _NAMESPACE = "the namespace is set by the spawn request"
+BODY_TAGS = ("bodyName", "body_name")
 ALWAYS_ON_TAGS = ("always_on", "alwaysOn")
 UNUSED_TAGS = {
     **dict.fromkeys(ALWAYS_ON_TAGS, _ALWAYS),
@@ -139,8 +140,7 @@ UNUSED_PLUGIN_TAGS = {
     **dict.fromkeys(("triggered", "triggerTopicName"), "only cameras are triggered"),
     **dict.fromkeys(("hokuyoMinIntensity", "organize_cloud"), "not simulated"),
     "baseline": "disparities are not published",
-    "body_name": "the sensor is on the link of its element",
-    "bodyName": "the sensor is on the link of its element",
+    **dict.fromkeys(BODY_TAGS, "the sensor is on the link of its element"),
     "fov": "the rays are those of <scan>",
     "depthImageTopicType": "depths are 32FC1",
 }
@@ -192,7 +192,7 @@ def _place_plugins(
 ) -> Iterator[SensorElement]:
     links = {link.name for link in lumped.links} | {frame.name for frame in lumped.frames}
     for plugin in plugins:
-        body = (plugin.findtext("bodyName") or plugin.findtext("body_name") or "").strip()
+        body = next(filter(None, (plugin.findtext(tag) for tag in BODY_TAGS)), "").strip()
         if body and body not in links:
             report.suspicious(
                 f"plugin {quote(plugin.get('name'))}",
@@ -224,9 +224,9 @@ def _make_source(tag: SensorElement, camera: Element | None, report: ParseReport
         name = f"{name}/{camera.get('name') or 'camera'}"
     subject = describe_sensor(name, tag.link)
     plugin = element if is_plugin else _choose_plugin(element, subject, report)
-    written = list_sensor_tags(element, subject, camera)
+    written = list_sensor_tags(tag, subject, camera)
     if is_plugin:
-        written = written._replace(texts=())
+        written = written._replace(texts=(), bare=())
     return SensorSource(
         name=name[:MAX_VALUE_LENGTH],
         kind=kind[:MAX_VALUE_LENGTH],
@@ -269,13 +269,16 @@ def _read_sensor(
     place: tuple[str, Origin],
 ) -> Sensor:
     link, origin = place
+    if tag.element.tag == PLUGIN_TAG:
+        for name in BODY_TAGS:  # They were read to place it.
+            source.written(name)
     ros = _read_ros(tag.element, source)
     sensor = Sensor(
         name=source.name,
         kind=source.kind,
         link=link,
         frame=tag.link,
-        origin=compose(origin, _read_origin(tag.element, source, camera)),
+        origin=compose(origin, _read_origin(tag, source, camera)),
         update_rate_hz=_read_rate(source),
         plugin=source.plugin.filename[:MAX_VALUE_LENGTH] if source.plugin else "",
         ros=ros,
@@ -357,10 +360,11 @@ def _read_number(tags: PluginTags, tag: str) -> float:
     return 0.0 if math.isinf(found) else found
 
 
-def _read_origin(element: Element, source: SensorSource, camera: Element | None) -> Origin:
+def _read_origin(tag: SensorElement, source: SensorSource, camera: Element | None) -> Origin:
     """Read the pose in the link, and that of the camera in the sensor."""
-    where = f"{source.subject}, pose"
-    origin = _to_origin(element.findtext("pose"), where)
+    where, element, origin = f"{source.subject}, pose", tag.element, tag.origin
+    if origin is None:
+        origin = _to_origin(element.findtext("pose"), where)
     inner = element.find("camera") if camera is None else camera
     source.tags.text("camera/pose", "")
     if inner is not None:

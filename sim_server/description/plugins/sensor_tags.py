@@ -25,12 +25,17 @@ if TYPE_CHECKING:
 
     from lxml.etree import _Element as Element
 
+    from zensim.proto.messages.model_messages import Origin
     from zensim.sim_server.description.report import ParseReport
 
 OWN_TAGS = ("sees_itself",)
 """Tags of the zensim namespace."""
 INFINITIES = ("inf", "infinity")
 PLUGIN_TAG = "plugin"
+POSE_TAG = "pose"
+SENSOR_ATTRIBUTES = ("name", "type")
+KNOWN_ATTRIBUTES = {"camera": ("name",), "noise": ("type",)}
+"""Attributes that are read, or mean nothing, by tag below a <sensor>."""
 
 
 class UnusableSensor(ValueError):
@@ -43,6 +48,8 @@ class SensorElement:
 
     link: str
     element: Element
+    origin: Origin | None = None
+    """Its pose in the link; None: it is that of its <pose>, six numbers."""
 
 
 @dataclass(frozen=True)
@@ -101,21 +108,38 @@ def describe_sensor(name: str, link: str) -> str:
     return f"sensor {quote(name)} on {quote(link)}"
 
 
-def list_sensor_tags(element: Element, subject: str, camera: Element | None = None) -> WrittenTags:
+def list_sensor_tags(tag: SensorElement, subject: str, camera: Element | None) -> WrittenTags:
     """List the tags of a sensor by path.
 
     Args:
-        element: The <sensor>.
+        tag: The <sensor>.
         subject: Its name in the report.
         camera: The only one of several cameras whose tags are listed.
     """
+    element = tag.element
     left_out = [one for one in element.findall("camera") if camera not in (None, one)]
     texts = [
         (path, text)
         for path, text in list_settings(element, left_out=left_out)
-        if text and path.partition("/")[0] != PLUGIN_TAG
+        if path.partition("/")[0] != PLUGIN_TAG
     ]
-    return WrittenTags(subject, "", texts, is_xml=True)
+    bare = [path for path, text in texts if not text]
+    bare += (f"@{name}" for name in map(str, element.keys()) if name not in SENSOR_ATTRIBUTES)
+    for child in element:
+        if child.tag != PLUGIN_TAG and child not in left_out:
+            bare += _list_attributes(child, child.tag)
+            bare += (f"{POSE_TAG}/{one.tag}" for one in child if child.tag == POSE_TAG)
+    bare = [path for path in bare if tag.origin is None or not path.startswith(f"{POSE_TAG}@")]
+    return WrittenTags(subject, "", [one for one in texts if one[1]], is_xml=True, bare=bare)
+
+
+def _list_attributes(element: Element, path: str) -> Iterator[str]:
+    known = KNOWN_ATTRIBUTES.get(str(element.tag), ())
+    for name in map(str, element.keys()):
+        if name not in known and (name != "value" or (element.text or "").strip()):
+            yield f"{path}@{name}"
+    for child in element:
+        yield from _list_attributes(child, f"{path}/{child.tag}")
 
 
 def list_sensor_plugin_tags(plugin: Element, subject: str) -> WrittenTags:
@@ -128,15 +152,15 @@ def list_settings(
 ) -> Iterator[tuple[str, str]]:
     """List path and text of each setting but the pose; the attribute `type` of noise is one."""
     for child in element:
-        if child in left_out or (child.tag == "pose" and not above):
+        if child in left_out or (child.tag == POSE_TAG and not above):
             continue
         tag = next((own for own in OWN_TAGS if child.tag.endswith(own)), child.tag)
         if tag == "noise" and (kind := child.get("type")) and child.find("type") is None:
             yield f"{above}{tag}/type", kind.strip()
-        if len(child):
-            yield from list_settings(child, f"{above}{tag}/")
-        else:
-            yield f"{above}{tag}", (child.text or child.get("value") or "").strip()
+        text = (child.text or child.get("value") or "").strip()
+        yield from list_settings(child, f"{above}{tag}/")
+        if text or not len(child):
+            yield f"{above}{tag}", text
 
 
 def read_value(tags: PluginTags, tag: str, default: float) -> float:

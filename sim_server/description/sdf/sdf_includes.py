@@ -8,8 +8,16 @@ from typing import TYPE_CHECKING
 
 from zensim.proto.messages.asset_messages import parse_fuel_uri, resolve_include_uri
 from zensim.proto.messages.result_messages import SpawnCode
+from zensim.sim_server.description.element_rules import check_element, find_name
 from zensim.sim_server.description.parsed_model import MODEL_FRAME
-from zensim.sim_server.description.sdf.sdf_values import ZENSIM_PREFIX, read_text
+from zensim.sim_server.description.sdf.sdf_rules import (
+    INCLUDE,
+    MERGED_MODEL,
+    MERGED_TAGS,
+    SDF,
+    VERSION_ATTRIBUTE,
+)
+from zensim.sim_server.description.sdf.sdf_values import read_text
 from zensim.sim_server.description.strict_parsing import (
     MAX_QUOTED_NAMES,
     find_root_tag,
@@ -34,16 +42,12 @@ SDF_VERSIONS = (
 )  # fmt: skip
 OLDER_VERSIONS = ("1.0", "1.1")
 """They have attributes where later ones have elements."""
-VERSION_ATTRIBUTE = "sdf_version"
-"""Set on each model and world, since a model may include models of other versions."""
 MAX_NESTING = 16
 """Of models, included or not."""
 MAX_INCLUDES = 5000
 MAX_SDF_TAGS = 400_000
 """Of a document, and of all its includes: the parser process reads them in 3 s with 150 MB."""
-INCLUDE_TAGS = ("uri", "name", "pose", "static", "placement_frame", "plugin")
 INCLUDABLE_TAGS = ("model", "light", "actor")
-MERGED_TAGS = ("link", "model", "joint", "frame", "gripper", "plugin")
 
 
 def no_includes(uri: str) -> str | None:  # noqa: ARG001  every resolver takes a URI
@@ -72,6 +76,7 @@ def parse_sdf(text: str, report: ParseReport) -> Element:
             "sdf",
             f"unknown version {quote(version)}; known: {SDF_VERSIONS[0]} to {SDF_VERSIONS[-1]}",
         )
+    check_element(sdf, SDF, sdf.tag, report)
     for owner in sdf.iter("model", "world"):
         owner.set(VERSION_ATTRIBUTE, version)
     return sdf
@@ -196,9 +201,7 @@ class IncludeExpander:
                 model.remove(old)
             model.append(deepcopy(written))
         model.extend(deepcopy(include.findall("plugin")))
-        for child in include:
-            if child.tag not in INCLUDE_TAGS:
-                self._report.unread_tag(f"include {quote(uri)}", child.tag, INCLUDE_TAGS)
+        check_element(include, INCLUDE, f"include {quote(uri)}", self._report)
 
     def _merge(self, model: Element, owner: Element, uri: str) -> None:
         """Replace an included model by its elements, which become elements of its owner.
@@ -211,9 +214,10 @@ class IncludeExpander:
                 f"include {quote(uri)}: merge", "only models merge into models; read as one model"
             )
             return
+        check_element(model, MERGED_MODEL, f"include {quote(uri)}: merged model", self._report)
         proxy = make_merge_frame(model)
         for element in [*model]:
-            if element.tag in MERGED_TAGS or str(element.tag).startswith(ZENSIM_PREFIX):
+            if find_name(element) in MERGED_TAGS:
                 _rename_model_frame(element, proxy.get("name") or "")
                 owner.insert(owner.index(model), element)
         owner.replace(model, proxy)

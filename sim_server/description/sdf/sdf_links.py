@@ -51,7 +51,7 @@ from zensim.sim_server.description.meshes.generated_solids import (
 )
 from zensim.sim_server.description.parsed_model import MODEL_FRAME, WORLD_LINK
 from zensim.sim_server.description.sdf.sdf_frames import PoseGraph
-from zensim.sim_server.description.sdf.sdf_includes import VERSION_ATTRIBUTE
+from zensim.sim_server.description.sdf.sdf_rules import VERSION_ATTRIBUTE
 from zensim.sim_server.description.sdf.sdf_values import (
     read_bound,
     read_child_numbers,
@@ -388,14 +388,20 @@ def read_geometry(part: Element, where: str, report: ParseReport) -> list[Shape]
         raise ModelError(
             f"{where} has no geometry; write one of {', '.join(GEOMETRY_TAGS)}", slug="sdf.geometry"
         )
-    if solids[0].find("submesh") is not None:
-        report.suspicious(f"{where}: <submesh>", "not supported; the whole mesh is used")
     if solids[0].tag == "polyline":
         return _read_polylines(solids, where, report)
+    _report_unused_shapes(solids, where, report)
     if _has_no_extent(solids[0]):
         report.suspicious(where, f"<{solids[0].tag}> of size 0; left out")
         return []
     return [_read_geometry_element(solids[0], where)]
+
+
+def _report_unused_shapes(solids: Sequence[Element], where: str, report: ParseReport) -> None:
+    if len(solids) > 1:
+        report.suspicious(f"{where}: <geometry>", f"{len(solids)} shapes; the first is used")
+    if solids[0].find("submesh") is not None:
+        report.suspicious(f"{where}: <submesh>", "not supported; the whole mesh is used")
 
 
 EXTENT_TAGS = ("size", "scale", "radius", "length", "radii")

@@ -21,6 +21,7 @@ import msgspec
 from zensim.proto.messages.model_messages import Dynamics, Inertial, Joint, Link, Model, Origin
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.rigid_transforms import compose, invert
+from zensim.sim_server.description.element_rules import POSE, check_element, zensim_tag
 from zensim.sim_server.description.joint_reduction import reduce_joints
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
 from zensim.sim_server.description.parsed_model import (
@@ -43,7 +44,6 @@ from zensim.sim_server.description.sdf.sdf_frames import (
     to_scoped_name,
 )
 from zensim.sim_server.description.sdf.sdf_includes import (
-    VERSION_ATTRIBUTE,
     IncludeExpander,
     ResolveInclude,
     no_includes,
@@ -58,12 +58,12 @@ from zensim.sim_server.description.sdf.sdf_links import (
     find_spanning_tree,
     leave_out_couplings,
 )
+from zensim.sim_server.description.sdf.sdf_rules import MODEL, VERSION_ATTRIBUTE
 from zensim.sim_server.description.sdf.sdf_values import (
     read_flag,
     read_name,
     read_pose,
     read_text,
-    zensim_tag,
 )
 from zensim.sim_server.description.strict_parsing import parse_flag, quote, quote_names
 from zensim.sim_server.errors import ModelError
@@ -72,193 +72,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from lxml.etree import _Element as Element
-
-NO_EFFECT = "Gazebo tag without effect"
-NOT_DRAWN = "the page draws diffuse colours and textures"
-
-
-class SdfElementRule(msgspec.Struct, frozen=True):
-    """Children of one element."""
-
-    children: dict[str, SdfElementRule] = {}
-    many: tuple[str, ...] = ()
-    """Children that may be repeated."""
-    unread: str = ""
-    """Reason why the element has no effect; empty when it has one."""
-    is_opaque: bool = False
-    """Its contents are not checked here."""
-
-
-LEAF = SdfElementRule()
-ZENSIM_MODEL_TAGS = ("{urn:zensim}dynamics", "zensim:dynamics")
-OPAQUE = SdfElementRule(is_opaque=True)
-UNUSED = SdfElementRule(unread=NO_EFFECT, is_opaque=True)
-PLAIN = SdfElementRule(unread=NOT_DRAWN, is_opaque=True)
-WORKFLOW = SdfElementRule(
-    children={
-        "albedo_map": LEAF,
-        **dict.fromkeys(
-            (
-                "ambient_occlusion_map", "emissive_map", "environment_map", "glossiness",
-                "glossiness_map", "light_map", "metalness", "metalness_map", "normal_map",
-                "roughness", "roughness_map", "specular_map",
-            ),
-            PLAIN,
-        ),
-    }
-)  # fmt: skip
-MATERIAL = SdfElementRule(
-    children={
-        "script": OPAQUE,
-        "ambient": LEAF,
-        "diffuse": LEAF,
-        "pbr": SdfElementRule(children={"metal": WORKFLOW, "specular": WORKFLOW}),
-        **dict.fromkeys(
-            (
-                "specular", "emissive", "lighting", "shader", "render_order", "double_sided",
-                "shininess",
-            ),
-            PLAIN,
-        ),
-    }
-)  # fmt: skip
-COLLISION = SdfElementRule(
-    children={
-        "pose": LEAF,
-        "geometry": OPAQUE,
-        "surface": OPAQUE,
-        "laser_retro": UNUSED,
-        "max_contacts": UNUSED,
-        "density": UNUSED,
-        "frame": UNUSED,
-    }
-)
-VISUAL = SdfElementRule(
-    children={
-        "pose": LEAF,
-        "geometry": OPAQUE,
-        "material": MATERIAL,
-        "transparency": LEAF,
-        "cast_shadows": PLAIN,
-        "laser_retro": UNUSED,
-        "meta": PLAIN,
-        "plugin": UNUSED,
-        "visibility_flags": PLAIN,
-        "frame": UNUSED,
-    }
-)
-INERTIAL = SdfElementRule(
-    children={
-        "pose": LEAF,
-        "mass": LEAF,
-        "inertia": SdfElementRule(
-            children=dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), LEAF)
-        ),
-        "fluid_added_mass": UNUSED,
-        "density": UNUSED,
-        "frame": UNUSED,
-    }
-)
-LINK = SdfElementRule(
-    children={
-        "pose": LEAF,
-        "inertial": INERTIAL,
-        "collision": COLLISION,
-        "visual": VISUAL,
-        "sensor": OPAQUE,
-        "light": OPAQUE,
-        **dict.fromkeys(
-            (
-                "audio_sink", "audio_source", "battery", "enable_wind", "frame", "kinematic",
-                "must_be_base_link", "particle_emitter", "plugin", "projector",
-            ),
-            UNUSED,
-        ),
-        **dict.fromkeys(("gravity", "self_collide"), LEAF),
-        "velocity_decay": SdfElementRule(children=dict.fromkeys(("linear", "angular"), LEAF)),
-    },
-    many=("collision", "visual", "sensor", "light", "plugin", "battery"),
-)  # fmt: skip
-AXIS = SdfElementRule(
-    children={
-        "xyz": LEAF,
-        "use_parent_model_frame": LEAF,
-        "initial_position": UNUSED,
-        "mimic": OPAQUE,
-        "limit": SdfElementRule(
-            children={
-                **dict.fromkeys(("lower", "upper", "effort", "velocity"), LEAF),
-                "stiffness": UNUSED,
-                "dissipation": UNUSED,
-            }
-        ),
-        "dynamics": SdfElementRule(
-            children=dict.fromkeys(
-                ("damping", "friction", "spring_reference", "spring_stiffness"), LEAF
-            )
-        ),
-    }
-)
-JOINT = SdfElementRule(
-    children={
-        **dict.fromkeys(("pose", "parent", "child"), LEAF),
-        "axis": AXIS,
-        "axis2": AXIS,
-        "sensor": OPAQUE,
-        **dict.fromkeys(
-            (
-                "frame", "gearbox_ratio", "gearbox_reference_body", "physics", "plugin",
-                "screw_thread_pitch", "thread_pitch",
-            ),
-            UNUSED,
-        ),
-    },
-    many=("sensor", "plugin"),
-)  # fmt: skip
-MODEL = SdfElementRule(
-    children={
-        **dict.fromkeys(("pose", "static", "frame", "self_collide", *ZENSIM_MODEL_TAGS), LEAF),
-        "link": LINK,
-        "joint": JOINT,
-        "model": OPAQUE,
-        "plugin": OPAQUE,
-        **dict.fromkeys(
-            ("allow_auto_disable", "enable_wind", "gripper", "static_origin"),
-            UNUSED,
-        ),
-    },
-    many=("frame", "link", "joint", "model", "plugin", "gripper"),
-)
-
-
-def report_unused_tags(model: Element, scope: str, report: ParseReport) -> None:
-    """Report the tags of a <model> that have no effect, without nested models."""
-    _report_element(model, MODEL, f"model {scope!r}" if scope else "model", report)
-
-
-def _report_element(element: Element, tag: SdfElementRule, where: str, report: ParseReport) -> None:
-    if tag.unread:
-        report.ignored(where, tag.unread)
-    if tag.is_opaque:
-        return
-    seen: set[str] = set()
-    for child in element:
-        if child.tag not in tag.children:
-            report.unread_tag(where, child.tag, tag.children)
-            continue
-        below = _describe_place(where, child)
-        if child.tag in seen and child.tag not in tag.many:
-            report.suspicious(below, "given more than once; the first is used")
-        elif tag.children[child.tag] is not LEAF:
-            _report_element(child, tag.children[child.tag], below, report)
-        seen.add(child.tag)
-
-
-def _describe_place(where: str, child: Element) -> str:
-    name = child.get("name")
-    if name and where.startswith("model"):
-        return f"{child.tag} {name[:80]!r}"
-    return f"{where}: <{child.tag}>" if ": <" not in where else f"{where[:-1]}/{child.tag}>"
 
 
 def read_dynamics(model: Element, report: ParseReport) -> Dynamics:
@@ -350,7 +163,7 @@ def flatten_model(model: Element, report: ParseReport) -> FlattenedModel:
     pending = [("", model)]
     while pending:
         scope, element = pending.pop()
-        report_unused_tags(element, scope, report)
+        check_element(element, MODEL, f"model {scope!r}" if scope else "model", report)
         check_sibling_names(element, report)
         if read_flag(element, "self_collide", default=False, where="model"):
             found.self_colliding.add(scope)
@@ -575,6 +388,9 @@ def read_sdf_model(
     rename_repeated(element, report)
     if read_pose(element, "model").origin != Origin():
         report.ignored("model: <pose>", "the pose is set by the spawn request")
+    if element.get("placement_frame"):
+        reason = "the spawn request sets the pose of the model frame"
+        report.ignored("model: attribute placement_frame", reason)
     model = read_model_element(element, MeshPolicy(has_mesh, allow_missing), report)
     return msgspec.structs.replace(model, report=report.entries())
 
@@ -728,9 +544,25 @@ def _read_part(
     if not is_static:
         moving = [joint for joint in lumped.joints if joint.child not in pivots]
         check_moving_parts(lumped.links, moving, report)
-    model = make_model(name, lumped, plugins=tree.plugins, sensors=tree.sensors, report=report)
+    sensors = [_place_sensor(tag, tree, report) for tag in tree.sensors]
+    model = make_model(name, lumped, plugins=tree.plugins, sensors=sensors, report=report)
     model = msgspec.structs.replace(model, is_static=is_static)
     return ModelPart(model, "" if is_first else parts.links[0].name, origin)
+
+
+def _place_sensor(tag: SensorElement, tree: FlattenedModel, report: ParseReport) -> SensorElement:
+    """Find the pose, in its link, of a sensor whose <pose> has attributes."""
+    pose = tag.element.find("pose")
+    if pose is None or not pose.keys():
+        return tag
+    check_element(pose, POSE, f"sensor {quote(tag.element.get('name'))}, pose", report)
+    found = read_pose(tag.element, f"sensor {quote(tag.element.get('name'))}")
+    if not found.frame:
+        return replace(tag, origin=found.origin)
+    scope = tag.link.rpartition(SCOPE_SEPARATOR)[0]
+    outer = tree.frames.pose(tree.frames.full_name(scope, found.frame))
+    in_link = compose(invert(tree.frames.pose(tag.link)), compose(outer, found.origin))
+    return replace(tag, origin=in_link)
 
 
 @contextmanager

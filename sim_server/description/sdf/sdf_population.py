@@ -15,6 +15,8 @@ from zlib import crc32
 import numpy as np
 
 from zensim.proto.rigid_transforms import rotate
+from zensim.sim_server.description.element_rules import check_element
+from zensim.sim_server.description.sdf.sdf_rules import POPULATION
 from zensim.sim_server.description.sdf.sdf_values import (
     read_pose,
     read_scalar,
@@ -77,6 +79,7 @@ def expand_populations(world: Element, report: ParseReport) -> None:
     for population in world.findall("population"):
         name = (population.get("name") or "").strip()
         where = f"population {quote(name)}"
+        check_element(population, POPULATION, where, report)
         model = population.find("model")
         included = population.find("include")
         template = model if model is not None else included

@@ -1,4 +1,4 @@
-"""Values of SDF elements: numbers, vectors, flags, names, poses, tags of the zensim namespace."""
+"""Values of SDF elements: numbers, vectors, flags, names, poses."""
 
 from __future__ import annotations
 
@@ -16,20 +16,9 @@ from zensim.sim_server.errors import ModelError
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-ZENSIM_PREFIX = "zensim:"
-
-
-def zensim_tag(child: Element) -> str:
-    """Get the tag, without prefix, of an element of the zensim namespace; empty for others."""
-    tag = str(child.tag)
-    if tag.startswith(ZENSIM_PREFIX):
-        return tag.removeprefix(ZENSIM_PREFIX)
-    space, separator, name = tag.rpartition("}")
-    return name if separator and "zensim" in space else ""
-
-
 MAX_POSITION_M = 1e9
 """Doubles resolve a millimetre up to this distance."""
+ROTATION_FORMATS = EULER_FORMAT, QUATERNION_FORMAT = "euler_rpy", "quat_xyzw"
 MAX_NAME_LENGTH = 256
 INFINITY_TEXTS = ("inf", "+inf", "-inf", "infinity", "-infinity")
 
@@ -137,9 +126,16 @@ def read_pose(owner: Element, where: str) -> RelativePose:
     if pose is None:
         return RelativePose()
     frame = (pose.get("relative_to") or pose.get("frame") or "").strip()
+    format_ = pose.get("rotation_format") or EULER_FORMAT
+    if format_ not in ROTATION_FORMATS:
+        raise ModelError(
+            f"{where}, pose: rotation_format {quote(format_)} is unknown; "
+            f"use {' or '.join(ROTATION_FORMATS)}",
+            slug="sdf.pose",
+        )
     if not (pose.text or "").strip():
         return RelativePose(frame=frame)
-    is_quaternion = pose.get("rotation_format") == "quat_xyzw"
+    is_quaternion = format_ == QUATERNION_FORMAT
     numbers = read_numbers(
         pose.text,
         counts=(7,) if is_quaternion else (6,),

@@ -35,6 +35,7 @@ from zensim.proto.messages.spawn_messages import NamedPose
 from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Vector3
 from zensim.proto.messages.world_messages import Scene
 from zensim.proto.rigid_transforms import compose
+from zensim.sim_server.description.element_rules import check_element, find_name, zensim_tag
 from zensim.sim_server.description.link_surfaces import read_rgba
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
 from zensim.sim_server.description.parsed_model import MODEL_FRAME, WORLD_LINK, find_repeated
@@ -60,14 +61,21 @@ from zensim.sim_server.description.sdf.sdf_model import (
     rename_repeated,
 )
 from zensim.sim_server.description.sdf.sdf_population import expand_populations
+from zensim.sim_server.description.sdf.sdf_rules import (
+    GROUND_INCLUDE,
+    PHYSICS,
+    SPHERICAL_CHOICES,
+    SPHERICAL_LIMITS,
+    SUN_INCLUDE,
+    UNSUPPORTED_WORLD_TAGS,
+    WORLD,
+)
 from zensim.sim_server.description.sdf.sdf_values import (
-    ZENSIM_PREFIX,
     RelativePose,
     read_name,
     read_pose,
     read_scalar,
     read_text,
-    zensim_tag,
 )
 from zensim.sim_server.description.strict_parsing import (
     MAX_QUOTED_NAMES,
@@ -89,8 +97,6 @@ if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
     from zensim.proto.messages.model_messages import Quat
-
-ZENSIM_WORLD_TAGS = ("description", "tags")
 
 
 def read_named_pose(frame: Element, name: str, origin: Origin) -> BoundedPose:
@@ -150,22 +156,17 @@ def read_physics(physics: Element, report: ParseReport) -> PhysicsSettings:
         # Gazebo's steps per second of wall time override the factor; 0 is unlimited.
         factor = min(rate * (step or 0.001), MAX_REAL_TIME_FACTOR)
     for child in physics:
-        if child.tag in ("max_step_size", "real_time_factor", "real_time_update_rate"):
+        if child.tag in PHYSICS.children:
             report.applied(f"physics: <{child.tag}>", (child.text or "").strip()[:40])
-        else:
-            report.ignored(f"physics: <{child.tag[:80]}>", "other engines only")
     return PhysicsSettings(step, factor)
 
 
-def read_scene(scene: Element, report: ParseReport) -> Scene:
+def read_scene(scene: Element) -> Scene:
     """Read the colours of a <scene>.
 
     Raises:
         ModelError: One is not three or four numbers.
     """
-    for child in scene:
-        if child.tag not in ("ambient", "background"):
-            report.ignored(f"scene: <{child.tag[:80]}>", "the page draws colours and lights only")
     return Scene(_read_colour(scene, "ambient"), _read_colour(scene, "background"))
 
 
@@ -192,36 +193,11 @@ MAX_GRAVITY = 1000.0
 """Along an axis [m/s^2]: four times that of the sun."""
 MAX_MAGNETIC_FIELD_T = 10.0
 """Along an axis: ten times that of a strong magnet."""
-SPHERICAL_CHOICES = {"surface_model": "EARTH_WGS84", "world_frame_orientation": "ENU"}
-"""Tags of <spherical_coordinates> with one supported value."""
-SPHERICAL_LIMITS = {
-    "latitude_deg": 90.0,
-    "longitude_deg": 360.0,
-    "elevation": 100_000.0,
-    "heading_deg": 360.0,
-}
-"""Largest values [deg, m], in the order of `SphericalCoordinates`."""
 MAX_MODELS = 5000
 SUN, GROUND = "sun", "ground_plane"
 """Names of the models that need no file."""
 MODEL_SCHEME = "model://"
 XACRO_PREFIX = "{http://www.ros.org/wiki/xacro}"
-UNUSED_WORLD_TAGS = {
-    "atmosphere": "air is not simulated",
-    "audio": "sound is not simulated",
-    "gui": "the page has its own view",
-    "plugin": "world plug-ins are not loaded; services are built in",
-    "wind": "air is not simulated",
-}
-UNSUPPORTED_WORLD_TAGS = {
-    "actor": "actors are not simulated",
-    "joint": "joints between models are not simulated",
-    "road": "roads are not simulated",
-}
-WORLD_TAGS = (
-    "include", "gravity", "physics", "model", "frame", "light", "scene", "state", "population",
-    "magnetic_field", "spherical_coordinates",
-)  # fmt: skip
 SKIPPABLE_CODES = (SpawnCode.UNSUPPORTED_FORMAT, SpawnCode.MISSING_ASSETS)
 """Errors of models that are left out; other errors are those of the world."""
 _NON_NAME_CHARACTERS = re.compile(r"[^A-Za-z0-9_]")
@@ -271,9 +247,11 @@ def read_world(
     _apply_builtin_includes(world, draft)
     IncludeExpander(resolve, report, allow_missing=allow_missing).expand(world)
     rename_repeated(world, report)
+    check_element(world, WORLD, "world", report)
     _add_frames(world, draft)
     for child in world:
-        _read_element(child, draft)
+        if child.tag in WORLD.many or child is world.find(child.tag):
+            _read_element(child, draft)
     if draft.policy.missing and not allow_missing:
         _refuse_missing_meshes(draft.policy.missing)
     if not draft.world.ground_plane and not any(map(_is_support, draft.models)):
@@ -325,11 +303,9 @@ def _apply_builtin_includes(world: Element, draft: _WorldDraft) -> None:
         if not name:
             continue
         draft.report.applied(f"include {uri}", f"built-in {name}")
+        rule = SUN_INCLUDE if name == SUN else GROUND_INCLUDE
+        check_element(include, rule, f"include {uri}", draft.report)
         if name == SUN:
-            for child in include:
-                if child.tag not in ("uri", "name"):
-                    subject = f"include {uri}: <{child.tag[:80]}>"
-                    draft.report.ignored(subject, "the built-in sun cannot be changed")
             draft.world = replace(draft.world, scene=replace(draft.world.scene, has_sun=True))
             world.remove(include)
         else:
@@ -450,17 +426,25 @@ def _read_element(child: Element, draft: _WorldDraft) -> None:
         found = FIELD_READERS[child.tag](child, report)
         draft.world = replace(draft.world, **{child.tag: found})
     elif child.tag == "scene":
-        colours = read_scene(child, report)
+        colours = read_scene(child)
         scene = replace(draft.world.scene, ambient=colours.ambient, background=colours.background)
         draft.world = replace(draft.world, scene=scene)
     elif child.tag == "light":
         where = f"light {quote(child.get('name'))}"
-        light, scene = read_light(child, read_pose(child, where).origin, report), draft.world.scene
+        light = read_light(child, _find_light_pose(child, where, draft), report)
+        scene = draft.world.scene
         if light is not None:
             scene = replace(scene, lights=(*scene.lights, light))
         draft.world = replace(draft.world, scene=scene)
     else:
         _report_element(child, report)
+
+
+def _find_light_pose(light: Element, where: str, draft: _WorldDraft) -> Origin:
+    pose = read_pose(light, where)
+    if pose.frame in ("", WORLD_LINK):
+        return pose.origin
+    return compose(draft.frames.pose(pose.frame), pose.origin)
 
 
 def _read_gravity(child: Element, report: ParseReport) -> Vec3:
@@ -499,10 +483,6 @@ def _read_spherical_coordinates(child: Element, report: ParseReport) -> Spherica
     found = SphericalCoordinates(
         *(_read_degrees(child, tag, limit) for tag, limit in SPHERICAL_LIMITS.items())
     )
-    for unread in child:
-        if unread.tag not in (*SPHERICAL_CHOICES, *SPHERICAL_LIMITS):
-            known_tags = (*SPHERICAL_CHOICES, *SPHERICAL_LIMITS)
-            report.unread_tag(where, unread.tag, known_tags)
     report.applied(
         f"world: <{where}>",
         f"{found.latitude_deg:g} N {found.longitude_deg:g} E, {found.elevation_m:g} m, "
@@ -539,17 +519,13 @@ def _read_world_frame(frame: Element, draft: _WorldDraft) -> None:
 
 
 def _report_element(child: Element, report: ParseReport) -> None:
-    if zensim_tag(child) in ZENSIM_WORLD_TAGS:
-        report.applied(f"world: <{ZENSIM_PREFIX}{zensim_tag(child)}>")
+    if zensim_tag(child) and find_name(child) in WORLD.children:
+        report.applied(f"world: <{find_name(child)}>")
     elif child.tag in UNSUPPORTED_WORLD_TAGS:
         name = quote(child.get("name"))
         report.suspicious(
             f"world: <{child.tag}> {name}", f"{UNSUPPORTED_WORLD_TAGS[child.tag]}; left out"
         )
-    elif child.tag in UNUSED_WORLD_TAGS:
-        report.ignored(f"world: <{child.tag}>", UNUSED_WORLD_TAGS[child.tag])
-    elif child.tag not in WORLD_TAGS:
-        report.unread_tag("world", child.tag, (*WORLD_TAGS, *UNUSED_WORLD_TAGS))
 
 
 def _read_model(element: Element, draft: _WorldDraft) -> None:

@@ -21,6 +21,7 @@ from zensim.proto.messages.model_messages import (
 )
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.collision_names import name_collision
+from zensim.sim_server.description.element_rules import check_element
 from zensim.sim_server.description.joint_reduction import (
     LumpedModel,
     reduce_joints,
@@ -62,6 +63,16 @@ from zensim.sim_server.description.strict_parsing import (
     read_number,
     read_numbers,
 )
+from zensim.sim_server.description.urdf.urdf_rules import (
+    GAZEBO_OF_JOINT,
+    GAZEBO_OF_LINK,
+    GAZEBO_OF_MODEL,
+    KEEP_JOINT_TAGS,
+    MOMENTS,
+    ROBOT,
+    SCALE,
+    SPRING_TAGS,
+)
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -72,291 +83,7 @@ if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Quat
     from zensim.sim_server.description.link_surfaces import UrdfMaterial
 
-NumberCounts = tuple[int, ...]
-TEXT: NumberCounts = ()
-ONE: NumberCounts = (1,)
-THREE: NumberCounts = (3,)
-SCALE: NumberCounts = (1, 3, 4)
-"""Of a mesh; RViz and PyBullet do not read the fourth number."""
-MAX_TEXT_LENGTH = 256
-
-
-class UrdfElementRule(msgspec.Struct, frozen=True):
-    """Attributes and children of one element."""
-
-    attributes: dict[str, NumberCounts] = {}
-    """Allowed counts of numbers by name; `TEXT` for text."""
-    required: tuple[str, ...] = ()
-    """Attributes that must not be missing or empty."""
-    children: dict[str, UrdfElementRule] = {}
-    needed: tuple[str, ...] = ()
-    """Children that must not be missing."""
-    many: tuple[str, ...] = ()
-    """Children that may be repeated."""
-    unread: str = ""
-    """Reason why the element has no effect; empty when it has one."""
-    unused: dict[str, str] = {}
-    """Attributes that others write, and why they have no effect."""
-    is_opaque: bool = False
-    """Its contents are not checked here."""
-    can_be_left_out: bool = False
-    """The robot moves the same without it: a fault leaves it out."""
-
-
-ORIGIN = UrdfElementRule(attributes={"xyz": THREE, "rpy": THREE})
-COLOUR = UrdfElementRule(attributes={"rgba": (3, 4)})
-TEXTURE = UrdfElementRule(attributes={"filename": TEXT})
-MATERIAL = UrdfElementRule(
-    attributes={"name": TEXT},
-    children={"color": COLOUR, "texture": TEXTURE},
-    can_be_left_out=True,
-)
-GEOMETRY = UrdfElementRule(
-    children={
-        "box": UrdfElementRule(attributes={"size": THREE}, required=("size",)),
-        "sphere": UrdfElementRule(attributes={"radius": ONE}, required=("radius",)),
-        "cylinder": UrdfElementRule(
-            attributes={"radius": ONE, "length": ONE}, required=("radius", "length")
-        ),
-        "capsule": UrdfElementRule(
-            attributes={"radius": ONE, "length": ONE}, required=("radius", "length")
-        ),
-        "ellipsoid": UrdfElementRule(attributes={"radii": THREE}, required=("radii",)),
-        "cone": UrdfElementRule(
-            attributes={"radius": ONE, "length": ONE}, required=("radius", "length")
-        ),
-        "mesh": UrdfElementRule(
-            attributes={"filename": TEXT, "scale": SCALE}, required=("filename",)
-        ),
-    }
-)
-_NOT_URDF = "not of URDF; no simulator reads it"
-COLLISION = UrdfElementRule(
-    attributes={"name": TEXT},
-    unused={"group": _NOT_URDF},
-    children={
-        "origin": ORIGIN,
-        "geometry": GEOMETRY,
-        "material": UrdfElementRule(unread="collisions are not drawn"),
-        "surface": UrdfElementRule(unread="SDF only; set friction by <mu1> in <gazebo>"),
-        "contact_coefficients": UrdfElementRule(unread="set friction by <mu1> in <gazebo>"),
-        "verbose": UrdfElementRule(unread=_NOT_URDF),
-    },
-    needed=("geometry",),
-)
-VISUAL = msgspec.structs.replace(
-    COLLISION, children={**COLLISION.children, "material": MATERIAL}, can_be_left_out=True
-)
-MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-INERTIAL = UrdfElementRule(
-    children={
-        "origin": ORIGIN,
-        "mass": UrdfElementRule(attributes={"value": ONE}, required=("value",)),
-        "inertia": UrdfElementRule(
-            attributes=dict.fromkeys(MOMENTS, ONE), required=("ixx", "iyy", "izz")
-        ),
-    },
-    needed=("mass",),
-)
-LINK = UrdfElementRule(
-    attributes={"name": TEXT},
-    unused={"type": _NOT_URDF},
-    required=("name",),
-    children={
-        "inertial": INERTIAL,
-        "visual": VISUAL,
-        "collision": COLLISION,
-        "contact": UrdfElementRule(
-            is_opaque=True, unread="Bullet only; set friction by <mu1> in <gazebo>"
-        ),
-        "self_filter": UrdfElementRule(unread="for filters of point clouds only"),
-        "self_collision_checking": UrdfElementRule(unread="for motion planners only"),
-    },
-    many=("visual", "collision"),
-)
-JOINT_END = UrdfElementRule(attributes={"link": TEXT}, required=("link",))
-JOINT = UrdfElementRule(
-    attributes={"name": TEXT, "type": TEXT},
-    required=("name", "type"),
-    children={
-        "origin": ORIGIN,
-        "parent": JOINT_END,
-        "child": JOINT_END,
-        "axis": UrdfElementRule(
-            attributes={"xyz": THREE}, unused={"rpy": "the axis is a direction in the joint frame"}
-        ),
-        "limit": UrdfElementRule(
-            attributes=dict.fromkeys(("lower", "upper", "effort", "velocity"), ONE)
-        ),
-        "dynamics": UrdfElementRule(
-            attributes={"damping": ONE, "friction": ONE},
-            unused=dict.fromkeys(("D", "K", "mu_coulomb", "mu_viscous"), _NOT_URDF)
-            | dict.fromkeys(
-                ("spring_reference", "spring_stiffness"), "write <springStiffness> in <gazebo>"
-            ),
-        ),
-        "joint_properties": UrdfElementRule(unread="of 2009; write <dynamics>"),
-        "mimic": UrdfElementRule(
-            attributes={"joint": TEXT, "multiplier": ONE, "offset": ONE},
-            required=("joint",),
-        ),
-        "calibration": UrdfElementRule(
-            attributes=dict.fromkeys(("rising", "falling", "reference_position"), ONE),
-            unread="real encoders only",
-        ),
-        "safety_controller": UrdfElementRule(
-            attributes=dict.fromkeys(
-                ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"), ONE
-            ),
-            unread="real controllers only",
-        ),
-    },
-    needed=("parent", "child"),
-)
-ROBOT = UrdfElementRule(
-    attributes={"name": TEXT, "version": TEXT},
-    required=("name",),
-    children={
-        "link": LINK,
-        "joint": JOINT,
-        "material": msgspec.structs.replace(MATERIAL, required=("name",)),
-        "gazebo": UrdfElementRule(is_opaque=True),
-        "transmission": UrdfElementRule(is_opaque=True),
-        "ros2_control": UrdfElementRule(is_opaque=True),
-        "sensor": UrdfElementRule(is_opaque=True, unread="no simulator reads it outside <gazebo>"),
-    },
-    many=("link", "joint", "material", "gazebo", "transmission", "ros2_control", "sensor"),
-)
-
-
-def check_urdf_schema(robot: Element, report: ParseReport) -> None:
-    """Check all tags and attributes outside <gazebo>; tags without effect are reported.
-
-    Raises:
-        ModelError: A required tag or attribute is missing, or a value is not a number.
-    """
-    _check_element(robot, ROBOT, "robot", report)
-
-
-def _check_element(element: Element, tag: UrdfElementRule, where: str, report: ParseReport) -> None:
-    if tag.unread:
-        report.ignored(where, tag.unread)
-    if tag.is_opaque or tag.unread:
-        return
-    _check_attributes(element, tag, where, report)
-    if tag is GEOMETRY:
-        _check_geometry(element, where, report)
-    seen: set[str] = set()
-    for child in list(element):
-        _check_child(child, tag, where, report)
-        if child.tag in seen and child.tag in tag.children and child.tag not in tag.many:
-            report.suspicious(
-                _describe_place(where, child), "given more than once; the first is used"
-            )
-        seen.add(child.tag)
-    for needed in tag.needed:
-        if needed not in seen:
-            raise ModelError(f"{where} has no <{needed}>; add one", slug=f"urdf.{needed}")
-
-
-def _check_child(child: Element, tag: UrdfElementRule, where: str, report: ParseReport) -> None:
-    if child.tag not in tag.children:
-        report.unread_tag(where, child.tag, tag.children)
-        return
-    rule, place = tag.children[child.tag], _describe_place(where, child)
-    try:
-        _check_element(child, rule, place, report)
-    except ModelError as error:
-        parent = child.getparent()
-        if not rule.can_be_left_out or parent is None:
-            raise
-        report.suspicious(place, f"{error.fault}; left out")
-        parent.remove(child)
-
-
-def _check_attributes(
-    element: Element, tag: UrdfElementRule, where: str, report: ParseReport
-) -> None:
-    for name, value in element.attrib.items():
-        if name in tag.unused:
-            report.ignored(f"{where}: attribute {name}", tag.unused[name])
-        elif name not in tag.attributes:
-            report.unknown(f"{where}: attribute {name[:80]}", "not read")
-        elif tag.attributes[name] and not value.strip() and name not in tag.required:
-            report.suspicious(f"{where}, {name}", "empty; the default is used")
-            element.attrib.pop(name)
-        else:
-            _check_value(value, tag.attributes[name], f"{where}, {name}")
-    for name in tag.required:
-        if not (element.get(name) or "").strip():
-            raise ModelError(f'{where} has no {name}; write {name}="..."', slug=f"urdf.{name}")
-
-
-def _check_value(value: str, counts: NumberCounts, where: str) -> None:
-    if counts:
-        read_numbers(value, counts=counts, where=where, slug="urdf.number")
-    elif len(value) > MAX_TEXT_LENGTH or not value.isprintable():
-        raise ModelError(
-            f"{where}: {value[:40]!r}... cannot be used; "
-            f"write at most {MAX_TEXT_LENGTH} printable characters",
-            slug="urdf.text",
-        )
-
-
-def _check_geometry(geometry: Element, where: str, report: ParseReport) -> None:
-    shapes = [child.tag for child in geometry]
-    if not shapes or shapes[0] not in GEOMETRY.children:
-        content = f"<{shapes[0][:80]}>" if shapes else "nothing"
-        raise ModelError(
-            f"{where} contains {content}; write one of {', '.join(GEOMETRY.children)}",
-            slug="urdf.geometry",
-        )
-    if len(shapes) > 1:
-        report.suspicious(where, f"{len(shapes)} shapes; the first is used")
-
-
-def _describe_place(where: str, child: Element) -> str:
-    if where != "robot":
-        return f"{where}, {child.tag}"
-    name = child.get("name")
-    return f"{child.tag} {name[:80]!r}" if name else f"{child.tag} at line {child.sourceline}"
-
-
-_NO_EFFECT = "Gazebo tag without effect"
-KEEP_JOINT_TAGS = ("preserveFixedJoint", "disableFixedJointLumping")
-LINK_TAGS = (*SURFACE_TAGS, "collision", "material", "sensor", "visual")
-UNUSED_LINK_TAGS = {
-    **dict.fromkeys(
-        (
-            "canonicalBody", "clearMaterial", "enable_wind", "genTexCoord", "kinematic",
-            "laserRetro", "maxContacts", "max_contacts", "must_be_base_link", "projector",
-        ),
-        _NO_EFFECT,
-    ),
-    "audio_source": "sound is not simulated",
-    "light": "lights of robots are not drawn",
-    "particle_emitter": "particles are not simulated",
-    "velocity_decay": "write <dampingFactor>",
-}  # fmt: skip
-UNUSED_JOINT_TAGS = dict.fromkeys(
-    (
-        "cfmDamping", "dampingFactor", "erp", "fudgeFactor", "initial_joint_position",
-        "provideFeedback", "stopCfm", "stopErp",
-    ),
-    _NO_EFFECT,
-) | {"implicitSpringDamper": "the engine chooses how it integrates springs"}  # fmt: skip
-SPRING_TAGS = ("springStiffness", "springReference")
 SPRING_KINDS = ("revolute", "continuous", "prismatic")
-MODEL_TAGS = ("plugin", "static", "self_collide")
-UNUSED_MODEL_TAGS = {
-    "allow_auto_disable": _NO_EFFECT,
-    "canonicalBody": _NO_EFFECT,
-    "joint": "joints are read outside of <gazebo>",
-    "link": "links are read outside of <gazebo>",
-    "verbose": _NO_EFFECT,
-    "enable_wind": _NO_EFFECT,
-    "pose": "the pose is set by the spawn request",
-}
 
 
 @dataclass
@@ -401,19 +128,21 @@ def read_gazebo_extensions(
     joints = {joint.name for joint in parts.joints}
     for block in robot.findall("gazebo"):
         reference = block.get("reference")
+        subject = "gazebo" if reference is None else f"gazebo {reference[:80]!r}"
         if reference is None:
+            check_element(block, GAZEBO_OF_MODEL, subject, report)
             for child in block:
                 _read_model_tag(child, blocks, report)
         elif reference in links:
+            check_element(block, GAZEBO_OF_LINK, subject, report)
             for child in block:
                 _read_link_tag(reference, child, blocks, report)
         elif reference in joints:
+            check_element(block, GAZEBO_OF_JOINT, subject, report)
             for child in block:
                 _read_joint_tag(reference, child, blocks, report)
         else:
-            report.suspicious(
-                f"gazebo {reference[:80]!r}", "no link or joint has this name; block not read"
-            )
+            report.suspicious(subject, "no link or joint has this name; block not read")
     _read_collected_texts(parts, blocks, report)
     return blocks
 
@@ -490,10 +219,6 @@ def _read_model_tag(child: Element, blocks: GazeboExtensions, report: ParseRepor
     elif child.tag == "self_collide":
         blocks.self_collides = bool(parse_flag(_element_text(child)))
         report.applied("gazebo: <self_collide>")
-    elif child.tag in UNUSED_MODEL_TAGS:
-        report.ignored(f"gazebo: <{child.tag}>", UNUSED_MODEL_TAGS[child.tag])
-    else:
-        _report_unread("gazebo", child.tag, (*MODEL_TAGS, *UNUSED_MODEL_TAGS), report)
 
 
 def _read_link_tag(
@@ -503,7 +228,8 @@ def _read_link_tag(
     if child.tag in SURFACE_TAGS:
         blocks.surface_texts.setdefault(link, {})[SURFACE_TAGS[child.tag]] = _element_text(child)
     elif child.tag == "collision":
-        _read_collision_block(link, child, blocks, report)
+        if texts := read_surface_texts(child):
+            blocks.surface_texts.setdefault(link, {}).update(texts)
     elif child.tag == "material":
         _read_material(link, child, blocks, report)
     elif child.tag == "visual":
@@ -514,23 +240,6 @@ def _read_link_tag(
         report.suspicious(
             f"{subject}: <plugin>", "not read in a block with a reference; remove the reference"
         )
-    elif child.tag in UNUSED_LINK_TAGS:
-        report.ignored(f"{subject}: <{child.tag}>", UNUSED_LINK_TAGS[child.tag])
-    else:
-        _report_unread(subject, child.tag, (*LINK_TAGS, *UNUSED_LINK_TAGS), report)
-
-
-def _read_collision_block(
-    link: str, collision: Element, blocks: GazeboExtensions, report: ParseReport
-) -> None:
-    """Read the <surface> of a <collision> in a block, which Gazebo puts into each of the link."""
-    if texts := read_surface_texts(collision):
-        blocks.surface_texts.setdefault(link, {}).update(texts)
-    for child in collision:
-        if child.tag != "surface" or not texts:
-            report.ignored(
-                f"gazebo {link!r}: <collision>, <{child.tag[:80]}>", "only a <surface> is used"
-            )
 
 
 def _read_material(
@@ -572,21 +281,6 @@ def _read_joint_tag(
         report.applied(f"{subject}: <{child.tag}>")
     elif child.tag in SPRING_TAGS:
         blocks.spring_texts.setdefault(joint, {})[child.tag] = _element_text(child)
-    elif child.tag in UNUSED_JOINT_TAGS:
-        report.ignored(f"{subject}: <{child.tag}>", UNUSED_JOINT_TAGS[child.tag])
-    else:
-        report.unread_tag(subject, child.tag, (*KEEP_JOINT_TAGS, *SPRING_TAGS, *UNUSED_JOINT_TAGS))
-
-
-OLD_GAZEBO_PREFIXES = ("controller:", "interface:", "sensor:", "geom:", "body:", "rendering:")
-
-
-def _report_unread(subject: str, tag: str, known: Iterable[str], report: ParseReport) -> None:
-    if tag.startswith(OLD_GAZEBO_PREFIXES) or "playerstage.sourceforge.net" in tag:
-        kind = tag.partition(":")[0] if "}" not in tag else "tags"
-        report.ignored(f"{subject}: <{kind}:...>", "of Gazebo 0.x, which ended in 2012")
-    else:
-        report.unread_tag(subject, tag, known)
 
 
 def _element_text(child: Element) -> str:
@@ -819,7 +513,7 @@ def read_urdf(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool =
     report = ParseReport()
     robot = parse_xml(text, root_tag="robot", slug="urdf")
     _refuse_xacro(robot)
-    check_urdf_schema(robot, report)
+    check_element(robot, ROBOT, "robot", report)
     parts = order_as_tree(read_links_and_joints(robot, MeshPolicy(has_mesh, allow_missing), report))
     parts = drop_floating_world(parts, report)
     parts = ParsedModel(parts.name, check_links(parts.links, report), parts.joints)

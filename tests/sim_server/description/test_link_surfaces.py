@@ -278,4 +278,4 @@ def test_surface_of_a_collision_block_of_urdf_is_that_of_sdf() -> None:
         0.5,
         0.2,
     )
-    assert "gazebo 'a': <collision>, <max_contacts>" in subjects(model.report, "ignored")
+    assert "gazebo 'a', collision: <max_contacts>" in subjects(model.report, "ignored")

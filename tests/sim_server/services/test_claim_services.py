@@ -1,6 +1,7 @@
 """Claims by name, and shares of pools."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import msgspec
 import pytest
@@ -12,8 +13,9 @@ from tests.sim_server.fakes import CONTROL_STEPS, a_spawn, a_world, handle_reque
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages import agent_messages
 from zensim.proto.messages.asset_messages import AssetRef
+from zensim.proto.messages.model_messages import GroundTruth, JointStatePublisher, Sensor
 from zensim.proto.messages.result_messages import ResultCode
-from zensim.proto.messages.sensor_messages import Environment, SphericalCoordinates
+from zensim.proto.messages.sensor_messages import Environment, ImuSensor, SphericalCoordinates
 from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse
 from zensim.sim_server.description.world_model import EARTH_MAGNETIC_FIELD, WorldModel
 from zensim.sim_server.errors import IncorrectState, RequestRefused
@@ -232,6 +234,24 @@ def test_share_excludes_entities_without_a_drive() -> None:
     parts.world.spawn(a_spawn("crate", model=CRATE, base=on_ground(5.0)))
 
     assert [grant.entity for grant in share(parts, "p").grants] == ["r0"]
+
+
+@pytest.mark.parametrize(
+    "published",
+    [
+        {"sensors": (Sensor("imu", "imu", "base", "base", settings=ImuSensor()),)},
+        {"joint_state": JointStatePublisher(joints=())},
+        {"ground_truths": (GroundTruth("base"),)},
+    ],
+    ids=["sensor", "joint states", "ground truth"],
+)
+def test_share_has_entities_that_publish_without_a_drive(published: dict[str, Any]) -> None:
+    parts = make_parts(a_world())
+    pole = msgspec.structs.replace(a_box(), **published)
+    parts.world.spawn(a_spawn("pole", model=pole, base=on_ground(5.0)))
+
+    assert share(parts, "p").is_more is False
+    assert driven_by(parts, "p") == ["pole"]
 
 
 def test_share_excludes_frozen_entities() -> None:

@@ -1,10 +1,12 @@
 """Sensors of worlds in process: their topics have what sensor processes publish."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.models import POLE_TOPICS, SENSOR_POLE
 from zensim import Robot, Sim, World, launch
 from zensim.api.simulation import Simulation
 from zensim.proto.messages.standard_messages import LaserScan, Odometry
@@ -132,3 +134,40 @@ def test_each_of_many_robots_publishes_from_the_step_after_its_subscription() ->
         first = stamps[fleet.names[0]]
         assert len(first) > 2
         assert [found[-len(first) :] for found in stamps.values()] == [first] * 4
+
+
+def test_sensors_without_a_drive_and_static_topics_reach_callbacks(tmp_path: Path) -> None:
+    model = tmp_path / "pole.urdf"
+    model.write_text(SENSOR_POLE)
+    received: dict[str, int] = dict.fromkeys(POLE_TOPICS, 0)
+
+    def count(name: str) -> None:
+        received[name] += 1
+
+    with World("walls") as world:
+        robot = world.spawn(str(model), name="pole")
+        for name in POLE_TOPICS:
+            robot.topic(name).on(lambda _, name=name: count(name))
+        world.run_for(1.0)
+
+    assert received == {
+        "imu": 20,
+        "fix": 5,
+        "magnetic_field": 5,
+        "altimeter": 5,
+        "bumper_states": 20,
+        "tf_static": 1,
+        "robot_description": 1,
+    }
+
+
+def test_further_callback_of_a_static_topic_gets_its_message() -> None:
+    received: list[object] = []
+    with World("walls") as world:
+        topic = world.spawn("box_bot", name="r1").topic("tf_static")
+        topic.read()
+        topic.on(received.append)
+        topic.on(received.append)
+        world.run_for(0.1)
+
+    assert len(received) == 2

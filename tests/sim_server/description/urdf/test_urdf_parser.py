@@ -546,7 +546,7 @@ def test_unknown_elements_are_reported() -> None:
         "robot: <zebra>",
     ]
     assert subjects(entries, "ignored") == [
-        "joint 'j', joint_properties",
+        "joint 'j': <joint_properties>",
         "joint 'j', axis: attribute rpy",
     ]
     assert mentions(entries, "suspicious", "robot: <lnk>", "<link>")
@@ -558,8 +558,8 @@ def test_elements_without_effect_are_reported() -> None:
     entries = report_of(a_robot(PAIR, joint, '<sensor name="s"><any x="y"/></sensor>'))
 
     assert [entry.subject for entry in entries if entry.status == "ignored"] == [
-        "joint 'j', calibration",
-        "sensor 's'",
+        "joint 'j': <calibration>",
+        "robot: <sensor>",
     ]
 
 
