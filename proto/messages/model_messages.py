@@ -385,6 +385,11 @@ class Model(msgspec.Struct, frozen=True, gc=False):
         return sum(link.inertial.mass_kg for link in self.links)
 
     @property
+    def is_driven(self) -> bool:
+        """Whether an agent has something to command."""
+        return self.drive is not None or bool(self.joint_controllers)
+
+    @property
     def actuators(self) -> tuple[Actuator, ...]:
         """Actuators of a drive command, in order: those of the drive, then controlled joints."""
         return self.drive_actuators + self.joint_actuators

@@ -12,9 +12,9 @@ from collections import deque
 
 from zensim.api.api_errors import ConnectionLost, Error, Timeout
 from zensim.api.local_deployment import (
+    DemandLaunch,
     LaunchConfig,
     LaunchFailed,
-    SensorLaunch,
     start_programs,
 )
 from zensim.proto import keys
@@ -69,7 +69,7 @@ class ProgramKeeper:
         self._timeout_s = timeout_s
         self._output = ProgramOutput()
         self._supervisor = Supervisor(lambda _program, _status: None, self._output.descriptor)
-        self._sensors: SensorLaunch | None = None
+        self._on_demand: DemandLaunch | None = None
         self._failure: Exception | None = None
         self._is_started, self._is_over = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="zensim programs", daemon=True)
@@ -89,7 +89,7 @@ class ProgramKeeper:
             try:
                 bus = bus or open_bus(bus_config)
                 if bus.list_tokens(keys.alive_server(self._config.world_name)):
-                    self._sensors = SensorLaunch(self._config, self._supervisor, bus)
+                    self._on_demand = DemandLaunch(self._config, self._supervisor, bus)
                     return bus
             except BusError:
                 continue
@@ -122,8 +122,8 @@ class ProgramKeeper:
             self._is_started.set()
             while not self._is_over.wait(WATCH_PERIOD_S):
                 self._supervisor.watch()
-                if self._sensors is not None:
-                    self._sensors.poll(time.monotonic())
+                if self._on_demand is not None:
+                    self._on_demand.poll(time.monotonic())
         except (LaunchFailed, ProgramDied) as error:
             self._failure = error
         finally:

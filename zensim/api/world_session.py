@@ -486,7 +486,7 @@ def _find_kind(key: str) -> type[msgspec.Struct]:
 def list_robot_topics(entry: RosterEntry) -> dict[str, tuple[str, type[msgspec.Struct]]]:
     """List the topics of a robot by name: key and class of messages."""
     found: dict[str, tuple[str, type[msgspec.Struct]]] = {}
-    if entry.model.drive is not None or entry.model.joint_controllers:
+    if entry.model.is_driven:
         keys = find_topic_keys(Claim(0, entry.name, entry.namespace, entry.model))
         found |= {
             topic.name: (key, topic.messages[0])
