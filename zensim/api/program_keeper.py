@@ -11,6 +11,7 @@ import time
 from collections import deque
 
 from zensim.api.api_errors import ConnectionLost, Error, Timeout
+from zensim.api.call_deadline import limit
 from zensim.api.local_deployment import (
     DemandLaunch,
     LaunchConfig,
@@ -22,7 +23,7 @@ from zensim.proto.bus import Bus, BusConfig, BusError, open_bus
 from zensim.proto.supervisor import ProgramDied, Supervisor
 
 LOG = logging.getLogger(__name__)
-POLL_S = 0.01
+POLL_S, LIST_S = 0.01, 1.0
 WATCH_PERIOD_S = 0.1
 MAX_KEPT_LINES = 64
 OUTPUT_TIMEOUT_S = 1.0
@@ -88,7 +89,7 @@ class ProgramKeeper:
         while self._failure is None and time.monotonic() < self._deadline_s:
             try:
                 bus = bus or open_bus(bus_config)
-                if bus.list_tokens(keys.alive_server(self._config.world_name)):
+                if bus.list_tokens(keys.alive_server(self._config.world_name), limit(LIST_S)):
                     self._on_demand = DemandLaunch(self._config, self._supervisor, bus)
                     return bus
             except BusError:
