@@ -2,8 +2,6 @@
 
 import os
 import signal
-import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,6 +11,7 @@ import msgspec
 
 from zensim.proto.bounded_files import MAX_OWN_FILE_BYTES, read_file
 from zensim.proto.process_limits import lock_file
+from zensim.proto.runtime_folder import find_runtime_folder, is_own, make_runtime_folder
 
 END_TIMEOUT_S = 20.0
 POLL_S = 0.05
@@ -28,21 +27,13 @@ class LocalRun(msgspec.Struct, frozen=True):
     page: str = ""
 
 
-def find_runs_folder() -> Path:
-    """Find the folder of the records of this user; others cannot write there."""
-    base = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
-    owner = f"-{os.getuid()}" if hasattr(os, "getuid") else ""
-    return Path(base) / f"zensim{owner}"
-
-
 @contextmanager
 def recorded_run(run: LocalRun) -> Iterator[None]:
     """Keep the record of a run while the block runs; without a folder there is none."""
-    folder = find_runs_folder()
-    descriptor, path = -1, folder / f"{run.process_id}.json"
+    descriptor, path = -1, find_runtime_folder() / f"{run.process_id}.json"
     with suppress(OSError):
-        folder.mkdir(mode=0o700, exist_ok=True)
-        if _is_own(folder):
+        if make_runtime_folder() is not None:
+            list_runs()  # which removes records of runs that were killed
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o600)
             lock_file(descriptor)
             os.write(descriptor, msgspec.json.encode(run))
@@ -56,10 +47,10 @@ def recorded_run(run: LocalRun) -> Iterator[None]:
 
 def list_runs() -> list[LocalRun]:
     """List the runs that are alive, by process id; records of others are removed."""
-    folder = find_runs_folder()
-    if not (folder.is_dir() and _is_own(folder)):
+    folder = find_runtime_folder()
+    if not (folder.is_dir() and is_own(folder)):
         return []
-    found = (_read_run(path) for path in folder.glob("*.json"))
+    found = (_read_run(path) for path in folder.glob("[0-9]*.json"))
     return sorted((run for run in found if run is not None), key=lambda run: run.process_id)
 
 
@@ -73,10 +64,6 @@ def end_run(run: LocalRun, timeout_s: float = END_TIMEOUT_S) -> bool:
             return False
         time.sleep(POLL_S)
     return True
-
-
-def _is_own(folder: Path) -> bool:
-    return sys.platform == "win32" or folder.stat().st_uid == os.getuid()
 
 
 def _read_run(path: Path) -> LocalRun | None:

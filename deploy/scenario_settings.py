@@ -209,8 +209,13 @@ def make_agents(scenario: Scenario, given: Given | None = None) -> LaunchAgentsC
         return LaunchAgentsConfig(
             chosen if "agents" in given or first.processes is None else first.processes,
             *_find_rates(first, given),
+            drives_others=True,
         )
-    return LaunchAgentsConfig(None, groups=tuple(_make_groups(scenario, driven, given)))
+    return LaunchAgentsConfig(
+        None,
+        groups=tuple(_make_groups(scenario, driven, given)),
+        drives_others=bool(given.get("drive_others")),
+    )
 
 
 def _drives_all(

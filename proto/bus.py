@@ -912,6 +912,10 @@ class EndpointUnreachable(BusError):
     """No router or server listens at the endpoints."""
 
 
+class NoSession(EndpointUnreachable):
+    """Something accepts connections at an endpoint to connect to, but opens no session."""
+
+
 class EndpointTaken(BusError):
     """Another process listens at the endpoint."""
 
@@ -1002,7 +1006,7 @@ class Bus:
         """Of this session, and of those that it opens."""
         self._expected_keys: dict[str, zenoh.KeyExpr] = {}
         self._user_token: zenoh.LivelinessToken | None = None
-        self._unanswered: OrderedDict[tuple[str, bytes], str] = OrderedDict()
+        self.unanswered: OrderedDict[tuple[str, bytes], str] = OrderedDict()
         """Ids of spawns without a reply, by key and digest of the request."""
         # Names this session in its requests: a server shares its time among sessions.
         self._source = zenoh.SourceInfo(session.id, 0)
@@ -1273,10 +1277,11 @@ class Bus:
         """
         key = keys.service(world, service.name, self.user)
         retry = self._find_retry(key, service, request)
-        request_id = request_id or self._unanswered.pop(retry, "") or uuid.uuid4().hex
+        request_id = request_id or self.unanswered.pop(retry, "") or uuid.uuid4().hex
         query = self._make_query(key, service, request, timeout_s, request_id)
+        deadline_s = time.monotonic() + timeout_s
         for pause_s in RETRY_AFTER_S:
-            for reply in query():
+            for reply in query(timeout=max(LEAST_TIMEOUT_S, deadline_s - time.monotonic())):
                 if reply.ok:
                     return _read_response(service, to_sample(reply.ok))
                 self._keep_for_retry(retry, request_id)
@@ -1294,9 +1299,9 @@ class Bus:
 
     def _keep_for_retry(self, retry: tuple[str, bytes], request_id: str) -> None:
         if retry[0]:
-            self._unanswered[retry] = request_id
-            while len(self._unanswered) > MAX_UNANSWERED:
-                self._unanswered.popitem(last=False)
+            self.unanswered[retry] = request_id
+            while len(self.unanswered) > MAX_UNANSWERED:
+                self.unanswered.popitem(last=False)
 
     def begin_call(
         self,
@@ -1326,7 +1331,7 @@ class Bus:
         request: Request,
         timeout_s: float,
         request_id: str,
-    ) -> "Callable[[], Handler[zenoh.Reply]]":
+    ) -> "partial[Handler[zenoh.Reply]]":
         """Make what sends a request, each time with the same id."""
         payload = encode(request, Format.MSGPACK)
         limit = min(MAX_REQUEST_BYTES, self.config.max_message_bytes)
@@ -1618,7 +1623,7 @@ def _make_open_error(config: BusConfig, text: str) -> BusError:
             return EndpointUnreachable(str(refusal))
         return JoinRefused(refusal.reason, str(refusal))
     if any(_accepts_connections(endpoint) for endpoint in config.connect):
-        return EndpointUnreachable(
+        return NoSession(
             f"{where} accepts connections, but no session: it is secured (use --join TOKEN), full, "
             "suspended or no router"
         )
@@ -1669,6 +1674,8 @@ def log_handshakes() -> None:
 HANDSHAKES: Final = "off,zenoh_transport::unicast::establishment::accept=debug,zenoh_link_tls=debug"
 OPEN_TIMEOUTS_S = (0.25, 0.25, 0.25, 0.25, 2.0)
 """Short, to find a new router soon; sometimes long, for a distant one."""
+LEAST_TIMEOUT_S: Final = 0.01
+"""Of a retried query, though the time of its call is over."""
 LEAST_ATTEMPT_S: Final = 0.05
 """From one attempt to the next: a join token is refused at once where nothing listens."""
 
@@ -1683,7 +1690,8 @@ def open_bus_with_retry(config: BusConfig, wait_s: float) -> Bus:
     deadline_s = time.monotonic() + wait_s
     timeouts = cycle(OPEN_TIMEOUTS_S)
     while True:
-        attempt = msgspec.structs.replace(config, open_timeout_s=next(timeouts))
+        left_s = max(OPEN_TIMEOUTS_S[0], deadline_s - time.monotonic())
+        attempt = msgspec.structs.replace(config, open_timeout_s=min(next(timeouts), left_s))
         next_s = time.monotonic() + LEAST_ATTEMPT_S
         try:
             return open_bus(attempt)

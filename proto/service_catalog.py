@@ -251,6 +251,15 @@ UNPAUSE_PHYSICS = Service(
 RESET_WORLD = Service(
     "reset_world", gazebo_messages.ResetWorldRequest, gazebo_messages.EmptyReport, is_mutating=True
 )
+GAZEBO_RESET_SIMULATION = Service(
+    "gazebo_reset_simulation",
+    gazebo_messages.GazeboResetSimulationRequest,
+    gazebo_messages.EmptyReport,
+    is_mutating=True,
+)
+GET_MODEL_LIST = Service(
+    "get_model_list", gazebo_messages.GetModelListRequest, gazebo_messages.GetModelListReport
+)
 APPLY_LINK_WRENCH = Service(
     "apply_link_wrench",
     gazebo_messages.ApplyLinkWrenchRequest,

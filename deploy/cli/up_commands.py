@@ -145,6 +145,15 @@ class UpOptions(RosTfOptions, ServeOptions):
             show_default=f"per-robot up to {MAX_AGENT_PROCESSES} robots",
         ),
     ] = ""
+    drive_others: Annotated[
+        bool,
+        _agents(
+            "--drive-others/--no-drive-others",
+            metavar="",
+            help="Drive robots that others spawn, by a pool that starts with the first of them.",
+            show_default="drive-others without a scenario",
+        ),
+    ] = True
     odom_hz: OdomHzOption = None
     tf_hz: TfHzOption = None
     sensors: Annotated[
@@ -243,6 +252,7 @@ def _make_plan(context: typer.Context, given: UpOptions) -> UpPlan:
     config = make_config(given)
     if given.file:
         return _make_scenario_plan(context, given, config)
+    _refuse_pools_that_drive_others(config, given)
     names = tuple(one.name for one in config.placements)
     if behaviour == "none" or not names:
         return UpPlan(config, None, given.open_page, names)
@@ -258,6 +268,7 @@ def _make_scenario_plan(context: typer.Context, given: UpOptions, config: Launch
     written = _list_written(context, given)
     refuse_options_of_the_demo(scenario, written)
     config = add_scenario(config, scenario, written)
+    _refuse_pools_that_drive_others(config, given)
     _refuse_two_endpoints(config, scenario)
     open_page = given.open_page if "open_page" in written else scenario.format.viewer.open
     maker = partial(_make_scenario_driver, scenario)
@@ -318,7 +329,7 @@ def make_config(given: UpOptions) -> LaunchConfig:
     """Make the settings of a deployment; raise `ValueError` if an option is not valid."""
     return msgspec.structs.replace(
         _make_server_config(given),
-        agents=_choose_agents(given.agents, given.robots, given.odom_hz, given.tf_hz),
+        agents=_choose_agents(given),
         sensor_processes=given.sensors,
         recording=str(given.record or ""),
         keeps_inputs=given.input_log,
@@ -475,14 +486,25 @@ def _make_placements(given: UpOptions) -> tuple[RobotPlacement, ...]:
     return tuple(make_placements(given.model, given.robots, given.layout, given.spacing))
 
 
-def _choose_agents(
-    agents: str, robots: int, odom_hz: float | None, tf_hz: float | None
-) -> LaunchAgentsConfig:
+def _choose_agents(given: UpOptions) -> LaunchAgentsConfig:
+    agents, robots = given.agents, given.robots
     if agents:
         parse_choice("--agents", agents, ("per-robot", "pooled"))
-    if agents == "per-robot" or (not agents and robots <= MAX_AGENT_PROCESSES):
-        return LaunchAgentsConfig(None, odom_hz, tf_hz)
-    return LaunchAgentsConfig(choose_pool_count(robots, os.cpu_count() or 1), odom_hz, tf_hz)
+    is_pooled = agents == "pooled" or (not agents and robots > MAX_AGENT_PROCESSES)
+    return LaunchAgentsConfig(
+        choose_pool_count(robots, os.cpu_count() or 1) if is_pooled else None,
+        given.odom_hz,
+        given.tf_hz,
+        drives_others=given.drive_others,
+    )
+
+
+def _refuse_pools_that_drive_others(config: LaunchConfig, given: UpOptions) -> None:
+    if not given.drive_others and config.agents.pools:
+        raise ValueError(
+            "--no-drive-others, but pools drive every robot; add --agents per-robot, or in a "
+            "scenario name robots under agents"
+        )
 
 
 @contextmanager
@@ -516,6 +538,7 @@ def _print_ready(deployment: LocalDeployment, names: Sequence[str], *, as_json: 
                 "endpoint": config.connect or config.endpoint,
                 "engine": deployment.ready_info.engine,
                 "viewer": deployment.viewer_url or None,
+                "drives_others": config.agents.drives_others,
             }
         )
         return
@@ -527,6 +550,7 @@ def _print_ready(deployment: LocalDeployment, names: Sequence[str], *, as_json: 
         "engine": deployment.ready_info.engine,
         "drive": f"zensim drive {first} 0.2 0.5{where}",
         "subscribe": f"zensim echo {first}/odom{where}",
+        "others": _describe_others(config.agents),
     }
     if config.client_endpoint != (config.connect or config.endpoint) and not config.join_addresses:
         elsewhere = config.client_endpoint.replace("127.0.0.1", socket.gethostname())
@@ -545,6 +569,12 @@ def _write_page(deployment: LocalDeployment) -> str:
     if not token or sys.stdout.isatty():
         return deployment.viewer_url
     return f"{bare} (token in {deployment.config.page_token})"
+
+
+def _describe_others(agents: LaunchAgentsConfig) -> str:
+    if agents.drives_others:
+        return "robots that others spawn are driven by a pool, too (--no-drive-others: not)"
+    return "nothing drives robots that others spawn; start: zensim agent NAME"
 
 
 def _make_client_options(config: LaunchConfig) -> str:

@@ -37,6 +37,10 @@ class ResetWorldRequest(EmptyRequest, frozen=True):
     """Reset every entity to its spawn pose, without resetting time."""
 
 
+class GazeboResetSimulationRequest(EmptyRequest, frozen=True):
+    """Reset time, and every entity to its spawn pose."""
+
+
 class EmptyResponse(msgspec.Struct, frozen=True):
     """Response without fields. Source: std_srvs/srv/Empty."""
 
@@ -82,6 +86,28 @@ class GazeboGetEntityStateResponse(msgspec.Struct, frozen=True):
 
 
 class GazeboGetEntityStateReport(GazeboGetEntityStateResponse, frozen=True):
+    """Adds the result."""
+
+    result: Result = Result()
+
+
+class GetModelListRequest(msgspec.Struct, frozen=True):
+    """List the entities. Source: gazebo_msgs/srv/GetModelList."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/GetModelList_Request"
+
+
+class GetModelListResponse(msgspec.Struct, frozen=True):
+    """Names of all entities, and simulation time. Source: gazebo_msgs/srv/GetModelList."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/GetModelList_Response"
+
+    header: Header = Header()
+    model_names: tuple[str, ...] = ()
+    success: bool = False
+
+
+class GetModelListReport(GetModelListResponse, frozen=True):
     """Adds the result."""
 
     result: Result = Result()

@@ -244,7 +244,10 @@ class RosService(msgspec.Struct, frozen=True, dict=True):
     @property
     def bridge_key(self) -> str:
         """Key on which zenoh-bridge-ros2dds calls."""
-        folder = "gazebo" if self.ros_type.startswith("gazebo_msgs/") else ""
+        is_gazebo = self.ros_type.startswith("gazebo_msgs/") or self.service.startswith(
+            GAZEBO_PREFIX
+        )
+        folder = "gazebo" if is_gazebo else ""
         return f"{folder}{self.name}".lstrip("/")
 
     def list_keys(self, domain: int) -> tuple[str, ...]:

@@ -78,12 +78,14 @@ def claim_entity(
     descriptions: Descriptions,
     request: agent_messages.ClaimEntityRequest,
 ) -> agent_messages.ClaimEntityResponse:
-    """Grant an agent the claim of entities, named by the agent."""
+    """Grant an agent the claim of entities, named by the agent; pools lose theirs to it."""
     _check_protocol(request.protocol)
     agent = _check_agent(agents, request.agent)
     if not request.entities:
         raise RequestRefused(ClaimCode.NOT_DRIVABLE, "no entity was named; name at least one")
-    granted = world.claim(agent, request.entities, request.on_release)
+    granted = world.claim(
+        agent, request.entities, request.on_release, yielding=agents.pool_limits.keys()
+    )
     agents.state_formats[agent] = Format[request.state_format.upper()]
     grants, models, texts = agent_messages.make_grants(descriptions.locate_files(granted))
     return agent_messages.ClaimEntityResponse(

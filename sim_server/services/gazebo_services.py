@@ -364,6 +364,25 @@ def reset_world(
     return gazebo_messages.EmptyReport()
 
 
+def reset_gazebo_simulation(
+    world: SimulatedWorld, _: gazebo_messages.GazeboResetSimulationRequest
+) -> gazebo_messages.EmptyReport:
+    """Reset time and the states of all entities; spawned entities stay, as in Gazebo."""
+    world.reset(ResetScope.TIME | ResetScope.STATE)
+    return gazebo_messages.EmptyReport()
+
+
+def get_model_list(
+    world: SimulatedWorld, _: gazebo_messages.GetModelListRequest
+) -> gazebo_messages.GetModelListReport:
+    """List the names of all entities."""
+    return gazebo_messages.GetModelListReport(
+        Header(time_from_ns(world.clock.time_ns)),
+        tuple(entity.name for entity in world.entities),
+        success=True,
+    )
+
+
 def get_gazebo_state(
     world: SimulatedWorld, request: gazebo_messages.GazeboGetEntityStateRequest
 ) -> gazebo_messages.GazeboGetEntityStateReport:

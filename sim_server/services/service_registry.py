@@ -182,6 +182,8 @@ SERVICE_TABLE = (
     make_entry(service_catalog.PAUSE_PHYSICS, gazebo_services.pause_physics),
     make_entry(service_catalog.UNPAUSE_PHYSICS, gazebo_services.unpause_physics),
     make_entry(service_catalog.RESET_WORLD, gazebo_services.reset_world),
+    make_entry(service_catalog.GAZEBO_RESET_SIMULATION, gazebo_services.reset_gazebo_simulation),
+    make_entry(service_catalog.GET_MODEL_LIST, gazebo_services.get_model_list),
     make_entry(service_catalog.APPLY_LINK_WRENCH, gazebo_services.apply_link_wrench),
     make_entry(service_catalog.CLEAR_LINK_WRENCHES, gazebo_services.clear_link_wrenches),
     make_entry(service_catalog.APPLY_JOINT_EFFORT, gazebo_services.apply_joint_effort),

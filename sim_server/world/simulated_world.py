@@ -520,10 +520,23 @@ class SimulatedWorld:
         self.engine.set_state(self.entities.find(name).body, base, positions, velocities)
         self._states = None
 
-    def claim(self, agent: str, names: tuple[str, ...], on_release: OnRelease) -> tuple[Claim, ...]:
+    def claim(
+        self,
+        agent: str,
+        names: tuple[str, ...],
+        on_release: OnRelease,
+        *,
+        yielding: AbstractSet[str] = frozenset(),
+    ) -> tuple[Claim, ...]:
         """Make an agent the only driver of some entities, all or none.
 
-        Those of a silent agent are taken from it.
+        Those of a silent or yielding agent are taken from it.
+
+        Args:
+            agent: Name.
+            names: Of the entities.
+            on_release: Fate of the entities when the agent ends.
+            yielding: Agents that keep only what no other agent names.
 
         Raises:
             EntityNotFound: One does not exist.
@@ -533,7 +546,8 @@ class SimulatedWorld:
         wanted = [self.entities.find(name) for name in dict.fromkeys(names)]
         for entity in wanted:
             self.divergence_guard.require_not_frozen(entity.name)
-            self.claims.require_free(entity.name, agent)
+            if self.claims.agent_of(entity.name) not in yielding:
+                self.claims.require_free(entity.name, agent)
         for entity in wanted:
             if (holder := self.claims.agent_of(entity.name)) not in ("", agent):
                 self.claims.drop(entity.name)

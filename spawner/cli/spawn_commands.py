@@ -22,6 +22,7 @@ from zensim.proto.printable_text import print_lines
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.verbosity import CURRENT, print_note
 from zensim.spawner.cli.command_session import data_console, open_client, print_json
+from zensim.spawner.cli.retried_spawns import keeping_unanswered_spawns
 from zensim.spawner.cli.spawn_arguments import (
     FleetOptions,
     SpawnOptions,
@@ -81,7 +82,10 @@ def spawn(given: SpawnOptions) -> None:
     if given.gazebo_namespace:
         note = "-gazebo_namespace has no effect; choose the world with --world-name"
         print_note("spawn", note)
-    with open_client("spawn", given, wait_s=plan.wait_s) as client:
+    with (
+        open_client("spawn", given, wait_s=plan.wait_s) as client,
+        keeping_unanswered_spawns(client.bus),
+    ):
         client.wait_for_server(plan.wait_s)
         if given.wait_entity:
             wait_for_entity(client, given.wait_entity, plan.wait_s)
@@ -212,7 +216,10 @@ def fleet(given: FleetOptions) -> None:
             allow_missing=given.allow_missing,
             controllers=given.controllers or (),
         )
-    with open_client("fleet", given, wait_s=given.wait) as client:
+    with (
+        open_client("fleet", given, wait_s=given.wait) as client,
+        keeping_unanswered_spawns(client.bus),
+    ):
         client.wait_for_server(given.wait)
         with upload_progress() as on_bytes:
             send_files(client, payload.bundle, on_bytes)

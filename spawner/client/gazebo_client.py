@@ -46,6 +46,15 @@ class GazeboClient:
         """Reset all entities to their initial poses; time continues."""
         self._call(service_catalog.RESET_WORLD, gazebo_messages.ResetWorldRequest())
 
+    def reset_simulation(self) -> None:
+        """Reset time, and all entities to their initial poses; spawned entities stay."""
+        request = gazebo_messages.GazeboResetSimulationRequest()
+        self._call(service_catalog.GAZEBO_RESET_SIMULATION, request)
+
+    def model_list(self) -> gazebo_messages.GetModelListReport:
+        """List the names of all entities."""
+        return self._call(service_catalog.GET_MODEL_LIST, gazebo_messages.GetModelListRequest())
+
     def apply_link_wrench(
         self,
         link: str,

@@ -43,7 +43,7 @@ FREE_PLACE = Point(-500.0, -500.0, 0.1)
 """Far from what has been spawned."""
 DECISIVE = {
     *("set_simulation_state", "load_world", "unload_world", "reset_simulation", "reset_world"),
-    *("pause_physics", "set_speed"),
+    *("pause_physics", "set_speed", "gazebo_reset_simulation"),
 }
 """Services that end or empty the world, or hold it, where the damage leaves a valid request."""
 LEFT_OUT = {*DECISIVE, "step_simulation", "simulate_steps", "run_to"}

@@ -27,6 +27,8 @@ INTERFACES = {
     " geometry_msgs/Pose initial_pose; string reference_frame"
     "---bool success; string status_message",
     "gazebo_msgs/srv/DeleteEntity": "string name---bool success; string status_message",
+    "gazebo_msgs/srv/GetModelList": "uint8 structure_needs_at_least_one_member"
+    "---std_msgs/Header header; string[] model_names; bool success",
     "simulation_interfaces/action/SimulateSteps_SendGoal": "unique_identifier_msgs/UUID goal_id;"
     " uint64 steps---bool accepted; builtin_interfaces/Time stamp",
     "simulation_interfaces/action/SimulateSteps_GetResult": "unique_identifier_msgs/UUID goal_id"

@@ -68,6 +68,7 @@ SPEECHLESS = {
     "pause_physics",
     "unpause_physics",
     "reset_world",
+    "gazebo_reset_simulation",
     "clear_link_wrenches",
     "clear_joint_efforts",
 }

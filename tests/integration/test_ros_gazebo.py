@@ -139,6 +139,24 @@ def test_spawn_entity_py_spawns_waits_unpauses_and_deletes(
     assert deleted["success"]
 
 
+def test_models_are_listed_and_the_simulation_is_reset_as_gazebo_does(
+    server: Server, observe: CallObserver
+) -> None:
+    call_service = make_service_call(observe)
+    spawned(call_service, "kept", xml=read_builtin_model("box_bot"), initial_pose=FORWARD)
+    epoch = server.client.info().epoch
+
+    listed = call_service("/get_model_list", "gazebo_msgs/srv/GetModelList", ros.OF_HUMBLE)
+    reset = call_service("/reset_simulation", EMPTY, ros.OF_HUMBLE)
+
+    assert listed is not None
+    assert (listed["success"], listed["model_names"]) == (True, ["kept"])
+    assert reset is not None
+    assert server.client.info().epoch > epoch
+    assert server.client.entities() == ("kept",)
+    call_service("/delete_entity", DELETE, ros.OF_HUMBLE, name="kept")
+
+
 def test_duplicate_name_is_refused_with_a_message(observe: CallObserver) -> None:
     call_service = make_service_call(observe)
     spawned(call_service, "twin", xml=read_builtin_model("box_bot"), initial_pose=FORWARD)

@@ -87,6 +87,8 @@ GAZEBO = {
     "GetEntityState_Request": "string name; string reference_frame",
     "GetEntityState_Response": "std_msgs/Header header; gazebo_msgs/EntityState state;"
     " bool success",
+    "GetModelList_Request": EMPTY,
+    "GetModelList_Response": "std_msgs/Header header; string[] model_names; bool success",
     "SetEntityState_Request": "gazebo_msgs/EntityState state",
     "SetEntityState_Response": "bool success",
     "ModelStates": "string[] name; geometry_msgs/Pose[] pose; geometry_msgs/Twist[] twist",

@@ -9,6 +9,7 @@ GAZEBO = {
     "pause_physics": "Empty",
     "unpause_physics": "Empty",
     "reset_world": "Empty",
+    "gazebo_reset_simulation": "Empty",
     "clear_link_wrenches": "LinkRequest",
     "clear_joint_efforts": "JointRequest",
     "gazebo_get_entity_state": "GetEntityState",

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from zensim.api.api_errors import NotFound, Unreachable, Unsupported
+from zensim.api.call_deadline import limit, limited
 from zensim.api.local_deployment import LaunchAgentsConfig, LaunchConfig
 from zensim.api.program_keeper import ProgramKeeper
 from zensim.api.server_access import ServerAccess
@@ -25,6 +26,7 @@ from zensim.proto.bus import (
     BusError,
     ForkedProcess,
     JoinRefused,
+    NoSession,
     open_bus_with_retry,
     require_threads,
 )
@@ -46,6 +48,9 @@ CONNECT_VARIABLE = "ZENSIM_CONNECT"
 DEFAULT_WORLD = "default"
 START_TIMEOUT_S = 30.0
 POLL_S = 0.01
+REFUSED_S = 0.2
+"""Time in which a server that starts at this moment is still found."""
+LIST_TIMEOUT_S, CALL_TIMEOUT_S = 1.0, 2.0
 _OPEN: "weakref.WeakSet[Sim]" = weakref.WeakSet()
 """Simulations that are closed at the exit of this process."""
 
@@ -80,13 +85,13 @@ def connect(
     """
     where, source = _choose_endpoint(token or endpoint)
     deadline = time.monotonic() + timeout_s
-    with ExitStack() as stack:
+    with ExitStack() as stack, limited(timeout_s):
         bus = stack.enter_context(_open(where, source, timeout_s))
         name = world or _find_world(bus, deadline)
-        if keys.alive_server(name) not in bus.list_tokens(keys.alive_server("*")):
-            there = _list_worlds(bus)
+        if name not in (there := _list_worlds(bus)):
             raise NotFound(
-                f"no world '{name}' at {bus.endpoint}", hint=f"there are {', '.join(there)}"
+                f"no world '{name}' at {bus.endpoint}",
+                hint=f"there are {', '.join(there)}" if there else "start one with 'zensim serve'",
             )
         sim = Sim(ServerAccess(bus, name))
         # The simulation closes it.
@@ -147,7 +152,7 @@ def launch_configured(config: LaunchConfig, timeout_s: float = START_TIMEOUT_S) 
 
 
 def _start(config: LaunchConfig, timeout_s: float) -> Sim:
-    with ExitStack() as stack:
+    with ExitStack() as stack, limited(timeout_s):
         with _fork_errors():
             require_threads()
         keeper = ProgramKeeper(config, timeout_s)
@@ -175,15 +180,18 @@ def servers(endpoint: str | None = None, *, timeout_s: float = 2.0) -> tuple[Ser
         timeout_s: Wall time.
     """
     where, source = _choose_endpoint(endpoint)
-    try:
-        bus = _open(where, source, timeout_s)
-    except Unreachable:
-        return ()
-    with bus, api_errors():
-        return tuple(
-            ServerEntry(name, bus.endpoint, ServiceClient(bus, name).info())
-            for name in _list_worlds(bus)
-        )
+    with limited(timeout_s):
+        try:
+            bus = _open(where, source, timeout_s)
+        except Unreachable:
+            return ()
+        with bus, api_errors():
+            return tuple(
+                ServerEntry(
+                    name, bus.endpoint, ServiceClient(bus, name, limit(CALL_TIMEOUT_S)).info()
+                )
+                for name in _list_worlds(bus)
+            )
 
 
 def _choose_endpoint(endpoint: str | None) -> tuple[str, str]:
@@ -215,11 +223,14 @@ def _fork_errors() -> Iterator[None]:
 
 
 def _open(where: str, source: str, timeout_s: float) -> Bus:
+    config, deadline = BusConfig(connect=(where,)), time.monotonic() + timeout_s
     try:
         with _fork_errors():
-            return open_bus_with_retry(
-                BusConfig(connect=(where,), open_timeout_s=min(timeout_s, 2.0)), min(timeout_s, 0.2)
-            )
+            try:
+                return open_bus_with_retry(config, min(timeout_s, REFUSED_S))
+            except NoSession:
+                # A server that is far away, or busy: nothing else is known before the timeout.
+                return open_bus_with_retry(config, max(0.0, deadline - time.monotonic()))
     except JoinRefused as error:
         raise Unreachable(str(error), slug="join_refused") from error
     except BusError as error:
@@ -227,7 +238,8 @@ def _open(where: str, source: str, timeout_s: float) -> Bus:
 
 
 def _list_worlds(bus: Bus) -> list[str]:
-    return sorted(key.split("/")[1] for key in bus.list_tokens(keys.alive_server("*")))
+    found = bus.list_tokens(keys.alive_server("*"), limit(LIST_TIMEOUT_S))
+    return sorted(key.split("/")[1] for key in found)
 
 
 def _find_world(bus: Bus, deadline: float) -> str:

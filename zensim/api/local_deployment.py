@@ -2,9 +2,11 @@
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Literal, get_args
@@ -29,7 +31,7 @@ from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
-from zensim.proto.messages.telemetry_messages import Event, Info, WorldClock
+from zensim.proto.messages.telemetry_messages import Event, GetModelsResponse, Info, WorldClock
 from zensim.proto.network_protocols import Sample
 from zensim.proto.operation_server import is_exposed
 from zensim.proto.ros2.ros_settings import RosSettings, to_cli_arguments
@@ -57,9 +59,9 @@ OPERATOR, VIEWER, RECORDER = "operator", "viewer", "recorder"
 that records."""
 POLL_S = 0.01
 EVENTS_DEPTH = 256
-ARRIVALS = ("spawned", "loaded")
-"""Kinds of events after which the world may have more sensors."""
-SENSOR_CALL_TIMEOUT_S, SENSOR_CALL_PERIOD_S = 1.0, 0.3
+NEWS = ("spawned", "loaded", "released")
+"""Kinds of events after which the world may have more sensors, or robots without an agent."""
+DEMAND_CALL_TIMEOUT_S, DEMAND_CALL_PERIOD_S = 1.0, 0.3
 
 
 ROBOTS_PER_POOL = 500
@@ -91,6 +93,8 @@ class LaunchAgentsConfig(msgspec.Struct, frozen=True):
     """None = `odom_hz`, or from the robot description."""
     groups: tuple[AgentGroup, ...] = ()
     """Further agents, for robots that are spawned later."""
+    drives_others: bool = False
+    """Whether a pool starts with the first robot that has no agent; `pools` drive all anyway."""
 
 
 PageRole = Literal["", "page", "operator"]
@@ -180,56 +184,96 @@ class LaunchProgress:
     on_driven: Callable[[], None]
 
 
-class SensorLaunch:
-    """Starts the sensor processes: at once, or when the world has something for them to measure.
+@dataclass(frozen=True)
+class DemandedPrograms:
+    """Programs that start once the world has something for them.
 
-    An idle one takes 23 MB (proportional set size), and most robots have no such sensor.
+    Attributes:
+        verb: Of `prepared_start`.
+        starts: Settings by program name.
+        is_wanted: Whether the entities of a world need them; None = they start at once.
+    """
+
+    verb: str
+    starts: Mapping[str, msgspec.Struct]
+    is_wanted: Callable[[GetModelsResponse], bool] | None
+
+
+class DemandLaunch:
+    """Starts sensor processes and the pool of robots of others when the world has some for them.
+
+    An idle sensor process takes 23 MB (proportional set size), a pool 40 MB, and most worlds need
+    neither.
     """
 
     def __init__(self, config: LaunchConfig, supervisor: Supervisor, bus: Bus) -> None:
-        self._config = config
+        self._waiting = list_demanded_programs(config)
         self._supervisor = supervisor
         # Short calls, since programs that died wait meanwhile.
-        self._client = SimClient(bus, config.world_name, SENSOR_CALL_TIMEOUT_S)
+        self._client = SimClient(bus, config.world_name, DEMAND_CALL_TIMEOUT_S)
         self._bus = bus
         self._events: BusSubscription | None = None
         """From the first call on, whose reply has all before: robots at a start are many events."""
-        self._has_news, self._is_done = True, False
+        self._has_news = True
         self._next_at_s = float("-inf")
 
     def poll(self, now_s: float) -> None:
-        """Start the processes if they are due; at most one call of the server in a period.
+        """Start the programs that are due; at most one call of the server in a period.
 
         Args:
             now_s: Wall time from any origin.
         """
         if self._events is None:
             self._events = self._bus.subscribe(EVENTS.key(self._client.world), EVENTS_DEPTH)
-        self._has_news |= any(map(_is_arrival, self._events.take()))
-        if self._is_done or not self._has_news or now_s < self._next_at_s:
+        self._has_news |= any(map(_is_news, self._events.take()))
+        self._start([one for one in self._waiting if one.is_wanted is None])
+        if not self._waiting or not self._has_news or now_s < self._next_at_s:
             return
-        self._next_at_s = now_s + SENSOR_CALL_PERIOD_S
-        if self._config.sensor_processes is None and not self._has_appeared():
-            return
-        self._is_done = True
-        for name, start in make_sensor_starts(self._config).items():
-            words = ("sensors", msgspec.json.encode(start).decode())
-            self._supervisor.start(name, words, is_restarted=True, module=PREPARED_START_MODULE)
-
-    def _has_appeared(self) -> bool:
-        """Whether an entity has a sensor for them; asked again after the next arrival."""
+        self._next_at_s = now_s + DEMAND_CALL_PERIOD_S
         try:
-            models = self._client.models().models
+            models = self._client.models()
         except (BusError, ServiceError, TimeoutError, MalformedPayload):
-            return False
+            return
         self._has_news = False
-        sensors = (sensor for model in models for sensor in model.sensors)
-        return any(isinstance(one.settings, RaySensor | CameraSensor) for one in sensors)
+        self._start([one for one in self._waiting if one.is_wanted and one.is_wanted(models)])
+
+    def _start(self, due: Sequence[DemandedPrograms]) -> None:
+        for programs in due:
+            self._waiting.remove(programs)
+            for name, start in programs.starts.items():
+                words = (programs.verb, msgspec.json.encode(start).decode())
+                self._supervisor.start(name, words, is_restarted=True, module=PREPARED_START_MODULE)
 
 
-def _is_arrival(sample: Sample) -> bool:
+def list_demanded_programs(config: LaunchConfig) -> list[DemandedPrograms]:
+    """List the programs of a deployment that its world may need."""
+    has_number = config.sensor_processes is not None
+    sensors = make_sensor_starts(config)
+    pool = make_pool_starts(config)
+    own = {one.name for one in config.placements}.union(*(g.entities for g in config.agents.groups))
+    return [
+        DemandedPrograms("sensors", sensors, None if has_number else _has_sensors),
+        *([DemandedPrograms("agent", pool, partial(_has_others, own))] if pool else []),
+    ]
+
+
+def _has_sensors(models: GetModelsResponse) -> bool:
+    """Whether an entity has a sensor for a sensor process."""
+    sensors = (sensor for model in models.models for sensor in model.sensors)
+    return any(isinstance(one.settings, RaySensor | CameraSensor) for one in sensors)
+
+
+def _has_others(own: AbstractSet[str], models: GetModelsResponse) -> bool:
+    """Whether a robot has no agent, and none that will claim it by name."""
+    return any(
+        not one.agent and one.entity not in own and models.models[one.model].needs_agent
+        for one in models.entities
+    )
+
+
+def _is_news(sample: Sample) -> bool:
     try:
-        return decode(Event, sample.payload, sample.encoding).kind in ARRIVALS
+        return decode(Event, sample.payload, sample.encoding).kind in NEWS
     except MalformedPayload:
         return False
 
@@ -260,7 +304,7 @@ class LocalDeployment:
     supervisor: Supervisor
     bus: Bus
     client: SimClient
-    sensors: SensorLaunch
+    on_demand: DemandLaunch
     ready_s: float = 0.0
     viewer_url: str = ""
     restarts: int = 0
@@ -293,11 +337,11 @@ def launch(
     with ExitStack() as stack:
         bus = stack.enter_context(_open_bus(config, supervisor))
         client = SimClient(bus, config.world_name)
-        sensors = SensorLaunch(config, supervisor, bus)
-        deployment = LocalDeployment(config, supervisor, bus, client, sensors)
+        on_demand = DemandLaunch(config, supervisor, bus)
+        deployment = LocalDeployment(config, supervisor, bus, client, on_demand)
         _wait_until_ready(deployment, progress, began_s)
         # Last, since no robot waits for them.
-        sensors.poll(time.monotonic())
+        on_demand.poll(time.monotonic())
         # The caller closes the bus.
         stack.pop_all()
     return deployment
@@ -358,13 +402,8 @@ def _list_values(config: LaunchConfig) -> dict[str, object]:
 
 
 def make_agent_starts(config: LaunchConfig) -> dict[str, AgentProcessConfig]:
-    """Make the settings of the agents, by program name."""
-    common = AgentConfig(
-        world=config.world_name,
-        rates=RateOverrides(config.agents.odom_hz, config.agents.tf_hz),
-        wait_s=AGENT_WAIT_S,
-        ros=config.ros,
-    )
+    """Make the settings of the agents that start at once, by program name."""
+    common = _make_agent_config(config)
     if config.agents.pools is not None:
         pool = msgspec.structs.replace(common, pool_limit=0)
         configs = {f"pool {number}": pool for number in range(config.agents.pools)}
@@ -378,9 +417,32 @@ def make_agent_starts(config: LaunchConfig) -> dict[str, AgentProcessConfig]:
         configs[f"agent {group.name}"] = msgspec.structs.replace(
             common, entities=group.entities, rates=rates
         )
+    return _make_agent_processes(config, configs)
+
+
+def make_pool_starts(config: LaunchConfig) -> dict[str, AgentProcessConfig]:
+    """Make the settings of the pool that starts with the first robot of others, if there is one."""
+    if config.agents.pools is not None or not config.agents.drives_others:
+        return {}
+    pool = msgspec.structs.replace(_make_agent_config(config), pool_limit=0)
+    return _make_agent_processes(config, {"pool": pool})
+
+
+def _make_agent_config(config: LaunchConfig) -> AgentConfig:
+    return AgentConfig(
+        world=config.world_name,
+        rates=RateOverrides(config.agents.odom_hz, config.agents.tf_hz),
+        wait_s=AGENT_WAIT_S,
+        ros=config.ros,
+    )
+
+
+def _make_agent_processes(
+    config: LaunchConfig, agents: Mapping[str, AgentConfig]
+) -> dict[str, AgentProcessConfig]:
     return {
         name: AgentProcessConfig(endpoint=config.address_of(name), config=one, is_quiet=True)
-        for name, one in configs.items()
+        for name, one in agents.items()
     }
 
 
@@ -583,7 +645,7 @@ def supervise(
     end = time.monotonic() + duration_s if duration_s > 0 else float("inf")
     while not should_stop() and time.monotonic() < end:
         deployment.supervisor.watch()
-        deployment.sensors.poll(time.monotonic())
+        deployment.on_demand.poll(time.monotonic())
         _read_clock(deployment)
         time.sleep(POLL_S * 5)
 

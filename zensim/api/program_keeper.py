@@ -11,10 +11,11 @@ import time
 from collections import deque
 
 from zensim.api.api_errors import ConnectionLost, Error, Timeout
+from zensim.api.call_deadline import limit
 from zensim.api.local_deployment import (
+    DemandLaunch,
     LaunchConfig,
     LaunchFailed,
-    SensorLaunch,
     start_programs,
 )
 from zensim.proto import keys
@@ -22,7 +23,7 @@ from zensim.proto.bus import Bus, BusConfig, BusError, open_bus
 from zensim.proto.supervisor import ProgramDied, Supervisor
 
 LOG = logging.getLogger(__name__)
-POLL_S = 0.01
+POLL_S, LIST_S = 0.01, 1.0
 WATCH_PERIOD_S = 0.1
 MAX_KEPT_LINES = 64
 OUTPUT_TIMEOUT_S = 1.0
@@ -69,7 +70,7 @@ class ProgramKeeper:
         self._timeout_s = timeout_s
         self._output = ProgramOutput()
         self._supervisor = Supervisor(lambda _program, _status: None, self._output.descriptor)
-        self._sensors: SensorLaunch | None = None
+        self._on_demand: DemandLaunch | None = None
         self._failure: Exception | None = None
         self._is_started, self._is_over = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="zensim programs", daemon=True)
@@ -88,8 +89,8 @@ class ProgramKeeper:
         while self._failure is None and time.monotonic() < self._deadline_s:
             try:
                 bus = bus or open_bus(bus_config)
-                if bus.list_tokens(keys.alive_server(self._config.world_name)):
-                    self._sensors = SensorLaunch(self._config, self._supervisor, bus)
+                if bus.list_tokens(keys.alive_server(self._config.world_name), limit(LIST_S)):
+                    self._on_demand = DemandLaunch(self._config, self._supervisor, bus)
                     return bus
             except BusError:
                 continue
@@ -122,8 +123,8 @@ class ProgramKeeper:
             self._is_started.set()
             while not self._is_over.wait(WATCH_PERIOD_S):
                 self._supervisor.watch()
-                if self._sensors is not None:
-                    self._sensors.poll(time.monotonic())
+                if self._on_demand is not None:
+                    self._on_demand.poll(time.monotonic())
         except (LaunchFailed, ProgramDied) as error:
             self._failure = error
         finally:

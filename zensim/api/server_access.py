@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from zensim.api.api_errors import Closed, ConnectionLost, Denied, Timeout
+from zensim.api.call_deadline import LEAST_S, limit
 from zensim.api.step_channel import StepChannel
 from zensim.api.world_access import Message, TopicFeed, WorldAccess
 from zensim.api.world_state import WorldState, make_world_state
@@ -61,7 +62,7 @@ LOST_S = 0.5
 """A repeated request that is answered sooner was lost, or its response was."""
 TOKEN_TIMEOUT_S = 2.0
 """Limit on the delay until the server has received the token of this client."""
-CALL_TIMEOUT_S, MIN_TIMEOUT_S = 10.0, 0.01
+CALL_TIMEOUT_S = 10.0
 SENSOR_TIMEOUT_S = 30.0
 """Limit on the start of a sensor process, with its libraries and meshes."""
 
@@ -154,7 +155,7 @@ class ServerAccess(WorldAccess):
         except ConnectionLost:
             with suppress(NoServer, TimeoutError, ServiceError):
                 self.role = self.bus.call(
-                    INFO, InfoRequest(), world=self.world_name, timeout_s=GET_TIMEOUT_S
+                    INFO, InfoRequest(), world=self.world_name, timeout_s=limit(GET_TIMEOUT_S)
                 ).role
             self._require_role(Operation.QUERY, SNAPSHOT.key(self.world_name))
             raise
@@ -184,6 +185,7 @@ class ServerAccess(WorldAccess):
     ) -> Response:
         """See `WorldAccess`."""
         self._require_open()
+        timeout_s = limit(timeout_s)
         deadline = time.monotonic() + timeout_s
         while True:
             try:
@@ -191,7 +193,7 @@ class ServerAccess(WorldAccess):
                     service,
                     request,
                     world=world or self.world_name,
-                    timeout_s=max(MIN_TIMEOUT_S, deadline - time.monotonic()),
+                    timeout_s=max(LEAST_S, deadline - time.monotonic()),
                     request_id=request_id,
                 )
             except NoServer as error:  # noqa: PERF203  once per wait
@@ -248,7 +250,7 @@ class ServerAccess(WorldAccess):
         response = self.call(
             SIMULATE_STEPS,
             request,
-            timeout_s=max(MIN_TIMEOUT_S, deadline_s - began_s),
+            timeout_s=max(LEAST_S, deadline_s - began_s),
             request_id=request_id,
         )
         if time.monotonic() - began_s < LOST_S:
@@ -298,7 +300,7 @@ class ServerAccess(WorldAccess):
     def refresh(self) -> WorldState:
         """See `WorldAccess`."""
         self._require_open()
-        for sample in self.bus.get(SNAPSHOT.key(self.world_name), GET_TIMEOUT_S):
+        for sample in self.bus.get(SNAPSHOT.key(self.world_name), limit(GET_TIMEOUT_S)):
             self._received_s = time.monotonic()
             return self._replace(decode(Snapshot, sample.payload, sample.encoding))
         self._watch()
@@ -319,7 +321,7 @@ class ServerAccess(WorldAccess):
         self._has_feeds = True
         subscription = self.bus.subscribe(key, depth)
         first = []
-        for sample in self.bus.get(key, GET_TIMEOUT_S)[-1:]:
+        for sample in self.bus.get(key, limit(GET_TIMEOUT_S))[-1:]:
             with suppress(MalformedPayload):
                 first.append(decode(kind, sample.payload, sample.encoding))
         return BusFeed(subscription, kind, first)
@@ -351,7 +353,7 @@ class ServerAccess(WorldAccess):
 
     def await_sensor(self, entity: str, sensor: str) -> None:
         """See `WorldAccess`; returns at once where no sensor process runs or can measure it."""
-        deadline = time.monotonic() + SENSOR_TIMEOUT_S
+        deadline = time.monotonic() + limit(SENSOR_TIMEOUT_S)
         while (found := self._read_sensor_stats()) or self._starts_sensors:
             rows = [
                 (stats.is_active and one.has_subscribers, one.is_measured)
@@ -372,7 +374,7 @@ class ServerAccess(WorldAccess):
 
     def _read_sensor_stats(self) -> list[SensorStats]:
         self._require_open()
-        samples = self.bus.get(SENSOR_STATS.key(self.world_name, "*"), GET_TIMEOUT_S)
+        samples = self.bus.get(SENSOR_STATS.key(self.world_name, "*"), limit(GET_TIMEOUT_S))
         found = []
         for sample in samples:
             with suppress(MalformedPayload):
@@ -457,7 +459,7 @@ class ServerAccess(WorldAccess):
 
     def _retry_early(self, call: Callable[[], Response]) -> Response:
         """Repeat a call while the server has not received the token of this client."""
-        deadline = time.monotonic() + TOKEN_TIMEOUT_S
+        deadline = time.monotonic() + limit(TOKEN_TIMEOUT_S)
         while True:
             try:
                 return call()

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from zensim.api.argument_checks import check_range
+from zensim.api.call_deadline import limited
 from zensim.api.server_access import ServerAccess
 from zensim.api.simulation import Simulation
 from zensim.api.topic import TopicCallback
@@ -93,7 +94,8 @@ class Sim(Simulation):
             Timeout: No control step came in time, as in a paused world that nobody steps.
         """
         self._session.check_open()
-        steps = self._count_steps(rate)
+        with limited(timeout_s):
+            steps = self._count_steps(rate)
         self._session.is_joined = True
         try:
             yield self._follow_steps(steps, timeout_s)
@@ -104,7 +106,8 @@ class Sim(Simulation):
 
     def _follow_steps(self, steps: int, timeout_s: float) -> Iterator[float]:
         def join(twists: TwistCommands | None) -> WorldState:
-            return self._access.join(steps, twists, timeout_s)
+            with limited(timeout_s):
+                return self._access.join(steps, twists, timeout_s)
 
         while self._session.is_joined:
             self._session.follow(join, steps * self.step_period)

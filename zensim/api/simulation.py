@@ -18,6 +18,7 @@ from zensim.api.argument_checks import (
     check_text,
     make_numbers,
 )
+from zensim.api.call_deadline import check_deadline, limit, limited
 from zensim.api.closed_on_exit import ClosedOnExit
 from zensim.api.entity_values import SpawnReport, make_html_table
 from zensim.api.fleet import Fleet
@@ -36,10 +37,10 @@ from zensim.api.spawning import (
     make_spawn_pose,
     read_description,
 )
+from zensim.api.undriven_spawns import UndrivenSpawns
 from zensim.api.world_access import WorldAccess, api_errors
 from zensim.api.world_session import (
     MAX_RUN_S,
-    STEP_TIMEOUT_S,
     WorldSession,
     check_protocol,
     make_not_found,
@@ -138,6 +139,12 @@ class Simulation(ClosedOnExit):
         self._session = WorldSession(access)
         self._info = self._read_info()
         self._recorders: list[WorldRecorder] = []
+        self._undriven: UndrivenSpawns[SpawnReport] = UndrivenSpawns(
+            lambda report: report.name in self._session.access.refresh().row
+        )
+        self._undriven_fleets: UndrivenSpawns[tuple[list[str], dict[str, str]]] = UndrivenSpawns(
+            lambda fleet: set(fleet[0]) <= self._session.access.refresh().row.keys()
+        )
 
     # State
 
@@ -205,8 +212,13 @@ class Simulation(ClosedOnExit):
         """
         check_keywords(options, SpawnKeywords)
         description = make_description_order(model, options)
-        report = self._spawn(description, name, options)
-        self._wait_until_driven([report.name] if report.drive else [], options)
+        with (
+            limited(options.get("timeout_s")),
+            self._undriven.retried(
+                (str(model), name), options, lambda: self._spawn(description, name, options)
+            ) as report,
+        ):
+            self._wait_until_driven([report.name] if report.drive else [], options)
         return Robot(self._session, report.name, report)
 
     def spawn_fleet(
@@ -224,6 +236,18 @@ class Simulation(ClosedOnExit):
         """
         self._session.check_open()
         check_keywords(options, FleetKeywords)
+        with (
+            limited(options.get("timeout_s")),
+            self._undriven_fleets.retried(
+                (str(model), count), options, lambda: self._spawn_fleet(model, count, options)
+            ) as (names, refused),
+        ):
+            return self._make_fleet(names, refused, options)
+
+    def _spawn_fleet(
+        self, model: str | Path, count: int | None, options: FleetKeywords
+    ) -> tuple[list[str], dict[str, str]]:
+        """Spawn the robots of a fleet; return their names, and what was refused."""
         is_partial = options.get("partial", False)
         with api_errors():
             description = make_description_order(model, options)
@@ -237,8 +261,7 @@ class Simulation(ClosedOnExit):
         if refused and not is_partial:
             name, reason = next(iter(refused.items()))
             raise SpawnRefused(f"'{name}': {reason}", slug="fleet_refused")
-        names = [one.name for one in outcomes if one.code == ResultCode.OK]
-        return self._make_fleet(names, refused, options)
+        return [one.name for one in outcomes if one.code == ResultCode.OK], refused
 
     def check(self, model: str | Path, **options: "Unpack[DescriptionKeywords]") -> SpawnReport:
         """Read a description as `spawn` does, without spawning.
@@ -271,21 +294,23 @@ class Simulation(ClosedOnExit):
         Args:
             seconds: Rounded to whole steps.
             progress: Print a line with the time each simulated second.
-            timeout_s: Wall time of each request of steps, or of the whole wait.
+            timeout_s: Wall time; 30 s for each request of steps if it is not given.
 
         Raises:
             Timeout: It took longer.
             SteppedElsewhere: Another client steps.
         """
-        if not progress:
-            self._session.run(seconds, timeout_s)
-            return
-        left = seconds
-        while left > 0.0:
-            part = min(left, 1.0)
-            self._session.run(part, timeout_s)
-            left -= part
-            print(f"\r{self.time:.1f} s", end="" if left > 0.0 else "\n", flush=True)  # noqa: T201
+        with limited(timeout_s):
+            if not progress:
+                self._session.run(seconds, timeout_s)
+                return
+            left = seconds
+            while left > 0.0:
+                part = min(left, 1.0)
+                self._session.run(part, timeout_s)
+                left -= part
+                end = "" if left > 0.0 else "\n"
+                print(f"\r{self.time:.1f} s", end=end, flush=True)  # noqa: T201
 
     def run_to(self, time: float, *, timeout_s: float | None = None) -> None:
         """Advance to the first step at or after a simulation time [s].
@@ -294,23 +319,30 @@ class Simulation(ClosedOnExit):
             Invalid: The time is past.
         """
         self._session.check_open()
-        left = time - self.time
-        if not left >= -self.step_period / 2:
-            raise Invalid(
-                f"time {time:g} s is before the present {self.time:g} s",
-                hint="use a later time, or reset()",
-            )
-        self._session.run(max(0.0, left), timeout_s)
+        with limited(timeout_s):
+            left = time - self.time
+            if not left >= -self.step_period / 2:
+                raise Invalid(
+                    f"time {time:g} s is before the present {self.time:g} s",
+                    hint="use a later time, or reset()",
+                )
+            self._session.run(max(0.0, left), timeout_s)
 
-    def step(self, count: int = 1, *, timeout_s: float = STEP_TIMEOUT_S) -> None:
+    def step(self, count: int = 1, *, timeout_s: float | None = None) -> None:
         """Advance a paused world by steps of the engine, each `step_period` long.
+
+        Args:
+            count: Of steps.
+            timeout_s: Wall time; 30 s for each request of steps if it is not given.
 
         Raises:
             SteppedElsewhere: Another client steps.
+            Timeout: It took longer.
         """
         self._session.check_open()
         check_range("count", count, 1, MAX_STEPS)
-        self._session.advance(count, timeout_s)
+        with limited(timeout_s):
+            self._session.advance(count)
 
     def steps(self, seconds: float | None = None, rate: float | None = None) -> Iterator[float]:
         """Iterate over control steps of a paused world: the loop of a controller.
@@ -347,24 +379,26 @@ class Simulation(ClosedOnExit):
         Args:
             condition: Called without arguments.
             within: Most simulated seconds.
-            timeout_s: Most wall time in a world that runs by itself.
+            timeout_s: Wall time.
 
         Raises:
             Timeout: It was not true in time.
         """
         self._session.check_open()
-        end = self.time + within
-        while not condition():
-            if self.time >= end - self.step_period / 2:
-                raise Timeout(
-                    f"the condition was not true within {within:g} simulated s, "
-                    f"at time {self.time:g} s",
-                    hint="use a larger 'within'",
-                )
-            if self._session.runs_by_itself:
-                self._session.wait_for_next(timeout_s)
-            else:
-                self._session.advance(self._session.control_steps)
+        with limited(timeout_s):
+            end = self.time + within
+            while not condition():
+                if self.time >= end - self.step_period / 2:
+                    raise Timeout(
+                        f"the condition was not true within {within:g} simulated s, "
+                        f"at time {self.time:g} s",
+                        hint="use a larger 'within'",
+                    )
+                check_deadline()
+                if self._session.runs_by_itself:
+                    self._session.wait_for_next(limit(timeout_s))
+                else:
+                    self._session.advance(self._session.control_steps)
         return self.time
 
     def pause(self) -> None:
@@ -616,7 +650,7 @@ class Simulation(ClosedOnExit):
         check_range("rate", rate, 0.0, MAX_RATE_HZ)
         for topic in topics:
             check_text("topic", topic)
-        with api_errors():
+        with api_errors(), limited(timeout_s):
             recorder = self._session.access.record(Path(file), topics, rate, timeout_s)
         self._recorders.append(recorder)
         return recorder

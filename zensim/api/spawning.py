@@ -68,7 +68,7 @@ class AgentKeywords(TypedDict, total=False):
     agent: str
     """`external` = do not wait until an agent drives it."""
     timeout_s: float
-    """Wall time until an agent must drive it."""
+    """Wall time of the call, until an agent drives it; 10 s after the spawn if it is not given."""
 
 
 class SpawnKeywords(DescriptionKeywords, AgentKeywords, total=False):

@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 
 from zensim.api.api_errors import Invalid, NotFound, Timeout
+from zensim.api.call_deadline import limited
 from zensim.api.world_access import Message, TopicFeed, WorldAccess
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
 
@@ -144,7 +145,8 @@ class Topic(Generic[Message]):
         """
         deadline = time.monotonic() + timeout_s
         while True:
-            self.collect()
+            with limited(timeout_s):
+                self.collect()
             while self._unread:
                 message = self._unread.popleft()
                 if after is None or find_stamp_ns(message) > after * NANOSECONDS:

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from zensim.api.api_errors import Closed, ConnectionLost, Invalid, NotFound, Timeout, Unsupported
+from zensim.api.call_deadline import check_deadline
 from zensim.api.entity_values import RobotPose
 from zensim.api.odometry_table import TABLE_DEPTH, OdometryTable
 from zensim.api.topic import Topic, TopicDispatcher
@@ -256,6 +257,7 @@ class WorldSession:
             self.read_roster(timeout_s)
         with self.steps_lock:
             while steps > 0:
+                check_deadline()
                 count = min(steps, self._chunk_steps(steps, state))
                 self._control(count * self.step_ns / NANOSECONDS)
                 self.access.is_eager = is_eager
@@ -365,7 +367,8 @@ class WorldSession:
             ConnectionLost: The server is gone.
             Invalid: The world was reset meanwhile, or does not run any more.
         """
-        state, deadline = self.state(), time.monotonic() + timeout_s
+        deadline = time.monotonic() + timeout_s
+        state = self.state()
         epoch = state.snapshot.epoch
         while not is_over(state):
             if time.monotonic() > deadline:

@@ -126,6 +126,19 @@ def test_first_pool_gets_all_robots_without_a_claim() -> None:
     assert driven_by(parts, "a") == ["r1"]
 
 
+def test_agent_that_names_robots_takes_them_from_a_pool_and_not_from_another_that_does() -> None:
+    parts = make_parts(a_world("r0", "r1"))
+    share(parts, "p")
+    parts.agents.alive.update(("a", "b"))
+
+    handle_request(parts, agent_messages.ClaimEntityRequest("a", ("r1",)))
+
+    assert (driven_by(parts, "a"), driven_by(parts, "p")) == (["r1"], ["r0"])
+    assert share(parts, "p").grants == ()
+    with pytest.raises(RequestRefused, match="r1"):
+        handle_request(parts, agent_messages.ClaimEntityRequest("b", ("r1",)))
+
+
 def test_second_pool_takes_its_half_from_the_first() -> None:
     parts = make_parts(a_world("r0", "r1", "r2", "r3"))
     share(parts, "p")

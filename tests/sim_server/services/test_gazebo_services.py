@@ -23,6 +23,7 @@ from zensim.proto.messages.standard_messages import (
     Twist,
     Vector3,
     Wrench,
+    ns_from_time,
 )
 from zensim.proto.service_catalog import SERVICES
 from zensim.sim_server.errors import SimError
@@ -82,6 +83,26 @@ def test_world_is_reset_without_its_time(parts: ServerParts) -> None:
 
     assert parts.world.state_of("box")[:3] == pytest.approx([1.0, 2.0, 0.5])
     assert (parts.world.clock.steps, names_in(parts.world)) == (1, ["box", "arm"])
+
+
+def test_simulation_is_reset_with_its_time_and_keeps_what_was_spawned(parts: ServerParts) -> None:
+    parts.world.place("box", a_state((9.0, 9.0, 9.0)))
+    parts.world.step()
+
+    handle_request(parts, gazebo_messages.GazeboResetSimulationRequest())
+
+    assert parts.world.state_of("box")[:3] == pytest.approx([1.0, 2.0, 0.5])
+    assert (parts.world.clock.time_ns, names_in(parts.world)) == (0, ["box", "arm"])
+
+
+def test_models_are_listed_with_simulation_time(parts: ServerParts) -> None:
+    parts.world.step()
+
+    report = handle_request(parts, gazebo_messages.GetModelListRequest())
+
+    assert isinstance(report, gazebo_messages.GetModelListReport)
+    assert (report.success, report.model_names) == (True, ("box", "arm"))
+    assert ns_from_time(report.header.stamp) == parts.world.clock.time_ns > 0
 
 
 def test_state_is_returned_in_the_frame_of_another_entity(parts: ServerParts) -> None:

@@ -8,11 +8,12 @@ import pytest
 from tests.fakes import MemoryBus
 from tests.spawner.page.builders import FakeServer, make_models, make_robot
 from zensim.api.local_deployment import (
+    DemandLaunch,
     LaunchAgentsConfig,
     LaunchConfig,
-    SensorLaunch,
     choose_pool_count,
     make_agent_starts,
+    make_pool_starts,
     make_sensor_starts,
     make_serve_arguments,
 )
@@ -152,13 +153,20 @@ class FakeSupervisor:
 
 
 class LaunchedWorld:
-    """A world in memory, and the start of its sensor processes."""
+    """A world in memory, and the start of what it needs: its robot r1 has an agent to come."""
 
-    def __init__(self, sensor_processes: int | None = None) -> None:
+    def __init__(
+        self, sensor_processes: int | None = None, agents: LaunchAgentsConfig = DEFAULTS.agents
+    ) -> None:
         self.bus, self.supervisor, self.now_s = MemoryBus(), FakeSupervisor(), 0.0
         self.server = FakeServer(self.bus, make_models(r1=make_robot()))
-        config = msgspec.structs.replace(DEFAULTS, sensor_processes=sensor_processes)
-        self.launch = SensorLaunch(
+        config = msgspec.structs.replace(
+            DEFAULTS,
+            placements=(RobotPlacement("r1", 0.0, 0.0),),
+            sensor_processes=sensor_processes,
+            agents=agents,
+        )
+        self.launch = DemandLaunch(
             config,
             self.supervisor,  # type: ignore[arg-type]
             self.bus,  # type: ignore[arg-type]
@@ -222,3 +230,24 @@ def test_sensor_processes_of_a_given_number_start_at_once(count: int) -> None:
 
     assert len(world.supervisor.started) == count
     assert world.server.requests == []
+
+
+def test_pool_starts_with_the_first_robot_that_no_agent_drives_or_names() -> None:
+    world = LaunchedWorld(0, LaunchAgentsConfig(drives_others=True))
+
+    assert world.supervisor.started == []
+    assert world.add(ImuSensor()) == 1
+    assert world.add(ImuSensor()) == 1
+    assert world.supervisor.started == ["pool"]
+
+
+@pytest.mark.parametrize(
+    "agents", [LaunchAgentsConfig(), LaunchAgentsConfig(1, drives_others=True)]
+)
+def test_pool_for_others_is_not_started_if_it_is_off_or_all_are_pooled(
+    agents: LaunchAgentsConfig,
+) -> None:
+    world = LaunchedWorld(0, agents)
+
+    assert world.add(ImuSensor()) == 0
+    assert make_pool_starts(msgspec.structs.replace(DEFAULTS, agents=agents)) == {}
