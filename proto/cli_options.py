@@ -20,7 +20,7 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import TOKEN_VARIABLE
 from zensim.proto.ros2.ros_settings import BRIDGED_COMMANDS, RosSettings, parse_ros_settings
 from zensim.proto.topic_catalog import select_ros_topics
-from zensim.proto.verbosity import LOG_FORMAT_VARIABLE, print_old_spelling, set_verbosity
+from zensim.proto.verbosity import LOG_FORMAT_VARIABLE, set_verbosity
 from zensim.proto.web_access import (
     TOKEN_NAME,
     PageAccess,
@@ -33,7 +33,6 @@ from zensim.proto.web_access import (
 )
 
 Choice = TypeVar("Choice", bound=str)
-Value = TypeVar("Value")
 Options = TypeVar("Options")
 
 MAX_NUMBER = 1e18
@@ -439,20 +438,6 @@ class MetricsOptions:
             command, self.metrics, is_insecure=self.metrics_insecure or is_insecure
         )
         return self.metrics
-
-
-def choose_spelling(command: str, old: tuple[str, Value | None], new: tuple[str, Value]) -> Value:
-    """Return the value of an option, or that of its old spelling, with a note on the new one.
-
-    Args:
-        command: Verb in the note.
-        old: Old spelling, and its value; None if it was not given.
-        new: Spelling and value.
-    """
-    if old[1] is None:
-        return new[1]
-    print_old_spelling(command, old[0], new[0])
-    return old[1]
 
 
 _physics = partial(typer.Option, rich_help_panel="Physics")

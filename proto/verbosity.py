@@ -76,8 +76,3 @@ def print_note(command: str, text: str) -> None:
     """Print a note to standard error, unless the command is quiet."""
     if not CURRENT.is_quiet:
         print_lines(f"zensim {command}: note: {text}", err=True)
-
-
-def print_old_spelling(command: str, old: str, new: str) -> None:
-    """Print what an old spelling is called now."""
-    print_note(command, f"{old} is now {new}; the old spelling works until version 0.2")

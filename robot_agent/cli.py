@@ -1,6 +1,6 @@
 """`zensim agent`: run a robot agent."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, get_args
 
 import typer
@@ -12,7 +12,6 @@ from zensim.proto.cli_options import (
     OdomHzOption,
     RosTfOptions,
     TfHzOption,
-    choose_spelling,
     expand_options,
     flag,
     make_app,
@@ -83,7 +82,6 @@ class AgentOptions(RosTfOptions, MetricsOptions):
             rich_help_panel="Connection",
         ),
     ] = "default"
-    old_world: Annotated[str | None, typer.Option("--world", hidden=True)] = None
     wait: Annotated[
         float,
         typer.Option(
@@ -104,15 +102,11 @@ class AgentOptions(RosTfOptions, MetricsOptions):
 def agent(given: AgentOptions) -> None:
     """Drive robots: subscribe to cmd_vel, publish odom and tf."""
     with exit_on_failure("agent"):
-        world = choose_spelling(
-            "agent", ("--world", given.old_world), ("--world-name", given.world_name)
-        )
-        given = replace(given, world_name=world)
         endpoint = given.connect or DEFAULT_ENDPOINT
         if given.as_json:
             facts = {
                 "endpoint": hide_token(endpoint),
-                "world": world,
+                "world": given.world_name,
                 "robots": given.entities or [],
             }
             print_announcement("agent", "", facts, as_json=True)

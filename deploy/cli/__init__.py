@@ -221,24 +221,6 @@ VERBS: dict[str, Verb] = {
     ),
 }
 
-OLD_VERBS: dict[str, Verb] = {
-    "state": Verb(
-        "Old spellings",
-        "zensim.spawner.cli.state_commands",
-        "Old spelling of 'inspect' and 'set'.",
-    ),
-    "info": Verb(
-        "Old spellings",
-        "zensim.spawner.cli.info_commands",
-        "Old spelling of 'inspect' and 'set'.",
-    ),
-    "speed": Verb(
-        "Old spellings", "zensim.spawner.cli.simulation_commands", "Old spelling of 'rtf'."
-    ),
-}
-"""They work until version 0.2, and no help lists them."""
-
-
 HELP_HEAD = """Usage: zensim [OPTIONS] COMMAND [ARGS]...
 
 Multi-robot simulation over Zenoh, without ROS or Gazebo.
@@ -312,8 +294,6 @@ def build(called: str) -> "typer.Typer":
             _add_verb(app, name, verb)
         else:
             app.command(name, help=verb.summary, rich_help_panel=verb.panel)(_not_loaded)
-    if called in OLD_VERBS:
-        _add_verb(app, called, OLD_VERBS[called])
     return app
 
 

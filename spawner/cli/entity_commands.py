@@ -18,7 +18,6 @@ from zensim.proto.bus import NoServer
 from zensim.proto.cli_options import (
     ClientOptions,
     JsonOption,
-    choose_spelling,
     expand_options,
     flag,
     make_app,
@@ -37,8 +36,8 @@ from zensim.spawner.cli.command_session import (
     print_json,
     print_table,
 )
-from zensim.spawner.cli.info_commands import CATEGORIES, format_category, make_filters
-from zensim.spawner.cli.state_commands import FrameOption
+from zensim.spawner.cli.info_options import CATEGORIES, format_category, make_filters
+from zensim.spawner.cli.state_options import FrameOption
 from zensim.spawner.cli.terminal_output import print_report
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn.spawn_poses import find_heading
@@ -334,7 +333,7 @@ def delete(
     ] = None,
     *,
     everything: Annotated[bool, flag("--all", help="Delete all entities.")] = False,
-    filtered: Annotated[
+    pattern: Annotated[
         str,
         typer.Option(
             "--filter",
@@ -342,13 +341,11 @@ def delete(
             help="Delete the entities whose names contain a match of this expression.",
         ),
     ] = "",
-    old_pattern: Annotated[str | None, typer.Option("--pattern", hidden=True)] = None,
     yes: Annotated[bool, flag("--yes", "-y", help="Do not ask for confirmation of --all.")] = False,
     as_json: JsonOption = False,
     server: ClientOptions,
 ) -> None:
     """Delete entities: by name, by a filter of names, or all of them."""
-    pattern = choose_spelling("delete", ("--pattern", old_pattern), ("--filter", filtered))
     with exit_on_failure("delete"):
         if sum(map(bool, (names, everything, pattern))) != 1:
             raise ValueError("give names, --filter REGEX or --all; one of them")

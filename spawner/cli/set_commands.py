@@ -6,13 +6,13 @@ from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, 
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.printable_text import print_lines
 from zensim.spawner.cli.command_session import EntityName, open_client, print_json
-from zensim.spawner.cli.info_commands import (
+from zensim.spawner.cli.info_options import (
     NewInfoOptions,
     change_info,
     format_category,
     print_info,
 )
-from zensim.spawner.cli.state_commands import NewStateOptions, change_state, format_state
+from zensim.spawner.cli.state_options import NewStateOptions, change_state, format_state
 
 app = make_app()
 
@@ -57,4 +57,4 @@ def set_entity(
     if new_state is not None:
         print_lines("\n".join(format_state(name, new_state)))
     if new_info is not None:
-        print_info(name, new_info, as_json=False)
+        print_info(name, new_info)

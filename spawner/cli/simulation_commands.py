@@ -13,7 +13,7 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.printable_text import print_lines
-from zensim.proto.verbosity import print_note, print_old_spelling
+from zensim.proto.verbosity import print_note
 from zensim.spawner.cli.command_session import open_client, print_json
 from zensim.spawner.cli.terminal_output import step_progress
 from zensim.spawner.client.sim_client import SimClient, StepGoalInterrupted
@@ -213,21 +213,11 @@ def rtf(
     factor: FactorArgument = None, *, as_json: JsonOption = False, server: ClientOptions
 ) -> None:
     """Set the target real-time factor, and print target and measured factor."""
-    _set_factor("rtf", factor, server, as_json=as_json)
+    _set_factor(factor, server, as_json=as_json)
 
 
-@app.command(hidden=True)
-@expand_options
-def speed(
-    factor: FactorArgument = None, *, as_json: JsonOption = False, server: ClientOptions
-) -> None:
-    """Set the target real-time factor: the old spelling of `rtf`."""
-    print_old_spelling("speed", "'zensim speed'", "'zensim rtf'")
-    _set_factor("speed", factor, server, as_json=as_json)
-
-
-def _set_factor(verb: str, factor: float | None, server: ClientOptions, *, as_json: bool) -> None:
-    with open_client(verb, server) as client:
+def _set_factor(factor: float | None, server: ClientOptions, *, as_json: bool) -> None:
+    with open_client("rtf", server) as client:
         if factor is not None:
             client.set_speed(factor)
         info = client.info_when_restored()

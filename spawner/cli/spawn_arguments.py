@@ -13,7 +13,6 @@ import typer
 from zensim.proto.cli_options import (
     ClientOptions,
     JsonOption,
-    choose_spelling,
     complete_models,
     flag,
     parse_choice,
@@ -220,7 +219,6 @@ class EntityOptions:
             show_default="world",
         ),
     ] = ""
-    old_frame: Annotated[str | None, typer.Option("--reference-frame", hidden=True)] = None
     snap_to_ground: Annotated[
         bool,
         flag("--snap-to-ground", help="Place on the ground, despite -z.", rich_help_panel="Pose"),
@@ -275,7 +273,6 @@ class FleetOptions(WaitingClientOptions, DescriptionOptions):
     robots: Annotated[
         int, typer.Option("--robots", min=1, metavar="N", help="Number of robots.")
     ] = 10
-    old_count: Annotated[int | None, typer.Option("--count", "-c", min=1, hidden=True)] = None
     layout: LayoutOption = "row"
     spacing: SpacingOption = 1.0
     prefix: Annotated[
@@ -389,9 +386,7 @@ def make_spawn_order(given: SpawnOptions) -> SpawnEntityOrder:
             "remove -J, which Gazebo ignores, too"
         )
     name = given.name or given.entity
-    frame = given.reference_frame or choose_spelling(
-        "spawn", ("--reference-frame", given.old_frame), ("--frame", given.frame)
-    )
+    frame = given.reference_frame or given.frame
     pose = make_pose((given.x, given.y, given.z or 0.0), (given.roll, given.pitch, given.yaw))
     return SpawnEntityOrder(
         check_name(name) if name else "",

@@ -7,7 +7,7 @@ import msgspec
 import typer
 
 from zensim.proto import keys
-from zensim.proto.cli_options import choose_spelling, expand_options, make_app
+from zensim.proto.cli_options import expand_options, make_app
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.exit_codes import ExitCode, exit_on_failure, to_cli_words
 from zensim.proto.messages.model_messages import ReportEntry
@@ -198,9 +198,10 @@ def _hold_until_stopped(client: SimClient, entity: str) -> None:
 @expand_options
 def fleet(given: FleetOptions) -> None:
     """Spawn several robots of one model, in one step."""
-    robots = choose_spelling("fleet", ("--count", given.old_count), ("--robots", given.robots))
     with exit_on_failure("fleet"):
-        placements = make_placements(given.model, robots, given.layout, given.spacing, given.prefix)
+        placements = make_placements(
+            given.model, given.robots, given.layout, given.spacing, given.prefix
+        )
         paths = make_search_paths(given)
         common = SpawnEntityOrder(
             strict=given.strict,

@@ -30,8 +30,8 @@ def complete(line: str, endpoint: str) -> list[str]:
 
 def test_entity_names_are_completed(two: Server) -> None:
     assert complete("zensim inspect ", two.endpoint) == ["r1", "r2"]
-    assert complete("zensim state get r", two.endpoint) == ["r1", "r2"]
-    assert complete("zensim info set x", two.endpoint) == []
+    assert complete("zensim inspect r", two.endpoint) == ["r1", "r2"]
+    assert complete("zensim set x", two.endpoint) == []
 
 
 def test_given_name_is_not_completed_again(two: Server) -> None:

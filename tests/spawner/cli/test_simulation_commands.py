@@ -45,15 +45,6 @@ def test_state_and_reset_are_printed_as_json(server: Server) -> None:
     assert run_at(server, app, "reset", "--json").json()["deleted"] == 1
 
 
-def test_old_spelling_of_rtf_works_with_a_note(server: Server) -> None:
-    done = run_at(server, app, "speed", "1", "--json")
-    quiet = run_at(server, app, "speed", "1", "--json", "--quiet")
-
-    assert done.json() == quiet.json()
-    assert "note: " in done.err
-    assert quiet.err == ""
-
-
 def test_quiet_and_verbose_exclude_each_other(server: Server) -> None:
     assert_failed(run_at(server, app, "pause", "-q", "-v"), ExitCode.USAGE, "zensim pause: ")
 

@@ -1,4 +1,4 @@
-"""Entity categories and filters as words; `zensim info get` and `set`, the old spellings."""
+"""Options on category, tags and description of entities: filters, and new values."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, flag, make_app
-from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.cli_options import flag
 from zensim.proto.messages.entity_messages import (
     Category,
     EntityCategory,
@@ -17,8 +16,6 @@ from zensim.proto.messages.entity_messages import (
     TagsFilter,
 )
 from zensim.proto.printable_text import print_lines, printable
-from zensim.proto.verbosity import print_old_spelling
-from zensim.spawner.cli.command_session import EntityName, open_client, print_json
 from zensim.spawner.client.sim_client import SimClient
 
 CATEGORIES = ", ".join(known.name.lower() for known in Category)
@@ -52,17 +49,7 @@ def make_filters(pattern: str, categories: Sequence[str], tags: Sequence[str]) -
     return EntityFilters(pattern, tuple(map(parse_category, categories)), TagsFilter(tuple(tags)))
 
 
-app = make_app("info")
 _new_value = partial(typer.Option, show_default="unchanged")
-
-
-@app.command("get")
-@expand_options
-def get_info(name: EntityName, *, as_json: JsonOption = False, server: ClientOptions) -> None:
-    """Print the category, tags and description of an entity."""
-    print_old_spelling("info get", "'zensim info get'", "'zensim inspect'")
-    with open_client("info get", server) as client:
-        print_info(name, client.entity_info(name), as_json=as_json)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,36 +97,8 @@ def change_info(client: SimClient, name: str, new: NewInfoOptions) -> EntityInfo
     return info
 
 
-@app.command("set")
-@expand_options
-def set_info(
-    name: EntityName,
-    *,
-    new: NewInfoOptions,
-    as_json: JsonOption = False,
-    server: ClientOptions,
-) -> None:
-    """Set the category, tags or description of an entity."""
-    print_old_spelling("info set", "'zensim info set'", "'zensim set'")
-    with exit_on_failure("info set"):
-        new.check()
-        if not new.is_given:
-            raise ValueError("nothing to set; give --category, --tag, --no-tags or --description")
-    with open_client("info set", server) as client:
-        print_info(name, change_info(client, name, new), as_json=as_json)
-
-
-def print_info(name: str, info: EntityInfo, *, as_json: bool) -> None:
+def print_info(name: str, info: EntityInfo) -> None:
     """Print category, tags and description of an entity."""
-    facts = {
-        "entity": name,
-        "category": format_category(info.category),
-        "tags": info.tags,
-        "description": info.description,
-    }
-    if as_json:
-        print_json(facts)
-        return
-    print_lines(f"{name}: {facts['category']}")
+    print_lines(f"{name}: {format_category(info.category)}")
     print_lines(f"  tags         {printable(', '.join(info.tags)) or '-'}")
     print_lines(f"  description  {printable(info.description) or '-'}")

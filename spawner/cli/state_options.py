@@ -1,15 +1,12 @@
-"""Pose and velocity of an entity; `zensim state get` and `set`, the old spellings."""
+"""Options that set the pose and velocity of an entity, and how both are printed."""
 
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, TypeVar
 
-import msgspec
 import typer
 from msgspec.structs import astuple
 
-from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, make_app
-from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.entity_messages import EntityState
 from zensim.proto.messages.standard_messages import (
     NANOSECONDS,
@@ -20,14 +17,9 @@ from zensim.proto.messages.standard_messages import (
     Vector3,
     ns_from_time,
 )
-from zensim.proto.printable_text import print_lines
 from zensim.proto.rigid_transforms import to_rpy
-from zensim.proto.verbosity import print_old_spelling
-from zensim.spawner.cli.command_session import EntityName, open_client, print_json
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn.spawn_poses import make_pose
-
-app = make_app("state")
 
 FrameOption = Annotated[
     str,
@@ -43,22 +35,6 @@ Component = TypeVar("Component")
 _pose = partial(
     typer.Option, metavar="NUMBER", show_default="unchanged", rich_help_panel="Pose and velocity"
 )
-
-
-@app.command("get")
-@expand_options
-def get_state(
-    name: EntityName,
-    *,
-    frame: FrameOption = "",
-    as_json: JsonOption = False,
-    server: ClientOptions,
-) -> None:
-    """Print the pose and velocity of an entity."""
-    print_old_spelling("state get", "'zensim state get'", "'zensim inspect'")
-    with open_client("state get", server) as client:
-        state = client.entity_state(name, frame)
-    print_state(name, state, as_json=as_json)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,33 +76,6 @@ def change_state(client: SimClient, name: str, new: NewStateOptions) -> None:
         _merge_twist(old.twist, new.linear, new.angular),
     )
     client.set_entity_state(name, state, has_pose=new.has_pose, has_twist=new.has_twist)
-
-
-@app.command("set")
-@expand_options
-def set_state(
-    name: EntityName,
-    *,
-    new: NewStateOptions,
-    as_json: JsonOption = False,
-    server: ClientOptions,
-) -> None:
-    """Set the pose or velocity of an entity, and print the result."""
-    print_old_spelling("state set", "'zensim state set'", "'zensim set'")
-    with exit_on_failure("state set"):
-        if not (new.has_pose or new.has_twist):
-            raise ValueError("nothing to set; give -x -y -z -R -P -Y, --linear or --angular")
-    with open_client("state set", server) as client:
-        change_state(client, name, new)
-        print_state(name, client.entity_state(name, new.frame), as_json=as_json)
-
-
-def print_state(name: str, state: EntityState, *, as_json: bool) -> None:
-    """Print pose and velocity of an entity."""
-    if as_json:
-        print_json({"entity": name, **msgspec.to_builtins(state)})
-    else:
-        print_lines("\n".join(format_state(name, state)))
 
 
 def _merge_pose(
