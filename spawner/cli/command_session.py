@@ -101,7 +101,7 @@ class PrintableConsole(Console):
 
 
 progress_console = PrintableConsole(stderr=True)
-"""For progress bars and notes, which must not mix with data."""
+"""Console of progress bars and notes, which must not mix with data."""
 data_console = PrintableConsole(soft_wrap=True, markup=False)
 
 

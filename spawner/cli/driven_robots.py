@@ -14,7 +14,7 @@ from zensim.spawner.client.sim_client import SimClient
 
 POLL_S = 0.002
 ASK_S = 0.05
-"""Between questions to the server."""
+"""Time between two questions to the server."""
 SUBSCRIBER_TIMEOUT_S = 3.0
 ABSENCE_TIMEOUT_S = 0.5
 """A robot that is not there may be spawned by the command before this one."""

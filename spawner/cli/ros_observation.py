@@ -43,7 +43,7 @@ ROS_KINDS: dict[str, type[msgspec.Struct]] = {
 }
 """Types that the checks read."""
 MIN_OBSERVED_S, MAX_OBSERVED_S = 1.0, 5.0
-"""Of wall time; the longer one while a topic has too few messages."""
+"""Wall time of observation: at least, and at most, while a topic has too few messages."""
 MIN_MESSAGES = 3
 POLL_S = 0.02
 QUEUE_DEPTH = 4096

@@ -39,9 +39,9 @@ POSE_DIAGONAL: Final = (0, 7, 35)
 TWIST_DIAGONAL: Final = (0, 35)
 """x, y, yaw and forward velocity, yaw rate in matrices of 6 x 6."""
 TF_TOLERANCE_NS: Final = NANOSECONDS // 10
-"""Of Nav2's costmaps: a scan may be this much newer than the last transform."""
+"""Tolerance of Nav2's costmaps: a scan may be this much newer than the last transform."""
 TF_BUFFER_NS: Final = 10 * NANOSECONDS
-"""Of tf2: older transforms are forgotten."""
+"""Length of the buffer of tf2: older transforms are forgotten."""
 MAX_NAMES_SHOWN: Final = 5
 
 
@@ -59,13 +59,13 @@ class RobotTopics:
 
     namespace: str
     endpoints: tuple[AnnouncedEndpoint, ...] = ()
-    """Of the topics below the namespace, and of `/clock`, `/tf` and `/tf_static`."""
+    """Endpoints of the topics below the namespace, and of `/clock`, `/tf` and `/tf_static`."""
     messages: Mapping[str, Sequence[msgspec.Struct]] = field(default_factory=dict)
-    """By topic, without the first slash; oldest first."""
+    """Messages by topic, without the first slash; oldest first."""
     publishes_odom_tf: bool = True
     """Whether its drive publishes the transform of odometry."""
     links: tuple[str, ...] = ()
-    """Of the robot description."""
+    """Links of the robot description."""
     meshes: Mapping[str, str] = field(default_factory=dict)
     """URI of each mesh of the description, and why it is not found here; empty if it is."""
     unreachable: tuple[str, ...] = ()

@@ -45,7 +45,7 @@ class SensorRow(msgspec.Struct, frozen=True, kw_only=True):
     messages: tuple[str, ...]
     """Types, one per topic."""
     rate_hz: float | None
-    """Of simulation time."""
+    """Rate in simulation time."""
     process: str
     """The sensor process, else the agent; empty if there is none."""
     has_subscribers: bool | None = None

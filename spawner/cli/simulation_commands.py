@@ -21,7 +21,7 @@ from zensim.spawner.client.sim_client import SimClient, StepGoalInterrupted
 app = make_app()
 
 MAX_SIM_TIME_S = 1e9
-"""About half of what the seconds of a message can hold."""
+"""Longest simulation time [s]: about half of what the seconds of a message can hold."""
 
 
 @app.command()

@@ -28,7 +28,7 @@ STATUS_COLOURS = {
     "predicted": "magenta",
     "suspicious": "bold yellow",
 }
-"""In the order of the table: suspicious entries come last, next to the prompt."""
+"""Colours in the order of the table: suspicious entries come last, next to the prompt."""
 REPORT_COLUMNS = ("", "tag or plug-in", "why")
 
 

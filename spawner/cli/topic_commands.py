@@ -50,7 +50,7 @@ GETTABLE_NAMES = {
     for topic in TOPICS.values()
     if topic.scope is not TopicScope.ROBOT and topic.is_gettable
 }
-"""Of topics; services have other names."""
+"""Names of topics that can be queried; services have other names."""
 ARRAY_TYPES = dict.fromkeys(
     ("base", "joint_positions", "joint_velocities", "joint_efforts", "targets", "motions"), "<f8"
 )

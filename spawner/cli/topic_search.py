@@ -12,7 +12,7 @@ from zensim.proto.verbosity import print_note
 from zensim.spawner.client.sim_client import SimClient
 
 ABSENCE_TIMEOUT_S: Final = 0.5
-"""Without a message for so long, it is looked up whether there is such a topic."""
+"""Time without a message after which it is looked up whether there is such a topic."""
 MOST_NEAR: Final = 3
 
 

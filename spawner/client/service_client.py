@@ -76,11 +76,11 @@ CALL_TIMEOUT_S = 10.0
 LOAD_TIMEOUT_S = 60.0
 """A world may have 2000 models."""
 SPAWN_TIMEOUT_S = 30.0
-"""For a large description on a busy host."""
+"""Longest wait for a spawn: a large description on a busy host."""
 TIMEOUT_PER_SPAWN_S = 0.1
-"""Per entity of a batch."""
+"""Wait per entity of a batch."""
 TIMEOUT_PER_STEP_S = 0.05
-"""Per requested step."""
+"""Wait per requested step."""
 
 
 class ServiceClient:

@@ -45,7 +45,7 @@ class WorldChanges(msgspec.Struct, frozen=True):
     """What was heard of a world since the last look."""
 
     servers: tuple[bool, ...] = ()
-    """For each server: whether it appeared, or went."""
+    """Changes of servers, oldest first: true = it appeared, false = it went."""
     events: tuple[Event, ...] = ()
 
 

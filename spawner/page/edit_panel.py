@@ -302,14 +302,14 @@ class SpawnForm(msgspec.Struct, frozen=True, kw_only=True):
     model: str
     """Name of a model of the server."""
     name: str = ""
-    """Of one, or start of the names of several; empty = that of the model, with a number."""
+    """Name of one, or start of the names of several; empty = that of the model, with a number."""
     count: int = 1
     layout: FleetLayout = "row"
     spacing_m: float = 1.0
     place: tuple[float, float] = (0.0, 0.0)
     """Origin of the layout [m]."""
     heading_rad: float = 0.0
-    """By which the layout is turned."""
+    """Angle by which the layout and its robots are turned."""
 
 
 def make_spawn_order(form: SpawnForm) -> SpawnEntitiesOrder:

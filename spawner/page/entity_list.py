@@ -11,7 +11,7 @@ from zensim.spawner.page.model_visuals import Array
 from zensim.spawner.page.render_state import LastCommand, RenderedFleet, RenderedFrame
 
 Category = Literal["Robots", "Objects", "World"]
-"""With a drive; without; of the world file."""
+"""Entities with a drive; those without; those of the world file."""
 CATEGORIES: Final[tuple[Category, ...]] = get_args(Category)
 EntityStatus = Literal["moving", "standing", "asleep", "no agent", "blocked", "static"]
 Choice = Literal["All", "Moving", "Standing", "Asleep", "No agent", "Blocked"]
@@ -30,7 +30,7 @@ class ListedEntities(msgspec.Struct, frozen=True, eq=False):
     """What a search found."""
 
     names: Mapping[Category, tuple[str, ...]]
-    """In the order of the world."""
+    """Names by category, in the order of the world."""
 
     @property
     def count(self) -> int:

@@ -7,7 +7,7 @@ from typing import Final
 import viser
 
 MAX_DISTANCE_M: Final = 1e4
-"""Of the floor along the ray of a click."""
+"""Greatest distance of the floor along the ray of a click."""
 Ray = tuple[float, float, float]
 Act = Callable[[], None]
 PointCallback = Callable[[float, float], None]

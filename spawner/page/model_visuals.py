@@ -42,7 +42,7 @@ class TriangleMesh(msgspec.Struct, frozen=True, eq=False):
 
 
 TriangleMeshes = Mapping[str, TriangleMesh]
-"""By `find_mesh_name`."""
+"""Meshes by `find_mesh_name`."""
 NO_MESHES: Final[TriangleMeshes] = MappingProxyType({})
 
 
@@ -109,7 +109,7 @@ class VisualTemplate(msgspec.Struct, frozen=True):
     visual_joints: tuple[VisualJoint, ...]
     """`visual_joints[i]` moves `links[i + 1]`."""
     lights: tuple[tuple[Light, ...], ...] = ()
-    """Of every link; empty if there are none."""
+    """Lights of every link; empty if there are none."""
 
 
 def make_template(model: Model, meshes: Container[str] = ()) -> VisualTemplate:

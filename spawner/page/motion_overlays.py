@@ -15,11 +15,11 @@ from zensim.spawner.page.viewer_client import PageState
 MAX_TRAILS: Final = 100
 TRAIL_POINTS: Final = 80
 TRAIL_PERIOD_S: Final = 0.25
-"""Between two points of a trail: its length is 20 s."""
+"""Time between two points of a trail: its length is 20 s."""
 TRAIL_SEND_S: Final = 0.5
-"""Between two messages with all trails."""
+"""Time between two messages with all trails."""
 TRAIL_HEIGHT_M: Final = 0.01
-"""Above the origin of the base, so that a trail does not flicker in the ground."""
+"""Height above the origin of the base, so that a trail does not flicker in the ground."""
 TRAIL_PX: Final = 2.0
 JUMP_M: Final = 1.0
 """A longer way between two points is a placement, not a motion."""

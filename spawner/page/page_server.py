@@ -225,7 +225,7 @@ class PageConnection(ServerConnection):
 
     @cached_property
     def _paces(self) -> "tuple[MessagePace, MessagePace]":
-        """Of messages of viser, and of the script: a moving camera must not delay a stop."""
+        """Paces of messages of viser and of the script: a moving camera must not delay a stop."""
         return MessagePace(), MessagePace()
 
     async def recv(self, decode: bool | None = None) -> Any:  # noqa: ANN401, FBT001

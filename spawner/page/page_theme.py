@@ -22,12 +22,11 @@ class PageTheme(msgspec.Struct, frozen=True):
     sky_top: Rgb
     sky_bottom: Rgb
     numerals: Rgb
-    """Of the scale on the ground."""
+    """Colour of the numerals of the scale on the ground."""
     shadow_opacity: float
-    """Of shadows on the ground."""
     brand: Rgb
-    """Of which viser makes ten tones, and takes the seventh in light themes, the ninth in dark
-    ones, for tabs, sliders and buttons."""
+    """Colour of which viser makes ten tones; tabs, sliders and buttons have the seventh in light
+    themes, the ninth in dark ones."""
 
 
 DARK: Final = PageTheme(
@@ -58,7 +57,7 @@ SCALE_M: Final = 10
 """Length of both axes on the ground."""
 NUMBERED_M: Final = (1, 2, 5, 10)
 SCALE_HEIGHT_M: Final = 0.003
-"""Of the lines above the ground, which would hide them."""
+"""Height of the lines above the ground, which would hide them."""
 TICK_M: Final = 0.05
 """Half of the length of a tick."""
 STROKE_M: Final = 0.085
@@ -66,11 +65,11 @@ STROKE_M: Final = 0.085
 RISE_M: Final = 0.17
 """Half of its height: long as on a road, since first views look along the ground."""
 GAP_M: Final = 0.055
-"""Between two characters, and between them and the axis."""
+"""Gap between two characters, and between them and the axis."""
 SPACE_M: Final = 0.05
 """Width of the space before a unit."""
 END_M: Final = 0.35
-"""Between the end of an axis and its letter, which is then clear of the last numeral."""
+"""Gap between the end of an axis and its letter, which is then clear of the last numeral."""
 
 Segments = list[tuple[tuple[float, float], tuple[float, float]]]
 READ_ALONG: Final[tuple[float, float]] = (0.5**0.5, 0.5**0.5)

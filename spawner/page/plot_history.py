@@ -18,7 +18,7 @@ from zensim.spawner.page.render_state import LastCommand
 PLOT_POINTS: Final = 300
 """60 s at 5 Hz."""
 MAX_FIELDS: Final = 6
-"""Of a message; further ones are not plotted."""
+"""Most fields of a message that are plotted."""
 MAX_NAME: Final = 60
 """Characters of the name of a field that are shown."""
 TIME_COLUMN: Final = "simulation time [s]"

@@ -39,7 +39,7 @@ NARROW_AZIMUTH_RAD: Final = np.radians(20.0)
 """The same where the image is higher than wide, as on a phone."""
 VIEW_ELEVATION_RAD: Final = np.radians(24.0)
 HIGH_ELEVATION_RAD: Final = np.radians(50.0)
-"""Of a view into a world, whose walls would hide what is behind them."""
+"""Elevation of a view into a world, whose walls would hide what is behind them."""
 SURROUNDINGS_M: Final = 1.0
 """What is shown around robots among walls."""
 TALL_M: Final = 0.2
@@ -49,9 +49,9 @@ FLAT_M: Final = 0.1
 LEAST_VIEW_M: Final = 1.2
 """Least width of a view: a single robot has floor around it."""
 VIEW_MARGIN_M: Final = 0.3
-"""Around each robot, which may drive."""
+"""Margin around each robot, which may drive."""
 LEAST_DISTANCE_M: Final = 0.7
-"""Of the nearest point along the axis of the camera."""
+"""Least distance of the nearest point along the axis of the camera."""
 FILLED_WIDTH, FILLED_HEIGHT = 0.8, 0.7
 """Shares of the image that the outermost points may span."""
 
@@ -93,11 +93,11 @@ class RenderedFleet(msgspec.Struct, frozen=True, eq=False):
     meshes: TriangleMeshes = NO_MESHES
     """Meshes of the templates."""
     scene: Scene = Scene()
-    """Of the world, without the lights of models."""
+    """Scene of the world, without the lights of models."""
     sensors: dict[SensorChoice, SensorView] = {}
     """What can be shown of the sensors of all entities."""
     models: tuple[Model, ...] = ()
-    """Of `EntityModel.model`."""
+    """Models, which `EntityModel.model` indexes."""
     driven: frozenset[str] = frozenset()
     """Entities with a drive; those of `robots`."""
 
@@ -114,7 +114,7 @@ class RenderedFrame(msgspec.Struct, frozen=True, eq=False):
     links: tuple[tuple[FloatArray, ...], ...] = ()
     """Poses (k, 7) of every link of every group."""
     lights: tuple[Light, ...] = ()
-    """Of links, in the world frame; at most `MAX_MODEL_LIGHTS`."""
+    """Lights of links, in the world frame; at most `MAX_MODEL_LIGHTS`."""
 
 
 class SimulationStatus(msgspec.Struct, frozen=True):

@@ -92,7 +92,7 @@ so that shadows are seen."""
 LAMP_DISTANCE_M: Final = 10.0
 """Distance of directional lamps from the origin."""
 LAMP_INTENSITY: Final = 2.2
-"""Of a white lamp of intensity 1 where its attenuation is 1."""
+"""Intensity for viser of a white lamp of intensity 1 where its attenuation is 1."""
 FIT_DISTANCES_M: Final = (0.5, 5.0)
 """Least and greatest distance at which the attenuation of a lamp is fitted: half of its range."""
 SPOT_ANGLE_RAD: Final = 0.8

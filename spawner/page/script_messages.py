@@ -157,4 +157,4 @@ DRIVE_SCRIPT: Final = """
   setInterval(repeat, PERIOD_MS);
 })();
 """
-"""It only sends messages to the page's server; `DriveControl` stops the robot without them."""
+"""Script that only sends messages to its server; `DriveControl` stops the robot without them."""

@@ -14,9 +14,9 @@ from zensim.spawner.page.robot_colours import to_linear
 from zensim.spawner.page.viewer_client import PageState
 
 OUTLINE_COLOURS: Final = ((255, 214, 64), (170, 178, 190))
-"""Of the first selected entity, and of the others."""
+"""Colours of the first selected entity, and of the others."""
 OUTLINE_GAP_M: Final = 0.015
-"""Between an entity and its outline."""
+"""Gap between the bounds of an entity and its outline."""
 OUTLINE_PX: Final = 2.5
 """Width of its lines on the screen."""
 

@@ -17,24 +17,24 @@ from zensim.proto.topic_catalog import DEPTH_IMAGE, DEPTH_POINTS, IMAGE_RAW, POI
 Picture = NDArray[np.uint8]
 """(height, width, 3), red, green, blue."""
 MAX_POINTS: Final = 20_000
-"""Of one sensor; of more, every k-th is shown."""
+"""Most points shown of one sensor; of more, every k-th is shown."""
 MAX_SHOWN_RANGE_M: Final = 10_000.0
 MAX_ANGLE_RAD: Final = 1e6
-"""Of a ray; float32 has no fraction of such an angle."""
+"""Bound of the angles of rays: float32 has steps of 0.06 rad there."""
 MAX_PICTURE_SIDE: Final = 480
 """The panel is narrower; of larger pictures, every k-th row and column is shown."""
 MAX_SCAN_BYTES: Final = 4 << 20
-"""Of a LaserScan: a million rays; its ranges become a tuple of floats."""
+"""Largest LaserScan: a million rays, whose ranges become a tuple of floats."""
 MAX_ARRAY_BYTES: Final = 64 << 20
-"""Of an Image or a PointCloud2, whose data are read as they are."""
+"""Largest Image or PointCloud2, whose data are read as they are."""
 FLOAT32: Final = 7
 """`PointField.datatype`."""
 DEPTHS: Final = "32FC1"
 CONTACT_COLUMNS: Final = 10
-"""Of `Contacts.points`."""
+"""Columns of `Contacts.points`."""
 MAX_CONTACTS: Final = 2000
 PIXEL_BYTES: Final = {"rgb8": 3, DEPTHS: 4}
-"""By `Image.encoding`."""
+"""Bytes of a pixel by `Image.encoding`."""
 LEAST_DEPTH_M: Final = 1e-3
 """White is at least this much nearer than black."""
 PICTURES: Final = (IMAGE_RAW.name, DEPTH_IMAGE.name)
@@ -61,7 +61,7 @@ class SensorView(msgspec.Struct, frozen=True):
     link: int
     """Index in `Model.links`."""
     origin: Origin
-    """Of the axes of its points in the link."""
+    """Pose of the axes of its points in the link."""
 
     @property
     def is_picture(self) -> bool:

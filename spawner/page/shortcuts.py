@@ -54,7 +54,7 @@ COMMANDS: Final = (
     UNDO,
 )
 LOOK_SHORTCUTS: Final = (Shortcut("Ctrl+K", "command palette"),)
-"""Of a page whose visitors may look only."""
+"""Shortcuts of a page whose visitors may look only."""
 SHORTCUTS: Final = (
     *DRIVE_SHORTCUTS,
     *(Shortcut(one.keys, one.label) for one in COMMANDS),

@@ -29,7 +29,7 @@ class WorldCall(msgspec.Struct, frozen=True, eq=False):
     on_error: Callable[[str], None] = ignore
     """Called with the reason of a refusal or failure."""
     timeout_s: float = 0.0
-    """Of a long call, made on a thread of its own; 0 = a short one, for which drawing waits."""
+    """Time limit of a long call, made on a thread of its own; 0 = a short call in the drawing loop."""
 
 
 class WatchedTopic(msgspec.Struct, frozen=True):
@@ -40,7 +40,7 @@ class WatchedTopic(msgspec.Struct, frozen=True):
     entity: str = ""
     """Empty for a topic of the world."""
     name: str = ""
-    """Of a topic of an entity, see `SensorTopic.name`."""
+    """Name of a topic of an entity, see `SensorTopic.name`."""
 
 
 Order = Button | WorldCall
@@ -48,7 +48,7 @@ Order = Button | WorldCall
 
 
 AMBER: Final = "var(--zensim-amber)"
-"""Of what is not as wanted; the style sheet of the page has a tone for each theme."""
+"""Colour of what is not as wanted; the style sheet of the page has a tone for each theme."""
 STATE_COLOURS: Final = {"playing": "var(--zensim-green)", "paused": AMBER}
 """Colours of the state; any other state is red."""
 SHORT: Final = 0.95

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from zensim.spawner.page.model_visuals import Array
 
 MAX_NAMES: Final = 20
-"""Of the robots nearest to the camera; each label costs messages while its robot moves."""
+"""Most labelled robots, nearest to the camera; a label costs messages while its robot moves."""
 MEASURE_COLOUR: Final = (255, 214, 64)
 MEASURE_HEIGHT_M: Final = 0.01
-"""Above the floor."""
+"""Height above the floor."""
 MEASURING: Final = "measure"
 MEASURE_POINT_M: Final = 0.02
 """Radius of the first point."""

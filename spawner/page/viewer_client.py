@@ -38,7 +38,7 @@ FOLLOW_GAIN: Final = 0.2
 FOLLOW_DISTANCE_M: Final = 1.6
 """Distance of the camera from the followed entity."""
 CHASE_OFFSET_M: Final = (-1.3, 0.0, 0.7)
-"""Of a chasing camera in the frame of the base, turned by its yaw only."""
+"""Offset of a chasing camera in the frame of the base, turned by its yaw only."""
 TOP_HEIGHT_M: Final = 3.0
 TOP_SLANT_M: Final = 0.01
 """Keeps a camera that looks down from the pole of its orbit, where yaw is undefined."""

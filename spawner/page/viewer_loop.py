@@ -88,7 +88,7 @@ MESH_BUDGET_BYTES: Final = 128 << 20
 FETCH_BUDGET_S: Final = 0.03
 """Time for files between two frames."""
 IMAGE_STARTS: Final = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff")
-"""Of PNG and JPEG."""
+"""First bytes of PNG and JPEG."""
 
 
 class MeshFetcher:
@@ -352,7 +352,7 @@ class SensorMonitors:
 WATCH_PERIOD_S: Final = 0.1
 """Minimum time between two messages of a watched topic."""
 MAX_WATCHED_BYTES: Final = 512 << 10
-"""Of a message of a watched topic: 100,000 rays, decoded while nothing is drawn."""
+"""Largest message of a watched topic: 100,000 rays, decoded while nothing is drawn."""
 
 
 class WatchMonitor:
@@ -447,7 +447,7 @@ class ViewerDataSource:
         self._fleet = RenderedFleet()
         self._fleet_inputs: _FleetInputs | None = None
         self._frame: tuple[RenderedFleet, bytes, bytes, RenderedFrame] | None = None
-        """Of the last snapshot, with what it was made of."""
+        """Frame of the last snapshot, with what it was made of."""
         self._shown: tuple[RenderedFrame, str] | None = None
         """Frame and state of the last view."""
         self._still_until = 0.0

@@ -19,7 +19,7 @@ CALL_TIMEOUT_S: Final = 0.8
 LAST_CALLS_S: Final = 1.0
 """Time limit of all calls at the end of the program."""
 MAX_LONG_CALLS: Final = 64
-"""At the same time; a further one is refused."""
+"""Most long calls at the same time; a further one is refused."""
 
 
 class WorldCalls:

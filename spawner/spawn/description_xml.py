@@ -10,7 +10,7 @@ from zensim.proto.names import check_namespace
 
 MAX_DEPTH = 64
 MAX_TEXT_BYTES = 2 << 20
-"""Below `MAX_REQUEST_BYTES`, as JSON adds escapes."""
+"""Limit below `MAX_REQUEST_BYTES`, as JSON adds escapes."""
 ROOT_TAGS = ("robot", "sdf")
 BLANKS = "\ufeff \t\r\n"
 

@@ -18,10 +18,10 @@ from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.spawner.teleop.key_bindings import Direction
 
 MAX_TRICYCLE_STEER_RAD: Final = 0.8
-"""Its description has no limit; at a right angle it would turn on the spot."""
+"""Limit of a tricycle, whose description has none; at a right angle it would turn on the spot."""
 USUAL_SPEED_M_S: Final = 0.5
 USUAL_TURN_RAD_S: Final = 1.5
-"""Of drives without a limit."""
+"""Turn rate of drives without a limit; `USUAL_SPEED_M_S` is their speed."""
 TURN_RADIUS_M: Final = 1.0
 """Assumed of steered robots that are commanded by turn rate: turn by speed at full lock."""
 

@@ -18,7 +18,7 @@ from zensim.spawner.teleop.key_bindings import Direction
 from zensim.spawner.teleop.teleop_state import Ending, TeleopState
 
 PERIOD_S: Final = 0.05
-"""Between commands while a robot moves; a key that is pressed or released acts at once."""
+"""Period of commands while a robot moves; a key that is pressed or released acts at once."""
 STOPS: Final = 5
 """Times that a stop is published: a congested network drops messages."""
 SEND_S: Final = 0.05

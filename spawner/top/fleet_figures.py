@@ -26,11 +26,11 @@ class FleetReading(msgspec.Struct, frozen=True, kw_only=True):
     """The last reports of all programs of a world."""
 
     stats: Stats | None = None
-    """Of the server; None if none has reported."""
+    """Stats of the server; None if none has reported."""
     agents: Mapping[str, AgentStats] = {}
     sensors: Mapping[str, SensorStats] = {}
     children: tuple[LocalProcess, ...] = ()
-    """Of these programs, on this host."""
+    """Child processes of these programs, on this host."""
     read_s: float = 0.0
     """Wall time at which `children` were read, from any origin."""
     snapshot: Snapshot | None = None
