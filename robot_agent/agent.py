@@ -167,7 +167,7 @@ class Housekeeping:
 
 
 FREEZE_AFTER_S = 2.0
-"""From the last new robot: what is made for it is there by then."""
+"""Wait after the last change of robots: what is made for a new one is there by then."""
 
 
 class CollectedObjects:
@@ -262,7 +262,7 @@ SLOW_HOUSEKEEPING_PERIOD_S = 0.1
 
 
 MAX_LOGGED_CLAIMS = 20
-"""For more robots at once only their number is logged."""
+"""Most robots claimed at once that are named; of more only the number is logged."""
 
 
 class ClaimClient(Protocol):
@@ -345,7 +345,7 @@ class Agent:
         self._rx_session = network if config.pool_limit is None else network.open_session()
         self._states = self._rx_session.subscribe(DRIVE_STATE.key(world, agent))
         self._contacts: Subscription | None = None
-        """While a contact sensor has a subscriber."""
+        """Subscription while a contact sensor has a subscriber."""
         self._commands = network.advertise(DRIVE_COMMAND.key(world, agent), DRIVE_COMMAND.encoding)
         self._graph = RosGraph(network, config.ros)
         self._rosout = Rosout(network, self._graph)
@@ -658,7 +658,7 @@ def _make_claim_client(network: AgentNetwork, config: AgentConfig) -> ClaimClien
 
 
 MAX_ENTITY_CHARACTERS = 48
-"""Of the entity name in a generated agent name."""
+"""Most characters of the entity name in a generated agent name."""
 
 
 def run_agent_process(start: AgentProcessConfig) -> None:

@@ -76,7 +76,7 @@ class AgentProcessConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Configuration of an agent process; `zensim.api.prepared_start` gets it as JSON."""
 
     endpoint: str
-    """Of a router or server."""
+    """Endpoint of a router or server."""
     config: AgentConfig
     is_quiet: bool = False
     """Whether only warnings are logged."""

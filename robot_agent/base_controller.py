@@ -61,7 +61,7 @@ class BaseController:
         self.targets: tuple[float, ...] = self._rest_targets
         """Targets of `Model.drive_actuators`, in order."""
         self.motion = BaseMotion()
-        """As of the last odometry."""
+        """Motion as of the last odometry."""
         self._base_in_root = find_base_frame(model).pose_in_root
         self._drive = make_drive_kinematics(drive, FLOAT_MATH)
         self._drive_state = (0.0,) * self._drive.state_size

@@ -75,7 +75,6 @@ class Bumper:
 
     def __init__(self, claim: Claim, sensor: Sensor, settings: ContactSensor) -> None:
         self.key = keys.robot(claim.namespace, sensor.topics[0].name)
-        """Of its topic."""
         self._entity = claim.entity
         self._environment = claim.environment
         self._rate_hz = sensor.update_rate_hz

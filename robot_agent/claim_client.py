@@ -42,7 +42,7 @@ TRANSIENT_CODES = frozenset(
 )
 """Refusals of claim_entity that are worth a retry."""
 MIN_SHARE_PERIOD_S = 0.05
-"""Between two calls, however many events there are."""
+"""Least time between two calls, however many events there are."""
 MAX_SHARE_PERIOD_S = 1.0
 """Calls are repeated, as events may be lost, and none says that a pool with a limit ended."""
 CLAIM_EVENTS = frozenset({"spawned", "released", "timed_out"})

@@ -27,7 +27,7 @@ def unpack_claims(claims: bytes) -> tuple[int, ...]:
 
 
 TWIST_COLUMNS = 3
-"""Of ordered twists: forward, left, turn."""
+"""Numbers of an ordered twist: forward, left, turn."""
 
 
 def unpack_twists(twists: bytes, count: int) -> tuple[Twist | None, ...]:
@@ -61,12 +61,12 @@ class RobotState(msgspec.Struct, frozen=True, gc=False):
 
     time_ns: int
     base: tuple[float, ...]
-    """Of the root link, `STATE_COLUMNS` numbers."""
+    """State of the root link, `STATE_COLUMNS` numbers."""
     positions: tuple[float, ...]
-    """Of all joints, in the order of `Model.joints`."""
+    """Positions of all joints, in the order of `Model.joints`."""
     velocities: tuple[float, ...]
     efforts: tuple[float, ...] = ()
-    """Likewise; empty if the server does not report them."""
+    """Efforts of all joints; empty if the server does not report them."""
 
 
 class DriveStateLayout:

@@ -10,8 +10,8 @@ from zensim.proto.network_protocols import AgentNetwork
 from zensim.proto.topic_catalog import FLEET_ODOMETRY
 
 MAX_MOTION_BYTES = 60_000
-"""Of the rows of a message: with its names and headers it fits a batch of 64 KiB. What is sent in
-fragments is lost with any of them."""
+"""Most bytes of the rows of a message: with its names and headers it fits a batch of 64 KiB. What
+is sent in fragments is lost with any of them."""
 MAX_SENT_AT_ONCE = 6
 """Messages of one step that are sent in one poll. A link holds 16, a router gets those of several
 agents at once, and what does not fit is lost."""

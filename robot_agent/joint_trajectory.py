@@ -21,7 +21,7 @@ from zensim.proto.ros2.trajectory_messages import (
 )
 
 ERASED: Final = -1.0
-"""Of a tolerance: no limit, whatever the controller has."""
+"""Tolerance without a limit, whatever the controller has."""
 MAX_POINTS: Final = 10_000
 FULL_TURN_RAD: Final = 2.0 * math.pi
 

@@ -35,7 +35,7 @@ class ChainJoint(msgspec.Struct, frozen=True):
     """How a joint moves its child in its parent."""
 
     index: int
-    """In `Model.joints`."""
+    """Index in `Model.joints`."""
     kind: JointKind
     origin: Origin
     axis: Vec3

@@ -17,7 +17,7 @@ class MountedSensor(msgspec.Struct, frozen=True):
     """0 = at every control step."""
     compat: Compat
     chain: LinkChain
-    """From the root link to the sensor."""
+    """Chain from the root link to the sensor."""
     topics: tuple[str, ...]
     """Names in the topic catalog, in the order of `Sensor.topics`."""
 

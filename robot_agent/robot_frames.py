@@ -28,7 +28,7 @@ from zensim.proto.topic_catalog import JOINT_STATES
 from zensim.robot_agent.odometry import BaseMotion
 
 DEFAULT_JOINT_STATE_PUBLISHER = JointStatePublisher(update_rate_hz=JOINT_STATES.rate_hz)
-"""For models without a joint state publisher."""
+"""Joint state publisher of models that specify none."""
 
 
 class FrameEdge(msgspec.Struct, frozen=True):
@@ -168,7 +168,7 @@ def _make_transform_stamped(
 
 
 NO_DRIVE = DiffDrive(update_rate_hz=30.0)
-"""Without wheels and topics; for models without a drive."""
+"""Drive of models that have none, without wheels and topics."""
 
 
 def get_drive(model: Model) -> Drive:

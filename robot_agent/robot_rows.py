@@ -101,9 +101,9 @@ class StateRows:
 
     time_ns: int
     base: FloatArray
-    """Of the root links, (n, STATE_COLUMNS)."""
+    """States of the root links, (n, STATE_COLUMNS)."""
     positions: FloatArray
-    """Of all joints [rad or m], (n, joints)."""
+    """Positions of all joints [rad or m], (n, joints)."""
     velocities: FloatArray
     """[rad/s or m/s]."""
     efforts: FloatArray | None = None

@@ -107,7 +107,7 @@ class CmdVelSubscriber:
         self._subscription = subscription
         self._timeout_ns = timeout_ns
         self.twist = ZERO_TWIST
-        """As of the last call of `at`."""
+        """Command as of the last call of `at`."""
         self._received_ns = 0
 
     def reset(self) -> None:

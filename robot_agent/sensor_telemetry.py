@@ -24,7 +24,7 @@ from zensim.robot_agent.state_sensors import (
 )
 
 FIRST_ROW = np.zeros(1, dtype=np.int64)
-"""That of the only robot."""
+"""Row of the only robot."""
 
 
 class StateSensorTelemetry:

@@ -67,7 +67,7 @@ class SensorIdentity:
 
     noise_key: int
     spawn_state: tuple[float, ...]
-    """Of the root link when the robot was spawned."""
+    """State of the root link when the robot was spawned."""
 
 
 def identify_sensor(claim: Claim, sensor: Sensor) -> SensorIdentity:
@@ -82,9 +82,9 @@ class SensorOutput:
 
     topic: TopicSpec
     paths: tuple[str, ...]
-    """Of the numbers in the message."""
+    """Paths of the numbers in the message."""
     columns: slice
-    """Of the measurements that are these numbers."""
+    """Columns of the measurements that are these numbers."""
 
 
 def _list_vector_paths(field: str) -> tuple[str, ...]:
@@ -95,7 +95,7 @@ class StateSensor(ABC):
     """Equal sensors of many robots; measurements are made only when they are asked for."""
 
     outputs: ClassVar[Mapping[str, SensorOutput]]
-    """By name in the topic catalog."""
+    """Outputs by name in the topic catalog."""
     needs_state_before: ClassVar[bool] = False
     """Whether a measurement is made of the states of two messages."""
 
@@ -390,7 +390,7 @@ class MagnetometerRows(StateSensor):
 
 
 SEA_LEVEL_PA, SEA_LEVEL_K, LAPSE_K_PER_M, PRESSURE_EXPONENT = 101_325.0, 288.15, 0.0065, 5.25588
-"""Of the troposphere. Source: ISO 2533, standard atmosphere."""
+"""Constants of the troposphere. Source: ISO 2533, standard atmosphere."""
 
 
 class AirPressureRows(StateSensor):

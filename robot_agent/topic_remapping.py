@@ -27,7 +27,7 @@ class RobotTopicKeys(msgspec.Struct, frozen=True):
     shared_tf: str = ""
     """The same for all robots."""
     sensors: tuple[str, ...] = ()
-    """Of the sensors that agents simulate; see `list_sensor_keys`."""
+    """Keys of the sensors that agents simulate; see `list_sensor_keys`."""
 
 
 def find_topic_keys(claim: Claim, ros: RosSettings = NO_ROS) -> RobotTopicKeys:

@@ -33,7 +33,7 @@ from zensim.robot_agent.joint_trajectory import (
 
 LOG = logging.getLogger("zensim.agent")
 FEEDBACK_PERIOD_NS = NANOSECONDS // 20
-"""Of simulation time; that of ros2_controllers."""
+"""Simulation time between two feedbacks, as in ros2_controllers."""
 ReadJoints = Callable[[Sequence[str]], JointsState]
 """Reads positions and velocities of joints, by name, at the present state."""
 SetPositions = Callable[[Sequence[str], Sequence[float]], None]

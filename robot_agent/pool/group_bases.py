@@ -177,7 +177,7 @@ class GroupBaseController:
         self.targets = np.zeros((0, group_key.target_count))
         """Targets of `Model.drive_actuators`, a row per robot."""
         self.motions = np.zeros((0, MOTION_COLUMNS))
-        """As of each row's last odometry."""
+        """Motion of each row as of its last odometry."""
         self._group_key = group_key
         self._measured = list(group_key.measured)
         self._drive = GroupDrive(drive)

@@ -24,11 +24,11 @@ class GroupKey(msgspec.Struct, frozen=True):
     """Drive, joints and topics that the robots of a group share, without names and frames."""
 
     drive: Drive
-    """Without names of frames and topics."""
+    """Drive without names of frames and topics."""
     base_in_root: Origin
     joint_count: int
     target_count: int
-    """Of the drive."""
+    """Number of targets of the drive."""
     measured: tuple[int, ...]
     """Joints of the actuators."""
     encoder: tuple[int, int] | None
@@ -39,15 +39,15 @@ class GroupKey(msgspec.Struct, frozen=True):
     """Joints in joint states."""
     joint_states_hz: float
     geometry: bytes
-    """Of the joints in tf."""
+    """Encoded joints in tf."""
     patterns: RobotTopicKeys
     """Patterns of the topic keys."""
     sensors: tuple[MountedSensor, ...] = ()
-    """Those that agents simulate."""
+    """Sensors that agents simulate."""
     environment: Environment = Environment()
     """What these sensors know of the world."""
     joint_target_count: int = 0
-    """Of controlled joints."""
+    """Number of targets of controlled joints."""
 
 
 class GroupKeys:
@@ -56,7 +56,7 @@ class GroupKeys:
     def __init__(self) -> None:
         self._keys: dict[GroupKey, GroupKey] = {}
         self._made: dict[tuple[int, int, RobotTopicKeys], tuple[Claim, GroupKey]] = {}
-        """By model, environment and patterns; with the claim, which keeps the first two."""
+        """Keys by model, environment and patterns; with the claim, which keeps the first two."""
 
     def find(self, claim: Claim, topic_keys: RobotTopicKeys) -> GroupKey:
         """Find the group key of a robot."""

@@ -88,7 +88,7 @@ class GroupTopic:
         self._demand = np.zeros(0, dtype=np.int8)
         self._demand_version = -1
         self._next_row = 0
-        """Of those that share a budget, in turn."""
+        """First row of the next turn, where rows share a budget."""
 
     def remap(
         self, members: Sequence[TopicMember], templates: Sequence[msgspec.Struct], before: IntArray
@@ -615,7 +615,7 @@ class StaticTransformBatch:
     def __init__(self, factory: TopicFactory) -> None:
         """Declare the topic."""
         self.size = 0
-        """About that of the message [bytes]."""
+        """Approximate size of the message [bytes]."""
         self._robots: dict[int, tuple[TransformTemplate, bytes]] = {}
         """Transforms and namespace by claim."""
         self._payload: bytes | None = None
@@ -735,7 +735,7 @@ class StaticTopics:
         self._ros = ros
         self._fixed: dict[int, tuple[Model, TFMessage]] = {}
         self._templates: dict[tuple[int, int], TransformTemplate] = {}
-        """Of models whose robots differ in the namespace alone, by model and its size."""
+        """Templates of models whose robots differ in the namespace alone, by model and its size."""
         self._values: dict[msgspec.Struct, StaticValue] = {}
 
     def add(self, claim: Claim, node: RosNode | None = None) -> tuple[TopicMember, ...]:

@@ -222,15 +222,15 @@ class GroupMember:
     group_key: GroupKey
     topic_keys: RobotTopicKeys
     row: int = NEW_ROW
-    """In its group."""
+    """Row in its group."""
     place: int = NEW_ROW
-    """In its pool."""
+    """Place in its pool."""
     topics: tuple[TopicMember, ...] = ()
     static_topics: tuple[TopicMember, ...] = ()
     templates: Sequence[msgspec.Struct] = ()
     """One per topic."""
     node: RosNode | None = None
-    """In the ROS 2 graph."""
+    """Node in the ROS 2 graph."""
     joints: JointControl | None = None
     """None without controlled joints."""
 
@@ -259,9 +259,9 @@ class GroupSlots:
     joints: RowPlaces
     """(n, joint_count)."""
     targets: RowPlaces
-    """Of the drive, (n, target_count)."""
+    """Indices of targets of the drive, (n, target_count)."""
     joint_targets: IntArray
-    """Of controlled joints, (n, joint_target_count)."""
+    """Indices of targets of controlled joints, (n, joint_target_count)."""
 
 
 @dataclass(frozen=True)
@@ -269,7 +269,7 @@ class _DueTelemetry:
     """Telemetry that is due at the last state."""
 
     rows: IntArray
-    """With a new motion."""
+    """Rows with a new motion."""
     state: StateRows
 
 
