@@ -30,7 +30,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "zensim.scenario.scenario_loading": ("load",),
     "zensim.scenario.world_export": ("export",),
 }
-"""By module."""
+"""Names by module."""
 _MODULE_OF = {name: module for module, names in MODULES.items() for name in names}
 
 

@@ -7,7 +7,7 @@ from zensim.api.api_errors import Invalid
 
 FloatArray = npt.NDArray[np.float64]
 MAX_NUMBER = 1e6
-"""Of positions [m] and velocities [m/s], [rad/s]; engines fail far beyond."""
+"""Limit of positions [m] and velocities [m/s], [rad/s]; engines fail far beyond."""
 
 
 def make_numbers(what: str, given: object, shape: str) -> FloatArray:

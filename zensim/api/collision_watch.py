@@ -17,7 +17,7 @@ class CollisionWatch:
     def __init__(self, world: SimulatedWorld) -> None:
         self._world = world
         self._found: dict[str, tuple[int, Collision]] = {}
-        """By name: the body, and its first collision."""
+        """Body and its first collision, by name of the entity."""
 
     def find(self, name: str) -> Collision | None:
         """Find the first collision of an entity since it was spawned."""

@@ -85,7 +85,7 @@ POOL = "pool"
 CLIENT = "world"
 """Name of the only client."""
 CMD_VEL_TIMEOUT_NS = 500_000_000
-"""As of a pool by default: see `AgentConfig.cmd_vel_timeout_s`."""
+"""Default of a pool: see `AgentConfig.cmd_vel_timeout_s`."""
 NO_RATES: Mapping[str, RateOverrides] = MappingProxyType({})
 KEY_BYTES = 32
 WAIT_S = 2e-4
@@ -165,11 +165,11 @@ class SavedServer:
     seed: int
     robots: PooledRobots
     subscriptions: list[InProcessSubscription]
-    """Of the robots."""
+    """Subscriptions of the robots."""
     queues: list[InProcessQueries]
     telemetry: SavedTelemetry
     sensor_faults: TopicFaults
-    """Of lidars and cameras, with the messages that they keep."""
+    """Faults of lidars and cameras, with the messages that they keep."""
     followed: tuple[tuple[int, int], int, int]
     more: object
     """What the caller saves with it."""
@@ -217,9 +217,9 @@ class InProcessServer:
         self._handlers = ServiceHandlers(self.parts)
         self.network = InProcessNetwork(self.call)
         self.sensor_network = InProcessNetwork(self.call)
-        """Of lidars and cameras, which are no part of the state; with the user's subscriptions."""
+        """Lidars and cameras, which are no part of the state, and the subscriptions of the user."""
         self._sensors: InProcessSensors | None = None
-        """From the first subscription to one of them on."""
+        """Sensors from the first subscription to one of them on."""
         self._sensor_faults = TopicFaults()
         self.robots = PooledRobots(self.network, CMD_VEL_TIMEOUT_NS)
         self._telemetry = InProcessTelemetry(self.parts, self.network, self.robots)

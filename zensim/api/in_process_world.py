@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 replace = msgspec.structs.replace
 ENGINE_KEYWORDS = ("clusters", "allow_failed_engine")
-"""Those of `WorldKeywords` that are fields of `EngineOptions`."""
+"""Keys of `WorldKeywords` that are fields of `EngineOptions`."""
 IN_PROCESS = EngineOptions(workers=0, compiles_ahead=False)
 NO_CLOCK_HINT = "use run_for(), step() or steps(), or zensim.launch(rtf=1) for a world that runs"
 

@@ -76,7 +76,7 @@ class AgentGroup(msgspec.Struct, frozen=True):
     """An agent process that drives the robots that it names."""
 
     name: str
-    """Of the program."""
+    """Name of the program."""
     entities: tuple[str, ...]
     odom_hz: float | None = None
     tf_hz: float | None = None
@@ -129,7 +129,7 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     connect: str = ""
     """Endpoint of a router that the server connects to, instead of listening at `endpoint`."""
     join_addresses: dict[str, str] = {}
-    """Of a secured server: join address (`@FILE`) of each program, and of `OPERATOR`."""
+    """Join address (`@FILE`) of each program of a secured server, and of `OPERATOR`."""
     is_secure: bool = False
     """Whether the server admits only users with a join token."""
     uses_certificates: bool = False
@@ -213,7 +213,7 @@ class DemandLaunch:
         self._client = SimClient(bus, config.world_name, DEMAND_CALL_TIMEOUT_S)
         self._bus = bus
         self._events: BusSubscription | None = None
-        """From the first call on, whose reply has all before: robots at a start are many events."""
+        """Subscription since the first call, whose reply covers the many events of a start."""
         self._has_news = True
         self._next_at_s = float("-inf")
 
@@ -312,7 +312,7 @@ class LocalDeployment:
     ready_at_s: float = 0.0
     """Monotonic time when all programs were ready."""
     clock: BusSubscription | None = None
-    """Of simulation time."""
+    """Subscription to simulation time."""
     meter: SimTimeMeter = field(default_factory=lambda: SimTimeMeter(0, 0))
 
 

@@ -38,7 +38,7 @@ READ_PLAIN: Final = PLAIN | {int, str}
 WORD_BITS: Final = 63
 MOST_DIGITS: Final = 400
 NUMBER_TYPE: Final = re.compile(r"[<|][biuf][1248]")
-"""Of arrays and their numbers: no objects, no texts."""
+"""Types of arrays and their numbers: no objects, no texts."""
 UNFINISHED: Final = object()
 """An object that is being read and that nothing can refer to yet."""
 
@@ -60,7 +60,7 @@ class GraphWriter:
         self._outside = outside
         self._numbers: dict[int, int] = {}
         self._kept: list[object] = []
-        """So that the identity of each stays its own."""
+        """Written objects, kept so that the identity of each stays its own."""
         self._layouts: dict[Layout, int] = {}
         self._arrays: dict[ArrayKind, int] = {}
 

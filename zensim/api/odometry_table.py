@@ -56,7 +56,7 @@ class OdometryTable:
         self._epoch, self._newest_s = 0, -math.inf
         self._rows: dict[str, int] = {}
         self._rows_of: dict[tuple[str, ...], IntArray] = {}
-        """Of the names of whole messages."""
+        """Rows by the names of a whole message."""
         self._found: tuple[tuple[str, ...], int, IntArray] = ((), 0, np.zeros(0, dtype=np.intp))
         """Names of the last call, the number of rows then, and the row of each."""
         self._times = np.zeros(0)

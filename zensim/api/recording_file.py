@@ -27,7 +27,7 @@ class StoredValue(msgspec.Struct, frozen=True):
     """A message of a recording."""
 
     topic: str
-    """With the first slash."""
+    """Name with the first slash."""
     ros_type: str
     """`pkg/msg/Name`."""
     time: float
@@ -35,7 +35,7 @@ class StoredValue(msgspec.Struct, frozen=True):
     published: float
     """Time of day at which it was received [s]."""
     payload: bytes
-    """As it was on the network, CDR."""
+    """CDR, as it was on the network."""
 
     @property
     def data(self) -> msgspec.Struct:

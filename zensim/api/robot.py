@@ -17,7 +17,7 @@ from zensim.proto.path_following import PathController
 from zensim.spawner.spawn.spawn_poses import make_pose
 
 MIN_SPEED = 1e-6
-"""Along a path [m/s]."""
+"""Least speed along a path [m/s]."""
 
 
 class EntityHandle:

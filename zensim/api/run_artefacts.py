@@ -28,7 +28,7 @@ class RobotReport(msgspec.Struct, frozen=True):
     pose: tuple[float, ...]
     """x y z [m], qx qy qz qw."""
     twist: tuple[float, ...]
-    """In its own frame [m/s], [rad/s]."""
+    """Linear [m/s] and angular [rad/s] velocity in its own frame."""
 
 
 class FailureReport(msgspec.Struct, frozen=True):

@@ -104,7 +104,7 @@ class ServerAccess(WorldAccess):
     """A world on a server."""
 
     role = ""
-    """Of this client's user, once it is known; empty if the server is not secured."""
+    """Role of this client's user, once it is known; empty if the server is not secured."""
     _joined = (0, 0)
     """Epoch and step of the last control step that `join` waited for."""
 

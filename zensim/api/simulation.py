@@ -73,12 +73,12 @@ Handle = TypeVar("Handle", bound=EntityHandle)
 RATE_TOLERANCE = 1e-6
 MAX_SEED = (1 << 64) - 1
 MAX_STEPS = 10_000_000
-"""Of one call of `step`."""
+"""Most steps of one call of `step`."""
 DRIVEN_TIMEOUT_S = 10.0
 """Wall time within which an agent must drive a new robot."""
 RECORDER_TIMEOUT_S = 30.0
 MAX_RATE_HZ = 10_000.0
-"""Of topics that are thinned."""
+"""Highest rate of topics that are thinned."""
 
 
 class WorldKeywords(TypedDict, total=False):

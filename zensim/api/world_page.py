@@ -9,7 +9,7 @@ from zensim.proto.printable_text import to_html
 from zensim.proto.supervisor import Supervisor
 
 PAGE_HEIGHT = 480
-"""In notebooks [pixels]."""
+"""Height in notebooks [pixels]."""
 
 
 class WorldPage:

@@ -20,7 +20,7 @@ from zensim.spawner.spawn.spawn_poses import make_pose
 CAMERA = CameraSensor(width=960, height=600, near_m=0.05, far_m=1000.0)
 PITCH_RAD, YAW_RAD = 0.8, math.pi / 4.0
 MARGIN_M, LEAST_SIZE_M = 2.0, 3.0
-"""Around the robots, and least side of the square of ground that is shown."""
+"""Margin around the robots, and least side of the square of ground that is shown."""
 PNG_HEAD = b"\x89PNG\r\n\x1a\n"
 RGB_8_BITS = (8, 2, 0, 0, 0)
 """Bits, colour type, compression, filter and interlacing of a PNG file."""

@@ -104,7 +104,7 @@ class _DrivesOfKind:
 
 
 class BatchDrives:
-    """From twists to the targets of all actuators, as agents compute them.
+    """Converts twists to the targets of all actuators, as agents do.
 
     Attributes:
         targets: (worlds, t), robot by robot in the order of their actuators.

@@ -28,7 +28,7 @@ from zensim.spawner.client.service_client import ServiceClient
 SensorName = Literal["scan", "imu"]
 SENSORS: dict[str, type] = {"scan": RaySensor, "imu": ImuSensor}
 IMU_LIMITS = np.array([1.0] * 4 + [100.0] * 3 + [1000.0] * 3)
-"""Of quaternion, angular velocity [rad/s] and specific force [m/s^2] in observations."""
+"""Limits of quaternion, angular velocity [rad/s] and specific force [m/s^2] in observations."""
 
 
 class BatchSensors:
@@ -151,7 +151,7 @@ class BatchLidars:
         mounted = [one for one in roster.sensors if one.sensor == chosen.get(one.entity)]
         self._places = SensorPlaces(mounted, roster)
         self._noises: dict[int, SensorNoise] = {}
-        """By world."""
+        """Noise by world."""
 
     def restart(self, world: int, seed: int) -> None:
         """See `BatchSensors.restart`."""
@@ -215,7 +215,7 @@ class BatchImus:
         self._units: list[StateSensor] = [
             make_state_sensor(mounted[0], environment) for _ in range(worlds)
         ]
-        """Of each world, which has a time of its own."""
+        """Units of each world, which has a time of its own."""
         gx, gy, gz = environment.gravity
         self._at_rest = np.array([*IDENTITY, 0.0, 0.0, 0.0, -gx, -gy, -gz])
         self.numbers: FloatArray = np.tile(self._at_rest, (worlds, len(self._sensors), 1))

@@ -39,13 +39,13 @@ class EnvKeywords(TypedDict, total=False):
     """Name of a shipped world, an SDF file, or a world with robots, which is copied as it is:
     `model`, `count` and `spacing` have no effect then."""
     model: str
-    """Of the robots; name of a shipped model, or a file."""
+    """Model of the robots; name of a shipped model, or a file."""
     count: int
     """Robots in a world."""
     spacing: float
     """Distance of neighbours at the start [m]."""
     sensors: Sequence[SensorName]
-    """Whose measurements follow the numbers of the task: scan, imu."""
+    """Sensors whose measurements follow the numbers of the task: scan, imu."""
     rate_hz: float
     """Steps of the environment per simulated second; it divides that of control steps."""
     time_limit_s: float
@@ -55,7 +55,7 @@ class EnvKeywords(TypedDict, total=False):
     max_turn_rad_s: float
     """Turn of an action of 1."""
     threads: int
-    """That step the worlds; 0 = one for each core, at most one for each world."""
+    """Threads that step the worlds; 0 = one for each core, at most one for each world."""
 
 
 class EnvSettings(msgspec.Struct, frozen=True, kw_only=True):

@@ -14,7 +14,7 @@ from zensim.envs.world_layout import BoolArray, FloatArray
 
 Observations = npt.NDArray[np.float32]
 MAX_SEED = 1 << 62
-"""Of the noise of sensors, which differs by episode."""
+"""Bound (exclusive) of the seed of the noise of sensors, which differs by episode."""
 ACTION_COLUMNS = 2
 """Forward velocity and turn, from -1 to 1."""
 

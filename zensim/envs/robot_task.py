@@ -53,7 +53,7 @@ class RobotTask(ABC):
     """A task of the robots of many equal worlds."""
 
     least_robots = 1
-    """In a world."""
+    """Least number of robots in a world."""
 
     def choose_agents(self, robots: int) -> IntArray:
         """Choose which of the robots (robots,) of a world learn; others are driven by the task."""
@@ -112,7 +112,7 @@ class GoalProgress:
     def __init__(self, tolerance_m: float) -> None:
         self._tolerance_m = tolerance_m
         self.goals: FloatArray = np.zeros((0, 0, 2))
-        """In the world, (worlds, robots, 2)."""
+        """Goals x, y [m] in the world frame, (worlds, robots, 2)."""
         self._distances: FloatArray = np.zeros((0, 0))
 
     def restart(self, worlds: IntArray, poses: FloatArray, goals: FloatArray) -> None:

@@ -349,4 +349,4 @@ CONTROL_CAPABILITIES: Final[tuple[Capability, ...]] = (
     "services",
 )
 CONTROL_ENCODINGS: Final = ("cdr", "json")
-"""Of what clients publish and call, the preferred one first."""
+"""Encodings of what clients publish and call, the preferred one first."""

@@ -40,12 +40,12 @@ WATCH_S: Final = 0.1
 IDLE_S: Final = 0.25
 """Period at which the program checks whether it is to end, without clients."""
 MAX_MESSAGE_BYTES: Final = 4 << 20
-"""Of a message of a client, such as a call with a description to spawn."""
+"""Largest message of a client, such as a call with a description to spawn."""
 MAX_CLIENTS: Final = 50
 MAX_BACKLOG_BYTES: Final = 16 << 20
 """Data that wait for one client; beyond this, messages of topics are left out."""
 CAUGHT_UP_BYTES: Final = 1 << 20
-"""Until no more than this waits."""
+"""Backlog at which messages of topics are no longer left out."""
 MAX_REPLY_BYTES: Final = 64 << 20
 """Data that wait; beyond this, nothing more is read of the client, and no work of it begins."""
 MOST_BACKLOG_BYTES: Final = 256 << 20

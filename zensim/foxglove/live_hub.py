@@ -25,11 +25,11 @@ NAME: Final = "zensim"
 CONTROL_IS_OFF: Final = "control is off; start 'zensim foxglove' with --allow-control"
 MAX_SUBSCRIPTIONS: Final = 100_000
 MAX_PUBLISHED: Final = 1_000
-"""Of one client."""
+"""Most channels that one client advertises."""
 MAX_WARNINGS: Final = 8
 """Errors that a client gets between two calls of `tick`; of others it gets the number."""
 ERRORS_ID: Final = "errors"
-"""Of the status with that number; clients replace the last one of an id."""
+"""Id of the status with the number of errors left out; clients replace the last one of an id."""
 FETCHERS: Final = 2
 """Queries for latched messages at the same time."""
 FETCHED_TOGETHER: Final = 16
@@ -90,12 +90,12 @@ class HubClient:
         """Number of the channel by id of the subscription."""
         self.published: dict[int, DriverChannel] = {}
         self.parameters: set[str] | None = set()
-        """Whose changes it gets; None = of all."""
+        """Parameters whose changes it gets; None = all."""
         self.missed: set[int] = set()
         """Subscriptions of which messages were left out."""
         self._frames: list[bytes] = []
         self._framed: set[int] = set()
-        """Their subscriptions."""
+        """Subscriptions of the frames."""
         self._warnings = 0
 
     def send(self, message: ServerMessage) -> None:

@@ -38,7 +38,7 @@ class LiveTopic(msgspec.Struct, frozen=True):
     """A topic, and where its messages are."""
 
     name: str
-    """As ROS 2 writes it, with a leading slash."""
+    """Name as ROS 2 writes it, with a leading slash."""
     kind: type[msgspec.Struct]
     keys: tuple[str, ...]
     """Key expressions of its messages."""

@@ -26,7 +26,7 @@ WORLD_FRAME: Final = "world"
 DEFAULT_RGBA: Final[Quat] = (0.72, 0.74, 0.77, 1.0)
 """Colour of shapes without a colour."""
 MESH_URL: Final = "package://zensim/meshes/{}.stl"
-"""Of a file of the server, by its sha256."""
+"""URL of a mesh of the server, by its sha256."""
 GROUND_M: Final = 100.0
 GROUND_THICKNESS_M: Final = 0.01
 GROUND_RGBA: Final[Quat] = (0.86, 0.87, 0.88, 1.0)

@@ -105,7 +105,7 @@ class LatchedSource(MessageSource):
         self._bus, self._keys = bus, topic.keys
         self._last: bytes | None = None
         self._fetched: deque[bytes] = deque()
-        """Of another thread."""
+        """Messages that another thread has queried."""
 
     def fetch(self) -> None:
         """Query the message that was published before; blocks for `LATCHED_TIMEOUT_S` at most."""
@@ -226,7 +226,7 @@ class StaticTransformSource:
         self._transforms = RobotTransforms(bus, topic.keys[0], facts)
         self._known: dict[bytes, bytes] = {}
         self._fetched: deque[tuple[str, bytes]] = deque()
-        """Of another thread."""
+        """Keys and messages that another thread has queried."""
 
     def fetch(self) -> None:
         """Query the transforms of each agent; blocks for `LATCHED_TIMEOUT_S` at most."""

@@ -43,7 +43,7 @@ SERVICES: Final = (
     service_catalog.SET_ENTITY_STATE,
 )
 FAILURES: Final = (BusError, ServiceError, TimeoutError, MalformedPayload, ValueError)
-"""Of a call; a client gets their texts."""
+"""Errors of a call; a client gets their texts."""
 
 
 class RefusedChannel(ValueError):

@@ -10,13 +10,13 @@ else:
     from backports import zstd
 
 LEVEL: Final = 1
-"""As fast as LZ4, and a third smaller; the default level takes up to 1.7 times the time."""
+"""Level as fast as LZ4, and a third smaller; the default one takes up to 1.7 times the time."""
 PIECE_BYTES: Final = 1 << 20
 MAX_CHUNK_BYTES: Final = 256 << 20
-"""Of the records of a chunk: a megabyte of Zstandard can hold 30 GB."""
+"""Most bytes of the records of a chunk: a megabyte of Zstandard can hold 30 GB."""
 FREE_BYTES: Final = 96 << 20
-"""Of records that any chunk may have, and a file without index in all: the largest message and the
-chunk that it ends."""
+"""Bytes of records that any chunk may have, and a file without index in all: the largest message
+and the chunk that it ends."""
 MAX_RATIO: Final = 1000
 """Bytes of records for each byte of a file beyond them; recordings of robots have 3 to 50."""
 

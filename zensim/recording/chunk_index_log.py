@@ -24,7 +24,7 @@ COUNT: Final = struct.Struct("<HI")
 POSITION_BYTES: Final = 16
 """Log time and offset of a message in a message index."""
 MESSAGE_INDEX_BYTES: Final = RECORD_HEAD.size + 2 + LENGTH.size
-"""Of a message index without messages."""
+"""Size of a message index without messages."""
 
 
 class ChunkIndexLog:

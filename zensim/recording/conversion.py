@@ -28,7 +28,7 @@ class ConversionSettings(msgspec.Struct, frozen=True, kw_only=True):
 
     chosen: TopicFilter
     start_ns: int = 0
-    """Since the first message of the first recording."""
+    """Time since the first message of the first recording."""
     end_ns: int = LAST_NS
     parts: PartSettings
 

@@ -30,9 +30,9 @@ TIMEOUT_S: Final = 2.0
 MESHES_S: Final = 0.1
 WORLD_FILE: Final = "world.sdf"
 MODELS_FOLDER: Final = "models/"
-"""Of models and their entities, by the roster of `Snapshot`; see `GetModelsResponse`."""
+"""Folder of models and their entities, by roster of `Snapshot`; see `GetModelsResponse`."""
 MESHES_FOLDER: Final = "meshes/"
-"""Of meshes and textures, by their sha256."""
+"""Folder of meshes and textures, by their sha256."""
 SHIPPED_NAME: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 WORLD_SUFFIXES: Final = (".sdf", ".world")
 WORLD_ROOT: Final = re.compile(r"<sdf\s")
@@ -40,7 +40,7 @@ ROOT_WITHIN: Final = 4096
 """Characters within which a world file names its root element."""
 MAX_WORLD_BYTES: Final = 16 << 20
 MAX_MESHES_BYTES: Final = 1 << 30
-"""Of all meshes and textures of a recording."""
+"""Most bytes of all meshes and textures of a recording."""
 
 
 class FileRefused(Exception):

@@ -48,7 +48,7 @@ CHUNK_INDEX_HEAD: Final = struct.Struct("<QQQQI")
 MAX_LOOSE_BYTES: Final = 1 << 20
 """Messages outside of chunks are read in groups of this size."""
 MAX_METADATA_BYTES: Final = 16 << 20
-"""Of all metadata of a file."""
+"""Most bytes of all metadata of a file."""
 
 
 class ChunkPlace(msgspec.Struct, frozen=True, gc=False):
@@ -79,7 +79,7 @@ class AttachmentPlace(msgspec.Struct, frozen=True):
 
     at: int
     length: int
-    """Of its record."""
+    """Length of its record [bytes]."""
     name: str
     media_type: str
     size: int

@@ -47,14 +47,14 @@ from zensim.spawner.client.service_client import ServiceClient
 
 DEPTH: Final = 4096
 MAX_WAITING_BYTES: Final = 32 << 20
-"""Of messages that wait; newer ones replace the oldest. 10,000 robots send 1.5 MB a step."""
+"""Most bytes of waiting messages; newer replace the oldest. 10,000 robots send 1.5 MB a step."""
 MAX_EARLY: Final = 512
 """Messages of other epochs that wait for the clock."""
 CALL_TIMEOUT_S: Final = 1.0
 FIRST_BUDGET_S: Final = 3.0
-"""Of the queries of all robots of a world."""
+"""Time for the queries of all robots of a world at the start."""
 QUERY_BUDGET_S: Final = 0.5
-"""Of all queries of one call of `collect` later."""
+"""Time for all queries of one call of `collect` later."""
 QUERY_PERIOD_S: Final = 1.0
 """Wall time between two queries for robots that are new."""
 MAX_QUERY_PERIOD_S: Final = 8.0
@@ -143,7 +143,7 @@ class _Templates(NamedTuple):
     """Topics of a robot, and messages with the frames and covariances of its own."""
 
     topic: RecordedTopic | None
-    """Of odometry; None if it is not recorded."""
+    """Topic of odometry; None if it is not recorded."""
     odometry: Odometry
     tf_topic: RecordedTopic | None
     """None if transforms are not made of odometry."""
@@ -156,11 +156,11 @@ class _KnownRobot:
 
     robot: FleetRobot
     slot: int
-    """In the table."""
+    """Slot in the table."""
     single: set[str]
     """Keys that are subscribed to while its odometry comes."""
     replies: dict[str, Sample] = field(default_factory=dict)
-    """Until all have come."""
+    """Replies by key, kept until all have come."""
     queries: int = 0
     templates: _Templates | None = None
     """None until its topics have replied."""
@@ -172,9 +172,9 @@ class _FleetGroup:
     def __init__(self, layout: _Layout, members: Sequence[_KnownRobot]) -> None:
         self.layout, self._members = layout, list(members)
         self.rows = {one.slot: row for row, one in enumerate(members)}
-        """Of the robots that are left, by slot."""
+        """Rows of the robots that are left, by slot."""
         self.slots = np.array(list(self.rows), dtype=np.int64)
-        """Of each row; `NO_SLOT` for a robot that is gone."""
+        """Slot of each row; `NO_SLOT` for a robot that is gone."""
         found = [one.templates for one in members if one.templates is not None]
         self._topics = [one.topic for one in found if one.topic is not None]
         self._odometry = CdrBatch(
@@ -402,7 +402,7 @@ class FleetMessages:
         self._groups: list[_FleetGroup] = []
         self._robots: dict[str, _KnownRobot] = {}
         self._unread: dict[str, _KnownRobot] = {}
-        """Those whose topics have not replied."""
+        """Robots whose topics have not replied."""
         self._is_complete = False
         """Whether the robots of the world were listed."""
         self._single: frozenset[str] = frozenset()

@@ -41,11 +41,11 @@ class FleetRobot(NamedTuple):
     tf_key: str
     """Empty without transforms."""
     single_keys: tuple[str, ...]
-    """Of odometry that agents do not send."""
+    """Keys of odometry that agents do not send."""
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """Its topics that are made of the odometry of agents."""
+        """Keys of its topics that are made of the odometry of agents."""
         return tuple(filter(None, (self.odometry_key, self.tf_key)))
 
 

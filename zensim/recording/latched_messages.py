@@ -10,7 +10,7 @@ from zensim.proto.topic_catalog import TF_STATIC
 SHARED_TOPIC: Final = f"/{TF_STATIC.suffix}"
 """Every agent publishes the transforms of its own robots there."""
 MAX_SHARED_BYTES: Final = 16 << 20
-"""Of the messages of the shared topic: the oldest are forgotten."""
+"""Most bytes of the messages of the shared topic; the oldest are forgotten."""
 TRANSFORMS: Final = make_encoding(TFMessage, Format.CDR)
 
 
@@ -19,7 +19,7 @@ class NamedTopic(Hashable, Protocol):
 
     @property
     def name(self) -> str:
-        """With the first slash."""
+        """Name with the first slash."""
 
 
 Topic = TypeVar("Topic", bound=NamedTopic)

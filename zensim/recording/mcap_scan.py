@@ -40,7 +40,7 @@ CHUNK_PATTERN: Final = re.compile(
 CHUNK_OPCODE: Final = re.compile(rb"\x06")
 CHUNK_START_BYTES: Final = 53
 WASTE_SHARE: Final = 4
-"""Of the size of a file: so many bytes are read in search of chunks inside damaged records."""
+"""Most bytes read in search of chunks inside damaged records, over the size of the file."""
 MAX_RECORD_BYTES: Final = 1 << 30
 MAX_OTHERS: Final = 1 << 17
 """Records of a chunk that are no messages: a definition for each number of a schema and a channel.

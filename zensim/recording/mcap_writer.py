@@ -38,11 +38,11 @@ from zensim.recording.mcap_records import (
 )
 
 CHUNK_BYTES: Final = 1 << 20
-"""Of a chunk before compression. Smaller ones take a quarter more disk and time."""
+"""Size of a chunk before compression. Smaller ones take a quarter more disk and time."""
 PROFILE: Final = "ros2"
 LIBRARY: Final = "zensim"
 SPARE_BYTES: Final = 4096
-"""Of the records of a summary that are in every file."""
+"""Room for the records of a summary that are in every file."""
 
 
 class Sink(Protocol):
@@ -64,9 +64,9 @@ class ChunkSettings(msgspec.Struct, frozen=True):
     """Size and compression of chunks."""
 
     size: int = CHUNK_BYTES
-    """At least, before compression."""
+    """Least size before compression [bytes]."""
     level: int = LEVEL
-    """Of Zstandard; 0 = no compression."""
+    """Level of Zstandard; 0 = no compression."""
 
 
 DEFAULT_CHUNKS: Final = ChunkSettings()
@@ -101,7 +101,7 @@ class McapWriter:
         self._unwritten: list[Schema | Channel] = []
         self._written: list[Schema | Channel] = []
         self._records: list[bytes] = []
-        """Of the chunk that is not written yet."""
+        """Records of the chunk that is not written yet."""
         self._size = 0
         """Bytes of these records."""
         self._index = ChunkIndex()

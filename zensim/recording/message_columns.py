@@ -23,10 +23,10 @@ from zensim.proto.codec.cdr_layout import (
 LITTLE_AT: Final = 1
 """Byte of the CDR header whose lowest bit says that the least significant byte comes first."""
 MAX_ITEMS: Final = 32
-"""Of a sequence of numbers or messages that becomes columns; longer ones of messages have none."""
+"""Longest sequence that becomes columns; longer ones of messages have none."""
 
 MAX_LAYOUTS: Final = 64
-"""Of messages of one size that are decoded together: each is a pass over all that are left."""
+"""Most layouts of messages of one size that are decoded together: each is a pass over the rest."""
 
 
 class TextColumn(msgspec.Struct, frozen=True, eq=False):
@@ -56,7 +56,7 @@ class MessageColumns(msgspec.Struct, frozen=True, eq=False):
     messages: npt.NDArray[np.int64]
     """Position of the message of each row among those given, (n,)."""
     columns: dict[str, Column]
-    """By dotted path, such as `pose.pose.position.x`."""
+    """Columns by dotted path, such as `pose.pose.position.x`."""
 
 
 class ColumnDecoder:

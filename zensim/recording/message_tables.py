@@ -30,7 +30,7 @@ ROBOT: Final = "robot"
 LOG_TIME: Final = "t_ns"
 PUBLISH_TIME: Final = "publish_ns"
 BATCH_BYTES: Final = 16 << 20
-"""Of messages that are decoded at once."""
+"""Size of the messages that are decoded at once."""
 UNITS: Final = tuple(
     (re.compile(pattern), unit)
     for pattern, unit in (

@@ -64,12 +64,12 @@ class RecordedTopic(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def encoding(self) -> str:
-        """Of messages."""
+        """Encoding of messages."""
         return "cdr"
 
     @property
     def schema_encoding(self) -> str:
-        """Of the definition of the type."""
+        """Encoding of the definition of the type."""
         return "ros2msg"
 
     @property

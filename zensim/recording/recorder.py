@@ -47,11 +47,11 @@ takes more memory, as each of its places is used in turn: 0.4 kB a place."""
 MANY_TAKEN: Final = 100
 """Messages of one key expression that a take should find at most: what waits takes memory."""
 WALL_PERIOD_S: Final = 0.01
-"""Between two takes, where the time of a take is the log time of its messages."""
+"""Time between two takes, where the time of a take is the log time of its messages."""
 SHORT_PERIOD_S: Final = 0.02
-"""Where messages without a stamp have the clock of the take, or many arrive."""
+"""Time between two takes where messages have the clock of the take, or many arrive."""
 LONG_PERIOD_S: Final = 0.1
-"""Where all have stamps: a take costs as much as 20 messages."""
+"""Longest time between two takes where all have stamps: a take costs as much as 20 messages."""
 EVENTS_DEPTH: Final = 1024
 MOST_OPENED: Final = 256
 """Subscriptions to topics of single robots that a take begins."""
@@ -115,9 +115,9 @@ class RecorderSettings(msgspec.Struct, frozen=True, kw_only=True):
 
     world: str
     domain: int | None
-    """Of ROS 2; None = only plain keys."""
+    """Domain of ROS 2; None = only plain keys."""
     time_base: TimeBase = "simulation"
-    """Of log times."""
+    """Clock of log times."""
     period_ns: int = 0
     """Simulation time in which the newest message of each topic is kept; 0 = all are."""
     step_ns: int = 0
@@ -166,14 +166,14 @@ class Recorder:
     overflows = 0
     """How often messages arrived faster than they were taken, so that some were lost."""
     missing = 0
-    """About how many were lost then, by the gaps between stamps."""
+    """Approximate number of messages lost by overflows, by the gaps between stamps."""
     _has_arrivals = True
     _has_unstamped = False
     _period, _taken_ns, _taken_s = 0, 0, 0.0
     _most_taken = 0
     """Messages of one key expression in the last take."""
     _stamped_period_s = SHORT_PERIOD_S
-    """Between two takes where all messages have stamps."""
+    """Time between two takes where all messages have stamps."""
 
     def __init__(
         self,

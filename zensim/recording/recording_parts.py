@@ -35,10 +35,10 @@ FLUSH_PERIOD_NS: Final = NANOSECONDS // 2
 """Log time after which a chunk is written, where files of equal runs have to be equal."""
 SUFFIX: Final = ".mcap"
 MAX_CHANNELS: Final = (1 << 16) - 1
-"""Of a file: their numbers have 16 bits."""
+"""Most channels of a file: their numbers have 16 bits."""
 METADATA_FILE: Final = "metadata.yaml"
 PART: Final = "part"
-"""Of the facts in each file: its number, counted from 0."""
+"""Key of the number of a file, counted from 0, in its facts."""
 
 
 class DiskFull(OSError):
@@ -53,7 +53,7 @@ class PartSettings(msgspec.Struct, frozen=True, kw_only=True):
     max_bytes: int = 0
     """0 = no limit."""
     max_duration_ns: int = 0
-    """Of log time; 0 = no limit."""
+    """Longest log time of a file; 0 = no limit."""
     min_free_bytes: int = 0
     """The recording ends before the disk has less."""
     is_synchronous: bool = False

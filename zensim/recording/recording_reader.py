@@ -43,21 +43,21 @@ LAST_NS: Final = (1 << 64) - 1
 RESET_NS: Final = NANOSECONDS
 """A file that begins so long before the end of the last one is of another run."""
 MAX_LATCHED_BYTES: Final = 64 << 20
-"""Of latched messages that are kept for the next seek; beyond it each seek reads them again."""
+"""Most bytes of latched messages kept for the next seek; beyond it each seek reads them again."""
 MESSAGE: Final = int(Opcode.MESSAGE)
 MAX_WAITING_BYTES: Final = 1 << 30
-"""Of messages of chunks whose times overlap: 50 MB of a file may claim terabytes."""
+"""Most bytes of messages of chunks whose times overlap: 50 MB of a file may claim terabytes."""
 
 
 class StoredTopic(msgspec.Struct, frozen=True, eq=False):
     """A topic as files have it; one object for all files of a recording."""
 
     name: str
-    """With the first slash."""
+    """Name with the first slash."""
     ros_type: str
     """`pkg/msg/Name`."""
     encoding: str
-    """Of messages; `cdr` in files of ROS 2."""
+    """Encoding of messages; `cdr` in files of ROS 2."""
     schema_encoding: str
     schema: bytes
     """Definition of the type, in its encoding."""
@@ -288,7 +288,7 @@ class RecordingReader:
         self.topics = tuple(topics.values())
         """All topics, in the order of their first definition."""
         self.runs = tuple(map(RecordingRun, _split_runs(self._files)))
-        """At least one; another one for each reset of time."""
+        """Runs, at least one; another one for each reset of time."""
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -376,7 +376,7 @@ class RunSpan(msgspec.Struct, frozen=True):
     """The part of a run between two positions: times since the first message, without resets."""
 
     number: int
-    """Of the run."""
+    """Number of the run."""
     run: RecordingRun
     shift_ns: int
     """Position of a message less its log time."""

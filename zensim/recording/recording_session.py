@@ -27,7 +27,7 @@ class SessionSettings(msgspec.Struct, frozen=True, kw_only=True):
 
     parts: PartSettings
     max_cache_bytes: int
-    """Of the messages that wait for the disk, or that the ring of `--snapshot-mode` keeps."""
+    """Most bytes of messages that wait for the disk, or that the ring of snapshots keeps."""
     is_snapshot: bool = False
     """Whether messages are kept in memory, and written on demand only."""
     snapshot_ns: int = 0
@@ -53,20 +53,20 @@ class RecordingFigures(msgspec.Struct, frozen=True, kw_only=True):
     duration_s: float
     """Wall time."""
     messages: int
-    """In the files."""
+    """Messages in the files."""
     bytes: int
     topics: int
     deleted: int
-    """In files that were deleted, as newer ones are kept."""
+    """Messages in files that were deleted, as newer ones are kept."""
     lost: int
     """Received, and not written: the disk was too slow, or full."""
     overflows: int
     """How often messages came faster than they were taken; each time some were lost."""
     missing: int
-    """About how many were lost then, by the gaps between their stamps."""
+    """Approximate number of messages lost by overflows, by the gaps between their stamps."""
     malformed: int
     held: int = 0
-    """In memory, for the next snapshot."""
+    """Messages in memory, for the next snapshot."""
 
 
 class RecordingSession:

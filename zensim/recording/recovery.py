@@ -37,7 +37,7 @@ class RecoveryResult(msgspec.Struct, frozen=True, kw_only=True):
     """Number of places where bytes were skipped."""
     skipped_bytes: int
     cut_bytes: int
-    """After the last whole record."""
+    """Bytes after the last whole record."""
     unknown_messages: int
     """Messages that are left out, since the definition of their channel is lost."""
 

@@ -30,9 +30,9 @@ PUBLISHER: Final = "MP"
 LATCHED_SUFFIXES: Final = tuple(
     one.suffix for one in (*WORLD_TOPICS, *ROBOT_TOPICS.values()) if one.is_latched
 )
-"""Of topics whose late subscribers get the last message."""
+"""Suffixes of topics whose late subscribers get the last message."""
 ROSTER_TOPICS: Final = (EVENTS, STATS, SNAPSHOT)
-"""Of the world, recorded as texts with JSON."""
+"""Topics of the world, recorded as texts with JSON."""
 
 
 def name_requests_topic(world: str) -> str:

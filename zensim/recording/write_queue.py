@@ -12,7 +12,7 @@ from zensim.recording.recording_parts import RecordingParts
 from zensim.recording.written_topics import measure_messages
 
 IDLE_S: Final = 0.1
-"""Between two turns of the thread: one for each batch would cost as much as the writing."""
+"""Time between two turns of the thread: one for each batch would cost as much as the writing."""
 
 
 class NewPart(NamedTuple):

@@ -12,7 +12,7 @@ class WrittenTopic(Hashable, Protocol):
 
     @property
     def name(self) -> str:
-        """With the first slash."""
+        """Name with the first slash."""
 
     @property
     def ros_type(self) -> str:
@@ -20,11 +20,11 @@ class WrittenTopic(Hashable, Protocol):
 
     @property
     def encoding(self) -> str:
-        """Of messages."""
+        """Encoding of messages."""
 
     @property
     def schema_encoding(self) -> str:
-        """Of the definition of the type."""
+        """Encoding of the definition of the type."""
 
     @property
     def schema(self) -> bytes:

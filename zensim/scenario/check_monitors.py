@@ -37,7 +37,7 @@ UNITS_OF_MARGINS: Mapping[type, str] = {
     sections.AllOfCheck: "",
     sections.AnyOfCheck: "",
 }
-"""Of checks whose margin is not in metres."""
+"""Units of checks whose margin is not in metres."""
 
 
 class ScenarioEvent(msgspec.Struct, frozen=True):
@@ -137,9 +137,9 @@ class CheckResult(msgspec.Struct, frozen=True):
     """Worst, in `unit`; nan if it was not evaluated."""
     unit: str = ""
     time: float = math.nan
-    """Of the worst margin [s]."""
+    """Simulation time of the worst margin [s]."""
     robot: str = ""
-    """That has it; empty if the check is not on single robots."""
+    """Robot that has the worst margin; empty if the check is not on single robots."""
     message: str = ""
     severity: str = "fail"
     place: str = ""

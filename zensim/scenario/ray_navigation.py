@@ -11,10 +11,10 @@ CastRays = Callable[[FloatArray, FloatArray, float], FloatArray]
 """Ranges (k,) [m] of rays from origins (k, 3) along directions (k, 3) up to a range."""
 PERIOD_S = 0.1
 ANGLES = np.radians(np.arange(-120.0, 121.0, 8.0))
-"""Of the rays of a robot, about its heading."""
+"""Angles of the rays of a robot, about its heading [rad]."""
 RANGE_MAX = 1.6
 RAY_HEIGHT = 0.1
-"""Above the floor [m]."""
+"""Height above the floor [m]."""
 CORRIDOR = 0.34
 """Half of the width that a robot needs [m]."""
 BODY = 0.27

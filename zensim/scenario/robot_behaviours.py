@@ -42,7 +42,7 @@ BehaviourT = TypeVar("BehaviourT")
 TURN_GAIN = 2.0
 """Turn by error of heading [1/s]."""
 MAX_TURN = 1.5
-"""Of robots that follow points [rad/s]."""
+"""Greatest turn of robots that follow points [rad/s]."""
 SLOW_DOWN_S = 1.0
 """Time constant of the approach to a point at which a robot stops."""
 
@@ -84,7 +84,7 @@ class ConstantMotion(Motion):
 
 
 class PathMotion(Motion):
-    """Along points in straight lines: waypoints, patrol."""
+    """Motion along points in straight lines: waypoints, patrol."""
 
     def __init__(
         self,
@@ -182,7 +182,7 @@ class RandomWalkMotion(Motion):
 
 
 class FollowMotion(Motion):
-    """Behind other robots."""
+    """Motion behind other robots."""
 
     def __init__(
         self,
@@ -203,7 +203,7 @@ class FollowMotion(Motion):
 
 
 class NavigateMotion(Motion):
-    """Between points, around what rays hit."""
+    """Motion between points, around what rays hit."""
 
     def __init__(
         self,

@@ -44,7 +44,7 @@ class ScenarioRobot(msgspec.Struct, frozen=True):
 
     @property
     def pose(self) -> Pose:
-        """Its start in the world."""
+        """Start in the world."""
         return make_pose((self.x, self.y, self.z or 0.0), (self.roll, self.pitch, self.yaw))
 
 

@@ -21,7 +21,7 @@ class RunHost(msgspec.Struct, frozen=True):
     system: str = ""
     cpu: str = ""
     versions: dict[str, str] = {}
-    """Of Python and of the packages that compute states."""
+    """Versions of Python and of the packages that compute states."""
 
 
 @cache

@@ -83,7 +83,7 @@ class ScenarioNode(msgspec.Struct, frozen=True):
     place: Place
     value: "Scalar | list[ScenarioNode] | dict[str, ScenarioNode]"
     key_places: Mapping[str, Place] = {}
-    """Of the keys of a map."""
+    """Places of the keys of a map."""
 
     @property
     def is_map(self) -> bool:

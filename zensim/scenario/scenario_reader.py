@@ -39,7 +39,7 @@ class Scenario(msgspec.Struct, frozen=True):
 
     file: str
     format: ScenarioFormat
-    """With the draws of the whole run."""
+    """Typed values, with the draws of the whole run."""
     robots: tuple[ScenarioRobot, ...]
     plain: Mapping[str, Any]
     """All values with their draws, SI."""

@@ -105,11 +105,11 @@ class RunReport(msgspec.Struct, frozen=True):
     file: str
     seed: int
     sha256: str
-    """Of all values of the scenario."""
+    """Hash of all values of the scenario."""
     checks: tuple[CheckResult, ...] = ()
     events: tuple[ScenarioEvent, ...] = ()
     state_hash: str = ""
-    """Of the last state; equal runs have equal hashes."""
+    """Hash of the last state; equal runs have equal hashes."""
     sim_time: float = 0.0
     wall_time_s: float = 0.0
     robots: int = 0

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 TIME_TOLERANCE_S = 1e-6
-"""By which a sample may miss the end of an interval."""
+"""Time by which a sample may miss the end of an interval."""
 
 
 class MarginResult(msgspec.Struct, frozen=True):
@@ -26,7 +26,7 @@ class MarginResult(msgspec.Struct, frozen=True):
     time: float = math.nan
     """Simulated seconds since the start."""
     row: int = -1
-    """Of the robot."""
+    """Row of the robot."""
 
 
 NOT_EVALUATED = MarginResult(math.nan)

@@ -31,7 +31,7 @@ class TypedReader:
         self.has_draws = False
         """Whether a value is a draw."""
         self._unions: dict[int, tuple[inspect.UnionType, _UnionPlan]] = {}
-        """By identity, with the type, which stays as long as this does."""
+        """Plans by identity of the type, with the type, which stays as long as this does."""
         self._readers: Mapping[type, _Reader] = {
             inspect.AnyType: self._read_any,
             inspect.NoneType: self._read_none,

@@ -68,9 +68,9 @@ MAX_NAMES_SHOWN: Final = 5
 DEFAULT_CLOCK_HZ: Final = 40.0
 OPEN_TIMEOUT_S: Final = 2.0
 MATCH_S: Final = 0.1
-"""Until publishers have the declarations of subscribers behind other routers."""
+"""Wait until publishers have the declarations of subscribers behind other routers."""
 SETTLE_S: Final = 0.3
-"""Until what was sent last has left."""
+"""Wait until what was sent last has left."""
 REMAP_OPTIONS: Final = ("--remap", "-m")
 CLOCK_OPTION: Final = "--clock"
 
@@ -369,11 +369,11 @@ class ReplayFigures(msgspec.Struct, frozen=True, kw_only=True):
     path: str
     messages: int
     latched: int
-    """Of these, on latched topics."""
+    """Messages on latched topics; `messages` counts them, too."""
     wall_s: float
-    """From the first message to the last."""
+    """Wall time from the first message to the last."""
     position_s: float
-    """At the end, since the start of the recording."""
+    """Position at the end, since the start of the recording."""
     late_p50_s: float
     late_p99_s: float
     """Later than due; 0 at rate 0."""

@@ -12,7 +12,7 @@ from zensim.recording.replay.replay_requests import ReplayRequests
 from zensim.recording.replay.replayer import Replayer
 
 POLL_S: Final = 0.02
-"""Between two polls of requests and signals."""
+"""Time between two polls of requests and signals."""
 LEAST_WAIT_S: Final = 0.001
 """Messages of a millisecond are published together."""
 SPARE_S: Final = 0.004

@@ -30,7 +30,7 @@ class NameSettings(msgspec.Struct, frozen=True, kw_only=True):
     namespace: str = ""
     """Put before all names; empty = none."""
     world: str = ""
-    """Of clock and events on the network; empty = as recorded, or the namespace."""
+    """World of clock and events on the network; empty = as recorded, or the namespace."""
 
 
 class ReplayedNames:
@@ -60,7 +60,7 @@ class ReplayedNames:
         if not self.keys:
             raise ValueError("no topic of the recording is chosen; 'zensim bag info' lists them")
         self.clock_key = self._rename(CLOCK_TOPIC).strip("/")
-        """Of `/clock`, whose time is that of the replay."""
+        """Key of `/clock`, whose time is that of the replay."""
 
     def accepts(self, topic: StoredTopic) -> bool:
         """Whether a topic is replayed."""

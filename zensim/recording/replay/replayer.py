@@ -15,7 +15,7 @@ from zensim.recording.replay.replay_timeline import ReplayTimeline, TimedMessage
 MAX_BATCH: Final = 1000
 """Messages that are published between two polls of keys, requests and signals."""
 LEAST_PASS_S: Final = 0.1
-"""Of a loop, so that one over a single message does not use up a core."""
+"""Least time of a loop, so that one over a single message does not use up a core."""
 MAX_AHEAD: Final = 2048
 MAX_AHEAD_BYTES: Final = 4 << 20
 """What is read before it is due: a chunk takes some milliseconds."""
@@ -43,7 +43,7 @@ class ReplaySettings(msgspec.Struct, frozen=True, kw_only=True):
     is_paused: bool = False
     is_loop: bool = False
     clock_hz: float = 40.0
-    """Of wall time; 0 = no clock."""
+    """Rate of the clock in wall time; 0 = no clock."""
     delay_s: float = 0.0
     """Wall time before the first message, which latched ones do not wait for."""
 
@@ -113,11 +113,11 @@ class Replayer:
         self._clock_due_s = wall() if settings.clock_hz else float("inf")
         self._clock_ns = -1
         self.epoch = 0
-        """Of the clock: how often time went back."""
+        """Epoch of the clock: how often time went back."""
         self.published = 0
         """Messages, without those of the clock."""
         self.latched = 0
-        """Of these, on latched topics."""
+        """Messages on latched topics; `published` counts them, too."""
         self.lateness = Lateness()
         self.is_done = False
         """Whether the end was reached, and there is no loop."""
@@ -141,7 +141,7 @@ class Replayer:
 
     @property
     def duration_ns(self) -> int:
-        """Of the whole recording."""
+        """Duration of the whole recording."""
         return self._timeline.duration_ns
 
     def find_position(self) -> int:
