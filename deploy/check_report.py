@@ -27,7 +27,7 @@ TOTAL_HEADERS = (
     "ok or as predicted",
 )
 KEPT_SHARE = 0.05
-"""Of the command, by which a total allows speed or turn to deviate."""
+"""Share of the command by which a total allows speed or turn to deviate."""
 MAX_REMARKS = 200
 """Characters of the remarks in a table."""
 

@@ -22,7 +22,7 @@ from zensim.spawner.client.sim_client import SimClient
 
 CIRCLE = struct.pack("<3d", SPEED, 0.0, SPEED / RADIUS)
 PLAY_POLL_S = 0.2
-"""Between two questions whether a world that was started paused plays."""
+"""Time between two questions whether a world that was started paused plays."""
 RELEASED = struct.pack("<3d", *[float("nan")] * 3)
 
 

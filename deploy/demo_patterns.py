@@ -3,7 +3,7 @@
 from typing import Literal
 
 PoseBehaviour = Literal["waypoints", "random_walk"]
-"""Those that depend on the poses of robots."""
+"""Behaviours that depend on the poses of robots."""
 MovingBehaviour = Literal["circle", PoseBehaviour]
 DemoBehaviour = Literal[MovingBehaviour, "none"]
 DEMO_BEHAVIOURS: tuple[DemoBehaviour, ...] = ("circle", "waypoints", "random_walk", "none")
@@ -15,7 +15,7 @@ DESCRIPTIONS: dict[MovingBehaviour, str] = {
 SPEED = 0.3
 """[m/s]."""
 RADIUS = 0.4
-"""Of circles [m]; half of the side of squares."""
+"""Radius of circles [m]; half of the side of squares."""
 
 
 def describe_demo(behaviour: MovingBehaviour) -> str:

@@ -13,11 +13,11 @@ from zensim.recording.mcap_records import MalformedRecord
 from zensim.recording.recording_reader import RecordingReader
 
 MAX_DIGITS: Final = 20
-"""Of the number in the name of a file with models."""
+"""Most digits of the number in the name of a file with models."""
 MAX_FILES: Final = 16
 """Files that are read for the entities of one snapshot."""
 MAX_BYTES: Final = 32 << 20
-"""Of such a file: some 100,000 entities."""
+"""Largest file with models: some 100,000 entities."""
 MAX_KEPT: Final = 32
 """Files that are kept in memory."""
 

@@ -52,7 +52,7 @@ LOOK_BACK_NS: Final = 2 * NANOSECONDS
 REPEAT_S: Final = 0.4
 """Period at which a paused recording repeats its snapshot, as a server does."""
 WORLD_CHUNK: Final = 2
-"""Of `/sim/WORLD/snapshot`."""
+"""Place of the world's name in `/sim/WORLD/snapshot`, split at slashes."""
 RATES: Final = (0.01, 100.0)
 """Least and greatest rate; rate 0, as fast as possible, is the greatest."""
 MonotonicClock = Callable[[], float]

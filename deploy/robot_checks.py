@@ -30,7 +30,7 @@ PREDICTION_TOLERANCE = 0.1
 FALLS = ("it falls", "it sinks")
 """How remarks begin that predict that a robot does not stand."""
 MIN_FALL_M = 0.05
-"""By which a robot comes down that was predicted to fall."""
+"""Least distance by which a robot comes down that was predicted to fall."""
 MAX_SHIFT_M = 3.0
 """Largest distance from its place of a robot that nothing drives."""
 MAX_HEIGHT_M = 1.0
@@ -47,7 +47,7 @@ class RobotCheck(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     path: str
     name: str = ""
-    """In the table; empty = the name of the model."""
+    """Name in the table; empty = the name of the model."""
     source: str = ""
     """Where the description comes from."""
     xacro_args: tuple[str, ...] = ()
@@ -55,7 +55,7 @@ class RobotCheck(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     controllers: tuple[str, ...] = ()
     """Parameter files of ros2_controllers or ros_control."""
     drive: str = ""
-    """As `zensim spawn --drive`."""
+    """Drive as in `zensim spawn --drive`."""
     remark: str = ""
 
 
@@ -66,9 +66,9 @@ class TrialRequest(msgspec.Struct, frozen=True, kw_only=True):
     engine: str
     allow_missing: bool = False
     compat: str = "fixed"
-    """As `zensim spawn --compat`."""
+    """Mode as in `zensim spawn --compat`."""
     dynamics: Dynamics = "full"
-    """As `zensim spawn --dynamics`."""
+    """Tier as in `zensim spawn --dynamics`."""
     allow_failed_engine: bool = False
 
     @property
@@ -105,11 +105,11 @@ class TrialResult(msgspec.Struct, frozen=True):
     links: int = 0
     mass_kg: float = 0.0
     tilt_rad: float = 0.0
-    """Of the base at rest, from upright."""
+    """Tilt of the base at rest, from upright."""
     creep_m_s: float = 0.0
-    """Of the base at rest."""
+    """Speed of the base at rest."""
     shift: Vec3 = (0.0, 0.0, 0.0)
-    """Of the base from its place to rest [m]."""
+    """Shift of the base from its place to rest [m]."""
     has_diverged: bool = False
     """Whether a state was not finite or out of range."""
     straight: DrivenPart | None = None

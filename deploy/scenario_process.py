@@ -54,7 +54,7 @@ KILLED = (KILLED_STATUS, -signal.SIGTERM)
 """Statuses of processes that others ended, such as a kernel without memory."""
 POLL_S = 0.005
 SHARE_BEFORE_RECORDING = 1 / 3
-"""Of its timeout, that a failed run may have taken to run again for its recording, more slowly."""
+"""Share of the timeout within which a failed run is repeated for its recording, more slowly."""
 FILE_TIME_ERROR_S = 0.1
 """Wall time by which the time of a file may be early: kernels take it from their last tick."""
 NOT_STARTED = 1
@@ -74,7 +74,7 @@ class RunRequest(msgspec.Struct, frozen=True):
     settings: tuple[str, ...] = ()
     allows_python: bool = True
     is_served: bool = False
-    """By a server process of its own, instead of in process."""
+    """Whether a server process of its own runs it, instead of in process."""
     timeout_s: float = 600.0
     """Wall time."""
     has_own_timeout: bool = False

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 app = make_app()
 AXES = 3
 MAX_ROWS = 20
-"""Of the table of distances."""
+"""Most rows of the table of distances."""
 TAIL_NS = NANOSECONDS
 """Simulated and wall time after the log in which other topics may have messages."""
 

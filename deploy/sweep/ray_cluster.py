@@ -31,12 +31,12 @@ PORTS = (
     "--metrics-export-port",
     "--runtime-env-agent-port",
 )
-"""Without them, agents have 15 s to start and to write their ports to files; no option changes that
-(https://github.com/ray-project/ray/issues/65983)."""
+"""Options that set ports: without them, agents have 15 s to start and to write their ports to files;
+no option changes that (https://github.com/ray-project/ray/issues/65983)."""
 CLIENT_PORT = "--ray-client-server-port"
 START_TIMEOUT_S, START_POLL_S, END_TIMEOUT_S = 180.0, 0.05, 20.0
 STORE_BYTES = 80 << 20
-"""Of shared memory: reports have some kilobytes."""
+"""Size of shared memory: reports have some kilobytes."""
 SHORT_FOLDER = Path("/tmp")
 """Paths of sockets have at most 107 bytes."""
 PREFIX = "zensim-ray-"

@@ -26,7 +26,7 @@ SEED_DIGITS = 8
 NO_RECORD = "record=null"
 """Runs with equal seeds would write the same file."""
 RECORDED_TOPICS = ("*/odom", "*/cmd_vel", "sim/**")
-"""Of runs that fail, where the file does not say which."""
+"""Topics recorded of runs that fail, where the file does not say which."""
 MAX_MISTAKES = 20
 
 
@@ -34,18 +34,18 @@ class SweepRun(msgspec.Struct, frozen=True):
     """One run of a sweep."""
 
     id: str
-    """Of its content and numbers; equal in every sweep."""
+    """Hash of its content and numbers; equal in every sweep."""
     seed: int
     number: int
-    """Of the seed of its combination."""
+    """Number of the seed of its combination."""
     repeat: int
-    """Of the runs that have to end in equal states."""
+    """Number among the runs that have to end in equal states."""
     inputs: Mapping[str, Any]
     """Values that vary by key path, SI."""
     settings: tuple[str, ...]
     """`KEY.PATH=VALUE`, that make the run of the file."""
     sha256: str
-    """Of all values of its scenario."""
+    """Hash of all values of its scenario."""
     timeout_s: float
     """Wall time."""
 
@@ -59,7 +59,7 @@ class SweepPlan(msgspec.Struct, frozen=True):
     paths: tuple[str, ...]
     """Key paths that vary."""
     sha256: str
-    """Of all values of the file."""
+    """Hash of all values of the file."""
     recorded_topics: tuple[str, ...] = RECORDED_TOPICS
 
 

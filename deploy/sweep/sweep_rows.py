@@ -14,7 +14,7 @@ from zensim.scenario.scenario_runner import RunReport
 INPUT, MARGIN = "in.", "margin."
 """Beginnings of the names of columns."""
 WHOLE_LIMIT = 2**63
-"""Above all whole numbers of a column; larger ones are text."""
+"""Limit above all whole numbers of a column; larger ones are text."""
 
 
 class SweepRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -31,7 +31,7 @@ class SweepRow(msgspec.Struct, frozen=True, kw_only=True):
     error: str = ""
     """Why it did not run to its end; empty if it did."""
     digest: str = ""
-    """Of the last state."""
+    """Hash of the last state."""
     margins: dict[str, float | None] = {}
     """Worst margin of each check; null if it was never looked at, or never true."""
     robots: int = 0
@@ -41,7 +41,7 @@ class SweepRow(msgspec.Struct, frozen=True, kw_only=True):
     command: str = ""
     """Repeats the run."""
     recording: str = ""
-    """In the folder of the sweep."""
+    """Path in the folder of the sweep."""
     host: RunHost = RunHost()
 
 

@@ -15,7 +15,7 @@ from zensim.deploy.sweep.sweep_rows import SweepRow, make_row
 from zensim.scenario.scenario_runner import RunReport
 
 ATTEMPTS = 4
-"""Of a run whose process is killed by others."""
+"""Attempts at a run whose process is killed by others."""
 ALARM_AT_ONCE_S = 0.001
 
 EndedRuns = Generator[tuple[int, RunReport], None, None]
