@@ -7,7 +7,7 @@ from itertools import pairwise
 
 @dataclass(frozen=True)
 class ArrivalWindow:
-    """From one wall time to another."""
+    """The interval from one wall time to another."""
 
     begin_s: float
     end_s: float

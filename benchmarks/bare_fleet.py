@@ -17,12 +17,12 @@ from zensim.proto.topic_catalog import CMD_VEL
 
 POOLS, HZ = 2, 20.0
 STATE_BYTES = 140
-"""Of a box_bot in a drive state: 13 numbers of its base, two of each wheel, its claim."""
+"""Size of a box_bot in a drive state: 13 numbers of its base, two of each wheel, its claim."""
 TARGET_BYTES = 16
 STATES, TARGETS = "bare/state/{}", "bare/targets/{}"
 ENCODING = "zenoh/bytes"
 COMMANDS = 8192
-"""As a pool keeps at most."""
+"""Depth of the queue, as much as a pool keeps at most."""
 POLL_S = 0.002
 
 

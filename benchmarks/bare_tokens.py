@@ -49,7 +49,7 @@ ENDPOINTS: tuple[tuple[EndpointKind, str, type[msgspec.Struct], Qos], ...] = (
     ("MS", "cmd_vel", TwistStamped, RELIABLE_10),
 )
 TOKENS_OF_ROBOT = 1 + len(ENDPOINTS)
-"""Of a box_bot beyond the first hundred of its pool."""
+"""Tokens of a box_bot beyond the first hundred of its pool."""
 
 
 class DeclaredTokens(msgspec.Struct, frozen=True):

@@ -158,7 +158,7 @@ def _exactness_figures(
 
 
 class NoTextures:
-    """Of a hall without textures."""
+    """Textures of a hall that has none."""
 
     def find_picture(self, _: str) -> None:
         """Find nothing."""

@@ -34,7 +34,7 @@ __all__ = ["rows", "table"]
 ROUNDS = 10
 MESHES = 20
 CORNERS = 42_000
-"""Of each mesh: 14,000 triangles, 0.7 MB."""
+"""Corners of each mesh: 14,000 triangles, 0.7 MB."""
 LINK = (
     '<link name="l{0}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
     '<visual><geometry><mesh filename="{0}.{1}"/></geometry></visual>'

@@ -29,7 +29,7 @@ WORLD_STEPS = 1024
 """Control steps of all worlds in a repetition."""
 SETTLING_STEPS = 20
 ENGINE_STEPS = 3
-"""Of a control step."""
+"""Engine steps of a control step."""
 RESTARTS = 50
 WHEEL_SPEEDS, STEP_HZ = (8.0, 9.0), 240.0
 """Left and right [rad/s]: 0.3 m/s."""

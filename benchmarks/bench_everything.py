@@ -75,7 +75,7 @@ class Usage:
 
     factors: list[float] = field(default_factory=list)
     cores: dict[str, list[float]] = field(default_factory=dict)
-    """By program, of each second."""
+    """Cores that each program took in each second."""
     memory_mb: dict[str, float] = field(default_factory=dict)
     seconds: list[Second] = field(default_factory=list)
     """What the visitor got."""

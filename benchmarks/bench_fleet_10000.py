@@ -65,7 +65,7 @@ ROBOTS, ROBOTS_WHEN_SHORT = 10_000, 20
 POOLS = 2
 SECONDS, SECONDS_WHEN_SHORT = 60.0, 1.0
 SETTLE_S, SETTLE_WHEN_SHORT_S = 5.0, 0.5
-"""From the claim of the last robot to the first second that counts."""
+"""Time from the claim of the last robot to the first second that counts."""
 CHANGE_S, CHANGE_WHEN_SHORT_S = 5.0, 0.5
 COMING_AND_GOING = (10, 0, 100, 0)
 LONGEST_ECHO_S = 2.0
@@ -105,7 +105,7 @@ class Case:
     commands: Limit = NEARLY_ALL
     odom_hz: float = 19.5
     cores: float | None = None
-    """Most of all processes."""
+    """Most cores of all processes."""
     server_kib: float | None = None
     pool_kib: float | None = None
 
@@ -157,7 +157,7 @@ class Users:
 
     stats: BusSubscription
     odometry: dict[str, BusSubscription]
-    """By key."""
+    """Subscriptions by key."""
     scans: BusSubscription | None
     change: Callable[[float], object]
     """Lets other subscribers come and go at a wall time [s]."""
@@ -185,7 +185,7 @@ class Seen:
     scans: dict[str, list[float]] = field(default_factory=dict)
     """Wall times of scans [s] by key."""
     memory_kib: dict[str, float] = field(default_factory=dict)
-    """Of a robot, or of a lidar for the sensors."""
+    """Memory per robot by process, or per lidar for the sensors."""
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:

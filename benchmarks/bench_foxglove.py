@@ -25,9 +25,9 @@ HZ = 50.0
 SECONDS, SECONDS_WHEN_SHORT = 20, 1
 SETTLE_S = 3
 START_S = 20.0
-"""For a client to subscribe, while the source publishes already."""
+"""Time for a client to subscribe, while the source publishes already."""
 TRANSFORMS_OF_ROBOT = 3
-"""In a message of the source."""
+"""Transforms of a robot in a message of the source."""
 MOST_WITHOUT_CLIENTS, MOST_TWO, MOST_ALL = 0.01, 0.05, 0.25
 
 

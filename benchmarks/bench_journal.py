@@ -49,7 +49,7 @@ KEPT = 100
 STARTS, STARTS_WHEN_SHORT = 10, 1
 SYNCED_BYTES = 64 * 1024
 LARGE, LARGE_WHEN_SHORT = {2000: (3.5, 8.0), 10_000: (15.0, 25.0)}, {20: (3.5, 8.0)}
-"""By number of robots: most seconds of a restart, without and with load."""
+"""Most seconds of a restart, without and with load, by number of robots."""
 LARGE_STARTS = 3
 REPLY_S, POLL_S = 1.0, 0.005
 COUNTING = "while True: pass"
@@ -137,7 +137,7 @@ class Restart(NamedTuple):
     """Times from the exec of a server [s]."""
 
     replied_s: float
-    """To the first reply."""
+    """Time to the first reply."""
     restored_s: float
 
 

@@ -28,7 +28,7 @@ from zensim.proto.messages.telemetry_messages import Info
 
 SECONDS, SECONDS_WHEN_SHORT = 5.0, 0.5
 SETTLE_S, SETTLE_WHEN_SHORT_S = 3.0, 0.2
-"""After all are claimed; all are commanded within one second."""
+"""Wait after all are claimed; all are commanded within one second."""
 POOLS, POOL = 2, ("--pool", "0", "--cmd-vel-timeout", "0")
 CLAIMED_WITHIN_S = 120.0
 MEGABYTES = 1e-6

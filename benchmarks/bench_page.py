@@ -41,8 +41,8 @@ FLEETS, FLEETS_WHEN_SHORT = (100, 1000), (3,)
 MANY = 1000
 """Robots from which on the limits of large fleets hold."""
 OF_MANY = ("--dynamics", "auto", "--step-hz", "100")
-"""With full dynamics a step of them takes more time than it simulates, and no page gets more
-snapshots than there are steps."""
+"""Options of large fleets: with full dynamics a step of them takes more time than it simulates, and
+no page gets more snapshots than there are steps."""
 VISITORS = 5
 KILOBYTES, MEGABYTES = 1e-3, 1e-6
 LEAST_UPDATES = 20.0

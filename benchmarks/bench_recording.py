@@ -53,17 +53,17 @@ SECONDS, SECONDS_OF_OTHERS, SECONDS_WHEN_SHORT = 60.0, 20.0, 1.0
 PAIRS = 3
 RUN_S, SETTLED_S = 10.0, 2.0
 PROGRAMS = {"agent": "agents", "record": "recorder", "router": "router", "sensors": "sensors"}
-"""By a word of their command lines."""
+"""Names of programs by a word of their command lines."""
 KEPT_HZ = 10.0
 TARGET = "whole.mcap"
 MEBI = 1 << 20
 RECOVERED_BYTES, RECOVERED_BYTES_WHEN_SHORT = 4 << 30, 20 * MEBI
 TIMED_BYTES, TIMED_BYTES_WHEN_SHORT = 128 * MEBI, 2 * MEBI
 FEW_MESSAGES, FULL_EVERY = 120, 50
-"""Of a small chunk, which random bytes fill as odometry does when it is compressed to an eighth;
-and which chunk is full, as memory depends on the size of chunks, too."""
+"""Messages of a small chunk, which random bytes fill as odometry does that is compressed to an
+eighth; and the interval of full chunks, as memory depends on the size of chunks, too."""
 EXPORTED_S = 10.0
-"""Of a hundred robots at 50 Hz: 50,000 messages of odometry."""
+"""Length of a recording of a hundred robots at 50 Hz: 50,000 messages of odometry."""
 PAYLOADS, PAYLOADS_OF_LARGE = 64, 4096
 """Different messages of a file that is recovered: a chunk of many compresses to a tenth, and one of
 as many as it has messages does not."""

@@ -50,7 +50,7 @@ LARGE_BYTES, LARGE_BYTES_WHEN_SHORT = 1_000_000_000, 10_000_000
 RUNS = 3
 DEPTH = 1_000_000
 NOISE_BYTES = 350
-"""Of each odometry of the large file."""
+"""Random bytes in each odometry of the large file."""
 KINDS = (Odometry, TFMessage, String)
 ODOM, TF, DESCRIPTION = 1, 2, 3
 
@@ -106,16 +106,16 @@ class ReplayRun(msgspec.Struct, frozen=True, kw_only=True):
     """A run of the command."""
 
     messages: int
-    """That it published, without descriptions."""
+    """Messages that it published, without descriptions."""
     received: int
     wall_s: float
     cpu_s: float
-    """With its start."""
+    """CPU time with that of its start."""
     memory_mb: float
     late_p50_s: float
     late_p99_s: float
     first_s: float
-    """From the start of the command to the first message."""
+    """Time from the start of the command to the first message."""
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:

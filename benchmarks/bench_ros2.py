@@ -42,7 +42,7 @@ UNSEEN = Limit("median", "<=", 1.03)
 SEEN = Limit("median", "<=", 1.15)
 FACE = ("0/**",)
 PLAIN = ("*/*", "tf", *(f"sim/default/{name}" for name in ("clock", "model_states", "link_states")))
-"""Without ROS 2."""
+"""Key expressions without ROS 2."""
 TICK, ROUTER, POOL = "the tick", "the server's other threads", "the pool"
 ALL = "both processes"
 

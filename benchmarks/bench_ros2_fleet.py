@@ -32,7 +32,7 @@ DOMAINS = {"floor, no ROS 2": (OFF, "*/odom", 0), "ROS 2": ("0", "0/*/odom/**", 
 """Arguments of pools, key of their odometry, and index of the key chunk with the robot's name."""
 TOKENS, PLAIN = "@ros2_lv/0/**", "bench/token"
 TOKENS_OF_SESSION = 1000
-"""About the number of tokens per session of a pool."""
+"""Approximate number of tokens per session of a pool."""
 DEPTH = 1 << 17
 SETTLED_S = 3.0
 READY = Limit("max", "<=", 5.0)

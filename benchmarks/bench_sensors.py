@@ -54,7 +54,7 @@ FIRST_SCANS, FIRST_SCANS_WHEN_SHORT = 20, 1
 TALLIES = 64
 MEGABYTE = 1e6
 MAX_UNEVENNESS = 1.1
-"""Of the CPU of processes that share the sensors."""
+"""Largest ratio of the CPU of processes that share the sensors."""
 MANY = 10
 """Robots up to which each has an agent and its own physics."""
 
@@ -127,7 +127,7 @@ class FleetTrial:
     subscribed: Spent = field(default_factory=Spent)
     tallies: Sequence[ScanTally] = ()
     waits_ms: tuple[float, ...] = ()
-    """From a subscription until a scan."""
+    """Times from a subscription until a scan."""
 
 
 def _fleet_figures(case: FleetCase, seconds: float, *, is_short: bool) -> Iterator[Figure]:
@@ -230,9 +230,9 @@ class UpTrial:
     spent: Spent
     rates_hz: tuple[float, ...]
     transform_waits_ms: tuple[float, ...]
-    """Of scans, for a transform at or after their stamp."""
+    """Waits of scans for a transform at or after their stamp."""
     resumed_s: float
-    """From the end of the sensor process until there were scans again."""
+    """Time from the end of the sensor process until there were scans again."""
 
 
 def _up_figures(robots: int, options: tuple[str, ...], seconds: float) -> Iterator[Figure]:

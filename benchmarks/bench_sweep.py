@@ -23,7 +23,7 @@ RUNS, RUNS_WHEN_SHORT = 100, 2
 JOBS = 2
 LEAST_PER_MINUTE, MOST_OVERHEAD_S = 100.0, 0.02
 Digests = dict[str, str]
-"""Of last states, by the ids of runs."""
+"""Hashes of last states, by the ids of runs."""
 SCENARIO = """zensim: 1
 name: walk
 robots: [{{name: bot, model: box_bot, count: 10, layout: {{kind: circle, radius: 3 m}}}}]

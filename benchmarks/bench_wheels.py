@@ -31,7 +31,7 @@ SERVICE_ROBOTS = ("mass_ratio_100", "ball_mu_0.5", "skid_square")
 TURN_SCALE = 0.5
 """Turn [rad/s] to which a drift is relative."""
 LEAST_SHARE = 0.1
-"""Of a commanded speed; a smaller prediction counts as this."""
+"""Share of a commanded speed; a smaller prediction counts as this."""
 WITHIN = (2.0, 5.0)
 """Percent."""
 

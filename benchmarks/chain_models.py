@@ -16,7 +16,7 @@ STRONG = 3.0
 """Effort limit over the greatest load that gravity can put on the first joint."""
 WEAK = 0.5
 MAST_KG = 2.0
-"""Of each stage."""
+"""Mass of each stage."""
 
 
 class ArmCase(msgspec.Struct, frozen=True):
@@ -174,7 +174,7 @@ class PendulumCase(msgspec.Struct, frozen=True):
 
     @property
     def period_s(self) -> float:
-        """Of small angles, corrected for the first one: the physical pendulum."""
+        """Period of a physical pendulum at small angles, corrected for the first angle."""
         moment = self.rod_kg * self.rod_m**2 / 3.0
         moment += self.ball_kg * (self.rod_m**2 + 0.4 * self.ball_radius_m**2)
         lever = self.rod_kg * self.rod_m / 2.0 + self.ball_kg * self.rod_m

@@ -18,7 +18,7 @@ STATISTICS: dict[Statistic, Callable[[list[float]], float]] = {
     "max": lambda ordered: ordered[-1],
 }
 LEAST_FOR_P99 = 100
-"""With fewer samples, the 99th percentile is the maximum."""
+"""Fewest samples with a 99th percentile; with fewer it is the maximum."""
 HEAD = ("figure", "asked", "seen", "median", "p10 to p90", "p99", "min to max", "n")
 
 

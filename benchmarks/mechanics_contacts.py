@@ -32,7 +32,7 @@ RESTITUTIONS = (0.2, 0.5, 0.8)
 DROP_M = 1.0
 STACKED = 5
 SUPPORTS_M = (-0.8, 0.4)
-"""Of a bar of 2 m, from its centre."""
+"""Supports of a bar of 2 m, from its centre."""
 BAR_KG = 10.0
 SPRING_N_PER_M = 5e4
 

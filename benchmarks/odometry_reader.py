@@ -37,7 +37,7 @@ class OdometryTally(msgspec.Struct, frozen=True):
     rates_hz: tuple[float, ...]
     """Rows of each robot per second of simulation time, from one step to another."""
     longest_gaps_s: tuple[float, ...]
-    """Of each robot, by arrival."""
+    """Longest gap of each robot, by arrival."""
     cpu_cores: float
     mib_per_s: float
 

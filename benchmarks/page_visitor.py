@@ -27,7 +27,7 @@ from zensim.proto.process_limits import die_with_supervisor
 from zensim.proto.web_access import TOKEN_NAME, name_cookie
 
 SETTLE_S = 2.0
-"""For the scene, which is sent first."""
+"""Time for the scene, which is sent first."""
 SELECTED = "Stop following"
 """Label of a control that is there while an entity is selected."""
 
@@ -38,7 +38,7 @@ class Second(msgspec.Struct, frozen=True):
     updates: float
     """Messages with new poses of robots."""
     drawings: float
-    """Of trails, charts and scans."""
+    """Messages with trails, charts and scans."""
     bytes: float
     first_bytes: float = 0.0
     """What was sent before the first second: the scene."""

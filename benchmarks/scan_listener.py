@@ -33,7 +33,7 @@ class ScanTally(msgspec.Struct):
     scan_bytes: int = 0
     others: int = 0
     transform_waits_ms: list[float] = []
-    """Of the scans since the last publication; see `TransformWaits`."""
+    """Waits of the scans since the last publication; see `TransformWaits`."""
     wall_s: float = 0.0
     """Monotonic time of publication."""
 
@@ -44,7 +44,7 @@ class TransformWaits:
     def __init__(self) -> None:
         self._newest_ns: dict[str, int] = {}
         self._waiting: dict[str, deque[tuple[int, float]]] = defaultdict(deque)
-        """By robot: stamp and arrival [s] of scans."""
+        """Stamp [ns] and arrival [s] of the scans of each robot."""
 
     def add_transform(self, robot: str, stamp_ns: int) -> None:
         """Note a transform."""

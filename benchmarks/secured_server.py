@@ -62,7 +62,7 @@ class Deployment:
     bus: Bus
     client: SimClient
     folder: SecureFolder | None
-    """Of a secured one."""
+    """Folder of a secured server; None without security."""
 
     def token(self, user: str) -> str:
         """Make the join token of a user; of an open server, its endpoint."""

@@ -12,7 +12,7 @@ from zensim.sim_server.description.pipeline import parse_description
 Point = tuple[float, float, float]
 ORIGIN: Point = (0.0, 0.0, 0.0)
 LEVEL_RPY: Point = (math.pi / 2.0, 0.0, 0.0)
-"""Of a cylinder whose axis is y."""
+"""Orientation of a cylinder whose axis is y."""
 CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 STRAIGHT = (0.2, 0.0)
 """First command: vx [m/s] and wz [rad/s]."""

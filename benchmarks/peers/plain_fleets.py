@@ -18,7 +18,7 @@ from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoReplicas
 
 MUJOCO_HZ, KINEMATIC_HZ = 100.0, 20.0
 CONTROL_HZ = 20.0
-"""Of `zensim.World`."""
+"""Control rate of `zensim.World`."""
 WORLD_ROBOTS = 10
 """Robots of one MuJoCo model: several small worlds are faster than a large one."""
 SETTLE_S = 1.0
