@@ -31,7 +31,7 @@ PORTS = (
     "--metrics-export-port",
     "--runtime-env-agent-port",
 )
-"""Options that set ports: without them, agents have 15 s to start and to write their ports to files;
+"""Ports that are set: without them, agents have 15 s to start and to write their ports to files;
 no option changes that (https://github.com/ray-project/ray/issues/65983)."""
 CLIENT_PORT = "--ray-client-server-port"
 START_TIMEOUT_S, START_POLL_S, END_TIMEOUT_S = 180.0, 0.05, 20.0
