@@ -29,7 +29,7 @@ class WorldCall(msgspec.Struct, frozen=True, eq=False):
     on_error: Callable[[str], None] = ignore
     """Called with the reason of a refusal or failure."""
     timeout_s: float = 0.0
-    """Wait for a long call, made on a thread of its own; 0 = a short one, made while drawing waits."""
+    """Timeout of a long call, made on a thread; 0 = a short one, for which drawing waits."""
 
 
 class WatchedTopic(msgspec.Struct, frozen=True):

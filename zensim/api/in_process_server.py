@@ -217,7 +217,7 @@ class InProcessServer:
         self._handlers = ServiceHandlers(self.parts)
         self.network = InProcessNetwork(self.call)
         self.sensor_network = InProcessNetwork(self.call)
-        """Lidars and cameras, which are no part of the state, and the subscriptions of the user."""
+        """Network of lidars, cameras and the user's subscriptions; it is no part of the state."""
         self._sensors: InProcessSensors | None = None
         """Sensors from the first subscription to one of them on."""
         self._sensor_faults = TopicFaults()

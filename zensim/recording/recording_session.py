@@ -27,7 +27,7 @@ class SessionSettings(msgspec.Struct, frozen=True, kw_only=True):
 
     parts: PartSettings
     max_cache_bytes: int
-    """Most bytes of messages that wait for the disk, or that the ring of snapshots keeps."""
+    """Most bytes of messages that wait for the disk, or that `--snapshot-mode` keeps."""
     is_snapshot: bool = False
     """Whether messages are kept in memory, and written on demand only."""
     snapshot_ns: int = 0
