@@ -19,15 +19,14 @@ import numpy as np
 from zensim.api.api_errors import Error, Timeout
 from zensim.api.in_process_server import open_shared_store
 from zensim.api.in_process_world import World
+from zensim.api.simulation import fetch_models
 from zensim.deploy.robot_checks import DrivenPart, RobotCheck, TrialRequest, TrialResult
 from zensim.proto.child_process import STDERR, reserve_stdout
 from zensim.proto.cli_options import parse_choice
 from zensim.proto.drives.array_math import ARRAY_MATH
 from zensim.proto.exit_codes import format_failure, list_expected_failures
-from zensim.proto.messages.telemetry_messages import GetModelsRequest
 from zensim.proto.process_limits import die_with_parent
 from zensim.proto.rigid_transforms import find_yaw
-from zensim.proto.service_catalog import GET_MODELS
 from zensim.sim_server.description.ground_friction import GroundFriction
 from zensim.sim_server.description.motion_prediction import (
     STRAIGHT,
@@ -162,7 +161,7 @@ def _spawn(request: TrialRequest, world: World) -> tuple[Robot, Model, str]:
         compat=parse_choice("--compat", request.compat, COMPATS),
         allow_missing=request.allow_missing,
     )
-    found = world.call(GET_MODELS, GetModelsRequest((NAME,), wants_descriptions=True))
+    found = fetch_models(world, (NAME,), wants_descriptions=True)
     entity = found.entities[0]
     return spawned, found.models[entity.model], found.descriptions[entity.description]
 

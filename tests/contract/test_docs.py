@@ -35,8 +35,6 @@ MAX_COLUMNS = 120
 SOURCE_PATH = re.compile(
     r"`((?:proto|sim_server|spawner|robot_agent|deploy|tests|benchmarks)/[\w/.-]+)`"
 )
-FLOW_FILES = {"Spawn": 44, "cmd_vel": 24, "Tick": 24}
-"""Most files that a reader opens to follow a flow of docs/architecture.md."""
 
 
 def documents() -> list[Path]:
@@ -215,14 +213,3 @@ def test_source_that_a_document_names_exists(path: Path) -> None:
     named = SOURCE_PATH.findall(text_of(path))
 
     assert [name for name in named if not (ROOT / name).exists() and "NEW_" not in name] == []
-
-
-@pytest.mark.parametrize(("flow", "most"), FLOW_FILES.items())
-def test_flow_is_followed_in_few_files(flow: str, most: int) -> None:
-    text = text_of(ROOT / "docs" / "architecture.md")
-    _, _, described = text.partition(f"**{flow}.**")
-
-    files = SOURCE_PATH.findall(re.split(r"^\*\*|^## ", described, flags=re.MULTILINE)[0])
-
-    assert 10 < len(files) <= most
-    assert len(set(files)) == len(files)

@@ -57,10 +57,11 @@ from zensim.proto.messages.fault_messages import (
 from zensim.proto.messages.result_messages import ResultCode, ServiceError, SetSimulationStateCode
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import NANOSECONDS, Duration, Point, Vector3
-from zensim.proto.messages.telemetry_messages import Event, Info
+from zensim.proto.messages.telemetry_messages import Event, GetModelsResponse, Info
 from zensim.proto.service_catalog import INJECT_FAULT, Request, Response, Service
 from zensim.proto.topic_catalog import EVENTS
 from zensim.sim_server.physics.engine_config import Clustering
+from zensim.spawner.client.service_client import ServiceClient
 from zensim.spawner.spawn.spawn_client import send_files, spawn_bonded, spawn_many
 
 if TYPE_CHECKING:
@@ -780,6 +781,21 @@ def _make_duration(seconds: float | None) -> Duration:
         return FOR_EVER
     check_range("seconds", seconds, 0.0, MAX_RUN_S)
     return Duration(*divmod(round(seconds * NANOSECONDS), NANOSECONDS))
+
+
+def fetch_models(
+    sim: Simulation, names: tuple[str, ...] = (), *, wants_descriptions: bool = False
+) -> GetModelsResponse:
+    """Get the models of the named entities, or of all.
+
+    Raises:
+        Error: The request was refused.
+        Timeout: There was no reply in time.
+    """
+    access = sim._session.access  # noqa: SLF001
+    with api_errors():
+        client = ServiceClient(access, access.world_name)
+        return client.models(names, wants_descriptions=wants_descriptions)
 
 
 def read_world_keywords(options: WorldKeywords) -> dict[str, Any]:

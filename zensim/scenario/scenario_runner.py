@@ -16,7 +16,7 @@ import numpy.typing as npt
 from zensim.api.api_errors import Timeout
 from zensim.api.closed_on_exit import ClosedOnExit
 from zensim.api.fleet import Fleet
-from zensim.api.simulation import Simulation
+from zensim.api.simulation import Simulation, fetch_models
 from zensim.api.topic import find_stamp_ns
 from zensim.proto.messages.entity_messages import (
     GetEntityBoundsOrder,
@@ -25,12 +25,10 @@ from zensim.proto.messages.entity_messages import (
 )
 from zensim.proto.messages.gazebo_messages import ApplyLinkWrenchRequest
 from zensim.proto.messages.standard_messages import NANOSECONDS, Duration, Vector3, Wrench
-from zensim.proto.messages.telemetry_messages import GetModelsRequest
 from zensim.proto.service_catalog import (
     APPLY_LINK_WRENCH,
     GET_ENTITY_BOUNDS,
     GET_ENTITY_INFO,
-    GET_MODELS,
     SET_ENTITY_INFO,
 )
 from zensim.scenario.check_monitors import (
@@ -436,7 +434,7 @@ class ScenarioRun(ClosedOnExit):
                     count.note(time_s - self._start_time)
 
     def _find_walls(self) -> list[Wall]:
-        models = self.sim.call(GET_MODELS, GetModelsRequest())
+        models = fetch_models(self.sim)
         return find_walls(models, LOW_M, HIGH_M)
 
     def _make_python_margin(self, check: PythonCheck, robots: Sequence[str]) -> Margin:
@@ -455,7 +453,7 @@ class ScenarioRun(ClosedOnExit):
         return {robot.name: groups[robot.group] for robot in self.scenario.robots}
 
     def _find_root_link(self, robot: str) -> str:
-        found = self.sim.call(GET_MODELS, GetModelsRequest((robot,)))
+        found = fetch_models(self.sim, (robot,))
         return found.models[found.entities[0].model].links[0].name
 
 

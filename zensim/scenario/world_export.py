@@ -10,11 +10,11 @@ from pathlib import Path
 import msgspec
 
 from zensim.api.api_errors import Invalid
-from zensim.api.simulation import Simulation
+from zensim.api.simulation import Simulation, fetch_models
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsRequest
+from zensim.proto.messages.telemetry_messages import EntityModel
 from zensim.proto.messages.world_messages import GetCurrentWorldRequest
-from zensim.proto.service_catalog import GET_CURRENT_WORLD, GET_MODELS
+from zensim.proto.service_catalog import GET_CURRENT_WORLD
 from zensim.scenario.scenario_format import FORMAT_VERSION
 from zensim.scenario.scenario_reader import SUFFIXES, name_of_file
 from zensim.sim_server.description.builtin_models import list_builtin_models, read_builtin_model
@@ -132,7 +132,7 @@ def _find_rate(period_ns: int) -> float:
 
 
 def _describe_robots(sim: Simulation, stem: str, files: dict[str, str]) -> Iterator[Entry]:
-    response = sim.call(GET_MODELS, GetModelsRequest(wants_descriptions=True))
+    response = fetch_models(sim, wants_descriptions=True)
     spawned = [one for one in response.entities if not one.belongs_to_world]
     if not spawned:
         return
