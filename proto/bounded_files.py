@@ -14,16 +14,16 @@ from typing import BinaryIO, Final
 
 PIECE_BYTES: Final = 1 << 20
 MAX_TEXT_FILE_BYTES: Final = 4_000_000
-"""Of texts that people write: settings, scenarios, poses, lists."""
+"""Largest text that people write: settings, scenarios, poses, lists."""
 MAX_OWN_FILE_BYTES: Final = 64 << 20
-"""Of files that a program of ours wrote, such as the rows of a sweep."""
+"""Largest file that zensim wrote, such as the rows of a sweep."""
 OPEN_FLAGS: Final = (
     os.O_RDONLY
     | getattr(os, "O_NONBLOCK", 0)
     | getattr(os, "O_CLOEXEC", 0)
     | getattr(os, "O_BINARY", 0)
 )
-"""Without waiting: to open a pipe would wait for a writer."""
+"""Flags that do not wait: opening a pipe would wait for a writer."""
 
 
 class FileTooLarge(OSError):

@@ -15,11 +15,11 @@ from typing import Final
 from zensim.proto.web_access import is_own_origin
 
 MAX_CONNECTIONS: Final = 32
-"""At a time; further ones are closed at once."""
+"""Most connections at a time; further ones are closed at once."""
 ACCEPT_PAUSE_S: Final = 0.002
-"""After each connection: whoever opens them as fast as possible must not delay steps."""
+"""Pause after each connection: whoever opens them as fast as possible must not delay steps."""
 IDLE_S: Final = 5.0
-"""After which a client that neither sends nor receives is cut off."""
+"""Wall time after which a client that neither sends nor receives is cut off."""
 LONGEST_S: Final = 60.0
 
 
@@ -29,7 +29,7 @@ class BoundedHttpServer(ThreadingHTTPServer):
     daemon_threads = True
     request_queue_size = MAX_CONNECTIONS
     longest_s = LONGEST_S
-    """For which a connection lasts at most."""
+    """Longest duration of a connection [s]."""
 
     def __init__(self, host: str, port: int, handler: type[BaseHTTPRequestHandler]) -> None:
         """Listen; 0 = any free port.

@@ -70,7 +70,7 @@ SPAWNS: Final = frozenset({SPAWN_ENTITY.name, SPAWN_ENTITIES.name})
 MAX_UNANSWERED: Final = 64
 """Spawns that got no reply in time, and whose ids are kept for a retry."""
 MAX_COPIED_BYTES: Final = 32 << 20
-"""Of payloads that a subscription of `subscribe_copying` keeps."""
+"""Most bytes of payloads that a subscription of `subscribe_copying` keeps."""
 MAX_EXPECTED_KEYS: Final = 4096
 """Keys that a session declares for what it receives: 0.2 ms each, and memory of the router."""
 MAX_TAKEN: Final = 256
@@ -89,7 +89,7 @@ class HeldMessages:
 
     def __init__(self) -> None:
         self._thread = 0
-        """Whose messages are held; 0 = none."""
+        """Thread whose messages are held; 0 = none."""
         self._waiting: list[Callable[[], None]] = []
 
     @property
@@ -311,7 +311,7 @@ class ItemQueue(Protocol[Item_co]):
 
 
 _Handler = tuple[Callable[[Item], object], ItemQueue[Item]]
-"""As declarations of Zenoh take it: what is called with each message, and the queue."""
+"""Handler that Zenoh declares: what is called with each message, and the queue."""
 
 
 def _make_queue(
@@ -821,7 +821,7 @@ MOST_UNACKNOWLEDGED_MS: Final = 1800
 clients: Zenoh closes a link at the end of its lease, and until the last bytes are written, which a
 stopped process never reads, nothing that is published reaches anybody through that router task."""
 CLIENT_LEASE_MS: Final = 2000
-"""Of agents, among others: another one gets their robots soon."""
+"""Lease of clients such as agents; it is short so that another agent gets their robots soon."""
 ROUTER_LEASE_MS: Final = 10_000
 """Each side of a link waits for the lease that the other one announces. A host of ROS 2 that stalls
 for longer closes its link to us, and the calls that wait for a reply get none."""
@@ -889,9 +889,9 @@ RESERVED_FILES: Final = 200
 FILES_OF_SESSION: Final = 2
 MAX_SESSIONS: Final = 4000
 ACCEPT_TIMEOUT_MS: Final = 2000
-"""For a handshake; Zenoh's default is 10 s."""
+"""Time for a handshake; Zenoh's default is 10 s."""
 MAX_HANDSHAKES: Final = 500
-"""At a time; Zenoh's default is 100, which a client that opens sockets only can use up."""
+"""Handshakes at a time; a client that only opens sockets can use up Zenoh's default of 100."""
 PROBE_TIMEOUT_S: Final = 0.5
 JOIN_TIMEOUT_S: Final = 2.0
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
@@ -951,11 +951,11 @@ class Credentials(msgspec.Struct, frozen=True, kw_only=True):
     authority: str
     """Certificate, PEM."""
     certificate: str = ""
-    """Of the client, with its private key, PEM; empty where the server asks for none."""
+    """Certificate of the client with its private key, PEM; empty where the server asks for none."""
     certificate_file: str = ""
     """File with both, which is read at each connection, so that it may be renewed."""
     world: str = ""
-    """In which the user is announced; empty for the server itself."""
+    """World in which the user is announced; empty for the server itself."""
 
     def __repr__(self) -> str:
         """Name the user only."""
@@ -991,9 +991,9 @@ class BusConfig(msgspec.Struct, frozen=True, kw_only=True):
     joined_publishers: tuple[str, ...] = ()
     """Key expressions; all publishers within one of them are one publisher for the router."""
     credentials: Credentials | None = None
-    """Of a client of a secured router; a join token in `connect` stands for them, too."""
+    """Credentials of a client of a secured router; a join token in `connect` replaces them."""
     router_security: RouterSecurity | None = None
-    """Of a router that only admits users; None = it admits everyone."""
+    """Security of a router that only admits users; None = it admits everyone."""
 
 
 class Bus:
@@ -1003,7 +1003,7 @@ class Bus:
         self._session = session
         self._sender = ReplySender()
         self.held_messages = HeldMessages()
-        """Of this session, and of those that it opens."""
+        """Held messages of this session and of those that it opens."""
         self._expected_keys: dict[str, zenoh.KeyExpr] = {}
         self._user_token: zenoh.LivelinessToken | None = None
         self.unanswered: OrderedDict[tuple[str, bytes], str] = OrderedDict()
@@ -1013,7 +1013,7 @@ class Bus:
         self.config = config
         self.traffic = BusTraffic()
         self.arrivals: ArrivalSignal | None = None
-        """Of subscriptions that were declared since `watch_arrivals`."""
+        """Arrivals at subscriptions that were declared since `watch_arrivals`."""
 
     def __enter__(self) -> "Bus":
         """Return the bus."""
@@ -1675,9 +1675,9 @@ HANDSHAKES: Final = "off,zenoh_transport::unicast::establishment::accept=debug,z
 OPEN_TIMEOUTS_S = (0.25, 0.25, 0.25, 0.25, 2.0)
 """Short, to find a new router soon; sometimes long, for a distant one."""
 LEAST_TIMEOUT_S: Final = 0.01
-"""Of a retried query, though the time of its call is over."""
+"""Least timeout of a retried query, even if the time of its call is over."""
 LEAST_ATTEMPT_S: Final = 0.05
-"""From one attempt to the next: a join token is refused at once where nothing listens."""
+"""Least time between attempts: a join token is refused at once where nothing listens."""
 
 
 def open_bus_with_retry(config: BusConfig, wait_s: float) -> Bus:

@@ -58,7 +58,7 @@ def make_app(name: str = "", *, has_default: bool = False) -> typer.Typer:
 
 
 SOURCES: Final = ("DEFAULT", "DEFAULT_MAP", "ENVIRONMENT", "COMMANDLINE")
-"""Of values: default, file, variable, flag; later ones take precedence."""
+"""Sources of values: default, file, variable, flag; later ones take precedence."""
 
 
 def find_source(context: typer.Context, parameter: str) -> str:

@@ -19,7 +19,7 @@ MAX_PORT: Final = 65535
 STREAM_PROTOCOLS: Final = frozenset({"tcp", "tls", "ws"})
 """Protocols whose listener accepts a plain TCP connection."""
 CONNECT_TIMEOUT_S: Final = 1.0
-"""Of a connection to the own host."""
+"""Timeout of a connection to the own host."""
 
 
 def check_endpoint(endpoint: str) -> str:

@@ -16,7 +16,7 @@ from zensim.proto.whole_files import writing_whole
 
 EngineName = Literal["pybullet", "mujoco"]
 LIBRARY_MARKS: Final = (".so", ".dylib", ".pyd", ".dll")
-"""In names of shared libraries; some systems write their version behind it."""
+"""Parts of the names of shared libraries; some systems write the version after them."""
 CASES_FOLDER: Final = (
     Path(__file__).resolve().parent.parent / "sim_server" / "physics" / "engine_proof"
 )
@@ -29,9 +29,9 @@ class EngineBuild(msgspec.Struct, frozen=True):
 
     engine: EngineName
     version: str
-    """Of its package."""
+    """Version of the package of the engine."""
     digest: str
-    """Of the names, sizes and dates of its shared libraries and of the cases of the proof."""
+    """Hash of the names, sizes and dates of its shared libraries, and of the cases of the proof."""
 
 
 class CaseResult(msgspec.Struct, frozen=True):

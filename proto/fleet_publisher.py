@@ -32,7 +32,7 @@ ATTACHMENT_DTYPE: Final = np.dtype(
         ("gid", "u1", GID_BYTES),
     ]
 )
-"""As in `zensim.proto.ros2.rmw_attachment`."""
+"""Layout of `zensim.proto.ros2.rmw_attachment`."""
 
 
 class AttachmentRows:
@@ -78,7 +78,7 @@ class MatchedPublishers(Generic[OwnerT]):
 
     def __init__(self) -> None:
         self.matched: dict[OwnerT, Publisher] = {}
-        """As of the last check."""
+        """Publishers that had subscribers at the last check."""
         self._all: dict[OwnerT, Publisher] = {}
         self._unchecked: list[OwnerT] = []
 
@@ -160,7 +160,7 @@ class SearchedMembers:
     def __init__(self, search: SubscriberSearch) -> None:
         self.search = search
         self.named: frozenset[TopicMember] = frozenset()
-        """With subscribers of their own; see `SubscribedKeys`."""
+        """Members with subscribers of their own; see `SubscribedKeys`."""
         self.others: frozenset[TopicMember] = frozenset()
 
     @property
@@ -219,7 +219,7 @@ class RosFleetPublisher:
         self._matched = MatchedPublishers[TopicMember]()
         self._attachments = AttachmentRows()
         self._rows: dict[TopicMember, int] = {}
-        """Of a topic that is not latched: rows of attachments."""
+        """Rows of attachments by member; empty for a latched topic."""
         self._members: dict[TopicMember, None] = {}
         self._graph = graph
         self._late_announcements = 0  # of the graph, when they were last noted
@@ -442,7 +442,7 @@ class FleetTopicPublisher:
     """One topic of many robots on the keys of one pattern."""
 
     _demand: tuple[int, Mapping[TopicMember, int]] | None = None
-    """Of a version; see `list_demand`."""
+    """Version and demand that `list_demand` found last."""
 
     def __init__(
         self,
@@ -581,7 +581,7 @@ class FleetTopicPublisher:
 
     @property
     def budget(self) -> MessageBudget | None:
-        """Of messages to subscribers by wildcard; None while all publishers are declared."""
+        """Budget of messages to subscribers by wildcard; None while all publishers are declared."""
         is_searched = self._searched is not None or (
             self._ros is not None and self._ros.searched is not None
         )

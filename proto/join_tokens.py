@@ -39,18 +39,18 @@ class JoinToken(msgspec.Struct, frozen=True):
     """Address, credentials and pinned authority of a secured server."""
 
     endpoint: str
-    """As `tls/192.168.1.5:7447`."""
+    """Endpoint of Zenoh, such as `tls/192.168.1.5:7447`."""
     user: str
     password: bytes
     fingerprint: bytes
     """SHA-256 of the certificate of the authority, in DER."""
     world: str = DEFAULT_WORLD
     certificate: bytes = b""
-    """Of the client, in DER; empty where the server asks for none."""
+    """Certificate of the client, DER; empty where the server asks for none."""
     private_key: bytes = b""
-    """Of that certificate, PKCS#8 in DER."""
+    """Private key of that certificate, PKCS#8 in DER."""
     file: str = ""
-    """That has both in PEM, if they were read from one."""
+    """File that has certificate and key in PEM, if they were read from one."""
 
     def __repr__(self) -> str:
         """Name endpoint and user, without the secret."""

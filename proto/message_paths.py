@@ -12,7 +12,7 @@ ODOMETRY_PATHS: Final = (
     "twist.twist.angular.z",
 )
 ODOMETRY_COLUMNS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12)
-"""Of the numbers of `ODOMETRY_PATHS` among those of `FleetOdometry`."""
+"""Columns of the numbers of `ODOMETRY_PATHS` among those of `FleetOdometry`."""
 HEADER_STAMP: Final = ("header.stamp",)
 
 

@@ -4,11 +4,11 @@ import re
 from importlib.metadata import PackageNotFoundError, distribution
 
 PACKAGES_OF = {"mujoco": ("mujoco-core", "mujoco"), "pybullet": ("pybullet", "pybullet-arm64")}
-"""Of several packages, the first that is installed has the library; MuJoCo 3 was one package."""
+"""Packages that may have the library; the first installed one counts. MuJoCo 3 was one package."""
 
 VERSION_LINE = re.compile(r"^Version: *(\S+)", re.MULTILINE)
 REPORTED_PACKAGES = ("zensim", "eclipse-zenoh", "pybullet", "mujoco", "viser", "numpy")
-"""Whose versions matter to whoever asks for help."""
+"""Packages whose versions matter to whoever asks for help."""
 MISSING_PACKAGE = "not installed"
 
 

@@ -14,9 +14,10 @@ POLL_S = 0.001
 MAX_PAUSE_S = 0.01
 """Maximum pause; everything else may wait as long."""
 IDLE_AFTER_S, IDLE_S = 0.5, 0.003
-"""Without states for so long, time is taken as stopped; the first state may wait one pause."""
+"""Time without states after which time is taken as stopped, and the period then; the first state
+may wait one pause."""
 EAGER_S, EAGER_POLL_S = 0.02, 0.0003
-"""After an awaited state, polling is fast for so long: time waits for the next answer."""
+"""Time of fast polling after an awaited state, and its period: time waits for the next answer."""
 PERIOD_GROWTH = 1.1
 """Growth of the expected period per state when states come less often."""
 

@@ -38,7 +38,7 @@ PARENT_PID_VARIABLE = "ZENSIM_PARENT"
 PR_SET_PDEATHSIG = 1
 PARENT_POLL_S = 0.5
 LOCKED_OFFSET = 1 << 30
-"""Of the byte that Windows locks: beyond the end, so that others can read the file."""
+"""Offset of the byte that Windows locks: beyond the end, so that others can read the file."""
 STATM = Path("/proc/self/statm")
 SIGKILL = getattr(signal, "SIGKILL", signal.SIGTERM)
 """Ends a process at once; Windows ends it so for any signal."""

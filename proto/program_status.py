@@ -14,7 +14,7 @@ from zensim.proto.service_manager import ServiceManager
 SERVER_TURN_S: Final = 5.0
 """Wall time after which the loop of a server counts as stuck without a turn."""
 CLIENT_TURN_S: Final = 30.0
-"""That of other programs: a turn may wait for some replies of a server that hangs, 5 s for each."""
+"""Turn of other programs: it may wait for some replies of a server that hangs, 5 s for each."""
 
 Phase = Literal["starting", "restoring", "ready", "draining"]
 WORDS: Final[dict[Phase, str]] = {
@@ -60,7 +60,7 @@ class ProgramStatus:
         self.world = ""
         """World of the program; a label of its metrics."""
         self.sources: list[ListMetrics] = []
-        """Of metrics; other threads call them, at any time."""
+        """Sources of metrics; other threads call them, at any time."""
         self._now_s = now_s
         self._turn_s: float | None = None
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
 MAX_THREADS: Final = 8
-"""As many clients may stop reading at once without a delay for others."""
+"""Clients that may stop reading at once without a delay for others."""
 MAX_UNSENT_BYTES: Final = 16 << 20
 """Replies of one client that may wait to be sent; the next ones end without a value."""
 REPLY_BYTES: Final = 4096

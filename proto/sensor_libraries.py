@@ -15,7 +15,7 @@ ADVICE: Final[dict[Library, str]] = {
 }
 NOTHING: Final = "nothing"
 EGL: Final = "libEGL.so.1"
-"""By which OpenGL needs no display."""
+"""Library that lets OpenGL work without a display."""
 
 
 def find_library_fault(library: Library) -> str:

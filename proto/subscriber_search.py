@@ -22,9 +22,9 @@ MAX_NAMED: Final = 300
 PROBES_AT_ONCE: Final = 24
 """Key expressions that one poll tries: about a millisecond."""
 MAX_PROBES: Final = 4096
-"""In one search; what is left then counts as subscribed."""
+"""Probes in one search; what is left then counts as subscribed."""
 SEARCH_PERIOD_S: Final = 0.3
-"""From the end of a search to the next."""
+"""Time from the end of a search to the next."""
 
 
 @dataclass(frozen=True)
@@ -194,9 +194,9 @@ MAX_SAVED_S: Final = 0.1
 MAX_MISSED_SHARE: Final = 0.05
 """Share of drive states of a window that may be missed before the limit falls."""
 LEAST_SHARE: Final = 0.05
-"""Of the limit, however many states are missed."""
+"""Least share of the limit, however many states are missed."""
 GROWTH: Final = 1.2
-"""Of a lowered limit, in each window in which few states are missed."""
+"""Growth of a lowered limit in each window in which few states are missed."""
 
 
 class MessageBudget:
@@ -216,7 +216,7 @@ class MessageBudget:
         """Messages, and drive states, of the window; steps from one state to the next, 0 = none."""
         self._clock = clock
         self._left: dict[object, tuple[float, float]] = {}
-        """By topic: time of the last call [s], and messages."""
+        """Time of the last call [s] and messages left, by topic."""
         self._withheld = 0
         self._window_s = clock()
 
@@ -267,7 +267,7 @@ class SubscriberWatches:
 
     def __init__(self, network: WatchOpeningNetwork) -> None:
         self.budget = MessageBudget()
-        """Of all topics of the process."""
+        """Budget of all topics of the process."""
         self._max_publishers = MAX_PUBLISHERS
         self._network = network
         self._unwatched: dict[str, None] = {}

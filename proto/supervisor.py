@@ -57,7 +57,7 @@ class SupervisedProgram:
     process: "subprocess.Popen[bytes] | None" = None
     restarts: int = 0
     grace_s: float = TERMINATE_TIMEOUT_S
-    """From SIGTERM to SIGKILL."""
+    """Time from SIGTERM to SIGKILL."""
     started_s: float = 0.0
     """Monotonic time of the last start."""
     restart_at_s: float = 0.0

@@ -19,12 +19,12 @@ SHIFT, CTRL = 1, 4
 """Bits of the modifiers that a terminal reports, plus one."""
 LOCKS_AND_SHIFT: Final = SHIFT | 64 | 128
 MODIFIER_CODES: Final = range(57358, 57455)
-"""Of shift, ctrl, locks and media keys alone."""
+"""Codes of shift, ctrl, locks and media keys alone."""
 LAST_CONTROL: Final = 0x1F
 REPORT_FOCUS, IGNORE_FOCUS = "\x1b[?1004h", "\x1b[?1004l"
-"""Of xterm: the terminal sends `ESC [ I` and `ESC [ O`."""
+"""Requests of xterm: the terminal sends `ESC [ I` and `ESC [ O`."""
 REPORT_RELEASES, IGNORE_RELEASES = "\x1b[>11u", "\x1b[<u"
-"""Of the keyboard protocol of kitty: all keys as `CSI CODE ; MODIFIERS : KIND u`."""
+"""Requests of the keyboard protocol of kitty: all keys as `CSI CODE ; MODIFIERS : KIND u`."""
 
 
 class KeyEvent(msgspec.Struct, frozen=True):

@@ -44,7 +44,7 @@ class QueuedToken:
         self.key = key
         self.is_wanted = True
         self.declared: DeclaredToken | None = None
-        """Of the thread, as is the number of sessions that failed at it."""
+        """Token that the thread declared; the thread alone sets this and `failures`."""
         self.failures = 0
         self._queue = queue
 
@@ -74,7 +74,7 @@ class TokenThread:
         self._pause_per_work = (1.0 - core_share) / core_share
         self._queue: SimpleQueue[QueuedToken | None] = SimpleQueue()
         self._again: deque[QueuedToken] = deque()
-        """Of the thread, as the next one: tokens of a session that failed."""
+        """Tokens of a session that failed; only the thread uses this and the next field."""
         self._declared: dict[QueuedToken, None] = {}
         self._is_closed = Event()
         self._thread: Thread | None = None

@@ -83,9 +83,9 @@ class TopicSpec(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     publisher: Participant
     subscriber: Participant = Participant.USER
     format: Format = Format.CDR
-    """As zensim publishes it; subscribers accept every format."""
+    """Format that zensim publishes; subscribers accept every format."""
     qos: Qos = RELIABLE_10
-    """Of the ROS 2 endpoints, if there are any."""
+    """QoS of the ROS 2 endpoints, if there are any."""
     root_message: type[msgspec.Struct] | None = None
     """Published as CDR on the suffix alone, as `/clock` and `/tf`; None = not published."""
     rate_hz: float = 0.0

@@ -43,7 +43,7 @@ class TopicFacts(msgspec.Struct, frozen=True):
     ros_type: str
     publishers: tuple[TopicEndpoint, ...] = ()
     subscriptions: tuple[TopicEndpoint, ...] = ()
-    """Of ROS 2 nodes and agents; plain Zenoh subscribers do not announce themselves."""
+    """Subscriptions of ROS 2 nodes and agents; plain Zenoh subscribers announce nothing."""
 
 
 def list_topics(bus: Bus, world: str, models: GetModelsResponse | None) -> list[TopicFacts]:

@@ -239,7 +239,7 @@ class TopicFactory:
     ) -> None:
         self.settings = settings
         self.faults = TopicFaults()
-        """Of the topics of this process."""
+        """Faults of the topics of this process."""
         self._network = network
         self._node = node
 

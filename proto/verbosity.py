@@ -14,7 +14,7 @@ LOG = logging.getLogger("zensim")
 LOG_FORMAT = "%(levelname)s %(name)s %(message)s"
 LOG_FORMATS: Final = ("text", "json")
 LOG_FORMAT_VARIABLE: Final = "ZENSIM_LOG_FORMAT"
-"""Of `--log-format`; programs hand their choice to those that they start."""
+"""Variable of `--log-format`; programs hand their choice to those that they start."""
 
 
 class Verbosity:
@@ -24,7 +24,7 @@ class Verbosity:
     is_verbose = False
     is_json = False
     log_format = ""
-    """Of `LOG_FORMATS`; empty = as the variable says."""
+    """Format of `LOG_FORMATS`; empty = as the variable says."""
 
 
 CURRENT = Verbosity()

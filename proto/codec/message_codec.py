@@ -48,7 +48,7 @@ FORMAT_OF_FIRST_BYTE: dict[int, Format] = {
 }
 
 _DECODERS_LOCK = RLock()
-"""While msgspec describes a type, the description is half complete for other threads."""
+"""Lock for making decoders: while msgspec describes a type, other threads see half of it."""
 
 _WRITE_MSGPACK = msgspec.msgpack.Encoder().encode
 _WRITE_JSON = msgspec.json.Encoder().encode

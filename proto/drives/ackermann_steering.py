@@ -7,7 +7,7 @@ from zensim.proto.drives.measured_joints import Columns, MeasuredJoints, PlanarT
 from zensim.proto.messages.drive_messages import AckermannDrive
 
 MAX_STEER_RAD = 1.5
-"""Below a right angle, at which a car has no turning circle."""
+"""Largest steering angle; a car has no turning circle at a right angle."""
 
 
 class AckermannSteering(Generic[Column]):

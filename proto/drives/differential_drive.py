@@ -14,7 +14,7 @@ MAX_LEAD_M_S = 0.1
 Gazebo has no such limit: there, a robot that pushed against a wall accelerates suddenly once free.
 """
 MAX_RIM_SPEED_M_S = 1e6
-"""Beyond any wheel; keeps targets finite for every twist."""
+"""Speed beyond that of any wheel; keeps targets finite for every twist."""
 
 
 class DifferentialDrive(Generic[Column]):

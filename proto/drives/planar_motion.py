@@ -6,7 +6,7 @@ from zensim.proto.drives.column_math import Column, ColumnMath
 from zensim.proto.drives.measured_joints import Columns, MeasuredJoints, PlanarTwist
 
 MAX_PLANAR_SPEED = 1e6
-"""Beyond any robot [m/s, rad/s]; keeps targets finite for every twist."""
+"""Speed beyond that of any robot [m/s, rad/s]; keeps targets finite for every twist."""
 
 
 class PlanarMotion(Generic[Column]):

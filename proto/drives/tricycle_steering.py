@@ -8,7 +8,7 @@ from zensim.proto.drives.measured_joints import Columns, MeasuredJoints, PlanarT
 from zensim.proto.messages.drive_messages import TricycleDrive
 
 MAX_WHEEL_SPEED = 1e6
-"""Beyond any wheel [rad/s]; keeps targets finite for every twist."""
+"""Speed beyond that of any wheel [rad/s]; keeps targets finite for every twist."""
 
 
 class TricycleSteering(Generic[Column]):

@@ -30,7 +30,7 @@ class ClaimEntityRequest(msgspec.Struct, frozen=True):
     entities: tuple[str, ...] = ()
     on_release: OnRelease = "stop"
     state_format: StateFormat = "msgpack"
-    """Of the drive states that this agent gets from now on; in JSON, bytes are base64."""
+    """Format of the drive states that this agent gets from now on; in JSON, bytes are base64."""
     protocol: UInt32 = 1
     """`PROTOCOL` of the agent; agents that do not say it know the first one."""
 
@@ -47,7 +47,7 @@ class Claim(msgspec.Struct, frozen=True):
     spawn_state: tuple[float, ...] = ()
     """State at spawn; `STATE_COLUMNS` numbers."""
     environment: Environment = Environment()
-    """That of the response."""
+    """Environment of the response."""
     joint_targets: tuple[float, ...] = ()
     """Newest targets of the actuators of mode `joint`; empty = never commanded."""
 
@@ -64,7 +64,7 @@ class Grant(msgspec.Struct, frozen=True):
     """Index into `robot_descriptions` of the response."""
     spawn_state: tuple[float, ...] = ()
     joint_targets: tuple[float, ...] = ()
-    """As in `Claim`."""
+    """Same as in `Claim`."""
 
 
 class ClaimEntityResponse(msgspec.Struct, frozen=True):
@@ -81,7 +81,7 @@ class ClaimEntityResponse(msgspec.Struct, frozen=True):
     """Steps between two drive states."""
     environment: Environment = Environment()
     actuators: tuple[tuple[Actuator, ...], ...] = ()
-    """Of each of `models`: what the targets of a drive command are, in order."""
+    """Targets of a drive command for each of `models`, in order."""
 
 
 class ClaimShareRequest(msgspec.Struct, frozen=True):
@@ -241,7 +241,8 @@ class TwistCommands(msgspec.Struct, frozen=True):
     ros_type: ClassVar[str] = "zensim/msg/TwistCommands"
 
     client: str = ""
-    """With a token `sim/<world>/alive/clients/<client>`, the robots stop when it disappears."""
+    """Name of a client; robots stop when its token `sim/<world>/alive/clients/<client>`
+    disappears."""
     entities: tuple[str, ...] = ()
     twists: bytes = b""
     """`<f8`, (n, 3), in the order of `entities`: forward, left [m/s], turn [rad/s]. NaN releases a
@@ -249,7 +250,7 @@ class TwistCommands(msgspec.Struct, frozen=True):
 
 
 MAX_ORDERED_ROBOTS = 2500
-"""In one message: with the longest names less than `MAX_FLEET_COMMAND_BYTES`."""
+"""Robots in one message: with the longest names less than `MAX_FLEET_COMMAND_BYTES`."""
 
 
 def split_orders(twists: TwistCommands) -> Iterator[TwistCommands]:
@@ -280,7 +281,7 @@ class DriveCommand(msgspec.Struct, frozen=True):
     targets: bytes
     """`<f8`, claim by claim, `width` numbers for each of `Model.actuators`."""
     order: UInt32 = 0
-    """As in the drive state."""
+    """Order of the drive state."""
     wants_efforts: bool = False
     """Whether the next states shall have `joint_efforts`."""
     withheld_hz: UInt32 = 0

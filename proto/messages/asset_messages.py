@@ -21,7 +21,7 @@ class AssetRef(msgspec.Struct, frozen=True):
     """A file that a description refers to."""
 
     uri: str
-    """As in the description: `package://robot/meshes/base.stl`; see `resolve_include_uri`."""
+    """URI in the description: `package://robot/meshes/base.stl`; see `resolve_include_uri`."""
     sha256: str
     """64 lower-case hex digits."""
 
@@ -51,12 +51,12 @@ class PutAssetRequest(msgspec.Struct, frozen=True):
     ros_type: ClassVar[str] = "zensim/srv/PutAsset_Request"
 
     sha256: str = ""
-    """Of the whole file."""
+    """SHA-256 of the whole file."""
     offset: UInt64 = 0
     total: UInt64 = 0
     """Size of the whole file; at most `MAX_FILE_BYTES`."""
     data: bytes = b""
-    """At most `MAX_CHUNK_BYTES`."""
+    """Part of the file; at most `MAX_CHUNK_BYTES`."""
 
 
 class PutAssetResponse(msgspec.Struct, frozen=True):
@@ -102,7 +102,7 @@ def resolve_include_uri(include: str, uri: str) -> str:
 
 IMAGE_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".tga", ".bmp")
 MATERIAL_SUFFIX: Final = ".mtl"
-"""Of a file with the materials of an OBJ file."""
+"""Suffix of a file with the materials of an OBJ file."""
 _REFERENCES: Final = {
     ".dae": re.compile(rb"<init_from>\s*(?:<ref>\s*)?([^<]{1,500}?)\s*</"),
     ".obj": re.compile(rb"^[ \t]*mtllib[ \t]+(\S[^\r\n]{0,500})", re.MULTILINE),

@@ -32,9 +32,9 @@ class RosBlock(msgspec.Struct, frozen=True, gc=False):
     """The `<ros>` element of a plug-in."""
 
     namespace: str = ""
-    """Without a leading slash."""
+    """Namespace without a leading slash."""
     remappings: tuple[str, ...] = ()
-    """As written: `from:=to`."""
+    """Rules as written: `from:=to`."""
 
 
 class Actuator(msgspec.Struct, frozen=True, gc=False):
@@ -91,7 +91,7 @@ class DriveSettings(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """Rates, frames, odometry and topics of every drive."""
 
     update_rate_hz: float = 100.0
-    """Of commands; 0 = at every drive state."""
+    """Rate of commands; 0 = at every drive state."""
     odometry_rate_hz: float | None = None
     """None = rate of commands."""
     tf_rate_hz: float | None = None
@@ -110,9 +110,9 @@ class DriveSettings(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     twist_covariance: tuple[float, ...] = ()
     """The same of the twist."""
     command_topic: str = ""
-    """In the robot's namespace; empty = cmd_vel."""
+    """Topic in the robot's namespace; empty = cmd_vel."""
     odometry_topic: str = ""
-    """In the robot's namespace; empty = odom."""
+    """Topic in the robot's namespace; empty = odom."""
     ros: RosBlock = RosBlock()
     compat: Compat = "fixed"
     """gazebo11: encoder speed is never negative, and the two topics are ignored."""
@@ -152,11 +152,11 @@ class DiffDrive(DriveSettings, frozen=True, tag="diff_drive", tag_field="kind"):
     pairs: tuple[WheelPair, ...] = ()
     max_torque_nm: float = 5.0
     max_acceleration: float = 0.0
-    """At the rim [m/s^2]; 0 = unlimited."""
+    """Acceleration at the rim [m/s^2]; 0 = unlimited."""
     linear_limits: Limits = Limits()
-    """Of the commanded twist [m/s, m/s^2]."""
+    """Limits of the commanded twist [m/s, m/s^2]."""
     angular_limits: Limits = Limits()
-    """Of the commanded twist [rad/s, rad/s^2]."""
+    """Limits of the commanded twist [rad/s, rad/s^2]."""
 
     @property
     def wheel_joints(self) -> tuple[str, ...]:
@@ -213,9 +213,9 @@ class AckermannDrive(DriveSettings, frozen=True, tag="ackermann_drive", tag_fiel
     max_speed: float = 20.0
     """[m/s]."""
     max_steer: float = 0.6
-    """Of the front wheels [rad]."""
+    """Largest angle of the front wheels [rad]."""
     max_steering_angle: float = 7.85
-    """Of the steering wheel [rad]."""
+    """Largest angle of the steering wheel [rad]."""
     wheel_effort_nm: float = 100.0
     steering_effort_nm: float = 100.0
 
@@ -269,9 +269,9 @@ class TricycleDrive(DriveSettings, frozen=True, tag="tricycle_drive", tag_field=
     encoder_wheel_diameter_m: float = 0.15
     wheel_separation_m: float = 0.5
     max_torque_nm: float = 0.15
-    """Of the actuated wheel, and of the steering joint if its speed is limited."""
+    """Torque of the actuated wheel, and of the steering joint if its speed is limited."""
     max_acceleration: float = 0.0
-    """Of the actuated wheel [rad/s^2]; 0 = unlimited."""
+    """Acceleration of the actuated wheel [rad/s^2]; 0 = unlimited."""
     max_deceleration: float = 0.0
     """[rad/s^2]; 0 = unlimited."""
     speed_tolerance: float = 0.01
@@ -281,7 +281,7 @@ class TricycleDrive(DriveSettings, frozen=True, tag="tricycle_drive", tag_field=
     angle_tolerance: float = 0.01
     """[rad]."""
     steering_effort_nm: float = 100.0
-    """Of a position controlled steering joint."""
+    """Effort of a position controlled steering joint."""
 
     @property
     def wheel_joints(self) -> tuple[str, ...]:
@@ -347,8 +347,8 @@ class SteeringDrive(DriveSettings, frozen=True, tag="steering_drive", tag_field=
     wheel_radius_m: float = 0.3
     """Radius of the driven wheels; > 0."""
     wheelbase_m: float = 1.0
-    """From the unsteered to the steered axle, along x; not 0, negative if that is behind. If two
-    axles steer: from the middle between them."""
+    """Distance from the unsteered to the steered axle along x; not 0, negative if that is behind.
+    If two axles steer, from the middle between them."""
     traction_track_m: float = 0.5
     """Distance of two driven wheels; > 0."""
     steering_track_m: float = 0.5
@@ -422,13 +422,13 @@ class OmniDrive(DriveSettings, frozen=True, tag="omni_drive", tag_field="kind"):
 
     wheels: tuple[RollerWheel, ...] = ()
     max_torque_nm: float = 5.0
-    """Of each wheel, which has only itself to turn."""
+    """Torque of each wheel, which has only itself to turn."""
     linear_limits: Limits = Limits()
-    """Of vx [m/s, m/s^2]."""
+    """Limits of vx [m/s, m/s^2]."""
     lateral_limits: Limits = Limits()
-    """Of vy [m/s, m/s^2]."""
+    """Limits of vy [m/s, m/s^2]."""
     angular_limits: Limits = Limits()
-    """Of wz [rad/s, rad/s^2]."""
+    """Limits of wz [rad/s, rad/s^2]."""
 
     @property
     def wheel_joints(self) -> tuple[str, ...]:
@@ -474,6 +474,6 @@ class DriveOrder(msgspec.Struct, frozen=True, gc=False):
     separation_m: float = 0.0
     """Distance of left and right wheels; 0 = measured from the links."""
     diameter_m: float = 0.0
-    """Of driven wheels; 0 = measured from the links."""
+    """Diameter of driven wheels; 0 = measured from the links."""
     wheelbase_m: float = 0.0
     """Distance of front and rear axle; 0 = measured from the links."""

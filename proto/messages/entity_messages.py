@@ -252,9 +252,9 @@ class CastRaysRequest(msgspec.Struct, frozen=True):
     ros_type: ClassVar[str] = "zensim/srv/CastRays_Request"
 
     origins: tuple[Point, ...] = ()
-    """In the world; at most 10 000."""
+    """Starts of rays in the world frame; at most 10 000."""
     directions: tuple[Vector3, ...] = ()
-    """In the world, of any length but 0; as many as origins."""
+    """Directions in the world frame, of any length but 0; as many as origins."""
     range_max_m: float = 100.0
     """Hits beyond it do not count; > 0."""
     ignored_entity: str = ""

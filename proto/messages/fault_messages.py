@@ -46,7 +46,7 @@ class InjectFaultRequest(msgspec.Struct, frozen=True):
     duration: Duration = FOR_EVER
     """Simulation time; negative = until a reset."""
     seed: UInt64 = 0
-    """Of lost messages and noise."""
+    """Seed of lost messages and noise."""
 
 
 class InjectFaultResponse(msgspec.Struct, frozen=True):
@@ -63,11 +63,11 @@ class TopicFault(msgspec.Struct, frozen=True):
     ros_type: ClassVar[str] = "zensim/msg/TopicFault"
 
     keys: tuple[str, ...] = ()
-    """Of the topics, without a leading slash."""
+    """Keys of the topics, without a leading slash."""
     kind: str = "sensor_off"
     """A `TopicFaultKind`."""
     value: float = 0.0
-    """As in `InjectFaultRequest`; so are `low` and `high`."""
+    """Value as in `InjectFaultRequest`; so are `low` and `high`."""
     low: float = 0.0
     high: float = 0.0
     start_ns: UInt64 = 0

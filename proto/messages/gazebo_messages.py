@@ -165,10 +165,10 @@ class ContactState(msgspec.Struct, frozen=True):
 
     info: str = ""
     collision1_name: str = ""
-    """Of the sensor: `entity::link::collision`."""
+    """Collision of the sensor: `entity::link::collision`."""
     collision2_name: str = ""
     wrenches: tuple[Wrench, ...] = ()
-    """On the first body."""
+    """Wrenches on the first body."""
     total_wrench: Wrench = Wrench()
     contact_positions: tuple[Vector3, ...] = ()
     """[m]."""
@@ -198,7 +198,7 @@ class ApplyLinkWrenchRequest(msgspec.Struct, frozen=True):
     reference_frame: str = ""
     """Frame of the wrench; empty = the world frame."""
     reference_point: Point = Point()
-    """In the reference frame; relative to the centre of mass of the link if that is empty."""
+    """Point in the reference frame; from the centre of mass of the link if that is empty."""
     wrench: Wrench = Wrench()
     start_time: Time = Time()
     """Simulation time; a time in the past means now."""

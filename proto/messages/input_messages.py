@@ -36,10 +36,10 @@ class Inputs(msgspec.Struct, frozen=True):
     sequence: UInt64 = 0
     """Number of this message; a gap means that messages were lost."""
     epoch: UInt32 = 0
-    """Of the records."""
+    """Epoch of the records."""
     step: UInt64 = 0
     """When the message was made."""
     requests: tuple[ServiceRequest, ...] = ()
-    """For people: records have all that they did."""
+    """Requests for people to read: records have all that they did."""
     records: bytes = b""
     """MessagePack with every call of the engine that changes it, and hashes of states."""

@@ -128,9 +128,9 @@ class Shape(msgspec.Struct, frozen=True, gc=False):
     """Coulomb coefficient (mu1) of a collision; >= 0."""
     contact: Contact = Contact()
     name: str = ""
-    """Of a collision: as described, or as Gazebo names it; equal for the parts of one mesh."""
+    """Name of a collision: as described, or as Gazebo names it; equal for the parts of one mesh."""
     texture: Texture | None = None
-    """Of a visual."""
+    """Texture of a visual."""
 
 
 LightKind = Literal["point", "spot", "directional"]
@@ -147,7 +147,7 @@ class Light(msgspec.Struct, frozen=True, gc=False):
     kind: LightKind
     origin: Origin = Origin()
     direction: Vec3 = DOWNWARD
-    """Of spot and directional lights; `origin.orientation` is applied already."""
+    """Direction of spot and directional lights; `origin.orientation` is applied already."""
     rgba: Quat = (1.0, 1.0, 1.0, 1.0)
     intensity: float = 1.0
     """Factor of the colour; >= 0."""
@@ -238,7 +238,7 @@ class Joint(msgspec.Struct, frozen=True, gc=False):
 
 CommandKind = Literal["velocity", "position", "effort"]
 DEFAULT_STOPPED_VELOCITY = 0.01
-"""Of joints at the end of a trajectory [rad/s or m/s]."""
+"""Velocity below which a joint counts as stopped at the end of a trajectory [rad/s or m/s]."""
 
 
 class CommandInterface(msgspec.Struct, frozen=True, gc=False):
@@ -270,7 +270,7 @@ class JointController(msgspec.Struct, frozen=True, gc=False):
     name: str
     joints: tuple[str, ...]
     interface: CommandKind = "position"
-    """Of the numbers on its `commands` topic."""
+    """Kind of the numbers on its `commands` topic."""
     follows_trajectories: bool = True
     """Whether it has the action `follow_joint_trajectory`; else the topic `commands`."""
     holds: bool = False
@@ -312,7 +312,7 @@ class GroundTruth(msgspec.Struct, frozen=True, gc=False):
     update_rate_hz: float = 0.0
     """0 = at every drive state."""
     topic: str = "odom"
-    """In the robot's namespace."""
+    """Topic in the robot's namespace."""
     offset: Origin = Origin()
     """Position is added, orientation is multiplied from the left, in `frame_id`, as in Gazebo."""
     noise: float = 0.0
@@ -373,11 +373,11 @@ class Model(msgspec.Struct, frozen=True, gc=False):
     report: tuple[ReportEntry, ...] = ()
     dynamics: Dynamics = ""
     command_interfaces: tuple[CommandInterface, ...] = ()
-    """As described; a drive uses joints without them, too."""
+    """Interfaces as described; a drive uses joints without them, too."""
     drags: bool = False
     """Whether friction takes much of what its driven wheels can transmit, by the prediction."""
     joint_controllers: tuple[JointController, ...] = ()
-    """Their joints have actuators of mode `joint`."""
+    """Controllers whose joints have actuators of mode `joint`."""
 
     @property
     def mass_kg(self) -> float:

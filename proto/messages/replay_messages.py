@@ -14,7 +14,7 @@ class ReplaySeekRequest(msgspec.Struct, frozen=True):
     """Continue a replay from a position, latched messages first."""
 
     position_s: float
-    """Since the start of the recording [s]."""
+    """Time since the start of the recording [s]."""
 
 
 class ReplaySetRateRequest(msgspec.Struct, frozen=True):
@@ -37,9 +37,9 @@ class ReplayReport(msgspec.Struct, frozen=True):
     is_paused: bool = False
     rate: float = 1.0
     position_s: float = 0.0
-    """Since the start of the recording [s]."""
+    """Time since the start of the recording [s]."""
     duration_s: float = 0.0
-    """Of the recording [s]."""
+    """Duration of the recording [s]."""
     time_ns: UInt64 = 0
     """Log time, as the clock has it."""
     epoch: UInt32 = 0

@@ -28,14 +28,14 @@ class Noise(msgspec.Struct, frozen=True, gc=False):
     precision: float = 0.0
     """> 0 if quantized."""
     dynamic_bias_stddev: float = 0.0
-    """Of the random walk of the bias; >= 0."""
+    """Standard deviation of the random walk of the bias; >= 0."""
     dynamic_bias_correlation_time_s: float = 0.0
     """0 = no random walk."""
 
 
 NO_NOISE = Noise()
 NoiseOfVector: TypeAlias = tuple[Noise, Noise, Noise]
-"""Along x, y and z of the sensor."""
+"""Noise along x, y and z of the sensor."""
 NO_VECTOR_NOISE: NoiseOfVector = (NO_NOISE, NO_NOISE, NO_NOISE)
 
 
@@ -64,7 +64,7 @@ class RaySensor(msgspec.Struct, frozen=True, gc=False, tag="ray"):
     noise: Noise = NO_NOISE
     output: ScanOutput = "LaserScan"
     radiation_type: UInt8 = 1
-    """Of a Range: 0 ultrasound, 1 infrared."""
+    """Radiation of a Range: 0 ultrasound, 1 infrared."""
     min_intensity: float = 0.0
     sees_itself: bool = False
     """Whether rays hit the robot that carries the sensor."""
@@ -141,7 +141,7 @@ class CameraSensor(msgspec.Struct, frozen=True, gc=False, tag="camera"):
     max_depth_m: float = float("inf")
     """Greater depths are published as +inf."""
     noise: Noise = NO_NOISE
-    """Of colours in 0 to 1."""
+    """Noise of colours in 0 to 1."""
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     """k1, k2, p1, p2, k3 of plumb_bob, as camera_info says them; images are not distorted."""
     stereo_baseline_m: float = 0.0
@@ -163,7 +163,7 @@ class SensorTopic(msgspec.Struct, frozen=True, gc=False):
     topic: str
     """Name in the topic catalog."""
     name: str
-    """Below the robot's namespace, as in `front/scan`; after `~` and remapping rules."""
+    """Name below the robot's namespace, as in `front/scan`; after `~` and remapping rules."""
 
 
 class SphericalCoordinates(msgspec.Struct, frozen=True):

@@ -28,7 +28,7 @@ class SimulateStepsRequest(msgspec.Struct, frozen=True):
 
     steps: UInt64 = 1
     goal_id: str = ""
-    """At most `MAX_GOAL_ID_LENGTH` printable characters; progress is published only with an id."""
+    """Id of `MAX_GOAL_ID_LENGTH` printable characters at most; progress needs an id."""
     client: str = ""
     """Name of a token `sim/<world>/alive/clients/<client>`: while it exists, no other client steps;
     empty = no lease."""
@@ -78,7 +78,7 @@ class JoinLockstepRequest(msgspec.Struct, frozen=True):
     steps: UInt32 = 0
     """Steps between two control steps of the client; 0 = each control step."""
     epoch: UInt32 = 0
-    """Of the control step that is finished; so is `step`."""
+    """Epoch of the control step that is finished; so is `step`."""
     step: UInt64 = 0
     twists: TwistCommands | None = None
     """Orders that act in the next control step."""

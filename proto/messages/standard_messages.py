@@ -241,7 +241,7 @@ class MapMetaData(msgspec.Struct, frozen=True):
     height: UInt32 = 0
     """Cells along y."""
     origin: Pose = Pose()
-    """Of the lower corner of cell (0, 0), in the frame of the map."""
+    """Pose of the lower corner of cell (0, 0), in the frame of the map."""
 
 
 class OccupancyGrid(msgspec.Struct, frozen=True):
@@ -342,20 +342,20 @@ class LaserScan(msgspec.Struct, frozen=True):
 
     header: Header = Header()
     angle_min: Float32 = 0.0
-    """Of the first ray, about z of the frame [rad]."""
+    """Angle of the first ray, about z of the frame [rad]."""
     angle_max: Float32 = 0.0
-    """Of the last ray [rad]."""
+    """Angle of the last ray [rad]."""
     angle_increment: Float32 = 0.0
     time_increment: Float32 = 0.0
-    """Between two rays [s]."""
+    """Time between two rays [s]."""
     scan_time: Float32 = 0.0
-    """Between two scans [s]."""
+    """Time between two scans [s]."""
     range_min: Float32 = 0.0
     range_max: Float32 = 0.0
     ranges: tuple[Float32, ...] = ()
     """[m]; -inf nearer than range_min, +inf beyond range_max (REP 117)."""
     intensities: tuple[Float32, ...] = ()
-    """As many as ranges, or none."""
+    """Intensities of all ranges, or none."""
 
 
 class Range(msgspec.Struct, frozen=True):
@@ -383,7 +383,7 @@ class PointField(msgspec.Struct, frozen=True):
 
     name: str = ""
     offset: UInt32 = 0
-    """In the point [bytes]."""
+    """Offset in the point [bytes]."""
     datatype: UInt8 = 0
     """1 to 8: int8, uint8, int16, uint16, int32, uint32, float32, float64."""
     count: UInt32 = 0
@@ -468,7 +468,7 @@ class Altimeter(msgspec.Struct, frozen=True):
 
     header: Header = Header()
     vertical_position: float = 0.0
-    """Above `vertical_reference` [m]."""
+    """Height above `vertical_reference` [m]."""
     vertical_velocity: float = 0.0
     """[m/s]."""
     vertical_reference: float = 0.0
@@ -510,7 +510,7 @@ class NavSatFix(msgspec.Struct, frozen=True):
     longitude: float = 0.0
     """[deg], positive east of Greenwich."""
     altitude: float = 0.0
-    """Above the ellipsoid [m]."""
+    """Height above the ellipsoid [m]."""
     position_covariance: Matrix3 = ZERO_MATRIX3
     """East, north, up [m^2]."""
     position_covariance_type: UInt8 = 0
@@ -526,7 +526,7 @@ class Image(msgspec.Struct, frozen=True):
     height: UInt32 = 0
     width: UInt32 = 0
     encoding: str = ""
-    """Of a pixel: rgb8, mono8, 32FC1, 32SC1 and others."""
+    """Encoding of a pixel: rgb8, mono8, 32FC1, 32SC1 and others."""
     is_bigendian: UInt8 = 0
     step: UInt32 = 0
     """Size of a row [bytes]."""
@@ -566,7 +566,7 @@ class CameraInfo(msgspec.Struct, frozen=True):
     width: UInt32 = 0
     distortion_model: str = ""
     d: tuple[float, ...] = ()
-    """Of plumb_bob: k1, k2, t1, t2, k3."""
+    """Coefficients of plumb_bob: k1, k2, t1, t2, k3."""
     k: Matrix3 = ZERO_MATRIX3
     """Intrinsic matrix [pixel]: fx 0 cx, 0 fy cy, 0 0 1."""
     r: Matrix3 = ZERO_MATRIX3

@@ -17,7 +17,7 @@ StateName = Literal["stopped", "playing", "paused", "quitting", "no_world", "loa
 ServerStateName = Literal[
     "stopped", "playing", "paused", "quitting", "no_world", "loading_world", "restoring"
 ]
-"""Of the simulation, or `restoring`: the server restores its journal, and other requests wait."""
+"""State of the simulation, or `restoring`: the journal is restored, and other requests wait."""
 
 
 PROTOCOL = 1
@@ -58,7 +58,7 @@ class Info(msgspec.Struct, frozen=True):
     protocol: UInt32 = 0
     """`PROTOCOL` of the server; 0 = from before there were numbers."""
     role: str = ""
-    """Of the caller; empty if the server is not secured, or does not admit its user."""
+    """Role of the caller; empty if the server is not secured, or does not admit its user."""
     driven: UInt32 = 0
     """Claimed robots whose agent has sent a command since it claimed them."""
     restored: UInt32 = 0
@@ -86,7 +86,7 @@ class AgentCommands(msgspec.Struct, frozen=True):
     """Steps that it sent a command for, since it came."""
     due: UInt64 = 0
     taken_hz: float = 0.0
-    """In the last second, by wall time."""
+    """Rate of taken steps in the last second, by wall time."""
     due_hz: float = 0.0
 
 
@@ -139,11 +139,11 @@ class Stats(msgspec.Struct, frozen=True):
     joined: UInt64 = 0
     """Sessions that joined a secured server since start."""
     usage: ProcessUsage = ProcessUsage()
-    """Of the process of the server, without its worker processes."""
+    """Usage of the process of the server, without its worker processes."""
     driven: UInt32 = 0
     """See `Info.driven`."""
     agent_commands: dict[str, AgentCommands] = {}
-    """By agent. The real-time factor alone does not show an agent that misses states."""
+    """Commands by agent. The real-time factor alone does not show an agent that misses states."""
 
 
 class AuditRecord(msgspec.Struct, frozen=True):
@@ -161,9 +161,9 @@ class AuditRecord(msgspec.Struct, frozen=True):
     subject: str = ""
     """Names, texts and numbers of the request, in short."""
     reason: str = ""
-    """Of a refusal."""
+    """Reason of a refusal."""
     address: str = ""
-    """Of the session that the request names, as the router has it; empty if it names none."""
+    """Address of the session that the request names, as the router has it; empty without one."""
     count: UInt64 = 1
     """Actions that this record stands for: all but a burst of like ones are counted only."""
     time_ns: UInt64 = 0
@@ -271,4 +271,4 @@ class GetModelsResponse(msgspec.Struct, frozen=True):
     descriptions: tuple[str, ...] = ()
     """Distinct texts, URDF or SDF; empty for entities of the world file."""
     files: tuple[ModelFiles, ...] = ()
-    """In the order of `models`, if descriptions were wanted; empty for models read long ago."""
+    """Files by index of `models`, if descriptions were wanted; empty for models read long ago."""

@@ -114,7 +114,7 @@ class ActionGoal:
 
     @property
     def name(self) -> str:
-        """Its id in hexadecimal digits."""
+        """Id of the goal in hexadecimal digits."""
         return goal_id_to_hex(self.goal_id)
 
     @property

@@ -162,7 +162,7 @@ class GraphEndpoint(msgspec.Struct, frozen=True, kw_only=True):
     """Unique among nodes and endpoints of the session."""
     kind: EndpointKind
     name: str
-    """With namespace, as `/box_bot0/odom`."""
+    """Name with namespace, as `/box_bot0/odom`."""
     ros_type: str
     type_hash: str
     qos: Qos = Qos()
@@ -197,7 +197,7 @@ class AnnouncedEndpoint(msgspec.Struct, frozen=True):
     key: str
     """Name without the first slash."""
     node: str
-    """With namespace, as `/box_bot0/agent`."""
+    """Node with namespace, as `/box_bot0/agent`."""
     ros_type: str
     qos: Qos
 

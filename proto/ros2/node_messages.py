@@ -309,7 +309,7 @@ class RosoutLog(msgspec.Struct, frozen=True):
     """Wall time, whatever `use_sim_time` is, as rcl writes it."""
     level: UInt8 = 0
     name: str = ""
-    """Of the logger: that of the node, with dots."""
+    """Name of the logger: that of the node, with dots."""
     msg: str = ""
     file: str = ""
     function: str = ""
@@ -329,7 +329,7 @@ PARAMETER_SERVICES: Final[dict[str, tuple[type[msgspec.Struct], type[msgspec.Str
 }
 """Requests and responses by name, which is below the node's."""
 TYPE_SERVICE: Final = "get_type_description"
-"""Of distributions with type hashes."""
+"""Service of distributions with type hashes."""
 TYPE_SERVICES: Final[dict[str, tuple[type[msgspec.Struct], type[msgspec.Struct]]]] = {
     TYPE_SERVICE: (GetTypeDescriptionRequest, GetTypeDescriptionResponse),
 }

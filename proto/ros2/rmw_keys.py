@@ -60,7 +60,7 @@ class DataKey(msgspec.Struct, frozen=True):
 
     domain: int
     name: str
-    """With namespace, as `/box_bot0/odom`."""
+    """Name with namespace, as `/box_bot0/odom`."""
     ros_type: str
     type_hash: str
 

@@ -167,7 +167,7 @@ class RosTopic(msgspec.Struct, frozen=True):
     kind: type[msgspec.Struct]
     qos: Qos = RELIABLE_10
     name: str = ""
-    """In the topic catalog, for topics of robots; see `RosSettings.has_topic`."""
+    """Name in the topic catalog, for topics of robots; see `RosSettings.has_topic`."""
 
     @property
     def is_latched(self) -> bool:
@@ -181,7 +181,7 @@ class RosTopic(msgspec.Struct, frozen=True):
 
     @property
     def ros_type(self) -> str:
-        """As `pkg/msg/Name`."""
+        """ROS type as `pkg/msg/Name`."""
         return str(getattr(self.kind, "ros_type", ""))
 
 

@@ -45,7 +45,7 @@ class JointTrajectory(msgspec.Struct, frozen=True):
     ros_type: ClassVar[str] = "trajectory_msgs/msg/JointTrajectory"
 
     header: Header = Header()
-    """Its stamp is the start; 0 = at once."""
+    """Header whose stamp is the start; 0 = at once."""
     joint_names: tuple[str, ...] = ()
     points: tuple[JointTrajectoryPoint, ...] = ()
 
