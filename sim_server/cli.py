@@ -115,7 +115,7 @@ class ServeOptions(RosOptions, MetricsOptions):
     ] = False
     as_json: JsonOption = False
     announce: Annotated[bool, flag("--announce", hidden=True)] = False
-    """For a program that starts the server: print as JSON what is served, and failures as text."""
+    """Whether a program starts this one: prints as JSON what is served, and failures as text."""
     listen: Annotated[
         str,
         _connection(

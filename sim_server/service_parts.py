@@ -95,7 +95,7 @@ class ShareGrace(NamedTuple):
     wall_ns: int
     """The same in wall time."""
     lasts_ns: int
-    """In simulation time, and in wall time."""
+    """Duration in simulation time and in wall time."""
 
     def lasts_at(self, time_ns: int, wall_ns: int) -> bool:
         """Whether it is not over; a reset, which sets time back, ends it."""
@@ -111,11 +111,11 @@ class Agents:
     pool_limits: dict[str, int] = field(default_factory=dict)
     """Most robots of each pool, in the order of their first request."""
     state_formats: dict[str, Format] = field(default_factory=dict)
-    """Of the drive states of each agent that has asked for one."""
+    """Format of the drive states of each agent that has asked for one."""
     settled_shares: dict[str, object] = field(default_factory=dict)
-    """On what the last share of each pool depended that had nothing new."""
+    """Basis of the last share of each pool that had nothing new."""
     graces: dict[str, ShareGrace] = field(default_factory=dict)
-    """Of pools that sent no command since they got robots, or for too long; until the next."""
+    """Grace, until the next command, of pools that sent none since they got robots, or for long."""
 
 
 @dataclass
@@ -124,7 +124,7 @@ class SensorProcesses:
 
     active: set[str] = field(default_factory=set)
     missing: dict[str, frozenset[Library]] = field(default_factory=dict)
-    """By process, also one that is not active."""
+    """Missing libraries by process, also of one that is not active."""
     replies: dict[str, SensorsReply] = field(default_factory=dict)
     """The last of each, with what it has published."""
 
@@ -143,7 +143,7 @@ class Bonds:
     world: SimulatedWorld
     alive: set[str] = field(default_factory=set)
     entities: dict[str, list[tuple[str, int]]] = field(default_factory=dict)
-    """By bond: names of entities, and `Entity.born_ns`."""
+    """Names of entities and `Entity.born_ns`, by bond."""
 
     def require(self, bond: str) -> None:
         """Refuse a bond without a token; an empty name is no bond.
@@ -232,7 +232,7 @@ class CurrentWorld:
     resource: WorldResource = field(default_factory=WorldResource)
     seed: int = 0
     physics: EngineOptions = field(default_factory=EngineOptions)
-    """Of the server, for every world."""
+    """Options of the server, for every world."""
     _top: tuple[WorldModel, float | None] | None = field(default=None, repr=False, compare=False)
 
     def find_top(self, corners: FindCorners) -> float | None:

@@ -14,7 +14,7 @@ LUMP = "_fixed_joint_lump__"
 """Gazebo writes it between the link that is left and the collision of the link that was merged."""
 _NUMBER = re.compile(r"_\d+$")
 _OLD_NAME = re.compile(r"^.+?_(?:collision|geom)_(.+)$")
-"""Of Gazebo 1: `base_footprint_collision_base_link`."""
+"""Collision names of Gazebo 1: `base_footprint_collision_base_link`."""
 CollisionIndex = tuple[int, int]
 
 

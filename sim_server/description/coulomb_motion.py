@@ -18,7 +18,7 @@ FloatArray = npt.NDArray[np.float64]
 SMOOTHINGS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 """Slips [m/s] below which friction is taken as proportional, one after the other."""
 MAX_STEPS = 40
-"""Of each smoothing."""
+"""Steps of each smoothing."""
 TOLERANCE = 1e-6
 """Unbalanced part of the friction, relative to the largest."""
 LEAST_GAIN = 1e-3

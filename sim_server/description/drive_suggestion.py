@@ -43,7 +43,7 @@ ROLLER_KINDS = ("mecanum", "omni")
 GOOD_SHARE = 0.1
 """Deviation of a speed or a turn, as a share of the command, up to which a drive is right."""
 MOVES_SHARE = 0.5
-"""Of the commanded speed, below which a drive does not move the robot."""
+"""Share of the commanded speed below which a drive does not move the robot."""
 MAX_DRIFT_RAD_S = 0.1
 NOT_PREDICTED, STANDS = 2, 3
 

@@ -55,15 +55,15 @@ MAX_BLOCKED_RAD = 0.01
 MIN_CLEARANCE_M = 1e-5
 """Height of a wheel over the ground that is worth a word."""
 NO_LOAD_SHARE = 0.005
-"""Of the weight, below which a driven wheel counts as without load."""
+"""Share of the weight below which a driven wheel counts as without load."""
 STANDS_SHARE = 0.02
-"""Of the command, below which a robot counts as standing."""
+"""Share of the command below which a robot counts as standing."""
 SAME_RATIO = 0.005
 """Difference of the ratios of speed and turn up to which they share an entry."""
 AXLE_SHARE = 0.02
 """Distance along the robot, relative to that across, from which wheels are on two axles."""
 DRAG_SHARE = 0.25
-"""Of what its driven wheels can transmit, from which the friction of a robot is simulated exactly.
+"""Share of what driven wheels can transmit, from which a robot's friction is simulated exactly.
 
 Below, PyBullet's friction is within 1 % of Coulomb's without carriers of wheels.
 """

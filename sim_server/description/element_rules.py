@@ -56,9 +56,9 @@ class ElementRule(msgspec.Struct, frozen=True):
     others: str = ""
     """Reason why all other children have no effect; empty: they are unknown."""
     is_opaque: bool = False
-    """Its reader checks or reports its contents."""
+    """Whether its reader, not the rule, checks or reports its contents."""
     is_choice: bool = False
-    """It has one of its children."""
+    """Whether it has one of its children."""
     is_top: bool = False
     """The report names its children without it."""
     can_be_left_out: bool = False

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.float64]
 
 TURNING_KINDS = ("continuous", "revolute")
-"""Of joints that a velocity actuator turns."""
+"""Kinds of joints that a velocity actuator turns."""
 MAX_FRICTION = 20.0
 """Descriptions have 1e5 for 'does not slip'; such a number would drown the torque of motors."""
 MIN_TRAIL_M = 1e-3

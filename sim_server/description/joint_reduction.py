@@ -34,7 +34,7 @@ from zensim.sim_server.description.strict_parsing import quote
 from zensim.sim_server.errors import ModelError
 
 MAX_JOINTS = 120
-"""After lumping: PyBullet reads the states of at most 127 joints of a body."""
+"""Joints after lumping: PyBullet reads the states of at most 127 joints of a body."""
 Moments = tuple[float, float, float, float, float, float]
 """Moments of inertia (ixx, ixy, ixz, iyy, iyz, izz) [kg m^2]."""
 MIMIC_KINDS = ("revolute", "continuous", "prismatic")

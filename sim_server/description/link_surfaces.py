@@ -236,7 +236,7 @@ GAZEBO_STEP_S = 1e-3
 """Gazebo's default step: its decay is a share of the velocity per step."""
 MAX_DECAY_SHARE = 1.0 - 1e-6
 MAX_BOUNCE_THRESHOLD_MPS = 100.0
-"""Above, nothing rebounds: exporters write 100000, the default of SDF."""
+"""Threshold above which nothing rebounds: exporters write 100000, the default of SDF."""
 UNUSED_SURFACE_TAGS = {
     "maxVel": "penetration is corrected by a fifth per step, at 0.2 m/s at most",
     "minDepth": "penetration is corrected from depth 0 on",
@@ -259,7 +259,7 @@ SURFACE_TAG_NAMES = {
 }
 """Tags by spelling."""
 FRICTION_PATHS = ("surface/friction/ode/mu", "surface/friction/bullet/friction")
-"""In a <collision> of SDF; the first with a text is used."""
+"""Paths in a <collision> of SDF; the first with a text is used."""
 SURFACE_PATHS = {
     "mu2": "surface/friction/ode/mu2",
     "fdir1": "surface/friction/ode/fdir1",

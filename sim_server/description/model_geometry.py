@@ -198,7 +198,7 @@ MIN_AXLE_COS = 0.9999
 MAX_LEVEL_AXLE_Z = 0.1
 """Slope of the axle of a wheel on the ground."""
 MAX_WHEEL_WIDTH = 2.0
-"""In radii; wider cylinders are rollers."""
+"""Width in radii; wider cylinders are rollers."""
 MIN_TREAD_SHARE = 0.97
 """Share of the largest radius from which corners of a mesh belong to the tread."""
 MAX_TREAD_GAP_RAD = math.radians(30.0) + 1e-3

@@ -38,7 +38,7 @@ STRAIGHT: PlanarTwist[float] = (0.2, 0.0, 0.0)
 TURN: PlanarTwist[float] = (0.0, 0.0, 0.5)
 """Nominal commands [m/s, m/s, rad/s]."""
 STEERING_RAD = 0.3
-"""Of steered wheels in a nominal turn, at the speed of `STRAIGHT`."""
+"""Angle of steered wheels in a nominal turn, at the speed of `STRAIGHT`."""
 SETTLED_S = 1e3
 """Time after which limits of acceleration have no effect."""
 

@@ -151,7 +151,7 @@ AXIS_KINDS = ("revolute", "continuous", "prismatic", "planar")
 SIZE_COUNTS = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2, "mesh": 3}
 """Count of numbers in `Shape.size`, by kind; positive, or not 0 for a mesh."""
 MAX_QUANTITY = 1e12
-"""Of a distance [m], mass or moment: the square is still finite."""
+"""Bound of a distance [m], mass or moment: the square is still finite."""
 MOMENT_ROUNDING = 1e-12
 """Exporters round moments of 0 [kg m^2] to this much below 0."""
 TRIANGLE_RULE_SLACK = 1e-3

@@ -11,17 +11,17 @@ import msgspec
 from zensim.proto.messages.model_messages import ReportEntry, ReportStatus
 
 MAX_ENTRIES = 200
-"""Of what is applied, and of what is not read; without suspicious and essential ones."""
+"""Entries of what is applied, and of what is not read; without suspicious and essential ones."""
 MAX_SUSPICIOUS_ENTRIES = 600
 """More than one per link of the largest robot, so that no missing mesh is left out."""
 MAX_ESSENTIAL_ENTRIES = 1000
 """More than all plug-ins of a robot give, each with its drive and what contradicts its links."""
 MODEL_SEPARATOR = ": "
-"""Between the model of a world and the subject of an entry of its report."""
+"""Separator of the model of a world and the subject of an entry of its report."""
 MAX_NAMES = 3
 """Named by an entry that stands for several links, joints or plug-ins."""
 ESSENTIAL_SUBJECTS = ("drive", "driving", "joint controllers")
-"""Their entries decide whether and how a robot moves, as those of each plug-in and controller."""
+"""Subjects of how a robot moves, if it does; those of plug-ins and controllers count as well."""
 _ESSENTIAL_SUBJECT = re.compile(r"(?:plugin|controller) (?:'[^']*'|\"[^\"]*\")")
 GROUPED: frozenset[ReportStatus] = frozenset({"applied", "ignored", "unknown"})
 _QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")

@@ -34,20 +34,20 @@ GRAVITY = 9.81
 YIELD_M = 8.5e-6
 """How far one contact yields under the whole weight."""
 RIM_POINTS = 8
-"""Of a cylinder that stands on its end."""
+"""Points of a cylinder that stands on its end."""
 STANDING_COS = 0.9
 """Cosine of the tilt up to which a cylinder stands on its end."""
 NEAR_GROUND = 0.3
 """Height, in widths of the model, up to which a point may come to touch the ground."""
 MAX_TILT_RAD = 0.6
-"""Beyond, a model counts as tipped over."""
+"""Tilt beyond which a model counts as tipped over."""
 MAX_SETTLING_STEPS = 60
 MAX_STEP = 0.05
-"""Of a settling step [m, rad]."""
+"""Length of a settling step [m, rad]."""
 LEAST_LEVER_M = 1e-4
 """Distance from its joint below which a point only rolls."""
 LEAST_SHARE = 1e-6
-"""Of a step that is shortened until it descends."""
+"""Least share of a step that is shortened until it descends."""
 SETTLED = 1e-9
 """Step [m, rad] below which a model is at rest."""
 LEVEL_AXIS_Z = 0.5
@@ -56,7 +56,7 @@ UPRIGHT_AXIS_Z = 0.9
 """Axes with a greater z count as upright."""
 MOVABLE_KINDS = ("revolute", "continuous", "prismatic")
 MIN_LOAD_SHARE = 1e-6
-"""Of the weight; contacts with less are not in contact."""
+"""Share of the weight; contacts with less are not in contact."""
 
 
 @dataclass(frozen=True)

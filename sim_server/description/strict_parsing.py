@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
 HEAD_BYTES = 65536
-"""Of a file, in which its format is searched."""
+"""Bytes of a file in which its format is searched."""
 OTHER_FORMATS = (
     (
         re.compile(r"^levels\s*:", re.MULTILINE),
@@ -141,7 +141,7 @@ MAX_TAGS = 40_000
 """Number of `<` in the text: limits memory and parse time. A robot of 500 links has fewer."""
 MAX_DEPTH = 64
 MAX_ATTRIBUTES = 64
-"""Of one element: lxml needs n * n steps to list n attributes."""
+"""Attributes of one element: lxml needs n * n steps to list n attributes."""
 _NAMESPACE_FAULTS = {201, 202}
 """XML_NS_ERR_UNDEFINED_NAMESPACE and XML_NS_ERR_QNAME of libxml2 (`<gz::tag>`); URDF parsers
 ignore namespaces."""

@@ -23,12 +23,12 @@ from zensim.sim_server.world_loading.world_loader import make_layered_engine
 FORMAT = 2
 """Number of the records; a reader refuses others."""
 MAX_MESSAGE_BYTES = 1 << 20
-"""Of the records of a message; one record may be longer."""
+"""Bytes of the records of a message; one record may be longer."""
 CPU_FILE = Path("/proc/cpuinfo")
 CPU_FIELDS = ("vendor_id", "cpu family", "CPU implementer", "CPU architecture")
 
 Origin: TypeAlias = Literal["fresh", "bodies"]
-"""Of the first state: an engine without bodies, or what bodies show of the state of an engine."""
+"""Origin of the first state: an engine without bodies, or what bodies show of an engine's state."""
 Sums: TypeAlias = npt.NDArray[np.uint32]
 
 
@@ -135,7 +135,7 @@ class RecordedState(LogRecord, frozen=True):
     step: int
     time_ns: int
     digest: str
-    """As `state_hash()` of the Python API."""
+    """Digest that `state_hash()` of the Python API returns."""
     base: bytes
     """(n, 13)."""
     positions: bytes
@@ -155,7 +155,7 @@ AnyRecord: TypeAlias = (
 _ENCODER = msgspec.msgpack.Encoder()
 _DECODER = msgspec.msgpack.Decoder(tuple[AnyRecord, ...])
 ARRAY_32 = b"\xdd"
-"""Of MessagePack: an array whose length has four bytes."""
+"""Mark in MessagePack of an array whose length has four bytes."""
 
 
 def write_records(records: Iterable[AnyRecord]) -> Iterator[bytes]:

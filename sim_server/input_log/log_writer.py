@@ -42,13 +42,13 @@ LOG = logging.getLogger(__name__)
 PERIOD_NS = 50_000_000
 """Wall time between messages, and between checks for subscribers."""
 MAX_KEPT_BYTES = 64 << 20
-"""Of records and requests that wait: for the first subscriber, or for those that subscribe."""
+"""Bytes of records and requests that wait for the first subscriber, or for those that subscribe."""
 MAX_BURST_BYTES = 2 << 20
-"""Of records published in a period: the network drops what exceeds its queues."""
+"""Bytes of records published in a period: the network drops what exceeds its queues."""
 MAX_TEXT_BYTES = 64 << 10
-"""Of a request or refusal; the rest is cut, as records have all that a request did."""
+"""Bytes of a request or refusal; the rest is cut, as records have all that a request did."""
 REQUEST_BYTES = 256
-"""Of the other fields of a request, about."""
+"""Approximate bytes of the other fields of a request."""
 FILE_SERVICES = frozenset({"put_asset"})
 """Services whose requests have the bytes of files."""
 
@@ -79,7 +79,7 @@ class InputLog:
         self._waiting: deque[Inputs] = deque()
         self._waiting_bytes = 0
         self._start_bytes: int | None = None
-        """Of the first messages of the log, which have all bodies; None before them."""
+        """Bytes of the first messages of the log, which have all bodies; None before them."""
         self._is_kept = False
         """Whether messages since the start wait for the first subscriber."""
         self._name, self._sequence, self._epoch = "", 0, 0

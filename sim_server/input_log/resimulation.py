@@ -59,7 +59,7 @@ from zensim.sim_server.physics.engine_config import (
 
 FLOAT_BYTES, SUM_BYTES = 8, 4
 DISAGREEMENTS: Final = (ValueError, LookupError, TypeError, ArithmeticError)
-"""Of a record with those before it: bodies or models that there are not, arrays of another size."""
+"""Errors of a record that contradicts those before it: unknown bodies or models, wrong sizes."""
 MAX_SHOWN: Final = 8
 """Entities and inputs that a difference lists."""
 COUNTED: Final = (
@@ -136,7 +136,7 @@ class FirstDifference(msgspec.Struct, frozen=True, kw_only=True):
     entities: tuple[str, ...]
     """The first of those whose states differ there."""
     count: int
-    """How many these are."""
+    """Number of entities whose states differ there."""
     inputs: tuple[str, ...]
     """The last inputs before it, since the control step before."""
     measured_s: float | None = None
@@ -156,18 +156,18 @@ class ResimResult(msgspec.Struct, kw_only=True):
     inputs: int = 0
     """Calls that changed the engine, besides steps."""
     control_steps: int = 0
-    """Whose states were compared."""
+    """Control steps whose states were compared."""
     states: int = 0
     """Times at which all numbers were compared, once a second."""
     equal_states: int = 0
     digest: str = ""
-    """Of the last of these, as it was computed here."""
+    """Hash of the last states that were compared, as it was computed here."""
     only_compares: bool = False
     """Whether distances were asked for, or an engine that differs."""
     lost_messages: int = 0
-    """Not in the recording, as the numbers of those that are say."""
+    """Messages that are not in the recording, as the numbers of those that are say."""
     skipped_messages: int = 0
-    """Not run: no start was before them, or messages were lost since."""
+    """Messages that were not run: no start was before them, or messages were lost since."""
     open_ends: int = 0
     """Logs without the end that their server writes: the recording ended first, or the server
     did not end in order."""

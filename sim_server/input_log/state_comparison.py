@@ -37,7 +37,7 @@ class Distance(msgspec.Struct, frozen=True, kw_only=True):
     max_m: float
     max_rad: float
     entity: str
-    """That with the greatest distance."""
+    """Entity with the greatest distance."""
 
 
 def compare_states(

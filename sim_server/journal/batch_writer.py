@@ -45,7 +45,7 @@ MOTION_KIND, CLOCK_KIND, WORLD_KIND = "motion", "clock", "world"
 MAX_CACHED_MODEL_HASHES = 256
 CHECKPOINT_PERIOD_S = 60.0
 MAX_LOG_BYTES = 4 << 20
-"""In the log of the database, after which it is merged before that time."""
+"""Bytes in the log of the database from which it is merged before the period is over."""
 
 
 class BatchWriter:

@@ -61,7 +61,7 @@ class JournalContents:
     world: WorldRow
     clock: ClockRow
     entities: tuple[EntityRow, ...]
-    """In the order of spawning."""
+    """Entities in the order of spawning."""
     models: dict[str, Model]
     texts: dict[str, str]
     responses: tuple[ResponseRow, ...]

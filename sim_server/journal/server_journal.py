@@ -109,14 +109,14 @@ class ChangeTracker:
         earlier_responses: tuple[JournaledResponse, ...] = (),
     ) -> None:
         self.position = position
-        """Of the newest record."""
+        """Position of the newest record."""
         self.earlier_responses = earlier_responses
         self._parts = parts
         self._writer = writer
         self._generation = 0
         self._known = {one.entity.name: one for one in known}
         self._followed: EntityStore | None = None
-        """Its changes are known; None = compare all entities with those known."""
+        """Store whose changes are known; None = compare all entities with those known."""
         self._next_ordinal = max((one.ordinal for one in self._known.values()), default=0) + 1
         self._outstanding: deque[JournalRecord] = deque()
         self._seen: tuple[object, ...] = ()
@@ -450,7 +450,7 @@ def find_recorded_state(
 
 
 DEADLINE_S = 10.0
-"""For one attempt."""
+"""Time for one attempt."""
 MAX_CRASHES = 2
 """Crashes of a process after which an entity is excluded."""
 

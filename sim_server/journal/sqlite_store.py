@@ -24,17 +24,16 @@ LOG = logging.getLogger(__name__)
 DATABASE, LOCK, FILES, COPIES = "journal.db", "lock", "files", "copies"
 LOG_SUFFIX = "-wal"
 LOG_BYTES_KEPT = 1 << 20
-"""A file that stays need not be allocated anew."""
-"""Of the write-ahead log beside the database."""
+"""Bytes of the write-ahead log beside the database that stay, and need not be allocated anew."""
 OPEN_ROW = "open", ""
 """Kind and key of a row that exists while a server uses the journal, or after it was killed. Then
 the newest changes are in the log, which is never empty."""
 WRITER_ROW = "writer", ""
 """Kind and key of the row with the version of zensim whose server opened the journal last."""
 FIRST_VERSION = "0.1.0"
-"""That of journals without this row."""
+"""Version of journals without `WRITER_ROW`."""
 VERSION_NAME = re.compile(r"[0-9A-Za-z][0-9A-Za-z.+_-]{0,63}")
-"""It names a folder."""
+"""Version of zensim, which names a folder."""
 MIGRATIONS = (
     """
     CREATE TABLE rows (

@@ -15,7 +15,7 @@ NO_STEP: Step = (-1, -1)
 
 @dataclass
 class _CommandCount:
-    """Of one agent; `due_before` and `taken_before` are those at the begin of the window."""
+    """Counts of one agent; `due_before` and `taken_before` are those at the begin of the window."""
 
     due: int = 0
     taken: int = 0
@@ -37,7 +37,7 @@ class CommandCounts:
 
     def __init__(self) -> None:
         self.due = self.taken = 0
-        """Of all agents since the start."""
+        """Counts of all agents since the start."""
         self.least_share = 1.0
         """Least share of the commands due that an agent sent in the last window, at most 1."""
         self._agents: dict[str, _CommandCount] = {}

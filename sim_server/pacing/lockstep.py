@@ -52,11 +52,11 @@ class StateReply(Protocol):
 
     @property
     def claims(self) -> bytes:
-        """As in the state."""
+        """Claims of the state."""
 
     @property
     def order(self) -> int:
-        """As in the state."""
+        """Order of the state."""
 
 
 @dataclass(frozen=True)

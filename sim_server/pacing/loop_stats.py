@@ -19,7 +19,7 @@ class LoopStats:
         self.slipped_ns = 0
         self.requests = 0
         self.refused = self.accepted = self.joined = 0
-        """Of a secured server: see `Stats`."""
+        """Counts of a secured server: see `Stats`."""
         self.steps = DurationHistogram()
         """Wall times of all steps."""
         self.lateness = DurationHistogram()
@@ -27,7 +27,7 @@ class LoopStats:
         self.late_steps = 0
         """Steps that began later than a step's time after their deadline."""
         self.commands = CommandCounts()
-        """Of agents."""
+        """Commands of agents."""
         self._since_ns = now_ns
         self._simulated_ns = 0
         self._steps = 0

@@ -328,7 +328,7 @@ class AssetStore:
         self._folder.close()
 
     def _forget_if_lost(self) -> None:
-        """If the folder was removed, make it again; clients send its files again."""
+        """Make the folder again if it was removed; clients send its files again."""
         if not self._folder.is_lost():
             return
         LOG.warning("asset folder %s was removed; it is made again, empty", self._folder.path)

@@ -115,7 +115,7 @@ class DescriptionCache:
         self._unprepared: list[CachedModel] = []
         self._results: OrderedDict[ParseKey, CachedModel | ModelError] = OrderedDict()
         self._characters = 0
-        """Of the texts of all results."""
+        """Characters of the texts of all results."""
         self._pending_keys: dict[int, ParseKey] = {}
         self._numbers: dict[ParseKey, int] = {}
         self._transient: list[ParseKey] = []

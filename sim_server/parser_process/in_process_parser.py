@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from zensim.sim_server.parser_process.parser_client import AssetSource
 
 MAX_CACHED_RESULTS = 64
-"""Of all worlds of this process."""
+"""Results of all worlds of this process."""
 
 
 class InProcessParser:

@@ -89,9 +89,9 @@ LOG = logging.getLogger(__name__)
 
 WORKER_COMMAND = make_module_command("zensim.sim_server.parser_process.parser_worker")
 DEADLINE_S = 9.0
-"""From a request to its result, in the parser's own time, which on a busy host is up to six times
-as long; callers time out after 10 s. What the parser computes is limited by `MAX_CPU_S`, which is
-less: whoever exceeds this one waited."""
+"""Longest time from a request to its result, in the parser's own time, which on a busy host is up
+to six times as long; callers time out after 10 s. What the parser computes is limited by
+`MAX_CPU_S`, which is less: whoever exceeds this one waited."""
 START_TIMEOUT_S = 60.0
 TIMEOUT_MESSAGE = (
     f"parsing took more than {MAX_CPU_S} s of CPU time; make the description or its meshes smaller"
@@ -101,7 +101,7 @@ BUSY_MESSAGE = (
     "or has no memory, files or processes left; try again"
 )
 RESTART_NS = 500_000_000
-"""Until a process that could not be started is tried again."""
+"""Time until a process that could not be started is tried again."""
 MAX_IN_FLIGHT = 16
 """Requests that the process has been sent and not replied to; the next is read without a turn."""
 IDLE_POLL_NS = 250_000_000
@@ -133,7 +133,7 @@ class ParserClient:
         self._queue: deque[tuple[ParseRequest, int]] = deque()
         self._killed: list[FramedProcess] = []
         self._has_been_ready = False
-        """Until then the server waits for the process, so it keeps its priority."""
+        """Whether the process was ready; until then it keeps its priority, as the server waits."""
         self._start()
 
     @property
@@ -200,7 +200,7 @@ class ParserClient:
 
     @property
     def _due_ns(self) -> int:
-        """Until when the process must reply to its oldest request, or start."""
+        """Time until which the process must reply to its oldest request, or start."""
         return self._in_flight[0][1] if self._in_flight else self._deadline_ns
 
     def _start_again(self) -> None:

@@ -26,7 +26,7 @@ class ParseRequest(msgspec.Struct, frozen=True):
     controllers: tuple[str, ...] = ()
     drive: DriveOrder = DriveOrder()
     files: tuple[str, ...] = ()
-    """Their sha256, each once."""
+    """SHA-256 of the files, each once."""
     is_world: bool = False
     """Whether the text is a world; `assets` then name its models, too."""
 
@@ -50,7 +50,7 @@ class ParseResult(msgspec.Struct, frozen=True, tag=True):
     code: int = 0
     slug: str = ""
     message: str = ""
-    """Without the slug."""
+    """Message without the slug."""
     world: WorldModel | None = None
     wanted: tuple[str, ...] = ()
     """URIs that a world names and the assets lack."""

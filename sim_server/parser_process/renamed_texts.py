@@ -17,7 +17,7 @@ NAMESPACE = re.compile(r"<namespace>/?(\w+)</namespace>", re.ASCII)
 NAME_MARK, NAMESPACE_MARK = "zensimNameMark".ljust(64, "0"), "zensimNamespaceMark".ljust(64, "0")
 """Valid names that no description has."""
 MAX_TEXT_CHARACTERS = 1 << 18
-"""Of a text and the texts of its controllers."""
+"""Characters of a text and the texts of its controllers."""
 MAX_PARSING_S = 1.0
 """CPU time of a text that is parsed twice: both count against the limits of one."""
 FORMAT_WORDS = frozenset({"true", "false"})
@@ -80,9 +80,9 @@ class RenamedTexts:
         self._parse = parse
         self._read_cpu_s = read_cpu_s
         self._models: OrderedDict[ParseRequest, bytes | None] = OrderedDict()
-        """By request with marks: the encoded model; empty before the second one, None = differs."""
+        """Encoded models by request with marks; empty before the second text, None = differs."""
         self._unchecked: tuple[ParseRequest, NamedText, ParseResult] | None = None
-        """Of the last text, if it is the second of its form."""
+        """Result of the last text, if it is the second of its form."""
 
     def parse(self, request: ParseRequest) -> ParsedText:
         """Parse a text, or copy the model of one that differs in its names alone."""

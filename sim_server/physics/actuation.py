@@ -55,9 +55,9 @@ class JointMotor:
 
 
 MAX_EFFORT = 1e12
-"""Of motors without a limit [N m or N]."""
+"""Effort of motors without a limit [N m or N]."""
 MAX_VELOCITY = 1e12
-"""Of motors without a limit [rad/s or m/s]."""
+"""Velocity of motors without a limit [rad/s or m/s]."""
 
 
 @dataclass(frozen=True)

@@ -304,8 +304,8 @@ def make_shape_key(shapes: tuple[Shape, ...], *, is_static: bool) -> ShapeKey:
 
 
 MAX_MESHES_PER_PART = 8
-"""Of a static blueprint: a part is built in one go, and each further one takes time in each step.
-"""
+"""Meshes per part of a static blueprint: a part is built in one go, and each further part takes
+time in each step."""
 
 
 def split_static_meshes(blueprint: Blueprint, *, max_parts: int) -> Blueprint:

@@ -14,7 +14,7 @@ from zensim.sim_server.physics.engine import Engine, EngineRefused, FloatArray, 
 REFUSED = -1
 """Body of a model that the engine refused."""
 MAX_STEPS = 1_000_000
-"""Between two records; a log has one for each control step at least."""
+"""Steps between two records; a log has one for each control step at least."""
 
 
 def write_floats(values: FloatArray) -> bytes:
@@ -168,7 +168,7 @@ class Add(EngineCall, frozen=True):
     model: int
     base: bytes
     body: int
-    """Its number, or `REFUSED`."""
+    """Number of the body, or `REFUSED`."""
 
     def make_on(self, target: CallTarget) -> None:
         """See `EngineCall`."""

@@ -15,11 +15,11 @@ from zensim.proto.messages.model_messages import Dynamics
 Clustering = Literal["auto", "on", "off"]
 
 INSTALL_COMMAND = "pip install 'zensim[server]'"
-"""It installs each engine that has a wheel for this Python and system."""
+"""Command that installs each engine that has a wheel for this Python and system."""
 PYBULLET_SYSTEMS = (("linux", "x86_64"), ("darwin", "arm64"), ("win32", "AMD64"))
 """Systems and machines for which PyBullet, or its fork, has wheels."""
 PYBULLET_BELOW = (3, 14)
-"""It has none for this Python, as pyproject.toml says, too."""
+"""First Python without a wheel of PyBullet, as pyproject.toml says, too."""
 
 
 class EngineUnusable(ValueError):

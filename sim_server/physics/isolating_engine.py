@@ -44,7 +44,7 @@ class IsolatingEngine(EngineLayer):
         self._models: dict[int, Model] = {}
         self._set_aside: set[int] = set()
         self._taken_out: set[int] = set()
-        """Those set aside that the engine no longer has."""
+        """Bodies set aside that the engine no longer has."""
         self._faults: dict[int, str] = {}
 
     def prepare(self, model: Model) -> bool:

@@ -53,7 +53,7 @@ class LoggedEngine(EngineLayer):
         self._calls: list[AnyCall] = []
         self._noted_steps = 0
         self._models: dict[int, tuple[int, Model]] = {}
-        """By identity: number, and the model, so that its identity stays its own."""
+        """Number and model by identity; the model is kept so that its identity stays its own."""
         self._groups: dict[tuple[int, ...], int] = {}
         self._targets: dict[int, bytes] = {}
         self._numbers = 0

@@ -51,7 +51,7 @@ class SleepThresholds:
 
 FREE_BODY_THRESHOLDS = SleepThresholds(5e-4, 1e-3, 1e-3)
 BRAKED_BODY_THRESHOLDS = SleepThresholds(3e-3, 0.015, 0.1)
-"""For motors that brake wheels: solver residuals let such robots creep by 1-2 mm/s."""
+"""Thresholds where motors brake wheels: solver residuals let such robots creep by 1-2 mm/s."""
 
 
 MOTIONLESS_M, MOTIONLESS_RAD = 2e-5, 1e-5
@@ -62,7 +62,7 @@ A box sinks 0.01 mm into its contacts when Bullet simulates it first, a robot th
 wheels 0.02 mm in a tenth of a second, and 0.001 mm in the next.
 """
 MOTIONLESS_SPEED = 1e-4
-"""Its largest speed [m/s and rad/s], of joints, too."""
+"""Largest speed [m/s and rad/s] of a body that sleeps without delay, of joints, too."""
 
 
 def choose_sleep_thresholds(model: Model) -> SleepThresholds:
@@ -128,7 +128,7 @@ def find_sleep_traits(model: Model) -> SleepTraits:
 
 
 class SleepTracker:
-    """By body number: the state when it last moved, or in which it sleeps."""
+    """States by body number: when the body last moved, or in which it sleeps."""
 
     def __init__(self, delay_steps: int) -> None:
         self._delay_steps = delay_steps

@@ -128,7 +128,7 @@ class ScopedLink:
 
     @property
     def link(self) -> Link:
-        """Its description in the model."""
+        """Description of the link in the model."""
         return self.entity.model.links[self.number]
 
 
@@ -145,7 +145,7 @@ class ScopedJoint:
 
     @property
     def joint(self) -> Joint:
-        """Its description in the model."""
+        """Description of the joint in the model."""
         return self.entity.model.joints[self.number]
 
 

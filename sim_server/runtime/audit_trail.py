@@ -24,7 +24,7 @@ LOG = logging.getLogger(__name__)
 BURST: Final = 20
 """Records of one kind that a user may cause at once."""
 REFILL_NS: Final = 5_000_000_000
-"""After a burst, wall time from one record of this kind to the next."""
+"""Wall time from one record of this kind to the next, after a burst."""
 POLL_NS: Final = 20_000_000
 LOCATE_NS: Final = 500_000_000
 """A router may report a session after the session's first request."""
@@ -103,7 +103,7 @@ class AuditTrail:
         self._polled_ns = -POLL_NS
         self._allowances: dict[_Kind, _Allowance] = {}
         self._withheld: dict[_Kind, _Allowance] = {}
-        """Those that withhold some."""
+        """Allowances that withhold some records."""
         self._unlocated: deque[_Unlocated] = deque()
         self._ready: list[AuditRecord] = []
 

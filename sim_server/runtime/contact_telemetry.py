@@ -35,7 +35,7 @@ class WatchedEntities:
     index: EntityIndex
     entities: tuple[Entity, ...]
     bodies: tuple[int, ...]
-    """Of entities with contact sensors."""
+    """Bodies of entities with contact sensors."""
     rows: Mapping[int, int]
     """Rows of all entities, by body."""
     models: tuple[Model, ...]
@@ -43,9 +43,9 @@ class WatchedEntities:
     model_of: IntArray
     """Index of the model of each row."""
     sensors: Mapping[tuple[str, str], frozenset[CollisionIndex]]
-    """By entity and sensor."""
+    """Watched collisions by entity and sensor."""
     links: IntArray
-    """With watched collisions; see `_number_links`."""
+    """Links with watched collisions; see `_number_links`."""
     collisions: frozenset[CollisionIndex]
 
 

@@ -75,7 +75,7 @@ class AgentSessions:
         self._has_unsent_states = False
         """Whether an agent did not get the state of the last control step."""
         self._awaited_since_ns: dict[str, int] = {}
-        """By agent: wall time of a state that it has not replied to."""
+        """Wall time of a state that an agent has not replied to, by agent."""
         self._command_timeouts = CommandTimeouts()
         self._withholding: set[str] = set()
         """Agents that withhold messages from subscribers by wildcard."""
@@ -150,7 +150,7 @@ class AgentSessions:
         self._published_version = self._version
 
     def publish_ordered_twists(self) -> None:
-        """Before requested steps, publish states with new orders: they count from this step on."""
+        """Publish states with new orders before requested steps: they count from this step on."""
         changes = self._world.commanded_twists.changes
         if self._published_twists == changes or not self._pacing.step_goals.has_steps_left:
             return
@@ -311,10 +311,10 @@ class AgentSessions:
 POLL_S = 0.0003
 """Pause of a loop that waits for agents, or for a step for a while after a request."""
 BUSY_NS = 100_000_000
-"""How long: who calls services in turn need not wait, and others wake the loop less often."""
+"""Time of `POLL_S` after a call: calls in turn do not wait, and single ones wake the loop less."""
 IDLE_POLL_S = 0.001
 EAGER_NS, EAGER_POLL_S = 20_000_000, 0.0001
-"""After a requested step, requests are polled fast for so long."""
+"""Time of fast polling of requests after a requested step, and its period."""
 SETTLE_S = 0.001
 """Most time that the loop waits for replies to leave before it goes on with a step."""
 MAX_BUSY_REFUSALS = 512
@@ -386,7 +386,7 @@ class ServerLoop:
         self._dispatcher = self._make_dispatcher(parts, journal)
         self._budget = RequestBudget(clock.used_ns)
         self._busy_refusals = 0
-        """In the present window of statistics."""
+        """Refusals in the present window of statistics."""
         self._requests = RequestQueue(self._budget, inbox.has_reply_backlog)
         self._has_looked_at_all = True
         """Whether all pending requests were looked at since descriptions were parsed."""

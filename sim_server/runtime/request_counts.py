@@ -15,7 +15,7 @@ from zensim.proto.service_catalog import INFO, SERVICES
 from zensim.proto.topic_catalog import WORLD_TOPICS
 
 MAX_PAIRS: Final = 80
-"""Of service and result; further ones are counted together, so that the series stay few."""
+"""Pairs of service and result; further ones are counted together, so that the series stay few."""
 OTHER: Final = ("other", "OTHER")
 NAMES: Final = frozenset({*SERVICES, *(topic.suffix for topic in WORLD_TOPICS)})
 
@@ -28,7 +28,7 @@ class RequestCounts:
         """Requests that were dropped or refused, since too many waited."""
         self._results: dict[tuple[str, ...], int] = {}
         self._durations_ns: dict[str, tuple[int, int]] = {}
-        """By service: number, and time from receipt to response."""
+        """Number, and time from receipt to response, by service."""
 
     def add(self, name: str, response: msgspec.Struct, duration_ns: int) -> None:
         """Count a request with its response.

@@ -13,11 +13,11 @@ from zensim.sim_server.errors import SimError
 MAX_WAITING: Final = 256
 """Requests of one client that may wait."""
 MAX_WAITING_BYTES: Final = 16 << 20
-"""Their bytes."""
+"""Bytes of the requests of one client that may wait."""
 MAX_CLIENTS: Final = 1024
 """Clients with waiting requests; a client may call itself by a new name each time."""
 BUDGET_SHARE: Final = 4
-"""At most one part in so many of the time of a step goes to requests."""
+"""Divisor of the time of a step: at most one part in so many goes to requests."""
 SPARE_SHARE: Final = 0.75
 """Part of the time until the next step that requests that were begun may use, if that is more; the
 rest is for the threads of the network."""
@@ -57,7 +57,7 @@ class RequestBudget:
         self._budget_ns = self._spare_ns = MIN_BUDGET_NS
         self._used_ns = self._begun_ns = 0
         self._used_by_ns: dict[str, int] = {}
-        """By client: time used since the last step, and debt."""
+        """Time used since the last step, and debt, by client."""
 
     @property
     def is_used_up(self) -> bool:

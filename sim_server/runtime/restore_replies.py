@@ -31,7 +31,7 @@ SWITCH_INTERVAL_S: Final = 0.001
 MAX_HELD: Final = 4096
 """Requests that wait for the end of a restore; more end without a value."""
 MAX_HELD_BYTES: Final = 64 << 20
-"""Of their payloads."""
+"""Bytes of the payloads of requests that wait."""
 
 
 class RestoreReplies:

@@ -24,7 +24,7 @@ from zensim.sim_server.service_parts import ServerParts, make_environment
 
 LOG = logging.getLogger(__name__)
 CLIENT_PREFIX = "sensors/"
-"""Of the names of sensor processes among the clients of `Lockstep`; agents have no slash."""
+"""Prefix of the names of sensor processes among clients of `Lockstep`; agents have no slash."""
 MAX_BUSY_NS = NANOSECONDS
 """Wall time for which a reply holds back later states while simulation time runs fast."""
 
@@ -53,7 +53,7 @@ class SensorSessions:
         """Distinct rates of sensors [Hz], of a roster number."""
         self._last: SceneState | None = None
         self._owed_since_ns: dict[str, int] = {}
-        """By process: wall time of a state that it has not replied to."""
+        """Wall time of a state that a process has not replied to, by process."""
 
     def serve(self) -> None:
         """Handle liveliness changes, then replies."""

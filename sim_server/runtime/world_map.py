@@ -20,7 +20,7 @@ from zensim.sim_server.service_parts import DeferredResponse, ServerParts
 CHECK_HZ = 5.0
 """Rate of wall time at which subscribers and changes of the world are looked for."""
 MAX_CELLS = 1 << 22
-"""Of the map: encoding and sending more would delay steps by more than 10 ms."""
+"""Cells of the map: encoding and sending more would delay steps by more than 10 ms."""
 LOG = logging.getLogger(__name__)
 
 

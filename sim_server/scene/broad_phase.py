@@ -12,7 +12,7 @@ IntArray = npt.NDArray[np.intp]
 LARGE_RATIO = 4.0
 """Discs of more than this many times the median radius are compared with every other disc."""
 MAX_GRID_CELLS = 1e8
-"""Along a side, so that keys of cells fit into 64 bits."""
+"""Cells along a side, so that keys of cells fit into 64 bits."""
 MIN_GRID_CELL_M = 1e-3
 
 

@@ -39,15 +39,15 @@ Numbers: TypeAlias = npt.NDArray[np.float64 | np.int32]
 GL_VERSION = 330
 CIRCLE_SEGMENTS = 32
 SPHERE_RINGS = 16
-"""As many steps in half a turn as `CIRCLE_SEGMENTS` in a full one."""
+"""Steps in half a turn, as fine as `CIRCLE_SEGMENTS` in a full one."""
 FLATTENING = math.cos(math.pi / CIRCLE_SEGMENTS)
 CYLINDER_SCALE, SPHERE_SCALE = 2.0 / (1.0 + FLATTENING), 2.0 / (1.0 + FLATTENING**2)
-"""With these, edges and corners are as far outside of a round surface as faces are inside: 0.24 %
+"""Scales that put edges and corners as far outside of a round surface as faces are inside: 0.24 %
 of the radius of a cylinder, 0.48 % of that of a sphere."""
 GROUND_HALF_M = 2000.0
 """Half side of what is drawn of a plane."""
 CULLING_MARGIN = 1.02
-"""By which the field of view is widened where shapes out of sight are left out."""
+"""Factor by which the field of view is widened where shapes out of sight are left out."""
 MAX_FRAMES = 8
 """Sizes of images whose buffers are kept."""
 

@@ -40,13 +40,13 @@ from zensim.sim_server.scene.ray_casting import (
 BoolArray = npt.NDArray[np.bool_]
 
 SKIP_M = 2e-5
-"""By which a ray goes on behind what it passes through; more than float32 rounds."""
+"""Distance from which a ray goes on behind what it passes through; more than float32 rounds."""
 FLOAT32_ERROR_M = 1e-3
 """Ranges of Embree and of the plane of the triangle that differ by more: the ray grazes it."""
 MAX_PASSES = 64
 """Surfaces that a ray passes through before it is cast exactly."""
 BOX_MARGIN_M = 1e-4
-"""By which the half sides of a box are larger than those of what it encloses, at least."""
+"""Least excess of the half sides of a box over those of what it encloses."""
 BOX_MARGINS, BOX_MARGIN_STEP_M = 64, 2.0 * SKIP_M
 """Margins differ in so many steps: a ray that goes on behind a face must not pass another one that
 lies in the same plane, such as those of wheels with a tyre and a rim."""

@@ -16,7 +16,7 @@ from zensim.sim_server.scene.ray_casting import PlacedShapes
 MIN_SLICE_M = 1e-7
 """Lower slices of a face are left out: their ends would move faster than rounding allows."""
 BAND_MARGIN_M = 1e-6
-"""By which triangles beyond a band of heights are kept, against rounding."""
+"""Margin within which triangles beyond a band of heights are kept, against rounding."""
 MAX_CORNERS = 1 << 20
 """Corners of meshes that are placed at once: bounds the memory."""
 

@@ -22,7 +22,7 @@ MAX_CELLS = 1 << 24
 MARGIN_M = 1.0
 """Free floor around what is occupied."""
 POINTS_PER_CELL = 8
-"""Of an edge: a cell that is cut by less than this part of its side may be left out."""
+"""Points of an edge per cell; a cell cut by less than this part of its side may be left out."""
 SHAPES_PER_TURN = 32
 MAX_LAYERS = 16
 """Heights at which leaning faces are drawn, at most."""

@@ -49,7 +49,7 @@ MAX_KEPT = 1 << 23
 LEVEL_PLANE = 1e-9
 """Planes that are inclined by less than this [rad] are not seen by level rays."""
 TINY = 1e-300
-"""In place of divisors that are 0."""
+"""Divisor in place of those that are 0."""
 HALF_PI = math.pi / 2.0
 SOLID_KINDS = ("box", "capsule", "cylinder", "mesh", "plane", "sphere")
 """Sorted."""

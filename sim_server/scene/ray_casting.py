@@ -24,7 +24,7 @@ MAX_PAIRS = 1 << 18
 BOUND_MARGIN = 1e-9
 """Relative margin of bounding spheres against rounding."""
 MIN_DETERMINANT = 1e-300
-"""Of a ray parallel to a triangle."""
+"""Determinant below which a ray counts as parallel to a triangle."""
 
 
 @dataclass(frozen=True)

@@ -243,7 +243,7 @@ class SceneLayout:
 
     @cached_property
     def _shape_ranges(self) -> tuple[tuple[int, int], ...]:
-        """Of each group: index of its first shape in the geometries, and how many it has."""
+        """Index of the first shape of each group in the geometries, and its number of shapes."""
         counts = [len(self._list_all(group.model)) for group in self.groups]
         return tuple(zip(accumulate(counts, initial=0), counts, strict=False))
 

@@ -21,11 +21,11 @@ SKY_RGB = (0.70, 0.76, 0.84)
 AMBIENT_RGB = (0.40, 0.40, 0.40)
 """Where a world specifies no ambient light."""
 SUN = Light("sun", "directional", direction=(-0.5, 0.1, -0.9), rgba=(0.8, 0.8, 0.8, 1.0))
-"""That of `model://sun`; also where a world has no light."""
+"""Light of `model://sun`; also where a world has no light."""
 MAX_LIGHTS = 8
 """Lights that shine in one image."""
 FULL_CONE_RAD = math.radians(60.0)
-"""Of a spot light that specifies none."""
+"""Cone of a spot light that specifies none."""
 EVERYWHERE = -1e9
 """Cosine of the half angle of the cone of a light that is no spot light: nothing is beyond it."""
 MIN_ATTENUATION = 1e-6
@@ -103,7 +103,7 @@ class SceneLights:
 
     @cached_property
     def _fixed(self) -> Lighting:
-        """Those of the world."""
+        """Lighting of the world, without lights of links."""
         scene = self._scene
         lights = [*scene.lights, *([SUN] if scene.has_sun or not scene.lights else [])]
         rows = [_place_light(light, IDENTITY_POSE[None]) for light in lights]

@@ -13,7 +13,7 @@ EXACT_RAY_S = 3e-5
 PIXEL_BY_RAYS_S = 4.4e-7
 """CPU time of a pixel without OpenGL."""
 MAX_SHARE = 0.5
-"""Of a core, for the rays of one lidar without Embree; others would have to wait."""
+"""Share of a core for the rays of one lidar without Embree; others would have to wait."""
 
 
 class SensorFault(msgspec.Struct, frozen=True):

@@ -16,7 +16,7 @@ from zensim.proto.rosout import FOR_OPERATORS
 LOG = logging.getLogger(__name__)
 NAME: Final = "audit.jsonl"
 MAX_BYTES: Final = 8 << 20
-"""Beyond it the file becomes `audit.jsonl.1`, in place of the former one."""
+"""Size beyond which the file becomes `audit.jsonl.1`, in place of the former one."""
 MAX_BATCH: Final = 1000
 CLOSE_TIMEOUT_S: Final = 2.0
 

@@ -41,7 +41,7 @@ REOPEN_TIMEOUT_S: Final = 10.0
 """A port may be in use for a moment after its router closed."""
 JSON_ENCODING: Final = "application/json"
 VERB: Final = "router"
-"""Of the program that `secured_router` starts."""
+"""Verb of the program that `secured_router` starts."""
 
 
 def run_router_process(world: str) -> None:
@@ -153,7 +153,7 @@ class RouterReports:
         self._links = bus.watch_links()
         self._refusals = bus.advertise(keys.router_refusals(world), JSON_ENCODING)
         self._tokens: dict[str, LivelinessToken] = {}
-        """By key."""
+        """Tokens by key."""
 
     def poll(self, refused: list[SessionChange]) -> None:
         """Declare the tokens of new links, undeclare those of closed ones, publish refusals."""

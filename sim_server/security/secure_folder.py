@@ -47,14 +47,14 @@ ANY_ADDRESSES: Final = frozenset({"0.0.0.0", "[::]"})
 CERTIFICATE_S: Final = 86_400.0
 """How long the client certificate of a token is valid, from when it is printed."""
 LOCAL_CERTIFICATE_S: Final = 3650 * 86_400.0
-"""Those of programs on this host lie beside the key of the authority."""
+"""Validity of certificates of programs on this host, which lie beside the key of the authority."""
 MAX_REVOKED: Final = 200
 """Newest revoked passwords whose owners are told so; it bounds the router's certificate."""
 LOCK_TIMEOUT_S, LOCK_POLL_S = 5.0, 0.01
 ADMISSION_TIMEOUT_S: Final = 10.0
-"""For a router to open again, and its server to be linked to it."""
+"""Time for a router to open again, and for its server to be linked to it."""
 PUBLIC_TEST_ADDRESS: Final = ("192.0.2.1", 9)
-"""Of a network for documentation: finds the address of the route, and sends nothing."""
+"""Address of a network for documentation: it gives the address of the route, and sends nothing."""
 
 
 class CertificateNote(msgspec.Struct, frozen=True):
@@ -62,7 +62,7 @@ class CertificateNote(msgspec.Struct, frozen=True):
 
     certificate_hash: str
     revoked_hash: str
-    """Of the digests of revoked passwords that it lists."""
+    """Hash of the digests of revoked passwords that it lists."""
     renewal_s: float
     """Seconds since the epoch."""
 
@@ -98,9 +98,9 @@ class SecureSettings(msgspec.Struct, frozen=True):
 
     world: str = DEFAULT_WORLD
     domain: int | None = 0
-    """Of ROS 2; None = no keys of ROS 2."""
+    """Domain of ROS 2; None = no keys of ROS 2."""
     endpoint: str = DEFAULT_SECURE_ENDPOINT
-    """That the router listens on."""
+    """Endpoint that the router listens on."""
     uses_certificates: bool = False
     """Whether clients need a certificate beside their password."""
 

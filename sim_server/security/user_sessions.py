@@ -19,7 +19,7 @@ class SessionChange(msgspec.Struct, frozen=True, kw_only=True):
     """Empty for a client that declares no token of its session, and for a refused one."""
     address: str
     reason: str = ""
-    """Of a refusal."""
+    """Reason of a refusal."""
 
 
 @dataclass

@@ -52,7 +52,7 @@ POINT_FIELDS = tuple(
 )
 POINT_STEP = 16
 JPEG_QUALITY = 80
-"""As in image_transport's compressed publisher."""
+"""Quality that image_transport's compressed publisher uses."""
 DISTORTION_MODEL = "plumb_bob"
 MAX_BYTE = 255.0
 

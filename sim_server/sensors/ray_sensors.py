@@ -221,7 +221,7 @@ class RaySensorGroup:
         self._places = SensorPlaces(sensors, roster)
         self._topics = GroupTopics(sensors, topics)
         self._noise: dict[int, tuple[bytes, SensorNoise]] = {}
-        """Of blocks of rows, by their first row."""
+        """Noise of blocks of rows, by their first row."""
         rays = settings.horizontal.count * settings.vertical.count
         self._block = max(1, RAYS_AT_ONCE // max(rays, 1))
         frames = [sensor.sensor.frame_id for sensor in sensors]

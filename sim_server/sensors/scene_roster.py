@@ -40,7 +40,7 @@ ASSET_TIMEOUT_S = 5.0
 FETCH_S = 2.0
 """Wall time after which a fetch leaves the rest for the next one: the program goes on meanwhile."""
 PLACE_BYTES = 8
-"""Of the place of a corner in an image."""
+"""Bytes of the place of a corner in an image."""
 NO_CORNERS = np.zeros((3, 3), dtype=np.float32)
 """A triangle that no ray hits."""
 POSE_COLUMNS = 7
@@ -83,7 +83,7 @@ class SensorMount:
             chain.insert(0, number)
             link = model.joints[number].parent
         self.joints = np.array(chain, dtype=np.intp)
-        """Of the chain, in the order of `Model.joints`."""
+        """Numbers of the joints of the chain, in the order of `Model.joints`."""
         joints = tuple(model.joints[number] for number in chain)
         wanted = {model.links[0].name, *(joint.child for joint in joints)}
         links = tuple(one for one in model.links if one.name in wanted)

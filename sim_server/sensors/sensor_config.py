@@ -9,7 +9,7 @@ class SensorProcessConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Configuration of a sensor process; `zensim.api.prepared_start` gets it as JSON."""
 
     endpoint: str
-    """Of a router or server."""
+    """Endpoint of a router or server."""
     world: str = "default"
     name: str = ""
     """Unique in the world; empty = generated."""

@@ -73,7 +73,7 @@ LOG = logging.getLogger("zensim.sensors")
 HOUSEKEEPING_PERIOD_S = 0.02
 IDLE_POLL_S = 0.025
 IDLE_AFTER_S = 2.0
-"""Without subscribers for so long, the subscription to scene states ends."""
+"""Time without subscribers after which the subscription to scene states ends."""
 MAX_WAITING_STATES = 8
 """Older scene states that have not been handled are left out."""
 

@@ -15,7 +15,7 @@ from zensim.proto.topic_endpoints import TopicFactory, TopicSubscription
 from zensim.proto.topic_faults import TopicFaults
 
 NODE_NAME = "sensors"
-"""Of the ROS 2 node of each robot."""
+"""Name of the ROS 2 node of each robot."""
 
 
 class SensorAddress(msgspec.Struct, frozen=True):
@@ -24,7 +24,7 @@ class SensorAddress(msgspec.Struct, frozen=True):
     topic: TopicSpec
     key: str
     namespace: str
-    """Of the ROS 2 node."""
+    """Namespace of the ROS 2 node."""
 
 
 SUBSCRIPTION_DEPTH = 16

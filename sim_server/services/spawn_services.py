@@ -273,7 +273,7 @@ def _make_overlap_notes(others: list[str]) -> list[ReportEntry]:
 SPAWN_SLICE_NS = 5 * NANOSECONDS // 1000
 """Wall time for spawning per turn if steps are late, or a quarter of the step time if more."""
 MIN_SPARE_NS = NANOSECONDS // 1000
-"""With more time than this until the next step, spawning uses that time."""
+"""Least time until the next step of which spawning uses a part."""
 MAX_SPARE_SLICE_NS = 15 * NANOSECONDS // 1000
 """Most of it in a turn, and half of what is left: others' commands and requests come in between."""
 MAX_PARSES_AHEAD = 64

@@ -29,7 +29,7 @@ class EntityStore:
         self._body_owners: dict[int, str] = {}
         self._index: EntityIndex | None = None
         self._appended: list[Entity] = []
-        """Those that the index lacks; they follow its rows."""
+        """Entities that the index lacks; they follow its rows."""
         self._changed: dict[str, None] | None = None
         """Names of changed entities, in order; None = not recorded."""
 

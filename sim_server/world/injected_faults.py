@@ -94,10 +94,10 @@ class InjectedFaults:
     def __init__(self) -> None:
         self._bodies: list[BodyFault] = []
         self._whole: dict[str, Model] = {}
-        """By entity."""
+        """Model of each entity without its faults, by name."""
         self._topics: list[TimedTopicFault] = []
         self.topic_faults: tuple[TopicFault, ...] = ()
-        """Those that act now."""
+        """Faults that act now."""
 
     def __len__(self) -> int:
         return len(self._bodies) + len(self._topics)

@@ -251,7 +251,7 @@ class SimulatedWorld:
         self.name = name
         self.control_steps = control_steps
         self.engine = engine
-        """For queries; only the world adds, removes and changes bodies."""
+        """Engine for queries; only the world adds, removes and changes bodies."""
         self.clock = SimulationClock(step_ns=step_ns)
         self.entities = EntityStore()
         self.claims = ClaimRegistry()

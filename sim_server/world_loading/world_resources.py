@@ -212,7 +212,7 @@ class SuppliedFile(NamedTuple):
 
     uri: str
     name: str
-    """Its sha256."""
+    """SHA-256 of the file."""
     data: bytes
 
 

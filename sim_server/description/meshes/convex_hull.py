@@ -12,19 +12,19 @@ Points = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 MAX_HULL_CORNERS = 96
-"""Of a reduced hull."""
+"""Corners of a reduced hull."""
 FIRST_CORNERS = 48
 """Extreme points that a hull begins with."""
 MAX_ADDED_CORNERS = 16
-"""At once: each of them changes which point is farthest from the hull."""
+"""Corners added at once: each of them changes which point is farthest from the hull."""
 TOLERANCE = 1e-6
 """Height over a hull up to which a point is part of it, as a share of the extent of the points.
 Meshes are stored with a tenth of it."""
 MAX_POINTS = 100_000
-"""Of more points, the farthest in `DIRECTIONS_OF_MANY` directions stand for all."""
+"""Points that are all used; of more, the farthest in `DIRECTIONS_OF_MANY` directions."""
 DIRECTIONS_OF_MANY = 512
 RIM_POINTS = 32
-"""Of the rim of a wheel; even."""
+"""Points of the rim of a wheel; even."""
 ROUND_SHARE = 0.96
 """Least width over the largest of a round outline; a regular polygon of 12 sides has 0.966."""
 POINTS_PER_CHUNK = 1 << 9

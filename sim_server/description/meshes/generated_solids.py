@@ -13,7 +13,7 @@ CONE_URI = "zensim://solids/cone"
 """Radius 1, length 1, apex at z = 0.5; scaled by radius, radius, length."""
 Triangle = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 SUBDIVISIONS = 4
-"""Of each edge of an icosahedron: 162 corners, at most 1.8 % inside the sphere, six on the axes."""
+"""Parts of an icosahedron's edge: 162 corners, at most 1.8 % inside the sphere, six on the axes."""
 CONE_SIDES = 32
 
 

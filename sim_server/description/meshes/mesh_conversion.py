@@ -44,12 +44,12 @@ if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Link, Model, Quat, Shape
 
 MeshFiles = dict[str, tuple[str, bytes | None]]
-"""By mesh URI: sha256 and bytes."""
+"""SHA-256 and bytes of each mesh, by URI."""
 
 MAX_STATIC_TRIANGLES = 20_000
-"""Of a static collision."""
+"""Triangles of a static collision."""
 MAX_STATIC_TRIANGLES_OF_MODEL = 300_000
-"""Of all static collisions of a model."""
+"""Triangles of all static collisions of a model."""
 MAX_PIECE_TRIANGLES = 2_500
 """The engine loads such a piece of a static mesh in a few milliseconds."""
 MAX_VISUAL_TRIANGLES = 20_000
@@ -120,9 +120,9 @@ class MeshConversions:
 
 
 MAX_SOURCE_PIXELS_IN_ALL = 1 << 27
-"""That are decoded for a robot or a world: 6 s of CPU."""
+"""Pixels that are decoded for a robot or a world: 6 s of CPU."""
 MAX_IMAGE_BYTES_IN_ALL = 48 << 20
-"""Of the reduced images of a robot or a world; further ones become their mean colour."""
+"""Bytes of the reduced images of a robot or a world; further ones become their mean colour."""
 MAX_PARTS = 64
 """Parts of different materials of one visual."""
 
@@ -131,7 +131,7 @@ MAX_PARTS = 64
 class _ModelConversion:
     find_file: FindFile
     purpose: str
-    """Of collisions."""
+    """Purpose of the collisions: `static` or `hull`."""
     max_count: int
     """Triangles of a static collision."""
     conversions: MeshConversions

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 MAX_EXTENT = 1e6
-"""Of a coordinate, in the unit of the file."""
+"""Largest coordinate, in the unit of the file."""
 
 
 def read_mesh(name: str, data: bytes, find_file: FindFile = find_no_file) -> Triangles:

@@ -29,7 +29,7 @@ BLANKS = bytes.maketrans(b"\t\v\f\r", b"   \n")
 COMMENT = re.compile(rb"(?:(?<=[ \n])|^)#[^\n]*")
 SPACE, NEWLINE, SLASH = b" \n/"
 EXCERPT_BYTES = 200
-"""Of an invalid line."""
+"""Bytes of an invalid line that an error quotes."""
 
 
 class ObjSyntaxError(ValueError):

@@ -174,7 +174,7 @@ class TexturedSolid:
 
 ROUND_SEGMENTS = 32
 ARC_STEPS = 8
-"""Of a quarter of a circle."""
+"""Steps of a quarter of a circle."""
 _SQUARE = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
 """Two triangles."""
 

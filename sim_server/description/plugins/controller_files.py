@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 MAX_YAML_BYTES = 1 << 18
-"""Of all files of a request."""
+"""Bytes of all files of a request."""
 MAX_YAML_FILES = 16
 MAX_YAML_NODES = 20_000
 MAX_YAML_DEPTH = 24

@@ -39,7 +39,7 @@ RIGHT_JOINT_TAGS = ("right_joint", "right_front", "right_rear")
 TORQUE_TAGS = ("torque", "max_force", "MaxForce")
 MIN_WHEEL_LENGTH_M = 1e-3
 DEFAULT_SEPARATION_M, DEFAULT_DIAMETER_M = 0.34, 0.15
-"""Of the ROS plug-in."""
+"""Defaults of the ROS plug-in."""
 GZ_SEPARATION_M, GZ_RADIUS_M = 1.0, 0.2
 _SENSOR_TAGS = (
     "base_geom", "bumper_name", "cliff_detection_threshold", "cliff_sensor_center_name",

@@ -193,7 +193,7 @@ ROS_PARAMETERS = (
     DriveParameter("odometry_topic", _read_odometry_topic),
     DriveParameter("ros", lambda tags, *_: tags.ros()),
 )
-"""Of the gazebo_ros plug-ins."""
+"""Parameters of the gazebo_ros plug-ins."""
 ROS_ALIASES = {
     "commandTopic": "command_topic",
     "topicName": "command_topic",
@@ -226,7 +226,7 @@ GZ_PARAMETERS = (
     DriveParameter("topic", _read_command_topic, "command_topic"),
     DriveParameter("odom_topic", _read_odometry_topic, "odometry_topic"),
 )
-"""Of Gazebo Sim's systems."""
+"""Parameters of Gazebo Sim's systems."""
 
 MIN_LENGTH_M, MAX_LENGTH_M = 1e-6, 1e6
 WHEEL_JOINT_KINDS = ("continuous", "revolute")

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from zensim.sim_server.description.plugins.plugin_tags import PluginTags
 
 JOINT_TAGS = ("front_left_joint", "front_right_joint", "back_left_joint", "back_right_joint")
-"""In the order of `MECANUM_WHEELS`."""
+"""Tags in the order of `MECANUM_WHEELS`."""
 DEFAULT_ODOMETRY_RATE_HZ = 20.0
 MAX_TORQUE_TAG = "max_wheel_torque"
 

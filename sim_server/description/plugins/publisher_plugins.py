@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from zensim.sim_server.description.plugins.plugin_tags import PluginTags
 
 GZ_JOINT_STATE_FILENAME = "joint-state-publisher-system"
-"""Of Gazebo Sim: without joint names it publishes all joints."""
+"""System of Gazebo Sim: without joint names it publishes all joints."""
 JOINT_STATE_FILENAMES = ("gazebo_ros_joint_state_publisher", GZ_JOINT_STATE_FILENAME)
 JOINT_STATE_ALIASES = {"jointName": "joint_name", "updateRate": "update_rate"}
 """Spellings of the ROS 1 plug-in."""

@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from zensim.sim_server.description.joint_reduction import LumpedModel
 
 MAX_SENSORS = 200
-"""Of one robot."""
+"""Sensors of one robot."""
 MAX_PARAMETERS = 200
 MAX_VALUE_LENGTH = 1000
 NOT_SIMULATED = (
@@ -145,9 +145,9 @@ UNUSED_PLUGIN_TAGS = {
     "depthImageTopicType": "depths are 32FC1",
 }
 FRAME_TAGS = ("frame_name", "frameName", "frameId", "frame_id")
-"""Of plug-ins."""
+"""Tags of plug-ins."""
 FRAME_PATHS = ("camera/optical_frame_id", "frame_id", "gz_frame_id", "ignition_frame_id")
-"""Of sensors."""
+"""Paths of sensors."""
 RATE_TAGS = ("updateRate", "update_rate", "updateRateHZ")
 WORLD_FRAME = "world"
 FOREIGN_FRAMES = (WORLD_FRAME, "map", "odom")

@@ -41,14 +41,14 @@ if TYPE_CHECKING:
     from zensim.sim_server.description.plugins.sensor_tags import SensorSource
 
 MAX_RAYS = 1_000_000
-"""Of one sensor."""
+"""Rays of one sensor."""
 MAX_PIXELS = 16_000_000
-"""Of one camera."""
+"""Pixels of one camera."""
 MAX_RANGE_M = 10_000.0
 """Instead of an infinite range."""
 MAX_SWEEP_RAD = 4.0 * math.pi
 DEFAULT_SAMPLES = 640
-"""Of `<horizontal>`. Source: SDF 1.12."""
+"""Samples of `<horizontal>`. Source: SDF 1.12."""
 DEFAULT_RANGE_MAX_M = 10.0
 RADIATION_TYPES = {"ultrasound": 0, "infrared": 1}
 OUTPUTS: dict[str, ScanOutput] = {
@@ -381,9 +381,9 @@ CAMERA_KINDS: dict[str, CameraKind] = {
 }
 RGB_FORMATS = ("R8G8B8", "RGB_INT8", "B8G8R8", "BGR_INT8")
 MAX_PINHOLE_RAD = 2.0
-"""Of a camera whose lens shows more than a pinhole can."""
+"""Field of view of a camera whose lens shows more than a pinhole can."""
 DEFAULT_MIN_DEPTH_M = 0.4
-"""Of the plug-ins of gazebo_ros."""
+"""Least depth of the plug-ins of gazebo_ros."""
 DISTORTION = ("k1", "k2", "p1", "p2", "k3")
 PLUGIN_DISTORTION = (
     ("distortionK1", "distortion_k1"),
@@ -511,7 +511,7 @@ READERS: dict[str, Callable[[SensorSource], SensorSettings]] = {
     "air_pressure": read_air_pressure,
     **dict.fromkeys(CAMERA_KINDS, read_camera),
 }
-"""By type in Gazebo."""
+"""Readers by type in Gazebo."""
 TOPIC_OF_SETTINGS: dict[type, str] = {
     ImuSensor: "imu",
     ContactSensor: "bumper_states",

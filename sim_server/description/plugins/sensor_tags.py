@@ -49,7 +49,7 @@ class SensorElement:
     link: str
     element: Element
     origin: Origin | None = None
-    """Its pose in the link; None: it is that of its <pose>, six numbers."""
+    """Pose in the link; None = that of its <pose>, six numbers."""
 
 
 @dataclass(frozen=True)

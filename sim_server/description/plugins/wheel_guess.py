@@ -45,7 +45,7 @@ FULL_TURN_RAD = 2.0 * math.pi
 MECANUM_WORDS = ("mecanum", "omni")
 MECANUM_PAIRS = 2
 MIN_ROLLERS = 4
-"""Of a wheel, each on a joint of its own."""
+"""Rollers of a wheel, each on a joint of its own."""
 OBLIQUE = (0.3, 0.95)
 """|cos| of the angle of fdir1 and the axle of a mecanum wheel, about 0.71."""
 MIN_OMNI_WHEELS = 3

@@ -41,12 +41,12 @@ SDF_VERSIONS = (
     "1.2", "1.3", "1.4", "1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11", "1.12",
 )  # fmt: skip
 OLDER_VERSIONS = ("1.0", "1.1")
-"""They have attributes where later ones have elements."""
+"""Versions that have attributes where later ones have elements."""
 MAX_NESTING = 16
-"""Of models, included or not."""
+"""Levels of nested models, included or not."""
 MAX_INCLUDES = 5000
 MAX_SDF_TAGS = 400_000
-"""Of a document, and of all its includes: the parser process reads them in 3 s with 150 MB."""
+"""Tags of a document and of all its includes: the parser process reads them in 3 s with 150 MB."""
 INCLUDABLE_TAGS = ("model", "light", "actor")
 
 

@@ -272,4 +272,4 @@ WORLD = ElementRule(
     many=("model", "light", "frame", "state", *UNSUPPORTED_WORLD_TAGS),
     is_top=True,
 )
-"""After the expansion of populations and includes."""
+"""Rule of <world> after the expansion of populations and includes."""

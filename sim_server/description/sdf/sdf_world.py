@@ -190,9 +190,9 @@ def _read_colour(owner: Element, tag: str) -> Quat | None:
 
 
 MAX_GRAVITY = 1000.0
-"""Along an axis [m/s^2]: four times that of the sun."""
+"""Gravity along an axis [m/s^2]: four times that of the sun."""
 MAX_MAGNETIC_FIELD_T = 10.0
-"""Along an axis: ten times that of a strong magnet."""
+"""Field along an axis: ten times that of a strong magnet."""
 MAX_MODELS = 5000
 SUN, GROUND = "sun", "ground_plane"
 """Names of the models that need no file."""

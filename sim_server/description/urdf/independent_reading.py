@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 logging.getLogger("yourdfpy").setLevel(logging.CRITICAL)  # its faults are lines of the answer
 TOLERANCE = 1e-6
-"""Of poses [m] and rotation matrices, and relative to the whole mass."""
+"""Tolerance of poses [m] and rotation matrices, and relative to the whole mass."""
 WORLD_LINK = "world"
 NOT_INSTALLED = (
     "yourdfpy is not installed, so that URDF is not compared with a second reading; "

@@ -397,7 +397,7 @@ def _read_scalar(element: Element | None, name: str) -> float:
 JOINT_KINDS: dict[str, JointKind] = {kind: kind for kind in get_args(JointKind)}
 LIMITED_KINDS = ("revolute", "prismatic")
 DEFAULT_AXIS = "1 0 0"
-"""Of a joint without one. Source: URDF."""
+"""Axis of a joint without one. Source: URDF."""
 
 
 def read_links_and_joints(robot: Element, policy: MeshPolicy, report: ParseReport) -> ParsedModel:

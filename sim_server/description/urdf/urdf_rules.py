@@ -23,7 +23,7 @@ from zensim.sim_server.description.link_surfaces import (
 
 THREE: NumberCounts = (3,)
 SCALE: NumberCounts = (1, 3, 4)
-"""Of a mesh; RViz and PyBullet do not read the fourth number."""
+"""Numbers of the scale of a mesh; RViz and PyBullet do not read the fourth."""
 ORIGIN = ElementRule(attributes={"xyz": THREE, "rpy": THREE})
 COLOUR = ElementRule(attributes={"rgba": (3, 4)})
 TEXTURE = ElementRule(attributes={"filename": TEXT})

@@ -20,9 +20,9 @@ from zensim.sim_server.physics.engine import BoolArray, FloatArray, IntArray
 POSITION_GAIN = 0.1
 """Share of the error of a position that a step corrects; Bullet's for its motors."""
 COUPLING_ERP = 0.2
-"""Likewise of a follower."""
+"""Share of the error of a follower that a step corrects."""
 RESERVED_SHARE = 1e-3
-"""Of a motor's limit that is not applied: Bullet's motor keeps it, or it could not move back."""
+"""Share of a motor's limit that is kept for Bullet's motor, or it could not move back."""
 
 
 class JointDynamics(NamedTuple):

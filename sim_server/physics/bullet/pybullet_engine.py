@@ -292,12 +292,12 @@ ORIGIN_STATE: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
 ORIGIN_POSE = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 LEAST_FRICTION = 1e-9
-"""Of a controlled joint: a motor without force keeps the effort that it last exerted."""
+"""Friction of a controlled joint: a motor without force keeps the effort that it last exerted."""
 NO_CLIENT = -1
 ROOT_POSITION = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 ROOT_AT_REST = (0.0,) * 6
 MAX_REMOVED_MODELS = 64
-"""Of `BareModels`, beside as many as there are in use, before its client is made anew."""
+"""Removed models of `BareModels`, beside as many as are in use, that make its client anew."""
 CARRIER_TORQUE_NM = 1e6
 """Greatest torque of motors that hold carriers of wheels."""
 OVERLAP_M = 0.001  # depth from which bodies overlap instead of touching
@@ -523,7 +523,7 @@ class PyBulletEngine(Engine):
         )
         self._bodies: dict[int, BulletBody] = {}
         self._recipe: BodyRecipe | None = None
-        """Of the last model."""
+        """Recipe of the last model."""
         self._pool = BodyPool(awake)
         self._blueprints = _make_blueprint_cache(config)
         self._twists: dict[int, list[float]] = {}

@@ -52,11 +52,11 @@ MAX_UPRIGHT_Z = 0.5
 MIN_LEVER_RADII = 0.5
 """Distance ahead of the centre of mass, over the wheel's radius, from which axes are upright."""
 ROUNDS = 6
-"""Of finding the moments of all carriers, each of which changes how the others yield."""
+"""Rounds that find the moments of all carriers, each of which changes how the others yield."""
 MAX_MOMENT_RATIO = 50.0
 """Bound of a carrier's moment, over the wheel's about its axle."""
 KEPT_MOMENT_SHARE = 0.5
-"""Of a wheel's moment about the axle, as a disc has across it."""
+"""Share of a wheel's moment about the axle that it keeps, as a disc has across it."""
 UP: Vec3 = (0.0, 0.0, 1.0)
 AXES: tuple[Vec3, ...] = (X_AXIS, (0.0, 1.0, 0.0), UP)
 

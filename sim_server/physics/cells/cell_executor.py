@@ -169,7 +169,7 @@ class WorkerCellExecutor:
 
     @property
     def process_ids(self) -> list[int]:
-        """Of the running workers."""
+        """Process ids of the running workers."""
         return [worker.process_id for worker in self._workers]
 
     def start(self) -> None:

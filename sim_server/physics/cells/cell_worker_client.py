@@ -143,7 +143,7 @@ class CellWorkerClient:
 
     @property
     def process_id(self) -> int:
-        """Of the worker process."""
+        """Process id of the worker."""
         return self._process.pid
 
     def send(self, what: str, *given: object) -> None:

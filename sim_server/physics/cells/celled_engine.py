@@ -578,9 +578,9 @@ class CellMap:
         self._stuck: set[int] = set()
         """Bodies that another cell refused."""
         self._inner_maps: dict[int, tuple[int, dict[int, int]]] = {}
-        """By cell: version of `members`, and our numbers of the bodies in its engine."""
+        """Version of `members` and our numbers of the bodies in the engine of a cell, by cell."""
         self._planned: dict[int, PlannedCells] = {}
-        """By the identity of the model of the expected bodies."""
+        """Planned cells by the identity of the model of the expected bodies."""
         self.engines: dict[int, Engine] = {0: cells.make()}
 
     @property

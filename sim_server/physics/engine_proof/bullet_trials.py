@@ -22,7 +22,7 @@ Vector = tuple[float, float, float]
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 ITERATIONS = 200
 RANDOM_STATES = 5
-"""In which accelerations are compared."""
+"""States in which accelerations are compared."""
 SHORT_STEP_S = 1e-5
 STEP_S = 1.0 / 250.0
 EFFORT = 100.0

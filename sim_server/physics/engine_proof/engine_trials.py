@@ -39,10 +39,10 @@ class Pendulum(NamedTuple):
     """A body on a hinge, released at rest."""
 
     length_m: float = 0.5
-    """From the hinge to the centre of mass."""
+    """Distance from the hinge to the centre of mass."""
     mass_kg: float = 1.0
     moment: float = 0.01
-    """About the centre of mass [kg m^2]."""
+    """Moment about the centre of mass [kg m^2]."""
     amplitude_rad: float = 1.0
     step_s: float = 0.001
     duration_s: float = 4.0
@@ -64,7 +64,7 @@ class HeldArm(NamedTuple):
     lengths_m: tuple[float, float] = (0.5, 0.4)
     masses_kg: tuple[float, float] = (2.0, 1.0)
     moment: float = 0.03
-    """Of each about its centre of mass, which is its middle [kg m^2]."""
+    """Moment of each link about its centre of mass, which is its middle [kg m^2]."""
     duration_s: float = 1.5
 
     def find_efforts(self, angles: tuple[float, float]) -> tuple[float, float]:
@@ -81,7 +81,7 @@ class Held(NamedTuple):
     angles: tuple[float, float]
     """[rad]"""
     efforts: tuple[float, float]
-    """Of the motors [N m]."""
+    """Efforts of the motors [N m]."""
 
 
 class EngineTrials(Protocol):

@@ -23,7 +23,7 @@ WHEEL_EFFORTS = (0.3, -0.3)
 """[N m] of the wheels of every second robot, which push one another."""
 DENSE, SPARSE = int(mujoco.mjtJacobian.mjJAC_DENSE), int(mujoco.mjtJacobian.mjJAC_SPARSE)
 STIFFNESS, DAMPING = 2e4, 2e3
-"""Of the servos of an arm [N m/rad] and [N m s/rad]."""
+"""Gains of the servos of an arm [N m/rad] and [N m s/rad]."""
 OPTION = '<option timestep="{}" gravity="{} {} {}" iterations="100" tolerance="1e-12" {}/>'
 
 

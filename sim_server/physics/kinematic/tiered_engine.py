@@ -816,7 +816,7 @@ class TieredEngine(EngineLayer):
         self._switcher = TierSwitcher(self._bodies, self._every * dt_s)
         self._verified: dict[int, Model] = {}
         self._stopped: dict[int, FloatArray] = {}
-        """By body: displacement (2,) that obstacles shortened in the last step."""
+        """Displacement (2,) that obstacles shortened in the last step, by body."""
 
     def __getstate__(self) -> dict[str, object]:
         """Leave out what is cached by the identity of models."""

@@ -25,15 +25,15 @@ What shares a load in many ways shares it by this alone. With 0.99, an error of 
 tolerance shifts most of the load of four wheels, and the correction of six and more diverges.
 """
 MIN_HARD_ERP = 0.05
-"""Likewise, of a compliant contact that is as hard as a rigid one."""
+"""Least share that a step corrects of a compliant contact that is as hard as a rigid one."""
 MAX_IMPEDANCE = 0.9999
 """MuJoCo limits d to this and 1e-4."""
 MIN_IMPEDANCE = 1e-4
 STATIC_PRIORITY = -2_000_000_000
-"""Of the ground and static models whose friction does not count."""
+"""Priority of the ground and of static models whose friction does not count."""
 PRIORITIES_PER_FRICTION = 1e6
 MAX_FRICTION = 10.0
-"""Of a shape: a steeper cone turns the least slip into lift, and `LiftIteration` takes longer."""
+"""Friction of a shape: a steeper cone lifts at the least slip, and `LiftIteration` takes longer."""
 MIN_FRICTION = 1e-5
 """MuJoCo's least friction along a tangent."""
 MIN_LEVEL_AXIS = 0.1
@@ -46,11 +46,11 @@ TANGENTS = 2
 MIN_LIFT_MPS = 1e-5
 """Lift that is corrected; at 240 Hz, it shifts 0.8 % of the load between rigid supports."""
 LEAST_SLIP_SHARE = 0.7
-"""Of a slip along one tangent or both: less than 1 / sqrt(2), by which rounding changes nothing."""
+"""Share of a slip along one tangent or both: below 1 / sqrt(2), so rounding changes nothing."""
 LIFT_TOLERANCE_MPS = 3e-4
 """Difference of lift that does not need another solve."""
 MIN_LIFT_CHANGE_MPS = 1e-9
-"""Between two solves, to compute their feedback."""
+"""Change between two solves from which their feedback is computed."""
 MAX_FEEDBACK = 0.9
 """Limits the steps of the secant method."""
 

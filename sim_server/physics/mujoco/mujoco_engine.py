@@ -575,7 +575,7 @@ MAX_SPEED_CHANGE = 20.0
 FALLBACK_SOLVER = int(mujoco.mjtSolver.mjSOL_CG), 1000
 """Solver and iterations of the second solve."""
 MAX_SOLVES = 4
-"""Of a step in which contacts slide."""
+"""Solves of a step in which contacts slide."""
 MAX_CACHED_SELECTIONS = 4096
 MAX_ANNOUNCED_AT_ONCE = 32
 """Expected bodies whose archetypes are found between two steps."""
@@ -706,7 +706,7 @@ class MujocoEngine(Engine):
         """Models of expected bodies, whose archetypes are not found yet."""
         self._asleep: set[int] = set()
         self._kept_contacts = NO_CONTACTS
-        """Of sleeping bodies, when they fell asleep."""
+        """Contacts of sleeping bodies, when they fell asleep."""
         self._is_sleep_changed = False
         """Whether MuJoCo does not know yet which bodies sleep, or where static ones are."""
         self._has_loads = False
@@ -714,7 +714,7 @@ class MujocoEngine(Engine):
         """Whether a solve of this step changed a speed too much."""
         self._selections: dict[tuple[int, ...], BodySelection] = {}
         self._solved_motors: IndexArray | None = None
-        """Those of the last step, in the order of their rows; None before the first."""
+        """Motors of the last step, in the order of their rows; None before the first."""
         self._start_with(_COMPILE_CACHE.compile((), config))
 
     def __getstate__(self) -> dict[str, object]:
@@ -1332,7 +1332,7 @@ class ReplicatedEngine(MujocoEngine):
 
     @property
     def data(self) -> mujoco.MjData:
-        """Its state."""
+        """State of this copy."""
         return self._data
 
     @property
@@ -1342,7 +1342,7 @@ class ReplicatedEngine(MujocoEngine):
 
     @property
     def model(self) -> mujoco.MjModel:
-        """Of all copies."""
+        """Model of all copies."""
         return self._model
 
     @property
@@ -1671,7 +1671,7 @@ def _shift_body(body: MujocoBody, *, positions: int, velocities: int) -> MujocoB
 
 
 JOINT_YIELD_SHARE = 0.3
-"""Of what joints with limits yield under an effort; MuJoCo's least lets long arms sag at 100 Hz."""
+"""Yield of joints with limits, over MuJoCo's least, at which long arms sag at 100 Hz."""
 MAX_UNDAMPED_SPRING = 0.25
 """Stiffness of a spring times step squared over mass, up to which it may oscillate undamped."""
 

@@ -12,7 +12,7 @@ from zensim.proto.messages.model_messages import Shape
 from zensim.sim_server.physics.blueprint import Blueprint, RigidPart
 
 ROOT_QPOS_COUNT, ROOT_QVEL_COUNT = 7, 6
-"""Of a free root: position and quaternion w x y z; linear in the world, angular in the root."""
+"""Numbers of a free root: position, quaternion wxyz; linear in the world, angular in the root."""
 NO_INDEX = -1
 
 
@@ -44,7 +44,7 @@ class Archetype:
 
     @cached_property
     def mass_kg(self) -> float:
-        """Of all links."""
+        """Mass of all links."""
         return sum(part.mass_kg for part in self.link_parts)
 
     def children(self, link: int) -> Iterator[int]:

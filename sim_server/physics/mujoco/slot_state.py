@@ -223,7 +223,7 @@ def _join_slot_indexes(indexes: Sequence[IndexArray]) -> IndexArray:
 SLEEP_FLAG = 1 << 4
 """`mjtEnableBit`."""
 AWAKE_TREE = -11
-"""Of `tree_asleep`: awake, and not still in any of the last ten steps."""
+"""Value of `tree_asleep`: awake, and not still in any of the last ten steps."""
 NEVER_SLEEPS, MAY_SLEEP = 3, 4
 """`mjtSleepPolicy`."""
 STATIC_BODY, SLEEPING_BODY, AWAKE_BODY = -1, 0, 1
