@@ -186,7 +186,7 @@ class UndeclaredPublisher(_KeyPublisher):
     """
 
     is_matched = True
-    """Nothing says otherwise."""
+    """Whether there are subscribers; nothing says otherwise."""
 
     def __init__(
         self,
@@ -966,9 +966,9 @@ class RouterSecurity(msgspec.Struct, frozen=True, kw_only=True):
     """Certificate and users of a secured router."""
 
     certificate: str
-    """File with its own certificate, and that of the authority."""
+    """File with the certificate of the router, and that of the authority."""
     private_key: str
-    """File."""
+    """File with the private key."""
     passwords: str
     """File with a line `user:password` for each user."""
     client_authority: str = ""

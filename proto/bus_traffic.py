@@ -13,9 +13,9 @@ class BusTraffic:
 
     def __init__(self) -> None:
         self.sent = self.sent_bytes = 0
-        """Published, and replied."""
+        """Messages and bytes that were published, and replies."""
         self.received = self.received_bytes = 0
-        """Taken from subscriptions, and requests whose bytes were read."""
+        """Messages taken from subscriptions, and requests whose bytes were read."""
 
     def list_metrics(self) -> Iterator[MetricFamily]:
         """List the counts by direction."""

@@ -20,7 +20,7 @@ LIBRARY_MARKS: Final = (".so", ".dylib", ".pyd", ".dll")
 CASES_FOLDER: Final = (
     Path(__file__).resolve().parent.parent / "sim_server" / "physics" / "engine_proof"
 )
-"""A proof is one of its cases, too: others make it invalid."""
+"""Folder of the cases; a proof is one of these cases, so that others make it invalid."""
 DIGEST_LENGTH: Final = 16
 
 

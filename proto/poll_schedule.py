@@ -8,9 +8,9 @@ import math
 MIN_PERIOD_S = 0.002
 """Minimum wall time between two answers while time runs freely."""
 LEAD_S = 0.002
-"""Polling starts this long before the next state is due."""
+"""Time before the next state is due at which polling starts."""
 POLL_S = 0.001
-"""Polling period from then on."""
+"""Polling period from `LEAD_S` before a state on."""
 MAX_PAUSE_S = 0.01
 """Maximum pause; everything else may wait as long."""
 IDLE_AFTER_S, IDLE_S = 0.5, 0.003

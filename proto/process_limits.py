@@ -31,7 +31,7 @@ def _import_if_there(name: str) -> ModuleType | None:
 
 resource = _import_if_there("resource")
 fcntl, msvcrt = _import_if_there("fcntl"), _import_if_there("msvcrt")
-"""None where the system lacks them: Windows has msvcrt alone."""
+"""Modules of the standard library; None where the system lacks them: Windows has msvcrt alone."""
 
 PARENT_PID_VARIABLE = "ZENSIM_PARENT"
 """Environment variable with the process id of the supervisor."""
@@ -41,7 +41,7 @@ LOCKED_OFFSET = 1 << 30
 """Offset of the byte that Windows locks: beyond the end, so that others can read the file."""
 STATM = Path("/proc/self/statm")
 SIGKILL = getattr(signal, "SIGKILL", signal.SIGTERM)
-"""Ends a process at once; Windows ends it so for any signal."""
+"""Signal that ends a process at once; Windows ends it so for any signal."""
 KILLED_STATUS, OUT_OF_CPU_TIME_STATUS = -9, -24
 """Exit status of a process that was killed, or ended by its limit of CPU time."""
 

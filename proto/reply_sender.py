@@ -33,7 +33,7 @@ class UnsentReplies:
     client: str
     queue: deque[tuple[Send, int]] = field(default_factory=deque)
     size: int = 0
-    """Bytes of all."""
+    """Bytes of all replies."""
     is_stalled: bool = False
     """Whether `settle` has waited for it in vain since its last reply was sent."""
 
@@ -56,7 +56,7 @@ class ReplySender:
         self._has_finishes = threading.Event()
         self._finisher: threading.Thread | None = None
         self.prepare_thread: Callable[[], object] = lambda: None
-        """Called first in each thread."""
+        """Function that each thread calls first."""
 
     @property
     def is_full(self) -> bool:

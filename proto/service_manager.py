@@ -10,7 +10,7 @@ SOCKET_VARIABLE: Final = "NOTIFY_SOCKET"
 WATCHDOG_VARIABLE: Final = "WATCHDOG_USEC"
 WATCHDOG_PID_VARIABLE: Final = "WATCHDOG_PID"
 PARTS_OF_TIMEOUT: Final = 3
-"""The watchdog is notified so often within its timeout."""
+"""Number of notifications of the watchdog within its timeout."""
 
 
 class ServiceManager:

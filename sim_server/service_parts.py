@@ -93,7 +93,7 @@ class ShareGrace(NamedTuple):
     time_ns: int
     """Simulation time at which this began."""
     wall_ns: int
-    """The same in wall time."""
+    """Wall time at which this began."""
     lasts_ns: int
     """Duration in simulation time and in wall time."""
 
@@ -126,7 +126,7 @@ class SensorProcesses:
     missing: dict[str, frozenset[Library]] = field(default_factory=dict)
     """Missing libraries by process, also of one that is not active."""
     replies: dict[str, SensorsReply] = field(default_factory=dict)
-    """The last of each, with what it has published."""
+    """Last reply of each process, with what it has published."""
 
     def note_missing(self, process: str, missing: frozenset[Library], *, is_alive: bool) -> None:
         """Note a token of what the host of a process lacks; the former one goes later."""

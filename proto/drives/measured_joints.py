@@ -16,6 +16,6 @@ class MeasuredJoints(msgspec.Struct, Generic[Column], frozen=True, gc=False):
     """Measured state of the joints of a drive's actuators, in order; empty for a twist."""
 
     positions: Sequence[Column] = ()
-    """[rad]."""
+    """Positions [rad]."""
     velocities: Sequence[Column] = ()
-    """[rad/s]."""
+    """Velocities [rad/s]."""

@@ -13,7 +13,7 @@ ActuatorMode = Literal["velocity", "position", "twist", "joint"]
 Compat = Literal["fixed", "gazebo11"]
 """Corrected behaviour, or that of Gazebo 11 with its documented errors."""
 PAIR_SIZE = 2
-"""Wheels of a pair."""
+"""Number of wheels of a pair."""
 TARGETS_OF_MODE = {"twist": 3, "joint": 2}
 """Number of targets of an actuator; 1 of other modes."""
 
@@ -22,7 +22,7 @@ class JointTargetKind(IntEnum):
     """What the motor of a joint does; the first of the two targets of a `joint` actuator."""
 
     FREE = 0
-    """Nothing: the joint has its friction, damping and spring."""
+    """No effort: the joint has its friction, damping and spring."""
     POSITION = 1
     VELOCITY = 2
     EFFORT = 3
@@ -108,7 +108,7 @@ class DriveSettings(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     pose_covariance: tuple[float, ...] = ()
     """Diagonal (6,): x, y, z, roll, pitch, yaw; empty = from the three variances above."""
     twist_covariance: tuple[float, ...] = ()
-    """The same of the twist."""
+    """Diagonal (6,) of the twist, as that of the pose."""
     command_topic: str = ""
     """Topic in the robot's namespace; empty = cmd_vel."""
     odometry_topic: str = ""

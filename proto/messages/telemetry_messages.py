@@ -253,7 +253,7 @@ class ModelFiles(msgspec.Struct, frozen=True):
     """Files that the description of a model names."""
 
     files: tuple[AssetRef, ...] = ()
-    """Read them with `get_asset`."""
+    """Files to read with `get_asset`."""
 
 
 class GetModelsResponse(msgspec.Struct, frozen=True):

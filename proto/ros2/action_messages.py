@@ -159,7 +159,7 @@ class CancelGoalResponse(msgspec.Struct, frozen=True):
 
 
 ServiceTypes: TypeAlias = tuple[type[msgspec.Struct], type[msgspec.Struct]]
-"""Request and response."""
+"""Types of request and response."""
 
 
 class ActionKind(msgspec.Struct, frozen=True):
@@ -195,4 +195,4 @@ SIMULATE_STEPS_ACTION: Final = ActionKind(
 ACTION_SERVICES: Final = SIMULATE_STEPS_ACTION.list_services(ACTION_NAME)
 """Requests and responses of SimulateSteps by name."""
 ACTION_TOPICS: Final = SIMULATE_STEPS_ACTION.list_topics(ACTION_NAME)
-"""Messages by name."""
+"""Messages of the topics of SimulateSteps by name."""

@@ -333,4 +333,4 @@ TYPE_SERVICE: Final = "get_type_description"
 TYPE_SERVICES: Final[dict[str, tuple[type[msgspec.Struct], type[msgspec.Struct]]]] = {
     TYPE_SERVICE: (GetTypeDescriptionRequest, GetTypeDescriptionResponse),
 }
-"""The same for what nodes have since iron."""
+"""Requests and responses by name of the services that nodes have since iron."""

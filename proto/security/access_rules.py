@@ -33,7 +33,7 @@ EGRESS: Final[dict[Operation, tuple[str, ...]]] = {
     Operation.REPLY: ("query",),
     Operation.WATCH_TOKENS: ("liveliness_token",),
 }
-"""What must reach the client for that."""
+"""Messages that must reach the client for an operation."""
 SHARED_RULES: Final = (
     {
         "id": "everything",

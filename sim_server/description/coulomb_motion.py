@@ -99,7 +99,7 @@ class _Descent(NamedTuple):
 
     x: FloatArray
     unbalanced: float
-    """Relative to the largest."""
+    """Unbalanced part, relative to the largest friction."""
     is_balanced: bool
 
 

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 TOLERANCE = 0.02
 """Share by which a robot may deviate without an entry."""
 DRIFT_RAD_S = 0.01
-"""Turn of a robot that is commanded straight, likewise."""
+"""Turn by which a robot that is commanded straight may deviate without an entry."""
 MIN_TILT_RAD = math.radians(1.0)
 MAX_BLOCKED_RAD = 0.01
 """Range of a joint below which it does not turn."""

@@ -137,7 +137,7 @@ class RecordedState(LogRecord, frozen=True):
     digest: str
     """Digest that `state_hash()` of the Python API returns."""
     base: bytes
-    """(n, 13)."""
+    """States of bases (n, 13)."""
     positions: bytes
     velocities: bytes
 

@@ -130,19 +130,19 @@ class FirstDifference(msgspec.Struct, frozen=True, kw_only=True):
     """Where a run first differs from the recorded one."""
 
     step: int
-    """A control step; that before had equal states."""
+    """First control step with other states; the one before had equal ones."""
     time_s: float
     """Simulation time."""
     entities: tuple[str, ...]
-    """The first of those whose states differ there."""
+    """First of the entities whose states differ there."""
     count: int
     """Number of entities whose states differ there."""
     inputs: tuple[str, ...]
-    """The last inputs before it, since the control step before."""
+    """Last inputs before that step, since the control step before."""
     measured_s: float | None = None
     """Simulation time of the next recorded states, by which differences are measured."""
     differences: tuple[StateDifference, ...] = ()
-    """The greatest first."""
+    """Differences, the greatest first."""
 
 
 class ResimResult(msgspec.Struct, kw_only=True):

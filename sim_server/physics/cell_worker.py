@@ -41,7 +41,7 @@ from zensim.sim_server.physics.engine_factory import CellConfig
 MIN_BLOCK_BYTES = 1 << 19
 """malloc maps blocks of at least this size one by one."""
 RELEASE_CHUNK_BYTES = 1 << 16
-"""Compared with zero and released at once."""
+"""Bytes that are compared with zero and released at once."""
 ZEROS = bytes(RELEASE_CHUNK_BYTES)
 M_MMAP_THRESHOLD, MADV_DONTNEED = -3, 4
 MALLOC_IS_MMAPPED, MALLOC_FLAGS = 2, 7

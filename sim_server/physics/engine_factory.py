@@ -49,7 +49,7 @@ def create_engine(name: EngineName, config: EngineConfig, **options: int) -> Eng
 MAX_SINGLE_CELL_BODIES = 250
 """Bodies up to which there is one cell: cells gain nothing then (docs/cells.md)."""
 MAX_SINGLE_CELL_BODIES_PARALLEL = 150
-"""The same if cells are stepped in parallel."""
+"""Bodies up to which there is one cell, if cells are stepped in parallel."""
 MAX_CELL_BODIES: dict[EngineName, int] = {"pybullet": 128, "mujoco": 128}
 """Bodies of a cell: smaller cells of PyBullet are no faster and take 20 MB each; larger ones take
 more CPU a body (ADR 109). Smaller cells of MuJoCo are slower."""

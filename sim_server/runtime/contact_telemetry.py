@@ -23,7 +23,7 @@ GROUND_COLLISION = SCOPE_SEPARATOR.join(("ground_plane", "link", "collision"))
 
 
 MAX_LINKS = 1 << 20
-"""More than a model has."""
+"""Number above that of the links of any model."""
 CollisionIndex = tuple[int, int, int]
 """Row of an entity, index of its link, and of the collision in that link."""
 
@@ -39,7 +39,7 @@ class WatchedEntities:
     rows: Mapping[int, int]
     """Rows of all entities, by body."""
     models: tuple[Model, ...]
-    """Distinct ones."""
+    """Distinct models of the entities."""
     model_of: IntArray
     """Index of the model of each row."""
     sensors: Mapping[tuple[str, str], frozenset[CollisionIndex]]

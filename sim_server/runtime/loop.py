@@ -365,7 +365,7 @@ class ServerLoop:
     ) -> None:
         self._world, self._pacing = parts.world, parts.pacing
         self.status = ProgramStatus()
-        """Notes each turn."""
+        """Status that notes each turn."""
         self._descriptions = parts.descriptions
         self._loop_stats = parts.pacing.loop_stats
         self._inbox = inbox

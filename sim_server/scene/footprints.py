@@ -109,9 +109,9 @@ def _contact_points(hull: ConvexShape) -> FloatArray:
 
 
 LARGE_ROUND_M = 0.3
-"""Larger spheres and capsules become polygons."""
+"""Radius above which spheres and capsules become polygons."""
 LARGE_CIRCLE_VERTICES = 32
-"""Vertices of such a polygon."""
+"""Vertices of the polygon of a large sphere or capsule."""
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ TINY = 1e-300
 """Divisor in place of those that are 0."""
 HALF_PI = math.pi / 2.0
 SOLID_KINDS = ("box", "capsule", "cylinder", "mesh", "plane", "sphere")
-"""Sorted."""
+"""Kinds in alphabetical order."""
 UNKNOWN = np.iinfo(np.intp).max
 """Index above that of any entity."""
 

@@ -19,7 +19,7 @@ from zensim.sim_server.scene.scene import ModelGroup, SceneLayout
 
 SKY_RGB = (0.70, 0.76, 0.84)
 AMBIENT_RGB = (0.40, 0.40, 0.40)
-"""Where a world specifies no ambient light."""
+"""Ambient light of a world that specifies none."""
 SUN = Light("sun", "directional", direction=(-0.5, 0.1, -0.9), rgba=(0.8, 0.8, 0.8, 1.0))
 """Light of `model://sun`; also where a world has no light."""
 MAX_LIGHTS = 8

@@ -38,7 +38,7 @@ LOG = logging.getLogger(__name__)
 POLL_S: Final = 0.05
 WATCH_PERIOD_S: Final = 0.2
 REOPEN_TIMEOUT_S: Final = 10.0
-"""A port may be in use for a moment after its router closed."""
+"""Time to open a port again, which may be in use for a moment after its router closed."""
 JSON_ENCODING: Final = "application/json"
 VERB: Final = "router"
 """Verb of the program that `secured_router` starts."""

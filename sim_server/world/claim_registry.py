@@ -102,11 +102,11 @@ class ClaimRegistry:
 
     def __init__(self) -> None:
         self.rejected: Counter[RejectionReason] = Counter()
-        """Counts commands without effect, by reason."""
+        """Number of commands without effect, by reason."""
         self.taken = 0
-        """Counts commands that did."""
+        """Number of commands that took effect."""
         self.changes = 0
-        """Counts claims that were granted or ended."""
+        """Number of claims that were granted or ended."""
         self.silent: set[str] = set()
         """Agents whose robots were stopped because no command came; the next command ends this."""
         self._claims: dict[str, ClaimRecord] = {}

@@ -204,7 +204,7 @@ def _parse_version(text: str) -> tuple[int, ...]:
 
 MAX_WORLD_FILES = 4 * MAX_BUNDLE_FILES
 MAX_PARSE_ROUNDS = 20
-"""Each may add models that include others, nested 16 deep."""
+"""Rounds of reading: each may add models that include others, nested 16 deep."""
 
 
 class SuppliedFile(NamedTuple):

@@ -30,7 +30,7 @@ ROUND_SHARE = 0.96
 POINTS_PER_CHUNK = 1 << 9
 """Products of fewer points are computed in one thread, which takes a twentieth of the CPU time."""
 FLAT_RATIO = 1e-4
-"""Thickness over width."""
+"""Thickness over width below which points are flat."""
 SLIVER_RATIO = 1e-9
 """Area over the squared extent; the direction of a smaller triangle is left to rounding."""
 

@@ -53,7 +53,7 @@ MAX_STATIC_TRIANGLES_OF_MODEL = 300_000
 MAX_PIECE_TRIANGLES = 2_500
 """The engine loads such a piece of a static mesh in a few milliseconds."""
 MAX_VISUAL_TRIANGLES = 20_000
-"""1 MB, which is sent in one message."""
+"""Triangles of a visual: 1 MB, which is sent in one message."""
 
 
 class ConvertedPart(NamedTuple):

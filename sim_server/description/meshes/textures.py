@@ -176,7 +176,7 @@ ROUND_SEGMENTS = 32
 ARC_STEPS = 8
 """Steps of a quarter of a circle."""
 _SQUARE = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
-"""Two triangles."""
+"""Corners of two triangles that form a unit square."""
 
 
 def make_textured_solid(shape: Shape) -> TexturedSolid:

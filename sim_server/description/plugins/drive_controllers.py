@@ -57,7 +57,7 @@ DIAGONAL = 6
 MIN_LENGTH_M = 1e-3
 MECANUM_WHEELS = ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel")
 MECANUM_LEFT = (-1.0, 1.0, 1.0, -1.0)
-"""Direction of each of these by vy."""
+"""Direction of each of `MECANUM_WHEELS` by vy."""
 _TIMEOUT = "the agent has its own timeout"
 _JERK = "jerk is not limited"
 _FEEDBACK = "odometry is from the positions of the wheels, or true"

@@ -90,7 +90,7 @@ class WrittenTags(NamedTuple):
     """Tags of a plug-in or parameters of a controller, as written."""
 
     subject: str
-    """What they belong to, for the report."""
+    """Subject of the entries of the report."""
     filename: str
     """File name of the plug-in, or type of the controller."""
     texts: Sequence[tuple[str, str]]

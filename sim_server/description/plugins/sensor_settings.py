@@ -45,7 +45,7 @@ MAX_RAYS = 1_000_000
 MAX_PIXELS = 16_000_000
 """Pixels of one camera."""
 MAX_RANGE_M = 10_000.0
-"""Instead of an infinite range."""
+"""Largest range, also in place of an infinite one."""
 MAX_SWEEP_RAD = 4.0 * math.pi
 DEFAULT_SAMPLES = 640
 """Samples of `<horizontal>`. Source: SDF 1.12."""

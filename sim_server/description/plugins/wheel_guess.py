@@ -60,7 +60,7 @@ class GuessedPair(NamedTuple):
     left: MeasuredWheel
     right: MeasuredWheel
     steering: tuple[str, str] | None
-    """Joints that steer them."""
+    """Joints that steer the wheels; None = not steered."""
 
     @property
     def x(self) -> float:

@@ -40,7 +40,7 @@ MAX_POPULATION = 2000
 """Models of one population."""
 UNIT_BOX = (1.0, 1.0, 1.0)
 GRID_STEP_M = (0.5, 0.5, 0.0)
-"""SDF's default."""
+"""Default of SDF for the step of a grid."""
 CYLINDER_SAMPLES = 10_000
 """Points of which a uniform distribution takes the centres of clusters."""
 SAMPLE_SPACING_M = 0.1

@@ -108,7 +108,7 @@ The solver's tolerance decides otherwise: it is as large as the speeds that corr
 RIGID_ERP = 0.08
 """Share of a penetration that a step corrects, where rigid; pybullet's default."""
 BOUNCING_ERP = 0.005
-"""The same of parts that rebound."""
+"""Share of a penetration that a step corrects of parts that rebound."""
 RIGID_STEP_DAMPING = 1e9
 """Step damping [N s/m] of rigid contacts that have one."""
 MAX_BOUNCE_THRESHOLD_MPS = 1.0

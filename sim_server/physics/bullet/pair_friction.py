@@ -27,7 +27,7 @@ NOT_PAIRED = ~(PAIRED_GROUP | sum(1 << bit for bit in PAIRED_BITS))
 TWIN_FILTER: CollisionFilter = (TWIN_GROUP, TWIN_GROUP)
 GRIPPING_TWIN_FILTER: CollisionFilter = (COMMON_GROUP, ~STATIC_GROUP)
 NEUTRAL_FRICTIONS = (0.0, 1.0)
-"""Products of these are the lesser, or the other's own."""
+"""Coefficients whose products are the lesser one, or the other's own."""
 
 
 class MovingSurface(NamedTuple):

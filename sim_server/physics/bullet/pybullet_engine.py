@@ -255,7 +255,7 @@ def _cross_columns(left: FloatArray, right: FloatArray) -> FloatArray:
 
 OUTPUT_STREAMS = (1, 2)
 C_LIBRARY = None if os.name == "posix" else "ucrtbase"
-"""None is that of the interpreter."""
+"""Name of the C library; None = that of the interpreter."""
 
 
 @contextmanager

@@ -560,7 +560,7 @@ class PlannedCells:
     """The cells of the expected bodies of a model, by their place."""
 
     model: Model
-    """Kept: another one must not get its identity."""
+    """Model of the cells; kept, as another one must not get its identity."""
     by_place: dict[Place, int] = field(default_factory=dict)
 
 

@@ -274,7 +274,7 @@ class TierIndexMapCache:
             OrderedDict()
         )
         self._mapped = 0
-        """Bodies of those kept."""
+        """Number of bodies of all selections that are kept."""
 
     def __len__(self) -> int:
         return len(self._kept)

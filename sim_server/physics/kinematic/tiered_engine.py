@@ -527,7 +527,7 @@ class TieredBodies:
         self._pending_outlines: dict[int, FloatArray] = {}
         self._is_gathered = self._has_movers = True
         self._added: set[int] = set()
-        """Rows that came since."""
+        """Rows that were added since the last `gather`."""
         self._last: tuple[tuple[int, ...], BodyStates] | None = None
 
     def add(self, model: Model, plan: PlanarPlan | None, *, is_auto: bool) -> int:

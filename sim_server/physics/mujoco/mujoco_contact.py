@@ -27,7 +27,7 @@ tolerance shifts most of the load of four wheels, and the correction of six and 
 MIN_HARD_ERP = 0.05
 """Least share that a step corrects of a compliant contact that is as hard as a rigid one."""
 MAX_IMPEDANCE = 0.9999
-"""MuJoCo limits d to this and 1e-4."""
+"""Largest d: MuJoCo limits it to this and 1e-4."""
 MIN_IMPEDANCE = 1e-4
 STATIC_PRIORITY = -2_000_000_000
 """Priority of the ground and of static models whose friction does not count."""
