@@ -21,7 +21,7 @@ MODEL_SEPARATOR = ": "
 MAX_NAMES = 3
 """Named by an entry that stands for several links, joints or plug-ins."""
 ESSENTIAL_SUBJECTS = ("drive", "driving", "joint controllers")
-"""Subjects of how a robot moves, if it does; those of plug-ins and controllers count as well."""
+"""Subjects whose entries decide how a robot moves, as do those of plug-ins and controllers."""
 _ESSENTIAL_SUBJECT = re.compile(r"(?:plugin|controller) (?:'[^']*'|\"[^\"]*\")")
 GROUPED: frozenset[ReportStatus] = frozenset({"applied", "ignored", "unknown"})
 _QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")
