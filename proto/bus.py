@@ -43,6 +43,7 @@ from zensim.proto.network_protocols import (
     Stamp,
 )
 from zensim.proto.process_limits import limit_unacknowledged_time, raise_file_limit
+from zensim.proto.renewed_session import RENEW_AFTER, RenewedSession
 from zensim.proto.reply_sender import REPLY_BYTES, ReplySender, Send
 from zensim.proto.service_catalog import (
     SPAWN_ENTITIES,
@@ -149,13 +150,23 @@ class _KeyPublisher:
 class BusPublisher(_KeyPublisher):
     """Publisher on a key that the network knows of."""
 
-    def __init__(self, publisher: zenoh.Publisher, traffic: BusTraffic, held: HeldMessages) -> None:
-        self._publisher = publisher
+    def __init__(
+        self,
+        declare: Callable[[zenoh.Session], zenoh.Publisher],
+        names: "RenewedSession[zenoh.Session]",
+        traffic: BusTraffic,
+        held: HeldMessages,
+    ) -> None:
+        session = names.session
+        self._declare = declare
+        self._names = names
+        self._publisher = declare(session)
         self._traffic = traffic
         self._held = held
-        self._put = publisher.put
+        self._put = self._publisher.put
         self._changes: zenoh.MatchingListener[Handler[zenoh.MatchingStatus]] | None = None
         self._was_matched = False
+        names.add(self, session)
 
     @property
     def is_matched(self) -> bool:
@@ -163,11 +174,24 @@ class BusPublisher(_KeyPublisher):
         if self._changes is None:
             # A query of the status costs ten times as much as a listener.
             self._changes = self._publisher.declare_matching_listener(RingChannel(1))
-            # The stub says bool; it is a MatchingStatus.
-            self._was_matched = self._publisher.matching_status.matching  # type: ignore[attr-defined]
+            self._was_matched = _is_matched(self._publisher)
         while (change := self._changes.try_recv()) is not None:
             self._was_matched = change.matching
         return self._was_matched
+
+    def move(self, session: zenoh.Session) -> None:
+        """See `Declaration`; what is sent meanwhile leaves by one of both sessions."""
+        publisher = self._declare(session)
+        if self._changes is not None:
+            changes = publisher.declare_matching_listener(RingChannel(1))
+            deadline_s = time.monotonic() + MOVE_TIMEOUT_S
+            while self._was_matched and not _is_matched(publisher):
+                if time.monotonic() > deadline_s:
+                    self._was_matched = False
+                time.sleep(MOVE_POLL_S)
+            self._changes = changes
+        # What was declared before ends with its session.
+        self._publisher, self._put = publisher, publisher.put
 
     def close(self) -> None:
         """Undeclare the publisher."""
@@ -176,6 +200,12 @@ class BusPublisher(_KeyPublisher):
         if self._changes is not None:
             self._changes.undeclare()
         self._publisher.undeclare()
+        self._names.remove(self)
+
+
+def _is_matched(publisher: zenoh.Publisher) -> bool:
+    # The stub says bool; it is a MatchingStatus.
+    return bool(publisher.matching_status.matching)  # type: ignore[attr-defined]
 
 
 class UndeclaredPublisher(_KeyPublisher):
@@ -224,8 +254,7 @@ class BusSubscriberWatch:
     def has_subscribers(self, key: str) -> bool:
         """Whether a key expression has a subscriber."""
         tried = self._session.declare_publisher(key)
-        # The stub says bool; it is a MatchingStatus.
-        is_matched = bool(tried.matching_status.matching)  # type: ignore[attr-defined]
+        is_matched = _is_matched(tried)
         tried.undeclare()
         return is_matched
 
@@ -654,12 +683,22 @@ class BusQueryQueue:
 class LivelinessToken:
     """Liveliness token of this process, until it is closed or the process ends."""
 
-    def __init__(self, token: zenoh.LivelinessToken) -> None:
-        self._token = token
+    def __init__(self, key: str, names: "RenewedSession[zenoh.Session]") -> None:
+        session = names.session
+        self._key = key
+        self._names = names
+        self._token = session.liveliness().declare_token(key)
+        names.add(self, session)
+
+    def move(self, session: zenoh.Session) -> None:
+        """See `Declaration`; nobody sees it go and come, as it is declared twice meanwhile."""
+        before, self._token = self._token, session.liveliness().declare_token(self._key)
+        before.undeclare()
 
     def close(self) -> None:
         """Undeclare the token."""
         self._token.undeclare()
+        self._names.remove(self)
 
 
 class LivelinessWatch:
@@ -893,6 +932,10 @@ ACCEPT_TIMEOUT_MS: Final = 2000
 MAX_HANDSHAKES: Final = 500
 """Handshakes at a time; a client that only opens sockets can use up Zenoh's default of 100."""
 PROBE_TIMEOUT_S: Final = 0.5
+MOVE_TIMEOUT_S, MOVE_POLL_S = 1.0, 0.001
+"""Of a publisher that had subscribers on the session before."""
+NEVER: Final = 1 << 62
+"""A router keeps no key of its own session."""
 JOIN_TIMEOUT_S: Final = 2.0
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
 """A query may return nothing after a reconnect (zenoh#2767): retry with the same id."""
@@ -1004,6 +1047,10 @@ class Bus:
         self._sender = ReplySender()
         self.held_messages = HeldMessages()
         """Held messages of this session and of those that it opens."""
+        self._names = RenewedSession(
+            session, self._open_for_names, RENEW_AFTER if config.mode == "client" else NEVER
+        )
+        """Declares what comes and goes with robots."""
         self._expected_keys: dict[str, zenoh.KeyExpr] = {}
         self._user_token: zenoh.LivelinessToken | None = None
         self.unanswered: OrderedDict[tuple[str, bytes], str] = OrderedDict()
@@ -1077,6 +1124,10 @@ class Bus:
         opened.traffic, opened.held_messages = self.traffic, self.held_messages
         return opened
 
+    def _open_for_names(self) -> tuple[zenoh.Session, Callable[[], None]]:
+        opened = self.open_session(self.config.joined_publishers)
+        return opened._session, opened.close  # noqa: SLF001 - of this class
+
     def watch_subscribers(self, patterns: Iterable[str]) -> BusSubscriberWatch:
         """Open a session that finds out which key expressions have subscribers.
 
@@ -1105,6 +1156,7 @@ class Bus:
     def close(self) -> None:
         """Send the replies that wait, and close the session and all that it declared."""
         self._sender.close()
+        self._names.close()
         if self._user_token is not None:
             self._user_token.undeclare()
             self._user_token = None
@@ -1124,12 +1176,14 @@ class Bus:
 
     def advertise(self, key: str, encoding: str) -> BusPublisher:
         """Declare a publisher; `encoding` is the Zenoh Encoding of its payloads."""
-        declared = self._session.declare_publisher(
-            _to_key_expression(key),
-            encoding=encoding,
-            congestion_control=zenoh.CongestionControl.DROP,
-        )
-        return BusPublisher(declared, self.traffic, self.held_messages)
+        expression = _to_key_expression(key)
+
+        def declare(session: zenoh.Session) -> zenoh.Publisher:
+            return session.declare_publisher(
+                expression, encoding=encoding, congestion_control=zenoh.CongestionControl.DROP
+            )
+
+        return BusPublisher(declare, self._names, self.traffic, self.held_messages)
 
     def subscribe(
         self, key: str, depth: int = LATEST, max_bytes: int = MAX_MESSAGE_BYTES
@@ -1212,7 +1266,7 @@ class Bus:
 
     def token(self, key: str) -> LivelinessToken:
         """Declare a liveliness token."""
-        return LivelinessToken(self._session.liveliness().declare_token(key))
+        return LivelinessToken(key, self._names)
 
     def open_token_queue(self) -> TokenThread:
         """Declare tokens in a thread, on a session of its own."""

@@ -11,8 +11,7 @@ import pytest
 import zensim
 from zensim.api.entity_values import make_html_table
 from zensim.deploy import check_report, scenario_report
-from zensim.deploy.robot_checks import CheckRow, RobotCheck
-from zensim.deploy.robot_trial import TrialResult
+from zensim.deploy.robot_checks import CheckRow, RobotCheck, TrialResult
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.model_messages import Link, Model
 from zensim.proto.messages.standard_messages import String
@@ -32,7 +31,8 @@ from zensim.recording.output_file import OutputFile
 from zensim.recording.recording_reader import RecordingReader
 from zensim.recording.series_chart import draw_series
 from zensim.recording.table_files import write_tables
-from zensim.scenario.scenario_runner import CheckResult, RunReport
+from zensim.scenario.check_monitors import CheckResult
+from zensim.scenario.scenario_runner import RunReport
 from zensim.spawner.page.entity_panel import make_tree_html
 from zensim.spawner.page.render_state import SimulationStatus
 from zensim.spawner.page.side_panel import make_robot_html, make_status_html

@@ -43,9 +43,7 @@ class RecoveryResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def recover_file(source: Path, target: Path, *, is_any_size: bool = False) -> RecoveryResult:
-    """Copy all whole records, without compressing them again, and write index and summary.
-
-    The space that the source kept for its end is freed.
+    """Copy all whole records as they are, write index and summary, and free the source's reserve.
 
     Args:
         source: File to read.

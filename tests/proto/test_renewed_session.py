@@ -1,0 +1,125 @@
+"""A session is replaced when much that it declared has gone, and nothing that is there goes."""
+
+from typing import TYPE_CHECKING
+
+from tests.integration.processes import eventually
+from zensim.proto.renewed_session import MAX_RETIRED, RenewedSession
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+WITHIN_S = 10.0
+RENEW_AFTER = 10
+
+
+class Session:
+    """Knows what is declared on it."""
+
+    def __init__(self) -> None:
+        self.declared: set[Declared] = set()
+        self.is_closed = False
+
+    def close(self) -> None:
+        assert not self.declared
+        self.is_closed = True
+
+
+class Declared:
+    """A declaration that can move."""
+
+    def __init__(self, names: RenewedSession[Session]) -> None:
+        self.session = names.session
+        self.session.declared.add(self)
+        self._names = names
+        names.add(self, self.session)
+
+    def move(self, session: Session) -> None:
+        session.declared.add(self)
+        self.session.declared.discard(self)
+        self.session = session
+
+    def close(self) -> None:
+        self.session.declared.discard(self)
+        self._names.remove(self)
+
+
+class Network:
+    """Opens sessions, unless it is told to fail."""
+
+    def __init__(self) -> None:
+        self.sessions = [Session()]
+        self.is_failing = False
+        self.names = RenewedSession(self.sessions[0], self.open, RENEW_AFTER)
+
+    def open(self) -> "tuple[Session, Callable[[], None]]":
+        if self.is_failing:
+            raise OSError("no route")
+        self.sessions.append(Session())
+        return self.sessions[-1], self.sessions[-1].close
+
+    def churn(self, count: int = RENEW_AFTER) -> None:
+        for _ in range(count):
+            Declared(self.names).close()
+
+    def renew(self) -> None:
+        """Let names come and go until there is another session."""
+        before = self.names.session
+        self.churn()
+        eventually(lambda: self.names.session is not before, WITHIN_S, "another session")
+        eventually(lambda: not self.names.is_renewing, WITHIN_S, "the end of the thread")
+
+
+def test_session_is_kept_while_little_has_gone() -> None:
+    network = Network()
+
+    network.churn(RENEW_AFTER - 1)
+
+    assert network.sessions == [network.names.session]
+
+
+def test_session_is_replaced_after_much_has_gone() -> None:
+    network = Network()
+
+    for _ in range(5):
+        network.renew()
+
+    first, *between, last = network.sessions
+    assert last is network.names.session
+    assert [one.is_closed for one in (first, *between, last)] == [False, *[True] * 4, False]
+
+
+def test_what_is_declared_stays_declared() -> None:
+    network = Network()
+    network.renew()
+    kept = Declared(network.names)
+
+    for _ in range(MAX_RETIRED + 3):
+        network.renew()
+        assert kept in kept.session.declared
+        assert not kept.session.is_closed
+
+    open_sessions = [one for one in network.sessions if not one.is_closed]
+    assert len(open_sessions) <= MAX_RETIRED + 2
+    kept.close()
+    assert not any(one.declared for one in network.sessions)
+
+
+def test_session_that_cannot_be_replaced_is_kept() -> None:
+    network = Network()
+    network.is_failing = True
+    network.churn(3 * RENEW_AFTER)
+    eventually(lambda: not network.names.is_renewing, WITHIN_S, "the end of the thread")
+
+    network.is_failing = False
+    network.renew()
+
+    assert len(network.sessions) == 2
+
+
+def test_all_but_the_first_are_closed_at_the_end() -> None:
+    network = Network()
+    network.renew()
+
+    network.names.close()
+
+    assert [one.is_closed for one in network.sessions] == [False, True]
