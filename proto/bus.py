@@ -43,7 +43,7 @@ from zensim.proto.network_protocols import (
     Stamp,
 )
 from zensim.proto.process_limits import limit_unacknowledged_time, raise_file_limit
-from zensim.proto.renewed_session import RENEW_AFTER, RenewedSession
+from zensim.proto.renewed_session import RENEW_AFTER, Declaration, RenewedSession
 from zensim.proto.reply_sender import REPLY_BYTES, ReplySender, Send
 from zensim.proto.service_catalog import (
     SPAWN_ENTITIES,
@@ -157,16 +157,14 @@ class BusPublisher(_KeyPublisher):
         traffic: BusTraffic,
         held: HeldMessages,
     ) -> None:
-        session = names.session
         self._declare = declare
         self._names = names
-        self._publisher = declare(session)
+        self._publisher = _declare_among(names, self, declare)
         self._traffic = traffic
         self._held = held
         self._put = self._publisher.put
         self._changes: zenoh.MatchingListener[Handler[zenoh.MatchingStatus]] | None = None
         self._was_matched = False
-        names.add(self, session)
 
     @property
     def is_matched(self) -> bool:
@@ -179,8 +177,9 @@ class BusPublisher(_KeyPublisher):
             self._was_matched = change.matching
         return self._was_matched
 
-    def move(self, session: zenoh.Session) -> None:
+    def move(self, session: zenoh.Session) -> object:
         """See `Declaration`; what is sent meanwhile leaves by one of both sessions."""
+        before = self._publisher, self._changes
         publisher = self._declare(session)
         if self._changes is not None:
             changes = publisher.declare_matching_listener(RingChannel(1))
@@ -190,8 +189,8 @@ class BusPublisher(_KeyPublisher):
                     self._was_matched = False
                 time.sleep(MOVE_POLL_S)
             self._changes = changes
-        # What was declared before ends with its session.
         self._publisher, self._put = publisher, publisher.put
+        return before
 
     def close(self) -> None:
         """Undeclare the publisher."""
@@ -206,6 +205,22 @@ class BusPublisher(_KeyPublisher):
 def _is_matched(publisher: zenoh.Publisher) -> bool:
     # The stub says bool; it is a MatchingStatus.
     return bool(publisher.matching_status.matching)  # type: ignore[attr-defined]
+
+
+def _declare_among(
+    names: "RenewedSession[zenoh.Session]",
+    owner: "Declaration[zenoh.Session]",
+    declare: Callable[[zenoh.Session], Item],
+) -> Item:
+    """Declare what comes and goes with a name."""
+    place = names.begin()
+    try:
+        declared = declare(place.session)
+    except BaseException:
+        names.give_up(place)
+        raise
+    names.add(owner, place)
+    return declared
 
 
 class UndeclaredPublisher(_KeyPublisher):
@@ -684,16 +699,17 @@ class LivelinessToken:
     """Liveliness token of this process, until it is closed or the process ends."""
 
     def __init__(self, key: str, names: "RenewedSession[zenoh.Session]") -> None:
-        session = names.session
         self._key = key
         self._names = names
-        self._token = session.liveliness().declare_token(key)
-        names.add(self, session)
+        self._token = _declare_among(names, self, self._declare)
 
-    def move(self, session: zenoh.Session) -> None:
+    def _declare(self, session: zenoh.Session) -> zenoh.LivelinessToken:
+        return session.liveliness().declare_token(self._key)
+
+    def move(self, session: zenoh.Session) -> object:
         """See `Declaration`; nobody sees it go and come, as it is declared twice meanwhile."""
-        before, self._token = self._token, session.liveliness().declare_token(self._key)
-        before.undeclare()
+        before, self._token = self._token, self._declare(session)
+        return before
 
     def close(self) -> None:
         """Undeclare the token."""
@@ -932,7 +948,7 @@ ACCEPT_TIMEOUT_MS: Final = 2000
 MAX_HANDSHAKES: Final = 500
 """Handshakes at a time; a client that only opens sockets can use up Zenoh's default of 100."""
 PROBE_TIMEOUT_S: Final = 0.5
-MOVE_TIMEOUT_S, MOVE_POLL_S = 1.0, 0.001
+MOVE_TIMEOUT_S, MOVE_POLL_S = 0.2, 0.001
 """Of a publisher that had subscribers on the session before."""
 NEVER: Final = 1 << 62
 """A router keeps no key of its own session."""

@@ -1,7 +1,7 @@
 """A session for what comes and goes with names, which is replaced when much of it has gone.
 
 Zenoh keeps each key that a session has ever declared, 1.1 kB in that session and 1.7 kB in its
-router, until the session closes (`python -m benchmarks.bench_session_memory`).
+router, until the session closes (`python -m benchmarks.bare_keys`).
 """
 
 import logging
@@ -13,6 +13,8 @@ from typing import Final, Generic, Protocol, TypeVar
 LOG = logging.getLogger("zensim.bus")
 RENEW_AFTER: Final = 1000
 """Declarations that a session has lost: 2.7 MB of both sides."""
+SETTLE_S: Final = 1.0
+"""From a move to the end of the session before."""
 MAX_RETIRED: Final = 2
 """Sessions that wait for the end of their last declarations; those of the oldest are moved then."""
 
@@ -23,8 +25,8 @@ SessionT_contra = TypeVar("SessionT_contra", contravariant=True)
 class Declaration(Protocol[SessionT_contra]):
     """What a session declares, until it is closed."""
 
-    def move(self, session: SessionT_contra) -> None:
-        """Declare it on another session, and use that from now on."""
+    def move(self, session: SessionT_contra) -> object:
+        """Declare it on another session, and use that; return what keeps it declared here."""
 
 
 class Generation(Generic[SessionT]):
@@ -34,7 +36,11 @@ class Generation(Generic[SessionT]):
         self.session = session
         self.close = close
         self.open: dict[Declaration[SessionT], None] = {}
+        self.pending = 0
+        """What is being declared."""
         self.gone = 0
+        self.moved: list[object] = []
+        """What keeps declared here what was moved, until the session closes."""
 
 
 class RenewedSession(Generic[SessionT]):
@@ -60,23 +66,28 @@ class RenewedSession(Generic[SessionT]):
         self._retired: list[Generation[SessionT]] = []
         self._places: dict[Declaration[SessionT], Generation[SessionT]] = {}
         self._thread: threading.Thread | None = None
-        self._is_closed = False
+        self._ended = threading.Event()
 
-    @property
-    def session(self) -> SessionT:
-        """On which to declare."""
-        return self._current.session
+    def begin(self) -> Generation[SessionT]:
+        """Return where to declare; call `add` or `give_up` afterwards."""
+        with self._lock:
+            self._current.pending += 1
+            return self._current
+
+    def give_up(self, place: Generation[SessionT]) -> None:
+        """Note that the declaration failed."""
+        with self._lock:
+            place.pending -= 1
 
     @property
     def is_renewing(self) -> bool:
         """Whether a thread replaces or closes sessions."""
         return self._thread is not None
 
-    def add(self, declaration: Declaration[SessionT], session: SessionT) -> None:
-        """Keep what was declared on `session`, as it was read before."""
+    def add(self, declaration: Declaration[SessionT], place: Generation[SessionT]) -> None:
+        """Keep what was declared at a place that `begin` returned."""
         with self._lock:
-            generations = (self._current, *self._retired)
-            place = next((one for one in generations if one.session is session), self._current)
+            place.pending -= 1
             place.open[declaration] = None
             self._places[declaration] = place
 
@@ -90,14 +101,14 @@ class RenewedSession(Generic[SessionT]):
             place.gone += 1
             is_due = place is self._current and place.gone >= self._renew_after
             is_empty = place is not self._current and not place.open
-            if (is_due or is_empty) and self._thread is None and not self._is_closed:
+            if (is_due or is_empty) and self._thread is None and not self._ended.is_set():
                 self._thread = threading.Thread(target=self._renew, name="renewal", daemon=True)
                 self._thread.start()
 
     def close(self) -> None:
         """Close all sessions but the first."""
         with self._lock:
-            self._is_closed = True
+            self._ended.set()
             thread = self._thread
         if thread is not None:
             thread.join()
@@ -111,6 +122,9 @@ class RenewedSession(Generic[SessionT]):
             if self._current.gone >= self._renew_after:
                 self._replace()
             for one in self._take_unused():
+                if one.moved:
+                    # Else a router could hear of the end before it hears of the new place.
+                    self._ended.wait(SETTLE_S)
                 _close(one)
         finally:
             with self._lock:
@@ -135,15 +149,15 @@ class RenewedSession(Generic[SessionT]):
                 if self._places.get(declaration) is not source:
                     continue
                 with suppress(Exception):  # it stays where it is, and so does the session
-                    declaration.move(target.session)
+                    source.moved.append(declaration.move(target.session))
                     del source.open[declaration]
                     target.open[declaration] = None
                     self._places[declaration] = target
 
     def _take_unused(self) -> list[Generation[SessionT]]:
         with self._lock:
-            unused = [one for one in self._retired if not one.open]
-            self._retired = [one for one in self._retired if one.open]
+            unused = [one for one in self._retired if not (one.open or one.pending)]
+            self._retired = [one for one in self._retired if one not in unused]
         return unused
 
 

@@ -67,12 +67,17 @@ def spawn_lidar_bots(server: Server, count: int) -> list[str]:
 
 
 @contextmanager
-def running_sensors(server: Server, *names: str) -> Iterator["list[subprocess.Popen[str]]"]:
+def running_sensors(
+    server: Server, *names: str, options: Sequence[str] = ()
+) -> Iterator["list[subprocess.Popen[str]]"]:
     """Run sensor processes, and wait for their tokens."""
     with ExitStack() as stack:
         processes = [
             stack.enter_context(
-                running("sensors", "run", "--name", name, "--quiet", "--connect", server.endpoint)
+                running(
+                    *("sensors", "run", "--name", name, "--quiet", *options),
+                    *("--connect", server.endpoint),
+                )
             )
             for name in names
         ]

@@ -33,6 +33,7 @@ from zensim.proto.messages.result_messages import Result, ResultCode, ServiceErr
 from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEntityResponse
 from zensim.proto.messages.telemetry_messages import Info, InfoRequest
 from zensim.proto.network_protocols import MAX_COMMAND_BYTES
+from zensim.proto.renewed_session import MAX_RETIRED
 from zensim.proto.service_catalog import DELETE_ENTITY, INFO
 
 if TYPE_CHECKING:
@@ -524,3 +525,36 @@ def test_router_resets_connections_that_take_no_data(monkeypatch: pytest.MonkeyP
         pass
 
     assert limits == [(int(endpoint.rpartition(":")[2]), bus_module.MOST_UNACKNOWLEDGED_MS)]
+
+
+def test_declarations_outlive_the_sessions_that_are_replaced(
+    router: Bus, client: Bus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bus_module, "RENEW_AFTER", 20)
+    messages, tokens = client.subscribe("kept/odom", 10_000), client.watch_tokens("sim/**")
+    sent = 0
+    with open_bus(BusConfig(connect=(router.endpoint,))) as bus:
+        publisher, _ = bus.advertise("kept/odom", ""), bus.token("sim/kept")
+        eventually(lambda: publisher.is_matched, 10.0, "a subscriber")
+        watch = router.watch_links()
+        opened = 0
+        while opened < 3 + 2 * MAX_RETIRED:
+            assert publisher.is_matched
+            publisher.send(b"%d" % sent)
+            sent += 1
+            bus.token(f"sim/{sent}").close()
+            bus.advertise(f"r{sent}/odom", "").close()
+            opened += sum(is_open for *_, is_open in watch.take())
+        found: list[bytes] = []
+
+        def has_all() -> bool:
+            found.extend(one.payload for one in messages.take())
+            return len(found) >= sent
+
+        eventually(has_all, 10.0, "all messages")
+        eventually(lambda: client.list_tokens("sim/*") == ["sim/kept"], 10.0, "one token")
+
+    changes = [is_alive for key, is_alive in tokens.take() if key == "sim/kept"]
+    assert sorted(found, key=int) == [b"%d" % number for number in range(sent)]
+    assert changes[0] is True
+    assert changes[1:] in ([], [False])

@@ -2,7 +2,10 @@
 
 from typing import TYPE_CHECKING
 
+import pytest
+
 from tests.integration.processes import eventually
+from zensim.proto import renewed_session
 from zensim.proto.renewed_session import MAX_RETIRED, RenewedSession
 
 if TYPE_CHECKING:
@@ -28,15 +31,18 @@ class Declared:
     """A declaration that can move."""
 
     def __init__(self, names: RenewedSession[Session]) -> None:
-        self.session = names.session
+        place = names.begin()
+        self.session = place.session
+        assert not self.session.is_closed
         self.session.declared.add(self)
         self._names = names
-        names.add(self, self.session)
+        names.add(self, place)
 
-    def move(self, session: Session) -> None:
+    def move(self, session: Session) -> object:
+        before, self.session = self.session, session
         session.declared.add(self)
-        self.session.declared.discard(self)
-        self.session = session
+        before.declared.discard(self)
+        return before
 
     def close(self) -> None:
         self.session.declared.discard(self)
@@ -63,9 +69,9 @@ class Network:
 
     def renew(self) -> None:
         """Let names come and go until there is another session."""
-        before = self.names.session
+        before = len(self.sessions)
         self.churn()
-        eventually(lambda: self.names.session is not before, WITHIN_S, "another session")
+        eventually(lambda: len(self.sessions) > before, WITHIN_S, "another session")
         eventually(lambda: not self.names.is_renewing, WITHIN_S, "the end of the thread")
 
 
@@ -74,7 +80,7 @@ def test_session_is_kept_while_little_has_gone() -> None:
 
     network.churn(RENEW_AFTER - 1)
 
-    assert network.sessions == [network.names.session]
+    assert len(network.sessions) == 1
 
 
 def test_session_is_replaced_after_much_has_gone() -> None:
@@ -84,11 +90,11 @@ def test_session_is_replaced_after_much_has_gone() -> None:
         network.renew()
 
     first, *between, last = network.sessions
-    assert last is network.names.session
     assert [one.is_closed for one in (first, *between, last)] == [False, *[True] * 4, False]
 
 
-def test_what_is_declared_stays_declared() -> None:
+def test_what_is_declared_stays_declared(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(renewed_session, "SETTLE_S", 0.0)
     network = Network()
     network.renew()
     kept = Declared(network.names)
@@ -102,6 +108,20 @@ def test_what_is_declared_stays_declared() -> None:
     assert len(open_sessions) <= MAX_RETIRED + 2
     kept.close()
     assert not any(one.declared for one in network.sessions)
+
+
+def test_session_is_not_closed_while_something_is_declared_there() -> None:
+    network = Network()
+    network.renew()
+    place = network.names.begin()
+
+    network.renew()
+    network.renew()
+
+    assert not place.session.is_closed
+    network.names.give_up(place)
+    network.renew()
+    assert place.session.is_closed
 
 
 def test_session_that_cannot_be_replaced_is_kept() -> None:
