@@ -79,11 +79,6 @@ class RenewedSession(Generic[SessionT]):
         with self._lock:
             place.pending -= 1
 
-    @property
-    def is_renewing(self) -> bool:
-        """Whether a thread replaces or closes sessions."""
-        return self._thread is not None
-
     def add(self, declaration: Declaration[SessionT], place: Generation[SessionT]) -> None:
         """Keep what was declared at a place that `begin` returned."""
         with self._lock:
