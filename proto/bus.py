@@ -707,7 +707,7 @@ class LivelinessToken:
         return session.liveliness().declare_token(self._key)
 
     def move(self, session: zenoh.Session) -> object:
-        """See `Declaration`; nobody sees it go and come, as it is declared twice meanwhile."""
+        """See `Declaration`; nobody sees it go, and some see it come again."""
         before, self._token = self._token, self._declare(session)
         return before
 
