@@ -120,8 +120,13 @@ def find_firmness(blueprint: Blueprint, dt_s: float) -> float:
     driven = sum(part.reflected_inertia > 0.0 for part in blueprint.parts)
     if not driven:
         return math.inf
-    is_firm = driven <= MAX_FIRM_WHEELS and not blueprint.drags
-    share = FIRMNESS_SHARE if is_firm else SOFT_SHARE
+    if driven > MAX_FIRM_WHEELS:
+        share = SOFT_SHARE
+    elif blueprint.drags:
+        # Few wheels sink no deeper than four.
+        share = SOFT_SHARE * driven / MAX_FIRM_WHEELS
+    else:
+        share = FIRMNESS_SHARE
     return blueprint.mass_kg / (share * dt_s)
 
 
