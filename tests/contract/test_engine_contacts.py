@@ -1,13 +1,16 @@
 """Contract of `read_contacts`."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.engines import REAL_ENGINES, STEP_NS, MakeEngine, advance, running
 from tests.models import a_body, a_box, a_box_bot, a_state, box_bot_at
+from tests.sim_server.physics.mujoco.test_convex_pieces import a_cuboid
 from zensim.proto.messages.model_messages import Inertial, Joint, Link, Model, Origin, Shape
+from zensim.proto.stl import write_corners
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.engine import GROUND, MAX_PENETRATION_RECOVERY_MPS, Engine
 from zensim.sim_server.physics.engine_config import EngineConfig
@@ -61,6 +64,41 @@ def test_bodies_that_overlap_part_slowly(
     assert fastest < 1.5 * MAX_PENETRATION_RECOVERY_MPS
     assert states[1, 0] - states[0, 0] == pytest.approx(1.0, abs=0.01)
     assert states[2, 2] == pytest.approx(0.5, abs=0.01)
+
+
+SHELF = (((-0.5, -0.5, 0.0), (-0.4, 0.5, 1.0)), ((0.4, -0.5, 0.0), (0.5, 0.5, 1.0)))
+SOFA = (((0.0, -0.4, 0.0), (0.8, 0.4, 0.4)), ((0.6, -0.4, 0.4), (0.8, 0.4, 0.8)))
+"""Two cuboids each, as lowest and highest corners."""
+
+
+def a_piece_of_furniture(name: str, *, is_static: bool = False) -> Model:
+    inertial = Inertial(20.0, (0.4, 0.0, 0.3), (2.0, 0.0, 0.0, 2.0, 0.0, 2.0))
+    shape = Shape("mesh", (1.0, 1.0, 1.0), mesh=name)
+    return Model(name, (Link("base", inertial, (shape,)),), is_static=is_static)
+
+
+@pytest.mark.parametrize("make", [PyBulletEngine, MujocoEngine])
+def test_furniture_of_meshes_that_overlaps_parts_slowly(make: MakeEngine, tmp_path: Path) -> None:
+    for name, cuboids in (("shelf", SHELF), ("sofa", SOFA)):
+        corners = np.concatenate([a_cuboid(low, high) for low, high in cuboids])
+        (tmp_path / f"{name}.stl").write_bytes(write_corners(corners.reshape(-1, 3, 3)))
+    config = EngineConfig(1_000_000, gravity=(0.0, 0.0, -9.81), mesh_folder=str(tmp_path))
+    with running(make, config) as engine:
+        shelf = engine.add(a_piece_of_furniture("shelf", is_static=True), a_state())
+        sofa, chair = (
+            engine.add(a_piece_of_furniture("sofa"), a_state((x, 0.0, 0.0))) for x in (0.45, 1.2)
+        )
+        named = [list(engine.find_overlaps(body)) for body in (sofa, chair)]
+        fastest = 0.0
+        for _ in range(2000):
+            advance(engine, 1)
+            fastest = max(fastest, np.abs(engine.read((sofa, chair)).base[:, 7:10]).max())
+        left = [list(engine.find_overlaps(body)) for body in (sofa, chair)]
+
+    assert named == [[shelf, chair], [sofa]]
+    # The sofa parts from the shelf, and the chair from the sofa.
+    assert fastest < 2.5 * MAX_PENETRATION_RECOVERY_MPS
+    assert left == [[], []]
 
 
 def test_engine_tells_nothing_of_a_box_in_the_air(engine: Engine) -> None:

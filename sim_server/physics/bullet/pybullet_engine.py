@@ -301,6 +301,11 @@ MAX_REMOVED_MODELS = 64
 CARRIER_TORQUE_NM = 1e6
 """Greatest torque of motors that hold carriers of wheels."""
 OVERLAP_M = 0.001  # depth from which bodies overlap instead of touching
+MAX_BOX_SHIFT_M = 0.05
+"""Distance of a root's centre of mass from which its pose is set again.
+
+Until a step, Bullet searches a body where its centre would be in the root's origin.
+"""
 COMPLIANCE = ("contactStiffness", "contactDamping")
 RECOVERY_TOLERANCE = 0.1
 """Change of the share of a penetration that a step corrects, from which it is set again."""
@@ -915,8 +920,10 @@ class PyBulletEngine(Engine):
             self._make_gear_constraint(body, gear) for gear in list_gear_constraints(blueprint)
         ]
         self._register(body, replace(recipe.body, gears=gears) if gears else recipe.body)
-        # Created in place with joints at zero: setting the pose again takes as long as creating it.
-        if base[7:].any():
+        # Created in place with joints at zero: setting the pose again takes a tenth of creating it.
+        if math.hypot(*blueprint.parts[0].com) > MAX_BOX_SHIFT_M:
+            self.set_base_state(body, base)
+        elif base[7:].any():
             self._set_velocity(body, self._com_frames.to_com_state(body, base)[7:])
         self._clear_targets(body)
 

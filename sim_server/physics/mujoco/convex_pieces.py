@@ -27,6 +27,12 @@ MAX_CONVEXITY_FACES = 2000
 """Number of faces up to which convexity is tested."""
 PLATE_TOLERANCE_M, PLATE_TOLERANCE_SHARE = 0.003, 0.005
 """Largest distance of a plate's hull from its triangles: at most, and as a share of the mesh."""
+LEAST_TOLERANCE_M = 0.002
+"""The same at least: a tenth of the thickness."""
+MAX_PLATES = 128
+"""Plates of a component from which it gets a coarser tolerance: each takes time to compile."""
+COARSE_TOLERANCE_M, COARSE_TOLERANCE_SHARE = 0.02, 0.02
+"""The coarsest one: at most, and as a share of the mesh."""
 PLATE_BEND_COS = 0.8
 """Least share of the areas of two plates that the area of both has along their mean normal."""
 MAX_ROUNDING_M = 1e-6
@@ -42,9 +48,8 @@ def split_into_convex_pieces(corners: HullPoints, *, is_static: bool) -> list[Hu
     if not is_static:
         return [thicken(np.unique(corners, axis=0))]
     extent = float(np.ptp(corners, axis=0).max(initial=0.0)) if len(corners) else 0.0
-    tolerance_m = min(PLATE_TOLERANCE_M, PLATE_TOLERANCE_SHARE * extent)
     components = _find_components(corners)
-    return [piece for part in components for piece in _split_component(part, tolerance_m)]
+    return [piece for part in components for piece in _split_component(part, extent)]
 
 
 def thicken(points: HullPoints) -> HullPoints:
@@ -59,12 +64,38 @@ def thicken(points: HullPoints) -> HullPoints:
     return points
 
 
-def _split_component(triangles: HullPoints, tolerance_m: float) -> Iterator[HullPoints]:
-    if len(triangles) <= MAX_CONVEXITY_FACES and _is_convex(triangles):
-        yield thicken(np.unique(triangles.reshape(-1, 3), axis=0))
+def _split_component(triangles: HullPoints, extent_m: float) -> Iterator[HullPoints]:
+    corners = triangles.reshape(-1, 3)
+    # Plates would fill what is smaller.
+    is_filled = float(np.ptp(corners, axis=0).max()) <= 2.0 * SHEET_THICKNESS_M
+    if is_filled or (len(triangles) <= MAX_CONVEXITY_FACES and _is_convex(triangles)):
+        yield thicken(np.unique(corners, axis=0))
         return
-    for front, normal in PlateMerger(triangles, tolerance_m).merge():
+    tolerance_m = min(PLATE_TOLERANCE_M, PLATE_TOLERANCE_SHARE * extent_m)
+    tolerance_m = max(tolerance_m, LEAST_TOLERANCE_M)
+    coarsest_m = min(COARSE_TOLERANCE_M, COARSE_TOLERANCE_SHARE * extent_m)
+    merger = PlateMerger(join_close_corners(triangles, tolerance_m), tolerance_m)
+    plates = merger.merge()
+    while len(plates) > MAX_PLATES and tolerance_m < coarsest_m:
+        tolerance_m = min(2.0 * tolerance_m, coarsest_m)
+        plates = merger.merge(tolerance_m)
+    for front, normal in plates:
         yield np.concatenate([front, front - SHEET_THICKNESS_M * normal])
+
+
+def join_close_corners(triangles: HullPoints, distance_m: float) -> HullPoints:
+    """Let corners within a cube whose diagonal is a distance be the first of them.
+
+    Small triangles that lose a corner are left out. Long ones stay: they may be a wire.
+    """
+    corners = triangles.reshape(-1, 3)
+    cells = np.floor(corners * (math.sqrt(3.0) / distance_m)).astype(np.int64)
+    _, first, owner = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    owners = owner.reshape(-1, 3)
+    has_area = (owners != np.roll(owners, 1, axis=1)).all(axis=1)
+    is_long = np.ptp(triangles, axis=1).max(axis=1) > SHEET_THICKNESS_M
+    joined = corners[first][owners[has_area]]
+    return np.concatenate([joined, triangles[is_long & ~has_area]])
 
 
 def _face_normals(triangles: HullPoints) -> HullPoints:
@@ -133,12 +164,17 @@ class PlateMerger:
         }
         self._neighbours = find_face_neighbours(faces)
 
-    def merge(self) -> list[tuple[HullPoints, HullPoints]]:
-        """Merge what can be merged; return the corners (n, 3) and the unit normal of each plate."""
+    def merge(self, tolerance_m: float | None = None) -> list[tuple[HullPoints, HullPoints]]:
+        """Merge what can be merged, on request with another tolerance than before.
+
+        Returns:
+            The corners (n, 3) and the unit normal of each plate.
+        """
+        self._tolerance_m = tolerance_m or self._tolerance_m
         neighbours = self._neighbours
         pairs = [(self._measure(i, j), i, j) for i in neighbours for j in neighbours[i] if i < j]
         heapq.heapify(pairs)
-        for number in count(len(self._plates)):
+        for number in count(max(self._plates, default=0) + 1):
             if (found := self._merge_next(pairs)) is None:
                 break
             i, j, self._plates[number] = found

@@ -8,9 +8,11 @@ import pytest
 from scipy.optimize import linprog
 
 from zensim.sim_server.physics.mujoco.convex_pieces import (
+    COARSE_TOLERANCE_M,
     PLATE_TOLERANCE_M,
     SHEET_THICKNESS_M,
     HullPoints,
+    join_close_corners,
     split_into_convex_pieces,
     thicken,
 )
@@ -144,3 +146,39 @@ def test_flat_points_are_thickened(points: HullPoints) -> None:
 
     assert np.linalg.matrix_rank(found - found[0], tol=1e-9) == 3
     assert np.abs(found - points.mean(axis=0)).max() < 1.01
+
+
+def test_wrinkled_surface_has_fewer_plates_that_keep_to_it_less_closely() -> None:
+    def height_of(x: float, y: float) -> float:
+        return 0.008 * math.sin(25.0 * x) * math.sin(25.0 * y)
+
+    surface = a_grid(height_of, 40)
+    found = split_into_convex_pieces(surface, is_static=True)
+
+    assert len(found) < 200
+    for x, y in np.random.default_rng(3).uniform(0.05, 0.95, (12, 2)).tolist():
+        assert find_top(found, x, y) == pytest.approx(height_of(x, y), abs=COARSE_TOLERANCE_M)
+
+
+def test_concave_part_that_plates_would_fill_is_its_hull() -> None:
+    (piece,) = split_into_convex_pieces(a_room() * 0.005, is_static=True)
+
+    assert len(piece) == 8
+
+
+def test_corners_that_are_close_become_one() -> None:
+    fine = a_grid(lambda _x, _y: 0.0, 50).reshape(-1, 3, 3) * 0.1
+
+    joined = join_close_corners(fine, 0.01)
+
+    assert 0 < len(joined) < len(fine) / 4
+    corners = {tuple(corner) for corner in joined.reshape(-1, 3).tolist()}
+    assert corners <= {tuple(corner) for corner in fine.reshape(-1, 3).tolist()}
+
+
+def test_wire_keeps_its_triangles() -> None:
+    wire = a_cuboid((0.0, 0.0, 0.0), (0.3, 2e-4, 2e-4)).reshape(-1, 3, 3)
+
+    joined = join_close_corners(wire, 0.002)
+
+    assert np.ptp(joined, axis=(0, 1)) == pytest.approx([0.3, 2e-4, 2e-4])
