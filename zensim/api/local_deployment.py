@@ -501,7 +501,7 @@ def _count_programs(config: LaunchConfig) -> int:
     """Count the programs that connect to the server."""
     further = (config.has_viewer, bool(config.recording), config.sensor_processes != 0)
     sensors = max(config.sensor_processes or 1, 1) - 1
-    return len(make_agent_starts(config)) + sensors + sum(further)
+    return len(make_agent_starts(config)) + len(make_pool_starts(config)) + sensors + sum(further)
 
 
 def _await_announcement(
