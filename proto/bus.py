@@ -854,11 +854,13 @@ __all__ = [
     "NoServer",
     "PendingBusCall",
     "RouterSecurity",
+    "TooFewFiles",
     "UndeclaredPublisher",
     "list_client_settings",
     "log_handshakes",
     "open_bus",
     "receive_in_one_thread",
+    "require_files",
     "require_threads",
     "to_zenoh_json",
 ]
@@ -942,6 +944,8 @@ MAX_SECURED_SESSIONS: Final = 500
 RESERVED_FILES: Final = 200
 """Open files that a server keeps for itself: its own, and those of its worlds and clients."""
 FILES_OF_SESSION: Final = 2
+FEW_SESSIONS: Final = 4
+"""Fewest sessions of a router that is of use: a robot's agent, a page, and two clients."""
 MAX_SESSIONS: Final = 4000
 ACCEPT_TIMEOUT_MS: Final = 2000
 """Time for a handshake; Zenoh's default is 10 s."""
@@ -986,6 +990,20 @@ class ForkedProcess(BusError):
         super().__init__(
             "this process was forked after a Zenoh session was opened, whose threads it does not "
             "have; use the start method spawn: multiprocessing.set_start_method('spawn')"
+        )
+
+
+class TooFewFiles(BusError):
+    """The limit of open files of this process is too low for the sessions of a router."""
+
+    code = ResultCode.OPERATION_FAILED
+    slug = "process.files"
+
+    def __init__(self, what: str, needed: int, limit: int) -> None:
+        super().__init__(
+            f"{self.slug}: {what} needs up to {needed} open files, and a process may have {limit} "
+            f"here; raise the limit where it starts: 'ulimit -n {needed}', or LimitNOFILE of its "
+            "service"
         )
 
 
@@ -1474,10 +1492,24 @@ def require_threads() -> None:
         raise ForkedProcess
 
 
+def require_files(sessions: int, what: str) -> None:
+    """Check that this process, or its children, can be a router of so many sessions.
+
+    The limit is raised as far as it may.
+
+    Raises:
+        TooFewFiles: It cannot.
+    """
+    needed, limit = RESERVED_FILES + FILES_OF_SESSION * sessions, raise_file_limit()
+    if limit < needed:
+        raise TooFewFiles(what, needed, limit)
+
+
 def open_bus(config: BusConfig) -> Bus:
     """Open a session.
 
     Raises:
+        TooFewFiles: It is a router, and the limit of open files is too low for a few sessions.
         ForkedProcess: This process was forked after a session was opened.
         EndpointUnreachable: No router or server listens at the endpoints to connect to.
         EndpointTaken: Another process listens at an endpoint to listen at.
@@ -1485,6 +1517,8 @@ def open_bus(config: BusConfig) -> Bus:
         ValueError: An endpoint or a join token is not valid.
     """
     require_threads()
+    if config.mode == "router":
+        require_files(FEW_SESSIONS, "a server")
     settled = _settle(config)
     _RUNTIME_THREADS.are_started = True
     try:

@@ -145,8 +145,10 @@ class _Comparison:
     def _compare_children(self, element: Element, rule: ElementRule, where: str) -> set[str]:
         seen: set[str] = set()
         for child in list(element):
-            name = find_name(child)
-            below = rule.children.get(name)
+            name = child.tag
+            if (below := rule.children.get(name)) is None:
+                name = find_name(child)
+                below = rule.children.get(name)
             if below is None:
                 self._report_unlisted(child, rule, where)
             elif below.unread:

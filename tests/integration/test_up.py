@@ -27,6 +27,7 @@ from tests.integration.processes import (
     serving,
     zensim,
 )
+from zensim.proto.bus import TooFewFiles
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.web_access import name_cookie
 from zensim.recording.bag_info import read_info
@@ -320,3 +321,29 @@ def test_paused_world_is_ready_without_odometry() -> None:
         info = SimClient(bus).info()
 
     assert (info.state, info.claimed, info.seed) == ("paused", 2, 7)
+
+
+def under_file_limit(limit: str) -> tuple[str, ...]:
+    """Make a command prefix under which a process may have so many open files."""
+    return ("bash", "-c", f'ulimit {limit}; exec "$@"', "bash")
+
+
+@pytest.mark.parametrize(
+    ("limit", "command"),
+    [("-n 64", ("serve",)), ("-n 128", ("up", "--robots", "10", *SMALL))],
+    ids=["server", "deployment"],
+)
+def test_too_few_open_files_are_named_at_once(limit: str, command: tuple[str, ...]) -> None:
+    options = ("--listen", free_endpoint())
+    done = zensim(*command, *options, timeout_s=30.0, prefix=under_file_limit(limit))
+
+    assert done.returncode == ExitCode.FAILED
+    assert f"zensim {command[0]}: {TooFewFiles.slug}: " in done.stderr
+    assert re.search(rf"\b{limit.split()[1]}\b.*'ulimit -n \d+'", done.stderr)
+
+
+def test_limit_of_open_files_is_raised_where_it_may_be() -> None:
+    prefix = under_file_limit("-S -n 64")
+    words = ("up", "--listen", free_endpoint(), "--json", "--robots", "2", *SMALL)
+    with running(*words, prefix=prefix) as process:
+        assert read_json_line(process)["endpoint"]

@@ -22,6 +22,7 @@ from zensim.proto.bus import (
     ForkedProcess,
     NoServer,
     open_bus,
+    require_files,
     require_threads,
 )
 from zensim.proto.codec.message_codec import MalformedPayload, decode
@@ -64,6 +65,8 @@ NEWS = ("spawned", "loaded", "released")
 DEMAND_CALL_TIMEOUT_S, DEMAND_CALL_PERIOD_S = 1.0, 0.3
 
 
+SPARE_SESSIONS = 4
+"""Of the launching program itself, what drives robots, and commands of a user."""
 ROBOTS_PER_POOL = 500
 """Takes a fifth of a core at 10 Hz odometry and tf."""
 
@@ -474,9 +477,13 @@ def start_programs(
     """Start the server and the agents, and wait until the server listens.
 
     Raises:
+        TooFewFiles: The limit of open files is too low for all programs.
         LaunchFailed: The server does not listen in time [s], or the start was stopped.
         ProgramDied: A process exited.
     """
+    if not config.connect:
+        programs = _count_programs(config)
+        require_files(programs + SPARE_SESSIONS, f"a server with {programs} programs")
     server = supervisor.start("server", make_serve_arguments(config))
     for name, start in make_agent_starts(config).items():
         words = ("agent", msgspec.json.encode(start).decode())
@@ -488,6 +495,13 @@ def start_programs(
             raise LaunchFailed("the start was stopped")
 
     _await_announcement(server, watch, timeout_s)
+
+
+def _count_programs(config: LaunchConfig) -> int:
+    """Count the programs that connect to the server."""
+    further = (config.has_viewer, bool(config.recording), config.sensor_processes != 0)
+    sensors = max(config.sensor_processes or 1, 1) - 1
+    return len(make_agent_starts(config)) + len(make_pool_starts(config)) + sensors + sum(further)
 
 
 def _await_announcement(

@@ -19,7 +19,7 @@ from zensim.api.local_deployment import (
     start_programs,
 )
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, BusError, open_bus
+from zensim.proto.bus import Bus, BusConfig, BusError, TooFewFiles, open_bus
 from zensim.proto.supervisor import ProgramDied, Supervisor
 
 LOG = logging.getLogger(__name__)
@@ -125,7 +125,7 @@ class ProgramKeeper:
                 self._supervisor.watch()
                 if self._on_demand is not None:
                     self._on_demand.poll(time.monotonic())
-        except (LaunchFailed, ProgramDied) as error:
+        except (LaunchFailed, ProgramDied, TooFewFiles) as error:
             self._failure = error
         finally:
             self._supervisor.close()
@@ -135,5 +135,8 @@ class ProgramKeeper:
         if self._failure is None:
             return Timeout(f"the server has not started after {self._timeout_s:g} s")
         self.close()
+        if isinstance(self._failure, TooFewFiles):
+            message, _, hint = str(self._failure).partition(": ")[2].partition("; ")
+            return Error(message, slug=self._failure.slug, hint=hint)
         last = [line for line in self._output.lines if line.strip()][-1:]
         return Error(": ".join([str(self._failure), *last]), slug="launch_failed")

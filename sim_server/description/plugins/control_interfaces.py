@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 COMMAND_KINDS: tuple[CommandKind, ...] = get_args(CommandKind)
 MAX_INTERFACES = 400
+READ_PARAMS = {"command_interface": ("min", "max"), "state_interface": ("initial_value",)}
+"""Names of <param> that are read, by element."""
 
 
 def read_command_interfaces(
@@ -47,7 +49,16 @@ def _describe_interface(interface: CommandInterface) -> str:
     return f"{interface.joint} {interface.kind} {interface.lower} to {interface.upper}"
 
 
+def _report_unread_params(joint: Element, report: ParseReport) -> None:
+    for tag, known in READ_PARAMS.items():
+        for param in joint.findall(f"{tag}/param"):
+            if (name := param.get("name") or "") not in known:
+                subject = f"ros2_control, joint {quote(_name(joint))}: <param name={quote(name)}>"
+                report.ignored(subject, f"of a <{tag}> only {' and '.join(known)} are read")
+
+
 def _read_control(joint: Element, report: ParseReport) -> Iterable[CommandInterface]:
+    _report_unread_params(joint, report)
     for command in joint.findall("command_interface"):
         kind = _find_kind(command.get("name") or "")
         if kind is not None:

@@ -103,7 +103,7 @@ class WrittenTags(NamedTuple):
 
 def list_plugin_tags(plugin: Element) -> WrittenTags:
     """List the tags of a plug-in."""
-    bare = [f"@{name}" for name in map(str, plugin.keys()) if name not in PLUGIN_ATTRIBUTES]
+    bare = [f"@{name}" for name in plugin.attrib if name not in PLUGIN_ATTRIBUTES]
     for child in plugin:
         bare += () if child.tag == "ros" else list_bare(child, child.tag)
     return WrittenTags(
@@ -118,7 +118,7 @@ def list_plugin_tags(plugin: Element) -> WrittenTags:
 
 def list_bare(element: Element, path: str) -> Iterator[str]:
     """List the attributes of an element, and all below it."""
-    yield from (f"{path}@{name}" for name in map(str, element.keys()))
+    yield from (f"{path}@{name}" for name in element.attrib)
     for child in element:
         yield f"{path}/{child.tag}"
         yield from list_bare(child, f"{path}/{child.tag}")

@@ -124,7 +124,7 @@ def list_sensor_tags(tag: SensorElement, subject: str, camera: Element | None) -
         if path.partition("/")[0] != PLUGIN_TAG
     ]
     bare = [path for path, text in texts if not text]
-    bare += (f"@{name}" for name in map(str, element.keys()) if name not in SENSOR_ATTRIBUTES)
+    bare += (f"@{name}" for name in element.attrib if name not in SENSOR_ATTRIBUTES)
     for child in element:
         if child.tag != PLUGIN_TAG and child not in left_out:
             bare += _list_attributes(child, child.tag)
@@ -135,7 +135,7 @@ def list_sensor_tags(tag: SensorElement, subject: str, camera: Element | None) -
 
 def _list_attributes(element: Element, path: str) -> Iterator[str]:
     known = KNOWN_ATTRIBUTES.get(str(element.tag), ())
-    for name in map(str, element.keys()):
+    for name in element.attrib:
         if name not in known and (name != "value" or (element.text or "").strip()):
             yield f"{path}@{name}"
     for child in element:

@@ -50,10 +50,10 @@ def find_silent_places(text: str, report: Report, *, is_strict: bool = True) -> 
 
 
 def _plant(root: Element) -> Iterator[tuple[list[Element], str]]:
-    for element in list(root.iter(etree.Element)):
+    for element in list(root.iter("*")):
         planted = etree.SubElement(element, TAG)
         element.set(ATTRIBUTE, "1")
-        yield [element, *element.iterancestors()], etree.tostring(root, encoding="unicode")
+        yield [element, *element.iterancestors()], etree.tostring(root).decode()
         element.remove(planted)
         element.attrib.pop(ATTRIBUTE)
 

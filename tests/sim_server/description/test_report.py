@@ -147,3 +147,30 @@ def test_entries_of_like_models_of_a_world_are_one_entry() -> None:
     assert [one.subject for one in report.entries()] == [
         *("chair_1, chair_2: link 'leg': <erp>", "chair_1: link 'seat'", "chair_2: link 'seat'"),
     ]
+
+
+def test_applied_tags_leave_room_for_those_that_are_not_read() -> None:
+    report = ParseReport()
+    for number in range(MAX_ENTRIES + 1):
+        report.applied(f"tag {number}")
+    report.unread_tag("link", "zebra", ["pose"])
+    report.unread_attribute("link", "zebra", ["name"])
+
+    assert subjects(report.entries(), "unknown") == ["link: <zebra>", "link: attribute zebra"]
+
+
+def test_parts_of_a_link_are_one_entry() -> None:
+    report = ParseReport()
+    for name in ("c0", "c1"):
+        report.applied(f"link 'a', collision '{name}': <mu1>")
+
+    assert [(one.subject, one.reason) for one in report.entries()] == [
+        ("link 'a', collision: <mu1>", "(2 times)")
+    ]
+
+
+def test_unread_attribute_is_suspicious_when_one_is_similar() -> None:
+    report = ParseReport()
+    report.unread_attribute("joint 'j', limit", "velocty", ["velocity"])
+
+    assert subjects(report.entries(), "suspicious") == ["joint 'j', limit: attribute velocty"]

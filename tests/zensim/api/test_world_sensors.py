@@ -1,6 +1,7 @@
 """Sensors of worlds in process: their topics have what sensor processes publish."""
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -141,13 +142,13 @@ def test_sensors_without_a_drive_and_static_topics_reach_callbacks(tmp_path: Pat
     model.write_text(SENSOR_POLE)
     received: dict[str, int] = dict.fromkeys(POLE_TOPICS, 0)
 
-    def count(name: str) -> None:
+    def count(name: str, _: object) -> None:
         received[name] += 1
 
     with World("walls") as world:
         robot = world.spawn(str(model), name="pole")
         for name in POLE_TOPICS:
-            robot.topic(name).on(lambda _, name=name: count(name))
+            robot.topic(name).on(partial(count, name))
         world.run_for(1.0)
 
     assert received == {

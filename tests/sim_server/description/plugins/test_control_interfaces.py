@@ -42,3 +42,11 @@ def test_limit_that_is_no_number_is_reported() -> None:
 
     assert model.command_interfaces[0] == CommandInterface("left", "velocity", None, 4.0)
     assert mentions(model.report, "suspicious", "'left'", "min")
+
+
+def test_parameters_that_are_not_read_are_reported() -> None:
+    extra = '<param name="min">-3</param><param name="acceleration">1</param>'
+    model = read_urdf(a_diff_robot(CONTROL.replace('<param name="min">-3</param>', extra)))
+
+    assert mentions(model.report, "ignored", "'left'", "'acceleration'")
+    assert not mentions(model.report, "ignored", "'left'", "'min'")

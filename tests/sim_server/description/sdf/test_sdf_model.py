@@ -1,5 +1,7 @@
 """SDF models become the same Models as URDF ones."""
 
+import math
+
 import pytest
 
 from tests.sim_server.description.robots import mentions, subjects
@@ -277,3 +279,36 @@ def test_same_text_gives_the_same_model() -> None:
     first: Model = read_sdf_model(PIONEER)
 
     assert first == read_sdf_model(PIONEER)
+
+
+@pytest.mark.parametrize(
+    ("text", "attributes"),
+    [
+        ("0 0 0 0 0 0", 'relative_to="mast"'),
+        ("1 0 2 0 0 90", 'degrees="true"'),
+        ("1 0 2 0 0 1 1", 'rotation_format="quat_xyzw"'),
+    ],
+)
+def test_pose_of_a_sensor_may_have_attributes(text: str, attributes: str) -> None:
+    sensor = f'<sensor name="s" type="imu">{a_pose(text, attributes)}</sensor>'
+    mast = f'<frame name="mast">{a_pose(f"1 0 2 0 0 {math.pi / 2}")}</frame>'
+
+    (imu,) = read(a_link("base", sensor), mast).sensors
+
+    assert imu.origin.position == pytest.approx((1.0, 0.0, 2.0))
+    assert imu.origin.orientation == pytest.approx((0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5)))
+
+
+def test_second_shape_of_a_geometry_is_reported() -> None:
+    sphere = "<sphere><radius>1</radius></sphere>"
+    geometry = f'<collision name="c"><geometry>{sphere * 2}</geometry></collision>'
+
+    report = read(a_link("base", geometry)).report
+
+    assert any("geometry" in one for one in subjects(report, "suspicious"))
+
+
+def test_placement_frame_of_a_spawned_model_is_reported() -> None:
+    text = a_model(a_link("base"), attributes='name="m" placement_frame="base"')
+
+    assert subjects(read_sdf_model(text).report, "ignored") == ["model: attribute placement_frame"]

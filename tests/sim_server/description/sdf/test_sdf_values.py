@@ -48,6 +48,7 @@ def test_pose_has_the_written_frame(attribute: str) -> None:
         ("1 2 3", ""),
         ("1 2 3 4 5 6 7", ""),
         ("0 0 0 0 0 0 0", 'rotation_format="quat_xyzw"'),
+        ("0 0 0 0 0 0", 'rotation_format="quaternion"'),
         ("0 0 inf 0 0 0", ""),
         ("1e10 0 0 0 0 0", ""),
         ("a b c d e f", ""),

@@ -285,6 +285,22 @@ def test_physics_settings_are_read(physics: str, settings: PhysicsSettings) -> N
     assert read_world(a_world(GROUND, f"<physics>{physics}</physics>")).physics == settings
 
 
+def test_light_of_a_world_may_be_placed_at_a_frame() -> None:
+    frame = '<frame name="mast"><pose>1 2 3 0 0 0</pose></frame>'
+    light = '<light name="l" type="point"><pose relative_to="mast">0 0 1 0 0 0</pose></light>'
+
+    world = read_world(a_world(frame, light))
+
+    assert [one.origin.position for one in world.scene.lights] == [(1.0, 2.0, 4.0)]
+
+
+def test_first_of_repeated_settings_of_a_world_is_used() -> None:
+    world = read_world(a_world("<gravity>0 0 -1</gravity><gravity>0 0 -2</gravity>"))
+
+    assert world.gravity == (0.0, 0.0, -1.0)
+    assert "gravity" in subjects(world.report, "suspicious")
+
+
 def test_lights_and_colours_are_read() -> None:
     light = (
         '<light name="lamp" type="point"><pose>0 0 3 0 0 0</pose><diffuse>1 0 0 1</diffuse></light>'
