@@ -307,6 +307,7 @@ class LocalDeployment:
     on_demand: DemandLaunch
     ready_s: float = 0.0
     viewer_url: str = ""
+    recorder: SupervisedProgram | None = None
     restarts: int = 0
     ready_info: Info = field(default_factory=Info)
     ready_at_s: float = 0.0
@@ -520,7 +521,7 @@ def _open_bus(config: LaunchConfig, supervisor: Supervisor) -> Bus:
         except BusError as error:
             if time.monotonic() > deadline:
                 raise LaunchFailed(
-                    f"the server is not ready after {START_TIMEOUT_S:g} s"
+                    f"the server is not ready after {START_TIMEOUT_S:g} s: {error}"
                 ) from error
 
 
@@ -530,7 +531,7 @@ def _wait_until_ready(
     config = deployment.config
     deployment.client.wait_for_server(START_TIMEOUT_S, deployment.supervisor.watch)
     if config.recording:
-        _start_recorder(deployment)
+        deployment.recorder = _start_recorder(deployment)
     outcomes = spawn_fleet(
         deployment.client,
         config.model,
@@ -541,6 +542,7 @@ def _wait_until_ready(
     )
     if refused := [outcome for outcome in outcomes if outcome.code != ResultCode.OK]:
         raise LaunchFailed(f"{refused[0].name}: {refused[0].message}")
+    _wait_for_recording(deployment)
     viewer = _start_viewer(deployment) if config.has_viewer else None
     if config.is_paused:
         _wait_for_agents(deployment)
@@ -590,20 +592,33 @@ def _poll(deployment: LocalDeployment, deadline: float, failure: str) -> None:
     time.sleep(POLL_S)
 
 
-def _start_recorder(deployment: LocalDeployment) -> None:
+def _start_recorder(deployment: LocalDeployment) -> SupervisedProgram:
     config = deployment.config
     domain = "off" if config.ros.domain is None else str(config.ros.domain)
-    deployment.supervisor.start(
+    recorder = deployment.supervisor.start(
         RECORDER,
         (
             *("record", "--all", "--quiet", "--output", config.recording),
             *("--connect", config.address_of(RECORDER), "--world-name", config.world_name),
             *("--ros-domain", domain),
         ),
-        # The world goes on without it, and it would not write over its files.
+        # The world goes on without it, and an error of the disk would come again.
         is_essential=False,
         grace_s=RECORDER_GRACE_S,
     )
+    recorder.is_restarted_if_killed = True
+    recorder.arguments = (*recorder.arguments, "--resume")
+    return recorder
+
+
+def _wait_for_recording(deployment: LocalDeployment) -> None:
+    """Wait until the recorder has its file: one that cannot write ends the start."""
+    recorder, path = deployment.recorder, Path(deployment.config.recording)
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while recorder is not None and not path.exists():
+        if recorder.failures:
+            raise LaunchFailed("the recorder failed; see the line above, or leave out --record")
+        _poll(deployment, deadline, f"the recorder has not made {path}")
 
 
 def _start_viewer(deployment: LocalDeployment) -> SupervisedProgram:
