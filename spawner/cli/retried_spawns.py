@@ -9,6 +9,7 @@ from typing import Final
 
 import msgspec
 
+from zensim.proto.bounded_files import MAX_OWN_FILE_BYTES, read_file
 from zensim.proto.bus import Bus
 from zensim.proto.runtime_folder import make_runtime_folder
 from zensim.proto.whole_files import writing_whole
@@ -57,7 +58,9 @@ def keeping_unanswered_spawns(bus: Bus) -> Iterator[None]:
 
 def _read(file: Path) -> list[UnansweredSpawn]:
     try:
-        found = msgspec.msgpack.decode(file.read_bytes(), type=list[UnansweredSpawn])
+        found = msgspec.msgpack.decode(
+            read_file(file, MAX_OWN_FILE_BYTES), type=list[UnansweredSpawn]
+        )
     except (OSError, msgspec.MsgspecError):
         return []
     return [one for one in found if one.until_s > time.time()]

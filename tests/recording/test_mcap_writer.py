@@ -111,7 +111,6 @@ def measure_reserves(path: Path) -> list[int]:
     ]
 
 
-@pytest.mark.skipif(not DESCRIPTORS.is_dir(), reason="needs /proc")
 def test_reserve_without_a_name_grows_and_is_freed(tmp_path: Path) -> None:
     output = OutputFile(tmp_path / "run")
 
