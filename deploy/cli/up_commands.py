@@ -30,6 +30,7 @@ from zensim.api.local_deployment import (
     choose_pool_count,
     launch,
     make_agent_starts,
+    make_pool_starts,
     make_sensor_starts,
     summarize_run,
     supervise,
@@ -435,6 +436,7 @@ def list_users_of_programs(config: LaunchConfig) -> dict[str, User]:
         users[RECORDER] = User("recorder", "recorder")
     for number, program in enumerate(make_sensor_starts(config), 1):
         users[program] = User("sensors" if number == 1 else f"sensors_{number}", "sensors")
+    users |= {program: User("pool", "pool") for program in make_pool_starts(config)}
     for number, (program, start) in enumerate(make_agent_starts(config).items(), 1):
         robots = start.config.entities
         if robots:
