@@ -25,6 +25,7 @@ class ExitCode(IntEnum):
     UNREACHABLE = 4
     TIMEOUT = 5
     PARTIAL = 6
+    NOT_RECORDED = 7
     INTERRUPTED = 130
 
 
@@ -37,7 +38,9 @@ def list_expected_failures() -> tuple[type[Exception], ...]:
 
 
 def choose_exit_code(error: Exception) -> ExitCode:
-    """Choose the exit status of a failure; a `code` of NOT_FOUND takes precedence."""
+    """Choose the exit status of a failure: its own, NOT_FOUND by its `code`, or by its class."""
+    if isinstance(status := getattr(error, "exit_code", None), ExitCode):
+        return status
     if getattr(error, "code", None) == ResultCode.NOT_FOUND:
         return ExitCode.NOT_FOUND
     for kinds, status in _list_exit_codes():

@@ -55,7 +55,11 @@ class SupervisedProgram:
     """Whether the others cannot do without it."""
     module: str = CLI_MODULE
     process: "subprocess.Popen[bytes] | None" = None
+    is_restarted_if_killed: bool = False
+    """Whether it is restarted, though not `is_restarted`, if a signal has ended it."""
     restarts: int = 0
+    failures: int = 0
+    """Ends with another status than 0."""
     grace_s: float = TERMINATE_TIMEOUT_S
     """Time from SIGTERM to SIGKILL."""
     started_s: float = 0.0
@@ -105,7 +109,9 @@ class Supervisor:
             if (status := program.process.poll()) is None:
                 continue
             close_pipes(program.process)
-            is_last = not program.is_restarted or program.restarts >= MAX_RESTARTS
+            program.failures += status != 0
+            is_again = program.is_restarted or (program.is_restarted_if_killed and status < 0)
+            is_last = not is_again or program.restarts >= MAX_RESTARTS
             if is_last and program.is_essential:
                 raise ProgramDied(f"{program.name} exited with status {status}")
             program.process = None
@@ -118,9 +124,10 @@ class Supervisor:
     def close(self) -> None:
         """End all processes: SIGTERM, then SIGKILL after the grace period."""
         # The server ends last, so that the others still have a network.
-        end_processes(
-            {one.process: one.grace_s for one in reversed(self.programs) if one.process is not None}
-        )
+        last = [one for one in reversed(self.programs) if one.process is not None]
+        end_processes({one.process: one.grace_s for one in last if one.process is not None})
+        for one in last:
+            one.failures += one.process is not None and one.process.returncode != 0
         self.programs.clear()
 
     def _start_process(self, program: SupervisedProgram) -> "subprocess.Popen[bytes]":

@@ -30,6 +30,7 @@ from zensim.api.local_deployment import (
     choose_pool_count,
     launch,
     make_agent_starts,
+    make_pool_starts,
     make_sensor_starts,
     summarize_run,
     supervise,
@@ -49,7 +50,7 @@ from zensim.proto.cli_options import (
 )
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_exposure, with_free_port
-from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.names import check_name
 from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import ROLES, User
@@ -221,7 +222,8 @@ def up(context: typer.Context, given: UpOptions) -> None:
     began_s = time.monotonic()
     if is_exported_for_clients(context, name_variable("up", "connect")):
         given = replace(given, connect="")
-    with exit_on_failure("up", LaunchFailed, ProgramDied, MissingViewerExtra, MissingServerExtra):
+    also = (LaunchFailed, ProgramDied, NotRecorded, MissingViewerExtra, MissingServerExtra)
+    with exit_on_failure("up", *also):
         plan = _make_plan(context, given)
         if plan.config.has_viewer:
             check_page(plan.config.viewer_port)
@@ -434,6 +436,7 @@ def list_users_of_programs(config: LaunchConfig) -> dict[str, User]:
         users[RECORDER] = User("recorder", "recorder")
     for number, program in enumerate(make_sensor_starts(config), 1):
         users[program] = User("sensors" if number == 1 else f"sensors_{number}", "sensors")
+    users |= {program: User("pool", "pool") for program in make_pool_starts(config)}
     for number, (program, start) in enumerate(make_agent_starts(config).items(), 1):
         robots = start.config.entities
         if robots:
@@ -443,6 +446,12 @@ def list_users_of_programs(config: LaunchConfig) -> dict[str, User]:
         else:
             users[program] = User("pool" if number == 1 else f"pool_{number}", "pool")
     return users
+
+
+class NotRecorded(Exception):
+    """The recorder failed: the recording ends early, or has a gap."""
+
+    exit_code = ExitCode.NOT_RECORDED
 
 
 def _launch_and_run(plan: UpPlan, began_s: float, duration: float, *, as_json: bool) -> None:
@@ -458,7 +467,26 @@ def _launch_and_run(plan: UpPlan, began_s: float, duration: float, *, as_json: b
             should_stop = driver.watch(stop)
             deployment.ready_s = time.monotonic() - began_s
         run_on = partial(supervise, deployment, duration, should_stop)
-        _run_until_stopped(deployment, run_on, plan, as_json=as_json)
+        with _server_death_explained(plan.config):
+            _run_until_stopped(deployment, run_on, plan, as_json=as_json)
+    if (recorder := deployment.recorder) is not None and recorder.failures:
+        raise NotRecorded(
+            f"the recording {plan.config.recording} is not whole: the recorder failed "
+            f"{recorder.failures} times; 'zensim bag info' shows what it has"
+        )
+
+
+@contextmanager
+def _server_death_explained(config: LaunchConfig) -> Iterator[None]:
+    """Add to the message of a server that died how to get its world back."""
+    try:
+        yield
+    except ProgramDied as error:
+        if not str(error).startswith("server "):
+            raise
+        again = f"the same command with --journal {config.journal} brings its world back"
+        never = "its world is lost; with --journal FOLDER the same command brings it back"
+        raise ProgramDied(f"{error}; {again if config.journal else never}") from error
 
 
 def _run_until_stopped(

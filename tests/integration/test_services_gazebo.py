@@ -64,6 +64,9 @@ def test_wheel_is_turned_until_it_is_cleared_and_the_world_is_reset() -> None:
         assert turning.rate[0] != 0.0
         assert gazebo.joint_properties("r1::left_wheel_joint").rate == (0.0,)
         assert server.steps() == steps
+        assert gazebo.model_list().model_names == server.client.entities() == ("r1",)
+        gazebo.reset_simulation()
+        assert server.steps() == 0
         assert server.client.entities() == ("r1",)
 
 

@@ -1,5 +1,6 @@
 """Robots that others spawn into `zensim up`: by ROS 2, by a command, by the Python client."""
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -162,6 +163,25 @@ def test_nothing_drives_robots_of_others_if_an_option_says_so() -> None:
 
         assert server.list_pools() == []
     assert server.ready["drives_others"] is False
+
+
+def test_secured_up_drives_robots_of_others_by_a_pool_with_a_token_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    with running(
+        "up", "--secure", "--json", "--listen", free_endpoint(), "--robots", "1", *SMALL
+    ) as process:
+        read_json_line(process)
+        join = ("--join", f"@{tmp_path / 'zensim' / 'default' / 'operator.token'}")
+        done = run_in_process("spawn", "box_bot", "--name", "r1", "-x", "3.0", *join)
+        assert done.returncode == ExitCode.OK, done.stderr
+
+        def find_agent() -> str | None:
+            listed = json.loads(run_in_process("list", "--json", *join).stdout)
+            return next((one["agent"] for one in listed if one["name"] == "r1"), "") or None
+
+        assert eventually(find_agent, SOON_S, "a pool") == "pool"
 
 
 def test_pools_of_all_robots_cannot_leave_those_of_others_alone() -> None:

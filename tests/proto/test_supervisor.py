@@ -146,6 +146,29 @@ def test_program_is_restarted_after_a_delay(
     assert find_pid(program) != first
 
 
+@pytest.mark.parametrize(
+    ("arguments", "number", "is_restarted"),
+    [(WAITING, signal.SIGKILL, True), (MISTYPED, None, False)],
+    ids=["killed", "failed"],
+)
+def test_program_may_be_restarted_only_if_it_was_killed(
+    supervisor: Supervisor,
+    arguments: tuple[str, ...],
+    number: signal.Signals | None,
+    *,
+    is_restarted: bool,
+) -> None:
+    program = supervisor.start("recorder", arguments, is_essential=False)
+    program.is_restarted_if_killed = True
+    if number is not None:
+        os.kill(find_pid(program), number)
+    wait_for_exit(program)
+
+    supervisor.watch()
+
+    assert (program.restarts, program.failures) == (int(is_restarted), 1)
+
+
 def test_steady_program_is_restarted_without_a_delay(supervisor: Supervisor) -> None:
     program = supervisor.start("agent", WAITING, is_restarted=True)
     os.kill(find_pid(program), signal.SIGKILL)

@@ -98,17 +98,30 @@ def test_output_appends_all_bytes_or_none(tmp_path: Path, monkeypatch: pytest.Mo
     assert path.read_bytes() == b"headtail"
 
 
-def test_reserve_grows_and_is_freed(tmp_path: Path) -> None:
+DESCRIPTORS = Path("/proc/self/fd")
+
+
+def measure_reserves(path: Path) -> list[int]:
+    """Measure the reserves of a file: they are open, and have no name."""
+    wanted = f"{find_reserve(path)} (deleted)"
+    return [
+        one.stat().st_size
+        for one in DESCRIPTORS.iterdir()
+        if one.is_symlink() and str(one.readlink()) == wanted
+    ]
+
+
+def test_reserve_without_a_name_grows_and_is_freed(tmp_path: Path) -> None:
     output = OutputFile(tmp_path / "run")
-    reserve = find_reserve(tmp_path / "run")
 
     output.reserve(10)
-    first = reserve.stat().st_size
+    (first,) = measure_reserves(tmp_path / "run")
     output.reserve(first + 1)
 
-    assert reserve.stat().st_size == 2 * first
+    assert measure_reserves(tmp_path / "run") == [2 * first]
+    assert [one.name for one in tmp_path.iterdir()] == ["run"]
     output.close()
-    assert not reserve.exists()
+    assert measure_reserves(tmp_path / "run") == []
 
 
 def test_compressed_log_returns_what_was_appended() -> None:

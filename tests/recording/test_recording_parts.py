@@ -61,6 +61,34 @@ def test_folder_is_a_bag_of_rosbag2(tmp_path: Path) -> None:
     assert read == 28 == parts.written
 
 
+@pytest.mark.parametrize("name", ["run", "run.mcap"])
+def test_recording_that_was_cut_off_is_continued_in_the_next_file(
+    tmp_path: Path, name: str
+) -> None:
+    path = tmp_path / name
+    for is_cut_off in (True, False):
+        parts: RecordingParts[RecordedTopic] = RecordingParts(
+            PartSettings(path=path, continues=True), Metadata("zensim", {"run": "1"})
+        )
+        parts.write(odometry_at(1.0))
+        if is_cut_off:
+            parts.flush_if_due(1.0)
+        else:
+            close(parts)
+
+    first, second = (
+        (path / "run_0.mcap", path / "run_1.mcap")
+        if name == "run"
+        else (
+            path,
+            tmp_path / "run_1.mcap",
+        )
+    )
+    assert [read_info(one).messages for one in (first, second)] == [1, 1]
+    with Reader(first.parent) as reader:
+        assert sum(1 for _ in reader.messages()) == 2
+
+
 def test_each_file_begins_with_the_latched_messages(tmp_path: Path) -> None:
     parts: RecordingParts[RecordedTopic] = RecordingParts(PartSettings(path=tmp_path / "run.mcap"))
     parts.write((TF_STATIC, 0, 0, STATIC))

@@ -25,15 +25,14 @@ from zensim.proto.bus import (
     require_files,
     require_threads,
 )
-from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.codec.message_codec import decode
 from zensim.proto.endpoints import is_endpoint_taken, to_client_endpoint
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.model_messages import Dynamics
-from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
-from zensim.proto.messages.telemetry_messages import Event, GetModelsResponse, Info, WorldClock
-from zensim.proto.network_protocols import Sample
+from zensim.proto.messages.telemetry_messages import EventKind, GetModelsResponse, Info, WorldClock
 from zensim.proto.operation_server import is_exposed
 from zensim.proto.ros2.ros_settings import RosSettings, to_cli_arguments
 from zensim.proto.supervisor import (
@@ -42,13 +41,14 @@ from zensim.proto.supervisor import (
     SupervisedProgram,
     Supervisor,
 )
-from zensim.proto.topic_catalog import CLOCK, EVENTS
+from zensim.proto.topic_catalog import CLOCK
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, RateOverrides
 from zensim.sim_server.pacing.lockstep import LOCKSTEP_TIMEOUT_S, OnMiss
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
 from zensim.sim_server.server_config import CONTROL_HZ
 from zensim.spawner.client.driven_count import DrivenCount
 from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.client.world_follower import WorldFollower
 from zensim.spawner.spawn.spawn_client import spawn_fleet
 from zensim.spawner.spawn.spawn_poses import RobotPlacement
 
@@ -59,10 +59,9 @@ OPERATOR, VIEWER, RECORDER = "operator", "viewer", "recorder"
 """Programs that have addresses of their own: the one that starts the others, the page, and the one
 that records."""
 POLL_S = 0.01
-EVENTS_DEPTH = 256
-NEWS = ("spawned", "loaded", "released")
-"""Kinds of events after which the world may have more sensors, or robots without an agent."""
-DEMAND_CALL_TIMEOUT_S, DEMAND_CALL_PERIOD_S = 1.0, 0.3
+NEWS: AbstractSet[EventKind] = frozenset({"spawned", "loaded", "released"})
+"""Events after which the world may have more sensors, or robots without an agent."""
+DEMAND_CALL_TIMEOUT_S = 1.0
 
 
 SPARE_SESSIONS = 4
@@ -205,40 +204,40 @@ class DemandedPrograms:
 class DemandLaunch:
     """Starts sensor processes and the pool of robots of others when the world has some for them.
 
-    An idle sensor process takes 23 MB (proportional set size), a pool 40 MB, and most worlds need
+    An idle sensor process takes 23 MB (proportional set size), a pool 36 MB, and most worlds need
     neither.
     """
 
     def __init__(self, config: LaunchConfig, supervisor: Supervisor, bus: Bus) -> None:
         self._waiting = list_demanded_programs(config)
         self._supervisor = supervisor
-        # Short calls, since programs that died wait meanwhile.
-        self._client = SimClient(bus, config.world_name, DEMAND_CALL_TIMEOUT_S)
-        self._bus = bus
-        self._events: BusSubscription | None = None
-        """Subscription since the first call, whose reply covers the many events of a start."""
-        self._has_news = True
-        self._next_at_s = float("-inf")
+        self._bus, self._world = bus, config.world_name
+        self._follower: WorldFollower | None = None
+        """Follower since the first call, whose reply covers the many events of a start."""
+        self._now_s = 0.0
 
     def poll(self, now_s: float) -> None:
-        """Start the programs that are due; at most one call of the server in a period.
+        """Start the programs that are due.
 
         Args:
             now_s: Wall time from any origin.
         """
-        if self._events is None:
-            self._events = self._bus.subscribe(EVENTS.key(self._client.world), EVENTS_DEPTH)
-        self._has_news |= any(map(_is_news, self._events.take()))
+        self._now_s = now_s
         self._start([one for one in self._waiting if one.is_wanted is None])
-        if not self._waiting or not self._has_news or now_s < self._next_at_s:
+        if not self._waiting:
             return
-        self._next_at_s = now_s + DEMAND_CALL_PERIOD_S
-        try:
-            models = self._client.models()
-        except (BusError, ServiceError, TimeoutError, MalformedPayload):
-            return
-        self._has_news = False
-        self._start([one for one in self._waiting if one.is_wanted and one.is_wanted(models)])
+        if self._follower is None:
+            self._follower = WorldFollower(
+                self._bus,
+                self._world,
+                kinds=NEWS,
+                # Programs that died wait meanwhile.
+                timeout_s=DEMAND_CALL_TIMEOUT_S,
+                clock=lambda: self._now_s,
+            )
+        self._follower.take()
+        if self._follower.poll() and (models := self._follower.models) is not None:
+            self._start([one for one in self._waiting if one.is_wanted and one.is_wanted(models)])
 
     def _start(self, due: Sequence[DemandedPrograms]) -> None:
         for programs in due:
@@ -274,13 +273,6 @@ def _has_others(own: AbstractSet[str], models: GetModelsResponse) -> bool:
     )
 
 
-def _is_news(sample: Sample) -> bool:
-    try:
-        return decode(Event, sample.payload, sample.encoding).kind in NEWS
-    except MalformedPayload:
-        return False
-
-
 class SimTimeMeter:
     """Sums simulation time across resets.
 
@@ -310,6 +302,7 @@ class LocalDeployment:
     on_demand: DemandLaunch
     ready_s: float = 0.0
     viewer_url: str = ""
+    recorder: SupervisedProgram | None = None
     restarts: int = 0
     ready_info: Info = field(default_factory=Info)
     ready_at_s: float = 0.0
@@ -534,7 +527,7 @@ def _open_bus(config: LaunchConfig, supervisor: Supervisor) -> Bus:
         except BusError as error:
             if time.monotonic() > deadline:
                 raise LaunchFailed(
-                    f"the server is not ready after {START_TIMEOUT_S:g} s"
+                    f"the server is not ready after {START_TIMEOUT_S:g} s: {error}"
                 ) from error
 
 
@@ -544,7 +537,7 @@ def _wait_until_ready(
     config = deployment.config
     deployment.client.wait_for_server(START_TIMEOUT_S, deployment.supervisor.watch)
     if config.recording:
-        _start_recorder(deployment)
+        deployment.recorder = _start_recorder(deployment)
     outcomes = spawn_fleet(
         deployment.client,
         config.model,
@@ -555,6 +548,7 @@ def _wait_until_ready(
     )
     if refused := [outcome for outcome in outcomes if outcome.code != ResultCode.OK]:
         raise LaunchFailed(f"{refused[0].name}: {refused[0].message}")
+    _wait_for_recording(deployment)
     viewer = _start_viewer(deployment) if config.has_viewer else None
     if config.is_paused:
         _wait_for_agents(deployment)
@@ -604,20 +598,33 @@ def _poll(deployment: LocalDeployment, deadline: float, failure: str) -> None:
     time.sleep(POLL_S)
 
 
-def _start_recorder(deployment: LocalDeployment) -> None:
+def _start_recorder(deployment: LocalDeployment) -> SupervisedProgram:
     config = deployment.config
     domain = "off" if config.ros.domain is None else str(config.ros.domain)
-    deployment.supervisor.start(
+    recorder = deployment.supervisor.start(
         RECORDER,
         (
             *("record", "--all", "--quiet", "--output", config.recording),
             *("--connect", config.address_of(RECORDER), "--world-name", config.world_name),
             *("--ros-domain", domain),
         ),
-        # The world goes on without it, and it would not write over its files.
+        # The world goes on without it, and an error of the disk would come again.
         is_essential=False,
         grace_s=RECORDER_GRACE_S,
     )
+    recorder.is_restarted_if_killed = True
+    recorder.arguments = (*recorder.arguments, "--resume")
+    return recorder
+
+
+def _wait_for_recording(deployment: LocalDeployment) -> None:
+    """Wait until the recorder has its file: one that cannot write ends the start."""
+    recorder, path = deployment.recorder, Path(deployment.config.recording)
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while recorder is not None and not path.exists():
+        if recorder.failures:
+            raise LaunchFailed("the recorder failed; see the line above, or leave out --record")
+        _poll(deployment, deadline, f"the recorder has not made {path}")
 
 
 def _start_viewer(deployment: LocalDeployment) -> SupervisedProgram:

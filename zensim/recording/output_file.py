@@ -10,7 +10,7 @@ RESERVE_STEP_BYTES: Final = 1 << 20
 
 
 def find_reserve(path: Path) -> Path:
-    """Find the file whose space is kept for the end of a file; it remains after `kill -9`."""
+    """Find the file whose space is kept for the end of a file; it has a name where it must."""
     return path.with_name(f".{path.name}.reserve")
 
 
@@ -31,6 +31,8 @@ class OutputFile:
         self.position = 0
         self._is_synchronous = is_synchronous
         self._reserve_path = find_reserve(path)
+        self._reserve = -1
+        """Descriptor of the reserve. It has no name: its space is free when this process ends."""
         self._reserve_bytes = 0
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
 
@@ -61,18 +63,19 @@ class OutputFile:
         wanted = -(-count // RESERVE_STEP_BYTES) * RESERVE_STEP_BYTES
         if wanted <= self._reserve_bytes:
             return
-        descriptor = os.open(self._reserve_path, os.O_WRONLY | os.O_CREAT, 0o600)
-        try:
-            _allocate(descriptor, wanted)
-        finally:
-            os.close(descriptor)
+        if self._reserve < 0:
+            self._reserve = os.open(self._reserve_path, os.O_WRONLY | os.O_CREAT, 0o600)
+            with suppress(PermissionError):  # Windows removes no file that is open
+                self._reserve_path.unlink()
+        _allocate(self._reserve, wanted)
         self._reserve_bytes = wanted
 
     def release(self) -> None:
         """Free what is reserved."""
-        with suppress(FileNotFoundError):
-            self._reserve_path.unlink()
-        self._reserve_bytes = 0
+        if self._reserve >= 0:
+            os.close(self._reserve)
+            self._reserve_path.unlink(missing_ok=True)
+        self._reserve, self._reserve_bytes = -1, 0
 
     def close(self) -> None:
         """Free what is reserved, and close the file."""

@@ -28,6 +28,7 @@ from zensim.recording.mcap_records import (
 from zensim.recording.mcap_writer import DEFAULT_CHUNKS, ChunkSettings, McapWriter
 from zensim.recording.output_file import OutputFile, find_reserve
 from zensim.recording.recorded_topics import QOS_METADATA
+from zensim.recording.recovery import recover_file
 from zensim.recording.written_topics import Topic, WrittenTopic
 
 FLUSH_PERIOD_S: Final = 0.5
@@ -64,6 +65,8 @@ class PartSettings(msgspec.Struct, frozen=True, kw_only=True):
     """Names and texts that are kept with the recording, as of rosbag2."""
     is_reproducible: bool = False
     """Whether chunks end by log time instead of wall time."""
+    continues: bool = False
+    """Whether the recording may exist: its files stay, and the next number follows."""
 
 
 class Part:
@@ -198,6 +201,46 @@ def _read_facts(file: Path, number: int) -> dict[str, str] | None:
     return texts if texts.pop(PART, "") == str(number) else None
 
 
+def finish_file(file: Path) -> PartFacts:
+    """Give a file of a recording that was cut off its summary, and describe it.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    try:
+        index = read_index(file)
+        if not index.is_closed:
+            _replace_by_recovered(file)
+            index = read_index(file)
+    except ValueError:  # killed before anything was written
+        return PartFacts(file=file.name, span_ns=(0, 0), topics={}, bytes=file.stat().st_size)
+    names = {
+        number: (
+            one.topic,
+            index.schemas[one.schema].name if one.schema in index.schemas else "",
+            one.metadata.get(QOS_METADATA, ""),
+        )
+        for number, one in index.channels.items()
+    }
+    return PartFacts(
+        file=file.name,
+        span_ns=index.times or (0, 0),
+        topics={name: index.counts.get(number, 0) for number, name in names.items()},
+        bytes=file.stat().st_size,
+    )
+
+
+def _replace_by_recovered(file: Path) -> None:
+    """Replace a file by its whole records; it stays if the disk has no room for both."""
+    recovered = file.with_name(f".{file.name}.recovered")
+    recovered.unlink(missing_ok=True)
+    try:
+        recover_file(file, recovered)
+        recovered.replace(file)
+    except OSError:
+        recovered.unlink(missing_ok=True)
+
+
 def name_part(path: Path, number: int) -> Path:
     """Name a file of a recording, counted from 0."""
     if path.suffix != SUFFIX:
@@ -235,9 +278,10 @@ class RecordingParts(Generic[Topic]):
             facts: Texts with which each file begins, and to which its number is added.
 
         Raises:
-            OSError: It exists, or cannot be created.
+            OSError: It exists and is not continued, or cannot be created.
         """
-        require_new(settings.path)
+        if not settings.continues:
+            require_new(settings.path)
         # A program that records itself may change its directory.
         path = settings.path.absolute()
         self._settings, self._facts = msgspec.structs.replace(settings, path=path), facts
@@ -245,7 +289,8 @@ class RecordingParts(Generic[Topic]):
         self._is_folder = path.suffix != SUFFIX
         self._folder = path if self._is_folder else path.parent
         if self._is_folder:
-            path.mkdir(parents=True)
+            path.mkdir(parents=True, exist_ok=settings.continues)
+        self._before = tuple(list_own_files(path)) if settings.continues else ()
         self._metadata_file = self._find_metadata_file()
         self._number = 0
         self._done: list[PartFacts] = []
@@ -422,6 +467,9 @@ class RecordingParts(Generic[Topic]):
 
     def _write_metadata(self) -> None:
         if self._metadata_file is not None:
+            if self._before:
+                self._done[:0] = map(finish_file, self._before)
+                self._before = ()
             text = write_bag_metadata(self._done, self._settings.custom_data)
             self._metadata_file.write_text(text, encoding="utf-8")
 
@@ -436,7 +484,8 @@ class RecordingParts(Generic[Topic]):
             self._write_metadata()
 
     def _open(self) -> Part:
-        while self._number and name_part(self._settings.path, self._number).exists():
+        skips = self._settings.continues
+        while (self._number or skips) and name_part(self._settings.path, self._number).exists():
             self._number += 1  # of another recording, such as run_1.mcap beside run.mcap
         number, self._number = self._number, self._number + 1
         part = Part(name_part(self._settings.path, number), self._settings)

@@ -175,8 +175,9 @@ class LaunchedWorld:
 
     def poll(self) -> int:
         """Poll after a while; return how many processes have been started."""
-        self.now_s += 1.0
-        self.launch.poll(self.now_s)
+        for _ in range(2):  # more news are awaited for a moment
+            self.now_s += 1.0
+            self.launch.poll(self.now_s)
         return len(self.supervisor.started)
 
     def add(self, settings: SensorSettings, kind: EventKind = "spawned") -> int:

@@ -170,6 +170,14 @@ class RecordOptions(ConnectionOptions, MetricsOptions):
     sync: Annotated[
         bool, flag("--sync", help="Wait until each chunk is on the disk.", **_files)
     ] = False
+    resume: Annotated[
+        bool,
+        flag(
+            "--resume",
+            help="Continue a recording that was cut off: its files stay, the next one follows.",
+            **_files,
+        ),
+    ] = False
     custom_data: Annotated[
         list[str] | None,
         typer.Option(
@@ -362,6 +370,7 @@ def make_session_settings(given: RecordOptions) -> SessionSettings:
             chunks=PRESETS[preset],
             custom_data=tuple(map(parse_pair, given.custom_data or ())),
             is_reproducible=given.reproducible,
+            continues=given.resume,
         ),
         max_cache_bytes=parse_size("--max-cache-size", given.max_cache_size),
         is_snapshot=given.snapshot_mode,
