@@ -20,7 +20,7 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import TOKEN_VARIABLE
 from zensim.proto.ros2.ros_settings import BRIDGED_COMMANDS, RosSettings, parse_ros_settings
 from zensim.proto.topic_catalog import select_ros_topics
-from zensim.proto.verbosity import LOG_FORMAT_VARIABLE, set_verbosity
+from zensim.proto.verbosity import CURRENT, LOG_FORMAT_VARIABLE, set_verbosity
 from zensim.proto.web_access import (
     TOKEN_NAME,
     PageAccess,
@@ -105,6 +105,7 @@ def expand_options(action: Callable[..., None]) -> Callable[..., None]:
         context = given[own_context] if own_context else given.pop(RUNNING_CONTEXT.name)
         name = _name_running_command(context) or action.__name__
         _apply_verbosity(name, given, added)
+        CURRENT.options = options
         with exit_on_failure(name):
             _require_finite(given)
         for name, group in groups.items():
@@ -121,6 +122,7 @@ def expand_options(action: Callable[..., None]) -> Callable[..., None]:
     added = _list_missing_switches([one.name for one in expanded])
     own_context = next((one.name for one in expanded if one.annotation is typer.Context), "")
     expanded += [*added] if own_context else [*added, RUNNING_CONTEXT]
+    options = frozenset(one.name for one in expanded)
     command.__name__ = action.__name__
     command.__doc__ = action.__doc__
     command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]

@@ -73,6 +73,9 @@ CLI_WORDS = {
 """What commands call what messages of services name, as regular expressions; in this order."""
 
 
+SETTING = re.compile(r"`([a-z][a-z0-9_]*)`")
+
+
 def to_cli_words(message: str) -> str:
     """Write the message of a service in the words of commands, without the code before it."""
     text = re.sub(r"^[A-Z_]+ \(\d+\): ", "", message)
@@ -95,7 +98,13 @@ def format_failure(error: Exception) -> str:
             text = f"{error.filename}: there is no folder {folder}"
     else:
         text = str(error)
-    return " ".join(text.split())
+    return " ".join(SETTING.sub(_spell_setting, text).split())
+
+
+def _spell_setting(found: re.Match[str]) -> str:
+    """Write a setting that a message names in backticks as the option of the running command."""
+    name = found[1]
+    return f"--{name.replace('_', '-')}" if name in CURRENT.options else found[0]
 
 
 def print_failure(command: str, error: Exception) -> None:

@@ -27,6 +27,10 @@ class Verbosity:
     """Format of `LOG_FORMATS`; empty = as the variable says."""
 
 
+    options: frozenset[str] = frozenset()
+    """Names of the settings that are options of the command."""
+
+
 CURRENT = Verbosity()
 
 
