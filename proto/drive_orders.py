@@ -23,13 +23,13 @@ def parse_drive_order(text: str) -> DriveOrder:
     if not text:
         return DriveOrder()
     if kind not in DRIVE_KINDS:
-        raise ValueError(f"--drive {text[:80]!r}: use one of {', '.join(DRIVE_KINDS)}")
+        raise ValueError(f"`drive` {text[:80]!r}: use one of {', '.join(DRIVE_KINDS)}")
     words = [word.strip() for word in rest.split(",") if word.strip()]
     lengths = [number for word in words if (number := _parse_length(word)) is not None]
     names = words[: len(words) - len(lengths)]
     if any(_parse_length(name) is not None for name in names) or len(lengths) > len(LENGTHS):
         raise ValueError(
-            f"--drive {text[:80]!r}: write joints first, then at most separation, diameter and "
+            f"`drive` {text[:80]!r}: write joints first, then at most separation, diameter and "
             r"wheelbase \[m]"
         )
     order = DriveOrder(kind, _split_joints(kind, names))  # type: ignore[arg-type]
@@ -49,7 +49,7 @@ def _split_joints(kind: str, names: list[str]) -> tuple[str, ...]:
         return tuple(joint for side in sides for joint in side)
     if len(sides) == 2 and len(sides[0]) == len(sides[1]):  # noqa: PLR2004 - left and right
         return tuple(joint for pair in zip(*sides, strict=True) for joint in pair)
-    raise ValueError("--drive diff: write as many left as right joints, as in diff:l1+l2,r1+r2")
+    raise ValueError("`drive` diff: write as many left as right joints, as in diff:l1+l2,r1+r2")
 
 
 def format_drive_order(order: DriveOrder) -> str:

@@ -65,7 +65,7 @@ def check_exposure(
         ValueError: Both are chosen.
     """
     if is_secure and is_insecure:
-        raise ValueError("--secure and --insecure exclude each other; give one of them")
+        raise ValueError("`secure` and `insecure` exclude each other; give one of them")
     for endpoint in endpoints:
         match = ENDPOINT_PATTERN.fullmatch(check_endpoint(endpoint))
         if match is None or is_loopback(match["host"]) or is_secure or is_insecure:
@@ -73,7 +73,7 @@ def check_exposure(
         secured = f"{command} --secure --listen tls/{match['host']}:{match['port']}"
         raise Exposed(
             f"{endpoint} admits other hosts, and whoever reaches it may do everything; type "
-            f"'{secured}', or add --insecure in a network that you trust"
+            f"'{secured}', or add `insecure` in a network that you trust"
         )
 
 

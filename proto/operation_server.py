@@ -47,7 +47,7 @@ def parse_metrics_address(text: str) -> tuple[str, int]:
     match = ADDRESS_PATTERN.fullmatch(text)
     if match is None or int(match["port"]) > MAX_PORT:
         raise UnusableMetrics(
-            f"--metrics {text[:80]!r} is not valid; use PORT or HOST:PORT, as 9464"
+            f"`metrics` {text[:80]!r} is not valid; use PORT or HOST:PORT, as 9464"
         )
     return (match["host"] or LOOPBACK).strip("[]"), int(match["port"])
 
@@ -202,7 +202,7 @@ def served_status(address: str, status: ProgramStatus) -> Iterator[OperationServ
         server = OperationServer(host, port, status)
     except OSError as error:
         raise UnusableMetrics(
-            f"--metrics {address} cannot be used: {error.strerror}; use another port"
+            f"`metrics` {address} cannot be used: {error.strerror}; use another port"
         ) from error
     try:
         yield server

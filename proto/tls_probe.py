@@ -158,7 +158,7 @@ def _shake_hands(
         raise ProbeFailed(
             "no_tls",
             f"{endpoint} does not speak TLS: no secured server is there; start it with "
-            "'zensim serve --secure', or use --connect tcp/HOST:PORT for an open one",
+            "'zensim serve --secure', or use `connect` tcp/HOST:PORT for an open one",
         ) from error
 
 

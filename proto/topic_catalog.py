@@ -595,7 +595,7 @@ def select_ros_topics(settings: RosSettings, names: str) -> RosSettings:
     for name in chosen:
         if name not in known and name != PARAMETERS:
             raise ValueError(
-                f"--ros-topics: {name[:40]!r} is no topic of a robot; "
+                f"`ros_topics`: {name[:40]!r} is no topic of a robot; "
                 f"use {', '.join(known)} or {PARAMETERS}"
             )
     if TF.name in chosen and TF_STATIC.name not in chosen:

@@ -26,7 +26,6 @@ class Verbosity:
     log_format = ""
     """Format of `LOG_FORMATS`; empty = as the variable says."""
 
-
     options: frozenset[str] = frozenset()
     """Names of the settings that are options of the command."""
 
@@ -44,10 +43,10 @@ def set_verbosity(*, is_quiet: bool, is_verbose: bool, is_json: bool, log_format
     CURRENT.log_format = log_format
     if log_format not in ("", *LOG_FORMATS):
         raise ValueError(
-            f"--log-format must be one of {', '.join(LOG_FORMATS)}; got {log_format[:40]!r}"
+            f"`log_format` must be one of {', '.join(LOG_FORMATS)}; got {log_format[:40]!r}"
         )
     if is_quiet and is_verbose:
-        raise ValueError("--quiet and --verbose exclude each other; give one of them")
+        raise ValueError("`quiet` and `verbose` exclude each other; give one of them")
     CURRENT.is_verbose = is_verbose
 
 

@@ -133,7 +133,7 @@ def check_certificate(certificate: Path | None, key: Path | None) -> bool:
         ValueError: Only one of the files is given.
     """
     if (certificate is None) != (key is None):
-        raise ValueError("--certificate and --key belong together; give both or none")
+        raise ValueError("`certificate` and `key` belong together; give both or none")
     return certificate is not None
 
 
@@ -154,18 +154,18 @@ def check_page_exposure(
         ValueError: Both are chosen.
     """
     if is_secure and is_insecure:
-        raise ValueError("--secure and --insecure exclude each other; give one of them")
+        raise ValueError("`secure` and `insecure` exclude each other; give one of them")
     if is_loopback(host) or is_insecure:
         return
     if not is_secure:
         raise Exposed(
             f"what is served on {host} could be opened from other hosts by everybody; type "
-            f"'{command} --host {host} --secure --certificate FILE --key FILE', or add --insecure "
+            f"'{command} --host {host} --secure --certificate FILE --key FILE', or add `insecure` "
             "in a network that you trust"
         )
     if not has_tls:
         raise Exposed(
-            f"the token could be read on its way to {host}; add --certificate FILE --key FILE, or "
+            f"the token could be read on its way to {host}; add `certificate` and `key`, or "
             "serve on 127.0.0.1"
         )
 
@@ -277,7 +277,7 @@ def open_listener(host: str, port: int) -> socket.socket:
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             raise PortTaken(
-                f"port {port} on {host} is used by another program; stop it or use --port"
+                f"port {port} on {host} is used by another program; stop it or use `port`"
             ) from error
         is_numbered = error.errno is not None and error.errno > 0  # others are of the resolver
         reason = os.strerror(error.errno or 0) if is_numbered else error.strerror

@@ -95,7 +95,7 @@ def _resume_config(config: ServerConfig, contents: JournalContents) -> ServerCon
     if config.world != world.name:
         raise JournalError(
             f"{config.journal} is the journal of world '{world.name}'; "
-            f"use --world-name {world.name}, or another folder"
+            f"use `world_name` {world.name}, or another folder"
         )
     if (
         config.step_hz is not None
@@ -103,7 +103,7 @@ def _resume_config(config: ServerConfig, contents: JournalContents) -> ServerCon
     ):
         raise JournalError(
             f"{config.journal} counts steps of {world.step_hz:g} Hz, not {config.step_hz:g}; "
-            "leave --step-hz out, or use another folder"
+            "leave `step_hz` out, or use another folder"
         )
     return msgspec.structs.replace(
         config,

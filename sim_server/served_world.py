@@ -185,7 +185,7 @@ def _offer_meshes(config: ServerConfig, store: AssetStore, cleanup: ExitStack) -
         server = MeshServer(config.mesh_http, store.folder, has_secret=bool(config.secure_folder))
     except OSError as error:
         raise ConfigError(
-            f"--mesh-http {config.mesh_http} cannot be used: {error.strerror}; use another port, "
+            f"`mesh_http` {config.mesh_http} cannot be used: {error.strerror}; use another port, "
             "or 0 for any free one"
         ) from error
     cleanup.callback(server.close)

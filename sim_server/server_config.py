@@ -114,19 +114,19 @@ def validate_config(config: ServerConfig) -> ServerConfig:
     except ValueError as error:
         raise ConfigError(str(error)) from error
     if config.step_hz is not None and not 1.0 <= config.step_hz <= MAX_STEP_HZ:
-        raise ConfigError(f"--step-hz {config.step_hz:g} is out of range; use 1 to {MAX_STEP_HZ:g}")
+        raise ConfigError(f"`step_hz` {config.step_hz:g} is out of range; use 1 to {MAX_STEP_HZ:g}")
     if not 1.0 <= config.control_hz <= MAX_STEP_HZ:
         raise ConfigError(
-            f"--control-hz {config.control_hz:g} is out of range; use 1 to {MAX_STEP_HZ:g}"
+            f"`control_hz` {config.control_hz:g} is out of range; use 1 to {MAX_STEP_HZ:g}"
         )
     factor = config.real_time_factor
     if factor is not None and not 0.0 <= factor <= MAX_REAL_TIME_FACTOR:
         raise ConfigError(
-            f"--rtf {factor:g} is out of range; "
+            f"`rtf` {factor:g} is out of range; "
             f"use 0 (as fast as possible) or up to {MAX_REAL_TIME_FACTOR:g}"
         )
     if not 0 <= config.seed < 1 << 64:
-        raise ConfigError(f"--seed {config.seed} is out of range; use 0 to 2^64 - 1")
+        raise ConfigError(f"`seed` {config.seed} is out of range; use 0 to 2^64 - 1")
     try:
         choose_proven_engine(config.physics)
     except EngineUnusable as error:
@@ -148,14 +148,14 @@ def to_mesh_endpoint(address: str) -> str:
         if address.rpartition(":")[2].isdecimal():
             return endpoint
     raise ConfigError(
-        f"--mesh-http {address[:80]!r} is not valid; use HOST:PORT, as 127.0.0.1:8090"
+        f"`mesh_http` {address[:80]!r} is not valid; use HOST:PORT, as 127.0.0.1:8090"
     )
 
 
 def _check_lockstep_timeout(timeout_s: float) -> None:
     if not MIN_LOCKSTEP_TIMEOUT_S <= timeout_s <= MAX_LOCKSTEP_TIMEOUT_S:
         raise ConfigError(
-            f"--lockstep-timeout {timeout_s:g} is out of range; use {MIN_LOCKSTEP_TIMEOUT_S:g} to "
+            f"`lockstep_timeout` {timeout_s:g} is out of range; use {MIN_LOCKSTEP_TIMEOUT_S:g} to "
             f"{MAX_LOCKSTEP_TIMEOUT_S:g} seconds"
         )
 

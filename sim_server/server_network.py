@@ -52,7 +52,7 @@ def _open_network(config: ServerConfig, cleanup: ExitStack) -> Bus:
     if not config.secure_folder and _has_server(bus, config.world):
         raise WorldAlreadyServed(
             f"world '{config.world}' already has a server at {bus.endpoint}; "
-            "stop it, or use --world-name with another"
+            "stop it, or use `world_name` with another"
         )
     bus.prepare_reply_threads(request_short_time_slice)
     return bus

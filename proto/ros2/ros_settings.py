@@ -84,7 +84,7 @@ def parse_ros_settings(
     """
     if distribution not in DISTRIBUTIONS:
         raise ValueError(
-            f"--ros-distro {distribution!r} is unknown; use {', '.join(DISTRIBUTIONS)}"
+            f"`ros_distro` {distribution!r} is unknown; use {', '.join(DISTRIBUTIONS)}"
         )
     return RosSettings(
         domain=parse_domain(domain),
@@ -110,4 +110,4 @@ def _parse_tf_scope(text: str) -> TfScope:
     for known in get_args(TfScope):
         if known == text:
             return known  # type: ignore[no-any-return]
-    raise ValueError(f"--tf {text!r} is unknown; use {', '.join(get_args(TfScope))}")
+    raise ValueError(f"`tf` {text!r} is unknown; use {', '.join(get_args(TfScope))}")

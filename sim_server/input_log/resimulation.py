@@ -567,6 +567,6 @@ def check_versions(start: LogStart) -> None:
     if wrong:
         raise ResimRefused(
             f"this host cannot repeat the bits of the recording: {'; '.join(wrong)}; "
-            "use an equal installation, or --report for how far trajectories part",
+            "use an equal installation, or `report` for how far trajectories part",
             slug="resim.other_version",
         )

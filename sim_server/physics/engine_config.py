@@ -62,7 +62,7 @@ def parse_engine_name(name: str) -> EngineName | None:
         if name == known:
             return known  # type: ignore[no-any-return]
     if name:
-        raise ValueError(f"--engine {name!r} is unknown; use {' or '.join(get_args(EngineName))}")
+        raise ValueError(f"`engine` {name!r} is unknown; use {' or '.join(get_args(EngineName))}")
     return None
 
 

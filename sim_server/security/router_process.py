@@ -207,7 +207,7 @@ def secured_router(folder: SecureFolder, command: str) -> Iterator[StartedRouter
     settings = folder.settings
     if is_endpoint_taken(settings.endpoint):
         raise EndpointTaken(
-            f"another process listens at {settings.endpoint}; stop it, or use --listen with "
+            f"another process listens at {settings.endpoint}; stop it, or use `listen` with "
             "another port"
         )
     supervisor = Supervisor(lambda program, status: _log_restart(command, program.name, status))

@@ -191,7 +191,7 @@ class SecureFolder:
             for account in added:
                 if (former := accounts.get(account.user.name)) and former.is_active(time.time()):
                     raise RefusedUser(
-                        f"user '{account.user.name}' exists; choose another --name, or revoke it"
+                        f"user '{account.user.name}' exists; choose another `name`, or revoke it"
                     )
                 if former:
                     self._note_revoked(former)
@@ -398,7 +398,7 @@ class SecureFolder:
             except BlockingIOError as error:
                 raise FolderInUse(
                     f"world '{self.settings.world}' already has a secured server on this host; "
-                    "stop it, or use --world-name with another"
+                    "stop it, or use `world_name` with another"
                 ) from error
             yield
 
@@ -527,7 +527,7 @@ def to_secure_endpoint(endpoint: str) -> str:
     """
     protocol, _, address = check_endpoint(endpoint).partition("/")
     if protocol not in ("tcp", "tls"):
-        raise ValueError(f"--secure needs a TLS endpoint, got {endpoint!r}; use tls/{address}")
+        raise ValueError(f"`secure` needs a TLS endpoint, got {endpoint!r}; use tls/{address}")
     return f"tls/{address}"
 
 

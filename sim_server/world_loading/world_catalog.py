@@ -160,7 +160,7 @@ class WorldCatalog:
             if (folder := resolve_below(root, name)) is not None and folder.is_dir():
                 yield from _search_folder(folder, root)
                 return
-        reason = f"source {source[:120]!r} is not a folder below --model-path"
+        reason = f"source {source[:120]!r} is not a folder below `model_path`"
         yield SearchFailure(reason, is_own=False)
 
     def _from_file(self, name: str, uri: str) -> WorldText:
@@ -168,7 +168,7 @@ class WorldCatalog:
         if file is None:
             raise RequestRefused(
                 ResultCode.NOT_FOUND,
-                f"world {uri[:120]!r} is neither built in nor below --model-path; "
+                f"world {uri[:120]!r} is neither built in nor below `model_path`; "
                 "get_available_worlds lists all worlds",
             )
         if file.suffix not in WORLD_SUFFIXES:

@@ -98,7 +98,7 @@ def _refuse_warnings(name: str, warnings: Sequence[str]) -> None:
         return
     more = len(warnings) - MAX_SHOWN_WARNINGS
     raise ConfigError(
-        f"world '{name}' is refused by --strict: {'; '.join(warnings[:MAX_SHOWN_WARNINGS])}"
+        f"world '{name}' is refused by `strict`: {'; '.join(warnings[:MAX_SHOWN_WARNINGS])}"
         + (f"; and {more} more" if more > 0 else "")
     )
 

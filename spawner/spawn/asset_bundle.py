@@ -208,7 +208,7 @@ def check_collision_meshes(bundle: AssetBundle) -> None:
         SpawnCode.MISSING_ASSETS,
         "mesh.missing",
         f"collision mesh {first.mesh.uri[:160]!r}{more}: {first.reason}, "
-        "or leave out such collisions with --allow-missing",
+        "or leave out such collisions with `allow_missing`",
     )
 
 

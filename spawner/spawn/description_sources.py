@@ -55,7 +55,7 @@ def parse_xacro_arguments(words: Sequence[str]) -> dict[str, str]:
     pairs = [word.partition(":=") for word in words]
     for word, (key, separator, _) in zip(words, pairs, strict=True):
         if not key or not separator:
-            raise ValueError(f"--xacro-arg must be key:=value, got {word[:80]!r}")
+            raise ValueError(f"`xacro_arg` must be key:=value, got {word[:80]!r}")
     return {key: value for key, _, value in pairs}
 
 

@@ -28,5 +28,5 @@ def test_order_is_parsed_and_written_the_same(text: str, order: DriveOrder) -> N
     "text", ["tank:l,r", "diff:l", "diff:a+b,c", "diff:1,l,r", "diff:l,r,1,2,3,4", ":l,r"]
 )
 def test_other_words_are_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="--drive"):
+    with pytest.raises(ValueError, match="`drive`"):
         parse_drive_order(text)

@@ -14,7 +14,7 @@ from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.exit_codes import ExitCode, choose_exit_code, exit_on_failure, format_failure
 from zensim.proto.messages.result_messages import ResultCode, ServiceError, SpawnCode
 from zensim.proto.names import InvalidName
-from zensim.proto.verbosity import set_verbosity
+from zensim.proto.verbosity import CURRENT, set_verbosity
 from zensim.sim_server.errors import EntityNotFound, NameNotUnique
 
 
@@ -175,3 +175,13 @@ def test_command_exits_with_ok_on_a_broken_pipe() -> None:
     _, complaint = process.communicate(timeout=120.0)
 
     assert (process.returncode, complaint) == (ExitCode.OK, b"")
+
+
+def test_setting_of_a_message_is_written_as_an_option_of_the_command(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(CURRENT, "options", frozenset({"step_hz"}))
+
+    text = format_failure(ValueError("`step_hz` 0 is out of range; see `other` and `zensim up`"))
+
+    assert text == "--step-hz 0 is out of range; see `other` and `zensim up`"

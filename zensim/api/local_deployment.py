@@ -327,7 +327,7 @@ def launch(
         # Its world would get the robots before the server of this one fails.
         raise LaunchFailed(
             f"another program listens at {config.endpoint}; end it, with 'zensim down' if it is "
-            "'zensim up', or choose another endpoint, as --listen tcp/127.0.0.1:0"
+            "'zensim up', or choose another endpoint, as `listen` tcp/127.0.0.1:0"
         )
     start_programs(config, supervisor)
     with ExitStack() as stack:
@@ -623,7 +623,7 @@ def _wait_for_recording(deployment: LocalDeployment) -> None:
     deadline = time.monotonic() + START_TIMEOUT_S
     while recorder is not None and not path.exists():
         if recorder.failures:
-            raise LaunchFailed("the recorder failed; see the line above, or leave out --record")
+            raise LaunchFailed("the recorder failed; see the line above, or leave out `record`")
         _poll(deployment, deadline, f"the recorder has not made {path}")
 
 
@@ -651,7 +651,7 @@ def _read_viewer_url(viewer: SupervisedProgram) -> str:
     # The viewer prints one line when it is ready, and closes its output if it fails.
     line = viewer.process.stdout.readline().decode()
     if not line:
-        raise LaunchFailed("the viewer failed; see the line above, or use --no-viewer")
+        raise LaunchFailed("the viewer failed; see the line above, or leave out `viewer`")
     return line.split()[-1]
 
 

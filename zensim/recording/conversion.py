@@ -105,7 +105,7 @@ def merge_topics(
         if (known.ros_type, known.encoding) != (topic.ros_type, topic.encoding):
             raise ValueError(
                 f"topic {topic.name} has types {known.ros_type} and {topic.ros_type}; leave it out "
-                "by --exclude-topics, or convert the recordings one by one"
+                "by `exclude_topics`, or convert the recordings one by one"
             )
         merged[topic] = known
     if not merged:

@@ -528,7 +528,7 @@ class Recorder:
                     clock = decode(WorldClock, sample.payload, sample.encoding)
                     return max(0, ns_from_time(clock.clock)), clock.epoch
         raise TimeoutError(
-            f"no clock on {key} within {CLOCK_TIMEOUT_S:g} s; start a server, or check --world-name"
+            f"no clock on {key} within {CLOCK_TIMEOUT_S:g} s; start a server, or check `world_name`"
         )
 
     def _record_latched(self) -> None:

@@ -255,7 +255,7 @@ def require_new(path: Path) -> None:
         FileExistsError: It does.
     """
     if path.exists():
-        raise FileExistsError(f"{path} exists; give another --output")
+        raise FileExistsError(f"{path} exists; give another `output`")
 
 
 def is_described(path: Path) -> bool:
@@ -510,5 +510,5 @@ class RecordingParts(Generic[Topic]):
         if free < least:
             raise DiskFull(
                 f"{free >> 20} MiB are free at {self._part.output.path.parent}, less than "
-                f"--min-free {least >> 20} MiB"
+                f"`min_free` {least >> 20} MiB"
             )

@@ -51,7 +51,7 @@ def write_tables(
     write = find_writer(table_format)
     folder.mkdir(parents=True, exist_ok=True)
     if any(folder.iterdir()):
-        raise FileExistsError(f"{folder} is not empty; give another --output")
+        raise FileExistsError(f"{folder} is not empty; give another `output`")
     facts = []
     for table, stem in zip(tables, _name_files(tables), strict=True):
         file = folder / f"{stem}.{table_format}"
@@ -77,7 +77,7 @@ def find_writer(table_format: TableFormat) -> Callable[[RecordedTable, Path], No
         import pyarrow.parquet  # noqa: F401, PLC0415  170 MB, in an extra
     except ModuleNotFoundError as error:
         raise MissingDatasetExtra(
-            "pyarrow is not installed; use pip install 'zensim[dataset]', or --to csv"
+            "pyarrow is not installed; use pip install 'zensim[dataset]', or `to` csv"
         ) from error
     return write_parquet
 

@@ -68,7 +68,7 @@ class TopicFilter:
             ValueError: Nothing is selected, or an expression is not valid.
         """
         if not (selection.topics or selection.wants_all or selection.regex or selection.types):
-            raise ValueError("no topics are selected; name some, or use --all or --regex")
+            raise ValueError("no topics are selected; name some, or use `all` or `regex`")
         for one in (*selection.types, *selection.exclude_types):
             if not ROS_TYPE.fullmatch(one):
                 raise ValueError(f"{one[:60]!r} is no type; use one such as nav_msgs/msg/Odometry")

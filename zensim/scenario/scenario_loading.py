@@ -29,7 +29,7 @@ def open_world(scenario: Scenario) -> "World":
     if engine.workers:
         raise ScenarioFailed(
             f"engine.workers is {engine.workers}, and a world in process has none; use 0 or null, "
-            "or zensim test --server"
+            "or 'zensim test --server'"
         )
     file = scenario.find_file("world.load", world.load)
     return World(

@@ -367,7 +367,7 @@ class ScenarioRun(ClosedOnExit):
 
     def _load(self, call: str) -> Callable[..., object]:
         if not self.allows_python:
-            raise ScenarioFailed(f"`{call}` is code of the file; it was started with --no-python")
+            raise ScenarioFailed(f"`{call}` is code of the file; it was started without `python`")
         return load_class(call, Path(self.scenario.file).parent)
 
     def _make_monitors(self) -> list[CheckMonitor]:

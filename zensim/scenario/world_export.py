@@ -69,7 +69,7 @@ def export(sim: Simulation, file: str | Path, *, overwrite: bool = False) -> tup
         raise Invalid(
             f"{', '.join(exist)} exists",
             slug="file_exists",
-            hint="use another name, or overwrite=True (--force)",
+            hint="use another name, or overwrite=True (`force`)",
         )
     found.write(file)
     return written

@@ -402,7 +402,7 @@ def _find_model(sdf: Element, report: ParseReport) -> Element:
         content = ", ".join(f"<{child.tag[:40]}>" for child in list(owner)[:5]) or "nothing"
         raise ModelError(
             f"<{owner.tag}> contains {content}; a robot file contains one <model> and nothing "
-            "else; load a world with zensim serve --world",
+            "else; load a world with 'zensim serve --world FILE'",
             code=SpawnCode.UNSUPPORTED_FORMAT,
             slug="sdf.model",
         )

@@ -289,7 +289,7 @@ def _refuse_missing_meshes(faults: list[str]) -> NoReturn:
     more = f"; and {len(faults) - MAX_QUOTED_NAMES} more" if len(faults) > MAX_QUOTED_NAMES else ""
     raise ModelError(
         f"{len(faults)} collisions lack their mesh: {'; '.join(faults[:MAX_QUOTED_NAMES])}{more}; "
-        "add its folder with --model-path, or allow missing meshes",
+        "add its folder to `model_path`, or allow missing meshes",
         code=SpawnCode.MISSING_ASSETS,
         slug="mesh.missing",
     )

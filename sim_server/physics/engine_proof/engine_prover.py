@@ -59,7 +59,7 @@ def choose_proven_engine(choice: EngineOptions) -> EngineName:
     others = [f"use --engine {other}, " for other in installed if other != name]
     raise EngineFailed(
         f"{EngineFailed.slug}: {line}; {UPGRADES[name]}, {''.join(others)}"
-        "or use --allow-failed-engine"
+        "or use `allow_failed_engine`"
     )
 
 

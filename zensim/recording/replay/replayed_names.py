@@ -119,7 +119,7 @@ def _parse_rule(text: str) -> tuple[str, str]:
     old, separator, new = text.partition(RULE)
     names = [part.strip().strip("/") for part in (old, new)]
     if not separator or not all(names):
-        raise ValueError(f"--remap {text[:60]!r} is not valid; use /old:=/new")
+        raise ValueError(f"`remap` {text[:60]!r} is not valid; use /old:=/new")
     for name in names:
         check_namespace(name)
     return names[0], names[1]

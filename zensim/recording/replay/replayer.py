@@ -78,7 +78,7 @@ def find_end(settings: ReplaySettings, duration_ns: int) -> int:
     if settings.start_ns > end_ns:
         raise ValueError(
             f"the start is at {settings.start_ns / NANOSECONDS:g} s, and the end at "
-            f"{end_ns / NANOSECONDS:g} s; use an earlier --start-offset"
+            f"{end_ns / NANOSECONDS:g} s; use an earlier `start_offset`"
         )
     return end_ns
 
