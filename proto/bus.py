@@ -953,7 +953,7 @@ MAX_HANDSHAKES: Final = 500
 """Handshakes at a time; a client that only opens sockets can use up Zenoh's default of 100."""
 PROBE_TIMEOUT_S: Final = 0.5
 MOVE_TIMEOUT_S, MOVE_POLL_S = 0.2, 0.001
-"""Of a publisher that had subscribers on the session before."""
+"""Patience with subscribers of a moved publisher: how long, and how often it looks [s]."""
 NEVER: Final = 1 << 62
 """A router keeps no key of its own session."""
 JOIN_TIMEOUT_S: Final = 2.0

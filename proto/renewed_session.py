@@ -14,7 +14,7 @@ LOG = logging.getLogger("zensim.bus")
 RENEW_AFTER: Final = 1000
 """Declarations that a session has lost: 2.7 MB of both sides."""
 SETTLE_S: Final = 1.0
-"""From a move to the end of the session before."""
+"""Time from a move to the end of the session before."""
 MAX_RETIRED: Final = 2
 """Sessions that wait for the end of their last declarations; those of the oldest are moved then."""
 
