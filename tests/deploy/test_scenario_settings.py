@@ -73,7 +73,7 @@ def test_every_option_of_up_and_serve_is_a_key() -> None:
     not_of_files |= {"record"}  # the section of this name has more than a path
     # Who is admitted is decided where the program runs, never by a file that somebody sent.
     not_of_files |= {"secure", "client_certificates", "insecure", "mesh_http", "page_role"}
-    not_of_files |= {"metrics"}
+    not_of_files |= {"metrics", "metrics_insecure"}
     # A scenario says who drives its robots; others come from outside of it.
     not_of_files |= {"drive_others"}
     assert options - set(KEYS_OF_OPTIONS) == not_of_files

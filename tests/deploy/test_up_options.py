@@ -27,6 +27,7 @@ CHANGED: dict[str, object] = {
     "insecure": True,
     "mesh_http": "127.0.0.1:0",
     "metrics": "9464",
+    "metrics_insecure": True,
     "wait": 3.0,
     "world_name": "other",
     "engine": "mujoco",
@@ -45,6 +46,8 @@ CHANGED: dict[str, object] = {
     "ros_bridge": True,
     "ros_topics": "odom,tf",
 }
+NEEDED: dict[str, dict[str, object]] = {"metrics_insecure": {"metrics": "0.0.0.0:9464"}}
+"""Options without which another one changes nothing."""
 PRINTED_ONLY = {"as_json", "announce"}
 
 
@@ -54,7 +57,8 @@ def test_option_of_serve_reaches_the_server_of_up(field: "dataclasses.Field[obje
         return
     usual = make_serve_arguments(make_config(UpOptions(robots=0)))
 
-    given = UpOptions(robots=0, **{field.name: CHANGED[field.name]})  # type: ignore[arg-type]
+    changed = {**NEEDED.get(field.name, {}), field.name: CHANGED[field.name]}
+    given = UpOptions(robots=0, **changed)  # type: ignore[arg-type]
 
     assert make_serve_arguments(make_config(given)) != usual
     assert isinstance(get_args(field.type)[1], typer.models.OptionInfo)

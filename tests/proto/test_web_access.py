@@ -118,7 +118,7 @@ def test_page_on_loopback_needs_no_decision(host: str, *, is_secure: bool) -> No
 
 
 def test_decisions_exclude_each_other() -> None:
-    with pytest.raises(ValueError, match="--insecure"):
+    with pytest.raises(ValueError, match="`insecure`"):
         check_page_exposure("zensim view", "::", has_tls=True, is_secure=True, is_insecure=True)
 
 

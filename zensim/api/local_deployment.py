@@ -65,9 +65,9 @@ DEMAND_CALL_TIMEOUT_S = 1.0
 
 
 SPARE_SESSIONS = 4
-"""Of the launching program itself, what drives robots, and commands of a user."""
+"""Sessions of the launching program itself, of what drives robots, and of commands of a user."""
 ROBOTS_PER_POOL = 500
-"""Takes a fifth of a core at 10 Hz odometry and tf."""
+"""A pool of so many takes a fifth of a core at 10 Hz odometry and tf."""
 
 
 class LaunchFailed(Exception):

@@ -1,5 +1,6 @@
 """Copies what is whole of a recording that was never closed or is damaged to a new file."""
 
+from itertools import chain, islice
 from pathlib import Path
 
 import msgspec
@@ -56,13 +57,11 @@ def recover_file(source: Path, target: Path, *, is_any_size: bool = False) -> Re
     """
     report = ScanReport()
     scanned = scan_file(source, report, is_any_size=is_any_size)
-    first = next(scanned, None)  # before the target is created
+    first = [*islice(scanned, 1)]  # before the target is created
     output = OutputFile(target)
     try:
         recovery = _Recovery(McapWriter(output))
-        if first is not None:
-            recovery.add(first)
-        for one in scanned:
+        for one in chain(first, scanned):
             recovery.add(one)
         recovery.finish()
     except BaseException:

@@ -277,7 +277,7 @@ def test_a_folder_is_no_model(tmp_path: Path) -> None:
 def test_an_empty_file_is_refused_by_its_name(tmp_path: Path) -> None:
     (tmp_path / "empty.urdf").touch()
 
-    with pytest.raises(ServiceError, match=r"empty\.urdf is empty"):
+    with pytest.raises(ServiceError, match=r"resource\.empty: .*empty\.urdf"):
         read_model_argument(str(tmp_path / "empty.urdf"), {}, SearchPaths())
 
 
