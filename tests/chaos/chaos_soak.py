@@ -125,7 +125,8 @@ def _soak_kind(kind: SoakKind, cycles: int, *, is_short: bool) -> Iterator[Figur
                 0
             ].pid
         if kind.is_driven:
-            pool = ("agent", "--pool", "0", *ros, "--connect", server.endpoint)
+            # Nobody reads its log: two lines for each robot would fill the pipe after 386.
+            pool = ("agent", "--pool", "0", "--quiet", *ros, "--connect", server.endpoint)
             programs["pool"] = stack.enter_context(running(*pool)).pid
         read = _cycle(server, kind, cycles, programs)
     for program, points in read.items():
