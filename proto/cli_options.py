@@ -18,6 +18,7 @@ from typer.models import ArgumentInfo, OptionInfo
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import TOKEN_VARIABLE
+from zensim.proto.metrics_address import check_metrics_exposure
 from zensim.proto.ros2.ros_settings import BRIDGED_COMMANDS, RosSettings, parse_ros_settings
 from zensim.proto.topic_catalog import select_ros_topics
 from zensim.proto.verbosity import CURRENT, LOG_FORMAT_VARIABLE, set_verbosity
@@ -434,8 +435,6 @@ class MetricsOptions:
             Exposed: Other hosts could read them, and no option permits it.
             UnusableMetrics: The address is not valid.
         """
-        from zensim.proto.operation_server import check_metrics_exposure  # noqa: PLC0415
-
         check_metrics_exposure(
             command, self.metrics, is_insecure=self.metrics_insecure or is_insecure
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 from contextlib import contextmanager
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
@@ -13,8 +12,8 @@ from typing import TYPE_CHECKING, Final
 from urllib.parse import urlsplit
 
 from zensim.proto.bounded_http_server import BoundedHttpRequest, BoundedHttpServer
-from zensim.proto.endpoints import Exposed, is_loopback
 from zensim.proto.metric_families import MetricFamily, MetricSample
+from zensim.proto.metrics_address import UnusableMetrics, parse_metrics_address
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -24,60 +23,11 @@ if TYPE_CHECKING:
 
     from zensim.proto.program_status import HealthCheck, ProgramStatus
 
-ADDRESS_PATTERN: Final = re.compile(r"(?:(?P<host>\[[0-9a-fA-F:.]+\]|[^\s:/]+):)?(?P<port>\d{1,5})")
-LOOPBACK: Final = "127.0.0.1"
-MAX_PORT: Final = 65535
 EXTRA: Final = "prometheus_client"
 TEXT_TYPE: Final = "text/plain; charset=utf-8"
 CONNECTION_S: Final = 5.0
 """Wall time of a connection at most: clients that hold them must not keep probes out for long."""
 LOG = logging.getLogger(__name__)
-
-
-class UnusableMetrics(ValueError):
-    """Metrics cannot be served at the address, or their library is missing."""
-
-
-def parse_metrics_address(text: str) -> tuple[str, int]:
-    """Split `[HOST:]PORT`; without a host it is that of loopback.
-
-    Raises:
-        UnusableMetrics: It is not one.
-    """
-    match = ADDRESS_PATTERN.fullmatch(text)
-    if match is None or int(match["port"]) > MAX_PORT:
-        raise UnusableMetrics(
-            f"`metrics` {text[:80]!r} is not valid; use PORT or HOST:PORT, as 9464"
-        )
-    return (match["host"] or LOOPBACK).strip("[]"), int(match["port"])
-
-
-def is_exposed(address: str) -> bool:
-    """Whether other hosts reach `[HOST:]PORT`; nobody reaches an empty one.
-
-    Raises:
-        UnusableMetrics: It is not valid.
-    """
-    return bool(address) and not is_loopback(parse_metrics_address(address)[0])
-
-
-def check_metrics_exposure(command: str, address: str, *, is_insecure: bool) -> None:
-    """Refuse to serve other hosts unless the user says so: there is neither TLS nor a token.
-
-    Args:
-        command: To type, with its verb.
-        address: `[HOST:]PORT`; empty = nothing is served.
-        is_insecure: Whether the user accepts that everybody reads health and metrics.
-
-    Raises:
-        Exposed: The address is not on loopback, and the user has not said so.
-        UnusableMetrics: It is not valid.
-    """
-    if is_exposed(address) and not is_insecure:
-        raise Exposed(
-            f"everybody who reaches {address} could read health and metrics; type '{command} "
-            f"--metrics {address} --metrics-insecure' in a network that you trust"
-        )
 
 
 class FamilyCollector:

@@ -72,8 +72,9 @@ def is_own_origin(
     """Whether a request comes from a page of this server, or of an admitted origin.
 
     A page of another site sends the Origin of that site. With DNS rebinding, both headers have
-    the name of the other site, so the name must be one of this host, too. Programs other than
-    browsers send no Origin.
+    the name of the other site, so the name must be one of this host, too, or have no dot, as
+    those of services in a network of containers: no site of the internet has such a name.
+    Programs other than browsers send no Origin.
 
     Args:
         hosts: Host headers; exactly one is valid.
@@ -86,7 +87,8 @@ def is_own_origin(
     name = split_url(f"//{hosts[0]}").hostname or ""
     own_name = socket.gethostname().lower()
     is_own = name in {"localhost", bound_to.lower(), own_name, f"{own_name}.local"}
-    if not is_own and not _is_address(name):
+    is_of_network = bool(name) and "." not in name
+    if not (is_own or is_of_network or _is_address(name)):
         return False
     return all(
         origin in admitted or split_url(origin).netloc.lower() == hosts[0].lower()

@@ -255,7 +255,7 @@ def test_version_is_that_of_the_package() -> None:
     assert (done.exit_code, done.stdout) == (ExitCode.OK, f"zensim {version('zensim')}\n")
 
 
-@pytest.mark.parametrize("verb", ["state", "info", "world"])
+@pytest.mark.parametrize("verb", ["topic", "world"])
 def test_group_prints_help_without_a_command(verb: str) -> None:
     done = zensim(verb)
 
@@ -326,7 +326,6 @@ def test_up_prints_the_error_of_its_server() -> None:
     [
         ("zensim p", 1, "pause\nplay\n"),
         ("zensim spawn --str", 2, "--strict\n"),
-        ("zensim state ", 2, "get\nset\n"),
         ("zensim world load --al", 3, "--allow-missing\n"),
     ],
 )

@@ -94,7 +94,7 @@ def test_wheels_without_a_drive_are_told_the_option(attempt: Try) -> None:
     verdict, reason = judge(attempt(undriven), 0.05)
 
     assert verdict == "no drive"
-    assert "`drive` diff:" in reason
+    assert "--drive diff:" in reason
 
 
 def test_an_ordered_drive_is_used(attempt: Try) -> None:

@@ -11,13 +11,10 @@ from prometheus_client.parser import text_string_to_metric_families
 from tests.integration.processes import eventually
 from zensim.proto.bounded_http_server import IDLE_S, MAX_CONNECTIONS
 from zensim.proto.bus_traffic import BusTraffic
-from zensim.proto.endpoints import Exposed
 from zensim.proto.metric_families import DurationHistogram, MetricFamily, make_counter
+from zensim.proto.metrics_address import UnusableMetrics
 from zensim.proto.operation_server import (
     OperationServer,
-    UnusableMetrics,
-    check_metrics_exposure,
-    parse_metrics_address,
     served_status,
 )
 from zensim.proto.program_status import ProgramStatus
@@ -47,25 +44,6 @@ def get(server: OperationServer, path: str) -> tuple[int, str]:
     found = response.status, response.read().decode()
     connection.close()
     return found
-
-
-@pytest.mark.parametrize(
-    ("text", "address"),
-    [
-        ("9464", ("127.0.0.1", 9464)),
-        ("0.0.0.0:9464", ("0.0.0.0", 9464)),
-        ("[::1]:0", ("::1", 0)),
-        ("pods.example:80", ("pods.example", 80)),
-    ],
-)
-def test_address_has_an_optional_host(text: str, address: tuple[str, int]) -> None:
-    assert parse_metrics_address(text) == address
-
-
-@pytest.mark.parametrize("text", ["", "host", "host:", ":", "70000", "::1:80", "1.2.3.4:x", "-1"])
-def test_what_is_no_address_is_refused(text: str) -> None:
-    with pytest.raises(UnusableMetrics):
-        parse_metrics_address(text)
 
 
 def test_nothing_is_served_without_an_address(status: ProgramStatus) -> None:
@@ -183,15 +161,3 @@ def test_page_of_another_site_reads_nothing(
 
     assert connection.getresponse().status == 403
     connection.close()
-
-
-@pytest.mark.parametrize("address", ["", "9464", "127.0.0.1:9464", "[::1]:0", "localhost:80"])
-def test_metrics_on_loopback_need_no_decision(address: str) -> None:
-    check_metrics_exposure("zensim serve", address, is_insecure=False)
-
-
-@pytest.mark.parametrize("address", ["0.0.0.0:9464", "[::]:9464", "10.0.0.5:0", "pods.example:80"])
-def test_metrics_for_other_hosts_need_a_decision(address: str) -> None:
-    with pytest.raises(Exposed):
-        check_metrics_exposure("zensim serve", address, is_insecure=False)
-    check_metrics_exposure("zensim serve", address, is_insecure=True)

@@ -35,6 +35,7 @@ OWN = socket.gethostname().lower()
         ("sim.lab:8080", "http://sim.lab:8080"),
         ("SIM.lab:8080", "http://sim.LAB:8080"),
         ("127.0.0.1:8080", ""),
+        ("server:9464", ""),
     ],
 )
 def test_request_of_the_own_page_is_accepted(host: str, origin: str) -> None:

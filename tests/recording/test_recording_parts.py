@@ -194,7 +194,7 @@ def test_recording_ends_before_the_disk_is_full(tmp_path: Path) -> None:
     )
     parts.write(odometry_at(0.0))
 
-    with pytest.raises(DiskFull, match="--min-free"):
+    with pytest.raises(DiskFull, match="`min_free`"):
         parts.flush_if_due(10.0)
     close(parts)
 

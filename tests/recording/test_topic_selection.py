@@ -65,7 +65,7 @@ def test_types_alone_subscribe_to_topics_of_these_types_only() -> None:
 @pytest.mark.parametrize(
     ("selection", "said"),
     [
-        (TopicSelection(), "--all"),
+        (TopicSelection(), "`all`"),
         (TopicSelection(regex="("), "--regex"),
         (TopicSelection(types=("Odometry",)), "Odometry"),
         (TopicSelection(topics=("a",), exclude_types=("nav_msgs/Odometry",)), "nav_msgs"),

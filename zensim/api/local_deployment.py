@@ -33,7 +33,7 @@ from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
 from zensim.proto.messages.telemetry_messages import EventKind, GetModelsResponse, Info, WorldClock
-from zensim.proto.operation_server import is_exposed
+from zensim.proto.metrics_address import is_exposed
 from zensim.proto.ros2.ros_settings import RosSettings, to_cli_arguments
 from zensim.proto.supervisor import (
     PREPARED_START_MODULE,

@@ -26,8 +26,8 @@ def test_settings_are_written_as_options() -> None:
         ("", "jazzy", "both", "''"),
         ("-1", "jazzy", "both", "'-1'"),
         ("233", "jazzy", "both", "233"),
-        ("0", "hydro", "both", "--ros-distro 'hydro'"),
-        ("0", "jazzy", "none", "--tf 'none'"),
+        ("0", "hydro", "both", "`ros_distro` 'hydro'"),
+        ("0", "jazzy", "none", "`tf` 'none'"),
     ],
 )
 def test_settings_refuse_unknown_values(

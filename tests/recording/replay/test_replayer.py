@@ -132,7 +132,7 @@ def test_duration_ends_the_replay(make_trial: MakeTrial) -> None:
 
 
 def test_start_after_the_end_is_refused(make_trial: MakeTrial) -> None:
-    with pytest.raises(ValueError, match="--start-offset"):
+    with pytest.raises(ValueError, match="`start_offset`"):
         make_trial(start_ns=20 * SECOND)
 
 

@@ -60,7 +60,7 @@ def get(server: MeshServer, path: str, method: str = "GET") -> int:
     """Send a path as it is, and return the status."""
     host, port = str(server.server_address[0]), int(server.server_address[1])
     with closing(http.client.HTTPConnection(host, port, timeout=5.0)) as client:
-        client.putrequest(method, path, skip_host=True)
+        client.putrequest(method, path)
         client.endheaders()
         return client.getresponse().status
 
