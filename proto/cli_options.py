@@ -5,7 +5,7 @@ import inspect
 import math
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -123,13 +123,21 @@ def expand_options(action: Callable[..., None]) -> Callable[..., None]:
     added = _list_missing_switches([one.name for one in expanded])
     own_context = next((one.name for one in expanded if one.annotation is typer.Context), "")
     expanded += [*added] if own_context else [*added, RUNNING_CONTEXT]
-    options = frozenset(one.name for one in expanded)
+    options = frozenset(name for one in expanded for name in _name_settings(one))
     command.__name__ = action.__name__
     command.__doc__ = action.__doc__
     command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in expanded]
     )
     return command
+
+
+def _name_settings(parameter: inspect.Parameter) -> Iterator[str]:
+    """Name the settings of an option, as messages write them: `min_free` of `--min-free`."""
+    yield parameter.name
+    for one in getattr(parameter.annotation, "__metadata__", ()):
+        for spelling in getattr(one, "param_decls", None) or ():
+            yield spelling.lstrip("-").replace("-", "_")
 
 
 def _name_running_command(context: Any) -> str:  # noqa: ANN401

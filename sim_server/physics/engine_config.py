@@ -106,7 +106,7 @@ def choose_engine(choice: EngineOptions, installed: Sequence[EngineName]) -> Eng
     if found is not None and found in installed:
         return found
     missing = choice.engine or ("pybullet" if has_wheel("pybullet") else "mujoco")
-    others = [f"use --engine {name}, which is installed" for name in installed]
+    others = [f"use `engine` {name}, which is installed" for name in installed]
     raise EngineMissing(
         f"{EngineMissing.slug}: {missing} is not installed; "
         f"{', or '.join([*others, explain_missing(missing)])}"

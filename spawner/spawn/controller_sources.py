@@ -47,8 +47,8 @@ def read_controller_files(files: Sequence[Path]) -> ControllerTexts:
     """Read the files that a user gives.
 
     Raises:
-        OSError: A file cannot be read.
-        ValueError: A file is too large, or not text.
+        OSError: A file cannot be read, or is too large.
+        ValueError: A file is not text.
     """
     return ControllerTexts(tuple(_read_text(file) for file in files))
 

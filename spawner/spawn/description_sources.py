@@ -147,7 +147,7 @@ def read_model_argument(
     """
     if Path(model).is_file():
         return read_description_file(Path(model), arguments, paths)
-    if Path(model).is_dir():
+    if model and Path(model).is_dir():
         raise IsADirectoryError(21, "is a folder; give a file of it", model)
     if not NAME_PATTERN.fullmatch(model):
         raise FileNotFoundError(2, "no such file or built-in model", model)

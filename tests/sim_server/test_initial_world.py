@@ -47,8 +47,8 @@ def test_server_loads_its_world_when_the_journal_is_new(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "response_"),
     [
-        ({"world": "other"}, "lab is the journal of world 'default'; use --world-name default"),
-        ({"step_hz": 100.0}, "lab counts steps of 240 Hz, not 100; leave --step-hz out"),
+        ({"world": "other"}, "lab is the journal of world 'default'; use `world_name` default"),
+        ({"step_hz": 100.0}, "lab counts steps of 240 Hz, not 100; leave `step_hz` out"),
     ],
 )
 def test_server_refuses_the_journal_of_another_world(

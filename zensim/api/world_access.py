@@ -11,6 +11,7 @@ import msgspec
 from zensim.api.api_errors import Error as ApiError
 from zensim.api.api_errors import Invalid, NotFound, Timeout, to_api_error
 from zensim.api.world_state import WorldState
+from zensim.proto.bounded_files import FileTooLarge, NotRegularFile
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.service_catalog import Request, Response, Service
@@ -160,6 +161,10 @@ def api_errors() -> Iterator[None]:
         raise Timeout(str(error)) from error
     except FileNotFoundError as error:
         raise NotFound(f"{error.strerror or error}: {error.filename}") from error
+    except (IsADirectoryError, PermissionError, FileTooLarge, NotRegularFile) as error:
+        fault, _, hint = str(error.strerror).partition("; ")
+        slug = getattr(error, "slug", "")
+        raise Invalid(f"{error.filename}: {fault}", slug=slug, hint=hint) from error
     except ValueError as error:
         message, _, hint = str(error).partition("; ")
         raise Invalid(message, hint=hint) from error

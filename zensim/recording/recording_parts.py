@@ -510,5 +510,5 @@ class RecordingParts(Generic[Topic]):
         if free < least:
             raise DiskFull(
                 f"{free >> 20} MiB are free at {self._part.output.path.parent}, less than "
-                f"`min_free` {least >> 20} MiB"
+                f"{least >> 20} MiB (`min_free`)"
             )

@@ -249,9 +249,11 @@ def read_world(
     rename_repeated(world, report)
     check_element(world, WORLD, "world", report)
     _add_frames(world, draft)
+    read: set[str] = set()
     for child in world:
-        if child.tag in WORLD.many or child is world.find(child.tag):
+        if child.tag in WORLD.many or child.tag not in read:
             _read_element(child, draft)
+        read.add(child.tag)
     if draft.policy.missing and not allow_missing:
         _refuse_missing_meshes(draft.policy.missing)
     if not draft.world.ground_plane and not any(map(_is_support, draft.models)):

@@ -56,7 +56,7 @@ def choose_proven_engine(choice: EngineOptions) -> EngineName:
     if choice.allow_failed_engine:
         LOG.warning("%s; it is used all the same", line)
         return name
-    others = [f"use --engine {other}, " for other in installed if other != name]
+    others = [f"use `engine` {other}, " for other in installed if other != name]
     raise EngineFailed(
         f"{EngineFailed.slug}: {line}; {UPGRADES[name]}, {''.join(others)}"
         "or use `allow_failed_engine`"

@@ -78,7 +78,7 @@ def test_error_names_the_extra_when_no_engine_is_installed() -> None:
 
 
 def test_error_names_slug_and_the_extra_when_the_chosen_engine_is_not_installed() -> None:
-    with pytest.raises(EngineMissing, match=r"^engine\.missing: .*--engine mujoco.*\[server\]"):
+    with pytest.raises(EngineMissing, match=r"^engine\.missing: .*`engine` mujoco.*\[server\]"):
         choose_engine(EngineOptions(engine="pybullet"), ["mujoco"])
 
 
@@ -87,5 +87,5 @@ def test_error_names_no_command_where_pybullet_has_no_wheel(
 ) -> None:
     monkeypatch.setattr("platform.machine", lambda: "riscv64")
 
-    with pytest.raises(EngineMissing, match=r"--engine mujoco.*riscv64$"):
+    with pytest.raises(EngineMissing, match=r"`engine` mujoco.*riscv64$"):
         choose_engine(EngineOptions(engine="pybullet"), ["mujoco"])

@@ -145,7 +145,7 @@ def test_strict_server_refuses_a_world_with_warnings(tmp_path: Path) -> None:
     file = a_file(tmp_path, "<actor name='a'/>")
 
     assert load_world_file(file).model.models == ()
-    with pytest.raises(ConfigError, match="--strict"):
+    with pytest.raises(ConfigError, match="`strict`"):
         load_world_file(file, is_strict=True)
 
 
@@ -279,7 +279,7 @@ def test_world_loaded_in_a_child_process_is_the_same(tmp_path: Path) -> None:
 def test_world_is_refused_in_a_child_process_for_the_same_reason(tmp_path: Path) -> None:
     file = a_file(tmp_path, "<actor name='a'/>")
 
-    with pytest.raises(ConfigError, match="--strict"):
+    with pytest.raises(ConfigError, match="`strict`"):
         load_world_in_process(WorldLoaderRequest(file, is_strict=True))
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.spawner.packages import make_package
+from zensim.proto.bounded_files import FileTooLarge
 from zensim.spawner.spawn.controller_sources import (
     MAX_CONTROLLERS_BYTES,
     ControllerTexts,
@@ -163,7 +164,7 @@ def test_given_file_that_is_missing_or_too_large_is_refused(tmp_path: Path) -> N
 
     with pytest.raises(FileNotFoundError):
         read_controller_files([tmp_path / "none.yaml"])
-    with pytest.raises(ValueError, match="limit"):
+    with pytest.raises(FileTooLarge):
         read_controller_files([large])
 
 

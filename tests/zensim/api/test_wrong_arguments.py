@@ -2,12 +2,16 @@
 
 import inspect
 import math
+import os
+import re
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import FunctionType
 
 import pytest
 
 import zensim
+from zensim.spawner.spawn.description_xml import MAX_TEXT_BYTES
 
 WRONG: tuple[object, ...] = (
     None,
@@ -108,3 +112,17 @@ def find_refusal(method: Callable[..., object], arguments: dict[str, object]) ->
     except (zensim.Error, TypeError) as error:
         return str(error)
     return ""
+
+
+def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "large.urdf").write_bytes(b" " * (MAX_TEXT_BYTES + 1))
+    os.mkfifo(tmp_path / "pipe.yaml")
+
+    with zensim.World() as world:
+        for arguments in (
+            {"model": tmp_path},
+            {"model": tmp_path / "large.urdf"},
+            {"model": "box_bot", "controllers": [tmp_path / "pipe.yaml"]},
+        ):
+            with pytest.raises(zensim.Error, match=re.escape(str(tmp_path))):
+                world.spawn(**arguments)  # type: ignore[arg-type]

@@ -133,6 +133,12 @@ def test_unsupported_element_is_left_out(tag: str) -> None:
     assert entry == f"world: <{tag}> 'x'"
 
 
+def test_tag_with_a_prefix_without_a_namespace_is_reported() -> None:
+    world = read_world(a_world(GROUND, "<own:tags>a</own:tags>"))
+
+    assert mentions(world.report, "unknown", "<own:tags>")
+
+
 @pytest.mark.parametrize(
     "text",
     [

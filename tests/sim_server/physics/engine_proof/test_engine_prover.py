@@ -89,7 +89,7 @@ def test_engine_that_fails_is_refused_with_version_case_and_ways_out(
     line = str(caught.value)
     assert line.startswith("engine.failed: ")
     assert len(line.splitlines()) == 1
-    for word in (version, "block that slides", "zensim[server]", "--allow-failed-engine"):
+    for word in (version, "block that slides", "zensim[server]", "`allow_failed_engine`"):
         assert word in line
 
 
