@@ -208,8 +208,12 @@ def make_page_url(
     """
     name = ANY_ADDRESS.get(host, host)
     place = f"{f'[{name}]' if ':' in name else name}:{port}"
-    query = f"/?{TOKEN_NAME}={token}" if token else ""
-    return f"{protocol}{'s' if has_tls else ''}://{place}{query}"
+    return add_token(f"{protocol}{'s' if has_tls else ''}://{place}", token)
+
+
+def add_token(url: str, token: str) -> str:
+    """Add a token to an address without one; empty = none is needed."""
+    return f"{url.rstrip('/')}/?{TOKEN_NAME}={token}" if token else url
 
 
 def split_token(url: str) -> tuple[str, str]:

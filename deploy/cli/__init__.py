@@ -356,8 +356,10 @@ def _run_with_options(
     group: type[Options], run: Callable[[Options], None], words: Sequence[str]
 ) -> bool:
     from zensim.proto.cli_options import parse_plain_options
+    from zensim.proto.verbosity import CURRENT
 
     given = parse_plain_options(group, words, os.environ)
     if given is not None:
+        CURRENT.options = frozenset(vars(given))
         run(given)
     return given is not None

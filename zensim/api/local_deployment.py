@@ -42,6 +42,7 @@ from zensim.proto.supervisor import (
     Supervisor,
 )
 from zensim.proto.topic_catalog import CLOCK
+from zensim.proto.web_access import add_token, read_page_token
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, RateOverrides
 from zensim.sim_server.pacing.lockstep import LOCKSTEP_TIMEOUT_S, OnMiss
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
@@ -556,7 +557,7 @@ def _wait_until_ready(
         _wait_until_driven(deployment, progress)
     deployment.ready_s = time.monotonic() - began_s
     if viewer is not None:
-        deployment.viewer_url = _read_viewer_url(viewer)
+        deployment.viewer_url = _read_viewer_url(viewer, config.page_token)
         # A restarted page has the same address.
         port = urlsplit(deployment.viewer_url).port or 0
         viewer.arguments = _make_viewer_arguments(config, port)
@@ -645,14 +646,20 @@ def _make_viewer_arguments(config: LaunchConfig, port: int) -> tuple[str, ...]:
     )
 
 
-def _read_viewer_url(viewer: SupervisedProgram) -> str:
+def _read_viewer_url(viewer: SupervisedProgram, page_token: str) -> str:
+    """Read the address that the page prints, and add its token, which it prints on terminals only.
+
+    Args:
+        viewer: Program of the page.
+        page_token: File of the token; empty = the page needs none.
+    """
     if viewer.process is None or viewer.process.stdout is None:
         raise LaunchFailed("the viewer has no output")
     # The viewer prints one line when it is ready, and closes its output if it fails.
     line = viewer.process.stdout.readline().decode()
     if not line:
         raise LaunchFailed("the viewer failed; see the line above, or leave out `viewer`")
-    return line.split()[-1]
+    return add_token(line.split()[-1], read_page_token(Path(page_token)) if page_token else "")
 
 
 def supervise(
