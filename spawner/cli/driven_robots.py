@@ -9,6 +9,7 @@ from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse
 from zensim.proto.near_names import name_choices
 from zensim.proto.topic_catalog import CMD_VEL
+from zensim.proto.topic_discovery import list_topics
 from zensim.proto.verbosity import print_note
 from zensim.spawner.client.sim_client import SimClient
 
@@ -71,8 +72,9 @@ def list_robots(models: GetModelsResponse) -> list[EntityModel]:
 def await_driver(client: SimClient, publisher: BusPublisher, robot: str) -> None:
     """Wait until commands of a robot have an effect.
 
-    A subscription with wildcards, as of a recorder, covers robots that nothing drives, so the
-    server is asked, too. Subscribers of a robot that it does not know get a note.
+    A subscription with wildcards, as of a recorder or a pool, covers robots that nothing drives,
+    so the server is asked, too. A robot that it does not know is driven, with a note, if a node
+    announces to subscribe to its commands, or if the world has no robots.
 
     Raises:
         NoSubscriber: They have none within `SUBSCRIBER_TIMEOUT_S`.
@@ -81,12 +83,20 @@ def await_driver(client: SimClient, publisher: BusPublisher, robot: str) -> None
     began_s = time.monotonic()
     while (problem := _ask(client, robot, is_matched=publisher.is_matched)) is not None:
         is_absent = isinstance(problem, NoSuchRobot)
-        if publisher.is_matched and is_absent:
+        if publisher.is_matched and is_absent and _is_elsewhere(client, robot):
             print_note("drive", str(problem))
             return
         if time.monotonic() - began_s > (ABSENCE_TIMEOUT_S if is_absent else SUBSCRIBER_TIMEOUT_S):
             raise problem
         time.sleep(ASK_S)
+
+
+def _is_elsewhere(client: SimClient, robot: str) -> bool:
+    """Whether a robot that the world lacks may be another program's."""
+    key = CMD_VEL.key(robot)
+    topics = list_topics(client.bus, client.world, None)
+    is_announced = any(one.key == key and one.subscriptions for one in topics)
+    return is_announced or not list_robots(client.models())
 
 
 def _ask(client: SimClient, robot: str, *, is_matched: bool) -> BusError | None:
