@@ -29,6 +29,7 @@ from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.agent import (
     FREEZE_AFTER_S,
     HOUSEKEEPING_PERIOD_S,
+    LEAST_GONE,
     MAX_WINDOW_S,
     MIN_WINDOW_S,
     NICENESS,
@@ -70,6 +71,7 @@ class FakeCollector:
         self.objects = CollectedObjects(
             self._freeze,
             self._unfreeze,
+            lambda: self.happened.append("collect"),
             lambda: self.happened.append("pause"),
             lambda: self.happened.append("resume"),
         )
@@ -119,6 +121,16 @@ def test_objects_are_collected_again_when_as_many_robots_have_gone_as_are_left()
     collector.objects.poll(2.0 + FREEZE_AFTER_S)
 
     assert (before, collector.unfrozen, collector.frozen) == (0, 1, 1)
+
+
+def test_what_robots_leave_is_collected_before_others_freeze_it() -> None:
+    collector = FakeCollector()
+
+    for number in range(2 * LEAST_GONE):
+        collector.add_robots(0.1 * number)
+        collector.objects.note_gone_robots(1, 0, 0.1 * number)
+
+    assert collector.happened.count("collect") == 2
 
 
 def run(
