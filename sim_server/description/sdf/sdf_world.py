@@ -249,16 +249,22 @@ def read_world(
     rename_repeated(world, report)
     check_element(world, WORLD, "world", report)
     _add_frames(world, draft)
-    read: set[str] = set()
-    for child in world:
-        if child.tag in WORLD.many or child.tag not in read:
-            _read_element(child, draft)
-        read.add(child.tag)
+    for child in _list_read(world):
+        _read_element(child, draft)
     if draft.policy.missing and not allow_missing:
         _refuse_missing_meshes(draft.policy.missing)
     if not draft.world.ground_plane and not any(map(_is_support, draft.models)):
         report.suspicious("world", "no ground_plane; robots will fall")
     return msgspec.structs.replace(draft.world, models=tuple(draft.models), report=report.entries())
+
+
+def _list_read(world: Element) -> Iterator[Element]:
+    """List the elements that are read: all of a tag that may repeat, else the first."""
+    seen: set[str] = set()
+    for child in world:
+        if child.tag in WORLD.many or child.tag not in seen:
+            yield child
+        seen.add(child.tag)
 
 
 def _read_world_name(world: Element, report: ParseReport) -> str:
