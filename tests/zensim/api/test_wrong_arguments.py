@@ -119,10 +119,10 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.yaml")
 
     with zensim.World() as world:
-        for arguments in (
-            {"model": tmp_path},
-            {"model": tmp_path / "large.urdf"},
-            {"model": "box_bot", "controllers": [tmp_path / "pipe.yaml"]},
+        for model, controllers in (
+            (tmp_path, []),
+            (tmp_path / "large.urdf", []),
+            ("box_bot", [tmp_path / "pipe.yaml"]),
         ):
             with pytest.raises(zensim.Error, match=re.escape(str(tmp_path))):
-                world.spawn(**arguments)  # type: ignore[arg-type]
+                world.spawn(model, controllers=controllers)
