@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import zensim
 from benchmarks.machine import ROOT
-from zensim.api.simulation import WorldKeywords
 from zensim.api.spawning import DescriptionKeywords, FleetKeywords, SpawnKeywords, list_keywords
+from zensim.proto.settings.server_settings import WorldKeywords
 from zensim.public_names import list_public_names
 
 DOCUMENT = ROOT / "docs" / "api.json"

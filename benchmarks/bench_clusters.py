@@ -17,11 +17,12 @@ from contextlib import ExitStack
 import numpy as np
 
 from benchmarks.figures import Figure, Limit, table
+from zensim.proto.settings.engine_settings import Clustering, EngineSettings
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.cells.cell_executor import StepThreads
 from zensim.sim_server.physics.engine import FloatArray
-from zensim.sim_server.physics.engine_config import Clustering, EngineConfig, EngineOptions
+from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_factory import create_world_engine
 
 __all__ = ["rows", "table"]
@@ -54,7 +55,7 @@ class Fleet:
     """An engine and its robots."""
 
     def __init__(self, robots: int, clusters: Clustering, workers: int) -> None:
-        choice = EngineOptions(engine="pybullet", clusters=clusters, workers=workers)
+        choice = EngineSettings(engine="pybullet", clusters=clusters, engine_workers=workers)
         config = EngineConfig(round(1e9 / STEP_HZ))
         self.engine = create_world_engine(config, choice, period_steps=1)
         self.draws = np.random.default_rng(1)

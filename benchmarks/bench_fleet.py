@@ -22,7 +22,8 @@ from benchmarks.figures import Figure, Limit, written
 from benchmarks.fleet_server import FleetServer, Spent, run_fleet_server
 from benchmarks.pybullet_floor import PlainLoop, Turn
 from benchmarks.ten_robots import CIRCLE, MILLISECONDS
-from zensim.sim_server.server_config import CONTROL_HZ, ServerConfig
+from zensim.proto.settings.pace_settings import CONTROL_HZ
+from zensim.sim_server.server_config import ServerConfig
 
 TURN_S, LONG_TURN_S, TURN_WHEN_SHORT_S = 0.3, 2.0, 0.1
 TURNS, LONG_TURNS, TURNS_WHEN_SHORT = 15, 4, 3

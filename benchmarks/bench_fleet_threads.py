@@ -19,11 +19,12 @@ import numpy as np
 from benchmarks.circling_driver import WHEEL_SPEEDS
 from benchmarks.figures import Figure, Limit, table
 from benchmarks.ten_robots import SPACING_M
+from zensim.proto.settings.engine_settings import EngineSettings
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.cells.cell_executor import StepThreads
 from zensim.sim_server.physics.engine import Engine, FloatArray
-from zensim.sim_server.physics.engine_config import EngineConfig, EngineOptions
+from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_factory import create_world_engine
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine, MujocoReplicas
 
@@ -120,7 +121,7 @@ def _time(advance: Advance, steps: int, robots: int) -> Took:
 
 def _drive_cells(robots: int, threads: int) -> Advance:
     """Make a world in cells, and return what drives it."""
-    choice = EngineOptions(engine="mujoco", clusters="on", cores=threads)
+    choice = EngineSettings(engine="mujoco", clusters="on", cores=threads)
     engine = create_world_engine(CONFIG, choice, period_steps=CONTROL_STEPS)
     bodies = _add_robots(engine, robots)
     targets = np.tile(WHEEL_SPEEDS, robots)

@@ -31,12 +31,13 @@ from tests.integration.random_runs import (
 from tests.sim_server.fakes import WallTime, a_spawn, make_parts
 from zensim.proto.engine_proofs import EngineName
 from zensim.proto.messages.agent_messages import DriveCommand
+from zensim.proto.settings.engine_settings import EngineSettings
+from zensim.proto.settings.server_settings import ServerSettings
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.input_log.log_writer import PERIOD_NS, InputLog
 from zensim.sim_server.input_log.resimulation import ResimChanges, ResimResult, Resimulation
-from zensim.sim_server.physics.engine_config import EngineOptions
 from zensim.sim_server.server_config import ServerConfig
 from zensim.sim_server.service_parts import CurrentWorld
 from zensim.sim_server.world.simulated_world import SimulatedWorld
@@ -67,8 +68,8 @@ class DrivenFleet:
     """A world with robots that one pool drives, and its log."""
 
     def __init__(self, engine: EngineName, robots: int) -> None:
-        options = EngineOptions(engine=engine, workers=0)
-        config = ServerConfig(physics=options)
+        options = EngineSettings(engine=engine, engine_workers=0)
+        config = ServerConfig(settings=ServerSettings(physics=options))
         model = WorldModel("empty", ground_plane=True)
         self.world = SimulatedWorld(
             make_world_engine(config, model, ""),

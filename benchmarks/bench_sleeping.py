@@ -15,11 +15,12 @@ from benchmarks.bodies import standing_at
 from benchmarks.circling_driver import WHEEL_SPEEDS
 from benchmarks.figures import Figure, Limit, table
 from benchmarks.ten_robots import SPACING_M
+from zensim.proto.settings.engine_settings import EngineSettings
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.engine import Engine, FloatArray
-from zensim.sim_server.physics.engine_config import EngineConfig, EngineOptions
+from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_factory import create_world_engine
 from zensim.spawner.spawn.spawn_poses import make_fleet_layout
 
@@ -75,7 +76,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 def _of(robots: int, *, is_short: bool) -> Iterator[Figure]:
     drive, stand = np.tile(WHEEL_SPEEDS, robots), np.zeros(2 * robots)
     half = np.where(np.arange(2 * robots) < robots, drive, stand)
-    choice = EngineOptions(engine="pybullet", workers=0)
+    choice = EngineSettings(engine="pybullet", engine_workers=0)
     fleet = Fleet(create_world_engine(CONFIG, choice, period_steps=2), robots)
     try:
         driving = fleet.turns(drive, 20, is_short=is_short)

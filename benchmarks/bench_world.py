@@ -21,7 +21,8 @@ from benchmarks.figures import Figure, Limit, table
 from zensim.api.in_process_server import InProcessServer
 from zensim.api.in_process_world import InProcessAccess
 from zensim.api.simulation import Simulation
-from zensim.sim_server.physics.engine_config import EngineOptions
+from zensim.proto.settings.engine_settings import EngineSettings
+from zensim.proto.settings.server_settings import ServerSettings
 from zensim.sim_server.server_config import ServerConfig
 
 __all__ = ["rows", "table"]
@@ -152,7 +153,10 @@ def _control_steps(robots: int, most: float, count: int) -> Iterator[Figure]:
 
 def _time_engine(robots: int, count: int) -> list[float]:
     """Find the CPU time of the engine's part of a control step [ms]."""
-    config = ServerConfig(is_paused=True, physics=EngineOptions(engine="mujoco", workers=0))
+    config = ServerConfig(
+        is_paused=True,
+        settings=ServerSettings(physics=EngineSettings(engine="mujoco", engine_workers=0)),
+    )
     server = InProcessServer(config)
     simulation = Simulation(InProcessAccess(server))
     simulation.spawn_fleet("box_bot", count=robots).drive(0.3, 0.4)

@@ -24,11 +24,12 @@ import numpy as np
 from benchmarks.figures import Figure, Limit, table
 from zensim import World
 from zensim.proto.engine_proofs import EngineName
+from zensim.proto.settings.engine_settings import EngineSettings
+from zensim.proto.settings.server_settings import ServerSettings
 from zensim.proto.stl import write_corners
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.pipeline import read_robot
 from zensim.sim_server.parser_process.asset_store import AssetStore
-from zensim.sim_server.physics.engine_config import EngineOptions
 from zensim.sim_server.server_config import ServerConfig, fill_pace
 from zensim.sim_server.world.simulated_world import SimulatedWorld
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
@@ -125,7 +126,9 @@ def _time_services(file: Path, time_s: float) -> tuple[float, ...]:
 def _time_steps(loaded: LoadedWorld, engine: EngineName, steps: int) -> tuple[float, ...]:
     """Time steps of a world with four robots that drive circles beside it [ms of CPU]."""
     config = fill_pace(
-        ServerConfig(physics=EngineOptions(engine=engine)), step_s=1e-3, real_time_factor=0.0
+        ServerConfig(settings=ServerSettings(physics=EngineSettings(engine=engine))),
+        step_s=1e-3,
+        real_time_factor=0.0,
     )
     store = AssetStore()
     for name, data in loaded.meshes.items():
@@ -159,7 +162,7 @@ def _inspect(label: str, file: Path, engine: EngineName) -> Figure:
         InspectionRequest(
             world=WorldLoaderRequest(str(file), (str(file.parent),)),
             settle_s=1.0,
-            options=EngineOptions(engine=engine),
+            options=EngineSettings(engine=engine),
         )
     )
     if found.fault or found.moving:

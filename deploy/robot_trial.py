@@ -27,6 +27,7 @@ from zensim.proto.drives.array_math import ARRAY_MATH
 from zensim.proto.exit_codes import format_failure, list_expected_failures
 from zensim.proto.process_limits import die_with_parent
 from zensim.proto.rigid_transforms import find_yaw
+from zensim.proto.settings.engine_settings import ONE_CELL, EngineKeywords
 from zensim.sim_server.description.ground_friction import GroundFriction
 from zensim.sim_server.description.motion_prediction import (
     STRAIGHT,
@@ -97,7 +98,8 @@ def open_trial_world(engine: str, *, allow_failed_engine: bool = False) -> World
     Raises:
         Invalid: The engine is unknown, is not installed, or fails its proof.
     """
-    return World(engine=engine, clusters="off", allow_failed_engine=allow_failed_engine)
+    chosen: EngineKeywords = {"engine": engine, "allow_failed_engine": allow_failed_engine}
+    return World(**(ONE_CELL | chosen))
 
 
 def _open_world(request: TrialRequest) -> World:

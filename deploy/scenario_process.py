@@ -41,6 +41,8 @@ from zensim.proto.child_process import (
 from zensim.proto.endpoints import with_free_port
 from zensim.proto.process_limits import KILLED_STATUS, die_with_parent
 from zensim.proto.ros2.ros_settings import NO_ROS
+from zensim.proto.settings.lockstep_settings import PATIENT
+from zensim.proto.settings.server_settings import ServerSettings
 from zensim.scenario.run_host import describe_host
 from zensim.scenario.scenario_loading import open_world
 from zensim.scenario.scenario_nodes import ScenarioInvalid
@@ -166,7 +168,7 @@ def make_launch_config(scenario: Scenario) -> LaunchConfig:
     base = LaunchConfig(
         world="empty",
         endpoint=with_free_port("tcp/127.0.0.1:0"),
-        on_miss="wait",  # equal results on a loaded machine; the scenario may say otherwise
+        server=ServerSettings(lockstep=PATIENT),  # the scenario may say otherwise
         ros=NO_ROS,
     )
     return msgspec.structs.replace(

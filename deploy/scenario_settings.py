@@ -1,7 +1,7 @@
 """Settings of a deployment by a scenario file: every option of `up` and `serve` is a key."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -15,6 +15,8 @@ from zensim.api.local_deployment import (
 from zensim.proto.cli_options import RosTfOptions
 from zensim.proto.endpoints import with_free_port
 from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.settings.server_settings import ServerSettings
+from zensim.proto.settings.setting import change_settings, list_settings, read_key_value
 from zensim.scenario.scenario_format import AgentsSection
 from zensim.scenario.scenario_reader import Scenario
 
@@ -26,18 +28,7 @@ KEYS_OF_OPTIONS: Mapping[str, str] = {
     "model_path": "world.model_paths",
     "strict": "world.strict",
     "allow_missing": "world.allow_missing",
-    "engine": "engine.use",
-    "step_hz": "engine.step_rate",
-    "control_hz": "engine.control_rate",
-    "dynamics": "engine.dynamics",
-    "clusters": "engine.clusters",
-    "engine_workers": "engine.workers",
-    "allow_failed_engine": "engine.allow_failed",
-    "lockstep": "time.mode",
-    "rtf": "time.speed",
     "seed": "time.seed",
-    "on_miss": "time.on_miss",
-    "lockstep_timeout": "time.miss_timeout",
     "paused": "time.paused",
     "listen": "network.listen",
     "connect": "network.connect",
@@ -66,6 +57,7 @@ KEYS_OF_OPTIONS: Mapping[str, str] = {
     "tf_hz": "agents[0].tf_rate",
     "behaviour": "behaviours[0].do",
     "duration": "end.at",
+    **{one.name: one.setting.key for one in list_settings(ServerSettings)},
 }
 """The key of each option of `zensim up` and `zensim serve`, with the first entry of lists."""
 FIELDS: Mapping[str, str] = {
@@ -74,18 +66,7 @@ FIELDS: Mapping[str, str] = {
     "model_path": "model_paths",
     "strict": "is_strict",
     "allow_missing": "allow_missing",
-    "engine": "engine",
-    "step_hz": "step_hz",
-    "control_hz": "control_hz",
-    "dynamics": "dynamics",
-    "clusters": "clusters",
-    "engine_workers": "engine_workers",
-    "allow_failed_engine": "allow_failed_engine",
-    "lockstep": "is_lockstep",
-    "rtf": "real_time_factor",
     "seed": "seed",
-    "on_miss": "on_miss",
-    "lockstep_timeout": "lockstep_timeout_s",
     "paused": "is_paused",
     "listen": "endpoint",
     "connect": "connect",
@@ -132,7 +113,6 @@ _CONVERSIONS: Mapping[str, Callable[[Scenario, Any], object]] = {
     "model_path": _find_model_paths,
     "journal": _find_journal,
     "listen": lambda _, value: with_free_port(value),
-    "lockstep": lambda _, value: value == "lockstep",
 }
 
 
@@ -152,7 +132,7 @@ def add_scenario(
         key = KEYS_OF_OPTIONS[option]
         if option in given or key not in scenario.places:
             continue
-        value = find_value(scenario, key)
+        value = scenario.find_value(key)
         if value is not NULL_MEANS_DEFAULT:
             convert = _CONVERSIONS.get(option)
             found[field] = value if convert is None else convert(scenario, value)
@@ -161,10 +141,30 @@ def add_scenario(
     )
     return msgspec.structs.replace(
         completed,
+        server=add_to_settings(config.server, scenario, given),
         ros=_find_ros(config.ros, scenario, given),
         agents=make_agents(scenario, given),
         keeps_inputs=config.keeps_inputs or scenario.format.record is not None,
     )
+
+
+def add_to_settings(
+    settings: ServerSettings, scenario: Scenario, given: Container[str] = ()
+) -> ServerSettings:
+    """Complete the settings of a server by what a scenario writes.
+
+    Args:
+        settings: From the command line.
+        scenario: Of the file.
+        given: Names of settings that win over the file.
+    """
+    written = {
+        field.name: read_key_value(field, value)
+        for field in list_settings(ServerSettings)
+        if field.name not in given and field.setting.key in scenario.places
+        if (value := scenario.find_value(field.setting.key)) is not NULL_MEANS_DEFAULT
+    }
+    return change_settings(settings, written)
 
 
 def refuse_options_of_the_demo(scenario: Scenario, given: Given) -> None:
@@ -180,17 +180,11 @@ def refuse_options_of_the_demo(scenario: Scenario, given: Given) -> None:
             raise ValueError(f"{spelling} does not apply to a scenario file; use --set {key}=VALUE")
 
 
-def find_value(scenario: Scenario, key: str) -> object:
-    """Find the value of a key of a section."""
-    section, _, name = key.partition(".")
-    return getattr(getattr(scenario.format, section), name)
-
-
 def _find_ros(ros: RosSettings, scenario: Scenario, given: Given) -> RosSettings:
     keys = {option: KEYS_OF_OPTIONS[option] for option in ROS_OPTIONS}
     if not any(key in scenario.places for key in keys.values()):
         return ros
-    found = {option: given.get(option, find_value(scenario, key)) for option, key in keys.items()}
+    found = {option: given.get(option, scenario.find_value(key)) for option, key in keys.items()}
     texts = {option: str(value) for option, value in found.items() if not isinstance(value, bool)}
     return RosTfOptions(**texts, ros_bridge=bool(found["ros_bridge"])).ros
 

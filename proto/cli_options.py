@@ -20,6 +20,14 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import TOKEN_VARIABLE
 from zensim.proto.metrics_address import check_metrics_exposure
 from zensim.proto.ros2.ros_settings import BRIDGED_COMMANDS, RosSettings, parse_ros_settings
+from zensim.proto.settings.engine_settings import EngineChoice
+from zensim.proto.settings.setting import (
+    find_setting,
+    is_settings,
+    list_settings,
+    make_settings,
+)
+from zensim.proto.settings.setting_options import make_option, make_option_parameters
 from zensim.proto.topic_catalog import select_ros_topics
 from zensim.proto.verbosity import CURRENT, LOG_FORMAT_VARIABLE, set_verbosity
 from zensim.proto.web_access import (
@@ -93,6 +101,8 @@ def is_exported_for_clients(context: typer.Context, own_variable: str) -> bool:
 def expand_options(action: Callable[..., None]) -> Callable[..., None]:
     """Replace each parameter that is a dataclass by one option per field.
 
+    A field that is a group of settings becomes one option per setting.
+
     A command without `--quiet`, `--verbose` or `--log-format` gets them.
     """
     parameters = inspect.signature(action).parameters.values()
@@ -102,15 +112,15 @@ def expand_options(action: Callable[..., None]) -> Callable[..., None]:
         if isinstance(parameter.annotation, type) and dataclasses.is_dataclass(parameter.annotation)
     }
 
-    def command(**given: object) -> None:
+    def run(**given: object) -> None:
         context = given[own_context] if own_context else given.pop(RUNNING_CONTEXT.name)
-        name = _name_running_command(context) or action.__name__
-        _apply_verbosity(name, given, added)
+        command = _name_running_command(context) or action.__name__
+        _apply_verbosity(command, given, added)
         CURRENT.options = options
-        with exit_on_failure(name):
+        with exit_on_failure(command):
             _require_finite(given)
-        for name, group in groups.items():
-            given[name] = group(**{f.name: given.pop(f.name) for f in dataclasses.fields(group)})
+            for name, group in groups.items():
+                given[name] = _make_group(group, given)
         action(**given)
 
     expanded = [
@@ -124,12 +134,12 @@ def expand_options(action: Callable[..., None]) -> Callable[..., None]:
     own_context = next((one.name for one in expanded if one.annotation is typer.Context), "")
     expanded += [*added] if own_context else [*added, RUNNING_CONTEXT]
     options = frozenset(name for one in expanded for name in _name_settings(one))
-    command.__name__ = action.__name__
-    command.__doc__ = action.__doc__
-    command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+    run.__name__ = action.__name__
+    run.__doc__ = action.__doc__
+    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in expanded]
     )
-    return command
+    return run
 
 
 def _name_settings(parameter: inspect.Parameter) -> Iterator[str]:
@@ -190,16 +200,40 @@ def _apply_verbosity(
 
 def _make_parameters(group: type) -> list[inspect.Parameter]:
     return [
-        inspect.Parameter(
-            field.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=inspect.Parameter.empty
-            if field.default is dataclasses.MISSING
-            else field.default,
-            annotation=field.type,
-        )
+        parameter
         for field in dataclasses.fields(group)
+        for parameter in (
+            make_option_parameters(field.type) if is_settings(field.type) else [_copy(field)]
+        )
     ]
+
+
+def _copy(field: "dataclasses.Field[Any]") -> inspect.Parameter:
+    is_needed = field.default is dataclasses.MISSING
+    return inspect.Parameter(
+        field.name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=inspect.Parameter.empty if is_needed else field.default,
+        annotation=field.type,
+    )
+
+
+def _make_group(group: type, given: dict[str, object]) -> object:
+    """Make a dataclass from its options, which are taken out.
+
+    Raises:
+        ValueError: A setting is out of range, or no word that it may have.
+    """
+    values: dict[str, object] = {}
+    for field in dataclasses.fields(group):
+        if is_settings(field.type):
+            names = [one.name for one in list_settings(field.type)]
+            values[field.name] = make_settings(
+                field.type, {name: given.pop(name) for name in names}
+            )
+        else:
+            values[field.name] = given.pop(field.name)
+    return group(**values)
 
 
 def parse_finite(word: str) -> float:
@@ -449,69 +483,8 @@ class MetricsOptions:
         return self.metrics
 
 
-_physics = partial(typer.Option, rich_help_panel="Physics")
-RealTimeFactorOption = Annotated[
-    float | None,
-    _physics(
-        "--rtf",
-        metavar="FACTOR",
-        help="Target real-time factor; 0 = as fast as possible.",
-        show_default="from the world file, or 1",
-    ),
-]
-EngineOption = Annotated[
-    str,
-    _physics(
-        "--engine",
-        metavar="pybullet|mujoco",
-        help="Physics engine that simulates the world.",
-        show_default="pybullet if installed",
-        envvar="ZENSIM_ENGINE",
-    ),
-]
 AllowFailedEngineOption = Annotated[
-    bool,
-    flag(
-        "--allow-failed-engine",
-        help="Use the engine even if it fails a case of its proof.",
-        envvar="ZENSIM_ALLOW_FAILED_ENGINE",
-        rich_help_panel="Physics",
-    ),
-]
-WorldDynamicsOption = Annotated[
-    str,
-    _physics(
-        "--dynamics",
-        metavar="full|kinematic|auto",
-        help="Default motion model of robots; auto = full only where contacts are possible.",
-    ),
-]
-ClustersOption = Annotated[
-    str,
-    _physics(
-        "--clusters",
-        metavar="auto|on|off",
-        help="Simulate robots that cannot touch each other in separate clusters; "
-        "auto = if there are many robots.",
-    ),
-]
-EngineWorkersOption = Annotated[
-    int | None,
-    _physics(
-        "--engine-workers",
-        min=0,
-        metavar="N",
-        help="Number of extra processes that step clusters.",
-        show_default="CPU cores - 1",
-    ),
-]
-LockstepOption = Annotated[
-    bool,
-    flag(
-        "--lockstep",
-        help="Wait for the command of every agent at each control step.",
-        rich_help_panel="Lockstep",
-    ),
+    bool, make_option(find_setting(EngineChoice, "allow_failed_engine"))
 ]
 SHIPPED = Path(__file__).resolve().parent.parent / "sim_server"
 MODEL_SUFFIXES = (".urdf", ".xacro", ".sdf")

@@ -5,36 +5,28 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated
 
 import msgspec
 import typer
 
 from zensim.proto.bus import Bus, BusError
 from zensim.proto.cli_options import (
-    AllowFailedEngineOption,
     AllowMissingOption,
     ClientCertificatesOption,
-    ClustersOption,
-    EngineOption,
-    EngineWorkersOption,
     InsecureOption,
     JsonOption,
-    LockstepOption,
     MetricsOptions,
     ModelPathOption,
-    RealTimeFactorOption,
     RosOptions,
     SecureOption,
     StrictWorldOption,
-    WorldDynamicsOption,
     WorldNameOption,
     WorldOption,
     expand_options,
     flag,
     is_exported_for_clients,
     make_app,
-    parse_choice,
     takes_precedence,
 )
 from zensim.proto.endpoints import (
@@ -44,21 +36,17 @@ from zensim.proto.endpoints import (
     with_free_port,
 )
 from zensim.proto.exit_codes import exit_on_failure
-from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.names import check_name
 from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import User
+from zensim.proto.settings.server_settings import USUAL_SERVER, ServerSettings
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied
 from zensim.proto.verbosity import configure_logging, print_announcement, print_note
-from zensim.sim_server.pacing.lockstep import LOCKSTEP_TIMEOUT_S, LockstepSettings, OnMiss
 from zensim.sim_server.physics.engine_config import (
-    Clustering,
-    EngineOptions,
     choose_engine,
     explain_default,
     find_installed_engines,
-    parse_engine_name,
 )
 from zensim.sim_server.security.router_process import secured_router
 from zensim.sim_server.security.secure_folder import (
@@ -69,10 +57,10 @@ from zensim.sim_server.security.secure_folder import (
     to_secure_endpoint,
 )
 from zensim.sim_server.server_config import (
-    CONTROL_HZ,
     ConfigError,
     ServerConfig,
     WorldAlreadyServed,
+    describe_pace,
     make_server_bus_config,
     to_mesh_endpoint,
 )
@@ -82,12 +70,6 @@ app = make_app()
 
 
 _connection = partial(typer.Option, rich_help_panel="Connection")
-_physics = partial(typer.Option, rich_help_panel="Physics")
-_lockstep = partial(typer.Option, rich_help_panel="Lockstep")
-
-CLUSTERINGS: tuple[Clustering, ...] = get_args(Clustering)
-MISS_POLICIES: tuple[OnMiss, ...] = get_args(OnMiss)
-WORLD_DYNAMICS: tuple[Dynamics, ...] = tuple(filter(None, get_args(Dynamics)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,42 +130,7 @@ class ServeOptions(RosOptions, MetricsOptions):
         _connection(min=0.0, metavar="SECONDS", help=r"Timeout of connecting to the router \[s]."),
     ] = 30.0
     world_name: WorldNameOption = "default"
-    engine: EngineOption = ""
-    allow_failed_engine: AllowFailedEngineOption = False
-    rtf: RealTimeFactorOption = None
-    step_hz: Annotated[
-        float | None,
-        _physics(
-            metavar="HZ",
-            help=r"Physics rate \[Hz, simulation time].",
-            show_default="from the world file, or 240; with --dynamics kinematic, --control-hz",
-        ),
-    ] = None
-    control_hz: Annotated[
-        float,
-        _physics(
-            metavar="HZ", help=r"Maximum rate of state messages to agents \[Hz, simulation time]."
-        ),
-    ] = CONTROL_HZ
-    dynamics: WorldDynamicsOption = "full"
-    clusters: ClustersOption = "auto"
-    engine_workers: EngineWorkersOption = None
-    lockstep: LockstepOption = False
-    lockstep_timeout: Annotated[
-        float,
-        _lockstep(
-            metavar="SECONDS",
-            help=r"Timeout of each agent's command \[s]; also for step requests.",
-        ),
-    ] = LOCKSTEP_TIMEOUT_S
-    on_miss: Annotated[
-        str,
-        _lockstep(
-            metavar="wait|hold|fail",
-            help="After that timeout: wait further, continue with the last targets (hold), "
-            "or pause (fail).",
-        ),
-    ] = "hold"
+    server: ServerSettings = USUAL_SERVER
 
 
 @app.command(
@@ -243,14 +190,11 @@ def _prepare_folder(given: ServeOptions) -> SecureFolder:
 def _make_server_config(given: ServeOptions) -> ServerConfig:
     if given.listen and given.connect:
         raise ValueError("--listen and --connect exclude each other; give one of them")
-    on_miss = parse_choice("--on-miss", given.on_miss, MISS_POLICIES)
     return ServerConfig(
         bus=make_server_bus_config(given.listen, given.connect),
         world=given.world_name,
         world_file=given.world,
-        step_hz=given.step_hz,
-        control_hz=given.control_hz,
-        real_time_factor=given.rtf,
+        settings=given.server,
         is_paused=given.paused,
         seed=given.seed,
         model_paths=tuple(map(str, given.model_path or ())),
@@ -259,17 +203,9 @@ def _make_server_config(given: ServeOptions) -> ServerConfig:
         wait_s=given.wait,
         journal=str(given.journal or ""),
         keeps_inputs=given.input_log,
-        lockstep=LockstepSettings(given.lockstep, given.lockstep_timeout, on_miss),
         ros=given.ros,
         mesh_http=given.mesh_http,
         metrics=given.choose_metrics("zensim serve", is_insecure=given.insecure),
-        physics=EngineOptions(
-            engine=parse_engine_name(given.engine),
-            clusters=parse_choice("--clusters", given.clusters, CLUSTERINGS),
-            dynamics=parse_choice("--dynamics", given.dynamics, WORLD_DYNAMICS),
-            workers=given.engine_workers,
-            allow_failed_engine=given.allow_failed_engine,
-        ),
     )
 
 
@@ -278,8 +214,8 @@ def _run_server(
 ) -> None:
     def announce(bus: Bus, config: ServerConfig) -> None:
         installed = find_installed_engines()
-        engine = choose_engine(config.physics, installed)
-        if reason := explain_default(config.physics, installed):
+        engine = choose_engine(config.settings.physics, installed)
+        if reason := explain_default(config.settings.physics, installed):
             print_note("serve", reason)
         endpoint = bus.endpoint if folder is None else folder.settings.endpoint
         secured = ", secured" if folder is not None else ""
@@ -293,9 +229,7 @@ def _run_server(
             facts["tokens_file"] = folder.write_all_tokens()
         print_announcement(
             "serve",
-            f"world '{config.world}' at {endpoint} "
-            f"({config.step_hz:g} Hz, real-time factor {config.real_time_factor:g}, {engine}"
-            f"{secured})",
+            f"world '{config.world}' at {endpoint} ({describe_pace(config)}, {engine}{secured})",
             facts,
             as_json=given.as_json or given.announce,
         )

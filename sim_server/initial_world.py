@@ -15,7 +15,7 @@ from zensim.sim_server.pacing.lockstep import Lockstep
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.parser_process.description_cache import DescriptionCache
 from zensim.sim_server.physics.logged_engine import LoggedEngine
-from zensim.sim_server.server_config import fill_pace
+from zensim.sim_server.server_config import ConfigError, fill_pace, resume_pace
 from zensim.sim_server.service_parts import (
     CurrentWorld,
     Descriptions,
@@ -54,9 +54,6 @@ def make_logged_engine(config: ServerConfig, model: WorldModel, mesh_folder: str
     return LoggedEngine(make_world_engine(config, model, mesh_folder))
 
 
-STEP_HZ_TOLERANCE = 1e-6
-
-
 def load_initial_world(
     config: ServerConfig,
     journal: Journal | None,
@@ -91,26 +88,19 @@ def load_initial_world(
 
 
 def _resume_config(config: ServerConfig, contents: JournalContents) -> ServerConfig:
-    world, factor = contents.world, config.real_time_factor
+    world = contents.world
     if config.world != world.name:
         raise JournalError(
             f"{config.journal} is the journal of world '{world.name}'; "
             f"use `world_name` {world.name}, or another folder"
         )
-    if (
-        config.step_hz is not None
-        and abs(config.step_hz - world.step_hz) > STEP_HZ_TOLERANCE * world.step_hz
-    ):
-        raise JournalError(
-            f"{config.journal} counts steps of {world.step_hz:g} Hz, not {config.step_hz:g}; "
-            "leave `step_hz` out, or use another folder"
+    try:
+        resumed = resume_pace(
+            config, hz=world.step_rate_hz, real_time_factor=contents.clock.real_time_factor
         )
-    return msgspec.structs.replace(
-        config,
-        step_hz=world.step_hz,
-        real_time_factor=contents.clock.real_time_factor if factor is None else factor,
-        seed=world.seed,
-    )
+    except ConfigError as error:
+        raise JournalError(f"{config.journal} {error}, or use another folder") from error
+    return msgspec.structs.replace(resumed, seed=world.seed)
 
 
 def make_initial_world(
@@ -158,12 +148,12 @@ def make_parts(
     resource = catalog.find_start_world(config.world_file, loaded.model.name)
     return make_server_parts(
         world,
-        CurrentWorld(loaded.model, resource, config.seed, config.physics),
+        CurrentWorld(loaded.model, resource, config.seed, config.settings.physics),
         Pacing(
             now_ns,
             LoopStats(now_ns()),
-            config.real_time_factor or 0.0,
-            lockstep=Lockstep(config.lockstep),
+            config.settings.pace.rtf or 0.0,
+            lockstep=Lockstep(config.settings.lockstep),
         ),
         Descriptions(DescriptionCache(parser, store, world.prepare, now_ns), store),
         catalog=catalog,

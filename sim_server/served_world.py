@@ -9,7 +9,7 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy.ma  # noqa: F401  # else the first np.unique in the loop imports it: 60 ms
@@ -19,6 +19,7 @@ from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.operation_server import served_status
 from zensim.proto.ros2.node_services import NodeParameter, ParameterContent
+from zensim.proto.settings.setting import read_settings
 from zensim.sim_server.initial_world import load_initial_world, make_initial_world, make_parts
 from zensim.sim_server.journal.server_journal import open_journal
 from zensim.sim_server.parser_process.asset_store import AssetStore
@@ -131,18 +132,19 @@ def _exclude_crashing(journal: Journal, config: ServerConfig, loaded: LoadedWorl
 
 def _in_one_process(config: ServerConfig) -> ServerConfig:
     """Make no workers: what ends one must end the process that tests it."""
-    physics = msgspec.structs.replace(config.physics, workers=0)
-    return msgspec.structs.replace(config, physics=physics)
+    physics = config.settings.physics.limit_workers(0)
+    settings = msgspec.structs.replace(config.settings, physics=physics)
+    return msgspec.structs.replace(config, settings=settings)
 
 
 def list_server_parameters(config: ServerConfig) -> tuple[NodeParameter, ...]:
     """List the parameters of the server's ROS 2 node."""
+    pace: dict[str, Any] = read_settings(config.settings.pace)
     found: dict[str, ParameterContent] = {
         "world": config.world,
         "world_file": config.world_file,
-        "engine": config.physics.engine or "",
-        "step_hz": NANOSECONDS / config.step_ns,
-        "control_hz": config.control_hz,
+        **{name: value for name, value in pace.items() if name != "rtf"},
+        "engine": config.settings.physics.engine or "",
         "seed": config.seed,
     }
     return tuple(
@@ -214,7 +216,7 @@ def _run(
         loop = ServerLoop(parts, inbox, publisher, HostClock(), tracker, users)
         loop.status = status
         CONTEXT.read_time_ns = lambda: parts.world.clock.time_ns
-        engine = choose_engine(config.physics, find_installed_engines())
+        engine = choose_engine(config.settings.physics, find_installed_engines())
         metrics = ServerMetrics(parts, engine, loop.request_counts, tracker, config.journal)
         status.sources += [metrics.list_metrics, bus.traffic.list_metrics]
         cleanup.callback(loop.close)

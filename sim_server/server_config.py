@@ -10,26 +10,21 @@ from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_endpoint
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.names import check_name
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
-from zensim.proto.topic_catalog import DRIVE_STATE
-from zensim.sim_server.pacing.lockstep import LockstepSettings
-from zensim.sim_server.physics.engine_config import EngineOptions, EngineUnusable
+from zensim.proto.settings.server_settings import ServerSettings
+from zensim.proto.settings.setting import check_settings
+from zensim.sim_server.physics.engine_config import EngineUnusable
 from zensim.sim_server.physics.engine_proof.engine_prover import choose_proven_engine
 
 if TYPE_CHECKING:
     # A world without network does not load zenoh.
     from zensim.proto.bus import BusConfig
 
-CONTROL_HZ = DRIVE_STATE.rate_hz
-"""Default maximum rate of drive states, as the default update rate of Gazebo's drives."""
 STEP_HZ = 240.0
 MIN_KINEMATIC_STEP_HZ = 20.0
 """Least default step rate of a kinematic world: entities without a drive have contacts in it."""
 REAL_TIME_FACTOR = 1.0
-MAX_STEP_HZ = 10_000.0
 RATE_TOLERANCE = 1e-5
 """Relative, of the quotient of two rates: a step is a whole number of ns, also in a journal."""
-MAX_REAL_TIME_FACTOR = 1000.0
-MIN_LOCKSTEP_TIMEOUT_S, MAX_LOCKSTEP_TIMEOUT_S = 0.01, 3600.0
 
 
 class ConfigError(ValueError):
@@ -47,12 +42,7 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     """None = no network."""
     world: str = "default"
     world_file: str = "empty"
-    step_hz: float | None = None
-    """Physics rate [Hz]; None = that of the world file, or 240; see `find_default_step_hz`."""
-    control_hz: float = CONTROL_HZ
-    """Maximum rate of drive states [Hz, simulation time]; each one reads all bodies back."""
-    real_time_factor: float | None = None
-    """0 = as fast as possible; None = that of the world file, or 1."""
+    settings: ServerSettings = ServerSettings()
     model_paths: tuple[str, ...] = ()
     """Folders with models that world files include."""
     is_strict: bool = False
@@ -60,8 +50,6 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     allow_missing: bool = False
     """Leave out models and collisions of the world file whose file is missing."""
     is_paused: bool = False
-    lockstep: LockstepSettings = LockstepSettings()
-    physics: EngineOptions = EngineOptions()
     seed: int = 0
     requested: "ServerConfig | None" = None
     """The configuration before the world file completed it."""
@@ -82,25 +70,31 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def step_ns(self) -> int:
         """Length of a step; an integer, so that time does not drift."""
-        return round(NANOSECONDS / (self.step_hz or find_default_step_hz(self)))
+        return round(NANOSECONDS / find_step_rate(self))
 
     @property
     def control_steps(self) -> int:
         """Steps between two drive states."""
-        steps = (self.step_hz or find_default_step_hz(self)) / self.control_hz
+        steps = find_step_rate(self) / self.settings.pace.control_hz
         return max(1, math.ceil(steps * (1.0 - RATE_TOLERANCE)))
 
 
-def find_default_step_hz(config: ServerConfig) -> float:
+def find_step_rate(config: ServerConfig) -> float:
+    """Find the step rate [Hz] of a world whose file has none."""
+    return config.settings.pace.choose_step_rate(_find_usual_step_rate(config))
+
+
+def _find_usual_step_rate(config: ServerConfig) -> float:
     """Find the step rate [Hz] where neither the configuration nor the world file has one.
 
     Kinematic robots move along exact arcs, so that more than one step between two commands changes
     nothing: their world steps at the control rate, or at its least multiple from 20 Hz on.
     """
-    if config.physics.dynamics != "kinematic":
+    if config.settings.physics.dynamics != "kinematic":
         return STEP_HZ
-    multiple = math.ceil(MIN_KINEMATIC_STEP_HZ / config.control_hz * (1.0 - RATE_TOLERANCE))
-    return min(STEP_HZ, config.control_hz * max(1, multiple))
+    control_hz = config.settings.pace.control_hz
+    multiple = math.ceil(MIN_KINEMATIC_STEP_HZ / control_hz * (1.0 - RATE_TOLERANCE))
+    return min(STEP_HZ, control_hz * max(1, multiple))
 
 
 def validate_config(config: ServerConfig) -> ServerConfig:
@@ -111,27 +105,15 @@ def validate_config(config: ServerConfig) -> ServerConfig:
     """
     try:
         check_name(config.world, "world")
+        check_settings(config.settings)
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    if config.step_hz is not None and not 1.0 <= config.step_hz <= MAX_STEP_HZ:
-        raise ConfigError(f"`step_hz` {config.step_hz:g} is out of range; use 1 to {MAX_STEP_HZ:g}")
-    if not 1.0 <= config.control_hz <= MAX_STEP_HZ:
-        raise ConfigError(
-            f"`control_hz` {config.control_hz:g} is out of range; use 1 to {MAX_STEP_HZ:g}"
-        )
-    factor = config.real_time_factor
-    if factor is not None and not 0.0 <= factor <= MAX_REAL_TIME_FACTOR:
-        raise ConfigError(
-            f"`rtf` {factor:g} is out of range; "
-            f"use 0 (as fast as possible) or up to {MAX_REAL_TIME_FACTOR:g}"
-        )
     if not 0 <= config.seed < 1 << 64:
         raise ConfigError(f"`seed` {config.seed} is out of range; use 0 to 2^64 - 1")
     try:
-        choose_proven_engine(config.physics)
+        choose_proven_engine(config.settings.physics)
     except EngineUnusable as error:
         raise ConfigError(str(error)) from error
-    _check_lockstep_timeout(config.lockstep.timeout_s)
     if config.mesh_http:
         to_mesh_endpoint(config.mesh_http)
     return config
@@ -152,23 +134,37 @@ def to_mesh_endpoint(address: str) -> str:
     )
 
 
-def _check_lockstep_timeout(timeout_s: float) -> None:
-    if not MIN_LOCKSTEP_TIMEOUT_S <= timeout_s <= MAX_LOCKSTEP_TIMEOUT_S:
-        raise ConfigError(
-            f"`lockstep_timeout` {timeout_s:g} is out of range; use {MIN_LOCKSTEP_TIMEOUT_S:g} to "
-            f"{MAX_LOCKSTEP_TIMEOUT_S:g} seconds"
-        )
-
-
 def fill_pace(
     config: ServerConfig, *, step_s: float | None, real_time_factor: float | None
 ) -> ServerConfig:
     """Complete step rate and speed from the world file, or with defaults."""
-    step_hz = config.step_hz or (1.0 / step_s if step_s else find_default_step_hz(config))
-    factor = REAL_TIME_FACTOR if real_time_factor is None else real_time_factor
-    if config.real_time_factor is not None:
-        factor = config.real_time_factor
-    return msgspec.structs.replace(config, step_hz=step_hz, real_time_factor=factor)
+    usual_hz = 1.0 / step_s if step_s else _find_usual_step_rate(config)
+    usual_factor = REAL_TIME_FACTOR if real_time_factor is None else real_time_factor
+    return _complete_pace(config, usual_hz, usual_factor)
+
+
+def resume_pace(config: ServerConfig, *, hz: float, real_time_factor: float) -> ServerConfig:
+    """Complete step rate [Hz] and speed from a journal.
+
+    Raises:
+        ConfigError: Another step rate is set.
+    """
+    try:
+        config.settings.pace.require_step_rate(hz)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+    return _complete_pace(config, hz, real_time_factor)
+
+
+def _complete_pace(config: ServerConfig, usual_hz: float, usual_factor: float) -> ServerConfig:
+    pace = config.settings.pace.complete(usual_hz=usual_hz, usual_factor=usual_factor)
+    settings = msgspec.structs.replace(config.settings, pace=pace)
+    return msgspec.structs.replace(config, settings=settings)
+
+
+def describe_pace(config: ServerConfig) -> str:
+    """Describe rate and speed of a configuration that is complete."""
+    return f"{find_step_rate(config):g} Hz, real-time factor {config.settings.pace.rtf:g}"
 
 
 def make_server_bus_config(listen: str, connect: str) -> "BusConfig":

@@ -16,6 +16,7 @@ from zensim.proto.messages.world_messages import WorldResource
 from zensim.proto.rigid_transforms import multiply
 from zensim.proto.sensor_libraries import Library
 from zensim.proto.service_catalog import Response
+from zensim.proto.settings.engine_settings import EngineSettings
 from zensim.sim_server.description.model_geometry import FindCorners, find_ground_clearance
 from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import IncorrectState
@@ -27,7 +28,6 @@ from zensim.sim_server.pacing.stepping_lease import SteppingLease
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.description_cache import DescriptionProvider, list_assets
 from zensim.sim_server.parser_process.mesh_server import PublishedFiles
-from zensim.sim_server.physics.engine_config import EngineOptions
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.simulated_world import BuiltWorld, SimulatedWorld, WorldFactory
 from zensim.sim_server.world_loading.world_catalog import WorldCatalog
@@ -79,7 +79,7 @@ class Pacing:
     @property
     def is_awaited(self) -> bool:
         """Whether the loop waits at control steps for agents and sensor processes."""
-        return self.lockstep.settings.is_on or len(self.step_goals) > 0
+        return self.lockstep.settings.lockstep or len(self.step_goals) > 0
 
     @property
     def is_paced(self) -> bool:
@@ -231,7 +231,7 @@ class CurrentWorld:
     model: WorldModel
     resource: WorldResource = field(default_factory=WorldResource)
     seed: int = 0
-    physics: EngineOptions = field(default_factory=EngineOptions)
+    physics: EngineSettings = field(default_factory=EngineSettings)
     """Options of the server, for every world."""
     _top: tuple[WorldModel, float | None] | None = field(default=None, repr=False, compare=False)
 

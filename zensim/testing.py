@@ -22,11 +22,6 @@ if TYPE_CHECKING:
 
 SCENARIO_SUFFIX = ".scenario.yaml"
 RESULTS_FOLDER = "test-results"
-WORLD_OPTIONS = (
-    *("world", "seed", "engine", "step_hz", "control_hz"),
-    *("model_paths", "strict", "allow_missing", "clusters", "allow_failed_engine"),
-)
-OPTIONS = frozenset({*WORLD_OPTIONS, "record"})
 MAX_FOLDER_NAME = 120
 PHASE_KEY = pytest.StashKey[dict[str, pytest.TestReport]]()
 _current: list[Simulation] = []
@@ -71,7 +66,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Declare the marker."""
     config.addinivalue_line(
         "markers",
-        f"zensim({', '.join(WORLD_OPTIONS)}, record): the simulation of a test",
+        "zensim(world, seed, record, **keywords of World): the simulation of a test",
     )
 
 
@@ -99,7 +94,7 @@ def zensim_world(request: pytest.FixtureRequest) -> Iterator[Simulation]:
     from zensim.api.in_process_world import World
 
     options = read_marker(request.node)
-    with World(**{key: options[key] for key in WORLD_OPTIONS if key in options}) as world:
+    with World(**{key: value for key, value in options.items() if key != "record"}) as world:
         world.watch_collisions()
         yield from _watch(request.node, world)
 
@@ -130,10 +125,13 @@ def read_marker(node: pytest.Item) -> dict[str, Any]:
     Raises:
         ValueError: An option is unknown.
     """
+    from zensim.proto.settings.server_settings import WorldKeywords
+
     marker = node.get_closest_marker("zensim")
     options = dict(marker.kwargs) if marker else {}
-    if unknown := options.keys() - OPTIONS:
-        raise ValueError(f"mark zensim has no option {sorted(unknown)}; use {sorted(OPTIONS)}")
+    known = {"world", "seed", "record", *WorldKeywords.__annotations__}
+    if unknown := options.keys() - known:
+        raise ValueError(f"mark zensim has no option {sorted(unknown)}; use {sorted(known)}")
     return options
 
 

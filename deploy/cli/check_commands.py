@@ -32,8 +32,8 @@ from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.engine_proofs import EngineName
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.printable_text import print_lines
+from zensim.proto.settings.engine_settings import EngineChoice
 from zensim.sim_server.physics.engine_config import (
-    EngineOptions,
     parse_engine_name,
 )
 from zensim.sim_server.physics.engine_proof.engine_prover import choose_proven_engine
@@ -201,7 +201,7 @@ def _choose_engines(given: CheckOptions) -> list[str]:
     names = get_args(EngineName) if is_both else (parse_engine_name(given.engine),)
     allowed = given.allow_failed_engine
     return [
-        choose_proven_engine(EngineOptions(engine=name, allow_failed_engine=allowed))
+        choose_proven_engine(EngineChoice(engine=name, allow_failed_engine=allowed))
         for name in names
     ]
 

@@ -11,9 +11,7 @@ import msgspec
 import typer
 
 from zensim.proto.cli_options import (
-    AllowFailedEngineOption,
     AllowMissingOption,
-    EngineOption,
     JsonOption,
     ModelPathOption,
     StrictWorldOption,
@@ -21,6 +19,7 @@ from zensim.proto.cli_options import (
 )
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.printable_text import print_lines
+from zensim.proto.settings.engine_settings import USUAL_ENGINE, EngineChoice
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 from zensim.spawner.cli.world_commands import app
 
@@ -58,8 +57,7 @@ class InspectOptions:
             help=r"Simulate for this time \[s], and name the models that still move.",
         ),
     ] = 0.0
-    engine: EngineOption = ""
-    allow_failed_engine: AllowFailedEngineOption = False
+    physics: EngineChoice = USUAL_ENGINE
     as_json: JsonOption = False
 
 
@@ -87,7 +85,6 @@ def inspect_worlds(given: InspectOptions) -> None:
 def _inspect(given: InspectOptions) -> "list[WorldInspection]":
     with server_extra():
         from zensim.sim_server.description.builtin_models import list_builtin_worlds
-        from zensim.sim_server.physics.engine_config import EngineOptions, parse_engine_name
         from zensim.sim_server.physics.engine_proof.engine_prover import choose_proven_engine
         from zensim.sim_server.world_loading.world_inspection import (
             InspectionRequest,
@@ -107,11 +104,8 @@ def _inspect(given: InspectOptions) -> "list[WorldInspection]":
         if name not in builtin and not Path(name).exists():
             known = f"no such world file or built-in world ({', '.join(builtin)})"
             raise FileNotFoundError(ENOENT, known, name)
-    options = EngineOptions(
-        engine=parse_engine_name(given.engine), allow_failed_engine=given.allow_failed_engine
-    )
     if given.settle:
-        choose_proven_engine(options)
+        choose_proven_engine(given.physics)
     order = WorldLoaderRequest(
         "",
         tuple(map(str, given.model_path or ())),
@@ -120,7 +114,9 @@ def _inspect(given: InspectOptions) -> "list[WorldInspection]":
     )
     orders = [msgspec.structs.replace(order, name=name) for name in names]
     return [
-        inspect_in_process(InspectionRequest(world=one, settle_s=given.settle, options=options))
+        inspect_in_process(
+            InspectionRequest(world=one, settle_s=given.settle, options=given.physics)
+        )
         for one in orders
     ]
 

@@ -23,11 +23,12 @@ from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.messages.input_messages import Inputs
 from zensim.proto.messages.standard_messages import NANOSECONDS, UInt8MultiArray
 from zensim.proto.printable_text import print_lines
+from zensim.proto.settings.pace_settings import PaceSettings
+from zensim.proto.settings.setting import make_settings
 from zensim.proto.topic_catalog import INPUTS
 from zensim.proto.verbosity import print_note
 from zensim.recording.recording_reader import RecordingReader, StoredTopic
 from zensim.sim_server.physics.engine_config import parse_engine_name
-from zensim.sim_server.server_config import MAX_STEP_HZ
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 
 if TYPE_CHECKING:
@@ -111,8 +112,7 @@ def make_changes(given: ResimOptions) -> "ResimChanges":
     from zensim.sim_server.input_log.resimulation import ResimChanges
 
     hz = given.step_hz
-    if hz is not None and not 1.0 <= hz <= MAX_STEP_HZ:
-        raise ValueError(f"--step-hz {hz:g} is out of range; use 1 to {MAX_STEP_HZ:g}")
+    make_settings(PaceSettings, {"step_hz": hz})
     return ResimChanges(
         engine=parse_engine_name(given.engine),
         step_ns=None if hz is None else round(NANOSECONDS / hz),

@@ -55,11 +55,12 @@ from zensim.proto.names import check_name
 from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import ROLES, User
 from zensim.proto.setting_variables import name_variable
+from zensim.proto.settings.setting import read_settings
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied, SupervisedProgram, Supervisor
 from zensim.proto.verbosity import CURRENT
 from zensim.proto.web_access import split_token
-from zensim.sim_server.cli import MISS_POLICIES, ServeOptions, print_users
+from zensim.sim_server.cli import ServeOptions, print_users
 from zensim.sim_server.security.secure_folder import (
     SecureSettings,
     open_secure_folder,
@@ -75,7 +76,6 @@ from zensim.spawner.cli.spawn_arguments import (
     LayoutOption,
     SpacingOption,
     make_placements,
-    parse_dynamics,
 )
 from zensim.spawner.cli.view_commands import MissingViewerExtra, check_page
 from zensim.spawner.spawn.spawn_poses import LAYOUTS, RobotPlacement
@@ -288,10 +288,11 @@ def _refuse_two_endpoints(config: LaunchConfig, scenario: "Scenario") -> None:
 
 def _list_written(context: typer.Context, given: UpOptions) -> dict[str, object]:
     """List the options that the command line or a variable sets, with their values."""
-    sources = {name: context.get_parameter_source(name) for name in vars(given)}
+    values = {**vars(given), **read_settings(given.server)}
+    sources = {name: context.get_parameter_source(name) for name in values}
     written = {
         name: value
-        for name, value in vars(given).items()
+        for name, value in values.items()
         if (source := sources[name]) is not None
         and source.name in ("COMMANDLINE", "ENVIRONMENT")
         and not (name == "connect" and not value)
@@ -352,13 +353,10 @@ def _make_server_config(given: UpOptions) -> LaunchConfig:
         world=given.world,
         world_name=check_name(given.world_name, "world name"),
         endpoint=with_free_port(given.listen),
-        real_time_factor=given.rtf,
+        server=given.server,
         model_paths=tuple(map(str, given.model_path or ())),
         is_strict=given.strict,
         allow_missing=given.allow_missing,
-        is_lockstep=given.lockstep,
-        lockstep_timeout_s=given.lockstep_timeout,
-        on_miss=parse_choice("--on-miss", given.on_miss, MISS_POLICIES),
         connect=given.connect,
         is_secure=given.secure,
         uses_certificates=given.client_certificates,
@@ -369,13 +367,6 @@ def _make_server_config(given: UpOptions) -> LaunchConfig:
         is_paused=given.paused,
         seed=given.seed,
         journal=str(given.journal or ""),
-        step_hz=given.step_hz,
-        control_hz=given.control_hz,
-        dynamics=parse_dynamics(given.dynamics),
-        engine=given.engine,
-        clusters=given.clusters,
-        engine_workers=given.engine_workers,
-        allow_failed_engine=given.allow_failed_engine,
         ros=given.ros,
     )
 

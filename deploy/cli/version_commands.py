@@ -6,9 +6,9 @@ import sys
 from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.package_versions import find_reported_versions
 from zensim.proto.printable_text import print_lines
+from zensim.proto.settings.engine_settings import EngineChoice
 from zensim.proto.verbosity import CURRENT
 from zensim.sim_server.physics.engine_config import (
-    EngineOptions,
     explain_default,
     find_installed_engines,
 )
@@ -31,5 +31,5 @@ def print_versions(*, as_json: JsonOption = False) -> None:
     else:
         for name, found in versions.items():
             print_lines(f"{name:<14} {found}")
-        if reason := explain_default(EngineOptions(), find_installed_engines()):
+        if reason := explain_default(EngineChoice(), find_installed_engines()):
             print_lines(reason)

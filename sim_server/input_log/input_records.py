@@ -14,9 +14,10 @@ import numpy.typing as npt
 from zensim.proto.engine_proofs import EngineName
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.package_versions import find_package_version
+from zensim.proto.settings.engine_settings import EngineSettings
 from zensim.sim_server.physics.engine import BodyStates, Engine, IntArray
 from zensim.sim_server.physics.engine_calls import MAX_STEPS, AnyCall
-from zensim.sim_server.physics.engine_config import EngineConfig, EngineOptions
+from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_factory import MAX_PARALLEL_CELLS
 from zensim.sim_server.world_loading.world_loader import make_layered_engine
 
@@ -45,7 +46,7 @@ class HostVersions(msgspec.Struct, frozen=True):
 class EngineRecipe(msgspec.Struct, frozen=True):
     """How the engine of a world is made."""
 
-    options: EngineOptions
+    options: EngineSettings
     control_steps: Annotated[int, msgspec.Meta(ge=1, le=MAX_STEPS)]
     step_ns: Annotated[int, msgspec.Meta(ge=1_000, le=NANOSECONDS)]
     gravity: tuple[float, float, float]
@@ -58,10 +59,7 @@ class EngineRecipe(msgspec.Struct, frozen=True):
         Raises:
             EngineMissing: Its library is not installed.
         """
-        workers = self.options.workers
-        options = msgspec.structs.replace(
-            self.options, workers=None if workers is None else min(workers, MAX_PARALLEL_CELLS)
-        )
+        options = self.options.limit_workers(MAX_PARALLEL_CELLS)
         config = EngineConfig(
             self.step_ns,
             self.gravity,

@@ -397,7 +397,7 @@ def summarize_journal(database: SqliteStore, contents: JournalContents | None) -
         "world_model": world.source.name,
         "state": State(clock.state).name.lower(),
         "epoch": clock.epoch,
-        "sim_time_s": round(contents.steps * round(NANOSECONDS / world.step_hz) * 1e-9, 9),
+        "sim_time_s": round(contents.steps * round(NANOSECONDS / world.step_rate_hz) * 1e-9, 9),
         "steps": contents.steps,
         "answers": len(contents.responses),
         "entities": [_summarize_entity(contents, row) for row in contents.entities],
@@ -410,12 +410,12 @@ def export_journal(database: SqliteStore, contents: JournalContents | None) -> d
     summary = summarize_journal(database, contents)
     if contents is None:
         return summary
+    world = msgspec.to_builtins(contents.world)
     rows = (*contents.entities, *(row.entity for row in contents.aside))
     return {
         **summary,
-        "world_source": msgspec.to_builtins(contents.world.source),
-        "step_hz": contents.world.step_hz,
-        "seed": contents.world.seed,
+        "world_source": world.pop("source"),
+        **{name: value for name, value in world.items() if name not in ("name", "resource")},
         "descriptions": {row.name: contents.texts[row.text] for row in rows},
     }
 

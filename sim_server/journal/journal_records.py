@@ -57,7 +57,7 @@ class WorldRow(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     """World name in keys on the network."""
     source: WorldModel
-    step_hz: float
+    step_rate_hz: float = msgspec.field(name="step_hz")
     seed: int = 0
     resource: WorldResource = WorldResource()
 

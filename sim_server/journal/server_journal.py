@@ -329,7 +329,7 @@ class ChangeTracker:
         self._world = WorldRow(
             name=world.name,
             source=current.model,
-            step_hz=NANOSECONDS / world.clock.step_ns,
+            step_rate_hz=NANOSECONDS / world.clock.step_ns,
             seed=current.seed,
             resource=current.resource,
         )

@@ -5,12 +5,11 @@ replies to scene states.
 """
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.settings.lockstep_settings import LockstepSettings
 
-OnMiss = Literal["wait", "hold", "fail"]
-LOCKSTEP_TIMEOUT_S = 1.0
 MAX_CHECK_INTERVAL_NS = 20_000_000
 """Most waiting time counted per check: the server itself may have been stopped."""
 
@@ -59,22 +58,6 @@ class StateReply(Protocol):
         """Order of the state."""
 
 
-@dataclass(frozen=True)
-class LockstepSettings:
-    """Waiting for agents and sensor processes at control steps.
-
-    Attributes:
-        is_on: Wait at each control step; without it only at requested steps.
-        timeout_s: Wall time that each client has for its reply.
-        on_miss: Then `wait` until its token disappears, `hold` the old targets and continue, or
-            `fail`: pause and abort the requested steps.
-    """
-
-    is_on: bool = False
-    timeout_s: float = LOCKSTEP_TIMEOUT_S
-    on_miss: OnMiss = "hold"
-
-
 @dataclass
 class _SentState:
     """Last state published to a client, and whether its reply is awaited."""
@@ -101,6 +84,25 @@ class Lockstep:
         self._misses: dict[str, int] = {}
         self._unresponsive: set[str] = set()
         self._last_check_ns = 0
+
+    @property
+    def rule(self) -> str:
+        """What happens when a client is late, for the log."""
+        return f"on_miss={self.settings.on_miss}"
+
+    @property
+    def _goes_on(self) -> bool:
+        return self.settings.on_miss == "hold"
+
+    @property
+    def has_timeout(self) -> bool:
+        """Whether a client that is late is given up, so that time goes on or ends."""
+        return self.settings.on_miss != "wait"
+
+    @property
+    def ends_when_late(self) -> bool:
+        """Whether a client that is late pauses the world."""
+        return self.settings.on_miss == "fail"
 
     @property
     def awaited(self) -> tuple[str, ...]:
@@ -136,7 +138,7 @@ class Lockstep:
         )
         if not state.is_awaited:
             return True
-        if self.settings.on_miss == "hold" and client in self._unresponsive:
+        if self._goes_on and client in self._unresponsive:
             self._misses[client] += 1
             return False
         self._awaited.add(client)
@@ -167,7 +169,7 @@ class Lockstep:
         late = tuple(client for client in self.awaited if self._is_late(client))
         for client in late:
             self._sent[client].waited_ns = 0
-            if self.settings.on_miss != "wait":
+            if self.has_timeout:
                 self._record_miss(client)
         return late
 
@@ -179,7 +181,7 @@ class Lockstep:
         self._unresponsive.discard(client)
 
     def _is_late(self, client: str) -> bool:
-        return self._sent[client].waited_ns >= self.settings.timeout_s * NANOSECONDS
+        return self._sent[client].waited_ns >= self.settings.lockstep_timeout * NANOSECONDS
 
     def _record_miss(self, client: str) -> None:
         self._misses[client] = self._misses.get(client, 0) + 1

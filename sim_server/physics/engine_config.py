@@ -1,18 +1,14 @@
-"""Configuration of physics: of a world, and the server's choice of engine, cells and workers."""
+"""Engines that are installed, the choice of one, and the physics of a world."""
 
 import platform
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Literal, get_args
-
-import msgspec
+from typing import get_args
 
 from zensim.proto.engine_proofs import EngineName
-from zensim.proto.messages.model_messages import Dynamics
-
-Clustering = Literal["auto", "on", "off"]
+from zensim.proto.settings.engine_settings import EngineChoice
 
 INSTALL_COMMAND = "pip install 'zensim[server]'"
 """Command that installs each engine that has a wheel for this Python and system."""
@@ -30,26 +26,6 @@ class EngineMissing(EngineUnusable):
     """The library of an engine is not installed."""
 
     slug = "engine.missing"
-
-
-class EngineOptions(msgspec.Struct, frozen=True, kw_only=True):
-    """The server's choice of engine for its worlds."""
-
-    engine: EngineName | None = None
-    """None = the first installed of pybullet and mujoco."""
-    clusters: Clustering = "auto"
-    """Whether bodies that cannot touch are stepped in separate cells; auto = in large worlds."""
-    workers: int | None = None
-    """Processes besides the server that step cells; None = one for each further core, for an
-    engine that holds the interpreter's lock while it steps."""
-    dynamics: Dynamics = "full"
-    """Dynamics of entities that request none."""
-    compiles_ahead: bool = True
-    """Whether threads compile models that spawns may need next, which saves later steps a delay."""
-    cores: int | None = None
-    """Cores that the choice of cells assumes; None = those that this process may use."""
-    allow_failed_engine: bool = False
-    """Whether an engine that fails a case of its proof is used all the same."""
 
 
 def parse_engine_name(name: str) -> EngineName | None:
@@ -88,7 +64,7 @@ def explain_missing(name: EngineName) -> str:
     return f"{name} has no wheel for Python {python} on {sys.platform} {platform.machine()}"
 
 
-def explain_default(choice: EngineOptions, installed: Sequence[EngineName]) -> str | None:
+def explain_default(choice: EngineChoice, installed: Sequence[EngineName]) -> str | None:
     """Say why the default engine is not the first one; None if it is, or an engine was chosen."""
     first = get_args(EngineName)[0]
     if choice.engine is not None or not installed or first in installed:
@@ -96,7 +72,7 @@ def explain_default(choice: EngineOptions, installed: Sequence[EngineName]) -> s
     return f"{first} is not installed: {installed[0]} is the engine; {explain_missing(first)}"
 
 
-def choose_engine(choice: EngineOptions, installed: Sequence[EngineName]) -> EngineName:
+def choose_engine(choice: EngineChoice, installed: Sequence[EngineName]) -> EngineName:
     """Choose an installed engine.
 
     Raises:
@@ -124,4 +100,4 @@ class EngineConfig:
     mesh_folder: str = ""
     """Folder with `<Shape.mesh>.stl` files."""
     compiles_ahead: bool = True
-    """See `EngineOptions`."""
+    """See `EngineSettings`."""

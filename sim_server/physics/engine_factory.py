@@ -6,6 +6,7 @@ import msgspec
 
 from zensim.proto.engine_proofs import EngineName
 from zensim.proto.process_limits import count_usable_cores
+from zensim.proto.settings.engine_settings import EngineSettings
 from zensim.sim_server.physics.cells.cell_executor import (
     CellExecutor,
     InProcessCellExecutor,
@@ -13,7 +14,7 @@ from zensim.sim_server.physics.cells.cell_executor import (
 )
 from zensim.sim_server.physics.cells.celled_engine import CelledEngine, CellSettings
 from zensim.sim_server.physics.engine import Engine
-from zensim.sim_server.physics.engine_config import EngineConfig, EngineOptions
+from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_proof.engine_prover import choose_proven_engine
 from zensim.sim_server.physics.isolating_engine import IsolatingEngine
 from zensim.sim_server.physics.sleeping_engine import wrap_with_sleep
@@ -62,7 +63,7 @@ MAX_PARALLEL_CELLS = 8
 
 
 def create_world_engine(
-    config: EngineConfig, choice: EngineOptions, *, period_steps: int
+    config: EngineConfig, choice: EngineSettings, *, period_steps: int
 ) -> Engine:
     """Create the engine of a world.
 
@@ -79,8 +80,8 @@ def create_world_engine(
         return create_engine(name, config)
     releases_lock = name != "pybullet"  # of the interpreter, while it steps
     cores = limit_cores(choice)
-    threads = cores if releases_lock and not choice.workers else 1
-    workers = choice.workers
+    threads = cores if releases_lock and not choice.engine_workers else 1
+    workers = choice.engine_workers
     if workers is None:
         workers = 0 if releases_lock else cores - 1
     single_cell = (
@@ -103,6 +104,6 @@ def _make_cell_executor(cell: CellConfig, threads: int, workers: int) -> CellExe
     return InProcessCellExecutor(cell.make, threads=threads)
 
 
-def limit_cores(choice: EngineOptions) -> int:
+def limit_cores(choice: EngineSettings) -> int:
     """Count the cores that cells may use, up to the limit."""
     return min(choice.cores or count_usable_cores(), MAX_PARALLEL_CELLS)

@@ -161,11 +161,11 @@ class AgentSessions:
         self._published_twists = changes
 
     def must_wait(self) -> bool:
-        """Whether the next step must wait; apply `LockstepSettings.on_miss` to late clients."""
+        """Whether the next step must wait; apply the settings of lockstep to late clients."""
         if not self._lockstep.is_waiting:
             return False
         late = self._lockstep.find_late(self._pacing.now_ns())
-        if late and self._lockstep.settings.on_miss == "wait":
+        if late and not self._lockstep.has_timeout:
             self._publish_again(late)
         elif late:
             self._miss(late)
@@ -216,11 +216,11 @@ class AgentSessions:
     def _miss(self, late: tuple[str, ...]) -> None:
         settings, step = self._lockstep.settings, self._world.clock.steps
         for client in late:
-            text = f"{client!r} did not reply to step {step} within {settings.timeout_s:g} s"
-            LOG.warning("missed client=%s step=%d on_miss=%s", client, step, settings.on_miss)
+            text = f"{client!r} did not reply to step {step} within {settings.lockstep_timeout:g} s"
+            LOG.warning("missed client=%s step=%d %s", client, step, self._lockstep.rule)
             event = Event("missed", "", client, step, self._world.clock.epoch, text)
             self._publisher.publish(EVENTS, event)
-        if settings.on_miss == "fail":
+        if self._lockstep.ends_when_late:
             self._abort_and_pause(f"{text}; check that it runs, then play again")
         else:
             self._pacing.step_goals.note_late(late)

@@ -65,7 +65,7 @@ def get_server_info(
         engine=world.engine.name,
         world_model=current.model.name,
         seed=current.seed,
-        is_lockstep=pacing.lockstep.settings.is_on,
+        is_lockstep=pacing.lockstep.settings.lockstep,
         driven=world.claims.driven,
     )
 

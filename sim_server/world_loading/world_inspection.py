@@ -22,9 +22,11 @@ from zensim.proto.bounded_files import read_file
 from zensim.proto.child_process import make_module_command, reserve_stdout, run_process
 from zensim.proto.messages.model_messages import ReportEntry, Vec3
 from zensim.proto.process_limits import die_with_parent
+from zensim.proto.settings.engine_settings import EngineChoice
+from zensim.proto.settings.server_settings import ServerSettings
+from zensim.proto.settings.setting import make_settings, read_settings
 from zensim.sim_server.description.strict_parsing import MAX_BYTES
 from zensim.sim_server.parser_process.asset_store import AssetStore
-from zensim.sim_server.physics.engine_config import EngineOptions
 from zensim.sim_server.server_config import ConfigError, ServerConfig, fill_pace
 from zensim.sim_server.world.simulated_world import SimulatedWorld
 from zensim.sim_server.world_loading.world_loader import (
@@ -57,7 +59,7 @@ class InspectionRequest(msgspec.Struct, frozen=True, kw_only=True):
 
     world: WorldLoaderRequest
     settle_s: float = 0.0
-    options: EngineOptions = EngineOptions()
+    options: EngineChoice = EngineChoice()
 
 
 class InspectedModel(msgspec.Struct, frozen=True):
@@ -187,7 +189,7 @@ def watch_models(
     """
     started = time.perf_counter()
     config = fill_pace(
-        ServerConfig(physics=request.options),
+        ServerConfig(settings=make_settings(ServerSettings, read_settings(request.options))),
         step_s=loaded.model.physics.step_s,
         real_time_factor=loaded.model.physics.real_time_factor,
     )

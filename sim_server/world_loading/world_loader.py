@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from zensim.proto.messages.model_messages import ReportEntry
+    from zensim.proto.settings.engine_settings import EngineSettings
     from zensim.sim_server.physics.engine import Engine
-    from zensim.sim_server.physics.engine_config import EngineOptions
     from zensim.sim_server.server_config import ServerConfig
 
 LOG = logging.getLogger(__name__)
@@ -162,13 +162,15 @@ def make_world_engine(config: ServerConfig, model: WorldModel, mesh_folder: str)
         model.ground_plane,
         model.ground_friction,
         mesh_folder=mesh_folder,
-        compiles_ahead=config.physics.compiles_ahead,
+        compiles_ahead=config.settings.physics.compiles_ahead,
     )
-    return make_layered_engine(engine_config, config.physics, control_steps=config.control_steps)
+    return make_layered_engine(
+        engine_config, config.settings.physics, control_steps=config.control_steps
+    )
 
 
 def make_layered_engine(
-    config: EngineConfig, options: EngineOptions, *, control_steps: int
+    config: EngineConfig, options: EngineSettings, *, control_steps: int
 ) -> Engine:
     """Create an engine with all its layers."""
     full = create_world_engine(config, options, period_steps=control_steps)
@@ -202,6 +204,6 @@ def make_world_factory(
         finally:
             if not is_complete:
                 world.close()
-        yield BuiltWorld(world, world_config.real_time_factor or 0.0)
+        yield BuiltWorld(world, world_config.settings.pace.rtf or 0.0)
 
     return build

@@ -104,8 +104,9 @@ def test_mujoco_server_and_agent_run_without_modules_of_some_systems(
 def test_mujoco_is_chosen_without_a_flag_where_pybullet_is_missing() -> None:
     done = run(
         LACKING + "import json\n"
+        "from zensim.proto.settings.engine_settings import EngineSettings\n"
         "from zensim.sim_server.physics.engine_config import *\n"
-        "print(json.dumps(choose_engine(EngineOptions(), find_installed_engines())))"
+        "print(json.dumps(choose_engine(EngineSettings(), find_installed_engines())))"
     )
 
     assert json.loads(done.stdout) == "mujoco"

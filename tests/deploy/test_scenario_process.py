@@ -160,4 +160,4 @@ def test_server_of_a_run_waits_for_slow_agents(
 ) -> None:
     scenario = read_scenario(write_scenario(tmp_path), given)
 
-    assert make_launch_config(scenario).on_miss == on_miss
+    assert make_launch_config(scenario).server.lockstep.on_miss == on_miss

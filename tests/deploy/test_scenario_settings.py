@@ -14,6 +14,8 @@ from zensim.deploy.scenario_settings import (
     refuse_options_of_the_demo,
 )
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
+from zensim.proto.settings.server_settings import ServerSettings
+from zensim.proto.settings.setting import list_settings, make_settings
 from zensim.scenario.scenario_format import AgentsSection, ScenarioFormat
 from zensim.scenario.scenario_reader import Scenario, read_scenario
 from zensim.scenario.typed_reading import find_type
@@ -42,22 +44,22 @@ def test_file_completes_the_settings(tmp_path: Path) -> None:
     config = add_scenario(FLAGS, scenario_of(tmp_path))
 
     assert (config.world, config.world_name, config.is_strict) == ("walls", "lab", True)
-    assert (config.engine, config.clusters, config.dynamics) == ("mujoco", "off", "auto")
-    assert (config.real_time_factor, config.seed, config.is_paused) == (2.0, 7, True)
-    assert (config.is_lockstep, config.endpoint) == (True, "tcp/127.0.0.1:7999")
+    physics = config.server.physics
+    assert (physics.engine, physics.clusters, physics.dynamics) == ("mujoco", "off", "auto")
+    assert (config.server.pace.rtf, config.seed, config.is_paused) == (2.0, 7, True)
+    assert (config.server.lockstep.lockstep, config.endpoint) == (True, "tcp/127.0.0.1:7999")
     assert (config.viewer_port, config.sensor_processes) == (9000, 2)
 
 
 def test_flags_win(tmp_path: Path) -> None:
-    flags = LaunchConfig(
-        world="empty", endpoint="tcp/127.0.0.1:1", engine="pybullet", real_time_factor=1.0, seed=3
-    )
+    server = make_settings(ServerSettings, {"engine": "pybullet", "rtf": 1.0})
+    flags = LaunchConfig(world="empty", endpoint="tcp/127.0.0.1:1", server=server, seed=3)
     given = {"world": "empty", "listen": "", "engine": "", "rtf": 1.0, "seed": 3, "odom_hz": 5.0}
 
     config = add_scenario(flags, scenario_of(tmp_path), given)
 
-    assert (config.world, config.engine, config.seed) == ("empty", "pybullet", 3)
-    assert (config.real_time_factor, config.endpoint) == (1.0, "tcp/127.0.0.1:1")
+    assert (config.world, config.server.physics.engine, config.seed) == ("empty", "pybullet", 3)
+    assert (config.server.pace.rtf, config.endpoint) == (1.0, "tcp/127.0.0.1:1")
     assert config.agents.odom_hz == 5.0
 
 
@@ -68,8 +70,9 @@ def list_keys(kind: type, path: str) -> list[str]:
 
 def test_every_option_of_up_and_serve_is_a_key() -> None:
     options = {field.name for kind in (UpOptions, ServeOptions) for field in fields(kind)}
+    options |= {one.name for one in list_settings(ServerSettings)}
 
-    not_of_files = {"file", "settings", "as_json", "announce", "input_log"}
+    not_of_files = {"server", "file", "settings", "as_json", "announce", "input_log"}
     not_of_files |= {"record"}  # the section of this name has more than a path
     # Who is admitted is decided where the program runs, never by a file that somebody sent.
     not_of_files |= {"secure", "client_certificates", "insecure", "mesh_http", "page_role"}

@@ -9,6 +9,8 @@ import typer
 from tests.zensim.api.test_local_deployment import DEFAULTS
 from zensim.api.local_deployment import LaunchConfig, make_serve_arguments
 from zensim.deploy.cli.up_commands import UpOptions, make_config
+from zensim.proto.settings.server_settings import ServerSettings
+from zensim.proto.settings.setting import SettingField, list_settings, make_settings
 from zensim.sim_server.cli import ServeOptions
 
 CHANGED: dict[str, object] = {
@@ -30,6 +32,13 @@ CHANGED: dict[str, object] = {
     "metrics_insecure": True,
     "wait": 3.0,
     "world_name": "other",
+    "server": make_settings(ServerSettings, {"step_hz": 100.0}),
+    "ros_domain": "5",
+    "ros_distro": "humble",
+    "ros_bridge": True,
+    "ros_topics": "odom,tf",
+}
+CHANGED_SETTINGS: dict[str, object] = {
     "engine": "mujoco",
     "allow_failed_engine": True,
     "rtf": 2.0,
@@ -41,10 +50,6 @@ CHANGED: dict[str, object] = {
     "lockstep": True,
     "lockstep_timeout": 2.0,
     "on_miss": "wait",
-    "ros_domain": "5",
-    "ros_distro": "humble",
-    "ros_bridge": True,
-    "ros_topics": "odom,tf",
 }
 NEEDED: dict[str, dict[str, object]] = {"metrics_insecure": {"metrics": "0.0.0.0:9464"}}
 """Options without which another one changes nothing."""
@@ -61,7 +66,17 @@ def test_option_of_serve_reaches_the_server_of_up(field: "dataclasses.Field[obje
     given = UpOptions(robots=0, **changed)  # type: ignore[arg-type]
 
     assert make_serve_arguments(make_config(given)) != usual
-    assert isinstance(get_args(field.type)[1], typer.models.OptionInfo)
+    if field.name != "server":
+        assert isinstance(get_args(field.type)[1], typer.models.OptionInfo)
+
+
+@pytest.mark.parametrize("field", list_settings(ServerSettings), ids=lambda field: field.name)
+def test_setting_reaches_the_server_of_up(field: SettingField) -> None:
+    changed = make_settings(ServerSettings, {field.name: CHANGED_SETTINGS[field.name]})
+
+    words = make_serve_arguments(make_config(UpOptions(robots=0, server=changed)))
+
+    assert field.flag in words
 
 
 def test_defaults_of_the_server_are_left_out() -> None:

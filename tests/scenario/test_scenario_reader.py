@@ -525,7 +525,7 @@ def test_values_are_frozen(tmp_path: Path) -> None:
     scenario = read(tmp_path, FULL)
 
     with pytest.raises(AttributeError):
-        scenario.format.time.seed = 3  # type: ignore[misc]
+        scenario.format.time.seed = 3
     assert msgspec.structs.replace(scenario.format.time, seed=3).seed == 3
 
 

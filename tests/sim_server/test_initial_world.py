@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-import msgspec
 import pytest
 
 from tests.engines import STEP_NS
+from tests.sim_server.changed_configs import with_settings
 from tests.sim_server.journal.journaled_server import JournaledServer
 from zensim.proto.bus import BusConfig
 from zensim.sim_server.initial_world import load_initial_world
@@ -29,13 +29,13 @@ def test_server_restores_the_world_of_its_journal(journal: Journal) -> None:
     loaded, config = load_initial_world(CONFIG, journal)
 
     assert loaded.model.name == "empty"
-    assert (config.step_ns, config.real_time_factor, config.seed) == (STEP_NS, 2.0, 7)
+    assert (config.step_ns, config.settings.pace.rtf, config.seed) == (STEP_NS, 2.0, 7)
 
 
 def test_server_keeps_the_requested_factor(journal: Journal) -> None:
-    _, config = load_initial_world(msgspec.structs.replace(CONFIG, real_time_factor=0.5), journal)
+    _, config = load_initial_world(with_settings(CONFIG, rtf=0.5), journal)
 
-    assert config.real_time_factor == 0.5
+    assert config.settings.pace.rtf == 0.5
 
 
 def test_server_loads_its_world_when_the_journal_is_new(tmp_path: Path) -> None:
@@ -55,6 +55,6 @@ def test_server_refuses_the_journal_of_another_world(
     journal: Journal, change: dict[str, object], response_: str
 ) -> None:
     with pytest.raises(JournalError) as caught:
-        load_initial_world(msgspec.structs.replace(CONFIG, **change), journal)
+        load_initial_world(with_settings(CONFIG, **change), journal)
 
     assert str(caught.value).startswith(response_)

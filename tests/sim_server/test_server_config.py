@@ -3,15 +3,13 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from msgspec.structs import replace
 
+from tests.sim_server.changed_configs import with_settings
 from zensim.proto.bus import BusConfig
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.sim_server.pacing.lockstep import LockstepSettings
-from zensim.sim_server.physics.engine_config import EngineOptions
+from zensim.proto.settings.pace_settings import CONTROL_HZ
 from zensim.sim_server.server_config import (
-    CONTROL_HZ,
     ConfigError,
     ServerConfig,
     fill_pace,
@@ -37,17 +35,17 @@ def test_config_defaults_are_valid() -> None:
         ({"step_hz": float("nan")}, "`step_hz` nan"),
         ({"control_hz": 0.0}, "`control_hz` 0"),
         ({"control_hz": float("nan")}, "`control_hz` nan"),
-        ({"real_time_factor": -1.0}, r"`rtf` -1"),
-        ({"real_time_factor": float("inf")}, "`rtf` inf"),
-        ({"real_time_factor": float("nan")}, "`rtf` nan"),
-        ({"lockstep": LockstepSettings(timeout_s=0.0)}, "`lockstep_timeout` 0"),
-        ({"lockstep": LockstepSettings(timeout_s=float("nan"))}, "`lockstep_timeout` nan"),
+        ({"rtf": -1.0}, r"`rtf` -1"),
+        ({"rtf": float("inf")}, "`rtf` inf"),
+        ({"rtf": float("nan")}, "`rtf` nan"),
+        ({"lockstep_timeout": 0.0}, "`lockstep_timeout` 0"),
+        ({"lockstep_timeout": float("nan")}, "`lockstep_timeout` nan"),
         ({"seed": -1}, "`seed` -1"),
     ],
     ids=str,
 )
 def test_config_is_refused_with_the_value(changes: dict[str, object], named: str) -> None:
-    config = replace(DEFAULTS, **changes)
+    config = with_settings(DEFAULTS, **changes)
 
     with pytest.raises(ConfigError, match=named):
         validate_config(config)
@@ -68,19 +66,19 @@ def test_config_is_refused_with_the_value(changes: dict[str, object], named: str
 def test_config_computes_step_and_control_period(
     step_hz: float, step_ns: int, control_steps: int
 ) -> None:
-    config = replace(DEFAULTS, step_hz=step_hz)
+    config = with_settings(DEFAULTS, step_hz=step_hz)
 
     assert (config.step_ns, config.control_steps) == (step_ns, control_steps)
 
 
 @pytest.mark.parametrize(("control_hz", "steps"), [(50.0, 5), (240.0, 1), (1000.0, 1), (10.0, 24)])
 def test_drive_states_have_the_requested_rate(control_hz: float, steps: int) -> None:
-    assert replace(DEFAULTS, step_hz=240.0, control_hz=control_hz).control_steps == steps
+    assert with_settings(DEFAULTS, step_hz=240.0, control_hz=control_hz).control_steps == steps
 
 
 @given(st.floats(1.0, 10_000.0))
 def test_drive_states_have_at_most_the_control_rate(step_hz: float) -> None:
-    config = replace(DEFAULTS, step_hz=step_hz)
+    config = with_settings(DEFAULTS, step_hz=step_hz)
 
     assert config.control_steps >= 1
     assert NANOSECONDS / config.step_ns / config.control_steps <= CONTROL_HZ * (1 + 1e-6)
@@ -114,11 +112,11 @@ def test_pace_is_requested_or_of_the_world_file_or_the_default(
     written: tuple[float | None, float | None],
     expected: tuple[float, float],
 ) -> None:
-    config = replace(DEFAULTS, step_hz=asked[0], real_time_factor=asked[1])
+    config = with_settings(DEFAULTS, step_hz=asked[0], rtf=asked[1])
 
     found = fill_pace(config, step_s=written[0], real_time_factor=written[1])
 
-    assert (found.step_hz, found.real_time_factor) == expected
+    assert (found.settings.pace.step_hz, found.settings.pace.rtf) == expected
 
 
 @pytest.mark.parametrize(
@@ -136,12 +134,11 @@ def test_pace_is_requested_or_of_the_world_file_or_the_default(
 def test_kinematic_world_steps_at_its_control_rate_within_bounds(
     control_hz: float, step_hz: float, control_steps: int
 ) -> None:
-    physics = EngineOptions(dynamics="kinematic")
-    config = replace(DEFAULTS, control_hz=control_hz, physics=physics)
+    config = with_settings(DEFAULTS, control_hz=control_hz, dynamics="kinematic")
 
     found = fill_pace(config, step_s=None, real_time_factor=None)
 
-    assert found.step_hz == pytest.approx(step_hz)
+    assert found.settings.pace.step_hz == pytest.approx(step_hz)
     assert (found.control_steps, config.control_steps) == (control_steps, control_steps)
     assert config.step_ns == found.step_ns
 
@@ -152,19 +149,17 @@ def test_kinematic_world_steps_at_its_control_rate_within_bounds(
 def test_kinematic_world_has_the_step_rate_that_is_given(
     asked: float | None, written: float | None, expected: float
 ) -> None:
-    physics = EngineOptions(dynamics="kinematic")
-    config = replace(DEFAULTS, step_hz=asked, control_hz=20.0, physics=physics)
+    config = with_settings(DEFAULTS, step_hz=asked, control_hz=20.0, dynamics="kinematic")
 
     found = fill_pace(config, step_s=written, real_time_factor=None)
 
-    assert found.step_hz == expected
+    assert found.settings.pace.step_hz == expected
 
 
 @pytest.mark.parametrize("control_hz", [15.0, 30.0, 48.0, 60.0, 75.0, 90.0, 120.0])
 def test_control_steps_do_not_change_by_the_rounding_of_a_step(control_hz: float) -> None:
-    physics = EngineOptions(dynamics="kinematic")
-    config = replace(DEFAULTS, control_hz=control_hz, physics=physics)
+    config = with_settings(DEFAULTS, control_hz=control_hz, dynamics="kinematic")
 
-    resumed = replace(config, step_hz=NANOSECONDS / config.step_ns)
+    resumed = with_settings(config, step_hz=NANOSECONDS / config.step_ns)
 
     assert resumed.control_steps == config.control_steps

@@ -17,7 +17,7 @@ from zensim.api.local_deployment import LaunchAgentsConfig, LaunchConfig
 from zensim.api.program_keeper import ProgramKeeper
 from zensim.api.server_access import ServerAccess
 from zensim.api.sim import Sim
-from zensim.api.simulation import WorldKeywords, read_world_keywords
+from zensim.api.simulation import read_world_keywords
 from zensim.api.world_access import api_errors
 from zensim.proto import keys
 from zensim.proto.bus import (
@@ -39,6 +39,9 @@ from zensim.proto.join_tokens import (
 )
 from zensim.proto.messages.telemetry_messages import Info
 from zensim.proto.ros2.ros_settings import NO_ROS
+from zensim.proto.settings.lockstep_settings import PATIENT, LockstepSettings
+from zensim.proto.settings.pace_settings import PaceSettings
+from zensim.proto.settings.server_settings import ServerSettings, WorldKeywords
 from zensim.spawner.client.service_client import ServiceClient
 
 if TYPE_CHECKING:
@@ -99,10 +102,9 @@ def connect(
     return _register(sim)
 
 
-def launch(  # noqa: PLR0913  options of a start, each with a default
+def launch(
     world: str | Path = "empty",
     *,
-    engine: str = "",
     seed: int = 0,
     rtf: float | None = None,
     agents: int = 1,
@@ -114,28 +116,29 @@ def launch(  # noqa: PLR0913  options of a start, each with a default
 
     Args:
         world: Name of a world, or an SDF file.
-        engine: pybullet or mujoco; the default of the server if empty.
         seed: Of the world's random numbers.
         rtf: Let time advance by itself at this real-time factor; 0 = as fast as possible.
         agents: Pools that drive the robots; 0 = none.
         sensors: Processes that measure lidars and cameras; None = one when a robot needs it.
         timeout_s: Wall time of the start.
-        options: model_paths, strict and others; see `WorldKeywords`.
+        options: See `WorldKeywords`; `engine` is PyBullet, where that is installed, unless it is
+            given.
 
     Raises:
         Error: A program ended, took too long (Timeout), or see `connect` (Unsupported).
     """
+    waiting = PATIENT if rtf is None else LockstepSettings()
+    usual = ServerSettings(pace=PaceSettings(rtf=rtf), lockstep=waiting)
+    start, settings = read_world_keywords(options, usual)
     config = LaunchConfig(
         world=str(world),
-        **read_world_keywords(options),
+        **start,
+        server=settings,
         endpoint=with_free_port("tcp/127.0.0.1:0"),
-        real_time_factor=rtf,
-        engine=engine,
         seed=seed,
         is_paused=rtf is None,
         agents=LaunchAgentsConfig(pools=agents),
         sensor_processes=sensors,
-        on_miss="hold" if rtf is not None else "wait",  # equal results on a loaded machine
         ros=NO_ROS,
     )
     return launch_configured(config, timeout_s)

@@ -13,7 +13,7 @@ from zensim.api.collision_watch import CollisionWatch
 from zensim.api.entity_values import Collision
 from zensim.api.in_process_network import InProcessSubscription
 from zensim.api.in_process_server import CLIENT, NO_RATES, POOL, InProcessServer
-from zensim.api.simulation import Simulation, WorldKeywords, read_world_keywords
+from zensim.api.simulation import Simulation, read_world_keywords
 from zensim.api.world_access import Message, TopicFeed, WorldAccess, api_errors
 from zensim.api.world_session import SavedOrders
 from zensim.api.world_state import WorldState, make_world_state
@@ -22,9 +22,11 @@ from zensim.proto.codec.message_codec import Format, decode, encode, make_encodi
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.simulation_messages import SimulateStepsRequest
 from zensim.proto.service_catalog import SIMULATE_STEPS, Request, Response, Service
+from zensim.proto.settings.engine_settings import EngineSettings
+from zensim.proto.settings.pace_settings import PaceSettings
+from zensim.proto.settings.server_settings import ServerSettings, WorldKeywords
 from zensim.robot_agent.agent_config import RateOverrides
-from zensim.sim_server.physics.engine_config import EngineOptions, parse_engine_name
-from zensim.sim_server.server_config import CONTROL_HZ, ServerConfig
+from zensim.sim_server.server_config import ServerConfig
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -32,9 +34,11 @@ if TYPE_CHECKING:
     from zensim.api.in_process_recorder import InProcessRecorder
 
 replace = msgspec.structs.replace
-ENGINE_KEYWORDS = ("clusters", "allow_failed_engine")
-"""Keys of `WorldKeywords` that are fields of `EngineOptions`."""
-IN_PROCESS = EngineOptions(workers=0, compiles_ahead=False)
+IN_PROCESS = ServerSettings(
+    physics=EngineSettings(engine="mujoco", compiles_ahead=False).limit_workers(0),
+    pace=PaceSettings(rtf=0.0),
+)
+"""Settings of a world in process, which keywords change."""
 NO_CLOCK_HINT = "use run_for(), step() or steps(), or zensim.launch(rtf=1) for a world that runs"
 
 
@@ -203,10 +207,7 @@ class World(Simulation):
         self,
         world: str | Path = "empty",
         *,
-        engine: str = "mujoco",
         seed: int = 0,
-        step_hz: float | None = None,
-        control_hz: float | None = None,
         rates: Mapping[str, RateOverrides] = NO_RATES,
         **options: "Unpack[WorldKeywords]",
     ) -> None:
@@ -214,29 +215,22 @@ class World(Simulation):
 
         Args:
             world: Name of a shipped world, or an SDF file.
-            engine: `mujoco`, or `pybullet` where it is installed.
             seed: Of the noise of sensors.
-            step_hz: Steps per simulated second; None = of the world file, or 240.
-            control_hz: Most control steps per simulated second; None = 100.
             rates: Of odometry and tf, by name of the robot; else those of its description.
-            options: See `WorldKeywords`.
+            options: See `WorldKeywords`; `engine` is `mujoco` unless it is given.
 
         Raises:
             Invalid: There is no such world, its engine is not installed, or a number is out of
                 range.
         """
-        settings = read_world_keywords(options)
-        physics = {name: settings.pop(name) for name in ENGINE_KEYWORDS}
+        start, settings = read_world_keywords(options, IN_PROCESS)
         with api_errors():
             config = ServerConfig(
                 world_file=str(world),
                 seed=seed,
-                step_hz=step_hz,
-                control_hz=CONTROL_HZ if control_hz is None else control_hz,
-                **settings,
+                settings=settings,
+                **start,
                 is_paused=True,
-                real_time_factor=0.0,
-                physics=replace(IN_PROCESS, engine=parse_engine_name(engine), **physics),
             )
             self._open(InProcessServer(config, rates))
 

@@ -28,13 +28,14 @@ from zensim.proto.bus import (
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.endpoints import is_endpoint_taken, to_client_endpoint
 from zensim.proto.messages.drive_messages import DriveOrder
-from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
 from zensim.proto.messages.telemetry_messages import EventKind, GetModelsResponse, Info, WorldClock
 from zensim.proto.metrics_address import is_exposed
 from zensim.proto.ros2.ros_settings import RosSettings, to_cli_arguments
+from zensim.proto.settings.server_settings import ServerSettings
+from zensim.proto.settings.setting import write_words
 from zensim.proto.supervisor import (
     PREPARED_START_MODULE,
     RECORDER_GRACE_S,
@@ -44,9 +45,7 @@ from zensim.proto.supervisor import (
 from zensim.proto.topic_catalog import CLOCK
 from zensim.proto.web_access import add_token, read_page_token
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, RateOverrides
-from zensim.sim_server.pacing.lockstep import LOCKSTEP_TIMEOUT_S, OnMiss
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
-from zensim.sim_server.server_config import CONTROL_HZ
 from zensim.spawner.client.driven_count import DrivenCount
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.client.world_follower import WorldFollower
@@ -114,21 +113,13 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     world: str
     world_name: str = "default"
     endpoint: str
-    real_time_factor: float | None = None
-    """None = from the world file."""
+    server: ServerSettings = ServerSettings()
     model_paths: tuple[str, ...] = ()
     is_strict: bool = False
     allow_missing: bool = False
-    is_lockstep: bool = False
     is_paused: bool = False
     """Whether simulation time waits for requests from the start."""
     seed: int = 0
-    engine: str = ""
-    clusters: str = "auto"
-    engine_workers: int | None = None
-    allow_failed_engine: bool = False
-    dynamics: Dynamics = "full"
-    """Empty = default of the server."""
     connect: str = ""
     """Endpoint of a router that the server connects to, instead of listening at `endpoint`."""
     join_addresses: dict[str, str] = {}
@@ -151,11 +142,6 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Timeout of the server's connection to the router."""
     journal: str = ""
     """Folder; empty = no journal."""
-    step_hz: float | None = None
-    """None = from the world file."""
-    control_hz: float = CONTROL_HZ
-    lockstep_timeout_s: float = LOCKSTEP_TIMEOUT_S
-    on_miss: OnMiss = "hold"
     agents: LaunchAgentsConfig = LaunchAgentsConfig()
     sensor_processes: int | None = None
     """Number of processes that share lidars and cameras; None = one when the first appears."""
@@ -350,8 +336,6 @@ def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
     switches = {
         "--strict": config.is_strict,
         "--allow-missing": config.allow_missing,
-        "--allow-failed-engine": config.allow_failed_engine,
-        "--lockstep": config.is_lockstep,
         "--paused": config.is_paused,
         "--input-log": config.keeps_inputs or bool(config.recording),
         "--verbose": config.is_verbose,
@@ -365,6 +349,7 @@ def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
         *(word for path in config.model_paths for word in ("--model-path", path)),
         *(switch for switch, is_on in switches.items() if is_on),
         *_make_value_arguments(config),
+        *write_words(config.server),
         *to_cli_arguments(config.ros),
     )
 
@@ -381,17 +366,8 @@ def _make_value_arguments(config: LaunchConfig) -> tuple[str, ...]:
 
 def _list_values(config: LaunchConfig) -> dict[str, object]:
     return {
-        "--rtf": config.real_time_factor,
-        "--engine": config.engine,
-        "--clusters": config.clusters,
-        "--engine-workers": config.engine_workers,
-        "--dynamics": config.dynamics,
         "--seed": config.seed,
         "--journal": config.journal,
-        "--step-hz": config.step_hz,
-        "--control-hz": config.control_hz,
-        "--lockstep-timeout": config.lockstep_timeout_s,
-        "--on-miss": config.on_miss,
         "--wait": config.wait_s,
         "--mesh-http": config.mesh_http,
         "--metrics": config.metrics,

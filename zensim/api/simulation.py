@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -59,8 +59,9 @@ from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import NANOSECONDS, Duration, Point, Vector3
 from zensim.proto.messages.telemetry_messages import Event, GetModelsResponse, Info
 from zensim.proto.service_catalog import INJECT_FAULT, Request, Response, Service
+from zensim.proto.settings.server_settings import ServerSettings, WorldKeywords
+from zensim.proto.settings.setting import change_settings
 from zensim.proto.topic_catalog import EVENTS
-from zensim.sim_server.physics.engine_config import Clustering
 from zensim.spawner.client.service_client import ServiceClient
 from zensim.spawner.spawn.spawn_client import send_files, spawn_bonded, spawn_many
 
@@ -80,21 +81,6 @@ DRIVEN_TIMEOUT_S = 10.0
 RECORDER_TIMEOUT_S = 30.0
 MAX_RATE_HZ = 10_000.0
 """Highest rate of topics that are thinned."""
-
-
-class WorldKeywords(TypedDict, total=False):
-    """How a world is loaded, as keyword arguments."""
-
-    model_paths: Sequence[str | Path]
-    """Folders with the models and meshes that the world file includes."""
-    strict: bool
-    """Refuse a world file with warnings."""
-    allow_missing: bool
-    """Leave out models and collisions whose file is missing."""
-    clusters: Clustering
-    """Step bodies that cannot touch in separate cells: auto (in large worlds), on or off."""
-    allow_failed_engine: bool
-    """Use the engine even if it fails a case of its proof."""
 
 
 class HandleMapping(Mapping[str, Handle]):
@@ -798,21 +784,20 @@ def fetch_models(
         return client.models(names, wants_descriptions=wants_descriptions)
 
 
-def read_world_keywords(options: WorldKeywords) -> dict[str, Any]:
-    """Read keyword arguments as fields of `LaunchConfig`; two are of `EngineOptions` in process.
+def read_world_keywords(
+    options: WorldKeywords, settings: ServerSettings
+) -> tuple[dict[str, Any], ServerSettings]:
+    """Read keyword arguments: fields of the start of a world, and settings that they change.
 
     Raises:
         TypeError: One is unknown.
-        Invalid: `clusters` is not known.
+        Invalid: A value is out of range, or no word that it may have.
     """
     check_keywords(options, WorldKeywords)
-    clusters = options.get("clusters", "auto")
-    if clusters not in get_args(Clustering):
-        raise Invalid(f"clusters={clusters!r} is unknown", hint="use auto, on or off")
+    with api_errors():
+        changed = change_settings(settings, options)
     return {
-        "clusters": clusters,
-        "allow_failed_engine": options.get("allow_failed_engine", False),
         "model_paths": tuple(map(str, options.get("model_paths", ()))),
         "is_strict": options.get("strict", False),
         "allow_missing": options.get("allow_missing", False),
-    }
+    }, changed

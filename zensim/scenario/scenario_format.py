@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from zensim.scenario.quantities import described, quantity
+from zensim.scenario.setting_sections import EngineSection, TimeSection
 
 FORMAT_VERSION = 1
 
@@ -38,68 +39,6 @@ class WorldSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     allow_missing: Annotated[
         bool, described("Leave out models and collisions whose file is missing.")
     ] = False
-
-
-class EngineSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The physics engine."""
-
-    use: Annotated[
-        Literal["", "pybullet", "mujoco"], described("Engine; empty = the installed one.")
-    ] = ""
-    step_rate: (
-        Annotated[
-            float,
-            quantity(
-                "Hz",
-                "Physics rate; null = of the world file, or 240 Hz; on a server with kinematic "
-                "dynamics control_rate.",
-                above=0.0,
-            ),
-        ]
-        | None
-    ) = None
-    control_rate: (
-        Annotated[float, quantity("Hz", "Rate of control steps; null = 100 Hz at most.", above=0.0)]
-        | None
-    ) = None
-    dynamics: Annotated[Literal["full", "auto", "kinematic"], described("Dynamics of robots.")] = (
-        "full"
-    )
-    clusters: Annotated[
-        Literal["auto", "on", "off"], described("Split the world into cells of near robots.")
-    ] = "auto"
-    workers: Annotated[int, described("Processes of the engine; null = chosen.")] | None = None
-    allow_failed: Annotated[
-        bool, described("Use the engine even if it fails a case of its proof.")
-    ] = False
-
-
-class TimeSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Time and random numbers."""
-
-    mode: Annotated[
-        Literal["free", "lockstep"], described("lockstep = every control step waits for agents.")
-    ] = "lockstep"
-    speed: (
-        Annotated[
-            float,
-            quantity(
-                "1", "Real-time factor; 0 = as fast as possible.", at_least=0.0, at_most=1000.0
-            ),
-        ]
-        | None
-    ) = None
-    seed: Annotated[
-        int, msgspec.Meta(ge=0, le=(1 << 63) - 1, description="Seed of all random numbers.")
-    ] = 0
-    on_miss: Annotated[
-        Literal["wait", "hold", "fail"], described("What to do when an agent does not reply.")
-    ] = "hold"
-    miss_timeout: (
-        Annotated[float, quantity("s", "Wall time that an agent has for its reply.", above=0.0)]
-        | None
-    ) = None
-    paused: Annotated[bool, described("Start paused.")] = False
 
 
 class NetworkSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

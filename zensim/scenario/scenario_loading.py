@@ -2,17 +2,17 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from zensim.api.simulation import Simulation
+from zensim.proto.settings.server_settings import ServerSettings, WorldKeywords
+from zensim.proto.settings.setting import list_settings
 from zensim.robot_agent.agent_config import RateOverrides
 from zensim.scenario.scenario_reader import Scenario, find_scenario_file, read_scenario
 from zensim.scenario.scenario_runner import ScenarioFailed, ScenarioRun
 
 if TYPE_CHECKING:
     from zensim.api.in_process_world import World
-
-ENGINE_IN_PROCESS = "mujoco"
 
 
 def open_world(scenario: Scenario) -> "World":
@@ -34,17 +34,23 @@ def open_world(scenario: Scenario) -> "World":
     file = scenario.find_file("world.load", world.load)
     return World(
         file if file.is_file() else world.load,
-        engine=engine.use or ENGINE_IN_PROCESS,
         seed=scenario.seed,
-        step_hz=engine.step_rate,
-        control_hz=engine.control_rate,
+        **list_world_keywords(scenario),
         model_paths=[scenario.find_file("world.model_paths", one) for one in world.model_paths],
         strict=world.strict,
         allow_missing=world.allow_missing,
-        clusters=engine.clusters,
-        allow_failed_engine=engine.allow_failed,
         rates=find_agent_rates(scenario),
     )
+
+
+def list_world_keywords(scenario: Scenario) -> dict[str, Any]:
+    """List the keywords of `World` that are settings of a server; null and empty ones are not."""
+    values = {
+        field.name: scenario.find_value(field.setting.key)
+        for field in list_settings(ServerSettings)
+        if field.name in WorldKeywords.__annotations__
+    }
+    return {name: value for name, value in values.items() if value not in (None, "")}
 
 
 def find_agent_rates(scenario: Scenario) -> dict[str, RateOverrides]:

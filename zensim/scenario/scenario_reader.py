@@ -56,7 +56,8 @@ class Scenario(msgspec.Struct, frozen=True):
     @property
     def seed(self) -> int:
         """Seed of the run."""
-        return self.format.time.seed
+        seed: int = self.format.time.seed
+        return seed
 
     @property
     def robot_names(self) -> list[str]:
@@ -73,6 +74,11 @@ class Scenario(msgspec.Struct, frozen=True):
         """Whether behaviours or checks are code of the file's author."""
         used = (*self.format.behaviours, *self.format.checks)
         return any(isinstance(one, PythonBehaviour | PythonCheck) for one in used)
+
+    def find_value(self, key: str) -> Any:  # noqa: ANN401
+        """Find the value of a key of a section."""
+        section, _, name = key.partition(".")
+        return getattr(getattr(self.format, section), name)
 
     def select(self, selector: Selector) -> list[str]:
         """Select robots by a selector of the file."""

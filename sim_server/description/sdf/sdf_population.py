@@ -42,7 +42,7 @@ UNIT_BOX = (1.0, 1.0, 1.0)
 GRID_STEP_M = (0.5, 0.5, 0.0)
 """Default of SDF for the step of a grid."""
 CYLINDER_SAMPLES = 10_000
-"""Points of which a uniform distribution takes the centres of clusters."""
+"""Points of which a uniform distribution takes the centroids."""
 SAMPLE_SPACING_M = 0.1
 MAX_SAMPLES = 20_000
 CLUSTERING_ROUNDS = 20
@@ -185,7 +185,7 @@ def _place_randomly(count: int, region: PopulationRegion, random: np.random.Gene
 
 
 def _place_uniformly(count: int, region: PopulationRegion, random: np.random.Generator) -> Points:
-    """Place models at the centres of clusters of points that fill the region."""
+    """Place models at the centroids (k-means) of points that fill the region."""
     if region.is_cylinder:
         points = region.sample(CYLINDER_SAMPLES, random)
     else:
@@ -197,7 +197,7 @@ def _place_uniformly(count: int, region: PopulationRegion, random: np.random.Gen
 
 
 def _find_cluster_centres(points: Points, count: int, random: np.random.Generator) -> Points:
-    """Find the centres of clusters with Lloyd's algorithm (k-means); shape (count, 3)."""
+    """Find centroids with Lloyd's algorithm (k-means); shape (count, 3)."""
     # A region smaller than the spacing has fewer points than models.
     centres = points[random.choice(len(points), count, replace=len(points) < count)]
     for _ in range(CLUSTERING_ROUNDS):

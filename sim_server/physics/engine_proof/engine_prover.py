@@ -14,8 +14,8 @@ from zensim.proto.engine_proofs import (
     read_proof,
     write_proof,
 )
+from zensim.proto.settings.engine_settings import EngineChoice
 from zensim.sim_server.physics.engine_config import (
-    EngineOptions,
     EngineUnusable,
     choose_engine,
     find_installed_engines,
@@ -40,7 +40,7 @@ class EngineFailed(EngineUnusable):
     slug = "engine.failed"
 
 
-def choose_proven_engine(choice: EngineOptions) -> EngineName:
+def choose_proven_engine(choice: EngineChoice) -> EngineName:
     """Choose an installed engine, and have it prove itself if this build of it has not yet.
 
     Raises:

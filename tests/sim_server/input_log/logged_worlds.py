@@ -10,11 +10,12 @@ from tests.models import a_box, a_box_bot, a_state, box_bot_at
 from tests.sim_server.fakes import WallTime, a_spawn, make_parts
 from zensim.proto.engine_proofs import EngineName
 from zensim.proto.messages.agent_messages import DriveCommand
-from zensim.proto.messages.model_messages import Dynamics
+from zensim.proto.settings.engine_settings import Clustering, EngineSettings, WorldDynamics
+from zensim.proto.settings.pace_settings import PaceSettings
+from zensim.proto.settings.server_settings import ServerSettings
 from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.input_log.log_writer import InputLog
 from zensim.sim_server.parser_process.asset_store import AssetStore
-from zensim.sim_server.physics.engine_config import Clustering, EngineOptions
 from zensim.sim_server.physics.logged_engine import LoggedEngine
 from zensim.sim_server.server_config import ServerConfig
 from zensim.sim_server.service_parts import CurrentWorld
@@ -44,11 +45,14 @@ class LoggedWorld:
         *,
         is_fresh: bool = True,
         clusters: Clustering = "auto",
-        dynamics: Dynamics = "full",
+        dynamics: WorldDynamics = "full",
     ) -> None:
         self.engine: EngineName = engine
-        options = EngineOptions(engine=engine, workers=0, clusters=clusters, dynamics=dynamics)
-        config = ServerConfig(step_hz=STEP_HZ, control_hz=STEP_HZ / CONTROL_STEPS, physics=options)
+        options = EngineSettings(
+            engine=engine, engine_workers=0, clusters=clusters, dynamics=dynamics
+        )
+        pace = PaceSettings(step_hz=STEP_HZ, control_hz=STEP_HZ / CONTROL_STEPS)
+        config = ServerConfig(settings=ServerSettings(physics=options, pace=pace))
         model = WorldModel("empty", ground_plane=True)
         self.store = AssetStore()
         made = make_world_engine(config, model, self.store.folder)

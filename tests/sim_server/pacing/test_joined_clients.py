@@ -1,5 +1,6 @@
+from zensim.proto.settings.lockstep_settings import LockstepSettings
 from zensim.sim_server.pacing.joined_clients import JoinedClients, JoinedState
-from zensim.sim_server.pacing.lockstep import Lockstep, LockstepSettings
+from zensim.sim_server.pacing.lockstep import Lockstep
 
 START = JoinedState(0, 0)
 MS = 1_000_000
@@ -45,7 +46,7 @@ def test_nobody_is_awaited_while_the_world_awaits_no_agents() -> None:
 
 
 def test_client_that_is_late_is_not_awaited_until_it_replies() -> None:
-    lockstep = Lockstep(LockstepSettings(is_on=True, timeout_s=0.01))
+    lockstep = Lockstep(LockstepSettings(lockstep=True, lockstep_timeout=0.01))
     clients = JoinedClients(lockstep)
     clients.finish("c1", 3, START)
     clients.wake(at(3), 0)

@@ -3,11 +3,10 @@
 import pytest
 
 from zensim.proto.messages.agent_messages import DriveCommand, DriveState
+from zensim.proto.settings.lockstep_settings import LockstepSettings, OnMiss
 from zensim.sim_server.pacing.lockstep import (
     MAX_CHECK_INTERVAL_NS,
     Lockstep,
-    LockstepSettings,
-    OnMiss,
 )
 
 SECOND = 1_000_000_000
@@ -25,7 +24,7 @@ def command(step: int, *, epoch: int = 0, claims: bytes = CLAIMS) -> DriveComman
 
 
 def a_lockstep(on_miss: OnMiss = "hold") -> Lockstep:
-    return Lockstep(LockstepSettings(is_on=True, timeout_s=1.0, on_miss=on_miss))
+    return Lockstep(LockstepSettings(lockstep=True, lockstep_timeout=1.0, on_miss=on_miss))
 
 
 def check_for(lockstep: Lockstep, seconds: float, start_ns: int = 0) -> list[str]:

@@ -8,7 +8,7 @@ from tests.sim_server.fakes import CONTROL_STEPS, ServerFixture, a_spawn
 from tests.sim_server.runtime.test_loop_lockstep import TIMEOUT_S, a_locked_server, answer_states
 from zensim.proto.messages.agent_messages import ClaimEntityRequest
 from zensim.proto.messages.simulation_messages import State
-from zensim.sim_server.pacing.lockstep import OnMiss
+from zensim.proto.settings.lockstep_settings import OnMiss
 
 AGENTS = ("r0", "r1", "r2")
 ACTS = st.one_of(

@@ -6,10 +6,10 @@ import pytest
 
 from tests.engines import STEP_NS
 from zensim.proto.engine_proofs import EngineName
+from zensim.proto.settings.engine_settings import EngineSettings
 from zensim.sim_server.physics.engine_config import (
     EngineConfig,
     EngineMissing,
-    EngineOptions,
     choose_engine,
     explain_default,
     find_installed_engines,
@@ -22,7 +22,7 @@ BOTH: tuple[EngineName, EngineName] = ("pybullet", "mujoco")
 
 @pytest.mark.parametrize("name", BOTH)
 def test_chosen_engine_is_created(name: str) -> None:
-    choice = EngineOptions(engine=parse_engine_name(name))
+    choice = EngineSettings(engine=parse_engine_name(name))
     engine = create_world_engine(EngineConfig(STEP_NS), choice, period_steps=3)
 
     assert engine.name == name
@@ -31,7 +31,7 @@ def test_chosen_engine_is_created(name: str) -> None:
 
 def test_engine_defaults_to_pybullet() -> None:
     assert (
-        choose_engine(EngineOptions(engine=parse_engine_name("")), find_installed_engines())
+        choose_engine(EngineSettings(engine=parse_engine_name("")), find_installed_engines())
         == "pybullet"
     )
 
@@ -42,11 +42,11 @@ def test_unknown_engine_is_refused() -> None:
 
 
 def test_engine_defaults_to_mujoco_without_pybullet() -> None:
-    assert choose_engine(EngineOptions(), ["mujoco"]) == "mujoco"
+    assert choose_engine(EngineSettings(), ["mujoco"]) == "mujoco"
 
 
 def test_default_engine_without_pybullet_has_a_reason() -> None:
-    reason = explain_default(EngineOptions(), ["mujoco"])
+    reason = explain_default(EngineSettings(), ["mujoco"])
 
     assert reason is not None
     assert all(word in reason for word in ("pybullet", "mujoco", "[server]"))
@@ -54,10 +54,10 @@ def test_default_engine_without_pybullet_has_a_reason() -> None:
 
 @pytest.mark.parametrize(
     ("choice", "installed"),
-    [(EngineOptions(), BOTH), (EngineOptions(), ()), (EngineOptions(engine="mujoco"), BOTH[1:])],
+    [(EngineSettings(), BOTH), (EngineSettings(), ()), (EngineSettings(engine="mujoco"), BOTH[1:])],
 )
 def test_first_and_chosen_engines_have_no_reason(
-    choice: EngineOptions, installed: Sequence[EngineName]
+    choice: EngineSettings, installed: Sequence[EngineName]
 ) -> None:
     assert explain_default(choice, installed) is None
 
@@ -65,7 +65,7 @@ def test_first_and_chosen_engines_have_no_reason(
 def test_reason_says_where_pybullet_has_no_wheel(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("platform.machine", lambda: "riscv64")
 
-    reason = explain_default(EngineOptions(), ["mujoco"])
+    reason = explain_default(EngineSettings(), ["mujoco"])
 
     assert reason is not None
     assert "riscv64" in reason
@@ -74,12 +74,12 @@ def test_reason_says_where_pybullet_has_no_wheel(monkeypatch: pytest.MonkeyPatch
 
 def test_error_names_the_extra_when_no_engine_is_installed() -> None:
     with pytest.raises(EngineMissing, match=r"\[server\]"):
-        choose_engine(EngineOptions(), [])
+        choose_engine(EngineSettings(), [])
 
 
 def test_error_names_slug_and_the_extra_when_the_chosen_engine_is_not_installed() -> None:
     with pytest.raises(EngineMissing, match=r"^engine\.missing: .*`engine` mujoco.*\[server\]"):
-        choose_engine(EngineOptions(engine="pybullet"), ["mujoco"])
+        choose_engine(EngineSettings(engine="pybullet"), ["mujoco"])
 
 
 def test_error_names_no_command_where_pybullet_has_no_wheel(
@@ -88,4 +88,4 @@ def test_error_names_no_command_where_pybullet_has_no_wheel(
     monkeypatch.setattr("platform.machine", lambda: "riscv64")
 
     with pytest.raises(EngineMissing, match=r"`engine` mujoco.*riscv64$"):
-        choose_engine(EngineOptions(engine="pybullet"), ["mujoco"])
+        choose_engine(EngineSettings(engine="pybullet"), ["mujoco"])

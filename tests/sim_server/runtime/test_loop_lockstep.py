@@ -18,8 +18,9 @@ from zensim.proto.messages.simulation_messages import (
 )
 from zensim.proto.messages.telemetry_messages import Event, InfoRequest, Stats
 from zensim.proto.network_protocols import Sample
+from zensim.proto.settings.lockstep_settings import LockstepSettings, OnMiss
 from zensim.proto.topic_catalog import DRIVE_COMMAND
-from zensim.sim_server.pacing.lockstep import Lockstep, LockstepSettings, OnMiss
+from zensim.sim_server.pacing.lockstep import Lockstep
 from zensim.sim_server.runtime.loop import POLL_S, ServerLoop
 
 TIMEOUT_S = 0.5
@@ -30,7 +31,9 @@ def a_locked_server(
 ) -> ServerFixture:
     """Make a server with one agent per cart, of the same name, that does not reply by itself."""
     server = a_server(*names, factor=factor, cost_ns=1_000_000)
-    server.parts.pacing.lockstep = Lockstep(LockstepSettings(is_on, TIMEOUT_S, on_miss))
+    server.parts.pacing.lockstep = Lockstep(
+        LockstepSettings(lockstep=is_on, lockstep_timeout=TIMEOUT_S, on_miss=on_miss)
+    )
     server.loop = ServerLoop(server.parts, server.inbox, server.publisher, server.wall)
     for name in names:
         server.inbox.agents.append((name, True))

@@ -10,8 +10,9 @@ from zensim.proto.messages.model_messages import Model, Sensor
 from zensim.proto.messages.sensor_messages import ImuSensor, RaySensor, SceneState, SensorsReply
 from zensim.proto.messages.telemetry_messages import Stats
 from zensim.proto.network_protocols import Sample
+from zensim.proto.settings.lockstep_settings import LockstepSettings, OnMiss
 from zensim.proto.topic_catalog import SENSORS_REPLY
-from zensim.sim_server.pacing.lockstep import Lockstep, LockstepSettings, OnMiss
+from zensim.sim_server.pacing.lockstep import Lockstep
 from zensim.sim_server.runtime.loop import ServerLoop
 from zensim.sim_server.runtime.sensor_sessions import find_sensor_rates
 
@@ -29,7 +30,9 @@ def a_sensed_server(
 ) -> ServerFixture:
     """Make a server with one box that carries lidars."""
     server = a_server(factor=factor, cost_ns=1_000_000)
-    server.parts.pacing.lockstep = Lockstep(LockstepSettings(is_locked, 0.5, on_miss))
+    server.parts.pacing.lockstep = Lockstep(
+        LockstepSettings(lockstep=is_locked, lockstep_timeout=0.5, on_miss=on_miss)
+    )
     server.loop = ServerLoop(server.parts, server.inbox, server.publisher, server.wall)
     server.world.spawn(a_spawn("b0", model=a_sensed_box(*rates_hz), base=on_ground(0.0)))
     return server

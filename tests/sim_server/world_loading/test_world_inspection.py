@@ -7,9 +7,9 @@ import pytest
 from tests.sim_server.world_loading.test_world_loader import CRATE, a_file
 from zensim.proto.engine_proofs import EngineName
 from zensim.proto.messages.model_messages import ReportEntry
+from zensim.proto.settings.engine_settings import EngineSettings
 from zensim.sim_server.description.builtin_models import list_builtin_worlds
 from zensim.sim_server.physics.engine_config import (
-    EngineOptions,
     find_installed_engines,
 )
 from zensim.sim_server.world_loading.world_inspection import (
@@ -29,7 +29,7 @@ BOX = CRATE.replace("</link>", SOLID)
 def inspect(file: str, engine: EngineName | None = None, settle_s: float = 0.0) -> WorldInspection:
     order = WorldLoaderRequest(file)
     return inspect_world(
-        InspectionRequest(world=order, settle_s=settle_s, options=EngineOptions(engine=engine))
+        InspectionRequest(world=order, settle_s=settle_s, options=EngineSettings(engine=engine))
     )
 
 

@@ -44,10 +44,14 @@ from zensim.proto.service_catalog import (
     SPAWN_ENTITIES,
     SPAWN_ENTITY,
 )
-from zensim.sim_server.physics.engine_config import EngineOptions
+from zensim.proto.settings.engine_settings import EngineSettings
+from zensim.proto.settings.server_settings import ServerSettings
 from zensim.sim_server.server_config import ConfigError, ServerConfig
 
-MUJOCO = ServerConfig(is_paused=True, physics=EngineOptions(engine="mujoco", workers=0))
+MUJOCO = ServerConfig(
+    is_paused=True,
+    settings=ServerSettings(physics=EngineSettings(engine="mujoco", engine_workers=0)),
+)
 
 
 @pytest.fixture
@@ -193,7 +197,9 @@ def test_a_world_file_is_loaded_with_its_own_step(tmp_path: Path) -> None:
 
     server = InProcessServer(
         ServerConfig(
-            world_file=str(file), is_paused=True, physics=EngineOptions(engine="mujoco", workers=0)
+            world_file=str(file),
+            is_paused=True,
+            settings=ServerSettings(physics=EngineSettings(engine="mujoco", engine_workers=0)),
         )
     )
 
@@ -212,9 +218,11 @@ def test_a_world_in_process_loads_neither_network_nor_mesh_libraries() -> None:
         "from zensim.api.in_process_server import InProcessServer\n"
         "from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder\n"
         "from zensim.proto.service_catalog import SPAWN_ENTITY\n"
-        "from zensim.sim_server.physics.engine_config import EngineOptions\n"
+        "from zensim.proto.settings.engine_settings import EngineSettings\n"
+        "from zensim.proto.settings.server_settings import ServerSettings\n"
         "from zensim.sim_server.server_config import ServerConfig\n"
-        "config = ServerConfig(physics=EngineOptions(engine='mujoco', workers=0))\n"
+        "physics = EngineSettings(engine='mujoco', engine_workers=0)\n"
+        "config = ServerConfig(settings=ServerSettings(physics=physics))\n"
         "server = InProcessServer(config)\n"
         "server.call(SPAWN_ENTITY, SpawnEntityOrder(entity_resource=Resource('box_bot')))\n"
         "print(*sorted({'zenoh', 'scipy', 'trimesh', 'yourdfpy', 'typer', 'pybullet'}"

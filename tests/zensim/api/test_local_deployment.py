@@ -28,6 +28,8 @@ from zensim.proto.messages.sensor_messages import (
 )
 from zensim.proto.messages.telemetry_messages import Event, EventKind
 from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.settings.server_settings import ServerSettings
+from zensim.proto.settings.setting import make_settings
 from zensim.proto.topic_catalog import EVENTS
 from zensim.robot_agent.agent_config import AgentProcessConfig, RateOverrides
 from zensim.spawner.spawn.spawn_poses import RobotPlacement
@@ -54,27 +56,32 @@ COMMON = (
 ROS = ("--ros-domain", "0")
 
 
+def with_settings(**changes: object) -> LaunchConfig:
+    server = make_settings(ServerSettings, changes)
+    return msgspec.structs.replace(DEFAULTS, server=server)
+
+
 def test_rtf_is_passed_only_if_given() -> None:
-    fast = msgspec.structs.replace(DEFAULTS, real_time_factor=0.0)
+    fast = with_settings(rtf=0.0)
 
     assert make_serve_arguments(DEFAULTS) == (*COMMON, *ROS)
     assert make_serve_arguments(fast) == (*COMMON, "--rtf", "0.0", *ROS)
 
 
 def test_lockstep_is_passed() -> None:
-    lockstep = msgspec.structs.replace(DEFAULTS, is_lockstep=True)
+    lockstep = with_settings(lockstep=True)
 
     assert make_serve_arguments(lockstep) == (*COMMON, "--lockstep", *ROS)
 
 
 def test_engine_is_passed() -> None:
-    chosen = msgspec.structs.replace(DEFAULTS, engine="mujoco")
+    chosen = with_settings(engine="mujoco")
 
     assert make_serve_arguments(chosen) == (*COMMON, "--engine", "mujoco", *ROS)
 
 
 def test_clusters_are_passed() -> None:
-    chosen = msgspec.structs.replace(DEFAULTS, clusters="on", engine_workers=0)
+    chosen = with_settings(clusters="on", engine_workers=0)
 
     options = ("--clusters", "on", "--engine-workers", "0")
     assert make_serve_arguments(chosen) == (*COMMON, *options, *ROS)

@@ -14,7 +14,9 @@ from tests.engines import STEP_NS
 from tests.wrong_trials import CountedTrials
 from zensim.proto import engine_proofs
 from zensim.proto.child_process import make_module_command, run_process
-from zensim.sim_server.physics.engine_config import EngineConfig, EngineOptions
+from zensim.proto.settings.engine_settings import EngineSettings
+from zensim.proto.settings.server_settings import ServerSettings
+from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_factory import CellConfig, create_world_engine
 from zensim.sim_server.physics.engine_proof.engine_prover import (
     TRIALS,
@@ -24,7 +26,7 @@ from zensim.sim_server.physics.engine_proof.engine_prover import (
 )
 from zensim.sim_server.server_config import ConfigError, ServerConfig, validate_config
 
-MUJOCO = EngineOptions(engine="mujoco")
+MUJOCO = EngineSettings(engine="mujoco")
 ALLOWED = msgspec.structs.replace(MUJOCO, allow_failed_engine=True)
 
 
@@ -44,7 +46,7 @@ def use(monkeypatch: pytest.MonkeyPatch, class_name: str) -> None:
     prove_engine.cache_clear()
 
 
-def start_again(choice: EngineOptions = MUJOCO) -> int:
+def start_again(choice: EngineSettings = MUJOCO) -> int:
     """Start as a new process does; return how often the cases ran."""
     CountedTrials.made.clear()
     prove_engine.cache_clear()
@@ -99,7 +101,7 @@ def test_every_road_to_a_world_refuses_an_engine_that_fails(
     use(monkeypatch, "SlowPendulum")
 
     with pytest.raises(ConfigError, match=r"^engine\.failed: "):
-        validate_config(ServerConfig(physics=MUJOCO))
+        validate_config(ServerConfig(settings=ServerSettings(physics=MUJOCO)))
     with pytest.raises(EngineFailed):
         create_world_engine(EngineConfig(STEP_NS), MUJOCO, period_steps=1)
     with pytest.raises(zensim.Invalid, match=r"^engine\.failed: "):
