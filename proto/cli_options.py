@@ -5,7 +5,7 @@ import inspect
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -106,11 +106,7 @@ def expand_options(action: Callable[..., None]) -> Callable[..., None]:
     A command without `--quiet`, `--verbose` or `--log-format` gets them.
     """
     parameters = inspect.signature(action).parameters.values()
-    groups = {
-        parameter.name: parameter.annotation
-        for parameter in parameters
-        if isinstance(parameter.annotation, type) and dataclasses.is_dataclass(parameter.annotation)
-    }
+    groups = _find_groups(parameters)
 
     def run(**given: object) -> None:
         context = given[own_context] if own_context else given.pop(RUNNING_CONTEXT.name)
@@ -140,6 +136,16 @@ def expand_options(action: Callable[..., None]) -> Callable[..., None]:
         [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in expanded]
     )
     return run
+
+
+def _find_groups(parameters: Iterable[inspect.Parameter]) -> dict[str, type]:
+    """Find the parameters that are dataclasses, by name."""
+    kinds = {one.name: one.annotation for one in parameters}
+    return {
+        name: kind
+        for name, kind in kinds.items()
+        if isinstance(kind, type) and dataclasses.is_dataclass(kind)
+    }
 
 
 def _name_settings(parameter: inspect.Parameter) -> Iterator[str]:
