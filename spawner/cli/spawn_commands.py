@@ -1,6 +1,5 @@
 """`zensim spawn` and `zensim fleet`."""
 
-import time
 from contextlib import ExitStack
 
 import msgspec
@@ -37,7 +36,7 @@ from zensim.spawner.cli.spawn_arguments import (
     read_topic_description,
 )
 from zensim.spawner.cli.terminal_output import print_report, upload_progress
-from zensim.spawner.client.driven_count import DrivenCount
+from zensim.spawner.client.driven_count import wait_until_driven
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn.search_paths import SearchPaths
 from zensim.spawner.spawn.spawn_client import (
@@ -54,8 +53,6 @@ from zensim.spawner.spawn.spawn_client import (
 )
 
 app = make_app()
-
-DRIVEN_POLL_S = 0.05
 
 
 class SpawnPlan(msgspec.Struct, frozen=True):
@@ -227,20 +224,8 @@ def fleet(given: FleetOptions) -> None:
         outcomes = spawn_many(client, payload, placements, common, is_atomic=not given.partial)
         if given.wait_driven > 0.0:
             spawned = [one.name for one in outcomes if one.code == ResultCode.OK]
-            _wait_until_driven(DrivenCount(client, spawned), given.wait_driven)
+            wait_until_driven(client, spawned, given.wait_driven)
     _print_outcomes(outcomes, as_json=given.as_json)
-
-
-def _wait_until_driven(driven: DrivenCount, timeout_s: float) -> None:
-    deadline = time.monotonic() + timeout_s
-    while driven.missing:
-        driven.poll()
-        if driven.missing and time.monotonic() > deadline:
-            raise TimeoutError(
-                f"no agent drives {driven.missing} of the robots after {timeout_s:g} s; "
-                "start one with 'zensim agent --pool'"
-            )
-        time.sleep(DRIVEN_POLL_S)
 
 
 def _print_outcomes(outcomes: list[SpawnOutcome], *, as_json: bool) -> None:

@@ -46,7 +46,7 @@ from zensim.proto.topic_catalog import CLOCK
 from zensim.proto.web_access import add_token, read_page_token
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, RateOverrides
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
-from zensim.spawner.client.driven_count import DrivenCount
+from zensim.spawner.client.driven_count import NotDriven, wait_until_driven
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.client.world_follower import WorldFollower
 from zensim.spawner.spawn.spawn_client import spawn_fleet
@@ -527,10 +527,7 @@ def _wait_until_ready(
         raise LaunchFailed(f"{refused[0].name}: {refused[0].message}")
     _wait_for_recording(deployment)
     viewer = _start_viewer(deployment) if config.has_viewer else None
-    if config.is_paused:
-        _wait_for_agents(deployment)
-    else:
-        _wait_until_driven(deployment, progress)
+    _wait_for_agents(deployment, progress)
     deployment.ready_s = time.monotonic() - began_s
     if viewer is not None:
         deployment.viewer_url = _read_viewer_url(viewer, config.page_token)
@@ -540,24 +537,22 @@ def _wait_until_ready(
     _begin_measuring(deployment)
 
 
-def _wait_until_driven(deployment: LocalDeployment, progress: LaunchProgress) -> None:
-    """Wait until an agent has commanded each robot, and so publishes its topics."""
-    robots = len(deployment.config.placements)
-    driven = DrivenCount(deployment.client, [one.name for one in deployment.config.placements])
-    deadline, shown = time.monotonic() + START_TIMEOUT_S + 0.2 * robots, 0
-    while driven.missing:
-        for _ in range(shown, driven.poll()):
+def _wait_for_agents(deployment: LocalDeployment, progress: LaunchProgress) -> None:
+    """Wait until an agent drives each robot, and so publishes its topics."""
+    names = [one.name for one in deployment.config.placements]
+    shown = 0
+
+    def show(count: int) -> None:
+        nonlocal shown
+        for _ in range(shown, count):
             progress.on_driven()
             shown += 1
-        _poll(deployment, deadline, f"{driven.missing} robots are not driven by an agent")
+        deployment.supervisor.watch()
 
-
-def _wait_for_agents(deployment: LocalDeployment) -> None:
-    """Wait until each robot has an agent; while paused not every state has a command."""
-    robots = len(deployment.config.placements)
-    deadline = time.monotonic() + START_TIMEOUT_S + 0.2 * robots
-    while deployment.client.info().claimed < robots:
-        _poll(deployment, deadline, "robots have no agent")
+    try:
+        wait_until_driven(deployment.client, names, START_TIMEOUT_S + 0.2 * len(names), show)
+    except NotDriven as error:
+        raise LaunchFailed(str(error)) from error
 
 
 def _begin_measuring(deployment: LocalDeployment) -> None:

@@ -45,7 +45,8 @@ from zensim.proto.service_catalog import (
     require_ok,
 )
 from zensim.proto.topic_catalog import SENSOR_STATS, SNAPSHOT, TWISTS
-from zensim.spawner.client.service_client import ServiceClient
+from zensim.spawner.client.driven_count import NotDriven, wait_until_driven
+from zensim.spawner.client.sim_client import SimClient
 
 if TYPE_CHECKING:
     from zensim.api.recorder_process import RecorderProcess
@@ -337,19 +338,18 @@ class ServerAccess(WorldAccess):
 
     def wait_until_driven(self, names: Sequence[str], timeout_s: float) -> None:
         """See `WorldAccess`."""
-        left, deadline = tuple(names), time.monotonic() + timeout_s
-        while left:
-            found = ServiceClient(self, self.world_name).models(left).entities
-            left = tuple(one.entity for one in found if not one.agent)
-            if left and time.monotonic() > deadline:
-                raise Timeout(
-                    f"no agent drives '{left[0]}' after {timeout_s:g} s",
-                    slug="no_agent",
-                    hint="start one with 'zensim agent --pool', or give agent='external'",
-                )
-            if left:
-                self._watch()
-                time.sleep(POLL_S)
+        self._require_open()
+        client = SimClient(self.bus, self.world_name)
+        try:
+            wait_until_driven(client, names, limit(timeout_s), lambda _: self._watch())
+        except NoServer as error:
+            raise ConnectionLost(f"the server at {self.bus.endpoint} is gone") from error
+        except NotDriven as error:
+            raise Timeout(
+                str(error).partition("; ")[0],
+                slug="no_agent",
+                hint="start one with 'zensim agent --pool', or give agent='external'",
+            ) from error
 
     def await_sensor(self, entity: str, sensor: str) -> None:
         """See `WorldAccess`; returns at once where no sensor process runs or can measure it."""

@@ -1,8 +1,10 @@
 """Robots that agents drive, as a server counts them."""
 
+import pytest
+
 from tests.sim_server.fakes import a_command
 from tests.spawner.client.test_sim_client import ServedWorld
-from zensim.spawner.client.driven_count import DrivenCount
+from zensim.spawner.client.driven_count import DrivenCount, NotDriven, wait_until_driven
 
 
 def drive(served: ServedWorld, agent: str, *names: str) -> None:
@@ -36,3 +38,35 @@ def test_robots_of_others_do_not_count() -> None:
 
 def test_no_robots_are_all_driven_without_a_call() -> None:
     assert DrivenCount(ServedWorld().client, []).missing == 0
+
+
+def test_claimed_robots_of_a_paused_world_are_driven() -> None:
+    served = ServedWorld("r0", "r1", "other")
+    served.world.clock.pause()
+    served.world.claim("a", ["r0", "other"], "stop")
+    count = DrivenCount(served.client, ["r0", "r1"])
+
+    one = count.poll()
+    served.world.claim("b", ["r1"], "stop")
+
+    assert (one, count.poll()) == (1, 2)
+
+
+def test_wait_names_the_robot_that_no_agent_drives() -> None:
+    counts: list[int] = []
+
+    with pytest.raises(NotDriven, match="'r0'"):
+        wait_until_driven(ServedWorld("r0").client, ["r0"], 0.0, counts.append)
+
+    assert counts
+    assert set(counts) == {0}
+
+
+def test_wait_ends_with_the_first_poll_that_counts_all() -> None:
+    served = ServedWorld("r0")
+    drive(served, "a", "r0")
+    counts: list[int] = []
+
+    wait_until_driven(served.client, ["r0"], 0.0, counts.append)
+
+    assert counts == [1]
