@@ -12,7 +12,7 @@ import random
 from collections.abc import Iterator
 
 from benchmarks.echo_process import echo
-from benchmarks.figures import Figure, Limit, table
+from benchmarks.figures import Figure, table
 from benchmarks.motion import SPEED, response_ms, stop
 from benchmarks.ten_robots import ROBOTS, ROBOTS_WHEN_SHORT, fleet, milliseconds
 
@@ -38,6 +38,5 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         what="put of cmd_vel to odom that moves",
         unit="ms",
         samples=tuple(took),
-        limit=Limit("p99", "<=", 50.0),
     )
     yield Figure(what="floor: put, and put back", unit="ms", samples=tuple(floor))

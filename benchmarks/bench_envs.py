@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 import zensim
-from benchmarks.figures import Figure, Limit, table
+from benchmarks.figures import Figure, table
 from zensim.api.in_process_world import get_server
 from zensim.envs.batch import Batch
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoReplicas
@@ -67,9 +67,8 @@ def _steps(world: zensim.World, worlds: int, *, repeats: int) -> Iterator[Figure
         rates.append(count * worlds / own_s)
     batch.close()
     what = f"{worlds} worlds of {ROBOTS} robots"
-    limit = Limit("median", ">=", 50.0, is_timed=True)
     shown = f"{what}, speed against MuJoCo alone"
-    yield Figure(what=shown, unit="%", samples=tuple(shares), limit=limit)
+    yield Figure(what=shown, unit="%", samples=tuple(shares))
     shown = f"{what}, speed against MuJoCo with robots that stand"
     yield Figure(what=shown, unit="%", samples=tuple(rests))
     yield Figure(what=f"{what}, control steps of a world", unit="1/s of CPU", samples=tuple(rates))
@@ -129,6 +128,5 @@ def _restarts(world: zensim.World, count: int) -> Figure:
         batch.step(twists)
         samples.append(1e3 * _measure(lambda: batch.restart(mask), 1))
     batch.close()
-    limit = Limit("median", "<=", 1.0, is_timed=True)
     what = f"restart of a world of {ROBOTS} robots"
-    return Figure(what=what, unit="ms", samples=tuple(samples), limit=limit)
+    return Figure(what=what, unit="ms", samples=tuple(samples))

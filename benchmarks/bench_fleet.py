@@ -6,39 +6,33 @@ settings, driven and read at the same control periods, without a network (the fl
 turns. CPU is that of the loop thread, and of the processes that step the cells of a large world;
 `floor / served` compares it turn by turn: the engine's share. The best settings are 10 solver
 iterations; a stopped robot then rocks a little, so the server allows 20, and the floor is measured
-with these too. As fast as possible, a server publishes states at most every 2 ms of wall time. The
-parts of the loop are measured in turns of their own: `messages` are drive states and snapshots made
-from arrays, `take` receives messages, and the engine includes waiting for other processes' cells.
+with these too. As fast as possible, a server publishes states at most every 2 ms of wall time.
 """
 
 import statistics
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
 
 import msgspec
 
-from benchmarks import figures
 from benchmarks.bodies import CONFIG
-from benchmarks.figures import Figure, Limit, written
+from benchmarks.figures import Figure, table
 from benchmarks.fleet_server import FleetServer, Spent, run_fleet_server
 from benchmarks.pybullet_floor import PlainLoop, Turn
 from benchmarks.ten_robots import CIRCLE, MILLISECONDS
 from zensim.proto.settings.pace_settings import CONTROL_HZ
 from zensim.sim_server.server_config import ServerConfig
 
+__all__ = ["rows", "table"]
+
 TURN_S, LONG_TURN_S, TURN_WHEN_SHORT_S = 0.3, 2.0, 0.1
 TURNS, LONG_TURNS, TURNS_WHEN_SHORT = 15, 4, 3
 """Many short turns, so that other load affects both sides equally."""
 LONG_FROM = 500
 """Number of robots from which turns are longer."""
-LOOKS = 3
 BEGIN_S = 0.6
 TRIES = 5
-PARTS = ("engine", "command", "read-back", "messages", "encode", "put", "take")
-REST = "the rest"
 MOVES = 0.5
 """Share of the commanded speed below which a robot does not count as driving."""
-SHARE = Limit("median", ">=", 0.9)
-GROWTH = Limit("median", "<=", 1.3)
 GROWTH_FROM, GROWTH_TO = 100, 1000
 
 
@@ -67,17 +61,9 @@ CASES = (
     *(Case(count) for count in (200, 500, 1000)),
 )
 CASES_WHEN_SHORT = (Case(2),)
-SHARE_OF = Case(100, control_hz=50.0)
 
 
-class Parts(msgspec.Struct, frozen=True):
-    """Time of a step by part: medians [CPU ms]."""
-
-    label: str
-    own_ms: Mapping[str, float]
-
-
-def rows(*, is_short: bool) -> Iterator[Figure | Parts]:
+def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure fleets of several sizes, and the growth of the cost per robot."""
     costs: dict[int, float] = {}
     for case in CASES_WHEN_SHORT if is_short else CASES:
@@ -85,26 +71,12 @@ def rows(*, is_short: bool) -> Iterator[Figure | Parts]:
         cost = statistics.median(_cpu_ms(turn) for turn in turns.run_fleet_server) / case.robots
         costs.setdefault(case.robots, cost)
         yield from _figures(case, turns)
-        yield _parts(case, turns.looks)
     if GROWTH_TO in costs:
         yield Figure(
             what=f"CPU a robot and step, {GROWTH_TO} robots / {GROWTH_FROM} robots",
             unit="",
             samples=(costs[GROWTH_TO] / costs[GROWTH_FROM],),
-            limit=GROWTH,
         )
-
-
-def table(found: Iterable[Figure | Parts]) -> str:
-    """Format the figures, and a row of parts for each size."""
-    all_rows = list(found)
-    head = f"| of a step [CPU ms] | {' | '.join((*PARTS, REST))} |\n|{'---|' * (len(PARTS) + 2)}\n"
-    lines = "".join(
-        f"| {row.label} | {' | '.join(written(ms) for ms in row.own_ms.values())} |\n"
-        for row in all_rows
-        if isinstance(row, Parts)
-    )
-    return figures.table(row for row in all_rows if isinstance(row, Figure)) + f"\n{head}{lines}"
 
 
 class Turns(msgspec.Struct, frozen=True):
@@ -114,7 +86,6 @@ class Turns(msgspec.Struct, frozen=True):
     floor: list[Turn]
     alike: list[Turn]
     """Floor with the server's settings."""
-    looks: list[Spent]
 
 
 def _taken_in_turn(case: Case, *, is_short: bool) -> Turns:
@@ -122,7 +93,7 @@ def _taken_in_turn(case: Case, *, is_short: bool) -> Turns:
     turn_s, turns = (LONG_TURN_S, LONG_TURNS) if count >= LONG_FROM else (TURN_S, TURNS)
     if is_short:
         turn_s, turns = TURN_WHEN_SHORT_S, TURNS_WHEN_SHORT
-    found = Turns([], [], [], [])
+    found = Turns([], [], [])
     with run_fleet_server(count, "--control-hz", f"{case.control_hz:g}") as server:
         plain = PlainLoop(count, step_ns=config.step_ns, control_steps=config.control_steps)
         try:
@@ -134,8 +105,6 @@ def _taken_in_turn(case: Case, *, is_short: bool) -> Turns:
                 found.alike.append(plain.turn_as_served(turn_s))
         finally:
             plain.close()
-        server.time_parts()
-        found.looks.extend(server.turn(turn_s) for _ in range(LOOKS))
     return found
 
 
@@ -170,7 +139,6 @@ def _figures(case: Case, turns: Turns) -> Iterator[Figure]:
         what=f"{label}: floor / served",
         unit="",
         samples=_shares(turns.floor, turns.run_fleet_server),
-        limit=SHARE if case == SHARE_OF else None,
     )
     shares = _shares(turns.alike, turns.run_fleet_server)
     yield Figure(
@@ -180,21 +148,6 @@ def _figures(case: Case, turns: Turns) -> Iterator[Figure]:
 
 def _shares(floors: list[Turn], turns: list[Spent]) -> tuple[float, ...]:
     return tuple(_cpu_ms(floor) / _cpu_ms(turn) for turn, floor in zip(turns, floors, strict=True))
-
-
-def _parts(case: Case, looks: list[Spent]) -> Parts:
-    if not all(sample.parts_s for sample in looks):
-        raise RuntimeError(f"{case.label}: the server timed no parts of its loop")
-    own_ms = {
-        part: statistics.median(sample.parts_s.get(part, 0.0) / sample.steps for sample in looks)
-        * MILLISECONDS
-        for part in PARTS
-    }
-    rest = (sample.cpu_s - sum(sample.parts_s.values()) for sample in looks)
-    own_ms[REST] = statistics.median(
-        rest_s / sample.steps * MILLISECONDS for rest_s, sample in zip(rest, looks, strict=True)
-    )
-    return Parts(case.label, own_ms)
 
 
 def _cpu_ms(turn: Turn) -> float:

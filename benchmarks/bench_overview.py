@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import msgspec
 import psutil
 
-from benchmarks.figures import written
+from benchmarks.figures import Figure, written
+from benchmarks.figures import table as format_figures
 from benchmarks.fleet_commander import BEGINNING
 from benchmarks.fleet_server import line_with, program
 from benchmarks.installation import Installation, run_installation
@@ -90,20 +91,32 @@ class Fleet:
         return sum(self.cores.values()) / self.robots / steps_hz * 1e6
 
 
-def rows(*, is_short: bool) -> Iterator[Fleet]:
+def rows(*, is_short: bool) -> Iterator[Fleet | Figure]:
     """Measure fleets of each kind of physics."""
     seconds = SECONDS_WHEN_SHORT if is_short else SECONDS
     for physics, counts in (FLEETS_WHEN_SHORT if is_short else FLEETS).items():
         for robots in counts:
-            yield drive_fleet(
-                physics, robots, seconds, settle_s=SETTLE_WHEN_SHORT_S if is_short else SETTLE_S
-            )
+            settle_s = SETTLE_WHEN_SHORT_S if is_short else SETTLE_S
+            fleet = drive_fleet(physics, robots, seconds, settle_s=settle_s)
+            yield fleet
+            yield from _make_figures(fleet)
 
 
-def table(fleets: Iterable[Fleet]) -> str:
-    """Format a row for each fleet."""
+def _make_figures(fleet: Fleet) -> Iterator[Figure]:
+    """Make the figures of a fleet that may have a limit."""
+    label = f"{fleet.robots} robots, {fleet.physics.label}"
+    yield Figure(what=f"{label}: real-time factor", unit="", samples=(fleet.factor,))
+    yield Figure(what=f"{label}: spawned and claimed", unit="s", samples=(fleet.spawned_s,))
+
+
+def table(rows_: Iterable[Fleet | Figure]) -> str:
+    """Format a row for each fleet, and the figures that have a limit."""
+    listed = list(rows_)
+    fleets = [one for one in listed if isinstance(one, Fleet)]
+    judged = [one for one in listed if isinstance(one, Figure) and one.limit is not None]
     head = f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}\n"
-    return head + "".join(f"| {' | '.join(_cells(fleet))} |\n" for fleet in fleets)
+    body = "".join(f"| {' | '.join(_cells(fleet))} |\n" for fleet in fleets)
+    return f"{head}{body}\n{format_figures(judged)}" if judged else head + body
 
 
 def drive_fleet(physics: Physics, robots: int, seconds: float, *, settle_s: float) -> Fleet:
@@ -112,7 +125,7 @@ def drive_fleet(physics: Physics, robots: int, seconds: float, *, settle_s: floa
     with run_installation(serve, (POOL,) * POOLS, has_router=False) as crew:
         began_s = time.monotonic()
         spawn(crew.client, robots)
-        eventually(lambda: _ask(crew).claimed == robots, CLAIMED_WITHIN_S, "claiming")
+        eventually(lambda: ask(crew).claimed == robots, CLAIMED_WITHIN_S, "claiming")
         spawned_s = time.monotonic() - began_s
         with program("fleet_commander", crew.bus.endpoint, str(robots)) as commander:
             line_with(BEGINNING, commander)
@@ -139,23 +152,23 @@ def _cells(fleet: Fleet) -> tuple[str, ...]:
 
 def _observe(crew: Installation, seconds: float) -> tuple[float, Mapping[str, float]]:
     """Find the real-time factor and the cores of each group."""
-    began_s, before, used_s = time.monotonic(), _ask(crew), crew.used_s()
+    began_s, before, used_s = time.monotonic(), ask(crew), crew.used_s()
     time.sleep(seconds)
-    passed_s = _ask(crew).sim_time_s - before.sim_time_s
+    passed_s = ask(crew).sim_time_s - before.sim_time_s
     took_s = time.monotonic() - began_s
     cores = {group: (now_s - used_s[group]) / took_s for group, now_s in crew.used_s().items()}
     return passed_s / took_s, cores
 
 
-def _ask(crew: Installation) -> Info:
+def ask(crew: Installation) -> Info:
     """Ask until the server replies, which may take long when it cannot keep up."""
 
-    def ask() -> Info | None:
+    def attempt() -> Info | None:
         with suppress(TimeoutError):
             return crew.client.info()
         return None
 
-    return eventually(ask, CLAIMED_WITHIN_S, "a reply")
+    return eventually(attempt, CLAIMED_WITHIN_S, "a reply")
 
 
 def _measure_memory(crew: Installation) -> dict[str, float]:

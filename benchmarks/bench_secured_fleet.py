@@ -16,11 +16,10 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from itertools import pairwise
 
-from benchmarks.figures import Figure, Limit, table
+from benchmarks.figures import Figure, quantile, table
 from benchmarks.motion import SPEED, response_ms, stop
 from benchmarks.secured_server import Deployment, deployed, make_up_words, state_folder
 from benchmarks.ten_robots import CIRCLE, milliseconds, poll_until
-from benchmarks.timing import quantile
 from tests.integration.processes import read_json_line, running
 from tests.integration.robots import place, robot, stamp_s
 from zensim.proto import keys
@@ -63,12 +62,11 @@ def _start(runs: int) -> Iterator[Figure]:
                 (_start_s(is_secure=False), _start_s(is_secure=True), _start_s(is_secure=True))
             )
     yield Figure(what="zensim up, open: exec to ready", unit="s", samples=_column(took, 0))
-    for number, (what, bound) in enumerate((("first start", 2.0), ("later start", 0.3)), 1):
+    for number, what in enumerate(("first start", "later start"), 1):
         yield Figure(
             what=f"zensim up --secure, {what}: more than open",
             unit="s",
             samples=tuple(one[number] - one[0] for one in took),
-            limit=Limit("median", "<=", bound, is_timed=True),
         )
 
 
@@ -114,14 +112,12 @@ def _compare(*, is_short: bool) -> Iterator[Figure]:
         what=f"{count}: real-time factor, open - secured",
         unit="",
         samples=tuple(a - b for a, b in zip(factors[False], factors[True], strict=True)),
-        limit=Limit("max", "<=", 0.01, is_timed=True),
     )
     p99 = [quantile(sorted(response[is_secure]), 0.99) for is_secure in (False, True)]
     yield Figure(
         what=f"{count}: p99 of cmd_vel to odom, secured / open",
         unit="",
         samples=(p99[1] / p99[0],),
-        limit=Limit("max", "<=", 1.1, is_timed=True),
     )
 
 
@@ -174,7 +170,6 @@ def _join(found: Deployment, count: int) -> Iterator[Figure]:
         what="join by a token, with both handshakes",
         unit="ms",
         samples=tuple(milliseconds(lambda: _open_and_close(token)) for _ in range(count)),
-        limit=Limit("median", "<=", 50.0, is_timed=True),
     )
 
 
@@ -201,13 +196,11 @@ def _revoke(found: Deployment, robots: int, *, is_short: bool) -> Iterator[Figur
         what="revoked user: its session has ended",
         unit="s",
         samples=tuple(one.ended_s for one in seen),
-        limit=Limit("max", "<=", 5.0, is_timed=True),
     )
     yield Figure(
         what="an operator's call is answered again",
         unit="s",
         samples=tuple(one.back_s for one in seen),
-        limit=Limit("max", "<=", 5.0, is_timed=True),
     )
     yield Figure(
         what=f"longest gap in a robot's odometry meanwhile, of {robots}",
@@ -218,13 +211,11 @@ def _revoke(found: Deployment, robots: int, *, is_short: bool) -> Iterator[Figur
         what="longest way of a robot in that gap, more than at its speed",
         unit="m",
         samples=tuple(one.jump_m for one in seen),
-        limit=Limit("max", "<=", 0.05),
     )
     yield Figure(
         what="real-time factor meanwhile",
         unit="",
         samples=tuple(one.factor for one in seen),
-        limit=Limit("min", ">=", 0.95, is_timed=True),
     )
 
 

@@ -3,8 +3,8 @@
 box_bot_lidars with 360 rays each, which stand without agents, except in the cases of `zensim up`:
 there one process drives nothing and subscribes to all scans, imu, odometry and tf. Server, sensor
 processes and the listener are separate processes, at real-time factor 1; CPU is in cores, a sample
-is a second. Turns with and without the listener alternate. Floor: as many ready payloads put by one
-process. First scan: from a subscription until the first scan of any robot.
+is a second. Turns with and without the listener alternate. First scan: from a subscription until
+the first scan of any robot.
 """
 
 import signal
@@ -16,7 +16,7 @@ from itertools import pairwise
 
 import msgspec
 
-from benchmarks.figures import Figure, Limit, table
+from benchmarks.figures import Figure, table
 from benchmarks.fleet_server import program
 from benchmarks.machine import used_s
 from benchmarks.scan_listener import SCAN_TALLY, ScanTally
@@ -34,10 +34,8 @@ from tests.integration.processes import (
 )
 from zensim.proto import keys
 from zensim.proto.bus import Bus
-from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder
-from zensim.proto.messages.telemetry_messages import Stats
-from zensim.proto.topic_catalog import SCAN, STATS
+from zensim.proto.topic_catalog import SCAN
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn.spawn_client import read_payload, spawn_many
@@ -52,23 +50,28 @@ SECONDS, SECONDS_WHEN_SHORT = 10.0, 1.0
 TURNS, TURNS_WHEN_SHORT = 3, 1
 FIRST_SCANS, FIRST_SCANS_WHEN_SHORT = 20, 1
 TALLIES = 64
-MEGABYTE = 1e6
-MAX_UNEVENNESS = 1.1
-"""Largest ratio of the CPU of processes that share the sensors."""
 MANY = 10
 """Robots up to which each has an agent and its own physics."""
 
 
 @dataclass(frozen=True)
 class FleetCase:
-    """Robots of one server, and the limits of their sensor processes."""
+    """Robots of one server, and how many processes measure for them."""
 
     label: str
     robots: int
     rate_hz: float
     serve: tuple[str, ...]
     processes: int = 1
-    limit: Limit | None = None
+
+
+COARSE = ("--step-hz", "100", "--dynamics", "auto")
+CASES = (
+    FleetCase("100 robots at 10 Hz, warehouse", 100, 10.0, ("--world", "warehouse", *COARSE)),
+    FleetCase("1000 robots at 5 Hz, empty", 1000, 5.0, COARSE),
+    FleetCase("1000 robots at 5 Hz, empty, 2 processes", 1000, 5.0, COARSE, 2),
+)
+CASES_WHEN_SHORT = (FleetCase("2 robots at 10 Hz", 2, 10.0, ("--world", "warehouse")),)
 
 
 @dataclass
@@ -77,46 +80,17 @@ class Spent:
 
     factors: list[float] = field(default_factory=list)
     cores: dict[str, list[float]] = field(default_factory=dict)
-    step_ms: list[float] = field(default_factory=list)
-    late: list[float] = field(default_factory=list)
-    """Measurements that were late or missing, since the start of the processes."""
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure fleets with listeners, idle processes, the first scan, and `zensim up`."""
     seconds = SECONDS_WHEN_SHORT if is_short else SECONDS
-    for case in fleet_cases(is_short=is_short):
+    for case in CASES_WHEN_SHORT if is_short else CASES:
         yield from _fleet_figures(case, seconds, is_short=is_short)
     if not is_short:  # benchmark `everything` also starts `zensim up` with lidars
         yield from _up_figures(10, (), seconds)
         pooled = ("--agents", "pooled", "--layout", "grid", "--odom-hz", "10", "--tf-hz", "10")
         yield from _up_figures(100, pooled, seconds)
-
-
-def fleet_cases(*, is_short: bool) -> Sequence[FleetCase]:
-    """List the measured fleets."""
-    if is_short:
-        return (FleetCase("2 robots at 10 Hz", 2, 10.0, ("--world", "warehouse")),)
-    coarse = ("--step-hz", "100", "--dynamics", "auto")
-    most = Limit("median", "<=", 1.0)
-    return (
-        FleetCase(
-            "100 robots at 10 Hz, warehouse",
-            100,
-            10.0,
-            ("--world", "warehouse", *coarse),
-            limit=Limit("median", "<=", 0.25),
-        ),
-        FleetCase("1000 robots at 5 Hz, empty", 1000, 5.0, coarse, limit=most),
-        FleetCase(
-            "1000 robots at 5 Hz, warehouse",
-            1000,
-            5.0,
-            ("--world", "warehouse", *coarse),
-            limit=most,
-        ),
-        FleetCase("1000 robots at 5 Hz, empty, 2 processes", 1000, 5.0, coarse, 2, most),
-    )
 
 
 @dataclass
@@ -144,13 +118,7 @@ def _fleet_figures(case: FleetCase, seconds: float, *, is_short: bool) -> Iterat
         trial = _try_fleet(server.bus, server.client, pids, [seconds / turns] * turns)
         scans = FIRST_SCANS_WHEN_SHORT if is_short else FIRST_SCANS
         trial.waits_ms = tuple(_first_scan_ms(server.bus) for _ in range(scans))
-    yield from _sensor_figures(case, trial)
-    yield from _server_figures(case, trial)
-    yield Figure(
-        what=f"{case.label}: floor, as many ready scans put",
-        unit="cores",
-        samples=_put_floor(case.robots, case.rate_hz, min(seconds, 3.0)),
-    )
+    yield from _case_figures(case, trial)
 
 
 def _try_fleet(
@@ -159,9 +127,9 @@ def _try_fleet(
     """Measure turns of these lengths without and with subscribers."""
     trial = FleetTrial()
     for seconds in turns_s:
-        _spend(bus, client, pids, seconds, trial.idle)
+        _spend(client, pids, seconds, trial.idle)
         with _listener(bus) as found:
-            _spend(bus, client, pids, seconds, trial.subscribed)
+            _spend(client, pids, seconds, trial.subscribed)
             trial.tallies = found.tallies()
         _wait_until_idle(bus)
     return trial
@@ -173,123 +141,40 @@ def _sum_sensors(spent: Spent) -> tuple[float, ...]:
     return tuple(map(sum, zip(*used, strict=True)))
 
 
-def _sensor_figures(case: FleetCase, trial: FleetTrial) -> Iterator[Figure]:
-    name = f"{case.label}: "
-    yield Figure(
-        what=f"{name}CPU, sensors, all subscribed",
-        unit="cores",
-        samples=_sum_sensors(trial.subscribed),
-        limit=case.limit,
-    )
-    yield Figure(
-        what=f"{name}CPU, sensors, no subscribers",
-        unit="cores",
-        samples=_sum_sensors(trial.idle),
-        limit=Limit("median", "<=", 0.01 * case.processes),
-    )
-    if case.processes > 1:
-        each = [sum(cores) for group, cores in trial.subscribed.cores.items() if group != "server"]
-        yield Figure(
-            what=f"{name}CPU of the busiest process by that of the least busy one",
-            unit="",
-            samples=(max(each) / max(min(each), 1e-9),),
-            limit=Limit("max", "<=", MAX_UNEVENNESS),
-        )
-    yield Figure(
-        what=f"{name}first scan after a subscription",
-        unit="ms",
-        samples=trial.waits_ms,
-        limit=Limit("median", "<=", 300.0),
-    )
-
-
-def _server_figures(case: FleetCase, trial: FleetTrial) -> Iterator[Figure]:
+def _case_figures(case: FleetCase, trial: FleetTrial) -> Iterator[Figure]:
     name = f"{case.label}: "
     for when, spent in (("no subscribers", trial.idle), ("all subscribed", trial.subscribed)):
-        yield Figure(
-            what=f"{name}CPU, server, {when}", unit="cores", samples=tuple(spent.cores["server"])
-        )
+        cores = _sum_sensors(spent)
+        yield Figure(what=f"{name}CPU, sensors, {when}", unit="cores", samples=cores)
+        server = tuple(spent.cores["server"])
+        yield Figure(what=f"{name}CPU, server, {when}", unit="cores", samples=server)
         yield Figure(what=f"{name}real-time factor, {when}", unit="", samples=tuple(spent.factors))
-        yield Figure(
-            what=f"{name}longest step of each second, {when}",
-            unit="ms",
-            samples=tuple(spent.step_ms),
-        )
+    first = f"{name}first scan after a subscription"
+    yield Figure(what=first, unit="ms", samples=trial.waits_ms)
     yield Figure(what=f"{name}scans received", unit="Hz", samples=_scan_rates(trial.tallies))
-    yield Figure(what=f"{name}scans received", unit="MB/s", samples=_scan_volumes(trial.tallies))
-    yield Figure(
-        what=f"{name}late or missing scans so far", unit="", samples=tuple(trial.subscribed.late)
-    )
-
-
-@dataclass
-class UpTrial:
-    """What `zensim up` cost with everything subscribed."""
-
-    ready_s: float
-    spent: Spent
-    rates_hz: tuple[float, ...]
-    transform_waits_ms: tuple[float, ...]
-    """Waits of scans for a transform at or after their stamp."""
-    resumed_s: float
-    """Time from the end of the sensor process until there were scans again."""
 
 
 def _up_figures(robots: int, options: tuple[str, ...], seconds: float) -> Iterator[Figure]:
     """Measure `zensim up` with everything subscribed."""
-    trial = _try_up(robots, options, seconds)
-    name, spent, is_few = f"zensim up, {robots} robots: ", trial.spent, robots <= MANY
-    yield Figure(
-        what=f"{name}ready",
-        unit="s",
-        samples=(trial.ready_s,),
-        limit=Limit("median", "<=", 6.0) if is_few else None,
-    )
-    yield Figure(
-        what=f"{name}real-time factor",
-        unit="",
-        samples=tuple(spent.factors),
-        limit=Limit("median", ">=", 0.99 if is_few else 0.98),
-    )
-    yield Figure(
-        what=f"{name}CPU, all programs",
-        unit="cores",
-        samples=tuple(map(sum, zip(*spent.cores.values(), strict=True))),
-        limit=Limit("median", "<=", 1.6) if is_few else None,
-    )
-    for group, cores in spent.cores.items():
-        yield Figure(what=f"{name}CPU, {group}", unit="cores", samples=tuple(cores))
-    yield Figure(what=f"{name}scans received", unit="Hz", samples=trial.rates_hz)
-    yield Figure(
-        what=f"{name}wait of a scan for tf at or after its stamp",
-        unit="ms",
-        samples=trial.transform_waits_ms,
-        limit=Limit("p99", "<=", 50.0) if is_few else None,
-    )
-    yield Figure(
-        what=f"{name}scans again after kill -9 of the sensor process",
-        unit="s",
-        samples=(trial.resumed_s,),
-        limit=Limit("median", "<=", 3.0),
-    )
-
-
-def _try_up(robots: int, options: tuple[str, ...], seconds: float) -> UpTrial:
     endpoint, spent = free_endpoint(), Spent()
     arguments = ("--robots", str(robots), "--model", MODEL, "--world", "warehouse", "--no-viewer")
     with running(
         "up", *arguments, "--listen", endpoint, "--json", *_pace(robots), *options
     ) as process:
-        ready_s = read_json_line(process)["ready_s"]
-        assert isinstance(ready_s, float)
+        read_json_line(process)
         with connected(endpoint, process) as bus, _listener(bus) as found:
             _wait_until_heard(found, robots)
             pids = {group: found for group, found in find_programs(process).items() if found}
-            _spend(bus, SimClient(bus), pids, seconds, spent)
+            _spend(SimClient(bus), pids, seconds, spent)
             tallies = list(found.tallies())
             resumed_s = _kill_sensors(bus, pids["sensors"])
-    waits_ms = _transform_waits(tallies)
-    return UpTrial(ready_s, spent, _scan_rates(tallies), waits_ms, resumed_s)
+    name = f"zensim up, {robots} robots: "
+    yield Figure(what=f"{name}real-time factor", unit="", samples=tuple(spent.factors))
+    cores = tuple(map(sum, zip(*spent.cores.values(), strict=True)))
+    yield Figure(what=f"{name}CPU, all programs", unit="cores", samples=cores)
+    yield Figure(what=f"{name}scans received", unit="Hz", samples=_scan_rates(tallies))
+    again = f"{name}scans again after kill -9 of the sensor process"
+    yield Figure(what=again, unit="s", samples=(resumed_s,))
 
 
 def _kill_sensors(bus: Bus, pids: Sequence[int]) -> float:
@@ -348,18 +233,13 @@ def _wait_until_heard(found: ScanListener, scans: int) -> None:
 
 
 def _spend(
-    bus: Bus, client: SimClient, pids: dict[str, tuple[int, ...]], seconds: float, spent: Spent
+    client: SimClient, pids: dict[str, tuple[int, ...]], seconds: float, spent: Spent
 ) -> None:
     """Add what each second costs."""
-    stats = bus.subscribe(STATS.key("default"), TALLIES)
     samples = [_sample(client, pids)]
     for _ in range(max(1, round(seconds))):
         time.sleep(1.0)
         samples.append(_sample(client, pids))
-    stats_messages = [decode(Stats, one.payload, one.encoding) for one in stats.take()]
-    spent.step_ms += [one.step_time_max_s * MILLISECONDS for one in stats_messages]
-    spent.late += [float(one.late_sensor_messages) for one in stats_messages]
-    stats.close()
     for (wall_s, time_s, used), (later_s, later_time_s, later_used) in pairwise(samples):
         lasted_s = later_s - wall_s
         spent.factors.append((later_time_s - time_s) / lasted_s)
@@ -401,37 +281,3 @@ def _scan_rates(tallies: Sequence[ScanTally]) -> tuple[float, ...]:
         (after.scans - before.scans) / (after.wall_s - before.wall_s)
         for before, after in pairwise(tallies)
     ) or (0.0,)
-
-
-def _transform_waits(tallies: Sequence[ScanTally]) -> tuple[float, ...]:
-    """List the waits [ms], without those of the first second, in which subscriptions begin."""
-    return tuple(wait for one in tallies[1:] for wait in one.transform_waits_ms) or (0.0,)
-
-
-def _scan_volumes(tallies: Sequence[ScanTally]) -> tuple[float, ...]:
-    return tuple(
-        (after.scan_bytes - before.scan_bytes) / (after.wall_s - before.wall_s) / MEGABYTE
-        for before, after in pairwise(tallies)
-    ) or (0.0,)
-
-
-def _put_floor(robots: int, rate_hz: float, seconds: float) -> tuple[float, ...]:
-    """Put as many ready scans; return the CPU of each second [cores]."""
-    endpoint = free_endpoint()
-    payload = bytes(1508)
-    with (
-        running("router", "--listen", endpoint) as router,
-        connected(endpoint, router) as bus,
-        program("scan_listener", endpoint),
-    ):
-        puts = [bus.advertise(SCAN.key(f"r{number}"), SCAN.encoding) for number in range(robots)]
-        eventually(lambda: puts[0].is_matched, START_S, "the listener")
-        cores = []
-        for _ in range(max(1, round(seconds))):
-            began_s, used_before_s = time.monotonic(), time.process_time()
-            for _ in range(round(rate_hz)):
-                for one in puts:
-                    one.send(payload)
-                time.sleep(1.0 / rate_hz)
-            cores.append((time.process_time() - used_before_s) / (time.monotonic() - began_s))
-    return tuple(cores)

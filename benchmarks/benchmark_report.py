@@ -6,13 +6,13 @@ import msgspec
 
 from benchmarks import machine
 from benchmarks.figures import Figure, missed
+from benchmarks.limits import judge
 
 NAMES = (
     "overview",
     "peers",
     "start",
     "cli",
-    "cost",
     "accuracy",
     "mechanics",
     "wheels",
@@ -20,54 +20,27 @@ NAMES = (
     "spawn",
     "reading",
     "recording",
-    "bundle",
-    "isolation",
     "neighbours",
-    "security",
     "secured_fleet",
     "secured_floods",
-    "services",
     "journal",
-    "operation",
-    "flat_out",
     "fleet",
-    "fleet_spawn",
-    "fleet_latency",
-    "fleet_traffic",
-    "fleet_topic",
-    "up_fleet",
+    "fleet_physics",
     "fleet_10000",
     "everything",
-    "fleet_physics",
-    "fleet_threads",
-    "pools",
-    "api",
     "world",
     "envs",
     "world_loading",
-    "scenarios",
-    "sweep",
-    "resim",
     "sensors",
-    "casting",
     "page",
-    "foxglove",
-    "page_control",
-    "state_sensors",
-    "containers",
     "ros2",
-    "ros2_fleet",
-    "clusters",
-    "sleeping",
-    "codec",
-    "replay",
 )
 HEAD = """# Results of benchmarks
 
-All figures, section by section; [benchmarks](benchmarks.md) is the short form. The command below a
-heading measures that section; with `--write` it also replaces the section here. `make bench` does
-so with all. *n* is the number of samples; a tenth of them is below p10, a tenth above p90. Figures
-of single parts: [what parts cost](figures.md).
+All figures, section by section; [benchmarks](benchmarks.md) is the page of findings, and
+[limits](limits.md) says which figures are judged. The command below a heading measures that
+section; with `--write` it also replaces the section here. `make bench` does so with all. *n* is the
+number of samples; a tenth of them is below p10, a tenth above p90.
 """
 
 
@@ -83,7 +56,7 @@ def measure(name: str, *, is_short: bool) -> Section:
     module = import_module(f"benchmarks.bench_{name}")
     additions_ms = machine.time_additions_ms()
     before, steal = machine.work(), machine.StealWatch()
-    rows = list(module.rows(is_short=is_short))
+    rows = list(judge(name, module.rows(is_short=is_short)))
     withheld, others = steal.end(), machine.others_cores(before, machine.work())
     additions_ms += machine.time_additions_ms()
     title, _, method = str(module.__doc__).partition("\n")

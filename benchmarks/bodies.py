@@ -37,14 +37,6 @@ class Bodies:
         for _ in range(steps):
             self.engine.step()
 
-    def step_and_drive(self, steps: int) -> None:
-        """Step; read and command all bodies in each control period."""
-        for step in range(steps):
-            self.engine.step()
-            if step % CONFIG.control_steps == 0:
-                self.engine.read(self._bodies)
-                self.drive()
-
 
 def standing_at(x: float) -> FloatArray:
     """Make the state row of a box_bot at rest on the ground."""

@@ -6,7 +6,11 @@ from typing import Literal
 
 import msgspec
 
-from benchmarks.timing import quantile
+
+def quantile(ordered: list[float], share: float) -> float:
+    """Compute a quantile of sorted numbers."""
+    return ordered[round(share * (len(ordered) - 1))]
+
 
 Statistic = Literal["mean", "median", "p95", "p99", "min", "max"]
 STATISTICS: dict[Statistic, Callable[[list[float]], float]] = {
@@ -33,6 +37,13 @@ class Limit(msgspec.Struct, frozen=True):
 
     def __str__(self) -> str:
         return f"{self.statistic} {self.relation} {self.bound:g}"
+
+    @classmethod
+    def parse(cls, text: str) -> "Limit":
+        """Read a limit as it is written; raises msgspec.ValidationError for others."""
+        statistic, relation, bound = text.split()
+        values = {"statistic": statistic, "relation": relation, "bound": float(bound)}
+        return msgspec.convert(values, cls)
 
     def is_met(self, value: float) -> bool:
         """Whether a value of the statistic is within the limit."""

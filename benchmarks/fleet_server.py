@@ -2,7 +2,6 @@
 
 import math
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -36,7 +35,6 @@ class Spent(Turn):
     """Including the router's threads."""
     children_cpu_s: float
     """CPU time of child processes, including cell workers."""
-    parts_s: dict[str, float]
 
 
 class FleetServer:
@@ -58,15 +56,7 @@ class FleetServer:
             cpu_s=after.loop_cpu_s - before.loop_cpu_s,
             process_cpu_s=after.process_cpu_s - before.process_cpu_s,
             children_cpu_s=self._children_used_s() - used_before_s,
-            parts_s={
-                part: spent_s - before.parts_s.get(part, 0.0)
-                for part, spent_s in after.parts_s.items()
-            },
         )
-
-    def time_parts(self) -> None:
-        """Also time the parts of the loop, from the next turn on."""
-        self.process.send_signal(signal.SIGUSR1)
 
     def speeds(self) -> list[float]:
         """Get the speed of each robot [m/s]."""

@@ -5,6 +5,8 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 
+import msgspec
+
 COMMAND = re.compile(r"^`\S*python -m \S+ (\w+)`$", re.MULTILINE)
 """The command below the heading of a section, which names it."""
 HEADING = re.compile(r"^## ", re.MULTILINE)
@@ -48,11 +50,23 @@ def list_missed(section: str) -> Iterator[str]:
         yield from (_format_miss(head, row) for row in rows if any(MISSED in one for one in row))
 
 
-def list_limits(section: str) -> Iterator[bool]:
-    """List the figures of a section that have a limit: whether each is beyond it."""
+class Judged(msgspec.Struct, frozen=True):
+    """A figure with a limit, as a page has it."""
+
+    figure: str
+    asked: str
+    seen: str
+    is_missed: bool
+
+
+def list_judged(section: str) -> Iterator[Judged]:
+    """List the figures of a section that have a limit."""
     for head, *rows in read_tables(section):
         named = (dict(zip(head, row, strict=False)) for row in rows)
-        yield from (MISSED in row.get(SEEN, "") for row in named if row.get(ASKED))
+        for row in named:
+            if asked := row.get(ASKED):
+                seen = row[SEEN]
+                yield Judged(row[head[0]], asked, _read_seen(seen), MISSED in seen)
 
 
 def format_items(lines: Iterable[str]) -> str:
@@ -73,6 +87,10 @@ def _format_miss(head: Sequence[str], row: Sequence[str]) -> str:
 
 def _read_cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip().strip("|").split("|")]
+
+
+def _read_seen(cell: str) -> str:
+    return _strip_verdict(cell).removesuffix(", met")
 
 
 def _strip_verdict(cell: str) -> str:

@@ -8,7 +8,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import zensim
-from benchmarks.chain_models import (
+from benchmarks.figures import Figure, Limit
+from tests.sim_server.description.chain_models import (
     WEAK,
     ArmCase,
     GearCase,
@@ -16,7 +17,6 @@ from benchmarks.chain_models import (
     PendulumCase,
     write_followed_wheels,
 )
-from benchmarks.figures import Figure, Limit
 from zensim.api.robot import Robot
 from zensim.proto.messages.standard_messages import JointState
 from zensim.proto.se3 import FloatArray

@@ -1,4 +1,4 @@
-"""docs/benchmarks.md, the short form of the results: fleets, plots, peers, and counts of misses.
+"""docs/benchmarks.md, the findings of the results: fleets, plots, peers, and what is missed.
 
 `python -m benchmarks.overview_page` makes the page and its plots from docs/benchmark_results.md;
 with `--check` the status is 1 if they differ from what is there.
@@ -15,8 +15,9 @@ from matplotlib.figure import Figure
 
 from benchmarks.__main__ import PAGE as RESULTS
 from benchmarks.benchmark_report import NAMES
+from benchmarks.limits import read_limits
 from benchmarks.machine import ROOT
-from benchmarks.measured_page import list_limits, read_sections, read_tables
+from benchmarks.measured_page import list_judged, read_sections, read_tables
 
 PAGE = ROOT / "docs" / "benchmarks.md"
 IMAGES = ROOT / "docs" / "images"
@@ -30,7 +31,8 @@ INCHES = (4.2, 3.2)
 HEAD = """# Benchmarks
 
 How many robots run in real time, and what they take. [Results](benchmark_results.md) has all
-figures, how each is measured, and the command that repeats it on your machine.
+figures, how each is measured, and the command that repeats it on your machine. Decisions also name
+benchmarks of their time; those that are gone are in the history of the repository.
 """
 FLEETS = """## Fleets in real time
 
@@ -45,17 +47,19 @@ The same robots on the same circles, each simulator with its own best settings a
 the rows with a network count server and agents. `.venv/bin/python -m benchmarks peers` repeats it.
 """
 UNMEASURED = "Not measured yet.\n"
-MISSED = """## Limits
+LIMITS = """## Limits
 
-{limits} figures have a limit, for two cores. {missed} of them are beyond it:
-[what was asked and what was seen](benchmark_results.md#missed).
+{limits} figures have a [limit](limits.md), each with the reason why a user would notice it; all are
+for two cores. {missed} of them are missed.
 """
+CAUSES = ("figure", "asked", "seen", "cause")
 
 
 def make_page(results: str) -> str:
     """Make the page from the results."""
     sections = read_sections(results)
-    limits = [cell for name in NAMES for cell in list_limits(sections.get(name, ""))]
+    judged = [one for name in NAMES for one in list_judged(sections.get(name, ""))]
+    missed = [one for one in judged if one.is_missed]
     cores, cpu = (find_fact(results, what) for what in ("cores", "CPU"))
     parts = [
         HEAD,
@@ -64,9 +68,18 @@ def make_page(results: str) -> str:
         "".join(f"![{axis}](images/{name}.svg)\n" for name, (_, axis) in PLOTS.items()),
         PEERS,
         _format_table(find_table(sections, "peers")) if "peers" in sections else UNMEASURED,
-        MISSED.format(limits=len(limits), missed=sum(limits)),
+        LIMITS.format(limits=len(judged), missed=len(missed) or "None"),
     ]
+    if missed:
+        rows = [[one.figure, one.asked, one.seen, find_cause(one.figure)] for one in missed]
+        parts.append(_format_table([list(CAUSES), *rows]))
     return "\n".join(parts)
+
+
+def find_cause(figure: str) -> str:
+    """Find the cause of a missed limit; empty if none is named."""
+    limits = [section[figure] for section in read_limits().values() if figure in section]
+    return next((one.cause for one in limits if one.cause), "")
 
 
 def find_fact(results: str, what: str) -> str:

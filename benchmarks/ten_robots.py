@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import msgspec
 
-from benchmarks.figures import Figure, Limit
+from benchmarks.figures import Figure
 from tests.integration.processes import Server, running, serving, wait_for_agents
 from tests.integration.robots import Robot, robot
 from zensim.proto.bus import BusSubscription
@@ -105,19 +105,17 @@ def observe_in_turns(
         yield [decode(Stats, sample.payload, sample.encoding) for sample in seen]
 
 
-def latest_steps(when: str, seen: list[Stats], limit: Limit | None = None) -> Figure:
+def latest_steps(when: str, seen: list[Stats]) -> Figure:
     """Make a figure of the latest step of each second."""
     samples = tuple(stats.late_max_s * MILLISECONDS for stats in seen)
-    return Figure(
-        what=f"latest step of each second, {when}", unit="ms", samples=samples, limit=limit
-    )
+    return Figure(what=f"latest step of each second, {when}", unit="ms", samples=samples)
 
 
-def longest_work(when: str, seen: list[Stats], limit: Limit | None = None) -> Figure:
+def longest_work(when: str, seen: list[Stats]) -> Figure:
     """Make a figure of the loop's longest own work before a step in each second: CPU time."""
     samples = tuple(stats.busy_max_s * MILLISECONDS for stats in seen)
     what = f"longest own work before a step of each second, {when}"
-    return Figure(what=what, unit="CPU ms", samples=samples, limit=limit)
+    return Figure(what=what, unit="CPU ms", samples=samples)
 
 
 def poll_until(ask: Callable[[], T | None], within_s: float = 10.0) -> T:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from benchmarks.wheel_models import STRAIGHT, WheelRobot
+from tests.sim_server.description.wheel_models import STRAIGHT, WheelRobot
 from zensim.deploy.robot_trial import (
     AT_REST,
     DRIVE_S,

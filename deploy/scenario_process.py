@@ -306,15 +306,6 @@ def make_error_report(request: RunRequest, error: str, began_s: float) -> RunRep
     return _make_failed_report(scenario, request, error, began_s)
 
 
-def run_in_process(request: RunRequest) -> RunReport:
-    """Run a scenario in a process of its own, which is killed at the timeout."""
-    worker = ScenarioWorker()
-    try:
-        return worker.run(request)
-    finally:
-        worker.close()
-
-
 def run_all(
     requests: Sequence[RunRequest], *, jobs: int, on_run: Callable[[RunReport], None]
 ) -> list[RunReport]:

@@ -39,7 +39,7 @@ def test_benchmark_fills_a_table_when_it_is_short(name: str) -> None:
 def test_command_prints_what_was_named_and_leaves_the_page_alone() -> None:
     before = PAGE.read_bytes()
 
-    done = run("codec", "--short")
+    done = run("reading", "--short")
 
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("## ") == 1
@@ -47,7 +47,7 @@ def test_command_prints_what_was_named_and_leaves_the_page_alone() -> None:
 
 
 def test_command_refuses_a_name_that_it_does_not_know() -> None:
-    done = run("codec", "fast")
+    done = run("reading", "fast")
 
     assert done.returncode == 2
     assert f"unknown: fast; there are {', '.join(NAMES)}" in done.stderr

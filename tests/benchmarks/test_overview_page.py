@@ -38,13 +38,15 @@ FACTS = (("cores", "2"), ("CPU", "Trial 9000"))
 RESULTS = format_page("# Results\n", FACTS, SECTIONS, tuple(SECTIONS))
 
 
-def test_page_has_machine_fleets_peers_and_counts_of_misses() -> None:
+def test_page_has_machine_fleets_peers_and_what_is_missed() -> None:
     page = make_page(RESULTS)
 
     assert "2 cores, Trial 9000" in page
     assert "| 100 | kinematic | 20 | 1.00 | 100% | 0.25 | 0.15 | 200 | 120 | 140 | 0.5 |" in page
     assert "| other | 10 | 10 | 2 | 50 | 500 | 20 |" in page
-    assert "2 figures have a limit, for two cores. 1 of them are beyond it" in page
+    assert "2 figures have a [limit](limits.md)" in page
+    assert "| way [m] | max <= 2 | 3 |" in page
+    assert "| time [s] |" not in page
 
 
 def test_page_says_what_was_not_measured() -> None:

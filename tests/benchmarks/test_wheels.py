@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.bench_wheels import WITHIN, measure_robot
-from benchmarks.wheel_models import list_robots
+from tests.sim_server.description.wheel_models import list_robots
 
 ROBOTS = {robot.name: robot for robot in list_robots()}
 OF_EACH_DRIVE = (

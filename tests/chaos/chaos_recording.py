@@ -20,8 +20,8 @@ from pathlib import Path
 
 from benchmarks.bench_recording import TOPICS
 from benchmarks.figures import Figure, Limit
-from benchmarks.message_source import Source, publishing
 from tests.chaos.chaos_damage import cut, flip
+from tests.chaos.message_source import Source, publishing
 from tests.integration.processes import eventually, kill, read_json_line, running
 from tests.recording.recordings import count_by_mcap, write_recording
 from zensim.proto.exit_codes import ExitCode

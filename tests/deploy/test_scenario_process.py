@@ -12,12 +12,12 @@ import pytest
 import zensim
 from tests.deploy.sweep.sweep_samples import SHORT, write_scenario
 from tests.integration.processes import eventually
+from tests.scenario.scenario_runs import run_alone
 from zensim.deploy.scenario_process import (
     RUN_COMMAND,
     RunRequest,
     ScenarioWorker,
     make_launch_config,
-    run_in_process,
     run_request,
 )
 from zensim.scenario.scenario_reader import read_scenario
@@ -47,7 +47,7 @@ def make_request(folder: Path, second: str) -> RunRequest:
 
 
 def test_failed_run_is_recorded_by_a_second_run(tmp_path: Path) -> None:
-    report = run_in_process(make_request(tmp_path, "pass"))
+    report = run_alone(make_request(tmp_path, "pass"))
 
     assert [check.verdict for check in report.checks] == ["failed"]
     assert (report.error, report.recording) == ("", str(tmp_path / "failed.mcap"))
@@ -55,7 +55,7 @@ def test_failed_run_is_recorded_by_a_second_run(tmp_path: Path) -> None:
 
 
 def test_verdict_stays_when_the_second_run_ends_its_process(tmp_path: Path) -> None:
-    report = run_in_process(make_request(tmp_path, "os._exit(3)"))
+    report = run_alone(make_request(tmp_path, "os._exit(3)"))
 
     assert [check.verdict for check in report.checks] == ["failed"]
     assert report.state_hash
@@ -63,7 +63,7 @@ def test_verdict_stays_when_the_second_run_ends_its_process(tmp_path: Path) -> N
 
 
 def test_second_run_that_ends_in_another_state_is_an_error(tmp_path: Path) -> None:
-    report = run_in_process(make_request(tmp_path, "return [[0.3, 0.0]]"))
+    report = run_alone(make_request(tmp_path, "return [[0.3, 0.0]]"))
 
     assert report.error.startswith("not deterministic")
     assert report.recording

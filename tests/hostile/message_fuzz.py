@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import zenoh
 from zenoh.handlers import FifoChannel
 
-from benchmarks.timing import quantile
+from benchmarks.figures import quantile
 from tests.hostile.fuzz import damage_bytes
 from tests.integration.processes import Server, eventually, running_agents, serving
 from tests.integration.robots import robot

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from zensim.deploy.scenario_process import RunRequest, run_in_process
+from tests.scenario.scenario_runs import run_alone
+from zensim.deploy.scenario_process import RunRequest
 
 TEXT = (
     "zensim: 1\nengine: {use: mujoco}\ntime: {seed: 3}\nrobots:\n"
@@ -26,7 +27,7 @@ def test_scenario_ends_alike_in_process_and_on_a_server(tmp_path: Path) -> None:
     file.write_text(TEXT)
 
     inside, served = (
-        run_in_process(RunRequest(str(file), is_served=is_served)) for is_served in (False, True)
+        run_alone(RunRequest(str(file), is_served=is_served)) for is_served in (False, True)
     )
 
     assert (inside.error, served.error) == ("", "")

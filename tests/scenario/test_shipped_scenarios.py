@@ -1,11 +1,12 @@
-"""The shipped scenarios pass; `python -m benchmarks scenarios` runs them to their ends."""
+"""The shipped scenarios pass."""
 
 from pathlib import Path
 
 import msgspec
 import pytest
 
-from zensim.deploy.scenario_process import RunRequest, run_in_process
+from tests.scenario.scenario_runs import run_alone
+from zensim.deploy.scenario_process import RunRequest
 from zensim.scenario.scenario_reader import (
     find_scenario_file,
     list_shipped_scenarios,
@@ -20,7 +21,7 @@ ENDS = {"warehouse": ("end.at=4.5 s",)}
 @pytest.mark.short_form
 @pytest.mark.parametrize("name", list_shipped_scenarios())
 def test_shipped_scenario_passes(name: str) -> None:
-    report = run_in_process(RunRequest(find_scenario_file(name), ENDS.get(name, ())))
+    report = run_alone(RunRequest(find_scenario_file(name), ENDS.get(name, ())))
 
     assert report.error == ""
     assert [msgspec.to_builtins(one) for one in report.checks if one.verdict != "passed"] == []

@@ -51,7 +51,6 @@ class _DrivesOfKind:
         first_joints, first_targets = (start[self._places][:, None] for start in starts)
         self._joints = first_joints + np.array(kind.measured, np.intp)
         self._targets = first_targets + np.arange(kind.targets)
-        self._worlds = worlds
         rows = worlds * len(places)
         self._drive = GroupDrive(kind.drive)
         self._limiters = GroupRateLimiter(kind.drive.update_rate_hz)

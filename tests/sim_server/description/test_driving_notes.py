@@ -1,10 +1,10 @@
 import msgspec
 import pytest
 
-from benchmarks.wheel_models import WheelRobot, list_robots
 from tests.models import a_body, a_box, a_cart
 from tests.sim_server.description.plugins.driven_robots import BALLS, a_base, a_tyre, read_driven
 from tests.sim_server.description.robots import a_joint, a_link, a_robot, an_inertial
+from tests.sim_server.description.wheel_models import WheelRobot, list_robots
 from zensim.proto.messages.drive_messages import DiffDrive, DriveOrder, WheelPair
 from zensim.proto.messages.model_messages import Inertial, Link, Model
 from zensim.sim_server.description.builtin_models import read_builtin_model

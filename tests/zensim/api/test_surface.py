@@ -9,7 +9,7 @@ import sys
 import pytest
 
 import zensim
-from benchmarks.api_surface import DOCUMENT, describe_surface
+from tests.zensim.api.api_surface import DOCUMENT, describe_surface
 from zensim.deploy.cli import VERBS
 from zensim.public_names import list_public_names
 
@@ -25,7 +25,7 @@ ERRORS = [
 def test_surface_is_the_listed_one() -> None:
     listed = json.loads(DOCUMENT.read_text(encoding="utf-8"))
 
-    assert listed == describe_surface(), "run 'python -m benchmarks.api_surface'"
+    assert listed == describe_surface(), "run 'python -m tests.zensim.api.api_surface'"
 
 
 def test_names_for_type_checkers_are_those_at_run_time() -> None:

@@ -10,10 +10,10 @@ import numpy as np
 import pybullet
 import pytest
 
-from benchmarks.wheel_models import list_robots
 from tests.engines import PHYSICAL, STEP_NS, advance, running
 from tests.models import a_box_bot, a_state, an_arm
 from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_robot, an_inertial
+from tests.sim_server.description.wheel_models import list_robots
 from tests.sim_server.physics.bullet_probe import client_of, dynamics_of
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.joint_reduction import MAX_JOINTS

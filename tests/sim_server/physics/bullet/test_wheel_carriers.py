@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from benchmarks.wheel_models import list_robots
 from tests.engines import STEP_NS, advance
 from tests.models import a_box_bot, a_cart, a_state
+from tests.sim_server.description.wheel_models import list_robots
 from zensim.proto.messages.model_messages import Inertial, Joint, Link, Model, Origin
 from zensim.proto.rigid_transforms import rotate
 from zensim.sim_server.description.builtin_models import read_builtin_model

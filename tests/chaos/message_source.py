@@ -2,7 +2,7 @@
 
 Like an agent, it publishes them for subscribers only: of each robot, and of all in few messages.
 
-`python -m benchmarks.message_source ENDPOINT ROBOTS HZ SECONDS` opens a router there, waits for a
+`python -m tests.chaos.message_source ENDPOINT ROBOTS HZ SECONDS` opens a router there, waits for a
 subscriber, and publishes for that time; it ends when its standard input does.
 """
 
@@ -85,7 +85,7 @@ def publishing(robots: int, hz: float, seconds: float) -> Iterator[Source]:
     endpoint = free_endpoint()
     arguments = (endpoint, str(robots), str(hz), str(seconds))
     process = subprocess.Popen(
-        [sys.executable, "-m", "benchmarks.message_source", *arguments],
+        [sys.executable, "-m", "tests.chaos.message_source", *arguments],
         cwd=ROOT,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.api_surface`: write docs/api.json, the names and signatures of the API."""
+"""`python -m tests.zensim.api.api_surface`: write docs/api.json, the names of the Python API."""
 
 import inspect
 import json

@@ -1,6 +1,6 @@
 """The robots that a source publishes for are those that a recorder takes from agents."""
 
-from benchmarks.message_source import make_models
+from tests.chaos.message_source import make_models
 from zensim.recording.fleet_robots import list_robots
 
 
