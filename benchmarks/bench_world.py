@@ -23,6 +23,7 @@ from zensim.api.in_process_world import InProcessAccess
 from zensim.api.simulation import Simulation
 from zensim.proto.settings.engine_settings import EngineSettings
 from zensim.proto.settings.server_settings import ServerSettings
+from zensim.proto.settings.start_settings import StartSettings
 from zensim.sim_server.server_config import ServerConfig
 
 __all__ = ["rows", "table"]
@@ -152,8 +153,10 @@ def _control_steps(robots: int, count: int) -> Iterator[Figure]:
 def _time_engine(robots: int, count: int) -> list[float]:
     """Find the CPU time of the engine's part of a control step [ms]."""
     config = ServerConfig(
-        is_paused=True,
-        settings=ServerSettings(physics=EngineSettings(engine="mujoco", engine_workers=0)),
+        settings=ServerSettings(
+            start=StartSettings(paused=True),
+            physics=EngineSettings(engine="mujoco", engine_workers=0),
+        ),
     )
     server = InProcessServer(config)
     simulation = Simulation(InProcessAccess(server))

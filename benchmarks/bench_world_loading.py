@@ -26,6 +26,7 @@ from zensim import World
 from zensim.proto.engine_proofs import EngineName
 from zensim.proto.settings.engine_settings import EngineSettings
 from zensim.proto.settings.server_settings import ServerSettings
+from zensim.proto.settings.start_settings import WorldFileSettings
 from zensim.proto.stl import write_corners
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.pipeline import read_robot
@@ -73,7 +74,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 
 def _measure_rooms(count: int, file: Path, *, is_short: bool) -> Iterator[Figure]:
-    order = WorldLoaderRequest(str(file), (str(file.parent),))
+    order = WorldLoaderRequest(str(file), WorldFileSettings(model_paths=(str(file.parent),)))
     started = time.perf_counter()
     loaded = load_world_in_process(order)
     yield Figure(
@@ -155,7 +156,7 @@ def _time_steps(loaded: LoadedWorld, engine: EngineName, steps: int) -> tuple[fl
 def _inspect(label: str, file: Path, engine: EngineName) -> Figure:
     found = inspect_in_process(
         InspectionRequest(
-            world=WorldLoaderRequest(str(file), (str(file.parent),)),
+            world=WorldLoaderRequest(str(file), WorldFileSettings(model_paths=(str(file.parent),))),
             settle_s=1.0,
             options=EngineSettings(engine=engine),
         )

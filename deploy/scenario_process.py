@@ -43,6 +43,7 @@ from zensim.proto.process_limits import KILLED_STATUS, die_with_parent
 from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.proto.settings.lockstep_settings import PATIENT
 from zensim.proto.settings.server_settings import ServerSettings
+from zensim.proto.settings.setting import change_settings
 from zensim.scenario.run_host import describe_host
 from zensim.scenario.scenario_loading import open_world
 from zensim.scenario.scenario_nodes import ScenarioInvalid
@@ -166,13 +167,13 @@ def _open_world(scenario: Scenario, request: RunRequest) -> Simulation:
 def make_launch_config(scenario: Scenario) -> LaunchConfig:
     """Configure a paused server of its own with its agents, and sensor processes if wanted."""
     base = LaunchConfig(
-        world="empty",
         endpoint=with_free_port("tcp/127.0.0.1:0"),
         server=ServerSettings(lockstep=PATIENT),  # the scenario may say otherwise
         ros=NO_ROS,
     )
+    config = add_scenario(base, scenario, dict.fromkeys(SETTINGS_OF_UP))
     return msgspec.structs.replace(
-        add_scenario(base, scenario, dict.fromkeys(SETTINGS_OF_UP)), is_paused=True, ros=NO_ROS
+        config, server=change_settings(config.server, {"paused": True}), ros=NO_ROS
     )
 
 

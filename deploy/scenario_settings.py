@@ -23,13 +23,7 @@ from zensim.scenario.scenario_reader import Scenario
 Given = Mapping[str, object]
 """Options of the command line that were written, by name; they win over the file."""
 KEYS_OF_OPTIONS: Mapping[str, str] = {
-    "world": "world.load",
     "world_name": "world.name",
-    "model_path": "world.model_paths",
-    "strict": "world.strict",
-    "allow_missing": "world.allow_missing",
-    "seed": "time.seed",
-    "paused": "time.paused",
     "listen": "network.listen",
     "connect": "network.connect",
     "wait": "network.wait",
@@ -61,13 +55,7 @@ KEYS_OF_OPTIONS: Mapping[str, str] = {
 }
 """The key of each option of `zensim up` and `zensim serve`, with the first entry of lists."""
 FIELDS: Mapping[str, str] = {
-    "world": "world",
     "world_name": "world_name",
-    "model_path": "model_paths",
-    "strict": "is_strict",
-    "allow_missing": "allow_missing",
-    "seed": "seed",
-    "paused": "is_paused",
     "listen": "endpoint",
     "connect": "connect",
     "wait": "wait_s",
@@ -110,10 +98,15 @@ def _find_journal(scenario: Scenario, value: str) -> str:
 
 _CONVERSIONS: Mapping[str, Callable[[Scenario, Any], object]] = {
     "world": _find_world,
-    "model_path": _find_model_paths,
+    "model_paths": _find_model_paths,
     "journal": _find_journal,
     "listen": lambda _, value: with_free_port(value),
 }
+
+
+def _convert(name: str, scenario: Scenario, value: object) -> object:
+    convert = _CONVERSIONS.get(name)
+    return value if convert is None else convert(scenario, value)
 
 
 def add_scenario(
@@ -134,8 +127,7 @@ def add_scenario(
             continue
         value = scenario.find_value(key)
         if value is not NULL_MEANS_DEFAULT:
-            convert = _CONVERSIONS.get(option)
-            found[field] = value if convert is None else convert(scenario, value)
+            found[field] = _convert(option, scenario, value)
     completed: LaunchConfig = msgspec.structs.replace(
         config, placements=(), model="box_bot", **found
     )
@@ -159,7 +151,7 @@ def add_to_settings(
         given: Names of settings that win over the file.
     """
     written = {
-        field.name: read_key_value(field, value)
+        field.name: _convert(field.name, scenario, read_key_value(field, value))
         for field in list_settings(ServerSettings)
         if field.name not in given and field.setting.key in scenario.places
         if (value := scenario.find_value(field.setting.key)) is not NULL_MEANS_DEFAULT

@@ -492,63 +492,6 @@ class MetricsOptions:
 AllowFailedEngineOption = Annotated[
     bool, make_option(find_setting(EngineChoice, "allow_failed_engine"))
 ]
-SHIPPED = Path(__file__).resolve().parent.parent / "sim_server"
-MODEL_SUFFIXES = (".urdf", ".xacro", ".sdf")
-WORLD_SUFFIXES = (".world", ".sdf", ".xml")
-
-
-def complete_models(incomplete: str) -> list[str]:
-    """Find the built-in models, and the files and folders, that start with a text."""
-    return _complete_shipped("models/*.urdf", incomplete, MODEL_SUFFIXES)
-
-
-def complete_worlds(incomplete: str) -> list[str]:
-    """Find the built-in worlds, and the files and folders, that start with a text."""
-    return _complete_shipped("worlds/*.sdf", incomplete, WORLD_SUFFIXES)
-
-
-def _complete_shipped(pattern: str, incomplete: str, suffixes: tuple[str, ...]) -> list[str]:
-    names = sorted(path.stem for path in SHIPPED.glob(pattern))
-    found = [name for name in names if name.startswith(incomplete)]
-    typed = Path(incomplete)
-    folder = typed if incomplete.endswith("/") else typed.parent
-    try:
-        paths = sorted(folder.expanduser().iterdir())
-    except OSError:
-        return found
-    found += [f"{path}/" for path in paths if path.is_dir() and f"{path}".startswith(incomplete)]
-    return found + [
-        str(path) for path in paths if path.suffix in suffixes and str(path).startswith(incomplete)
-    ]
-
-
-WorldOption = Annotated[
-    str,
-    typer.Option(
-        "--world",
-        metavar="NAME|FILE",
-        help="Built-in world or SDF file to load.",
-        autocompletion=complete_worlds,
-    ),
-]
-StrictWorldOption = Annotated[bool, flag("--strict", help="Fail if the world file has warnings.")]
-AllowMissingOption = Annotated[
-    bool,
-    flag(
-        "--allow-missing",
-        help="Leave out models and collisions of the world file whose file is missing.",
-    ),
-]
-ModelPathOption = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--model-path",
-        metavar="FOLDER",
-        help="Folder with models that the world file includes; repeatable.",
-        envvar="GAZEBO_MODEL_PATH",
-    ),
-]
-
 SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Value that wins over the file; repeatable."),

@@ -12,17 +12,13 @@ import typer
 
 from zensim.proto.bus import Bus, BusError
 from zensim.proto.cli_options import (
-    AllowMissingOption,
     ClientCertificatesOption,
     InsecureOption,
     JsonOption,
     MetricsOptions,
-    ModelPathOption,
     RosOptions,
     SecureOption,
-    StrictWorldOption,
     WorldNameOption,
-    WorldOption,
     expand_options,
     flag,
     is_exported_for_clients,
@@ -76,12 +72,7 @@ _connection = partial(typer.Option, rich_help_panel="Connection")
 class ServeOptions(RosOptions, MetricsOptions):
     """All options of `zensim serve`."""
 
-    world: WorldOption = "empty"
-    model_path: ModelPathOption = None
-    strict: StrictWorldOption = False
-    allow_missing: AllowMissingOption = False
-    paused: Annotated[bool, flag("--paused", help="Start paused.")] = False
-    seed: Annotated[int, typer.Option(metavar="N", help="Seed of random numbers.")] = 0
+    server: ServerSettings = USUAL_SERVER
     journal: Annotated[
         Path | None,
         typer.Option(
@@ -130,7 +121,6 @@ class ServeOptions(RosOptions, MetricsOptions):
         _connection(min=0.0, metavar="SECONDS", help=r"Timeout of connecting to the router \[s]."),
     ] = 30.0
     world_name: WorldNameOption = "default"
-    server: ServerSettings = USUAL_SERVER
 
 
 @app.command(
@@ -192,14 +182,8 @@ def _make_server_config(given: ServeOptions) -> ServerConfig:
         raise ValueError("--listen and --connect exclude each other; give one of them")
     return ServerConfig(
         bus=make_server_bus_config(given.listen, given.connect),
-        world=given.world_name,
-        world_file=given.world,
+        world_name=given.world_name,
         settings=given.server,
-        is_paused=given.paused,
-        seed=given.seed,
-        model_paths=tuple(map(str, given.model_path or ())),
-        is_strict=given.strict,
-        allow_missing=given.allow_missing,
         wait_s=given.wait,
         journal=str(given.journal or ""),
         keeps_inputs=given.input_log,
@@ -220,7 +204,7 @@ def _run_server(
         endpoint = bus.endpoint if folder is None else folder.settings.endpoint
         secured = ", secured" if folder is not None else ""
         facts: dict[str, object] = {
-            "world": config.world,
+            "world": config.world_name,
             "endpoint": endpoint,
             "connect": to_client_endpoint(endpoint),
             "engine": engine,
@@ -229,7 +213,8 @@ def _run_server(
             facts["tokens_file"] = folder.write_all_tokens()
         print_announcement(
             "serve",
-            f"world '{config.world}' at {endpoint} ({describe_pace(config)}, {engine}{secured})",
+            f"world '{config.world_name}' at {endpoint} "
+            f"({describe_pace(config)}, {engine}{secured})",
             facts,
             as_json=given.as_json or given.announce,
         )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from zensim.proto.settings.setting import change_settings
 from zensim.sim_server.journal.sqlite_store import JournalError
 from zensim.sim_server.pacing.lockstep import Lockstep
 from zensim.sim_server.pacing.loop_stats import LoopStats
@@ -72,15 +73,11 @@ def load_initial_world(
     """
     if journal is not None and journal.contents is not None:
         return LoadedWorld(journal.contents.world.source), _resume_config(config, journal.contents)
-    order = WorldLoaderRequest(
-        config.world_file,
-        config.model_paths,
-        is_strict=config.is_strict,
-        allow_missing=config.allow_missing,
-    )
+    start = config.settings.start
+    order = WorldLoaderRequest(start.world, start)
     loaded = load(order)
     for fault in list_warnings(loaded.model.report):
-        LOG.warning("world=%s %s", config.world_file, fault)
+        LOG.warning("world=%s %s", start.world, fault)
     physics = loaded.model.physics
     return loaded, fill_pace(
         config, step_s=physics.step_s, real_time_factor=physics.real_time_factor
@@ -89,7 +86,7 @@ def load_initial_world(
 
 def _resume_config(config: ServerConfig, contents: JournalContents) -> ServerConfig:
     world = contents.world
-    if config.world != world.name:
+    if config.world_name != world.name:
         raise JournalError(
             f"{config.journal} is the journal of world '{world.name}'; "
             f"use `world_name` {world.name}, or another folder"
@@ -100,7 +97,8 @@ def _resume_config(config: ServerConfig, contents: JournalContents) -> ServerCon
         )
     except ConfigError as error:
         raise JournalError(f"{config.journal} {error}, or use another folder") from error
-    return msgspec.structs.replace(resumed, seed=world.seed)
+    settings = change_settings(resumed.settings, {"seed": world.seed})
+    return msgspec.structs.replace(resumed, settings=settings)
 
 
 def make_initial_world(
@@ -112,13 +110,13 @@ def make_initial_world(
     make_engine = make_logged_engine if config.keeps_inputs else make_world_engine
     engine = make_engine(config, loaded.model, store.folder)
     world = SimulatedWorld(
-        engine, name=config.world, step_ns=config.step_ns, control_steps=config.control_steps
+        engine, name=config.world_name, step_ns=config.step_ns, control_steps=config.control_steps
     )
     if journal is not None and journal.contents is not None:
         journal.restore(world, store, time.monotonic_ns())
     else:
         spawn_models(world, loaded.model)
-    if config.is_paused:
+    if config.settings.start.paused:
         world.clock.pause()
     return world
 
@@ -144,11 +142,12 @@ def make_parts(
     """
     # A log of inputs begins with the first call of an engine, long before its world is used.
     make_engine = make_world_engine if config.bus is None else make_logged_engine
-    catalog = WorldCatalog([*map(Path, config.model_paths)], find_start_file(config.world_file))
-    resource = catalog.find_start_world(config.world_file, loaded.model.name)
+    start = config.settings.start
+    catalog = WorldCatalog([*map(Path, start.model_paths)], find_start_file(start.world))
+    resource = catalog.find_start_world(start.world, loaded.model.name)
     return make_server_parts(
         world,
-        CurrentWorld(loaded.model, resource, config.seed, config.settings.physics),
+        CurrentWorld(loaded.model, resource, start.seed, config.settings.physics),
         Pacing(
             now_ns,
             LoopStats(now_ns()),

@@ -141,11 +141,11 @@ def list_server_parameters(config: ServerConfig) -> tuple[NodeParameter, ...]:
     """List the parameters of the server's ROS 2 node."""
     pace: dict[str, Any] = read_settings(config.settings.pace)
     found: dict[str, ParameterContent] = {
-        "world": config.world,
-        "world_file": config.world_file,
+        "world": config.world_name,
+        "world_file": config.settings.start.world,
         **{name: value for name, value in pace.items() if name != "rtf"},
         "engine": config.settings.physics.engine or "",
-        "seed": config.seed,
+        "seed": config.settings.start.seed,
     }
     return tuple(
         NodeParameter(name, value, reason="it is an option of 'zensim serve'")
@@ -208,10 +208,10 @@ def _run(
         cleanup.callback(node.close)
         users = None
         if config.secure_folder:
-            users = AdmittedUsers(SecureFolder(Path(config.secure_folder)), bus, config.world)
+            users = AdmittedUsers(SecureFolder(Path(config.secure_folder)), bus, config.world_name)
             cleanup.callback(users.close)
         inbox = _make_inbox(config, bus, node.sources, hooks)
-        publisher = BusWorldPublisher(bus, config.world, node.topics, node.on_progress)
+        publisher = BusWorldPublisher(bus, config.world_name, node.topics, node.on_progress)
         status = hooks.status
         loop = ServerLoop(parts, inbox, publisher, HostClock(), tracker, users)
         loop.status = status
@@ -220,11 +220,11 @@ def _run(
         metrics = ServerMetrics(parts, engine, loop.request_counts, tracker, config.journal)
         status.sources += [metrics.list_metrics, bus.traffic.list_metrics]
         cleanup.callback(loop.close)
-        cleanup.callback(bus.token(keys.alive_server(config.world)).close)
+        cleanup.callback(bus.token(keys.alive_server(config.world_name)).close)
         trimmer = MemoryTrimmer()
         trimmer.start()
         cleanup.callback(trimmer.close)
-        LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
+        LOG.info("serving world=%s endpoint=%s", config.world_name, bus.endpoint)
         hooks.on_ready(bus, config)
         loop.run(hooks.stop)
         loop.drain(lambda: hooks.stop.is_urgent)
@@ -239,8 +239,8 @@ def _make_inbox(
         replies.close()
     return BusInbox(
         bus,
-        config.world,
-        (*sources, StepTopics(bus, config.world)),
+        config.world_name,
+        (*sources, StepTopics(bus, config.world_name)),
         is_secured=bool(config.secure_folder),
         declared=replies,
     )

@@ -43,8 +43,8 @@ def run_server(
     """
     config = msgspec.structs.replace(validate_config(config), requested=config)
     limit_malloc_arenas()
-    status = make_program_status(config.world, SERVER_TURN_S)
-    CONTEXT.world = config.world
+    status = make_program_status(config.world_name, SERVER_TURN_S)
+    CONTEXT.world = config.world_name
     stop.on_stop = status.drain
     with ExitStack() as cleanup:
         collector = LogCollector()

@@ -40,17 +40,8 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
 
     bus: "BusConfig | None" = None
     """None = no network."""
-    world: str = "default"
-    world_file: str = "empty"
+    world_name: str = "default"
     settings: ServerSettings = ServerSettings()
-    model_paths: tuple[str, ...] = ()
-    """Folders with models that world files include."""
-    is_strict: bool = False
-    """Refuse a world file with warnings."""
-    allow_missing: bool = False
-    """Leave out models and collisions of the world file whose file is missing."""
-    is_paused: bool = False
-    seed: int = 0
     requested: "ServerConfig | None" = None
     """The configuration before the world file completed it."""
     journal: str = ""
@@ -104,12 +95,10 @@ def validate_config(config: ServerConfig) -> ServerConfig:
         ConfigError: A value is out of range, or its engine is missing or fails its proof.
     """
     try:
-        check_name(config.world, "world")
+        check_name(config.world_name, "world")
         check_settings(config.settings)
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    if not 0 <= config.seed < 1 << 64:
-        raise ConfigError(f"`seed` {config.seed} is out of range; use 0 to 2^64 - 1")
     try:
         choose_proven_engine(config.settings.physics)
     except EngineUnusable as error:

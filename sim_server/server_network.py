@@ -39,7 +39,9 @@ class RestoringNetwork:
             self._bus = _open_network(config, cleanup)
         if is_restoring and self.replies is None:
             is_secured = bool(config.secure_folder)
-            replies = RestoreReplies(self._bus, config.world, self.progress, is_secured=is_secured)
+            replies = RestoreReplies(
+                self._bus, config.world_name, self.progress, is_secured=is_secured
+            )
             replies.start()
             cleanup.callback(replies.close)
             self.replies = replies
@@ -49,9 +51,9 @@ class RestoringNetwork:
 def _open_network(config: ServerConfig, cleanup: ExitStack) -> Bus:
     bus = cleanup.enter_context(open_bus_with_retry(config.bus or BusConfig(), config.wait_s))
     # A secured server has a router of its own.
-    if not config.secure_folder and _has_server(bus, config.world):
+    if not config.secure_folder and _has_server(bus, config.world_name):
         raise WorldAlreadyServed(
-            f"world '{config.world}' already has a server at {bus.endpoint}; "
+            f"world '{config.world_name}' already has a server at {bus.endpoint}; "
             "stop it, or use `world_name` with another"
         )
     bus.prepare_reply_threads(request_short_time_slice)

@@ -66,7 +66,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Declare the marker."""
     config.addinivalue_line(
         "markers",
-        "zensim(world, seed, record, **keywords of World): the simulation of a test",
+        "zensim(world, record, **keywords of World): the simulation of a test",
     )
 
 
@@ -129,7 +129,7 @@ def read_marker(node: pytest.Item) -> dict[str, Any]:
 
     marker = node.get_closest_marker("zensim")
     options = dict(marker.kwargs) if marker else {}
-    known = {"world", "seed", "record", *WorldKeywords.__annotations__}
+    known = {"world", "record", *WorldKeywords.__annotations__}
     if unknown := options.keys() - known:
         raise ValueError(f"mark zensim has no option {sorted(unknown)}; use {sorted(known)}")
     return options

@@ -11,15 +11,13 @@ import msgspec
 import typer
 
 from zensim.proto.cli_options import (
-    AllowMissingOption,
     JsonOption,
-    ModelPathOption,
-    StrictWorldOption,
     expand_options,
 )
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.printable_text import print_lines
 from zensim.proto.settings.engine_settings import USUAL_ENGINE, EngineChoice
+from zensim.proto.settings.start_settings import USUAL_READING, WorldFileSettings
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 from zensim.spawner.cli.world_commands import app
 
@@ -44,9 +42,7 @@ class InspectOptions:
             help="World files, built-in worlds, and folders that are searched for world files.",
         ),
     ]
-    model_path: ModelPathOption = None
-    strict: StrictWorldOption = False
-    allow_missing: AllowMissingOption = False
+    reading: WorldFileSettings = USUAL_READING
     settle: Annotated[
         float,
         typer.Option(
@@ -106,12 +102,7 @@ def _inspect(given: InspectOptions) -> "list[WorldInspection]":
             raise FileNotFoundError(ENOENT, known, name)
     if given.settle:
         choose_proven_engine(given.physics)
-    order = WorldLoaderRequest(
-        "",
-        tuple(map(str, given.model_path or ())),
-        is_strict=given.strict,
-        allow_missing=given.allow_missing,
-    )
+    order = WorldLoaderRequest("", given.reading)
     orders = [msgspec.structs.replace(order, name=name) for name in names]
     return [
         inspect_in_process(

@@ -42,7 +42,6 @@ from zensim.proto.cli_options import (
     RosTfOptions,
     SetOption,
     TfHzOption,
-    complete_models,
     expand_options,
     is_exported_for_clients,
     make_app,
@@ -55,6 +54,7 @@ from zensim.proto.names import check_name
 from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import ROLES, User
 from zensim.proto.setting_variables import name_variable
+from zensim.proto.settings.path_completion import complete_models
 from zensim.proto.settings.setting import read_settings
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied, SupervisedProgram, Supervisor
@@ -350,13 +350,9 @@ def _make_server_config(given: UpOptions) -> LaunchConfig:
         model=given.model,
         controllers=tuple(given.controllers or ()),
         drive=parse_drive_order(given.drive),
-        world=given.world,
         world_name=check_name(given.world_name, "world name"),
         endpoint=with_free_port(given.listen),
         server=given.server,
-        model_paths=tuple(map(str, given.model_path or ())),
-        is_strict=given.strict,
-        allow_missing=given.allow_missing,
         connect=given.connect,
         is_secure=given.secure,
         uses_certificates=given.client_certificates,
@@ -364,8 +360,6 @@ def _make_server_config(given: UpOptions) -> LaunchConfig:
         mesh_http=given.mesh_http,
         metrics=given.choose_metrics("zensim up", is_insecure=given.insecure),
         wait_s=given.wait,
-        is_paused=given.paused,
-        seed=given.seed,
         journal=str(given.journal or ""),
         ros=given.ros,
     )

@@ -1,7 +1,5 @@
 """Settings of a server, which every program that starts one passes on whole."""
 
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Final
 
 import msgspec
@@ -9,11 +7,13 @@ import msgspec
 from zensim.proto.settings.engine_settings import EngineKeywords, EngineSettings
 from zensim.proto.settings.lockstep_settings import LockstepSettings
 from zensim.proto.settings.pace_settings import PaceKeywords, PaceSettings
+from zensim.proto.settings.start_settings import StartKeywords, StartSettings
 
 
 class ServerSettings(msgspec.Struct, frozen=True, kw_only=True):
     """How a server simulates its worlds."""
 
+    start: StartSettings = StartSettings()
     physics: EngineSettings = EngineSettings()
     pace: PaceSettings = PaceSettings()
     lockstep: LockstepSettings = LockstepSettings()
@@ -23,12 +23,5 @@ USUAL_SERVER: Final = ServerSettings()
 """Settings of a server that is told nothing."""
 
 
-class WorldKeywords(EngineKeywords, PaceKeywords, total=False):
+class WorldKeywords(StartKeywords, EngineKeywords, PaceKeywords, total=False):
     """How a world is loaded and simulated, as keyword arguments."""
-
-    model_paths: Sequence[str | Path]
-    """Folders with the models and meshes that the world file includes."""
-    strict: bool
-    """Refuse a world file with warnings."""
-    allow_missing: bool
-    """Leave out models and collisions whose file is missing."""

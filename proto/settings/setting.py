@@ -6,7 +6,7 @@ of all of them are named as if they were its own.
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from types import UnionType
 from typing import (
@@ -49,6 +49,10 @@ class Setting(msgspec.Struct, frozen=True, kw_only=True):
     """Environment variables that hold for all commands."""
     key: str = ""
     """Key in scenario files, `section.name`; empty = such files cannot set it."""
+    spelling: str = ""
+    """Option of commands, where it is not made from the name."""
+    complete: Callable[[str], list[str]] | None = None
+    """Finds the values that begin with a text, while a command is typed."""
     key_words: tuple[str, str] | None = None
     """Words of such files for false and true."""
     key_default: object = msgspec.UNSET
@@ -74,7 +78,7 @@ class SettingField(NamedTuple):
     @property
     def flag(self) -> str:
         """Spelling on a command line."""
-        return f"--{self.name.replace('_', '-')}"
+        return self.setting.spelling or f"--{self.name.replace('_', '-')}"
 
 
 def list_settings(group: type[msgspec.Struct]) -> tuple[SettingField, ...]:
@@ -170,9 +174,11 @@ def check_settings(settings: msgspec.Struct) -> None:
         _read_value(known[name], value)
 
 
-def _read_value(field: SettingField, value: object) -> object:
+def _read_value(field: SettingField, value: Any) -> object:  # noqa: ANN401
     if value is None or (field.choices and not value):
         return field.default
+    if get_origin(field.kind) is tuple:
+        return tuple(map(str, value))
     if field.choices:
         if value not in field.choices:
             raise ValueError(
@@ -192,18 +198,26 @@ def _check_range(field: SettingField, value: Any) -> None:  # noqa: ANN401
 
 
 def describe_range(field: SettingField) -> str:
-    """Describe the range of a number in words; empty if it has none."""
+    """Describe the range of a number in words."""
     least, most, unit = field.setting.least, field.setting.most, field.setting.unit
     unit = "" if unit in ("", "1") else f" {unit}"
     if least is None:
         return "" if most is None else f"at most {most:g}{unit}"
-    return f"{least:g} or more{unit}" if most is None else f"{least:g} to {most:g}{unit}"
+    return (
+        f"{least:g} or more{unit}" if most is None else f"{least:g} to {_write_limit(most)}{unit}"
+    )
 
 
 def read_key_value(field: SettingField, value: object) -> object:
     """Read a value of a scenario file, which may have words for false and true."""
     words = field.setting.key_words
     return value if words is None else value == words[1]
+
+
+def _write_limit(most: float) -> str:
+    whole = int(most) + 1
+    is_of_words = most > 1 << 53 and whole.bit_count() == 1
+    return f"2^{whole.bit_length() - 1} - 1" if is_of_words else f"{most:g}"
 
 
 def write_help(field: SettingField) -> str:

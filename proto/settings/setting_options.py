@@ -1,7 +1,8 @@
 """Options of typer, made from settings."""
 
 import inspect
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, get_origin
 
 import msgspec
 import typer
@@ -33,6 +34,7 @@ def make_option(field: SettingField) -> Any:  # noqa: ANN401
         help=spell_flags(write_help(field)).replace("[", r"\["),
         show_default=spell_flags(setting.usual) if setting.usual else True,
         envvar=list(setting.variables) or None,
+        autocompletion=setting.complete,
         rich_help_panel=setting.panel or None,
     )
 
@@ -41,8 +43,12 @@ def _find_kind(field: SettingField) -> Any:  # noqa: ANN401
     """Find the type of an option: words are checked with the group, which names the setting."""
     if field.choices:
         return str
+    if get_origin(field.kind) is tuple:
+        return list[Path] | None
     return field.kind | None if field.is_optional else field.kind
 
 
 def _find_default(field: SettingField) -> object:
-    return "" if field.choices and field.default is None else field.default
+    if field.choices:
+        return field.default or ""
+    return field.default or None if get_origin(field.kind) is tuple else field.default

@@ -139,9 +139,7 @@ def inspect_world(request: InspectionRequest) -> WorldInspection:
     try:
         loaded = load_world_file(
             order.name,
-            order.model_paths,
-            is_strict=order.is_strict,
-            allow_missing=order.allow_missing,
+            order.files,
         )
         found = describe_world(order.name, loaded)
         found = msgspec.structs.replace(found, load_s=time.perf_counter() - started)

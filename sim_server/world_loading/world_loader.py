@@ -12,6 +12,7 @@ import numpy as np
 
 from zensim.proto.child_process import make_module_command, run_process
 from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.settings.start_settings import WorldFileSettings
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
 from zensim.sim_server.description.strict_parsing import quote_names
 from zensim.sim_server.description.world_model import WorldModel
@@ -51,9 +52,7 @@ class WorldLoaderRequest(msgspec.Struct, frozen=True):
     """The name of a built-in world or a world file, and the folders of its models and meshes."""
 
     name: str
-    model_paths: tuple[str, ...] = ()
-    is_strict: bool = False
-    allow_missing: bool = False
+    files: WorldFileSettings = WorldFileSettings()
 
 
 class WorldLoaderResult(msgspec.Struct, frozen=True):
@@ -190,7 +189,7 @@ def make_world_factory(
         )
         world = SimulatedWorld(
             make_engine(world_config, model),
-            name=world_config.world,
+            name=world_config.world_name,
             step_ns=world_config.step_ns,
             control_steps=world_config.control_steps,
         )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import signal
 import sys
-from functools import cache
+from functools import cache, partial
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +16,7 @@ import msgspec
 
 from zensim.proto.bounded_files import FileTooLarge, NotRegularFile, read_text_file
 from zensim.proto.process_limits import die_with_parent
+from zensim.proto.settings.start_settings import USUAL_READING, WorldFileSettings
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
 from zensim.sim_server.description.pipeline import parse_world
 from zensim.sim_server.description.strict_parsing import MAX_BYTES
@@ -30,7 +31,7 @@ from zensim.sim_server.world_loading.world_loader import (
 from zensim.sim_server.world_loading.world_resources import make_file_reader, make_model_resolver
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
 MAX_SHOWN_WARNINGS = 5
 """Report entries that an error message repeats."""
@@ -42,45 +43,33 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     request = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=WorldLoaderRequest)
     try:
-        loaded = load_world_file(
-            request.name,
-            request.model_paths,
-            is_strict=request.is_strict,
-            allow_missing=request.allow_missing,
-        )
+        loaded = load_world_file(request.name, request.files)
         result = WorldLoaderResult(loaded)
     except ConfigError as error:
         result = WorldLoaderResult(fault=str(error))
     sys.stdout.buffer.write(msgspec.msgpack.encode(result))
 
 
-def load_world_file(
-    name: str,
-    model_paths: Iterable[str] = (),
-    *,
-    is_strict: bool = False,
-    allow_missing: bool = False,
-) -> LoadedWorld:
+def load_world_file(name: str, files: WorldFileSettings = USUAL_READING) -> LoadedWorld:
     """Load a built-in world or a world file, and the models and meshes that it names.
 
     Args:
         name: Name of a built-in world, or path of a world file.
-        model_paths: Folders of models and meshes besides that of the world file.
-        is_strict: Whether to refuse a world with warnings.
-        allow_missing: Leave out included models and collisions whose file is missing.
+        files: How it is read; its folder is searched for models and meshes, too.
 
     Raises:
         ConfigError: There is no such world, or it cannot be parsed.
     """
-    folders = [Path(path) for path in model_paths]
+    folders = [Path(path) for path in files.model_paths]
+    parse = partial(_parse_world, allow_missing=files.allow_missing)
     try:
         if name in list_builtin_worlds():
-            loaded = _parse_world(read_builtin_world(name), folders, allow_missing=allow_missing)
+            loaded = parse(read_builtin_world(name), folders)
         else:
             file = Path(name)
             text = read_text_file(file, MAX_BYTES)
             searched = [file.resolve().parent, *folders]
-            loaded = _parse_world(text, searched, allow_missing=allow_missing)
+            loaded = parse(text, searched)
     except SimError as error:
         raise ConfigError(f"world '{name}': {error}") from error
     except (FileTooLarge, NotRegularFile) as error:
@@ -88,7 +77,7 @@ def load_world_file(
     except (OSError, UnicodeDecodeError) as error:
         builtin = ", ".join(list_builtin_worlds())
         raise ConfigError(f"world '{name}' is neither a file nor one of {builtin}") from error
-    if is_strict:
+    if files.strict:
         _refuse_warnings(name, list_warnings(loaded.model.report))
     return loaded
 

@@ -13,7 +13,6 @@ import typer
 from zensim.proto.cli_options import (
     ClientOptions,
     JsonOption,
-    complete_models,
     flag,
     parse_choice,
 )
@@ -22,6 +21,7 @@ from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.spawn_messages import Compat, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Header, PoseStamped
 from zensim.proto.names import check_name, check_namespace
+from zensim.proto.settings.path_completion import complete_models
 from zensim.spawner.spawn.description_sources import (
     RobotDescription,
     find_model_by_name,

@@ -12,7 +12,6 @@ from rich.table import Table
 from zensim.proto.bounded_files import read_text_file
 from zensim.proto.bus import MAX_REQUEST_BYTES
 from zensim.proto.cli_options import (
-    WORLD_SUFFIXES,
     ClientOptions,
     JsonOption,
     TimeoutOption,
@@ -24,6 +23,7 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.entity_messages import TagsFilter
 from zensim.proto.messages.world_messages import WorldResource
 from zensim.proto.printable_text import print_lines
+from zensim.proto.settings.path_completion import WORLD_SUFFIXES
 from zensim.proto.verbosity import CURRENT
 from zensim.spawner.cli.command_session import (
     complete_world_names,

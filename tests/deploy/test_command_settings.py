@@ -163,7 +163,7 @@ def test_list_in_a_file_is_a_repeated_option(tmp_path: Path) -> None:
 
     context = parse(find_verb("serve"), ["--config", str(file)])
 
-    assert context.params["model_path"] == [Path("a"), Path("b")]
+    assert context.params["model_paths"] == [Path("a"), Path("b")]
     assert context.params["paused"] is True
 
 

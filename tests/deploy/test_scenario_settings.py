@@ -31,7 +31,7 @@ viewer: {port: 9000}
 sensors: {processes: 2}
 agents: [{name: pool, odom_rate: 20 Hz}]
 """
-FLAGS = LaunchConfig(world="empty", endpoint=DEFAULT_ENDPOINT, has_viewer=True, viewer_port=8080)
+FLAGS = LaunchConfig(endpoint=DEFAULT_ENDPOINT, has_viewer=True, viewer_port=8080)
 
 
 def scenario_of(folder: Path) -> Scenario:
@@ -43,22 +43,24 @@ def scenario_of(folder: Path) -> Scenario:
 def test_file_completes_the_settings(tmp_path: Path) -> None:
     config = add_scenario(FLAGS, scenario_of(tmp_path))
 
-    assert (config.world, config.world_name, config.is_strict) == ("walls", "lab", True)
+    start = config.server.start
+    assert (start.world, config.world_name, start.strict) == ("walls", "lab", True)
     physics = config.server.physics
     assert (physics.engine, physics.clusters, physics.dynamics) == ("mujoco", "off", "auto")
-    assert (config.server.pace.rtf, config.seed, config.is_paused) == (2.0, 7, True)
+    assert (config.server.pace.rtf, start.seed, start.paused) == (2.0, 7, True)
     assert (config.server.lockstep.lockstep, config.endpoint) == (True, "tcp/127.0.0.1:7999")
     assert (config.viewer_port, config.sensor_processes) == (9000, 2)
 
 
 def test_flags_win(tmp_path: Path) -> None:
-    server = make_settings(ServerSettings, {"engine": "pybullet", "rtf": 1.0})
-    flags = LaunchConfig(world="empty", endpoint="tcp/127.0.0.1:1", server=server, seed=3)
+    server = make_settings(ServerSettings, {"engine": "pybullet", "rtf": 1.0, "seed": 3})
+    flags = LaunchConfig(endpoint="tcp/127.0.0.1:1", server=server)
     given = {"world": "empty", "listen": "", "engine": "", "rtf": 1.0, "seed": 3, "odom_hz": 5.0}
 
     config = add_scenario(flags, scenario_of(tmp_path), given)
 
-    assert (config.world, config.server.physics.engine, config.seed) == ("empty", "pybullet", 3)
+    start = config.server.start
+    assert (start.world, config.server.physics.engine, start.seed) == ("empty", "pybullet", 3)
     assert (config.server.pace.rtf, config.endpoint) == (1.0, "tcp/127.0.0.1:1")
     assert config.agents.odom_hz == 5.0
 

@@ -14,12 +14,6 @@ from zensim.proto.settings.setting import SettingField, list_settings, make_sett
 from zensim.sim_server.cli import ServeOptions
 
 CHANGED: dict[str, object] = {
-    "world": "walls",
-    "model_path": ["models"],
-    "strict": True,
-    "allow_missing": True,
-    "paused": True,
-    "seed": 3,
     "journal": "journal",
     "input_log": True,
     "listen": "tcp/127.0.0.1:5",
@@ -39,6 +33,12 @@ CHANGED: dict[str, object] = {
     "ros_topics": "odom,tf",
 }
 CHANGED_SETTINGS: dict[str, object] = {
+    "world": "walls",
+    "model_paths": ["models"],
+    "strict": True,
+    "allow_missing": True,
+    "paused": True,
+    "seed": 3,
     "engine": "mujoco",
     "allow_failed_engine": True,
     "rtf": 2.0,
@@ -84,5 +84,5 @@ def test_defaults_of_the_server_are_left_out() -> None:
     words = make_serve_arguments(DEFAULTS)
 
     assert [word for word in words if word.startswith("--")] == [
-        *("--listen", "--world", "--world-name", "--announce", "--ros-domain"),
+        *("--listen", "--world-name", "--announce", "--world", "--ros-domain"),
     ]

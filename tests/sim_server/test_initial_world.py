@@ -13,7 +13,7 @@ from zensim.sim_server.journal.server_journal import Journal, open_journal
 from zensim.sim_server.journal.sqlite_store import JournalError
 from zensim.sim_server.server_config import ServerConfig
 
-CONFIG = ServerConfig(bus=BusConfig(), world_file="walls", journal="lab")
+CONFIG = with_settings(ServerConfig(bus=BusConfig(), journal="lab"), world="walls")
 
 
 @pytest.fixture
@@ -29,7 +29,11 @@ def test_server_restores_the_world_of_its_journal(journal: Journal) -> None:
     loaded, config = load_initial_world(CONFIG, journal)
 
     assert loaded.model.name == "empty"
-    assert (config.step_ns, config.settings.pace.rtf, config.seed) == (STEP_NS, 2.0, 7)
+    assert (config.step_ns, config.settings.pace.rtf, config.settings.start.seed) == (
+        STEP_NS,
+        2.0,
+        7,
+    )
 
 
 def test_server_keeps_the_requested_factor(journal: Journal) -> None:
@@ -47,7 +51,10 @@ def test_server_loads_its_world_when_the_journal_is_new(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "response_"),
     [
-        ({"world": "other"}, "lab is the journal of world 'default'; use `world_name` default"),
+        (
+            {"world_name": "other"},
+            "lab is the journal of world 'default'; use `world_name` default",
+        ),
         ({"step_hz": 100.0}, "lab counts steps of 240 Hz, not 100; leave `step_hz` out"),
     ],
 )

@@ -27,8 +27,8 @@ def test_config_defaults_are_valid() -> None:
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
-        ({"world": "my world"}, "'my world'"),
-        ({"world": ""}, "''"),
+        ({"world_name": "my world"}, "'my world'"),
+        ({"world_name": ""}, "''"),
         ({"step_hz": 0.0}, "`step_hz` 0"),
         ({"step_hz": -240.0}, "`step_hz` -240"),
         ({"step_hz": 1e6}, r"`step_hz` 1e\+06"),

@@ -42,6 +42,7 @@ from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.proto.settings.lockstep_settings import PATIENT, LockstepSettings
 from zensim.proto.settings.pace_settings import PaceSettings
 from zensim.proto.settings.server_settings import ServerSettings, WorldKeywords
+from zensim.proto.settings.start_settings import StartSettings
 from zensim.spawner.client.service_client import ServiceClient
 
 if TYPE_CHECKING:
@@ -105,7 +106,6 @@ def connect(
 def launch(
     world: str | Path = "empty",
     *,
-    seed: int = 0,
     rtf: float | None = None,
     agents: int = 1,
     sensors: int | None = None,
@@ -116,7 +116,6 @@ def launch(
 
     Args:
         world: Name of a world, or an SDF file.
-        seed: Of the world's random numbers.
         rtf: Let time advance by itself at this real-time factor; 0 = as fast as possible.
         agents: Pools that drive the robots; 0 = none.
         sensors: Processes that measure lidars and cameras; None = one when a robot needs it.
@@ -128,15 +127,11 @@ def launch(
         Error: A program ended, took too long (Timeout), or see `connect` (Unsupported).
     """
     waiting = PATIENT if rtf is None else LockstepSettings()
-    usual = ServerSettings(pace=PaceSettings(rtf=rtf), lockstep=waiting)
-    start, settings = read_world_keywords(options, usual)
+    start = StartSettings(paused=rtf is None)
+    usual = ServerSettings(start=start, pace=PaceSettings(rtf=rtf), lockstep=waiting)
     config = LaunchConfig(
-        world=str(world),
-        **start,
-        server=settings,
+        server=read_world_keywords(world, options, usual),
         endpoint=with_free_port("tcp/127.0.0.1:0"),
-        seed=seed,
-        is_paused=rtf is None,
         agents=LaunchAgentsConfig(pools=agents),
         sensor_processes=sensors,
         ros=NO_ROS,

@@ -96,12 +96,7 @@ def load_trusted_world(request: WorldLoaderRequest) -> LoadedWorld:
     """Load a world in this process, without a sandbox; raises as `load_world_in_process`."""
     if request.name in list_builtin_worlds():
         return _load_builtin_world(request.name)
-    return load_world_file(
-        request.name,
-        request.model_paths,
-        is_strict=request.is_strict,
-        allow_missing=request.allow_missing,
-    )
+    return load_world_file(request.name, request.files)
 
 
 @cache

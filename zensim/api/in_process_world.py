@@ -25,6 +25,7 @@ from zensim.proto.service_catalog import SIMULATE_STEPS, Request, Response, Serv
 from zensim.proto.settings.engine_settings import EngineSettings
 from zensim.proto.settings.pace_settings import PaceSettings
 from zensim.proto.settings.server_settings import ServerSettings, WorldKeywords
+from zensim.proto.settings.start_settings import StartSettings
 from zensim.robot_agent.agent_config import RateOverrides
 from zensim.sim_server.server_config import ServerConfig
 
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
 replace = msgspec.structs.replace
 IN_PROCESS = ServerSettings(
+    start=StartSettings(paused=True),
     physics=EngineSettings(engine="mujoco", compiles_ahead=False).limit_workers(0),
     pace=PaceSettings(rtf=0.0),
 )
@@ -207,7 +209,6 @@ class World(Simulation):
         self,
         world: str | Path = "empty",
         *,
-        seed: int = 0,
         rates: Mapping[str, RateOverrides] = NO_RATES,
         **options: "Unpack[WorldKeywords]",
     ) -> None:
@@ -215,7 +216,6 @@ class World(Simulation):
 
         Args:
             world: Name of a shipped world, or an SDF file.
-            seed: Of the noise of sensors.
             rates: Of odometry and tf, by name of the robot; else those of its description.
             options: See `WorldKeywords`; `engine` is `mujoco` unless it is given.
 
@@ -223,16 +223,9 @@ class World(Simulation):
             Invalid: There is no such world, its engine is not installed, or a number is out of
                 range.
         """
-        start, settings = read_world_keywords(options, IN_PROCESS)
+        settings = read_world_keywords(world, options, IN_PROCESS)
         with api_errors():
-            config = ServerConfig(
-                world_file=str(world),
-                seed=seed,
-                settings=settings,
-                **start,
-                is_paused=True,
-            )
-            self._open(InProcessServer(config, rates))
+            self._open(InProcessServer(ServerConfig(settings=settings), rates))
 
     def _open(self, server: InProcessServer) -> None:
         self._server = server

@@ -110,16 +110,9 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     model: str = ""
     controllers: tuple[Path, ...] = ()
     drive: DriveOrder = DriveOrder()
-    world: str
     world_name: str = "default"
     endpoint: str
     server: ServerSettings = ServerSettings()
-    model_paths: tuple[str, ...] = ()
-    is_strict: bool = False
-    allow_missing: bool = False
-    is_paused: bool = False
-    """Whether simulation time waits for requests from the start."""
-    seed: int = 0
     connect: str = ""
     """Endpoint of a router that the server connects to, instead of listening at `endpoint`."""
     join_addresses: dict[str, str] = {}
@@ -334,9 +327,6 @@ def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
     """Make the command line of the server; defaults are left out."""
     at = ("--connect", config.connect) if config.connect else ("--listen", config.endpoint)
     switches = {
-        "--strict": config.is_strict,
-        "--allow-missing": config.allow_missing,
-        "--paused": config.is_paused,
         "--input-log": config.keeps_inputs or bool(config.recording),
         "--verbose": config.is_verbose,
         "--secure": config.is_secure,
@@ -345,8 +335,7 @@ def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
         "--metrics-insecure": is_exposed(config.metrics),
     }
     return (
-        *("serve", *at, "--world", config.world, "--world-name", config.world_name, "--announce"),
-        *(word for path in config.model_paths for word in ("--model-path", path)),
+        *("serve", *at, "--world-name", config.world_name, "--announce"),
         *(switch for switch, is_on in switches.items() if is_on),
         *_make_value_arguments(config),
         *write_words(config.server),
@@ -355,7 +344,7 @@ def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
 
 
 def _make_value_arguments(config: LaunchConfig) -> tuple[str, ...]:
-    usual = _list_values(LaunchConfig(world=config.world, endpoint=config.endpoint))
+    usual = _list_values(LaunchConfig(endpoint=config.endpoint))
     return tuple(
         word
         for option, value in _list_values(config).items()
@@ -366,7 +355,6 @@ def _make_value_arguments(config: LaunchConfig) -> tuple[str, ...]:
 
 def _list_values(config: LaunchConfig) -> dict[str, object]:
     return {
-        "--seed": config.seed,
         "--journal": config.journal,
         "--wait": config.wait_s,
         "--mesh-http": config.mesh_http,

@@ -785,9 +785,9 @@ def fetch_models(
 
 
 def read_world_keywords(
-    options: WorldKeywords, settings: ServerSettings
-) -> tuple[dict[str, Any], ServerSettings]:
-    """Read keyword arguments: fields of the start of a world, and settings that they change.
+    world: str | Path, options: WorldKeywords, settings: ServerSettings
+) -> ServerSettings:
+    """Change settings by a world and keyword arguments.
 
     Raises:
         TypeError: One is unknown.
@@ -795,9 +795,4 @@ def read_world_keywords(
     """
     check_keywords(options, WorldKeywords)
     with api_errors():
-        changed = change_settings(settings, options)
-    return {
-        "model_paths": tuple(map(str, options.get("model_paths", ()))),
-        "is_strict": options.get("strict", False),
-        "allow_missing": options.get("allow_missing", False),
-    }, changed
+        return change_settings(settings, {**options, "world": str(world)})

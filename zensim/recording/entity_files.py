@@ -12,7 +12,6 @@ import msgspec
 
 from zensim.proto.bounded_files import FileTooLarge, NotRegularFile, read_text_file
 from zensim.proto.bus import BusError
-from zensim.proto.cli_options import SHIPPED
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.asset_messages import MAX_FILE_BYTES, GetAssetRequest
 from zensim.proto.messages.model_messages import Model
@@ -20,6 +19,7 @@ from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.world_messages import WorldResource
 from zensim.proto.network_protocols import CallingNetwork
 from zensim.proto.service_catalog import GET_ASSET
+from zensim.proto.settings.path_completion import SHIPPED
 from zensim.recording.mcap_records import AttachedFile
 from zensim.spawner.client.service_client import ServiceClient
 

@@ -3,9 +3,13 @@
 from collections.abc import Iterator, Sequence
 from os import environ
 
+import msgspec
+
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.settings.setting import make_settings
+from zensim.proto.settings.start_settings import WorldFileSettings
 from zensim.scenario.scenario_format import AGENT_FAULTS, Fault, RobotsSection
 from zensim.scenario.scenario_nodes import Issue
 from zensim.scenario.scenario_reader import Scenario
@@ -47,11 +51,10 @@ def _check_world(scenario: Scenario) -> Iterator[Issue]:
     if world.load in list_builtin_worlds():
         return
     file = scenario.find_file("world.load", world.load)
-    folders = tuple(str(scenario.find_file("world.model_paths", one)) for one in world.model_paths)
+    folders = [scenario.find_file("world.model_paths", one) for one in world.model_paths]
+    read = {**msgspec.structs.asdict(world), "model_paths": folders}
     try:
-        load_world_file(
-            str(file), folders, is_strict=world.strict, allow_missing=world.allow_missing
-        )
+        load_world_file(str(file), make_settings(WorldFileSettings, read))
     except REFUSALS as error:
         yield Issue(scenario.find_place("world.load"), "world.load", f"`{world.load}`: {error}")
 

@@ -9,14 +9,10 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from zensim.scenario.quantities import described, quantity
-from zensim.scenario.setting_sections import EngineSection, TimeSection
+from zensim.scenario.setting_sections import EngineSection, Name, TimeSection, WorldSection
 
 FORMAT_VERSION = 1
 
-Name = Annotated[
-    str,
-    msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,62}$", description="Letters, digits and _."),
-]
 Selector = str | tuple[str, ...]
 """Names of robots: a name, a pattern with `*`, `?` or `[1-4]`, or a list of them."""
 Selected = Annotated[Selector, described("Robots: name, `cart*`, `cart[1-4]`, or a list of them.")]
@@ -25,20 +21,6 @@ FloorPoint = tuple[Annotated[float, quantity("m", "x.")], Annotated[float, quant
 FloorPath = Annotated[
     tuple[FloorPoint, ...], msgspec.Meta(min_length=1, description="Points x, y in the world.")
 ]
-
-
-class WorldSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The world."""
-
-    load: Annotated[str, described("Shipped world, or path of an SDF world.")] = "empty"
-    name: Annotated[Name, described("Name of the world on the network.")] = "default"
-    model_paths: Annotated[
-        tuple[str, ...], described("Folders with the models that the world file includes.")
-    ] = ()
-    strict: Annotated[bool, described("Refuse a world file with warnings.")] = False
-    allow_missing: Annotated[
-        bool, described("Leave out models and collisions whose file is missing.")
-    ] = False
 
 
 class NetworkSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -34,11 +34,7 @@ def open_world(scenario: Scenario) -> "World":
     file = scenario.find_file("world.load", world.load)
     return World(
         file if file.is_file() else world.load,
-        seed=scenario.seed,
         **list_world_keywords(scenario),
-        model_paths=[scenario.find_file("world.model_paths", one) for one in world.model_paths],
-        strict=world.strict,
-        allow_missing=world.allow_missing,
         rates=find_agent_rates(scenario),
     )
 
@@ -50,7 +46,11 @@ def list_world_keywords(scenario: Scenario) -> dict[str, Any]:
         for field in list_settings(ServerSettings)
         if field.name in WorldKeywords.__annotations__
     }
-    return {name: value for name, value in values.items() if value not in (None, "")}
+    folders = [scenario.find_file("world.model_paths", one) for one in values["model_paths"]]
+    return {
+        **{name: value for name, value in values.items() if value not in (None, "")},
+        "model_paths": folders,
+    }
 
 
 def find_agent_rates(scenario: Scenario) -> dict[str, RateOverrides]:

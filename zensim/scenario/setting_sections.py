@@ -12,6 +12,10 @@ from zensim.scenario.quantities import described, quantity
 
 SETTING: Final = re.compile(r"`(\w+)`")
 """A setting that a text names."""
+Name = Annotated[
+    str,
+    msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,62}$", description="Letters, digits and _."),
+]
 MAX_INTEGER: Final = (1 << 63) - 1
 """Greatest limit of an integer in JSON Schema as msgspec writes it."""
 
@@ -89,17 +93,15 @@ EngineSection: Any = make_section(
     "EngineSection", "The physics engine.", [*list_keys(ServerSettings, "engine")]
 )
 TimeSection: Any = make_section(
-    "TimeSection",
-    "Time and random numbers.",
+    "TimeSection", "Time and random numbers.", [*list_keys(ServerSettings, "time")]
+)
+WorldSection: Any = make_section(
+    "WorldSection",
+    "The world.",
     [
-        *list_keys(ServerSettings, "time"),
+        *list_keys(ServerSettings, "world"),
         SectionKey(
-            "seed",
-            Annotated[
-                int, msgspec.Meta(ge=0, le=MAX_INTEGER, description="Seed of all random numbers.")
-            ],
-            0,
+            "name", Annotated[Name, described("Name of the world on the network.")], "default"
         ),
-        SectionKey("paused", Annotated[bool, described("Start paused.")], default=False),
     ],
 )

@@ -9,6 +9,7 @@ import trimesh
 from tests.sim_server.description.meshes.mesh_samples import exported
 from tests.sim_server.fakes import a_world
 from zensim.proto.messages.model_messages import Shape
+from zensim.proto.settings.start_settings import WorldFileSettings
 from zensim.sim_server.description.builtin_models import list_builtin_worlds
 from zensim.sim_server.server_config import ConfigError
 from zensim.sim_server.world_loading import world_loader
@@ -37,7 +38,7 @@ def a_file(folder: Path, content: str) -> str:
 
 @pytest.mark.parametrize("name", list_builtin_worlds())
 def test_builtin_world_has_no_warnings(name: str) -> None:
-    world = load_world_file(name, is_strict=True)
+    world = load_world_file(name, WorldFileSettings(strict=True))
 
     assert world.model.ground_plane
 
@@ -136,7 +137,10 @@ def test_world_file_includes_models_beside_it_and_from_the_path(tmp_path: Path) 
         (folder / name / "model.sdf").write_text(text)
     includes = "".join(f"<include><uri>model://{name}</uri></include>" for name in ("near", "far"))
 
-    world = load_world_file(a_file(tmp_path / "beside", includes), [str(tmp_path / "path")])
+    world = load_world_file(
+        a_file(tmp_path / "beside", includes),
+        WorldFileSettings(model_paths=(str(tmp_path / "path"),)),
+    )
 
     assert [placed.name for placed in world.model.models] == ["near", "far"]
 
@@ -146,7 +150,7 @@ def test_strict_server_refuses_a_world_with_warnings(tmp_path: Path) -> None:
 
     assert load_world_file(file).model.models == ()
     with pytest.raises(ConfigError, match="`strict`"):
-        load_world_file(file, is_strict=True)
+        load_world_file(file, WorldFileSettings(strict=True))
 
 
 @pytest.mark.parametrize("name", ["", "nowhere", "/etc/nothing.world"])
@@ -215,7 +219,9 @@ def test_meshes_are_found_beside_the_world_file_and_in_the_path(
     content = a_mesh_model("near", f"ring.{ending}", is_static=True)
     content += a_mesh_model("far", f"model://rings/meshes/ring.{ending}")
 
-    world = load_world_file(a_file(tmp_path, content), [str(tmp_path / "path")])
+    world = load_world_file(
+        a_file(tmp_path, content), WorldFileSettings(model_paths=(str(tmp_path / "path"),))
+    )
 
     near, far = (placed.model.links[0] for placed in world.model.models)
     assert list_warnings(world.model.report) == []
@@ -246,7 +252,7 @@ def test_missing_and_invalid_meshes_are_reported(tmp_path: Path) -> None:
 
     with pytest.raises(ConfigError, match=r"mesh\.missing"):
         load_world_file(a_file(tmp_path, content))
-    world = load_world_file(a_file(tmp_path, content), allow_missing=True).model
+    world = load_world_file(a_file(tmp_path, content), WorldFileSettings(allow_missing=True)).model
 
     assert [placed.name for placed in world.models] == ["gone"]
     assert world.models[0].model.links[0].collisions == ()
@@ -270,7 +276,7 @@ def test_world_loaded_in_a_child_process_is_the_same(tmp_path: Path) -> None:
     (tmp_path / "path" / "near").mkdir(parents=True)
     near = f"<sdf version='1.6'>{CRATE.replace('crate', 'near')}</sdf>"
     (tmp_path / "path" / "near" / "model.sdf").write_text(near)
-    paths = (str(tmp_path / "path"),)
+    paths = WorldFileSettings(model_paths=(str(tmp_path / "path"),))
 
     assert load_world_in_process(WorldLoaderRequest(file, paths)) == load_world_file(file, paths)
     assert load_world_in_process(WorldLoaderRequest("walls")) == load_world_file("walls")
@@ -280,7 +286,7 @@ def test_world_is_refused_in_a_child_process_for_the_same_reason(tmp_path: Path)
     file = a_file(tmp_path, "<actor name='a'/>")
 
     with pytest.raises(ConfigError, match="`strict`"):
-        load_world_in_process(WorldLoaderRequest(file, is_strict=True))
+        load_world_in_process(WorldLoaderRequest(file, WorldFileSettings(strict=True)))
 
 
 def test_world_that_crashes_the_child_process_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,11 +46,13 @@ from zensim.proto.service_catalog import (
 )
 from zensim.proto.settings.engine_settings import EngineSettings
 from zensim.proto.settings.server_settings import ServerSettings
+from zensim.proto.settings.start_settings import StartSettings
 from zensim.sim_server.server_config import ConfigError, ServerConfig
 
 MUJOCO = ServerConfig(
-    is_paused=True,
-    settings=ServerSettings(physics=EngineSettings(engine="mujoco", engine_workers=0)),
+    settings=ServerSettings(
+        start=StartSettings(paused=True), physics=EngineSettings(engine="mujoco", engine_workers=0)
+    ),
 )
 
 
@@ -197,9 +199,10 @@ def test_a_world_file_is_loaded_with_its_own_step(tmp_path: Path) -> None:
 
     server = InProcessServer(
         ServerConfig(
-            world_file=str(file),
-            is_paused=True,
-            settings=ServerSettings(physics=EngineSettings(engine="mujoco", engine_workers=0)),
+            settings=ServerSettings(
+                start=StartSettings(world=str(file), paused=True),
+                physics=EngineSettings(engine="mujoco", engine_workers=0),
+            ),
         )
     )
 
@@ -209,7 +212,9 @@ def test_a_world_file_is_loaded_with_its_own_step(tmp_path: Path) -> None:
 
 def test_an_unknown_world_is_a_wrong_configuration() -> None:
     with pytest.raises(ConfigError):
-        InProcessServer(ServerConfig(world_file="no_such_world", is_paused=True))
+        InProcessServer(
+            ServerConfig(settings=ServerSettings(start=StartSettings(world="no_such_world")))
+        )
 
 
 def test_a_world_in_process_loads_neither_network_nor_mesh_libraries() -> None:

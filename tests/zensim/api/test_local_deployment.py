@@ -29,7 +29,7 @@ from zensim.proto.messages.sensor_messages import (
 from zensim.proto.messages.telemetry_messages import Event, EventKind
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.settings.server_settings import ServerSettings
-from zensim.proto.settings.setting import make_settings
+from zensim.proto.settings.setting import change_settings, make_settings
 from zensim.proto.topic_catalog import EVENTS
 from zensim.robot_agent.agent_config import AgentProcessConfig, RateOverrides
 from zensim.spawner.spawn.spawn_poses import RobotPlacement
@@ -37,7 +37,7 @@ from zensim.spawner.spawn.spawn_poses import RobotPlacement
 DEFAULTS = LaunchConfig(
     placements=(),
     model="box_bot",
-    world="w.world",
+    server=make_settings(ServerSettings, {"world": "w.world"}),
     world_name="default",
     endpoint="tcp/127.0.0.1:1",
     has_viewer=False,
@@ -47,51 +47,50 @@ COMMON = (
     "serve",
     "--listen",
     "tcp/127.0.0.1:1",
-    "--world",
-    "w.world",
     "--world-name",
     "default",
     "--announce",
 )
+WORLD = ("--world", "w.world")
 ROS = ("--ros-domain", "0")
 
 
 def with_settings(**changes: object) -> LaunchConfig:
-    server = make_settings(ServerSettings, changes)
+    server = change_settings(DEFAULTS.server, changes)
     return msgspec.structs.replace(DEFAULTS, server=server)
 
 
 def test_rtf_is_passed_only_if_given() -> None:
     fast = with_settings(rtf=0.0)
 
-    assert make_serve_arguments(DEFAULTS) == (*COMMON, *ROS)
-    assert make_serve_arguments(fast) == (*COMMON, "--rtf", "0.0", *ROS)
+    assert make_serve_arguments(DEFAULTS) == (*COMMON, *WORLD, *ROS)
+    assert make_serve_arguments(fast) == (*COMMON, *WORLD, "--rtf", "0.0", *ROS)
 
 
 def test_lockstep_is_passed() -> None:
     lockstep = with_settings(lockstep=True)
 
-    assert make_serve_arguments(lockstep) == (*COMMON, "--lockstep", *ROS)
+    assert make_serve_arguments(lockstep) == (*COMMON, *WORLD, "--lockstep", *ROS)
 
 
 def test_engine_is_passed() -> None:
     chosen = with_settings(engine="mujoco")
 
-    assert make_serve_arguments(chosen) == (*COMMON, "--engine", "mujoco", *ROS)
+    assert make_serve_arguments(chosen) == (*COMMON, *WORLD, "--engine", "mujoco", *ROS)
 
 
 def test_clusters_are_passed() -> None:
     chosen = with_settings(clusters="on", engine_workers=0)
 
     options = ("--clusters", "on", "--engine-workers", "0")
-    assert make_serve_arguments(chosen) == (*COMMON, *options, *ROS)
+    assert make_serve_arguments(chosen) == (*COMMON, *WORLD, *options, *ROS)
 
 
 def test_model_paths_are_passed() -> None:
-    config = msgspec.structs.replace(DEFAULTS, model_paths=("a", "b c"), is_strict=True)
+    config = with_settings(model_paths=("a", "b c"), strict=True)
 
     paths = ("--model-path", "a", "--model-path", "b c", "--strict")
-    assert make_serve_arguments(config) == (*COMMON, *paths, *ROS)
+    assert make_serve_arguments(config) == (*COMMON, *paths, *WORLD, *ROS)
 
 
 def test_each_robot_has_an_agent_without_pools() -> None:
@@ -132,9 +131,10 @@ def test_ros_settings_are_passed() -> None:
     hidden = msgspec.structs.replace(DEFAULTS, ros=RosSettings(domain=None))
     bridged = RosSettings(domain=7, has_hashes=False, tf="global", is_bridged=True)
 
-    assert make_serve_arguments(hidden) == (*COMMON, "--ros-domain", "off")
+    assert make_serve_arguments(hidden) == (*COMMON, *WORLD, "--ros-domain", "off")
     assert make_serve_arguments(msgspec.structs.replace(DEFAULTS, ros=bridged)) == (
         *COMMON,
+        *WORLD,
         *("--ros-domain", "7", "--ros-distro", "humble", "--ros-bridge"),
     )
 
