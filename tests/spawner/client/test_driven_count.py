@@ -43,11 +43,11 @@ def test_no_robots_are_all_driven_without_a_call() -> None:
 def test_claimed_robots_of_a_paused_world_are_driven() -> None:
     served = ServedWorld("r0", "r1", "other")
     served.world.clock.pause()
-    served.world.claim("a", ["r0", "other"], "stop")
+    served.world.claim("a", ("r0", "other"), "stop")
     count = DrivenCount(served.client, ["r0", "r1"])
 
     one = count.poll()
-    served.world.claim("b", ["r1"], "stop")
+    served.world.claim("b", ("r1",), "stop")
 
     assert (one, count.poll()) == (1, 2)
 
