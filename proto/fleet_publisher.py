@@ -13,9 +13,9 @@ from zensim.proto.codec.message_codec import Format, make_encoding
 from zensim.proto.network_protocols import (
     AgentNetwork,
     Publisher,
-    PublishingNetwork,
     Query,
     SubscriberWatch,
+    TopicNetwork,
 )
 from zensim.proto.ros2.liveliness_tokens import GraphEndpoint
 from zensim.proto.ros2.rmw_attachment import ATTACHMENT_STRUCT, GID_BYTES
@@ -404,7 +404,7 @@ class RosFleetPublisher:
             key_publisher.send(payload)
             self._unrepeated.append(key_publisher)
 
-    def _find_source(self) -> PublishingNetwork | SubscriberWatch:
+    def _find_source(self) -> TopicNetwork | SubscriberWatch:
         # A query comes before the probe knows of its subscriber: it asks itself.
         if self._is_searched and self.searched is not None:
             return self.searched.search.watch

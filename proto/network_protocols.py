@@ -165,22 +165,6 @@ class Arrivals(Protocol):
         """Pause until something arrives, or arrived since the last call, or time is over."""
 
 
-class PublishingNetwork(Protocol):
-    """Declares publishers."""
-
-    def stamp(self) -> Stamp:
-        """Make a time stamp."""
-
-    def advertise(self, key: str, encoding: str) -> Publisher:
-        """Declare a publisher."""
-
-    def hold_messages(self) -> AbstractContextManager[None]:
-        """Hold what this thread publishes until the block ends, so that it takes few packets."""
-
-    def send_held(self) -> None:
-        """Send at once what is held."""
-
-
 class SubscriberWatch(Closable, Protocol):
     """Says which key expressions have subscribers, and publishes without declaring anything."""
 
@@ -189,27 +173,6 @@ class SubscriberWatch(Closable, Protocol):
 
     def advertise(self, key: str, encoding: str) -> Publisher:
         """Make a publisher that declares nothing."""
-
-
-class WatchOpeningNetwork(Protocol):
-    """Opens watches of subscribers."""
-
-    def watch_subscribers(self, patterns: Iterable[str]) -> SubscriberWatch:
-        """Watch the subscribers of key expressions within some patterns."""
-
-
-class SubscribingNetwork(Protocol):
-    """Declares subscriptions."""
-
-    def subscribe(self, key: str, depth: int = 1, max_bytes: int = ...) -> Subscription:
-        """Subscribe to a key expression, keeping the newest `depth` messages up to a size."""
-
-
-class ServingNetwork(Protocol):
-    """Declares queues of requests."""
-
-    def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> QueryQueue:
-        """Receive requests on a key expression; not complete if others have parts of the reply."""
 
 
 class CallingNetwork(Protocol):
@@ -237,28 +200,6 @@ class PendingCall(Protocol[ResponseT_co]):
         """Return the response; None while there is none yet. Raises what the call would raise."""
 
 
-class BackgroundCallingNetwork(Protocol):
-    """Calls services without waiting for the reply."""
-
-    def begin_call(
-        self,
-        service: Service[Request, Response],
-        request: Request,
-        *,
-        world: str,
-        timeout_s: float = 5.0,
-        request_id: str = "",
-    ) -> PendingCall[Response]:
-        """Call a service, and poll for the reply later; a retry has the same `request_id`."""
-
-
-class WatchingNetwork(Protocol):
-    """Watches liveliness tokens."""
-
-    def watch_tokens(self, key: str, depth: int = 16384) -> TokenWatch:
-        """Watch tokens, present ones first."""
-
-
 class TokenQueue(Closable, Protocol):
     """Declares tokens later, beside the caller."""
 
@@ -283,15 +224,40 @@ class TokenSession(Closable, Protocol):
         """Open a queue with a session of its own."""
 
 
-class TopicNetwork(PublishingNetwork, SubscribingNetwork, ServingNetwork, Protocol):
+class SubscribingNetwork(Protocol):
+    """Declares subscriptions and watches of tokens."""
+
+    def subscribe(self, key: str, depth: int = 1, max_bytes: int = ...) -> Subscription:
+        """Subscribe to a key expression, keeping the newest `depth` messages up to a size."""
+
+    def watch_tokens(self, key: str, depth: int = 16384) -> TokenWatch:
+        """Watch tokens, present ones first."""
+
+
+class TopicNetwork(SubscribingNetwork, Protocol):
     """Network for topics: publishers, subscriptions, and requests for last values."""
 
+    def stamp(self) -> Stamp:
+        """Make a time stamp."""
 
-class FollowingNetwork(SubscribingNetwork, WatchingNetwork, CallingNetwork, Protocol):
+    def advertise(self, key: str, encoding: str) -> Publisher:
+        """Declare a publisher."""
+
+    def hold_messages(self) -> AbstractContextManager[None]:
+        """Hold what this thread publishes until the block ends, so that it takes few packets."""
+
+    def send_held(self) -> None:
+        """Send at once what is held."""
+
+    def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> QueryQueue:
+        """Receive requests on a key expression; not complete if others have parts of the reply."""
+
+
+class FollowingNetwork(SubscribingNetwork, CallingNetwork, Protocol):
     """Network for a program that follows a world."""
 
 
-class ServerNetwork(TopicNetwork, WatchingNetwork, TokenSession, Protocol):
+class ServerNetwork(TopicNetwork, TokenSession, Protocol):
     """Network for the server."""
 
     def has_reply_backlog(self, client: str) -> bool:
@@ -301,15 +267,7 @@ class ServerNetwork(TopicNetwork, WatchingNetwork, TokenSession, Protocol):
         """Wait until replies are sent, except to clients that have stopped reading."""
 
 
-class AgentNetwork(
-    TopicNetwork,
-    WatchingNetwork,
-    CallingNetwork,
-    BackgroundCallingNetwork,
-    WatchOpeningNetwork,
-    TokenSession,
-    Protocol,
-):
+class AgentNetwork(TopicNetwork, FollowingNetwork, TokenSession, Protocol):
     """Network for agents."""
 
     @property
@@ -318,3 +276,17 @@ class AgentNetwork(
 
     def open_session(self) -> "AgentNetwork":
         """Open another session to the same network."""
+
+    def watch_subscribers(self, patterns: Iterable[str]) -> SubscriberWatch:
+        """Watch the subscribers of key expressions within some patterns."""
+
+    def begin_call(
+        self,
+        service: Service[Request, Response],
+        request: Request,
+        *,
+        world: str,
+        timeout_s: float = 5.0,
+        request_id: str = "",
+    ) -> PendingCall[Response]:
+        """Call a service, and poll for the reply later; a retry has the same `request_id`."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from zensim.proto.keys import NO_NAMESPACE
-from zensim.proto.network_protocols import SubscriberWatch, WatchOpeningNetwork
+from zensim.proto.network_protocols import AgentNetwork, SubscriberWatch
 
 MAX_PUBLISHERS: Final = 300
 """Robots of a topic whose publishers are all declared while there are subscribers. The time of a
@@ -265,7 +265,7 @@ class MessageBudget:
 class SubscriberWatches:
     """The watches of one process: few, as each is a session."""
 
-    def __init__(self, network: WatchOpeningNetwork) -> None:
+    def __init__(self, network: AgentNetwork) -> None:
         self.budget = MessageBudget()
         """Budget of all topics of the process."""
         self._max_publishers = MAX_PUBLISHERS

@@ -284,6 +284,6 @@ def _subscribe(factory: TopicFactory, claim: Claim) -> list[_Commands]:
 def _declare_action(factory: TopicFactory, namespace: str, controller: str) -> _Action:
     assert factory.node is not None
     name = f"{keys.robot(namespace, controller)}/{TRAJECTORY_ACTION}"
-    queues = serve_action(factory, factory.node, name, FOLLOW_JOINT_TRAJECTORY)
+    queues = serve_action(factory.serve, factory.node, name, FOLLOW_JOINT_TRAJECTORY)
     publishers = advertise_action(factory, name, FOLLOW_JOINT_TRAJECTORY)
     return _Action(tuple(queues.values()), tuple(publishers.values()))

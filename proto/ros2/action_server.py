@@ -10,7 +10,7 @@ import msgspec
 
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
 from zensim.proto.messages.standard_messages import Time, ns_from_time, time_from_ns
-from zensim.proto.network_protocols import Query, QueryQueue, QuerySource, ServingNetwork
+from zensim.proto.network_protocols import Query, QueryQueue, QuerySource
 from zensim.proto.ros2.action_messages import (
     NO_GOAL_ID,
     ActionKind,
@@ -72,12 +72,12 @@ class MergedQueries:
 
 
 def serve_action(
-    network: ServingNetwork, node: RosNode, name: str, kind: ActionKind
+    serve: Callable[[str], QueryQueue], node: RosNode, name: str, kind: ActionKind
 ) -> dict[str, MergedQueries]:
     """Declare the services of an action, and announce the action to bridges.
 
     Args:
-        network: Session of the node.
+        serve: Declares a queryable on a key.
         node: Announces the services.
         name: Of the action, without a leading slash.
         kind: Its messages.
@@ -95,7 +95,7 @@ def serve_action(
         keys = [make_data_key(node.domain, service, ros_type, ANY_HASH)]
         if settings.is_bridged:
             keys.append(service.strip("/"))
-        queues[service] = MergedQueries(tuple(network.serve(key) for key in keys))
+        queues[service] = MergedQueries(tuple(serve(key) for key in keys))
     return queues
 
 

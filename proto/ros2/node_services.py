@@ -10,7 +10,7 @@ from typing import Any, Final, TypeAlias
 import msgspec
 
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
-from zensim.proto.network_protocols import Query, QueryQueue, ServingNetwork
+from zensim.proto.network_protocols import Query, QueryQueue, TopicNetwork
 from zensim.proto.ros2 import node_messages as messages
 from zensim.proto.ros2.liveliness_tokens import Qos
 from zensim.proto.ros2.node_messages import (
@@ -215,7 +215,7 @@ class _ServedNode:
 class NodeServices:
     """Parameter services and type descriptions of the nodes of one process."""
 
-    def __init__(self, network: ServingNetwork, domain: int | None, pattern: str = "") -> None:
+    def __init__(self, network: TopicNetwork, domain: int | None, pattern: str = "") -> None:
         """Serve no node yet.
 
         Args:

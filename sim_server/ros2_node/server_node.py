@@ -27,7 +27,7 @@ from zensim.proto.network_protocols import (
     ServerNetwork,
     ServiceCall,
     ServiceCallSource,
-    ServingNetwork,
+    TopicNetwork,
 )
 from zensim.proto.ros2 import action_messages as action
 from zensim.proto.ros2.action_server import (
@@ -259,14 +259,14 @@ class Ros2CallQueues:
         return found
 
 
-def serve_rmw_calls(bus: ServingNetwork, domain: int) -> Ros2CallQueues:
+def serve_rmw_calls(bus: TopicNetwork, domain: int) -> Ros2CallQueues:
     """Serve the service keys of rmw_zenoh in a domain."""
     return Ros2CallQueues(
         tuple(bus.serve(key) for key in find_served_keys(domain)), index_by_key(domain)
     )
 
 
-def serve_bridge_calls(bus: ServingNetwork) -> Ros2CallQueues:
+def serve_bridge_calls(bus: TopicNetwork) -> Ros2CallQueues:
     """Serve the service keys of zenoh-bridge-ros2dds."""
     forms = index_by_bridge_key()
     return Ros2CallQueues(tuple(bus.serve(key) for key in forms), forms)
@@ -376,6 +376,6 @@ def _close_node(rosout: Rosout, graph: RosGraph) -> None:
 def _make_steps_action(
     bus: ServerNetwork, node: RosNode, topics: TopicFactory
 ) -> SimulateStepsAction:
-    queues = serve_action(bus, node, action.ACTION_NAME, action.SIMULATE_STEPS_ACTION)
+    queues = serve_action(bus.serve, node, action.ACTION_NAME, action.SIMULATE_STEPS_ACTION)
     publishers = advertise_action(topics, action.ACTION_NAME, action.SIMULATE_STEPS_ACTION)
     return SimulateStepsAction(queues, publishers)

@@ -34,7 +34,7 @@ from zensim.sim_server.runtime.request_queue import (
     RequestQueue,
 )
 from zensim.sim_server.runtime.sensor_sessions import SensorSessions
-from zensim.sim_server.runtime.world_map import WorldMap
+from zensim.sim_server.runtime.world_map import make_world_map
 from zensim.sim_server.runtime.world_telemetry import WorldTelemetry
 from zensim.sim_server.service_parts import ServerParts, ShareGrace
 from zensim.sim_server.services.service_registry import ServiceHandlers
@@ -376,7 +376,7 @@ class ServerLoop:
         """Wall time of the last requested step."""
         self._paced_ns = 0
         self._factor = parts.pacing.target_real_time_factor
-        self._world_map = WorldMap(parts, publisher)
+        self._world_map = make_world_map(parts, publisher)
         self._telemetry = WorldTelemetry(parts.world, parts.pacing, parts.sensors, self._world_map)
         self._contacts = ContactTelemetry(parts.world, parts.store.vertices)
         self._authorization = _make_authorization(parts, users)

@@ -13,11 +13,11 @@ from zensim.proto.messages.simulation_messages import StepsProgress
 from zensim.proto.network_protocols import (
     MAX_FLEET_COMMAND_BYTES,
     Publisher,
-    PublishingNetwork,
     Sample,
     ServerNetwork,
     ServiceCall,
     ServiceCallSource,
+    TopicNetwork,
 )
 from zensim.proto.topic_catalog import (
     DRIVE_COMMAND,
@@ -238,7 +238,7 @@ class BusWorldPublisher:
 
     def __init__(
         self,
-        network: PublishingNetwork,
+        network: TopicNetwork,
         world: str,
         ros2_topics: TopicFactory | None = None,
         on_progress: Callable[[StepsProgress], None] | None = None,

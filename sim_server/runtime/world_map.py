@@ -1,7 +1,7 @@
 """Topic `map`: what is fixed in the world, drawn when there is a subscriber."""
 
 import logging
-from typing import Protocol
+from collections.abc import Callable
 
 import msgspec
 
@@ -15,6 +15,7 @@ from zensim.sim_server.queries.map_queries import (
     draw_map,
     find_fixed_entities,
 )
+from zensim.sim_server.runtime.loop_channels import WorldPublisher
 from zensim.sim_server.service_parts import DeferredResponse, ServerParts
 
 CHECK_HZ = 5.0
@@ -24,19 +25,6 @@ MAX_CELLS = 1 << 22
 LOG = logging.getLogger(__name__)
 
 
-class MapPublisher(Protocol):
-    """Publishes the topic."""
-
-    def is_wanted(self, topic: TopicSpec) -> bool:
-        """Whether a topic has a subscriber."""
-
-    def publish(self, topic: TopicSpec, message: msgspec.Struct) -> None:
-        """Publish a message."""
-
-    def serve_late_subscribers(self) -> None:
-        """Publish the last message to new subscribers."""
-
-
 class WorldMap:
     """The map of the topic: as `get_map` draws it, but coarser in a large world.
 
@@ -44,9 +32,25 @@ class WorldMap:
     added, moved or removed while there is a subscriber.
     """
 
-    def __init__(self, parts: ServerParts, publisher: MapPublisher) -> None:
+    def __init__(
+        self,
+        parts: ServerParts,
+        *,
+        is_wanted: Callable[[TopicSpec], bool],
+        publish: Callable[[TopicSpec, msgspec.Struct], None],
+        serve_late_subscribers: Callable[[], None],
+    ) -> None:
+        """Draw nothing yet.
+
+        Args:
+            parts: With the world.
+            is_wanted: Whether a topic has a subscriber.
+            publish: Publishes a message.
+            serve_late_subscribers: Publishes the last message to new subscribers.
+        """
         self._parts = parts
-        self._publisher = publisher
+        self._is_wanted, self._publish_message = is_wanted, publish
+        self._serve_late_subscribers = serve_late_subscribers
         self._limiter = RateLimiter(CHECK_HZ)
         self._version: tuple[object, ...] = ()
         """Changes whenever an entity may have been added, moved or removed."""
@@ -65,8 +69,8 @@ class WorldMap:
         if self._drawing is not None:
             self._continue(self._drawing)
         if self._limiter.is_due(now_ns):
-            self._publisher.serve_late_subscribers()
-            if self._drawing is None and self._publisher.is_wanted(MAP):
+            self._serve_late_subscribers()
+            if self._drawing is None and self._is_wanted(MAP):
                 self._update()
 
     def message(self) -> OccupancyGrid | DeferredResponse[OccupancyGrid]:
@@ -138,4 +142,14 @@ class WorldMap:
 
     def _publish(self, grid: OccupancyGrid) -> None:
         self._grid = grid
-        self._publisher.publish(MAP, grid)
+        self._publish_message(MAP, grid)
+
+
+def make_world_map(parts: ServerParts, publisher: WorldPublisher) -> WorldMap:
+    """Make the map of a server, which is published with its other topics."""
+    return WorldMap(
+        parts,
+        is_wanted=publisher.is_wanted,
+        publish=publisher.publish,
+        serve_late_subscribers=publisher.serve_late_subscribers,
+    )

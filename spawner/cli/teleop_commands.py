@@ -148,7 +148,7 @@ def _advertise_robot(
     if problem is not None:
         raise problem
     style = find_drive_style(models.models[robot.model].drive)
-    return TeleopRobot(robot.namespace, publisher, style)
+    return TeleopRobot(robot.namespace, publisher.send, style)
 
 
 def _open_gamepad(choice: str) -> int | None:

@@ -9,7 +9,7 @@ from typing import Final
 
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.standard_messages import Twist, Vector3
-from zensim.proto.network_protocols import Publisher, PublishingNetwork
+from zensim.proto.network_protocols import Publisher, TopicNetwork
 from zensim.proto.path_following import PathController
 from zensim.proto.topic_catalog import CMD_VEL
 from zensim.spawner.page.drive_control import DriveControl, Velocity
@@ -24,9 +24,7 @@ class RobotDriver:
     A thread of its own, as the one that draws waits for replies of services.
     """
 
-    def __init__(
-        self, network: PublishingNetwork, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, network: TopicNetwork, clock: Callable[[], float] = time.monotonic) -> None:
         """Start the thread; `close` ends it."""
         self._network, self._clock = network, clock
         self._control = DriveControl()

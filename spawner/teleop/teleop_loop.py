@@ -2,9 +2,9 @@
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
-from typing import Final, Protocol
+from typing import Final
 
 import msgspec
 
@@ -25,18 +25,12 @@ SEND_S: Final = 0.05
 """Time for the session to send what was published, before a signal suspends this process."""
 
 
-class CommandPublisher(Protocol):
-    """A publisher of velocity commands."""
-
-    def send(self, payload: bytes) -> None:
-        """Publish a message."""
-
-
 class TeleopRobot(msgspec.Struct, frozen=True):
     """A robot that is driven."""
 
     namespace: str
-    publisher: CommandPublisher
+    send: Callable[[bytes], object]
+    """Publishes a velocity command."""
     style: DriveStyle
 
 
@@ -147,7 +141,7 @@ class TeleopLoop:
         self._sent = direction
         for robot in self._robots:
             twist = make_twist(direction, self._state.speeds, robot.style)
-            robot.publisher.send(encode(twist, Format.CDR))
+            robot.send(encode(twist, Format.CDR))
 
     def _stop_robots(self) -> None:
         payload = encode(Twist(), Format.CDR)
@@ -155,7 +149,7 @@ class TeleopLoop:
         with ExitStack() as stops:  # each robot gets its own, though that of another fails
             for robot in self._robots:
                 for _ in range(STOPS):
-                    stops.callback(robot.publisher.send, payload)
+                    stops.callback(robot.send, payload)
 
     def _show(self) -> None:
         speeds, moves = self._state.speeds, self._sent

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import numpy as np
@@ -35,6 +35,9 @@ from zensim.recording.recorded_topics import TopicTable
 from zensim.robot_agent.fleet_odometry import make_messages
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 
+if TYPE_CHECKING:
+    from zensim.proto.bus import Bus
+
 WORLD = "default"
 SECOND_NS = 1_000_000_000
 SLIDE = Joint("slide", "prismatic", "base_link", "cart", Origin((0.1, 0.0, 0.2)), (0.6, 0.0, 0.8))
@@ -65,7 +68,9 @@ class Fleet:
         self.add(*models)
         self.step(0)
         table = TopicTable(WORLD, lambda *_: True)
-        self.fleet = FleetMessages(self.bus, WORLD, FleetSelection(expressions, table.find))
+        self.fleet = FleetMessages(
+            cast("Bus", self.bus), WORLD, FleetSelection(expressions, table.find)
+        )
 
     def add(self, *models: Model) -> None:
         for model in models:
@@ -189,7 +194,7 @@ def test_only_selected_topics_are_made(expressions: tuple[str, ...], expected: s
         return any(keys.intersect(one, name[1:]) for one in expressions)
 
     chosen = TopicTable(WORLD, is_chosen)
-    made = FleetMessages(fleet.bus, WORLD, FleetSelection(expressions, chosen.find))
+    made = FleetMessages(cast("Bus", fleet.bus), WORLD, FleetSelection(expressions, chosen.find))
 
     fleet.step(SECOND_NS)
     made.collect(0)

@@ -3,7 +3,7 @@
 import os
 import time
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -526,17 +526,6 @@ class InProcessServer:
             recorder.take()
 
 
-@dataclass(frozen=True)
-class InProcessMapPublisher:
-    """Publishes the map of a world; late subscribers get it from `InProcessTelemetry.find_last`."""
-
-    is_wanted: Callable[[TopicSpec], bool]
-    publish: Callable[[TopicSpec, msgspec.Struct], None]
-
-    def serve_late_subscribers(self) -> None:
-        """See `MapPublisher`; there are none."""
-
-
 class InProcessTelemetry:
     """Publishes the topics of a world in simulation time, and contacts to its pool."""
 
@@ -545,7 +534,13 @@ class InProcessTelemetry:
         self._network = network
         self._robots = robots
         self._publishers: dict[TopicSpec, InProcessPublisher] = {}
-        self._map = WorldMap(parts, InProcessMapPublisher(self._is_wanted, self._put))
+        self._map = WorldMap(
+            parts,
+            is_wanted=self._is_wanted,
+            publish=self._put,
+            # They get it from `find_last`.
+            serve_late_subscribers=lambda: None,
+        )
         self._messages = WorldTelemetry(parts.world, parts.pacing, parts.sensors, self._map)
         self._contacts = ContactTelemetry(parts.world, parts.store.vertices)
         self._checked = (-1, -1)

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +32,7 @@ from zensim.proto.messages.model_messages import Joint, Model
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.standard_messages import NANOSECONDS, Odometry, TFMessage
 from zensim.proto.messages.telemetry_messages import Event, GetModelsResponse
-from zensim.proto.network_protocols import CallingNetwork, Closable, Sample
+from zensim.proto.network_protocols import Sample
 from zensim.proto.tf_joints import MOVABLE_KINDS
 from zensim.proto.topic_catalog import FLEET_ODOMETRY
 from zensim.recording.fleet_robots import (
@@ -44,6 +44,9 @@ from zensim.recording.fleet_robots import (
 )
 from zensim.recording.recorded_topics import RecordedTopic
 from zensim.spawner.client.service_client import ServiceClient
+
+if TYPE_CHECKING:
+    from zensim.proto.bus import Bus
 
 DEPTH: Final = 4096
 MAX_WAITING_BYTES: Final = 32 << 20
@@ -79,23 +82,6 @@ NO_SLOT: Final = 0
 
 
 BoolArray = npt.NDArray[np.bool_]
-
-
-class WaitingMessages(Closable, Protocol):
-    """Messages of a subscription."""
-
-    def take(self) -> list[Sample]:
-        """Take all messages received, oldest first."""
-
-
-class FleetNetwork(CallingNetwork, Protocol):
-    """Network of a world."""
-
-    def subscribe_copying(self, key: str, depth: int, max_bytes: int = ...) -> WaitingMessages:
-        """Subscribe to a key expression, keeping the newest messages up to a count and a size."""
-
-    def get(self, key: str, timeout_s: float = 1.0) -> list[Sample]:
-        """Get the last messages of a key expression."""
 
 
 class _TransformParts(NamedTuple):
@@ -378,7 +364,7 @@ class MotionTable:
 class FleetMessages:
     """Makes the messages of a fleet's robots; what agents do not send is subscribed to by robot."""
 
-    def __init__(self, network: FleetNetwork, world: str, selection: FleetSelection) -> None:
+    def __init__(self, network: "Bus", world: str, selection: FleetSelection) -> None:
         """Subscribe to the agents, and find the robots.
 
         Args:

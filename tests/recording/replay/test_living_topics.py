@@ -1,5 +1,7 @@
 """A replay is refused on keys on which others publish."""
 
+from typing import TYPE_CHECKING, cast
+
 import pytest
 
 from tests.fakes import MemoryBus
@@ -10,6 +12,9 @@ from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsRespo
 from zensim.proto.ros2.ros_graph import RosGraph, RosTopic
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.recording.replay.living_topics import TopicsInUse, require_unused
+
+if TYPE_CHECKING:
+    from zensim.proto.bus import Bus
 
 KEYS = ("r1/odom", "team/r2/odom", "clock")
 
@@ -31,7 +36,7 @@ def serve_world(bus: MemoryBus, name: str, *namespaces: str) -> None:
 def test_quiet_network_admits_a_replay() -> None:
     bus = MemoryBus()
 
-    require_unused(bus, KEYS, "default", 0)
+    require_unused(cast("Bus", bus), KEYS, "default", 0)
 
 
 @pytest.mark.parametrize("namespace", ["r1", "team/r2"])
@@ -40,7 +45,7 @@ def test_namespace_of_a_living_robot_is_named(namespace: str) -> None:
     serve_world(bus, "other", namespace, "r3")
 
     with pytest.raises(TopicsInUse, match=f"'{namespace}'.*--namespace"):
-        require_unused(bus, ["r1/odom", "team/r2/odom"], "default", 0)
+        require_unused(cast("Bus", bus), ["r1/odom", "team/r2/odom"], "default", 0)
 
 
 def test_clock_of_another_world_and_a_world_of_this_name_are_refused() -> None:
@@ -48,10 +53,10 @@ def test_clock_of_another_world_and_a_world_of_this_name_are_refused() -> None:
     serve_world(bus, "other")
 
     with pytest.raises(TopicsInUse, match="clock"):
-        require_unused(bus, KEYS, "default", 0)
+        require_unused(cast("Bus", bus), KEYS, "default", 0)
     with pytest.raises(TopicsInUse, match="running"):
-        require_unused(bus, ["x/odom"], "other", 0)
-    require_unused(bus, ["replay/clock", "replay/r1/odom"], "replay", 0)
+        require_unused(cast("Bus", bus), ["x/odom"], "other", 0)
+    require_unused(cast("Bus", bus), ["replay/clock", "replay/r1/odom"], "replay", 0)
 
 
 def test_second_replay_of_a_world_is_refused() -> None:
@@ -59,7 +64,7 @@ def test_second_replay_of_a_world_is_refused() -> None:
     bus.token(keys.alive_replay("default"))
 
     with pytest.raises(TopicsInUse, match="replayed"):
-        require_unused(bus, KEYS, "default", None)
+        require_unused(cast("Bus", bus), KEYS, "default", None)
 
 
 def test_topic_of_a_node_of_ros_2_is_refused_in_its_domain() -> None:
@@ -70,5 +75,5 @@ def test_topic_of_a_node_of_ros_2_is_refused_in_its_domain() -> None:
     node.add_topic_endpoint("MP", RosTopic("r1/odom", Odometry))
 
     with pytest.raises(TopicsInUse, match="/r1/base"):
-        require_unused(bus, KEYS, "default", 4)
-    require_unused(bus, KEYS, "default", 5)
+        require_unused(cast("Bus", bus), KEYS, "default", 4)
+    require_unused(cast("Bus", bus), KEYS, "default", 5)

@@ -22,7 +22,7 @@ from zensim.proto.messages.world_messages import GetMapResponse
 from zensim.proto.topic_endpoints import TopicFactory
 from zensim.sim_server.runtime import world_map
 from zensim.sim_server.runtime.loop_channels import BusWorldPublisher
-from zensim.sim_server.runtime.world_map import WorldMap
+from zensim.sim_server.runtime.world_map import make_world_map
 from zensim.sim_server.service_parts import DeferredResponse
 
 PILLAR = a_box(is_static=True)
@@ -133,7 +133,7 @@ def test_get_of_a_map_that_cannot_be_drawn_is_refused() -> None:
 def test_late_subscribers_get_the_map_on_each_key() -> None:
     server, bus = a_server_with_pillar(), MemoryBus()
     publisher = BusWorldPublisher(bus, "w", TopicFactory(bus))
-    drawn = WorldMap(server.parts, publisher)
+    drawn = make_world_map(server.parts, publisher)
     bus.pumps.append(lambda: drawn.poll(server.wall.ns))
     found = []
     for key in ("map", "sim/w/map"):
@@ -154,7 +154,7 @@ def test_late_subscribers_get_the_map_on_each_key() -> None:
 def test_map_is_drawn_at_once_where_steps_may_wait() -> None:
     server = a_server_with_pillar()
 
-    assert occupied_x(WorldMap(server.parts, server.publisher).draw()) == [3.0]
+    assert occupied_x(make_world_map(server.parts, server.publisher).draw()) == [3.0]
     assert maps_of(server)
 
 
@@ -162,7 +162,7 @@ def test_get_during_a_drawing_has_its_map(monkeypatch: pytest.MonkeyPatch) -> No
     server, is_drawn, grid = a_server_with_pillar(), threading.Event(), OccupancyGrid()
     drawing = DeferredResponse(is_drawn.is_set, lambda: GetMapResponse(map=grid))
     monkeypatch.setattr(world_map, "draw_map", lambda *_: drawing)
-    drawn = WorldMap(server.parts, server.publisher)
+    drawn = make_world_map(server.parts, server.publisher)
 
     reply = drawn.message()
     assert isinstance(reply, DeferredResponse)

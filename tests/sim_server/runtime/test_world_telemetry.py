@@ -22,7 +22,7 @@ from zensim.proto.messages.standard_messages import Time
 from zensim.proto.messages.telemetry_messages import Snapshot, Stats, WorldClock
 from zensim.proto.topic_catalog import CLOCK, MODEL_STATES, SNAPSHOT, STATS, TopicSpec
 from zensim.sim_server.pacing.loop_stats import LoopStats
-from zensim.sim_server.runtime.world_map import WorldMap
+from zensim.sim_server.runtime.world_map import make_world_map
 from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, WorldTelemetry
 from zensim.sim_server.service_parts import Pacing, SensorProcesses
 from zensim.sim_server.world.simulated_world import SimulatedWorld
@@ -39,7 +39,7 @@ CHANGES: dict[str, Callable[[SimulatedWorld], object]] = {
 
 def make_telemetry(world: SimulatedWorld, pacing: Pacing | None = None) -> WorldTelemetry:
     parts = make_parts(world)
-    world_map = WorldMap(parts, RecordingPublisher())
+    world_map = make_world_map(parts, RecordingPublisher())
     return WorldTelemetry(world, pacing or parts.pacing, SensorProcesses(), world_map)
 
 

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing
+from typing import TYPE_CHECKING, cast
 
 import pytest
 
@@ -15,6 +16,9 @@ from zensim.proto.path_following import PathController
 from zensim.proto.topic_catalog import CMD_VEL
 from zensim.spawner.page.drive_control import STOP, STOP_COMMANDS, RobotBusy, Velocity
 from zensim.spawner.page.robot_driver import RobotDriver
+
+if TYPE_CHECKING:
+    from zensim.proto.network_protocols import TopicNetwork
 
 ANN, BOB = 1, 2
 
@@ -114,7 +118,7 @@ def test_a_failure_of_the_network_ends_no_later_command(
     bus: MemoryBus, commands: Subscription
 ) -> None:
     network = FailingNetwork(bus)
-    with closing(RobotDriver(network)) as driver:
+    with closing(RobotDriver(cast("TopicNetwork", network))) as driver:
         driver.drive(ANN, "r2", Velocity(0.5))
         eventually(lambda: network.has_failed, 5.0, "a failure")
 

@@ -50,7 +50,10 @@ def test_terminal_is_put_back_and_other_robots_stop_if_a_stop_fails() -> None:
     style = DriveStyle()
     state = TeleopState(TeleopSettings(), [style])
     state.ending = "keys"
-    robots = [TeleopRobot("r1", ClosedPublisher(), style), TeleopRobot("r2", working, style)]
+    robots = [
+        TeleopRobot("r1", ClosedPublisher().send, style),
+        TeleopRobot("r2", working.send, style),
+    ]
     loop = TeleopLoop(
         cast("RawTerminal", terminal), cast("SignalPipe", None), robots, state, gamepad
     )

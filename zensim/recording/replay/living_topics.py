@@ -1,25 +1,20 @@
 """Finds other publishers on the keys of a replay."""
 
 from collections.abc import Collection, Iterable, Iterator
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 from zensim.proto import keys
-from zensim.proto.network_protocols import CallingNetwork
 from zensim.proto.ros2.liveliness_tokens import TOKEN_SPACE, parse_endpoint_token
 from zensim.proto.topic_catalog import TOPICS
 from zensim.spawner.client.service_client import ServiceClient
+
+if TYPE_CHECKING:
+    from zensim.proto.bus import Bus
 
 PUBLISHER: Final = "MP"
 ROOT_KEYS: Final = frozenset(one.suffix for one in TOPICS.values() if one.root_message is not None)
 """`/clock`, `/tf` and others, which every world publishes."""
 WORLD_TIMEOUT_S: Final = 2.0
-
-
-class TokenNetwork(CallingNetwork, Protocol):
-    """Network that lists liveliness tokens."""
-
-    def list_tokens(self, key: str, timeout_s: float = ...) -> list[str]:
-        """List the present tokens."""
 
 
 class TopicsInUse(ValueError):
@@ -38,9 +33,7 @@ class TopicsInUse(ValueError):
 MAX_SHOWN: Final = 3
 
 
-def require_unused(
-    network: TokenNetwork, wanted: Collection[str], world: str, domain: int | None
-) -> None:
+def require_unused(network: "Bus", wanted: Collection[str], world: str, domain: int | None) -> None:
     """Check that there is no other publisher on keys.
 
     Args:
@@ -63,7 +56,7 @@ def require_unused(
         raise TopicsInUse(users)
 
 
-def _list_worlds(network: TokenNetwork, wanted: Collection[str], world: str) -> Iterator[str]:
+def _list_worlds(network: "Bus", wanted: Collection[str], world: str) -> Iterator[str]:
     """List what running worlds publish: namespaces of robots, and keys of the root."""
     for token in network.list_tokens(keys.alive_server("*")):
         name = token.split("/")[1]
@@ -83,14 +76,12 @@ def _find_namespaces(wanted: Collection[str], namespaces: Collection[str]) -> li
     return sorted(starts & set(namespaces))
 
 
-def _list_replays(network: TokenNetwork, world: str) -> Iterator[str]:
+def _list_replays(network: "Bus", world: str) -> Iterator[str]:
     if network.list_tokens(keys.alive_replay(world)):
         yield f"world '{world}' is replayed already"
 
 
-def _list_nodes(
-    network: TokenNetwork, wanted: Collection[str], domain: int | None
-) -> Iterator[str]:
+def _list_nodes(network: "Bus", wanted: Collection[str], domain: int | None) -> Iterator[str]:
     """List topics that ROS 2 nodes publish."""
     if domain is None:
         return

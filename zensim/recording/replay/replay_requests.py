@@ -14,7 +14,7 @@ from zensim.proto.messages.replay_messages import (
 )
 from zensim.proto.messages.result_messages import Result, ResultCode
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.proto.network_protocols import Query, ServingNetwork
+from zensim.proto.network_protocols import Query, TopicNetwork
 from zensim.proto.replay_catalog import REPLAY_PREFIX, REPLAY_SERVICES
 from zensim.proto.service_catalog import Service
 from zensim.recording.replay.replayer import Replayer
@@ -29,7 +29,7 @@ REFUSED: Final = ResultCode.OPERATION_FAILED
 class ReplayRequests:
     """Serves the requests to one replay."""
 
-    def __init__(self, network: ServingNetwork, world: str, replayer: Replayer) -> None:
+    def __init__(self, network: TopicNetwork, world: str, replayer: Replayer) -> None:
         self._replayer = replayer
         self._queue = network.serve(keys.service(world, f"{REPLAY_PREFIX}/*"))
         self._actions: dict[str, Callable[[msgspec.Struct], None]] = {
