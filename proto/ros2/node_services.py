@@ -31,9 +31,6 @@ PARAMETERS_QOS: Final = Qos(depth=1000)
 """Profile `rmw_qos_profile_parameters`."""
 MAX_ANNOUNCED_AT_ONCE: Final = 2
 """Nodes whose services are announced in one call: 14 tokens, about a millisecond."""
-MAX_NODES_WITH_SERVICES: Final = 100
-"""Nodes that join a larger process are served, but not announced: seven tokens more for each of a
-thousand robots double the time in which others learn the graph."""
 NODE_QUERY_DEPTH: Final = 1024
 SEPARATOR: Final = "."
 ParameterContent: TypeAlias = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
@@ -237,8 +234,11 @@ class NodeServices:
             return
         queue = self._serve(node.full_name.strip("/")) if self._shared is None else None
         self._served[node.full_name] = _ServedNode(node, ParameterServer(list_parameters), queue)
-        self._unannounced.append(node)
         node.on_close = partial(self._remove, node)
+        if node.shared is None:
+            self._unannounced.append(node)
+        elif node.shared.full_name not in self._served:
+            self.add(node.shared)
 
     def _remove(self, node: RosNode) -> None:
         """Serve a node no longer; it undeclares its tokens itself."""
@@ -251,8 +251,6 @@ class NodeServices:
 
     def poll(self) -> None:
         """Reply to all queued requests, and announce some nodes."""
-        if len(self._served) > MAX_NODES_WITH_SERVICES:
-            self._unannounced.clear()
         for _ in range(min(MAX_ANNOUNCED_AT_ONCE, len(self._unannounced))):
             announce_node_services(self._unannounced.popleft())
         for queue in self._list_queues():

@@ -29,9 +29,12 @@ MAX_NODES_PER_ID: Final = 100
 """Nodes with the same session id in their tokens. The time of a router to declare a token grows
 with the tokens beside it, which differ in the chunk after that id only."""
 
+SHARED_NAMESPACE: Final = "/zensim_robots"
+"""Beginning of the namespaces of nodes that robots beyond the first hundred share."""
+
 MAX_ROBOTS_ANNOUNCED: Final = 500
-"""Robots of a process whose nodes are announced when they join. A router compares all tokens with
-each other when an observer joins, and no message passes meanwhile: 2 s for 9000 tokens."""
+"""Robots of a process whose endpoints are announced when they join. A router compares all tokens
+with each other when an observer joins, and no message passes meanwhile: 2 s for 9000 tokens."""
 MAX_ROBOTS_ANNOUNCED_LATE: Final = 250
 """Further ones that are announced because they have subscribers."""
 
@@ -41,6 +44,9 @@ ACTION_INFIX: Final = "/_action/"
 
 class NodeGroup:
     """What declares the tokens of some nodes, the session id in them, and the number of nodes."""
+
+    shared: "RosNode | None" = None
+    """Node that robots of the group are part of; None if it has no robots, or each has its own."""
 
     def __init__(self, session: TokenSession | TokenQueue, zid: str) -> None:
         self.session = session
@@ -84,8 +90,12 @@ class RosGraph:
         return node
 
     def add_robot(self, namespace: str, name: str) -> "RosNode | None":
-        """Add the node of one of many robots; it is announced if there are not too many."""
-        node = self._add(namespace, name)
+        """Add the node of one of many robots; it is announced if there are not too many.
+
+        The endpoints of robots beyond the first hundred nodes of the process belong to a node that
+        a hundred robots share: `ros2 param list` calls each node in turn.
+        """
+        node = self._add(namespace, name, may_share=True)
         if node is not None and self.announced_robots < MAX_ROBOTS_ANNOUNCED:
             self._announce(node)
         return node
@@ -102,18 +112,31 @@ class RosGraph:
         node.is_counted = True
         node.announce()
 
-    def _add(self, namespace: str, name: str) -> "RosNode | None":
+    def _add(self, namespace: str, name: str, *, may_share: bool = False) -> "RosNode | None":
         if self.domain is None:
             return None
         group = self._find_free_group()
+        is_shared = may_share and group is not self._groups[0]
+        shared = self._share_node(group, name) if is_shared else None
+        return self._keep(f"/{namespace.strip('/')}", name, group, shared)
+
+    def _share_node(self, group: NodeGroup, name: str) -> "RosNode":
+        """Find the node that robots of a group share, or add it."""
+        if group.shared is None:
+            group.shared = self._keep(f"{SHARED_NAMESPACE}_{group.zid[:8]}", name, group, None)
+        return group.shared
+
+    def _keep(
+        self, namespace: str, name: str, group: NodeGroup, shared: "RosNode | None"
+    ) -> "RosNode":
         node = GraphNode(
-            domain=self.domain,
+            domain=self.domain or 0,
             zid=group.zid,
             number=next(self.numbers),
-            namespace=f"/{namespace.strip('/')}",
+            namespace=namespace,
             name=name,
         )
-        ros_node = RosNode(self, node, group)
+        ros_node = RosNode(self, node, group, shared)
         # Zenoh undeclares tokens that are garbage collected.
         self.nodes[ros_node] = None
         return ros_node
@@ -189,15 +212,25 @@ class RosNode:
     """A ROS 2 node and its endpoints."""
 
     __slots__ = (
-        *("_group", "_node", "_tokens", "_unannounced", "domain", "graph"),
-        *("is_announced", "is_closed", "is_counted", "on_close"),
+        *("_group", "_name", "_tokens", "_unannounced", "domain", "graph", "graph_node"),
+        *("is_announced", "is_closed", "is_counted", "members", "on_close", "shared"),
     )
 
-    def __init__(self, graph: RosGraph, node: GraphNode, group: NodeGroup) -> None:
+    def __init__(
+        self, graph: RosGraph, node: GraphNode, group: NodeGroup, shared: "RosNode | None" = None
+    ) -> None:
         self.graph = graph
         self.domain = node.domain
-        self._node = node
+        self.graph_node: GraphNode = node if shared is None else shared.graph_node
+        """Node that has the endpoints."""
+        self._name = (node.namespace, node.name)
         self._group = group
+        self.shared = shared
+        """Node that the robot shares with others; None if it has its own."""
+        self.members = 0
+        """Robots that share the node."""
+        if shared is not None:
+            shared.members += 1
         group.nodes += 1
         self._tokens: list[Closable] = []
         self._unannounced: list[GraphEndpoint | str] = []
@@ -214,15 +247,20 @@ class RosNode:
     @property
     def full_name(self) -> str:
         """Name with namespace, as `/box_bot0/agent`."""
-        return rmw_keys.qualify_name(self._node.namespace, self._node.name)
+        return rmw_keys.qualify_name(*self._name)
 
     def announce(self) -> None:
         """Declare the tokens of the node and of its endpoints, also of later ones."""
-        if not self.is_announced:
-            self.is_announced = True
-            tokens, self._unannounced = self._unannounced, []
-            for token in (make_node_token(self._node), *tokens):
-                self._declare(token)
+        if self.is_announced:
+            return
+        self.is_announced = True
+        tokens, self._unannounced = self._unannounced, []
+        if self.shared is None:
+            self._declare(make_node_token(self.graph_node))
+        else:
+            self.shared.announce()
+        for token in tokens:
+            self._declare(token)
 
     def _declare(self, token: GraphEndpoint | str) -> None:
         if not self.is_announced:
@@ -268,7 +306,7 @@ class RosNode:
         `bridge_key` overrides it for a bridge; None = a bridge does not see the endpoint.
         """
         endpoint = GraphEndpoint(
-            node=self._node,
+            node=self.graph_node,
             number=next(self.graph.numbers),
             kind=kind,
             name=rmw_keys.qualify_name("", key),
@@ -299,9 +337,19 @@ class RosNode:
             del self.graph.nodes[self]
             self._group.nodes -= 1
             self.graph.announced_robots -= self.is_counted
-        self.is_closed = True
+        was_closed, self.is_closed = self.is_closed, True
         while self._tokens:
             self._tokens.pop().close()
+        if self.shared is not None and not was_closed:
+            self.shared.leave()
+
+    def leave(self) -> None:
+        """Take leave of a robot that shared the node; without robots the node is closed."""
+        self.members -= 1
+        if self.members == 0:
+            if self._group.shared is self:
+                self._group.shared = None
+            self.close()
 
 
 def gid_from_endpoint(endpoint: GraphEndpoint) -> bytes:

@@ -37,6 +37,7 @@ NAMES = (
     "steps",
     "humble",
     "killed",
+    "recreate",
     "scale",
 )
 SHORT_NAMES = ("talk", "odom", "drive", "spawn")

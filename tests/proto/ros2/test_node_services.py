@@ -6,13 +6,18 @@ import msgspec
 import pytest
 
 from tests.fakes import MemoryBus
+from tests.integration.processes import eventually
+from tests.proto.ros2.token_parser import parse_token
 from tests.proto.ros_hashes import hash_of_message, hash_of_service
 from tests.proto.ros_oracle import HUMBLE, ros_bytes
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.messages.standard_messages import Odometry
 from zensim.proto.ros2 import node_messages as messages
-from zensim.proto.ros2 import node_services
-from zensim.proto.ros2.liveliness_tokens import parse_endpoint_token
+from zensim.proto.ros2 import ros_graph
+from zensim.proto.ros2.liveliness_tokens import (
+    GraphEndpoint,
+    parse_endpoint_token,
+)
 from zensim.proto.ros2.node_messages import NamedParameter, ParameterType, ParameterValue
 from zensim.proto.ros2.node_services import (
     ALL_SERVICES,
@@ -22,7 +27,7 @@ from zensim.proto.ros2.node_services import (
     make_parameter_value,
 )
 from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
-from zensim.proto.ros2.rmw_keys import make_data_key
+from zensim.proto.ros2.rmw_keys import make_data_key, qualify_name
 from zensim.proto.ros2.ros_graph import RosGraph, RosTopic
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.ros2.type_hash import find_service_type, hash_service, hash_type
@@ -248,20 +253,38 @@ def test_unknown_type_is_refused_with_a_reason(
     assert (response.successful, bool(response.failure_reason)) == (False, True)
 
 
-def test_nodes_that_join_a_large_fleet_are_served_and_not_announced(
+def test_each_node_of_a_large_fleet_announces_its_services(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(node_services, "MAX_NODES_WITH_SERVICES", 2)
+    monkeypatch.setattr(ros_graph, "MAX_NODES_PER_ID", 2)
     network = Network(pattern="**/agent")
-    for name in ("r2", "r3"):
-        network.services.add(network.graph.add_node(name, "agent"))
+    robots = [network.graph.add_robot(f"r{number}", "agent") for number in range(2, 5)]
+    for robot in robots:
+        network.services.add(robot)
 
-    network.services.poll()
+    for _ in range(4):
+        network.services.poll()
 
-    found = [parse_endpoint_token(token) for token in network.bus.list_tokens("@ros2_lv/**")]
-    assert {one.node for one in found if one and one.kind == "SS"} == {"/r1/agent"}
+    # The node has room for one robot beside r1; further ones are part of nodes that they share.
+    shared = {one.shared.full_name for one in robots if one and one.shared}
+    assert len(shared) == 2
+    expected = {"/r1/agent", "/r2/agent", *shared}
+    eventually(lambda: list_service_nodes(network) == expected, 5.0, "services of each node")
     request = encode(messages.ListParametersRequest(), Format.CDR)
-    assert len(network.ask(request, "list_parameters", "/r3/agent")) == 1
+    for name in (*shared, "/r4/agent"):
+        assert len(network.ask(request, "list_parameters", name)) == 1
+
+
+def list_service_nodes(network: Network) -> set[str]:
+    """List the nodes of the graph that announce services."""
+    sessions = (network.bus, *network.bus.opened_sessions)
+    tokens = [token for session in sessions for token in session.list_tokens("@ros2_lv/**")]
+    found = [parse_token(token) for token in tokens]
+    return {
+        qualify_name(one.node.namespace, one.node.name)
+        for one in found
+        if isinstance(one, GraphEndpoint) and one.kind == "SS"
+    }
 
 
 def test_humble_has_parameters_and_no_type_descriptions() -> None:

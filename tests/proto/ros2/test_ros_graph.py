@@ -213,3 +213,37 @@ def test_closed_robot_makes_room_for_another() -> None:
 
     assert (before, graph.announced_robots) == (2, 1)
     assert [node.is_announced for node in add_robots(graph, 2)] == [True, False]
+
+
+def test_robots_beyond_the_first_hundred_nodes_share_nodes() -> None:
+    bus = MemoryBus()
+    graph = RosGraph(bus, RosSettings())
+    robots = add_robots(graph, MAX_NODES_PER_ID + 3)
+    eventually(lambda: len(tokens_of(bus)) == 2 * MAX_NODES_PER_ID + 4, 5.0, "all tokens")
+
+    parsed = [parse_token(token) for token in tokens_of(bus)]
+    nodes = {one for one in parsed if isinstance(one, GraphNode)}
+    endpoints = [one for one in parsed if isinstance(one, GraphEndpoint)]
+
+    assert len(nodes) == MAX_NODES_PER_ID + 1
+    assert {one.node for one in endpoints} == nodes
+    assert len(endpoints) == len(robots)
+    assert robots[-1].full_name == f"/r{MAX_NODES_PER_ID + 2}/agent"
+
+
+def test_shared_node_leaves_with_its_last_robot() -> None:
+    bus = MemoryBus()
+    graph = RosGraph(bus, RosSettings())
+    *_, first, second = add_robots(graph, MAX_NODES_PER_ID + 2)
+    shared = first.shared
+    assert shared is not None
+
+    first.close()
+    first.close()
+    is_closed_early = shared.is_closed
+    second.close()
+
+    assert (is_closed_early, shared.is_closed) == (False, True)
+    eventually(lambda: len(tokens_of(bus)) == 2 * MAX_NODES_PER_ID, 5.0, "tokens of the others")
+    (third,) = add_robots(graph, 1)
+    assert third.shared not in {None, shared}

@@ -6,6 +6,7 @@ mod interfaces;
 mod late;
 mod listen;
 mod peer;
+mod recreate;
 mod router;
 mod size_estimation;
 mod spawn;
@@ -42,6 +43,8 @@ enum Program {
     Talker(talk::Talker),
     /// Subscribe and serve.
     Listener(talk::Listener),
+    /// Create, call and destroy a service client, again and again.
+    Recreate(recreate::Recreate),
     /// Route, with the settings of rmw_zenohd, until stdin is closed.
     Router(router::Router),
 }
@@ -61,6 +64,7 @@ async fn main() -> hiroz::Result<()> {
         Program::Watch(program) => program.run(network),
         Program::Talker(program) => program.run(network).await,
         Program::Listener(program) => program.run(network),
+        Program::Recreate(program) => program.run(network),
         Program::Router(program) => program.run().await,
     }
 }
