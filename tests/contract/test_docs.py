@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import textwrap
+from collections import Counter
 from importlib.metadata import version
 from pathlib import Path
 from xml.etree import ElementTree
@@ -29,6 +30,9 @@ CHANGES = {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
 READMES = ("README.md", "README.zh-CN.md")
 CONTENTS = ROOT / "docs" / "contents.md"
 HEADING = re.compile(r"^## ", re.MULTILINE)
+ORDER = ("Start", "How-to", "Reference", "Explanation", "Results")
+REPLACED_BY = re.compile(r"^Replaced by \[ADR \d+\]\(([^)]+)\)", re.MULTILINE)
+REPLACES = re.compile(r"^Replaces \[ADR \d+\]\(([^)]+)\)", re.MULTILINE)
 MAX_README_WORDS = 900
 MAX_ADR_LINES = 45
 MAX_COLUMNS = 120
@@ -194,6 +198,31 @@ def test_decision_record_has_its_format(path: Path) -> None:
     assert text.startswith(f"# {int(path.name[:4])}. ")
     assert parts == ["Context", "Decision", "Consequences"]
     assert text.count("\n") <= MAX_ADR_LINES
+
+
+def test_decisions_are_numbered_once() -> None:
+    numbers = Counter(path.name[:4] for path in (ROOT / "docs" / "adr").glob("*.md"))
+
+    assert [number for number, count in numbers.items() if count > 1] == []
+
+
+def test_replaced_decisions_name_what_replaces_them_and_are_named_by_it() -> None:
+    replaced, replacing = set(), set()
+    for path in (ROOT / "docs" / "adr").glob("*.md"):
+        text = text_of(path)
+        replaced |= {(path.name, target) for target in REPLACED_BY.findall(text)}
+        replacing |= {(target, path.name) for target in REPLACES.findall(text)}
+
+    assert replaced == replacing != set()
+
+
+def test_documents_are_in_the_order_of_a_reader() -> None:
+    nav = yaml.safe_load(text_of(ROOT / ".mkdocs.yml"))["nav"]
+    tabs = [next(iter(one)) for one in nav]
+    parts = re.findall(r"^- \*\*(.+?)\*\*", text_of(CONTENTS), re.MULTILINE)
+
+    assert tabs == ["Home", *ORDER]
+    assert [one for one in parts if one in ORDER] == list(ORDER)
 
 
 def test_lines_of_documents_are_short() -> None:
