@@ -21,7 +21,7 @@ from benchmarks.fleet_server import line_with, program
 from benchmarks.installation import Installation, run_installation
 from benchmarks.ten_robots import POLL_S, poll_until, spawn
 from tests.integration.processes import eventually
-from zensim.proto.bus import BusSubscription
+from zensim.proto.bus.bus_session import BusSubscription
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.telemetry_messages import Stats
 from zensim.proto.ros2.rmw_keys import OFF

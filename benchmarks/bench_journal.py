@@ -33,7 +33,7 @@ from benchmarks.ten_robots import (
 )
 from tests.integration.journals import kill_hard, serving_with_journal
 from tests.integration.processes import START_S, connected, free_endpoint, running
-from zensim.proto.bus import NoServer
+from zensim.proto.bus.bus_errors import NoServer
 from zensim.spawner.client.sim_client import SimClient
 
 __all__ = ["rows", "table"]

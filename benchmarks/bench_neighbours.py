@@ -32,7 +32,8 @@ from benchmarks.ten_robots import (
     observe_in_turns,
     stats_of,
 )
-from zensim.proto.bus import Bus, BusSubscription, NoServer
+from zensim.proto.bus.bus_errors import NoServer
+from zensim.proto.bus.bus_session import Bus, BusSubscription
 from zensim.proto.topic_catalog import ODOM
 from zensim.spawner.client.sim_client import SimClient
 

@@ -20,7 +20,7 @@ import psutil
 from benchmarks.figures import Figure, table
 from tests.chaos.message_source import TOPICS_OF_ROBOT, publishing
 from tests.integration.processes import read_json_line, running, running_up
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.service_catalog import INFO
 from zensim.recording.bag_info import read_info

@@ -23,7 +23,7 @@ from benchmarks.machine import thread_used_s, used_s
 from benchmarks.motion import MOVES
 from benchmarks.ten_robots import CIRCLE, MILLISECONDS, SPACING_M
 from tests.integration.processes import Server, eventually, running, serving, wait_for_agents
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.standard_messages import Twist, Vector3

@@ -23,7 +23,9 @@ from benchmarks.ten_robots import CIRCLE, milliseconds, poll_until
 from tests.integration.processes import read_json_line, running
 from tests.integration.robots import place, robot, stamp_s
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, BusError, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import BusError
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.endpoints import with_free_port
 from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3

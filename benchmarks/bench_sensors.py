@@ -33,7 +33,7 @@ from tests.integration.processes import (
     serving,
 )
 from zensim.proto import keys
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.proto.topic_catalog import SCAN
 from zensim.sim_server.description.builtin_models import read_builtin_model

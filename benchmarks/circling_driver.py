@@ -13,7 +13,8 @@ import numpy as np
 
 from benchmarks.ten_robots import POLL_S, poll_until
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand, DriveState
 from zensim.proto.messages.result_messages import ResultCode, ServiceError

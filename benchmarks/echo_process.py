@@ -13,7 +13,8 @@ from typing import NoReturn
 
 from benchmarks.machine import ROOT
 from benchmarks.ten_robots import POLL_S, poll_until
-from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.process_limits import die_with_supervisor
 
 CALL = "bench/call"

@@ -10,7 +10,8 @@ import time
 from typing import NoReturn
 
 from benchmarks.ten_robots import CIRCLE
-from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.proto.process_limits import die_with_supervisor

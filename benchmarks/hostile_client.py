@@ -21,7 +21,8 @@ import zenoh
 from zenoh.handlers import FifoChannel, RingChannel
 
 from zensim.proto import keys
-from zensim.proto.bus import BusConfig, Credentials, list_client_settings
+from zensim.proto.bus.bus_config import BusConfig, Credentials
+from zensim.proto.bus.zenoh_config import list_client_settings
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.join_tokens import is_join_address, read_join_address
 from zensim.proto.messages.entity_messages import EntityFilters, GetEntitiesRequest

@@ -64,7 +64,7 @@ CEILINGS: Final[Mapping[str, int]] = {
     **GOALS,
     "source lines": 140_500,
     "longest import chain": 34,
-    "modules with three seams": 34,
+    "modules with three seams": 32,
     "classes of networks": 35,
     "classes with six verbs of engines": 13,
     "files of a spawn": 110,  # 94 to 100: more on a busy machine

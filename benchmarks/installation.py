@@ -9,7 +9,7 @@ import psutil
 from benchmarks.fleet_server import PATIENCE_S
 from benchmarks.machine import used_s
 from tests.integration.processes import connected, free_endpoint, running
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.spawner.client.sim_client import SimClient
 
 CALL_TIMEOUT_S = 60.0

@@ -9,7 +9,8 @@ import time
 
 import msgspec
 
-from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.process_limits import die_with_supervisor
 from zensim.proto.topic_catalog import IMU, ODOM, SCAN, TF
 

@@ -17,7 +17,8 @@ from tests.integration.processes import (
     zensim,
 )
 from tests.integration.robots import robot
-from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.endpoints import with_free_port
 from zensim.proto.security.roles import User
 from zensim.sim_server.security.secure_folder import (

@@ -11,7 +11,7 @@ import msgspec
 from benchmarks.figures import Figure
 from tests.integration.processes import Server, running, serving, wait_for_agents
 from tests.integration.robots import Robot, robot
-from zensim.proto.bus import BusSubscription
+from zensim.proto.bus.bus_session import BusSubscription
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.proto.messages.telemetry_messages import Stats

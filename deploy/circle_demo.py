@@ -14,7 +14,9 @@ from zensim.deploy.demo_patterns import RADIUS, SPEED
 from zensim.deploy.other_commands import OtherCommands
 from zensim.deploy.up_driver import UpDriver
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, NoServer, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import NoServer
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.agent_messages import TwistCommands, split_orders
 from zensim.proto.topic_catalog import TWISTS

@@ -11,7 +11,8 @@ from zensim.api.sim import Sim
 from zensim.deploy.demo_patterns import RADIUS, SPEED, PoseBehaviour
 from zensim.deploy.other_commands import OtherCommands
 from zensim.deploy.up_driver import UpDriver
-from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.scenario.robot_behaviours import (
     FleetState,
     FloatArray,

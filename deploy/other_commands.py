@@ -1,6 +1,6 @@
 """Which robots others command: by cmd_vel, or by orders of another client."""
 
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.topic_catalog import TWISTS

@@ -8,7 +8,8 @@ from zensim.api.server_access import ServerAccess
 from zensim.api.sim import Sim
 from zensim.deploy.other_commands import OtherCommands
 from zensim.deploy.up_driver import UpDriver
-from zensim.proto.bus import BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import open_bus
 from zensim.scenario.check_monitors import CheckResult
 from zensim.scenario.scenario_reader import Scenario
 from zensim.scenario.scenario_runner import ScenarioRun, find_end

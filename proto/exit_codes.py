@@ -32,7 +32,7 @@ class ExitCode(IntEnum):
 def list_expected_failures() -> tuple[type[Exception], ...]:
     """List the failures that a command reports in one line."""
     # Imported when something failed: commands without a network start faster.
-    from zensim.proto.bus import BusError
+    from zensim.proto.bus.bus_errors import BusError
 
     return (ServiceError, BusError, TimeoutError, ValueError, OSError)
 
@@ -50,7 +50,7 @@ def choose_exit_code(error: Exception) -> ExitCode:
 
 
 def _list_exit_codes() -> tuple[tuple[tuple[type[Exception], ...], ExitCode], ...]:
-    from zensim.proto.bus import EndpointUnreachable, NoServer
+    from zensim.proto.bus.bus_errors import EndpointUnreachable, NoServer
     from zensim.proto.codec.message_codec import MalformedPayload
 
     return (

@@ -19,6 +19,7 @@ MAX_RETIRED: Final = 2
 """Sessions that wait for the end of their last declarations; those of the oldest are moved then."""
 
 SessionT = TypeVar("SessionT")
+DeclaredT = TypeVar("DeclaredT")
 SessionT_contra = TypeVar("SessionT_contra", contravariant=True)
 
 
@@ -68,23 +69,24 @@ class RenewedSession(Generic[SessionT]):
         self._thread: threading.Thread | None = None
         self._ended = threading.Event()
 
-    def begin(self) -> Generation[SessionT]:
-        """Return where to declare; call `add` or `give_up` afterwards."""
+    def declare(
+        self, owner: Declaration[SessionT], make: Callable[[SessionT], DeclaredT]
+    ) -> DeclaredT:
+        """Declare what its owner moves and removes later; return what `make` returns."""
         with self._lock:
-            self._current.pending += 1
-            return self._current
-
-    def give_up(self, place: Generation[SessionT]) -> None:
-        """Note that the declaration failed."""
+            place = self._current
+            place.pending += 1
+        try:
+            declared = make(place.session)
+        except BaseException:
+            with self._lock:
+                place.pending -= 1
+            raise
         with self._lock:
             place.pending -= 1
-
-    def add(self, declaration: Declaration[SessionT], place: Generation[SessionT]) -> None:
-        """Keep what was declared at a place that `begin` returned."""
-        with self._lock:
-            place.pending -= 1
-            place.open[declaration] = None
-            self._places[declaration] = place
+            place.open[owner] = None
+            self._places[owner] = place
+        return declared
 
     def remove(self, declaration: Declaration[SessionT]) -> None:
         """Forget what was undeclared; renew the session if it has lost much."""

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 import msgspec
 
 from zensim.proto import keys
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.messages.telemetry_messages import GetModelsResponse
 from zensim.proto.ros2.liveliness_tokens import TOKEN_SPACE, AnnouncedEndpoint, parse_endpoint_token
 from zensim.proto.topic_catalog import (

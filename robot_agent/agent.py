@@ -13,7 +13,8 @@ from typing import Protocol
 import msgspec
 
 from zensim.proto import keys
-from zensim.proto.bus import BusConfig, open_bus_with_retry, receive_in_one_thread
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import open_bus_with_retry, receive_in_one_thread
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
 from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState

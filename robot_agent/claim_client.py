@@ -9,7 +9,7 @@ from typing import NoReturn
 
 import msgspec
 
-from zensim.proto.bus import NoServer
+from zensim.proto.bus.bus_errors import NoServer
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.agent_messages import (
     Claim,

@@ -10,7 +10,8 @@ from typing import Annotated
 import msgspec
 import typer
 
-from zensim.proto.bus import Bus, BusError
+from zensim.proto.bus.bus_errors import BusError
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.cli_options import (
     ClientCertificatesOption,
     InsecureOption,

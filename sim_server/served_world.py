@@ -41,7 +41,7 @@ from zensim.sim_server.world_loading.world_loader import LoadedWorld, make_world
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from zensim.proto.bus import Bus
+    from zensim.proto.bus.bus_session import Bus
     from zensim.proto.network_protocols import ServiceCallSource
     from zensim.proto.program_status import ProgramStatus
     from zensim.proto.rosout import LogCollector

@@ -23,7 +23,7 @@ from zensim.sim_server.server_network import RestoringNetwork
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from zensim.proto.bus import Bus
+    from zensim.proto.bus.bus_session import Bus
     from zensim.proto.stop_signal import StopFlag
 
 

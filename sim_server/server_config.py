@@ -17,7 +17,7 @@ from zensim.sim_server.physics.engine_proof.engine_prover import choose_proven_e
 
 if TYPE_CHECKING:
     # A world without network does not load zenoh.
-    from zensim.proto.bus import BusConfig
+    from zensim.proto.bus.bus_config import BusConfig
 
 STEP_HZ = 240.0
 MIN_KINEMATIC_STEP_HZ = 20.0
@@ -158,7 +158,7 @@ def describe_pace(config: ServerConfig) -> str:
 
 def make_server_bus_config(listen: str, connect: str) -> "BusConfig":
     """Configure the server's session: its own router, or a client of the one to connect to."""
-    from zensim.proto.bus import BusConfig  # noqa: PLC0415
+    from zensim.proto.bus.bus_config import BusConfig  # noqa: PLC0415
 
     if connect:
         return BusConfig(mode="client", connect=(connect,))

@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, NoServer, open_bus_with_retry
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import NoServer
+from zensim.proto.bus.bus_session import open_bus_with_retry
 from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.service_catalog import INFO
 from zensim.sim_server.journal.restore_progress import RestoreProgress, count_restorable
@@ -15,6 +17,8 @@ from zensim.sim_server.server_config import ServerConfig, WorldAlreadyServed
 
 if TYPE_CHECKING:
     from contextlib import ExitStack
+
+    from zensim.proto.bus.bus_session import Bus
 
 INFO_TIMEOUT_S = 2.0
 

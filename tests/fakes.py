@@ -17,7 +17,9 @@ from zensim.api.in_process_network import (
     InProcessSubscription,
 )
 from zensim.proto import keys
-from zensim.proto.bus import LATEST, MAX_MESSAGE_BYTES, NoServer
+from zensim.proto.bus.bus_config import MAX_MESSAGE_BYTES
+from zensim.proto.bus.bus_errors import NoServer
+from zensim.proto.bus.bus_session import LATEST
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.keys import intersect
 from zensim.proto.network_protocols import Arrivals, Sample, Stamp

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from zensim.proto.bus import BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import open_bus
 from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
 from zensim.proto.endpoints import check_endpoint
 from zensim.proto.exit_codes import exit_on_failure

@@ -5,7 +5,9 @@ from typing import Annotated
 
 import typer
 
-from zensim.proto.bus import BusConfig, open_bus, to_zenoh_json
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import open_bus
+from zensim.proto.bus.zenoh_config import to_zenoh_json
 from zensim.proto.cli_options import InsecureOption, JsonOption, expand_options, flag, make_app
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_exposure
 from zensim.proto.exit_codes import exit_on_failure

@@ -9,7 +9,8 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from zensim.proto.bus import BusConfig, Credentials, list_client_settings
+from zensim.proto.bus.bus_config import BusConfig, Credentials
+from zensim.proto.bus.zenoh_config import list_client_settings
 from zensim.proto.cli_options import JsonOption, WorldNameOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import JoinToken

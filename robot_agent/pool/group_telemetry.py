@@ -11,13 +11,8 @@ from zensim.proto import keys, message_paths
 from zensim.proto.codec.cdr import encode
 from zensim.proto.codec.cdr_batch import CdrBatch
 from zensim.proto.codec.cdr_layout import HEADER_BYTES
-from zensim.proto.fleet_publisher import (
-    NAMED,
-    OTHERS,
-    UNWANTED,
-    FleetTopicPublisher,
-    TopicMember,
-)
+from zensim.proto.fleet_topics.fleet_publisher import FleetTopicPublisher
+from zensim.proto.fleet_topics.topic_members import NAMED, OTHERS, UNWANTED, TopicMember
 from zensim.proto.joint_transforms import POSE_COLUMNS, JointTransforms
 from zensim.proto.message_paths import list_tf_paths, list_tf_stamps
 from zensim.proto.messages.agent_messages import Claim

@@ -4,7 +4,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from zensim.proto import keys
-from zensim.proto.fleet_publisher import FleetTopicPublisher, TopicMember
+from zensim.proto.fleet_topics.fleet_publisher import FleetTopicPublisher
+from zensim.proto.fleet_topics.topic_members import TopicMember
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.ros2.ros_graph import RosNode
 from zensim.proto.topic_catalog import BUMPER_STATES, TopicSpec

@@ -12,11 +12,9 @@ import numpy as np
 from zensim.proto import keys
 from zensim.proto.cmd_vel_decoding import decode_twist
 from zensim.proto.codec.message_codec import Format, MalformedPayload, make_encoding
-from zensim.proto.fleet_publisher import (
-    FleetTopicPublisher,
-    RosFleetPublisher,
-    TopicMember,
-)
+from zensim.proto.fleet_topics.fleet_publisher import FleetTopicPublisher
+from zensim.proto.fleet_topics.ros_fleet_publisher import RosFleetPublisher
+from zensim.proto.fleet_topics.topic_members import TopicMember
 from zensim.proto.message_paths import ODOMETRY_COLUMNS
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveCommand, DriveState
 from zensim.proto.messages.model_messages import Model

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from zensim.proto.bus import MAX_REQUEST_BYTES
+from zensim.proto.bus.bus_session import MAX_REQUEST_BYTES
 from zensim.proto.codec.message_codec import (
     MalformedPayload,
 )

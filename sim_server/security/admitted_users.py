@@ -6,7 +6,7 @@ from typing import Final
 import msgspec
 
 from zensim.proto import keys
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.messages.telemetry_messages import AuditRecord
 from zensim.proto.security.roles import ROLES_OF_CALLERS, User
 from zensim.sim_server.security.audit_file import AuditFile

@@ -13,15 +13,10 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from zensim.proto import keys
-from zensim.proto.bus import (
-    Bus,
-    BusConfig,
-    BusError,
-    EndpointTaken,
-    LivelinessToken,
-    log_handshakes,
-    open_bus,
-)
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import BusError, EndpointTaken
+from zensim.proto.bus.bus_session import Bus, open_bus
+from zensim.proto.bus.zenoh_runtime import log_handshakes
 from zensim.proto.child_process import STDOUT
 from zensim.proto.endpoints import is_endpoint_taken, to_client_endpoint
 from zensim.proto.printable_text import print_lines
@@ -33,6 +28,8 @@ from zensim.sim_server.security.user_sessions import SessionChange
 
 if TYPE_CHECKING:
     import subprocess
+
+    from zensim.proto.bus.bus_session import LivelinessToken
 
 LOG = logging.getLogger(__name__)
 POLL_S: Final = 0.05

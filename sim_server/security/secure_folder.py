@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from zensim.proto.bounded_files import MAX_OWN_FILE_BYTES, read_file
-from zensim.proto.bus import BusConfig, Credentials, RouterSecurity
+from zensim.proto.bus.bus_config import BusConfig, Credentials, RouterSecurity
 from zensim.proto.endpoints import ENDPOINT_PATTERN, check_endpoint
 from zensim.proto.join_tokens import (
     CERTIFICATE_LABEL,

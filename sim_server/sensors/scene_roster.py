@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.proto import keys
-from zensim.proto.bus import BusError
+from zensim.proto.bus.bus_errors import BusError
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.forward_kinematics import compute_link_poses
 from zensim.proto.messages.asset_messages import GetAssetRequest

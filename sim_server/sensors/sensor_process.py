@@ -13,7 +13,8 @@ import msgspec
 import numpy as np
 
 from zensim.proto import keys
-from zensim.proto.bus import BusConfig, open_bus_with_retry
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import open_bus_with_retry
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
 from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.sensor_messages import (

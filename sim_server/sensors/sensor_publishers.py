@@ -5,7 +5,9 @@ from collections.abc import Iterable, Sequence
 import msgspec
 
 from zensim.proto import keys
-from zensim.proto.fleet_publisher import FleetTopicPublisher, RosFleetPublisher, TopicMember
+from zensim.proto.fleet_topics.fleet_publisher import FleetTopicPublisher
+from zensim.proto.fleet_topics.ros_fleet_publisher import RosFleetPublisher
+from zensim.proto.fleet_topics.topic_members import TopicMember
 from zensim.proto.network_protocols import MAX_COMMAND_BYTES, AgentNetwork
 from zensim.proto.ros2.node_services import NodeServices
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode

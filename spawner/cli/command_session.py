@@ -12,7 +12,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from zensim.proto.bus import BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import open_bus
 from zensim.proto.cli_options import ClientOptions, ConnectionOptions
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure, list_expected_failures

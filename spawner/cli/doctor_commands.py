@@ -9,7 +9,9 @@ from typing import Annotated
 import typer
 
 from zensim.proto import keys, service_catalog
-from zensim.proto.bus import Bus, BusConfig, BusError, JoinRefused, NoServer, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import BusError, JoinRefused, NoServer
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.cli_options import (
     ConnectionOptions,
     JsonOption,

@@ -4,7 +4,8 @@ import time
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 
-from zensim.proto.bus import BusError, BusPublisher
+from zensim.proto.bus.bus_errors import BusError
+from zensim.proto.bus.bus_session import BusPublisher
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse
 from zensim.proto.near_names import name_choices

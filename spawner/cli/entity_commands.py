@@ -14,7 +14,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from zensim.proto.bus import NoServer
+from zensim.proto.bus.bus_errors import NoServer
 from zensim.proto.cli_options import (
     ClientOptions,
     JsonOption,

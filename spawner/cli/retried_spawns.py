@@ -10,7 +10,7 @@ from typing import Final
 import msgspec
 
 from zensim.proto.bounded_files import MAX_OWN_FILE_BYTES, read_file
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.runtime_folder import make_runtime_folder
 from zensim.proto.whole_files import writing_whole
 

@@ -9,7 +9,7 @@ from urllib.request import Request, urlopen
 
 import msgspec
 
-from zensim.proto.bus import Bus, BusSubscription, open_bus
+from zensim.proto.bus.bus_session import Bus, BusSubscription, open_bus
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.standard_messages import (
     Clock,

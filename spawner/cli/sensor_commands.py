@@ -8,7 +8,7 @@ import typer
 from rich.table import Table
 
 from zensim.proto import keys
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, make_app
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.model_messages import Sensor

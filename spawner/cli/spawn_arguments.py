@@ -42,7 +42,7 @@ from zensim.spawner.spawn.spawn_poses import (
 )
 
 if TYPE_CHECKING:
-    from zensim.proto.bus import Bus
+    from zensim.proto.bus.bus_session import Bus
 
 
 def complete_layouts(incomplete: str) -> list[str]:

@@ -12,7 +12,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from zensim.proto.bus import NoServer
+from zensim.proto.bus.bus_errors import NoServer
 from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, flag, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.printable_text import print_lines, printable

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import typer
 
-from zensim.proto.bus import Bus, BusPublisher, CopyingSubscription
+from zensim.proto.bus.bus_session import Bus, BusPublisher, CopyingSubscription
 from zensim.proto.cli_options import ConnectionOptions, JsonOption, expand_options, flag, make_app
 from zensim.proto.codec.message_codec import (
     Format,

@@ -9,7 +9,8 @@ import typer
 import yaml
 from rich.table import Table
 
-from zensim.proto.bus import Bus, BusError
+from zensim.proto.bus.bus_errors import BusError
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.cli_options import (
     ClientOptions,
     ConnectionOptions,

@@ -3,7 +3,7 @@
 from typing import Final
 
 from zensim.proto import keys
-from zensim.proto.bus import BusError
+from zensim.proto.bus.bus_errors import BusError
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.telemetry_messages import GetModelsResponse
 from zensim.proto.near_names import list_near

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from zensim.proto.bus import Bus, BusConfig, BusError, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import BusError
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.cli_options import AccessOptions, ConnectionOptions, JsonOption, flag
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, is_port_taken

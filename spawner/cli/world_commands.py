@@ -10,7 +10,7 @@ import typer
 from rich.table import Table
 
 from zensim.proto.bounded_files import read_text_file
-from zensim.proto.bus import MAX_REQUEST_BYTES
+from zensim.proto.bus.bus_session import MAX_REQUEST_BYTES
 from zensim.proto.cli_options import (
     ClientOptions,
     JsonOption,

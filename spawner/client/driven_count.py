@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from zensim.proto.bus import NoServer
+from zensim.proto.bus.bus_errors import NoServer
 from zensim.spawner.client.sim_client import SimClient
 
 POLL_S: Final = 0.01

@@ -1,7 +1,7 @@
 """GazeboClient: a typed method for each service with a name of Gazebo."""
 
 from zensim.proto import service_catalog
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.messages import gazebo_messages
 from zensim.proto.messages.gazebo_messages import GazeboEntityState, ODEJointProperties
 from zensim.proto.messages.standard_messages import NANOSECONDS, Duration, Point, Time, Wrench

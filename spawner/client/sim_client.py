@@ -6,7 +6,8 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeout
 
-from zensim.proto.bus import Bus, BusSubscription, NoServer
+from zensim.proto.bus.bus_errors import NoServer
+from zensim.proto.bus.bus_session import Bus, BusSubscription
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.simulation_messages import (

@@ -10,7 +10,7 @@ from typing import Final, TypeAlias
 import msgspec
 
 from zensim.proto import keys
-from zensim.proto.bus import BusError
+from zensim.proto.bus.bus_errors import BusError
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.telemetry_messages import Event, EventKind, GetModelsResponse

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from zensim.proto import keys
-from zensim.proto.bus import BusError
+from zensim.proto.bus.bus_errors import BusError
 from zensim.proto.cmd_vel_decoding import decode_twist
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.asset_messages import GetAssetRequest

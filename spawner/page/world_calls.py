@@ -7,7 +7,7 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Final
 
-from zensim.proto.bus import BusError
+from zensim.proto.bus.bus_errors import BusError
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.result_messages import ServiceError, SetSimulationStateCode
 from zensim.proto.network_protocols import CallingNetwork

@@ -30,7 +30,7 @@ from zensim.spawner.spawn.xacro_process import (
 )
 
 if TYPE_CHECKING:
-    from zensim.proto.bus import Bus
+    from zensim.proto.bus.bus_session import Bus
     from zensim.proto.network_protocols import Sample
 
 XACRO_SUFFIX = ".xacro"

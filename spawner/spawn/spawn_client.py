@@ -105,7 +105,7 @@ def wait_for_entity(client: "ServiceClient", entity: str, timeout_s: float) -> N
 
 def _entity_exists(client: "ServiceClient", entity: str) -> bool:
     # Imported here, as service_catalog below: reading a description needs no network.
-    from zensim.proto.bus import NoServer
+    from zensim.proto.bus.bus_errors import NoServer
 
     try:
         client.entity_state(entity)
@@ -319,7 +319,7 @@ def _spawn_part(
 
 def _list_call_errors() -> tuple[type[Exception], ...]:
     # Imported here: reading a description needs no network.
-    from zensim.proto.bus import NoServer
+    from zensim.proto.bus.bus_errors import NoServer
 
     return NoServer, TimeoutError, ServiceError
 

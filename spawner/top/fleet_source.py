@@ -11,7 +11,7 @@ from typing import Final, Generic, TypeVar
 
 import msgspec
 
-from zensim.proto.bus import Bus, BusSubscription, CopyingSubscription
+from zensim.proto.bus.bus_session import Bus, BusSubscription, CopyingSubscription
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.process_messages import AgentStats, ProcessUsage
 from zensim.proto.messages.sensor_messages import SensorStats

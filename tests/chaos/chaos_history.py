@@ -17,7 +17,8 @@ from tests.chaos.history import Answer, Kind, Operation, first_fault
 from tests.chaos.persistence import POLL_S, RestartableServer, ask, run_restartable_server
 from tests.integration.processes import START_S
 from zensim.proto import service_catalog
-from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.messages.entity_messages import GetEntityStateOrder
 from zensim.proto.messages.result_messages import ResultCode, ServiceError, SpawnCode
 from zensim.proto.messages.spawn_messages import DeleteEntityRequest, Resource, SpawnEntityOrder

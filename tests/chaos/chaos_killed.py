@@ -16,7 +16,8 @@ from benchmarks.figures import Figure, Limit
 from tests.chaos.persistence import ANSWER_S, RestartableServer, ask, run_restartable_server
 from tests.integration.processes import START_S, eventually, zensim
 from zensim.proto import service_catalog
-from zensim.proto.bus import Bus, BusSubscription, NoServer
+from zensim.proto.bus.bus_errors import NoServer
+from zensim.proto.bus.bus_session import Bus, BusSubscription
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.entity_messages import GetEntitiesRequest
 from zensim.proto.messages.spawn_messages import DeleteEntityRequest, Resource, SpawnEntityOrder

@@ -11,7 +11,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 from benchmarks.figures import Figure, Limit
 from tests.integration.processes import serving
-from zensim.proto.bus import BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import open_bus
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.spawner.client.sim_client import SimClient

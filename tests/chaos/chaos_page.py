@@ -37,7 +37,7 @@ from tests.integration.page_client import (
     find_control,
 )
 from tests.integration.processes import START_S, eventually, kill, running_up
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.spawner.client.sim_client import SimClient
 
 ROBOTS, ROBOTS_WHEN_SHORT = 10, 2

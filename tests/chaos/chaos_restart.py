@@ -15,7 +15,7 @@ from typing import NamedTuple
 from benchmarks.figures import Figure, Limit
 from tests.integration.journals import kill_hard, serving_with_journal
 from tests.integration.processes import START_S, connected, eventually, free_endpoint, running
-from zensim.proto.bus import NoServer
+from zensim.proto.bus.bus_errors import NoServer
 from zensim.sim_server.journal.restore_progress import RESTORE_MARK_FILE
 from zensim.spawner.client.sim_client import SimClient
 

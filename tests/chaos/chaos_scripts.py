@@ -15,7 +15,8 @@ from collections.abc import Iterator
 import zensim
 from benchmarks.figures import Figure, Limit
 from zensim.proto import keys
-from zensim.proto.bus import BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import open_bus
 from zensim.proto.process_limits import PARENT_PID_VARIABLE
 
 ROUNDS, ROUNDS_WHEN_SHORT = 1000, 3

@@ -17,7 +17,7 @@ from benchmarks.up_programs import find_programs
 from tests.integration.processes import START_S, eventually, kill, running_up
 from tests.integration.sensor_runs import DEPTH, record_lockstep_scans
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusSubscription
+from zensim.proto.bus.bus_session import Bus, BusSubscription
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.standard_messages import NANOSECONDS, Odometry, ns_from_time
 from zensim.proto.topic_catalog import ODOM, SCAN

@@ -18,7 +18,10 @@ import psutil
 
 from benchmarks.figures import Figure, Limit
 from tests.integration.processes import Server, end, eventually, serving
-from zensim.proto.bus import BusConfig, BusError, find_max_sessions, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import BusError
+from zensim.proto.bus.bus_session import open_bus
+from zensim.proto.bus.session_files import find_max_sessions
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.world_messages import LoadWorldRequest

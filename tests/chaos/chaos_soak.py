@@ -22,7 +22,7 @@ import psutil
 from benchmarks.figures import Figure, Limit
 from tests.integration.processes import START_S, Server, eventually, running, serving
 from tests.integration.sensor_runs import lidar_bot, running_sensors
-from zensim.proto.bus import BusSubscription
+from zensim.proto.bus.bus_session import BusSubscription
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.topic_catalog import ODOM, SCAN, TopicSpec
 

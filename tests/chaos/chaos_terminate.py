@@ -26,7 +26,7 @@ from tests.integration.processes import (
     running,
 )
 from zensim.proto import keys
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 
 if TYPE_CHECKING:
     import subprocess

@@ -16,13 +16,15 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from benchmarks.machine import ROOT
 from tests.integration.processes import free_endpoint
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, BusPublisher, BusQuery, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import Bus, BusQuery, open_bus
 from zensim.proto.codec.cdr_layout import find_offsets
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, DriveState
@@ -47,6 +49,9 @@ from zensim.proto.service_catalog import GET_MODELS, INFO
 from zensim.proto.topic_catalog import CLOCK, FLEET_ODOMETRY, ODOM, TF
 from zensim.robot_agent.fleet_odometry import MotionRows
 from zensim.robot_agent.fleet_odometry import make_messages as make_fleet_messages
+
+if TYPE_CHECKING:
+    from zensim.proto.bus.bus_session import BusPublisher
 
 WORLD = "default"
 STAMP = struct.Struct("<iI")

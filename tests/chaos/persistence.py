@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tests.integration.processes import START_S, connected, free_endpoint, kill, running
-from zensim.proto.bus import Bus, NoServer
+from zensim.proto.bus.bus_errors import NoServer
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.service_catalog import Request, Response, Service
 from zensim.spawner.client.sim_client import SimClient
 

@@ -8,7 +8,8 @@ from subprocess import Popen
 
 from tests.integration.processes import START_S, eventually, running, zensim
 from tests.integration.robots import Robot, robot
-from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.telemetry_messages import WorldClock
 from zensim.proto.topic_catalog import CLOCK

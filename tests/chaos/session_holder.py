@@ -6,7 +6,9 @@ holds them until its standard input ends.
 
 import sys
 
-from zensim.proto.bus import Bus, BusConfig, BusError, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import BusError
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.process_limits import raise_file_limit
 
 OPEN_TIMEOUT_S = 6.0

@@ -13,7 +13,9 @@ from tests.fakes import MemoryBus
 from tests.integration.processes import eventually, free_endpoint
 from zensim.api.in_process_network import InProcessNetwork
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, NoServer, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import NoServer
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.keys import intersect
 from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError

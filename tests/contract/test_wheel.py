@@ -137,10 +137,10 @@ def test_server_is_small_on_disk() -> None:
 
 def test_wheel_and_proto_plus_are_both_complete(python: Path) -> None:
     code = (
-        "import proto, zensim.proto.bus\n"
+        "import proto, zensim.proto.bus.bus_session\n"
         "class Point(proto.Message):\n"
         "    x = proto.Field(proto.DOUBLE, number=1)\n"
-        "print(Point(x=2.0).x, zensim.proto.bus.Bus.__name__, zensim.__file__)"
+        "print(Point(x=2.0).x, zensim.proto.bus.bus_session.Bus.__name__, zensim.__file__)"
     )
 
     done = run(python, "-c", code)

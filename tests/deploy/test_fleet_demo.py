@@ -12,7 +12,8 @@ from zensim.deploy.circle_demo import CircleDemo
 from zensim.deploy.demo_patterns import PoseBehaviour
 from zensim.deploy.fleet_demo import FleetDemo, make_demo_motion
 from zensim.deploy.other_commands import find_commanded_robot
-from zensim.proto.bus import Bus, BusConfig, BusPublisher, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import Bus, BusPublisher, open_bus
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.proto.topic_catalog import CMD_VEL

@@ -6,7 +6,7 @@ from typing import Any, cast
 import msgspec
 
 from zensim.proto import keys
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.messages.entity_messages import EntityState, GetEntitiesStatesResponse
 from zensim.proto.messages.telemetry_messages import GetModelsResponse
 from zensim.proto.network_protocols import Sample

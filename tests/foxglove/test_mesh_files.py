@@ -14,7 +14,7 @@ from zensim.proto.messages.asset_messages import GetAssetRequest, GetAssetRespon
 from zensim.proto.service_catalog import GET_ASSET, Service
 
 if TYPE_CHECKING:
-    from zensim.proto.bus import Bus
+    from zensim.proto.bus.bus_session import Bus
 
 THREADS = 4
 CONTENTS = [bytes([number]) * 100 for number in range(THREADS)]

@@ -29,7 +29,7 @@ from tests.integration.processes import (
 )
 from tests.integration.repeatable_run import LOCKSTEP
 from tests.integration.robots import robot
-from zensim.proto.bus import BusError
+from zensim.proto.bus.bus_errors import BusError
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.asset_messages import AssetRef
 from zensim.proto.messages.entity_messages import BoundsType

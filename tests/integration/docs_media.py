@@ -23,7 +23,7 @@ from tests.integration.chromium import Chromium, Tab
 from tests.integration.page_user import PageUser
 from tests.integration.processes import eventually, running, running_up
 from zensim.deploy.demo_patterns import RADIUS, SPEED
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.messages.simulation_messages import State, StepSimulationRequest
 from zensim.proto.service_catalog import STEP_SIMULATION
 from zensim.sim_server.server_config import STEP_HZ

@@ -19,7 +19,9 @@ from typer.testing import CliRunner
 
 from tests.contract.repository import ROOT
 from zensim.deploy.cli import build
-from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import BusError, NoServer
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.process_limits import PARENT_PID_VARIABLE
 from zensim.spawner.client.sim_client import SimClient
 

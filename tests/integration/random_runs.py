@@ -12,7 +12,7 @@ import numpy as np
 
 from tests.integration.processes import Server, eventually, serving
 from zensim.proto import keys
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.engine_proofs import EngineName
 from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand, DriveState

@@ -17,7 +17,7 @@ from tests.integration.processes import (
     wait_for_agents,
 )
 from tests.integration.robots import Robot, robot
-from zensim.proto.bus import Bus, BusSubscription
+from zensim.proto.bus.bus_session import Bus, BusSubscription
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.telemetry_messages import Snapshot
 from zensim.proto.topic_catalog import ODOM

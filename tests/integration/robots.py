@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from tests.integration.processes import Server, eventually
-from zensim.proto.bus import Bus, BusPublisher, BusSubscription
+from zensim.proto.bus.bus_session import Bus, BusPublisher, BusSubscription
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import (

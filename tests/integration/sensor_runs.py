@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from tests.integration.processes import START_S, Server, eventually, running, serving
 from zensim.proto import keys
-from zensim.proto.bus import BusSubscription
+from zensim.proto.bus.bus_session import BusSubscription
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntitiesOrder, SpawnEntity
 from zensim.proto.messages.standard_messages import (

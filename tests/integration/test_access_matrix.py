@@ -11,7 +11,8 @@ import zenoh
 
 from tests.integration.processes import eventually, free_endpoint
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.network_protocols import Closable
 from zensim.proto.security.roles import ROLES, Operation, User, list_keys
 from zensim.sim_server.security.router_process import secured_router

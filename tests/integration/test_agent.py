@@ -20,7 +20,7 @@ from tests.integration.processes import (
     wait_for_agents,
 )
 from zensim.proto import keys
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.messages.standard_messages import JointState, Odometry, String, TFMessage

@@ -13,7 +13,8 @@ import pytest
 import zensim
 from tests.integration.processes import Server, free_endpoint, kill, serving
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.public_names import list_public_names
 
 TIMEOUT_S = 0.3

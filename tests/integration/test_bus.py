@@ -12,21 +12,13 @@ import pytest
 import zenoh
 
 from tests.integration.processes import eventually, free_endpoint
-from zensim.proto import bus as bus_module
 from zensim.proto import keys
-from zensim.proto.bus import (
-    MAX_QUERY_BYTES,
-    MAX_REQUEST_BYTES,
-    MAX_TAKEN,
-    WILDCARD_HZ,
-    Bus,
-    BusConfig,
-    EndpointTaken,
-    EndpointUnreachable,
-    NoServer,
-    find_max_sessions,
-    open_bus,
-)
+from zensim.proto.bus import bus_session, session_files, session_opening
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import EndpointTaken, EndpointUnreachable, NoServer
+from zensim.proto.bus.bus_session import MAX_REQUEST_BYTES, MAX_TAKEN, Bus, open_bus
+from zensim.proto.bus.session_files import find_max_sessions
+from zensim.proto.bus.zenoh_config import MAX_QUERY_BYTES, WILDCARD_HZ
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.endpoints import check_endpoint, with_free_port
 from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError
@@ -464,7 +456,7 @@ def test_open_fails_when_no_router_listens() -> None:
 
 
 def test_open_says_that_the_router_is_full(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bus_module, "MAX_SESSIONS", 1)
+    monkeypatch.setattr(session_files, "MAX_SESSIONS", 1)
     with open_bus(BusConfig(mode="router", listen=("tcp/127.0.0.1:0",))) as router:
         config = BusConfig(connect=(router.endpoint,), open_timeout_s=0.5)
 
@@ -518,19 +510,21 @@ def test_chosen_port_is_kept_for_a_router(host: str) -> None:
 
 def test_router_resets_connections_that_take_no_data(monkeypatch: pytest.MonkeyPatch) -> None:
     limits: list[tuple[int, int]] = []
-    monkeypatch.setattr(bus_module, "limit_unacknowledged_time", lambda *one: limits.append(one))
+    monkeypatch.setattr(
+        session_opening, "limit_unacknowledged_time", lambda *one: limits.append(one)
+    )
     endpoint = free_endpoint()
 
     with open_bus(BusConfig(mode="router", listen=(endpoint,))):
         pass
 
-    assert limits == [(int(endpoint.rpartition(":")[2]), bus_module.MOST_UNACKNOWLEDGED_MS)]
+    assert limits == [(int(endpoint.rpartition(":")[2]), session_opening.MOST_UNACKNOWLEDGED_MS)]
 
 
 def test_declarations_outlive_the_sessions_that_are_replaced(
     router: Bus, client: Bus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bus_module, "RENEW_AFTER", 20)
+    monkeypatch.setattr(bus_session, "RENEW_AFTER", 20)
     messages, tokens = client.subscribe("kept/odom", 10_000), client.watch_tokens("sim/**")
     sent = 0
     with open_bus(BusConfig(connect=(router.endpoint,))) as bus:

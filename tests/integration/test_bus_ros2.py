@@ -13,7 +13,9 @@ from tests.integration.processes import eventually, free_endpoint
 from tests.integration.rmw_sessions import open_rmw_session, subscribe_as_rmw
 from tests.tcp_relay import TcpRelay
 from zensim.proto import topic_endpoints
-from zensim.proto.bus import Bus, BusConfig, BusQuery, BusQueryQueue, open_bus, to_zenoh_json
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import Bus, BusQuery, BusQueryQueue, open_bus
+from zensim.proto.bus.zenoh_config import to_zenoh_json
 from zensim.proto.messages.standard_messages import String
 from zensim.proto.ros2.liveliness_tokens import LATCHED
 from zensim.proto.ros2.ros_graph import RosGraph, RosTopic

@@ -13,7 +13,9 @@ import pytest
 
 from tests.integration.processes import eventually, free_endpoint
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, BusError, JoinRefused, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import BusError, JoinRefused
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.join_tokens import KEY_LABEL, JoinToken, read_pem
 from zensim.proto.security.roles import User
 from zensim.proto.tls_probe import ProbeFailed, fetch_authority

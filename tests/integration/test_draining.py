@@ -8,7 +8,9 @@ from threading import Thread
 
 from tests.integration.processes import eventually, running, serving, zensim
 from tests.integration.scraping import find_free_port, probe
-from zensim.proto.bus import BusConfig, BusError, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import BusError
+from zensim.proto.bus.bus_session import open_bus
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.simulation_messages import SimulateStepsRequest

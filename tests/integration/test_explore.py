@@ -14,7 +14,8 @@ import small_gicp
 from rosbags.typesys import Stores, get_typestore
 
 from tests.integration.processes import eventually, read_json_line, running
-from zensim.proto.bus import BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import open_bus
 from zensim.spawner.client.sim_client import SimClient
 
 FloatArray = npt.NDArray[np.float64]

@@ -32,7 +32,8 @@ PROBE = "closed at once: finds out whether a port is free"
 RULES = {
     "deploy/cli/router_commands.py": ZENOH,
     "proto/bounded_http_server.py": HTTP,
-    "proto/bus.py": "of the configuration of a session that others make",
+    "proto/bus/bus_session.py": "a client of the same network",
+    "proto/bus/session_opening.py": "of the configuration of a session that others make",
     "proto/endpoints.py": PROBE,
     "proto/web_access.py": PAGE,
     "sim_server/security/secure_folder.py": "TLS, and users with join tokens only",

@@ -10,7 +10,8 @@ PROGRAM = """
 import os, sys
 import zensim
 from zensim.deploy.cli import main
-from zensim.proto.bus import BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import open_bus
 
 def connect(endpoint):
     zensim.connect(endpoint, timeout_s=5.0)

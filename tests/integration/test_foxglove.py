@@ -15,7 +15,8 @@ import zensim as api
 from tests.integration.processes import eventually, read_json_line, running
 from tests.node_peers.foxglove_peer import SUBPROTOCOL, FoxglovePeer, connect_peer
 from tests.spawner.packages import make_package, robot_of
-from zensim.proto.bus import BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import open_bus
 from zensim.proto.stl import stl_size
 from zensim.spawner.client.sim_client import SimClient
 

@@ -17,7 +17,7 @@ from tests.integration.ros_client_process import (
     run_observer,
 )
 from tests.proto.ros_hashes import hash_of_service
-from zensim.proto.bus import BusSubscription
+from zensim.proto.bus.bus_session import BusSubscription
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.standard_messages import Float64MultiArray, JointState
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests.integration.processes import eventually, running, serving
 from tests.integration.robots import robot
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.standard_messages import JointState
 from zensim.sim_server.description.builtin_models import read_builtin_model

@@ -21,7 +21,8 @@ from tests.integration.processes import (
 from tests.integration.processes import zensim as run_zensim
 from tests.node_peers.node_packages import FOLDER, run_script
 from tests.recording.recordings import count_by_mcap, count_by_rosbags
-from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.messages.standard_messages import Header, Odometry, Time

@@ -24,7 +24,9 @@ from tests.integration.processes import (
 from tests.integration.processes import zensim as run_zensim
 from tests.recording.recordings import count_by_mcap, count_by_rosbags
 from zensim.api.recorder_process import RecorderProcess
-from zensim.proto.bus import Bus, BusConfig, BusError, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import BusError
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.messages.standard_messages import TFMessage

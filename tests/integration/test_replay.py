@@ -13,7 +13,9 @@ from tests.integration.processes import zensim as run_zensim
 from tests.integration.terminals import on_terminal
 from tests.recording.replays import make_odometry, make_text, write_run
 from zensim.proto import keys, replay_catalog
-from zensim.proto.bus import Bus, BusConfig, BusSubscription, NoServer, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import NoServer
+from zensim.proto.bus.bus_session import Bus, BusSubscription, open_bus
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.messages.replay_messages import ReplayReport, ReplayRequest, ReplaySeekRequest

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from tests.integration.journals import kill_hard, serving_with_journal
 from tests.integration.processes import START_S, connected, eventually, free_endpoint, running
-from zensim.proto.bus import NoServer
+from zensim.proto.bus.bus_errors import NoServer
 from zensim.proto.messages.telemetry_messages import Info
 from zensim.spawner.client.sim_client import SimClient
 

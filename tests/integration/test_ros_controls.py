@@ -21,7 +21,8 @@ from tests.integration.ros_grammar import InvalidToken, check_hash, parse_endpoi
 from tests.integration.ros_rules import BrokenRule, ReceivedSample, check_topic, to_received_sample
 from tests.integration.ros_subscriptions import tokens
 from tests.proto.ros_hashes import hash_of_message
-from zensim.proto.bus import Bus, BusConfig, BusPublisher, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import Bus, BusPublisher, open_bus
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.spawn_messages import DeleteEntityResponse
 from zensim.proto.messages.standard_messages import Odometry

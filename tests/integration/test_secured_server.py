@@ -28,15 +28,9 @@ from tests.integration.processes import zensim as run_zensim
 from tests.integration.terminals import on_terminal
 from tests.node_peers.foxglove_peer import connect_peer
 from zensim.proto import keys
-from zensim.proto.bus import (
-    Bus,
-    BusConfig,
-    BusError,
-    EndpointUnreachable,
-    JoinRefused,
-    NoServer,
-    open_bus,
-)
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import BusError, EndpointUnreachable, JoinRefused, NoServer
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.join_tokens import parse_join_token
 from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand, DriveState

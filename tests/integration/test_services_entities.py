@@ -9,7 +9,7 @@ from tests.feature_checks import FEATURE_CHECKS
 from tests.integration.processes import Server, agent_of, eventually, running_agents, serving
 from tests.integration.robots import robot
 from zensim.proto import keys
-from zensim.proto.bus import BusSubscription
+from zensim.proto.bus.bus_session import BusSubscription
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.entity_messages import (
     Bounds,

@@ -27,7 +27,7 @@ from tests.integration.processes import (
     serving,
     zensim,
 )
-from zensim.proto.bus import TooFewFiles
+from zensim.proto.bus.bus_errors import TooFewFiles
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.web_access import name_cookie
 from zensim.recording.bag_info import read_info

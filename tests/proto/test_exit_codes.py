@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from zensim.proto.bus import BusError, EndpointTaken, EndpointUnreachable, NoServer
+from zensim.proto.bus.bus_errors import BusError, EndpointTaken, EndpointUnreachable, NoServer
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.exit_codes import ExitCode, choose_exit_code, exit_on_failure, format_failure
 from zensim.proto.messages.result_messages import ResultCode, ServiceError, SpawnCode

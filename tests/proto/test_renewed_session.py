@@ -37,12 +37,13 @@ class Declared:
     """A declaration that can move."""
 
     def __init__(self, names: RenewedSession[Session]) -> None:
-        place = names.begin()
-        self.session = place.session
-        assert not self.session.is_closed
-        self.session.declared.add(self)
         self._names = names
-        names.add(self, place)
+        self.session = names.declare(self, self._declare)
+
+    def _declare(self, session: Session) -> Session:
+        assert not session.is_closed
+        session.declared.add(self)
+        return session
 
     def move(self, session: Session) -> object:
         before, self.session = self.session, session
@@ -119,15 +120,22 @@ def test_what_is_declared_stays_declared(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_session_is_not_closed_while_something_is_declared_there() -> None:
     network = Network()
     network.renew()
-    place = network.names.begin()
+    owner = Declared(network.names)
+    owner.close()
+    used: list[Session] = []
+
+    def declare(session: Session) -> None:
+        used.append(session)
+        network.renew()
+        network.renew()
+        assert not session.is_closed
+        raise ConnectionError
+
+    with pytest.raises(ConnectionError):
+        network.names.declare(owner, declare)
 
     network.renew()
-    network.renew()
-
-    assert not place.session.is_closed
-    network.names.give_up(place)
-    network.renew()
-    assert place.session.is_closed
+    assert used[0].is_closed
 
 
 def test_session_that_cannot_be_replaced_is_kept() -> None:

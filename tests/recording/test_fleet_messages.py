@@ -36,7 +36,7 @@ from zensim.robot_agent.fleet_odometry import make_messages
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 
 if TYPE_CHECKING:
-    from zensim.proto.bus import Bus
+    from zensim.proto.bus.bus_session import Bus
 
 WORLD = "default"
 SECOND_NS = 1_000_000_000

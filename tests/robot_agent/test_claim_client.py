@@ -10,7 +10,7 @@ from tests.fakes import MemoryBus, MemoryPendingCall
 from tests.robot_agent.fake_server import AGENT, WORLD, FakeServer
 from tests.robot_agent.models import a_claim
 from zensim.proto import keys
-from zensim.proto.bus import NoServer
+from zensim.proto.bus.bus_errors import NoServer
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import (
     Claim,

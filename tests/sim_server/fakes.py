@@ -11,7 +11,7 @@ import numpy as np
 from tests.engines import STEP_NS, ObedientEngine
 from tests.fakes import MemoryCall
 from tests.models import a_cart, on_ground
-from zensim.proto.bus import BusConfig
+from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import DriveCommand, DriveState
 from zensim.proto.messages.model_messages import Model

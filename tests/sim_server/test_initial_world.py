@@ -7,7 +7,7 @@ import pytest
 from tests.engines import STEP_NS
 from tests.sim_server.changed_configs import with_settings
 from tests.sim_server.journal.journaled_server import JournaledServer
-from zensim.proto.bus import BusConfig
+from zensim.proto.bus.bus_config import BusConfig
 from zensim.sim_server.initial_world import load_initial_world
 from zensim.sim_server.journal.server_journal import Journal, open_journal
 from zensim.sim_server.journal.sqlite_store import JournalError

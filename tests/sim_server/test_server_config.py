@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.sim_server.changed_configs import with_settings
-from zensim.proto.bus import BusConfig
+from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.settings.pace_settings import CONTROL_HZ

@@ -20,16 +20,10 @@ from zensim.api.sim import Sim
 from zensim.api.simulation import read_world_keywords
 from zensim.api.world_access import api_errors
 from zensim.proto import keys
-from zensim.proto.bus import (
-    Bus,
-    BusConfig,
-    BusError,
-    ForkedProcess,
-    JoinRefused,
-    NoSession,
-    open_bus_with_retry,
-    require_threads,
-)
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import BusError, ForkedProcess, JoinRefused, NoSession
+from zensim.proto.bus.bus_session import Bus, open_bus_with_retry
+from zensim.proto.bus.zenoh_runtime import require_threads
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_endpoint, with_free_port
 from zensim.proto.join_tokens import (
     TOKEN_VARIABLE,

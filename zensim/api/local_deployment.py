@@ -14,17 +14,11 @@ from urllib.parse import urlsplit
 
 import msgspec
 
-from zensim.proto.bus import (
-    Bus,
-    BusConfig,
-    BusError,
-    BusSubscription,
-    ForkedProcess,
-    NoServer,
-    open_bus,
-    require_files,
-    require_threads,
-)
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import BusError, ForkedProcess, NoServer
+from zensim.proto.bus.bus_session import Bus, BusSubscription, open_bus
+from zensim.proto.bus.session_files import require_files
+from zensim.proto.bus.zenoh_runtime import require_threads
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.endpoints import is_endpoint_taken, to_client_endpoint
 from zensim.proto.messages.drive_messages import DriveOrder

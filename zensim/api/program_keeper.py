@@ -19,7 +19,9 @@ from zensim.api.local_deployment import (
     start_programs,
 )
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, BusError, TooFewFiles, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import BusError, TooFewFiles
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.supervisor import ProgramDied, Supervisor
 
 LOG = logging.getLogger(__name__)

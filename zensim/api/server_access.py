@@ -17,7 +17,8 @@ from zensim.api.step_channel import StepChannel
 from zensim.api.world_access import Message, TopicFeed, WorldAccess
 from zensim.api.world_state import WorldState, make_world_state
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusPublisher, BusSubscription, LivelinessToken, NoServer
+from zensim.proto.bus.bus_errors import NoServer
+from zensim.proto.bus.bus_session import Bus, BusSubscription
 from zensim.proto.codec.message_codec import (
     Format,
     MalformedPayload,
@@ -50,6 +51,7 @@ from zensim.spawner.client.sim_client import SimClient
 
 if TYPE_CHECKING:
     from zensim.api.recorder_process import RecorderProcess
+    from zensim.proto.bus.bus_session import BusPublisher, LivelinessToken
 
 POLL_S = 0.01
 FRESH_S = 0.01

@@ -46,7 +46,7 @@ from zensim.api.world_session import (
     make_not_found,
 )
 from zensim.proto.bounded_files import read_text_file
-from zensim.proto.bus import MAX_REQUEST_BYTES
+from zensim.proto.bus.bus_session import MAX_REQUEST_BYTES
 from zensim.proto.messages.entity_messages import CastRaysRequest
 from zensim.proto.messages.fault_messages import (
     FOR_EVER,

@@ -3,7 +3,7 @@
 import time
 
 from zensim.proto import keys
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.simulation_messages import SimulateStepsRequest, SimulateStepsResponse
 

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from zensim.proto.bus import BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import open_bus
 from zensim.proto.cli_options import (
     AccessOptions,
     ConnectionOptions,

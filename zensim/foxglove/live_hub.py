@@ -6,7 +6,7 @@ from contextlib import ExitStack, suppress
 from functools import partial
 from itertools import islice
 from threading import BoundedSemaphore
-from typing import Final, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
 from zensim.foxglove import foxglove_protocol as protocol
 from zensim.foxglove.foxglove_protocol import AnyClientMessage, ServerMessage, WorldParameter
@@ -14,12 +14,15 @@ from zensim.foxglove.live_topics import LiveTopic
 from zensim.foxglove.topic_sources import TimedPayload, TopicSource, make_source
 from zensim.foxglove.world_control import FAILURES, DriverChannel, WorldControl
 from zensim.foxglove.world_topics import WorldTopics
-from zensim.proto.bus import Bus, BusSubscription
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.standard_messages import ns_from_time
 from zensim.proto.messages.telemetry_messages import WorldClock
 from zensim.proto.topic_catalog import CLOCK
+
+if TYPE_CHECKING:
+    from zensim.proto.bus.bus_session import BusSubscription
 
 NAME: Final = "zensim"
 CONTROL_IS_OFF: Final = "control is off; start 'zensim foxglove' with --allow-control"

@@ -7,7 +7,7 @@ from threading import Lock
 from typing import Final
 
 from zensim.foxglove.scene_entities import MESH_URL
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.messages.asset_messages import MAX_FILE_BYTES, GetAssetRequest
 from zensim.proto.service_catalog import GET_ASSET
 from zensim.spawner.client.service_client import ServiceClient

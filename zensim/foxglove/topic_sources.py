@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from typing import Final, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Final, Protocol, TypeAlias, TypeVar
 
 import msgspec
 
@@ -16,7 +16,7 @@ from zensim.foxglove.merged_transforms import (
 )
 from zensim.foxglove.scene_entities import update_scene, whole_scene
 from zensim.foxglove.scene_messages import SceneEntity
-from zensim.proto.bus import Bus, BusSubscription
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.cmd_vel_decoding import MIN_STAMPED_BYTES
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
 from zensim.proto.message_times import choose_time, make_stamp_reader
@@ -26,6 +26,9 @@ from zensim.proto.messages.standard_messages import (
     TwistStamped,
     time_from_ns,
 )
+
+if TYPE_CHECKING:
+    from zensim.proto.bus.bus_session import BusSubscription
 
 Item = TypeVar("Item")
 TimedPayload: TypeAlias = tuple[int, bytes]

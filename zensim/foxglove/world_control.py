@@ -14,7 +14,8 @@ from zensim.foxglove.foxglove_protocol import (
     WorldParameter,
 )
 from zensim.proto import keys, service_catalog
-from zensim.proto.bus import Bus, BusError, BusPublisher
+from zensim.proto.bus.bus_errors import BusError
+from zensim.proto.bus.bus_session import Bus, BusPublisher
 from zensim.proto.codec.cdr_layout import find_ros_class
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode, make_encoding
 from zensim.proto.messages.result_messages import ServiceError

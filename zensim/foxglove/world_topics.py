@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from zensim.foxglove.live_topics import LiveTopic, list_live_topics
 from zensim.foxglove.merged_transforms import Transform, make_transform
 from zensim.foxglove.scene_entities import WORLD_FRAME, make_scene
-from zensim.proto.bus import Bus
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.messages.entity_messages import (
     EntityFilters,
     EntityState,

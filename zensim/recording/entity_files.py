@@ -11,7 +11,7 @@ from typing import Final
 import msgspec
 
 from zensim.proto.bounded_files import FileTooLarge, NotRegularFile, read_text_file
-from zensim.proto.bus import BusError
+from zensim.proto.bus.bus_errors import BusError
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.asset_messages import MAX_FILE_BYTES, GetAssetRequest
 from zensim.proto.messages.model_messages import Model

@@ -46,7 +46,7 @@ from zensim.recording.recorded_topics import RecordedTopic
 from zensim.spawner.client.service_client import ServiceClient
 
 if TYPE_CHECKING:
-    from zensim.proto.bus import Bus
+    from zensim.proto.bus.bus_session import Bus
 
 DEPTH: Final = 4096
 MAX_WAITING_BYTES: Final = 32 << 20

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple, Protocol
 
 import msgspec
 
-from zensim.proto.bus import BusError
+from zensim.proto.bus.bus_errors import BusError
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.drive_topic_keys import resolve_odom_key, resolve_topic_key
 from zensim.proto.messages.drive_messages import DriveSettings

@@ -5,7 +5,7 @@ from typing import Final
 
 import msgspec
 
-from zensim.proto.bus import NoServer
+from zensim.proto.bus.bus_errors import NoServer
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import Event, Info, InfoRequest
 from zensim.proto.network_protocols import CallingNetwork

@@ -17,7 +17,7 @@ from tests.integration.page_controls import Control, PageControls
 from tests.integration.processes import Server, eventually
 from tests.integration.test_page_sensors import WALL
 from tests.integration.test_view import read
-from zensim.proto.bus import BusPublisher
+from zensim.proto.bus.bus_session import BusPublisher
 from zensim.proto.codec.message_codec import Format, make_encoding
 from zensim.proto.messages.entity_messages import EntityState
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntity

@@ -14,7 +14,7 @@ from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.recording.replay.living_topics import TopicsInUse, require_unused
 
 if TYPE_CHECKING:
-    from zensim.proto.bus import Bus
+    from zensim.proto.bus.bus_session import Bus
 
 KEYS = ("r1/odom", "team/r2/odom", "clock")
 

@@ -455,7 +455,7 @@ class LargePool:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.clock = ManualClock(100.0)
-        monkeypatch.setattr("zensim.proto.fleet_publisher.time.monotonic", self.clock)
+        monkeypatch.setattr("zensim.proto.fleet_topics.topic_members.time.monotonic", self.clock)
         self.bus = MemoryBus()
         watches = SubscriberWatches(self.bus)
         watches.budget = self.budget = MessageBudget(1000.0, self.clock)

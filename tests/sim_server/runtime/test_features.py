@@ -15,7 +15,7 @@ from zensim.sim_server.services.service_registry import FEATURES, SERVICE_TABLE
 from zensim.spawner.client.sim_client import SimClient
 
 if TYPE_CHECKING:
-    from zensim.proto.bus import Bus
+    from zensim.proto.bus.bus_session import Bus
 
 
 def a_client() -> SimClient:

@@ -5,7 +5,7 @@ import pytest
 from tests.fakes import MemoryBus, MemoryCall
 from zensim.api.in_process_network import InProcessPublisher
 from zensim.proto import keys
-from zensim.proto.bus import BusPublisher
+from zensim.proto.bus.bus_session import BusPublisher
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.messages.agent_messages import DriveState
 from zensim.proto.network_protocols import ServiceCall

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, cast
 import pytest
 
 from tests.fakes import MemoryBus
-from zensim.proto.bus import NoServer
+from zensim.proto.bus.bus_errors import NoServer
 from zensim.proto.messages.simulation_messages import GetSimulationStateRequest, State
 from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.service_catalog import GET_ENTITIES, GET_SIMULATION_STATE, INFO

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, cast
 import pytest
 
 from tests.fakes import ManualClock
-from zensim.proto.bus import NoServer
+from zensim.proto.bus.bus_errors import NoServer
 from zensim.proto.messages.asset_messages import GetAssetRequest, GetAssetResponse
 from zensim.sim_server.sensors.scene_roster import ASSET_TIMEOUT_S, FETCH_S, SceneMeshes
 

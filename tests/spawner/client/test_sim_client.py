@@ -6,7 +6,7 @@ import pytest
 
 from tests.fakes import MemoryBus
 from tests.sim_server.fakes import WallTime, a_world, make_parts, names_in
-from zensim.proto.bus import Bus, NoServer
+from zensim.proto.bus.bus_errors import NoServer
 from zensim.proto.messages.entity_messages import EntityState
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
@@ -20,6 +20,7 @@ from zensim.sim_server.runtime.restore_replies import RestoreReplies
 from zensim.spawner.client.sim_client import SimClient
 
 if TYPE_CHECKING:
+    from zensim.proto.bus.bus_session import Bus
     from zensim.proto.network_protocols import ServerNetwork
 
 

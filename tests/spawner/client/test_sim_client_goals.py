@@ -19,7 +19,7 @@ from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
 from zensim.spawner.client.sim_client import OnProgress, SimClient, run_step_goal
 
 if TYPE_CHECKING:
-    from zensim.proto.bus import Bus
+    from zensim.proto.bus.bus_session import Bus
     from zensim.proto.messages.simulation_messages import StepsGoalStatus
     from zensim.sim_server.world.simulated_world import SimulatedWorld
 

@@ -16,7 +16,7 @@ from tests.spawner.page.builders import (
     make_wall,
 )
 from zensim.proto import keys, topic_catalog
-from zensim.proto.bus import NoServer
+from zensim.proto.bus.bus_errors import NoServer
 from zensim.proto.messages.asset_messages import GetAssetRequest, GetAssetResponse
 from zensim.proto.messages.model_messages import Link, Model, Shape, Texture
 from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from tests.integration.processes import eventually
-from zensim.proto.bus import NoServer
+from zensim.proto.bus.bus_errors import NoServer
 from zensim.proto.messages.result_messages import ServiceError, SetSimulationStateCode
 from zensim.proto.messages.simulation_messages import (
     RunToRequest,

@@ -33,7 +33,7 @@ from zensim.spawner.spawn.description_xml import parse_description
 from zensim.spawner.spawn.search_paths import SearchPaths, collect_search_paths
 
 if TYPE_CHECKING:
-    from zensim.proto.bus import Bus
+    from zensim.proto.bus.bus_session import Bus
 
 BASE, DRAWN = "package://my_robot/meshes/base.stl", "package://my_robot/meshes/drawn.stl"
 

@@ -30,7 +30,7 @@ from zensim.spawner.spawn.description_xml import MAX_TEXT_BYTES, DescriptionErro
 from zensim.spawner.spawn.search_paths import SearchPaths, collect_search_paths
 
 if TYPE_CHECKING:
-    from zensim.proto.bus import Bus
+    from zensim.proto.bus.bus_session import Bus
 
 HEAD = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
 INCLUDE = HEAD + '<xacro:include filename="$(find parts)/urdf/part.xacro"/><xacro:part/></robot>'

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fakes import MemoryBus
-from zensim.proto.bus import Bus, NoServer
+from zensim.proto.bus.bus_errors import NoServer
 from zensim.proto.messages.entity_messages import EntityFilters, EntityState
 from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError, SpawnCode
 from zensim.proto.messages.spawn_messages import (
@@ -39,6 +39,9 @@ from zensim.spawner.spawn.spawn_client import (
     wait_for_entity,
 )
 from zensim.spawner.spawn.spawn_poses import RobotPlacement, make_pose
+
+if TYPE_CHECKING:
+    from zensim.proto.bus.bus_session import Bus
 
 
 def refusal(code: ResultCode) -> ServiceError:

@@ -20,7 +20,8 @@ import zensim
 from tests.integration.processes import START_S, eventually
 from zensim.api.step_channel import StepChannel
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.simulation_messages import SimulateStepsRequest
 from zensim.proto.service_catalog import SIMULATE_STEPS

@@ -13,7 +13,8 @@ from typing import Annotated, get_args
 import msgspec
 import typer
 
-from zensim.proto.bus import Bus, BusConfig, open_bus, receive_in_one_thread
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import Bus, open_bus, receive_in_one_thread
 from zensim.proto.cli_options import (
     ConnectionOptions,
     JsonOption,

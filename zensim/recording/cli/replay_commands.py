@@ -13,7 +13,9 @@ import typer
 from typer.core import TyperCommand
 
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, EndpointUnreachable, open_bus
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_errors import EndpointUnreachable
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.cli_options import (
     ConnectOption,
     JsonOption,

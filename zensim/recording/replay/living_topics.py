@@ -9,7 +9,7 @@ from zensim.proto.topic_catalog import TOPICS
 from zensim.spawner.client.service_client import ServiceClient
 
 if TYPE_CHECKING:
-    from zensim.proto.bus import Bus
+    from zensim.proto.bus.bus_session import Bus
 
 PUBLISHER: Final = "MP"
 ROOT_KEYS: Final = frozenset(one.suffix for one in TOPICS.values() if one.root_message is not None)

@@ -5,16 +5,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from zensim.proto import bus
-from zensim.proto.bus import (
-    LEAST_ATTEMPT_S,
-    BusConfig,
-    BusError,
-    Credentials,
-    EndpointUnreachable,
-    JoinRefused,
-    open_bus_with_retry,
-)
+from zensim.proto.bus import bus_session
+from zensim.proto.bus.bus_config import BusConfig, Credentials
+from zensim.proto.bus.bus_errors import BusError, EndpointUnreachable, JoinRefused
+from zensim.proto.bus.bus_session import LEAST_ATTEMPT_S, open_bus_with_retry
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -37,7 +31,7 @@ class Attempts:
 
 def test_attempts_follow_each_other_with_a_pause(monkeypatch: pytest.MonkeyPatch) -> None:
     attempts = Attempts(EndpointUnreachable(), EndpointUnreachable())
-    monkeypatch.setattr(bus, "open_bus", attempts)
+    monkeypatch.setattr(bus_session, "open_bus", attempts)
 
     open_bus_with_retry(BusConfig(), 60.0)
 
@@ -47,10 +41,10 @@ def test_attempts_follow_each_other_with_a_pause(monkeypatch: pytest.MonkeyPatch
 
 
 def test_server_whose_router_is_busy_tries_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bus, "open_bus", Attempts(BUSY, BUSY))
+    monkeypatch.setattr(bus_session, "open_bus", Attempts(BUSY, BUSY))
 
     assert open_bus_with_retry(OWN, 60.0) is not None
-    monkeypatch.setattr(bus, "open_bus", Attempts(BUSY))
+    monkeypatch.setattr(bus_session, "open_bus", Attempts(BUSY))
     with pytest.raises(JoinRefused):
         open_bus_with_retry(OWN, 0.0)
 
@@ -63,7 +57,7 @@ def test_refusal_ends_the_attempts(
     config: BusConfig, error: BusError, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     attempts = Attempts(error)
-    monkeypatch.setattr(bus, "open_bus", attempts)
+    monkeypatch.setattr(bus_session, "open_bus", attempts)
 
     with pytest.raises(type(error)):
         open_bus_with_retry(config, 60.0)

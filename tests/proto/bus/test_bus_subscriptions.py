@@ -1,6 +1,6 @@
 """The queue of messages that wait long."""
 
-from zensim.proto.bus import CopiedSamples
+from zensim.proto.bus.bus_session import CopiedSamples
 from zensim.proto.network_protocols import Sample
 
 

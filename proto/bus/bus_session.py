@@ -1,13 +1,7 @@
-"""Zenoh sessions, publishers, subscriptions, queries, liveliness tokens and service calls.
+"""A session of Zenoh, and what it declares, asks and calls."""
 
-No other module imports zenoh.
-"""
-
-import base64
 import hashlib
-import json
 import os
-import socket
 import threading
 import time
 import uuid
@@ -17,33 +11,22 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import cached_property, partial
 from itertools import cycle
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Final, Generic, Literal, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar, cast
 
 import msgspec
 import zenoh
 from zenoh.handlers import Callback, FifoChannel, RingChannel
 
 from zensim.proto import keys
+from zensim.proto.bus.bus_config import MAX_MESSAGE_BYTES, BusConfig
+from zensim.proto.bus.bus_errors import EndpointUnreachable, JoinRefused, NoServer
+from zensim.proto.bus.join_attempt import ask_for_refusal
+from zensim.proto.bus.session_opening import OPEN_TIMEOUTS_S, open_session
 from zensim.proto.bus_traffic import BusTraffic
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
-from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_endpoint, with_free_port
-from zensim.proto.join_tokens import (
-    JoinToken,
-    complete_address,
-    decode_base64,
-    is_join_address,
-    read_join_address,
-)
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
-from zensim.proto.network_protocols import (
-    MAX_COMMAND_BYTES,
-    MAX_FLEET_COMMAND_BYTES,
-    MAX_REQUEST_ID_BYTES,
-    Sample,
-    Stamp,
-)
-from zensim.proto.process_limits import limit_unacknowledged_time, raise_file_limit
-from zensim.proto.renewed_session import RENEW_AFTER, Declaration, RenewedSession
+from zensim.proto.network_protocols import MAX_REQUEST_ID_BYTES, Sample, Stamp
+from zensim.proto.renewed_session import RENEW_AFTER, RenewedSession
 from zensim.proto.reply_sender import REPLY_BYTES, ReplySender, Send
 from zensim.proto.service_catalog import (
     SPAWN_ENTITIES,
@@ -58,27 +41,47 @@ from zensim.proto.token_thread import TokenThread
 if TYPE_CHECKING:
     from zenoh.handlers import Handler
 
-    from zensim.proto.tls_probe import ProbeFailed
-
-MAX_REQUEST_BYTES = 3 << 20
-"""Encoded size limit: decoding a larger request would delay the physics step."""
-
-Message = TypeVar("Message", bound=msgspec.Struct)
+RUNTIME_VARIABLE: Final = "ZENOH_RUNTIME"
+"""Read by Zenoh when the first session of a process is opened."""
+LEAST_ATTEMPT_S: Final = 0.05
+"""Least time between attempts: a join token is refused at once where nothing listens."""
+MOVE_TIMEOUT_S, MOVE_POLL_S = 0.2, 0.001
+"""Patience with subscribers of a moved publisher: how long, and how often it looks [s]."""
 Item = TypeVar("Item")
 Item_co = TypeVar("Item_co", covariant=True)
-
-SPAWNS: Final = frozenset({SPAWN_ENTITY.name, SPAWN_ENTITIES.name})
-MAX_UNANSWERED: Final = 64
-"""Spawns that got no reply in time, and whose ids are kept for a retry."""
 MAX_COPIED_BYTES: Final = 32 << 20
 """Most bytes of payloads that a subscription of `subscribe_copying` keeps."""
-MAX_EXPECTED_KEYS: Final = 4096
-"""Keys that a session declares for what it receives: 0.2 ms each, and memory of the router."""
+LATEST: Final = 1
+"""Subscription depth that keeps only the newest sample, for one publisher on one key."""
+MAX_REQUEST_BYTES = 3 << 20
+"""Encoded size limit: decoding a larger request would delay the physics step."""
+Message = TypeVar("Message", bound=msgspec.Struct)
 MAX_TAKEN: Final = 256
 """Requests that one `take` returns, so that it takes about a millisecond at most."""
 EMPTY_PAYLOAD: Final = zenoh.ZBytes(b"")
-RUNTIME_VARIABLE: Final = "ZENOH_RUNTIME"
-"""Read by Zenoh when the first session of a process is opened."""
+RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
+"""A query may return nothing after a reconnect (zenoh#2767): retry with the same id."""
+SPAWNS: Final = frozenset({SPAWN_ENTITY.name, SPAWN_ENTITIES.name})
+MAX_UNANSWERED: Final = 64
+"""Spawns that got no reply in time, and whose ids are kept for a retry."""
+MAX_EXPECTED_KEYS: Final = 4096
+"""Keys that a session declares for what it receives: 0.2 ms each, and memory of the router."""
+NEVER: Final = 1 << 62
+"""A router keeps no key of its own session."""
+MAX_LINK_EVENTS: Final = 65536
+"""Links that opened or closed, and were not taken yet."""
+MAX_REPLIES: Final = 16384
+"""Queue length for the replies to a query; a ring channel loses replies when the query ends."""
+LEAST_TIMEOUT_S: Final = 0.01
+"""Least timeout of a retried query, even if the time of its call is over."""
+
+
+def receive_in_one_thread() -> None:
+    """Let one thread receive for all sessions of this process; call it before the first one.
+
+    Two of them take each other's work, which wakes both: 30 % more CPU time of a recorder.
+    """
+    os.environ.setdefault(RUNTIME_VARIABLE, "(rx: (worker_threads: 1))")
 
 
 class HeldMessages:
@@ -117,6 +120,31 @@ class HeldMessages:
         finally:
             self._thread = 0
             self.send()
+
+
+def to_sample(sample: zenoh.Sample) -> Sample:
+    """Convert a Zenoh sample."""
+    return copy_sample(sample, sample.payload)
+
+
+def copy_sample(sample: zenoh.Sample, payload: zenoh.ZBytes) -> Sample:
+    """Copy a message whose payload was read already."""
+    attachment = sample.attachment
+    return Sample(
+        str(sample.key_expr),
+        payload.to_bytes(),
+        str(sample.encoding),
+        attachment.to_bytes() if attachment else b"",
+    )
+
+
+def to_key_expression(key: str) -> zenoh.KeyExpr:
+    """Check a key or pattern; raises ValueError for one that Zenoh does not know."""
+    try:
+        canonical: zenoh.KeyExpr = zenoh.KeyExpr.autocanonize(key)
+    except zenoh.ZError as error:
+        raise ValueError(f"key {key[:80]!r} is not valid; use names joined by '/'") from error
+    return canonical
 
 
 class _KeyPublisher:
@@ -159,7 +187,7 @@ class BusPublisher(_KeyPublisher):
     ) -> None:
         self._declare = declare
         self._names = names
-        self._publisher = _declare_among(names, self, declare)
+        self._publisher = names.declare(self, declare)
         self._traffic = traffic
         self._held = held
         self._put = self._publisher.put
@@ -172,7 +200,7 @@ class BusPublisher(_KeyPublisher):
         if self._changes is None:
             # A query of the status costs ten times as much as a listener.
             self._changes = self._publisher.declare_matching_listener(RingChannel(1))
-            self._was_matched = _is_matched(self._publisher)
+            self._was_matched = is_matched_by_any(self._publisher)
         while (change := self._changes.try_recv()) is not None:
             self._was_matched = change.matching
         return self._was_matched
@@ -184,7 +212,7 @@ class BusPublisher(_KeyPublisher):
         if self._changes is not None:
             changes = publisher.declare_matching_listener(RingChannel(1))
             deadline_s = time.monotonic() + MOVE_TIMEOUT_S
-            while self._was_matched and not _is_matched(publisher):
+            while self._was_matched and not is_matched_by_any(publisher):
                 if time.monotonic() > deadline_s:
                     self._was_matched = False
                 time.sleep(MOVE_POLL_S)
@@ -202,25 +230,10 @@ class BusPublisher(_KeyPublisher):
         self._names.remove(self)
 
 
-def _is_matched(publisher: zenoh.Publisher) -> bool:
+def is_matched_by_any(publisher: zenoh.Publisher) -> bool:
+    """Whether a publisher has subscribers."""
     # The stub says bool; it is a MatchingStatus.
     return bool(publisher.matching_status.matching)  # type: ignore[attr-defined]
-
-
-def _declare_among(
-    names: "RenewedSession[zenoh.Session]",
-    owner: "Declaration[zenoh.Session]",
-    declare: Callable[[zenoh.Session], Item],
-) -> Item:
-    """Declare what comes and goes with a name."""
-    place = names.begin()
-    try:
-        declared = declare(place.session)
-    except BaseException:
-        names.give_up(place)
-        raise
-    names.add(owner, place)
-    return declared
 
 
 class UndeclaredPublisher(_KeyPublisher):
@@ -261,27 +274,32 @@ class BusSubscriberWatch:
     subscribers match them the session knows itself.
     """
 
-    def __init__(self, bus: "Bus", session: zenoh.Session, patterns: Iterable[str]) -> None:
-        self._bus = bus
+    def __init__(
+        self,
+        session: zenoh.Session,
+        patterns: Iterable[str],
+        *,
+        traffic: BusTraffic,
+        held: HeldMessages,
+        close: Callable[[], None],
+    ) -> None:
         self._session = session
-        self._standing = [session.declare_publisher(_to_key_expression(one)) for one in patterns]
+        self._standing = [session.declare_publisher(to_key_expression(one)) for one in patterns]
+        self._traffic = traffic
+        self._held = held
+        self.close = close
+        """Closes the session."""
 
     def has_subscribers(self, key: str) -> bool:
         """Whether a key expression has a subscriber."""
         tried = self._session.declare_publisher(key)
-        is_matched = _is_matched(tried)
+        is_matched = is_matched_by_any(tried)
         tried.undeclare()
         return is_matched
 
     def advertise(self, key: str, encoding: str) -> UndeclaredPublisher:
         """Make a publisher that declares nothing."""
-        return UndeclaredPublisher(
-            self._session, key, encoding, self._bus.traffic, self._bus.held_messages
-        )
-
-    def close(self) -> None:
-        """Close the session."""
-        self._bus.close()
+        return UndeclaredPublisher(self._session, key, encoding, self._traffic, self._held)
 
 
 class ArrivalSignal:
@@ -354,16 +372,16 @@ class ItemQueue(Protocol[Item_co]):
         """Take the oldest; None if there is none."""
 
 
-_Handler = tuple[Callable[[Item], object], ItemQueue[Item]]
+QueueHandler = tuple[Callable[[Item], object], ItemQueue[Item]]
 """Handler that Zenoh declares: what is called with each message, and the queue."""
 
 
-def _make_queue(
+def make_queue(
     depth: int, signal: ArrivalSignal | None, *, is_of_requests: bool = False
-) -> _Handler[Item]:
+) -> QueueHandler[Item]:
     """Make the queue of a declaration, which signals what arrives, or which is polled."""
     if signal is None:
-        return cast("_Handler[Item]", RingChannel(depth))
+        return cast("QueueHandler[Item]", RingChannel(depth))
     queue: ArrivedQueue[Item] = signal.make_queue(depth, is_of_requests=is_of_requests)
     return Callback(queue.add, indirect=False), queue
 
@@ -388,7 +406,7 @@ class BusSubscription:
         while (sample := receive()) is not None:
             payload = sample.payload  # a copy of a reference, which takes a tenth of the time
             if len(payload) <= max_bytes:  # before it is copied
-                found.append(_make_sample(sample, payload))
+                found.append(copy_sample(sample, payload))
         if found:
             self._traffic.received += len(found)
             self._traffic.received_bytes += sum([len(one.payload) for one in found])
@@ -701,7 +719,7 @@ class LivelinessToken:
     def __init__(self, key: str, names: "RenewedSession[zenoh.Session]") -> None:
         self._key = key
         self._names = names
-        self._token = _declare_among(names, self, self._declare)
+        self._token = names.declare(self, self._declare)
 
     def _declare(self, session: zenoh.Session) -> zenoh.LivelinessToken:
         return session.liveliness().declare_token(self._key)
@@ -805,272 +823,9 @@ class PendingBusCall(Generic[Response]):
         self._replies, self._retry_s = None, time.monotonic() + pause_s
 
 
-def receive_in_one_thread() -> None:
-    """Let one thread receive for all sessions of this process; call it before the first one.
-
-    Two of them take each other's work, which wakes both: 30 % more CPU time of a recorder.
-    """
-    os.environ.setdefault(RUNTIME_VARIABLE, "(rx: (worker_threads: 1))")
-
-
-def to_sample(sample: zenoh.Sample) -> Sample:
-    """Convert a Zenoh sample."""
-    return _make_sample(sample, sample.payload)
-
-
-def _make_sample(sample: zenoh.Sample, payload: zenoh.ZBytes) -> Sample:
-    attachment = sample.attachment
-    return Sample(
-        str(sample.key_expr),
-        payload.to_bytes(),
-        str(sample.encoding),
-        attachment.to_bytes() if attachment else b"",
-    )
-
-
-__all__ = [
-    "LATEST",
-    "MAX_MESSAGE_BYTES",
-    "ArrivalSignal",
-    "Bus",
-    "BusConfig",
-    "BusError",
-    "BusPublisher",
-    "BusQuery",
-    "BusQueryQueue",
-    "BusReceiver",
-    "BusSubscriberWatch",
-    "BusSubscription",
-    "CopyingSubscription",
-    "Credentials",
-    "EndpointTaken",
-    "EndpointUnreachable",
-    "ForkedProcess",
-    "JoinRefused",
-    "LinkWatch",
-    "LivelinessToken",
-    "LivelinessWatch",
-    "NewestSubscription",
-    "NoServer",
-    "PendingBusCall",
-    "RouterSecurity",
-    "TooFewFiles",
-    "UndeclaredPublisher",
-    "list_client_settings",
-    "log_handshakes",
-    "open_bus",
-    "receive_in_one_thread",
-    "require_files",
-    "require_threads",
-    "to_zenoh_json",
-]
-
-MAX_MESSAGE_BYTES: Final = 64 << 20
-"""Zenoh drops a larger message without a word, so a request beyond it gets no reply. A link may
-hold as much memory; Zenoh's default is 1 GiB."""
-BATCHES_OF_DATA: Final = 16
-"""Batches of 64 KiB that a link may hold before messages are dropped; Zenoh's default is 2. The
-scans of a hundred robots, published at once, are 150 kB; memory is allocated when it is needed."""
-LINK_TIMEOUT_US: Final = 100_000
-"""A link whose queue stays full for so long under replies is closed; Zenoh's default is 5 s."""
-MOST_UNACKNOWLEDGED_MS: Final = 1800
-"""A connection whose peer takes no data for so long is reset. It is less than the lease of our
-clients: Zenoh closes a link at the end of its lease, and until the last bytes are written, which a
-stopped process never reads, nothing that is published reaches anybody through that router task."""
-CLIENT_LEASE_MS: Final = 2000
-"""Lease of clients such as agents; it is short so that another agent gets their robots soon."""
-ROUTER_LEASE_MS: Final = 10_000
-"""Each side of a link waits for the lease that the other one announces. A host of ROS 2 that stalls
-for longer closes its link to us, and the calls that wait for a reply get none."""
-MAX_QUERY_BYTES: Final = 4 << 20
-"""A router ends a larger query without a reply at once; servers refuse it from 3 MiB on."""
-SIZE_LIMITS: Final = (
-    {
-        "id": "queries",
-        "messages": ["query"],
-        "flows": ["ingress"],
-        "key_exprs": ["**"],
-        "size_limit": MAX_QUERY_BYTES,
-    },
-    {
-        "id": "commands",
-        "messages": ["put"],
-        "flows": ["ingress"],
-        "key_exprs": [
-            *("**/cmd_vel", "**/cmd_vel/**"),
-            *("**/joint_commands", "**/joint_commands/**"),
-        ],
-        "size_limit": MAX_COMMAND_BYTES,
-    },
-    {
-        "id": "fleet-commands",
-        "messages": ["put"],
-        "flows": ["ingress"],
-        "key_exprs": ["sim/*/drive/*/command", "sim/*/twists"],
-        "size_limit": MAX_FLEET_COMMAND_BYTES,
-    },
-)
-"""Messages that a router drops. A put on a wider key expression passes, and subscriptions drop it
-by its size."""
-WILDCARD_HZ: Final = 200
-WILDCARD_LIMITS: Final = (
-    {
-        "id": "wildcards",
-        "messages": ["put"],
-        "flows": ["ingress"],
-        "rules": [
-            {"key_expr": key, "freq": WILDCARD_HZ}
-            for key in (
-                f"{keys.NO_NAMESPACE}/cmd_vel",
-                f"*/{keys.NO_NAMESPACE}/cmd_vel/**",
-                f"sim/*/drive/{keys.NO_NAMESPACE}/state",
-            )
-        ],
-    },
-)
-"""A put on a wildcard becomes as many messages as there are agents: from each session a router
-takes one in 5 ms."""
-QUERIES_OF_OWN_PRIORITY: Final = {
-    "id": "queries",
-    "messages": ["query"],
-    "flows": ["ingress"],
-    "key_exprs": ["**"],
-    "overwrite": {"priority": "data_high"},
-}
-"""Replies have the priority of their query. In a queue of their own they do not hold the lock that
-a message to the same link waits for, however long that link blocks."""
-ROUTER_USER: Final = "router"
-MAX_SECURED_SESSIONS: Final = 500
-RESERVED_FILES: Final = 200
-"""Open files that a server keeps for itself: its own, and those of its worlds and clients."""
-FILES_OF_SESSION: Final = 2
-FEW_SESSIONS: Final = 4
-"""Fewest sessions of a router that is of use: a robot's agent, a page, and two clients."""
-MAX_SESSIONS: Final = 4000
-ACCEPT_TIMEOUT_MS: Final = 2000
-"""Time for a handshake; Zenoh's default is 10 s."""
-MAX_HANDSHAKES: Final = 500
-"""Handshakes at a time; a client that only opens sockets can use up Zenoh's default of 100."""
-PROBE_TIMEOUT_S: Final = 0.5
-MOVE_TIMEOUT_S, MOVE_POLL_S = 0.2, 0.001
-"""Patience with subscribers of a moved publisher: how long, and how often it looks [s]."""
-NEVER: Final = 1 << 62
-"""A router keeps no key of its own session."""
-JOIN_TIMEOUT_S: Final = 2.0
-RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
-"""A query may return nothing after a reconnect (zenoh#2767): retry with the same id."""
-MAX_LINK_EVENTS: Final = 65536
-"""Links that opened or closed, and were not taken yet."""
-MAX_REPLIES: Final = 16384
-"""Queue length for the replies to a query; a ring channel loses replies when the query ends."""
-LATEST: Final = 1
-"""Subscription depth that keeps only the newest sample, for one publisher on one key."""
-
-
-class BusError(Exception):
-    """A network operation failed."""
-
-
-class EndpointUnreachable(BusError):
-    """No router or server listens at the endpoints."""
-
-
-class NoSession(EndpointUnreachable):
-    """Something accepts connections at an endpoint to connect to, but opens no session."""
-
-
-class EndpointTaken(BusError):
-    """Another process listens at the endpoint."""
-
-
-class ForkedProcess(BusError):
-    """A process that was forked after a Zenoh session cannot open one: its threads are gone."""
-
-    def __init__(self) -> None:
-        super().__init__(
-            "this process was forked after a Zenoh session was opened, whose threads it does not "
-            "have; use the start method spawn: multiprocessing.set_start_method('spawn')"
-        )
-
-
-class TooFewFiles(BusError):
-    """The limit of open files of this process is too low for the sessions of a router."""
-
-    code = ResultCode.OPERATION_FAILED
-    slug = "process.files"
-
-    def __init__(self, what: str, needed: int, limit: int) -> None:
-        super().__init__(
-            f"{self.slug}: {what} needs up to {needed} open files, and a process may have {limit} "
-            f"here; raise the limit where it starts: 'ulimit -n {needed}', or LimitNOFILE of its "
-            "service"
-        )
-
-
-class NoServer(BusError):
-    """No queryable replies on this key."""
-
-
-class JoinRefused(BusError):
-    """A secured server does not admit the session, or is not the one of the token."""
-
-    def __init__(self, reason: str, message: str) -> None:
-        super().__init__(message)
-        self.reason = reason
-        """One word: see `fetch_authority` and `find_refusal`."""
-
-
-class Credentials(msgspec.Struct, frozen=True, kw_only=True):
-    """User and password of a session, and the authority that it trusts."""
-
-    user: str
-    password: str
-    authority: str
-    """Certificate, PEM."""
-    certificate: str = ""
-    """Certificate of the client with its private key, PEM; empty where the server asks for none."""
-    certificate_file: str = ""
-    """File with both, which is read at each connection, so that it may be renewed."""
-    world: str = ""
-    """World in which the user is announced; empty for the server itself."""
-
-    def __repr__(self) -> str:
-        """Name the user only."""
-        return f"Credentials({self.user!r})"
-
-
-class RouterSecurity(msgspec.Struct, frozen=True, kw_only=True):
-    """Certificate and users of a secured router."""
-
-    certificate: str
-    """File with the certificate of the router, and that of the authority."""
-    private_key: str
-    """File with the private key."""
-    passwords: str
-    """File with a line `user:password` for each user."""
-    client_authority: str = ""
-    """File with the authority of client certificates; empty = clients need none."""
-    access_control: dict[str, object]
-    """See `zensim.proto.security.access_rules`."""
-
-
-class BusConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """Session settings; defaults to loopback without scouting; clients do not gossip."""
-
-    mode: Literal["client", "peer", "router"] = "client"
-    connect: tuple[str, ...] = ()
-    listen: tuple[str, ...] = ()
-    lease_ms: int = 0
-    """Silence after which others take this session for gone, and its tokens disappear; 0 =
-    `CLIENT_LEASE_MS`, or `ROUTER_LEASE_MS` of a router."""
-    max_message_bytes: int = MAX_MESSAGE_BYTES
-    open_timeout_s: float = 2.0
-    joined_publishers: tuple[str, ...] = ()
-    """Key expressions; all publishers within one of them are one publisher for the router."""
-    credentials: Credentials | None = None
-    """Credentials of a client of a secured router; a join token in `connect` replaces them."""
-    router_security: RouterSecurity | None = None
-    """Security of a router that only admits users; None = it admits everyone."""
+def read_response(service: Service[Request, Response], reply: Sample) -> Response:
+    """Read the response of a service; raises ServiceError and MalformedPayload."""
+    return require_ok(service, decode(service.response, reply.payload, reply.encoding))
 
 
 class Bus:
@@ -1173,7 +928,13 @@ class Bus:
         """
         listed = tuple(patterns)
         opened = self.open_session(joined_publishers=listed)
-        return BusSubscriberWatch(opened, opened._session, listed)  # noqa: SLF001 - of this class
+        return BusSubscriberWatch(
+            opened._session,  # noqa: SLF001 - of this class
+            listed,
+            traffic=self.traffic,
+            held=self.held_messages,
+            close=opened.close,
+        )
 
     def hold_messages(self) -> AbstractContextManager[None]:
         """Hold what this thread publishes until the block ends, so that it takes few packets."""
@@ -1210,7 +971,7 @@ class Bus:
 
     def advertise(self, key: str, encoding: str) -> BusPublisher:
         """Declare a publisher; `encoding` is the Zenoh Encoding of its payloads."""
-        expression = _to_key_expression(key)
+        expression = to_key_expression(key)
 
         def declare(session: zenoh.Session) -> zenoh.Publisher:
             return session.declare_publisher(
@@ -1229,8 +990,8 @@ class Bus:
             depth: Queue length; the newest messages are kept.
             max_bytes: Larger messages are dropped.
         """
-        handler: _Handler[zenoh.Sample] = _make_queue(depth, self.arrivals)
-        declared = self._session.declare_subscriber(_to_key_expression(key), handler)
+        handler: QueueHandler[zenoh.Sample] = make_queue(depth, self.arrivals)
+        declared = self._session.declare_subscriber(to_key_expression(key), handler)
         return BusSubscription(declared, max_bytes, self.traffic)
 
     def expect_key(self, key: str) -> None:
@@ -1252,7 +1013,7 @@ class Bus:
             depth: Queue length between two calls of `collect`; the newest messages are kept.
             keeps_all: Whether all messages of a key are kept.
         """
-        declared = self._session.declare_subscriber(_to_key_expression(key), RingChannel(depth))
+        declared = self._session.declare_subscriber(to_key_expression(key), RingChannel(depth))
         return NewestSubscription(declared, keeps_all, self.traffic)
 
     def subscribe_copying(
@@ -1271,7 +1032,7 @@ class Bus:
             samples.add(to_sample(sample))
 
         declared = self._session.declare_subscriber(
-            _to_key_expression(key), Callback(copy, indirect=False)
+            to_key_expression(key), Callback(copy, indirect=False)
         )
         return CopyingSubscription(declared, samples, self.traffic)
 
@@ -1280,9 +1041,7 @@ class Bus:
         queue: SimpleQueue[zenoh.Sample] = SimpleQueue()
         # Put by the thread of the session: a thread of its own would cost a switch.
         handler = Callback(queue.put, indirect=False)
-        return BusReceiver(
-            self._session.declare_subscriber(_to_key_expression(key), handler), queue
-        )
+        return BusReceiver(self._session.declare_subscriber(to_key_expression(key), handler), queue)
 
     def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> BusQueryQueue:
         """Declare a queryable.
@@ -1292,9 +1051,9 @@ class Bus:
             depth: Queue length.
             is_complete: Whether no other queryable has a part of the reply; else Zenoh queries all.
         """
-        handler: _Handler[zenoh.Query] = _make_queue(depth, self.arrivals, is_of_requests=True)
+        handler: QueueHandler[zenoh.Query] = make_queue(depth, self.arrivals, is_of_requests=True)
         declared = self._session.declare_queryable(
-            _to_key_expression(key), handler, complete=is_complete
+            to_key_expression(key), handler, complete=is_complete
         )
         return BusQueryQueue(declared, self._sender, self.traffic)
 
@@ -1309,7 +1068,7 @@ class Bus:
     def watch_tokens(self, key: str, depth: int = 16384) -> LivelinessWatch:
         """Watch liveliness tokens, beginning with the present ones."""
         liveliness = self._session.liveliness()
-        handler: _Handler[zenoh.Sample] = _make_queue(depth, self.arrivals, is_of_requests=True)
+        handler: QueueHandler[zenoh.Sample] = make_queue(depth, self.arrivals, is_of_requests=True)
         return LivelinessWatch(liveliness.declare_subscriber(key, handler, history=True))
 
     def list_tokens(self, key: str, timeout_s: float = 1.0) -> list[str]:
@@ -1320,7 +1079,7 @@ class Bus:
     def get(self, key: str, timeout_s: float = 1.0, payload: bytes = b"") -> list[Sample]:
         """Query a key expression and collect the replies."""
         replies = self._session.get(
-            _to_key_expression(key),
+            to_key_expression(key),
             FifoChannel(MAX_REPLIES),
             payload=payload or None,
             timeout=timeout_s,
@@ -1334,7 +1093,7 @@ class Bus:
         A late subscriber of ROS 2 queries the caches of latched publishers so.
         """
         replies = self._session.get(
-            _to_key_expression(key),
+            to_key_expression(key),
             FifoChannel(MAX_REPLIES),
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
@@ -1371,7 +1130,7 @@ class Bus:
         for pause_s in RETRY_AFTER_S:
             for reply in query(timeout=max(LEAST_TIMEOUT_S, deadline_s - time.monotonic())):
                 if reply.ok:
-                    return _read_response(service, to_sample(reply.ok))
+                    return read_response(service, to_sample(reply.ok))
                 self._keep_for_retry(retry, request_id)
                 raise self._make_call_error(key, timeout_s, TimeoutError)
             time.sleep(pause_s)
@@ -1408,7 +1167,7 @@ class Bus:
         key = keys.service(world, service.name, self.user)
         return PendingBusCall(
             self._make_query(key, service, request, timeout_s, request_id),
-            partial(_read_response, service),
+            partial(read_response, service),
             partial(self._make_call_error, key, timeout_s),
         )
 
@@ -1451,58 +1210,11 @@ class Bus:
         given = self.config.credentials
         if given is not None and not self._session.info.routers_zid():
             # The link was there: perhaps the user was revoked meanwhile.
-            return str(_find_refusal(self.endpoint, given))
+            return str(ask_for_refusal(self.endpoint, given))
         what_to_do = "check --world-name, and that it runs"
         if given is None:
             what_to_do = "start one with 'zensim serve'"
         return f"no server replies on {key} at {self.endpoint}; {what_to_do}"
-
-
-def _read_response(service: Service[Request, Response], reply: Sample) -> Response:
-    return require_ok(service, decode(service.response, reply.payload, reply.encoding))
-
-
-class RuntimeThreads:
-    """Whether the threads of Zenoh, which the first session starts, are in this process.
-
-    Attributes:
-        are_started: Whether a session was opened, here or in a process that this one is a fork of.
-        are_lost: Whether that was before the fork.
-    """
-
-    def __init__(self) -> None:
-        self.are_started = self.are_lost = False
-        if hasattr(os, "register_at_fork"):
-            os.register_at_fork(after_in_child=self._note_fork)
-
-    def _note_fork(self) -> None:
-        self.are_lost = self.are_started
-
-
-_RUNTIME_THREADS = RuntimeThreads()
-
-
-def require_threads() -> None:
-    """Check that this process can open a session: Zenoh would wait for ever.
-
-    Raises:
-        ForkedProcess: It was forked after one was opened.
-    """
-    if _RUNTIME_THREADS.are_lost:
-        raise ForkedProcess
-
-
-def require_files(sessions: int, what: str) -> None:
-    """Check that this process, or its children, can be a router of so many sessions.
-
-    The limit is raised as far as it may.
-
-    Raises:
-        TooFewFiles: It cannot.
-    """
-    needed, limit = RESERVED_FILES + FILES_OF_SESSION * sessions, raise_file_limit()
-    if limit < needed:
-        raise TooFewFiles(what, needed, limit)
 
 
 def open_bus(config: BusConfig) -> Bus:
@@ -1516,272 +1228,11 @@ def open_bus(config: BusConfig) -> Bus:
         JoinRefused: A secured server does not admit the session, or is another one.
         ValueError: An endpoint or a join token is not valid.
     """
-    require_threads()
-    if config.mode == "router":
-        require_files(FEW_SESSIONS, "a server")
-    settled = _settle(config)
-    _RUNTIME_THREADS.are_started = True
-    try:
-        bus = Bus(zenoh.open(_make_zenoh_config(settled)), settled)
-    except zenoh.ZError as error:
-        raise _make_open_error(settled, str(error)) from error
-    for endpoint in settled.listen:
-        _, _, port = endpoint.partition("?")[0].partition("#")[0].rpartition(":")
-        if port.isdigit():
-            limit_unacknowledged_time(int(port), MOST_UNACKNOWLEDGED_MS)
+    session, settled = open_session(config)
+    bus = Bus(session, settled)
     if settled.credentials is not None and settled.credentials.world:
         bus.announce_user(settled.credentials.world)
     return bus
-
-
-def _settle(config: BusConfig) -> BusConfig:
-    """Complete a configuration: free ports, the default endpoint, what a join token says."""
-    listen = tuple(with_free_port(endpoint) for endpoint in config.listen)
-    connect = config.connect
-    if config.mode == "client" and not connect:
-        connect = (DEFAULT_ENDPOINT,)
-    credentials, timeout_s = config.credentials, config.open_timeout_s
-    if config.mode == "client" and credentials is None:
-        connect = tuple(map(complete_address, connect))
-    if connect and is_join_address(connect[0]):
-        token = read_join_address(connect[0])
-        connect = (token.endpoint,)
-        credentials = _join(token, max(timeout_s, JOIN_TIMEOUT_S))
-    if credentials is not None:
-        # A refusal is known by the timeout only: a short one would take haste for a refusal.
-        timeout_s = max(timeout_s, JOIN_TIMEOUT_S)
-    for endpoint in connect:
-        check_endpoint(endpoint)
-    return msgspec.structs.replace(
-        config,
-        listen=listen,
-        connect=connect,
-        credentials=credentials,
-        open_timeout_s=timeout_s,
-    )
-
-
-def _join(token: JoinToken, timeout_s: float) -> Credentials:
-    """Check who is at the endpoint of a token before its password is sent there."""
-    # With TLS, which few sessions need: 1 MB.
-    from zensim.proto.tls_probe import ProbeFailed, fetch_authority  # noqa: PLC0415
-
-    try:
-        authority = fetch_authority(token, timeout_s)
-    except ProbeFailed as error:
-        if error.reason == "unreachable":
-            raise EndpointUnreachable(str(error)) from error
-        raise JoinRefused(error.reason, str(error)) from error
-    return Credentials(
-        user=token.user,
-        password=token.password_text,
-        authority=authority,
-        certificate=token.certificate_text,
-        certificate_file=token.file,
-        world=token.world,
-    )
-
-
-def to_zenoh_json(config: BusConfig) -> str:
-    """Write a configuration as JSON for `zenohd`."""
-    return str(_make_zenoh_config(config))
-
-
-def list_client_settings(config: BusConfig) -> dict[str, object]:
-    """List the settings that another Zenoh client needs to join, by path; with the password."""
-    return {
-        "mode": "client",
-        "connect/endpoints": list(config.connect),
-        "scouting/multicast/enabled": False,
-        **_make_client_entries(config.credentials),
-    }
-
-
-def _to_key_expression(key: str) -> zenoh.KeyExpr:
-    try:
-        canonical: zenoh.KeyExpr = zenoh.KeyExpr.autocanonize(key)
-    except zenoh.ZError as error:
-        raise ValueError(f"key {key[:80]!r} is not valid; use names joined by '/'") from error
-    return canonical
-
-
-def find_max_sessions(file_limit: int) -> int:
-    """Find how many sessions a router may hold without using up its open files."""
-    return max(1, min(MAX_SESSIONS, (file_limit - RESERVED_FILES) // FILES_OF_SESSION))
-
-
-CONNECT_RETRY = {"period_init_ms": 20, "period_max_ms": 500, "period_increase_factor": 1.5}
-"""Pauses before a client tries to connect again: a server that starts is found soon."""
-
-
-def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
-    entries: dict[str, object] = {
-        "mode": config.mode,
-        "listen/endpoints": list(config.listen),
-        "connect/endpoints": list(config.connect),
-        "connect/timeout_ms": round(config.open_timeout_s * 1000),
-        "connect/exit_on_failure": True,
-        "connect/retry": CONNECT_RETRY,
-        "scouting/multicast/enabled": False,
-        # Peers of rmw_zenoh learn of each other by the gossip of their router only.
-        "scouting/gossip/enabled": config.mode != "client",
-        "scouting/delay": 0,
-        # Else the router stamps all: in one order, in which it does not forward them, and zenoh-ext
-        # drops what is older than the last message with the same stamp id.
-        "timestamping/enabled": True,
-        # Shared memory pools use 20 MB per process.
-        "transport/shared_memory/enabled": False,
-        "transport/link/tx/lease": config.lease_ms or find_lease_ms(config.mode),
-        "transport/link/rx/max_message_size": config.max_message_bytes,
-        "transport/link/tx/queue/size/data": BATCHES_OF_DATA,
-        "transport/link/tx/queue/congestion_control/block/wait_before_close": LINK_TIMEOUT_US,
-    }
-    if config.mode == "router":
-        entries["transport/unicast/max_sessions"] = find_max_sessions(raise_file_limit())
-        entries["transport/unicast/accept_timeout"] = ACCEPT_TIMEOUT_MS
-        entries["transport/unicast/accept_pending"] = MAX_HANDSHAKES
-        entries["low_pass_filter"] = SIZE_LIMITS
-        entries["qos/network"] = [QUERIES_OF_OWN_PRIORITY]
-        entries["downsampling"] = WILDCARD_LIMITS
-    if config.joined_publishers:
-        entries["aggregation/publishers"] = list(config.joined_publishers)
-    entries |= _make_client_entries(config.credentials)
-    entries |= _make_router_entries(config.router_security)
-    made: zenoh.Config = zenoh.Config()
-    for path, value in entries.items():
-        made.insert_json5(path, json.dumps(value))
-    return made
-
-
-def find_lease_ms(mode: str) -> int:
-    """Find the lease that sessions of a mode announce."""
-    return ROUTER_LEASE_MS if mode == "router" else CLIENT_LEASE_MS
-
-
-def _make_client_entries(credentials: Credentials | None) -> dict[str, object]:
-    if credentials is None:
-        return {}
-    return {
-        "transport/link/tls/root_ca_certificate_base64": _to_base64(credentials.authority),
-        # The authority certifies one server only, whatever its address is.
-        "transport/link/tls/verify_name_on_connect": False,
-        "transport/auth/usrpwd/user": credentials.user,
-        "transport/auth/usrpwd/password": credentials.password,
-        **_make_certificate_entries(credentials),
-    }
-
-
-def _make_certificate_entries(credentials: Credentials) -> dict[str, object]:
-    if not credentials.certificate:
-        return {}
-    kind, value = "_base64", _to_base64(credentials.certificate)
-    if credentials.certificate_file:
-        kind, value = "", credentials.certificate_file
-    return {
-        f"transport/link/tls/connect_certificate{kind}": value,
-        f"transport/link/tls/connect_private_key{kind}": value,
-        "transport/link/tls/enable_mtls": True,
-    }
-
-
-def _to_base64(text: str) -> str:
-    return base64.b64encode(text.encode()).decode()
-
-
-def _make_router_entries(security: RouterSecurity | None) -> dict[str, object]:
-    if security is None:
-        return {}
-    return {
-        "transport/link/tls/listen_private_key": security.private_key,
-        "transport/link/tls/listen_certificate": security.certificate,
-        "transport/auth/usrpwd/user": ROUTER_USER,
-        "transport/auth/usrpwd/password": uuid.uuid4().hex,
-        "transport/auth/usrpwd/dictionary_file": security.passwords,
-        "transport/unicast/max_sessions": MAX_SECURED_SESSIONS,
-        "transport/unicast/accept_timeout": ACCEPT_TIMEOUT_MS,
-        "access_control": security.access_control,
-        **_make_client_authority_entries(security.client_authority),
-    }
-
-
-def _make_client_authority_entries(authority: str) -> dict[str, object]:
-    if not authority:
-        return {}
-    return {
-        "transport/link/tls/root_ca_certificate": authority,
-        "transport/link/tls/enable_mtls": True,
-        "transport/link/tls/close_link_on_expiration": True,
-    }
-
-
-def _make_open_error(config: BusConfig, text: str) -> BusError:
-    if "in use" in text:
-        return _make_taken_error(config.listen[0])
-    if "listener" in text:
-        reason = text.partition(" at /")[0]
-        return BusError(f"cannot listen at {', '.join(config.listen)}: {reason}")
-    where = ", ".join(config.connect)
-    if (given := config.credentials) is not None:
-        refusal = _find_refusal(config.connect[0], given)
-        if refusal.reason == "unreachable":
-            return EndpointUnreachable(str(refusal))
-        return JoinRefused(refusal.reason, str(refusal))
-    if any(_accepts_connections(endpoint) for endpoint in config.connect):
-        return NoSession(
-            f"{where} accepts connections, but no session: it is secured (use --join TOKEN), full, "
-            "suspended or no router"
-        )
-    return EndpointUnreachable(
-        f"no server listens at {where}; start one with 'zensim serve' or use --connect"
-    )
-
-
-def _find_refusal(endpoint: str, given: Credentials) -> "ProbeFailed":
-    from zensim.proto.tls_probe import find_refusal  # noqa: PLC0415
-
-    return find_refusal(
-        endpoint,
-        given.authority,
-        user=given.user,
-        password=decode_base64(given.password),
-        certificate=given.certificate,
-    )
-
-
-def _make_taken_error(endpoint: str) -> EndpointTaken:
-    return EndpointTaken(
-        f"another process listens at {endpoint}; stop it, use --listen with another "
-        "port, or --connect to it"
-    )
-
-
-def _accepts_connections(endpoint: str) -> bool:
-    """Whether a TCP connection to an endpoint can be opened."""
-    host, _, port = endpoint.partition("?")[0].rpartition("/")[2].rpartition(":")
-    if not endpoint.startswith(("tcp/", "tls/")) or not port.isdigit():
-        return False
-    try:
-        with socket.create_connection((host.strip("[]"), int(port)), PROBE_TIMEOUT_S):
-            return True
-    except OSError:
-        return False
-
-
-def log_handshakes() -> None:
-    """Print how each session joins this process, a router, to standard output; RUST_LOG adds more.
-
-    Zenoh reports the reason of a refusal in its log only.
-    """
-    zenoh.init_log_from_env_or(HANDSHAKES)
-
-
-HANDSHAKES: Final = "off,zenoh_transport::unicast::establishment::accept=debug,zenoh_link_tls=debug"
-OPEN_TIMEOUTS_S = (0.25, 0.25, 0.25, 0.25, 2.0)
-"""Short, to find a new router soon; sometimes long, for a distant one."""
-LEAST_TIMEOUT_S: Final = 0.01
-"""Least timeout of a retried query, even if the time of its call is over."""
-LEAST_ATTEMPT_S: Final = 0.05
-"""Least time between attempts: a join token is refused at once where nothing listens."""
 
 
 def open_bus_with_retry(config: BusConfig, wait_s: float) -> Bus:

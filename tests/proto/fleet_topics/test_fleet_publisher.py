@@ -8,18 +8,15 @@ import pytest
 from tests.fakes import ManualClock, MemoryBus
 from zensim.api.in_process_network import InProcessPublisher, InProcessSubscriberWatch
 from zensim.proto.codec import cdr
-from zensim.proto.fleet_publisher import (
+from zensim.proto.fleet_topics.attachment_rows import AttachmentRows
+from zensim.proto.fleet_topics.fleet_publisher import FleetTopicPublisher
+from zensim.proto.fleet_topics.matched_publishers import MAX_CHECKED_AT_ONCE, MatchedPublishers
+from zensim.proto.fleet_topics.ros_fleet_publisher import (
     MAX_ANNOUNCED_CACHES,
-    MAX_CHECKED_AT_ONCE,
     MAX_ROS_DECLARED_AT_ONCE,
-    NAMED,
-    OTHERS,
-    AttachmentRows,
-    FleetTopicPublisher,
-    MatchedPublishers,
     RosFleetPublisher,
-    TopicMember,
 )
+from zensim.proto.fleet_topics.topic_members import NAMED, OTHERS, TopicMember
 from zensim.proto.messages.standard_messages import Range, String
 from zensim.proto.network_protocols import Stamp
 from zensim.proto.ros2 import ros_graph
@@ -411,7 +408,7 @@ class DeclaringBus(CountingBus):
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> ManualClock:
     found = ManualClock(100.0)
-    monkeypatch.setattr("zensim.proto.fleet_publisher.time.monotonic", found)
+    monkeypatch.setattr("zensim.proto.fleet_topics.topic_members.time.monotonic", found)
     return found
 
 

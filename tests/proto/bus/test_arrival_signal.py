@@ -1,6 +1,6 @@
 """The signal that ends pauses, and the queue that gives it."""
 
-from zensim.proto.bus import ArrivalSignal, ArrivedQueue
+from zensim.proto.bus.bus_session import ArrivalSignal, ArrivedQueue
 
 LONG_S = 60.0
 SHORT_S = 0.001

@@ -1,0 +1,1 @@
+"""Sessions of Zenoh: publishers, subscriptions, queries, tokens and calls."""
