@@ -34,7 +34,7 @@ MAKE_VENV = if ! $(BIN)/python -c "import sys; $(IS_SUITABLE)" 2>/dev/null; then
 		$$python -m venv --clear .venv; \
 	fi
 
-.PHONY: help setup demo test browser long short lint fmt types imports schemas docs site docs-media bench house chaos fuzz mutants pins \
+.PHONY: help setup demo test browser smoke release long short lint fmt types imports schemas docs site docs-media bench house chaos fuzz mutants pins \
 	interop interop-short interop-build interpreters ci clean packages wheel wheel-tests platforms notice image sizes
 
 help: ## list the targets
@@ -72,7 +72,7 @@ WORKERS ?= $$(($$(getconf _NPROCESSORS_ONLN) + 1))
 PYTEST := $(BIN)/python .ci/run_tests.py -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Without the tests that other targets run.
-HERE := not short_form and not long_form and not interop and not images
+HERE := not release and not short_form and not long_form and not interop and not images
 
 test: setup packages ## all tests but those of `make browser` and `make short`
 	@if [ "$$(id -u)" = 0 ]; then $(PYTEST) -m "not browser and $(HERE)"; \
@@ -85,6 +85,12 @@ test: setup packages ## all tests but those of `make browser` and `make short`
 
 browser: setup packages ## tests of the page in Chromium
 	$(PYTEST) -m "browser and $(HERE)"
+
+smoke: setup packages ## of `make browser`, what CI runs for each push
+	$(PYTEST) -m "browser and smoke and $(HERE)"
+
+release: setup packages ## tests of the tools and documents of the project; CI runs them nightly
+	$(PYTEST) -m "release and not root and not browser and not short_form and not long_form and not interop and not images"
 
 long: setup packages ## further cases of tests of `make test` and `make browser`, and long ones; as root
 	$(PYTEST) -m long_form

@@ -21,6 +21,10 @@ MOST_AGAIN = 5
 ALONE = ("-n", "0")
 """In one process, one after another; the last `-n` counts."""
 PASSED_ALONE = Path("build/passed_alone.txt")
+DURATIONS = Path("build/test_durations.json")
+"""Wall and processor seconds of each test when it last ran, set-up and clean-up included."""
+SLOWEST = 10
+"""Files and tests that the end of a run names."""
 
 
 class Outcome(TypedDict):
@@ -32,6 +36,8 @@ class Outcome(TypedDict):
     """Tests that failed, set-up, clean-up and crashed workers included."""
     is_whole: bool
     """Whether each test that was selected ran, and all could be listed."""
+    durations: dict[str, list[float]]
+    """Wall and processor seconds of each test."""
 
 
 class Recorder:
@@ -42,6 +48,7 @@ class Recorder:
         self._failed: dict[str, None] = {}
         self._seen: set[str] = set()
         self._is_whole = True
+        self._durations: dict[str, list[float]] = {}
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
         """Note that a file, or a worker, could not list its tests."""
@@ -50,6 +57,9 @@ class Recorder:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Note a test that failed in any phase, or passed."""
         self._seen.add(report.nodeid)
+        spent = self._durations.setdefault(report.nodeid, [0.0, 0.0])
+        spent[0] += report.duration
+        spent[1] += getattr(report, "cpu_s", 0.0)
         if report.failed:
             self._failed[report.nodeid] = None
         elif report.passed and report.when == "call":
@@ -66,6 +76,7 @@ class Recorder:
             passed=[test for test in self._passed if test not in self._failed],
             failed=list(self._failed),
             is_whole=self._is_whole,
+            durations=self._durations,
         )
 
 
@@ -90,7 +101,7 @@ def run(arguments: list[str]) -> Outcome:
             except KeyboardInterrupt:
                 continue
         if not target.exists():
-            return Outcome(status=status or 1, passed=[], failed=[], is_whole=False)
+            return Outcome(status=status or 1, passed=[], failed=[], is_whole=False, durations={})
         found: Outcome = {**json.loads(target.read_text()), "status": status}
         return found
 
@@ -112,11 +123,28 @@ def name_those_that_passed(tests: list[str]) -> None:
     sys.stdout.write(f"failed among others and passed alone; each is a defect to mend:\n{text}")
 
 
+def write_durations(durations: dict[str, list[float]]) -> None:
+    """Keep the seconds of each test, and print those of the slowest tests and files."""
+    before = json.loads(DURATIONS.read_text()) if DURATIONS.exists() else {}
+    DURATIONS.write_text(json.dumps({**before, **durations}, indent=0, sort_keys=True))
+    files: dict[str, list[float]] = {}
+    for test, (wall_s, cpu_s) in durations.items():
+        spent = files.setdefault(test.partition("::")[0], [0.0, 0.0])
+        spent[0] += wall_s
+        spent[1] += cpu_s
+    for kind, seconds in (("tests", durations), ("files", files)):
+        slowest = sorted(seconds.items(), key=lambda item: -item[1][0])[:SLOWEST]
+        lines = [f"{wall_s:8.1f} {cpu_s:8.1f}  {name}\n" for name, (wall_s, cpu_s) in slowest]
+        sys.stdout.write(f"slowest {kind} (seconds, of processor):\n{''.join(lines)}")
+    sys.stdout.flush()
+
+
 def main(arguments: list[str]) -> int:
     """Run the tests, and those that failed again."""
     PASSED_ALONE.parent.mkdir(exist_ok=True)
     PASSED_ALONE.touch()  # now, because a later run as root would own it
     first = run(arguments)
+    write_durations(first["durations"])
     if not is_worth_another(first):
         return first["status"]
     failed = first["failed"]

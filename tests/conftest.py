@@ -22,6 +22,7 @@ settings.register_profile("commit", deadline=None, derandomize=True)
 settings.register_profile("fuzz", deadline=None, max_examples=5000)
 settings.load_profile("commit")
 
+ROOT = Path(__file__).parents[1]
 WAITING = (
     *("tests/integration/", "tests/zensim/", "tests/spawner/cli/", "tests/deploy/"),
     *("tests/mutation/", "tests/contract/test_wheel.py"),
@@ -34,17 +35,47 @@ LONG = (
     *("tests/chaos/test_chaos.py", "tests/hostile/test_server_fuzz.py"),
 )
 """Files with the longest tests of `make browser` and `make short`: they come first."""
-WRITTEN_MARKS = frozenset({"root", "browser", "short_form", "long_form", "interop", "images"})
+WORKSHOP = (
+    *("tests/mutation/", "tests/chaos/test_history.py", "tests/benchmarks/"),
+    *("tests/hostile/test_coverage_fuzz.py", "tests/deploy/sweep/test_ray_runs.py"),
+    *("tests/contract/test_wheel.py", "tests/contract/test_workflows.py"),
+    *("tests/contract/test_benchmark_page.py", "tests/contract/test_reliability_page.py"),
+    *("tests/contract/test_platforms.py", "tests/contract/test_run_tests.py"),
+)
+"""Files of `make release`: they test the tools of the project, or start a cluster of Ray."""
+WRITTEN_MARKS = frozenset(
+    {"root", "browser", "short_form", "long_form", "interop", "images", "smoke"}
+)
 """Each is written in the files of its tests; tests/contract/test_selection.py checks that."""
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Leave out files without a mark that every selected test has: to import all takes a minute."""
-    marks = find_required_marks(config.getoption("markexpr"))
-    if not marks or collection_path.suffix != ".py":
+    expression = config.getoption("markexpr")
+    if collection_path.suffix != ".py":
+        return None
+    if is_left_out_for_release(collection_path, expression):
+        return True
+    marks = find_required_marks(expression)
+    if not marks:
         return None
     text = collection_path.read_text(encoding="utf-8")
     return True if any(f"mark.{mark}" not in text for mark in marks) else None
+
+
+def is_left_out_for_release(path: Path, expression: str) -> bool:
+    """Whether `-m` selects by the mark `release`, and leaves a file out."""
+    terms = [] if "(" in expression or " or " in expression else expression.split(" and ")
+    is_of_workshop = is_workshop(path)
+    is_test = path.name.startswith("test_")
+    return (is_of_workshop and "not release" in terms) or (
+        is_test and not is_of_workshop and "release" in terms
+    )
+
+
+def is_workshop(path: Path) -> bool:
+    """Whether a file is among those of `make release`."""
+    return path.is_relative_to(ROOT) and path.relative_to(ROOT).as_posix().startswith(WORKSHOP)
 
 
 def find_required_marks(expression: str) -> list[str]:
@@ -52,6 +83,12 @@ def find_required_marks(expression: str) -> list[str]:
     if "(" in expression or " or " in expression:
         return []
     return [term for term in expression.split(" and ") if term in WRITTEN_MARKS]
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Mark the tests of the files of `make release`."""
+    if is_workshop(item.path):
+        item.add_marker("release")
 
 
 @pytest.hookimpl(wrapper=True)
@@ -80,6 +117,36 @@ def find_places(files: Sequence[str]) -> dict[str, float]:
     places = {file: (1.0 - LAST_SHARE) * n / len(waiting) for n, file in enumerate(waiting)}
     places |= {file: n / len(computing) for n, file in enumerate(computing)}
     return places | dict.fromkeys(places.keys() & LONG, -1.0)
+
+
+def find_cpu_time_s() -> float:
+    """Find the processor time of this process and of the child processes that ended."""
+    spent = os.times()
+    return spent.user + spent.system + spent.children_user + spent.children_system
+
+
+MADE_BY_TOOLS = (".", "__pycache__", "build", "dist", "zensim.egg-info")
+REPORTED_CPU_S = [find_cpu_time_s()]
+"""Of this process, at its last report."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Add the processor time of each phase, which .ci/run_tests.py records."""
+    report = yield
+    now_s = find_cpu_time_s()
+    vars(report)["cpu_s"] = now_s - REPORTED_CPU_S.pop()
+    REPORTED_CPU_S.append(now_s)
+    return report
+
+
+@pytest.fixture(scope="module", autouse=True)
+def usual_checkout() -> Generator[None]:
+    """Fail the file whose tests leave something in the root of the checkout."""
+    before = set(ROOT.iterdir())
+    yield
+    left = set(ROOT.iterdir()) - before
+    assert [path for path in left if not path.name.startswith(MADE_BY_TOOLS)] == []
 
 
 @pytest.fixture(autouse=True)

@@ -1,5 +1,6 @@
 """The script that runs the tests gives those that depend on load a second run, and names them."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -129,3 +130,17 @@ def test_run_passes_once_when_nothing_fails(tmp_path: Path) -> None:
 
     assert done.returncode == 0, done.stdout
     assert done.stdout.count("1 passed") == 1
+
+
+@pytest.mark.parametrize("options", [(), WORKERS], ids=["alone", "workers"])
+def test_run_keeps_the_seconds_of_tests_and_names_the_slowest(
+    tmp_path: Path, options: tuple[str, ...]
+) -> None:
+    run_tests(tmp_path, {}, *options)
+    done = run_tests(tmp_path, {"test_b.py": PASSES}, *options, "--deselect", "test_a.py")
+
+    kept = json.loads((tmp_path / "build" / "test_durations.json").read_text())
+    assert list(kept) == ["test_a.py::test_passes", "test_b.py::test_passes"]
+    assert all(len(seconds) == 2 for seconds in kept.values())
+    assert done.stdout.count("test_b.py::test_passes\n") == 1, done.stdout
+    assert "test_a.py" not in done.stdout.partition("slowest")[2]

@@ -5,14 +5,23 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import WRITTEN_MARKS, find_required_marks, pytest_ignore_collect
+from tests.conftest import (
+    WORKSHOP,
+    WRITTEN_MARKS,
+    find_required_marks,
+    pytest_ignore_collect,
+)
 from tests.contract.repository import ROOT
 
 
 def test_marks_of_the_project_are_those_that_files_write() -> None:
     _, _, rest = (ROOT / "pyproject.toml").read_text().partition("\nmarkers = [")
 
-    assert set(re.findall(r'"(\w+): ', rest.partition("\n]")[0])) == WRITTEN_MARKS
+    assert set(re.findall(r'"(\w+): ', rest.partition("\n]")[0])) == {*WRITTEN_MARKS, "release"}
+
+
+def test_files_of_the_workshop_exist() -> None:
+    assert [path for path in WORKSHOP if not (ROOT / path).exists()] == []
 
 
 def test_only_files_of_tests_write_marks() -> None:
@@ -57,3 +66,23 @@ def test_file_without_the_required_mark_is_left_out(
 
     assert pytest_ignore_collect(file, config) is is_left_out
     assert pytest_ignore_collect(tmp_path, config) is None
+
+
+@pytest.mark.parametrize(
+    ("expression", "path", "is_left_out"),
+    [
+        ("release and not root", "tests/mutation/test_a.py", None),
+        ("release and not root", "tests/proto/test_a.py", True),
+        ("release", "tests/conftest.py", None),
+        ("not release and not root", "tests/mutation/test_a.py", True),
+        ("not release and not root", "tests/proto/test_a.py", None),
+        ("", "tests/mutation/test_a.py", None),
+        ("root or release", "tests/mutation/test_a.py", None),
+    ],
+)
+def test_files_of_the_workshop_are_read_for_a_release(
+    tmp_path: Path, expression: str, path: str, *, is_left_out: bool | None
+) -> None:
+    config = pytest.Config.fromdictargs({"markexpr": expression}, [str(tmp_path)])
+
+    assert pytest_ignore_collect(ROOT / path, config) is is_left_out

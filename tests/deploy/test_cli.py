@@ -30,6 +30,8 @@ from zensim.recording.cli.record_commands import RecordOptions
 RUNNER = CliRunner()
 SOON_S = 60.0
 """Below the wait for a server that starts later, on a machine with other work."""
+NOWHERE = "tcp/127.0.0.1:1"
+"""Nothing listens there; on the default endpoint another server may."""
 HEAVY = ("pybullet", "viser", "scipy", "trimesh", "lxml", "zenoh", "numpy", "msgspec")
 SLOW = (*HEAVY, "typer", "rich", "pydantic")
 
@@ -137,7 +139,9 @@ def test_lists_and_numbers_are_parsed_alike_with_and_without_typer(words: list[s
 
 
 def test_recorder_needs_no_library_of_typer_for_values() -> None:
-    assert "pydantic" not in find_heavy_imports(run_main("record", "--all", "--rate", "5"))
+    assert "pydantic" not in find_heavy_imports(
+        run_main("record", "--all", "--rate", "5", "--connect", NOWHERE)
+    )
 
 
 def test_plain_options_need_no_typer() -> None:

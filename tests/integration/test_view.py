@@ -158,6 +158,7 @@ def text_of(tab: Tab) -> str:
 
 
 @pytest.mark.browser
+@pytest.mark.smoke
 def test_page_shows_every_robot_in_its_colours(shown: Shown) -> None:
     def are_drawn() -> bool:
         picture = shown.tab.pixels()
@@ -230,6 +231,7 @@ def click_robot(tab: Tab, number: int) -> None:
 
 
 @pytest.mark.browser
+@pytest.mark.smoke
 def test_camera_follows_a_robot_when_it_is_clicked(shown: Shown) -> None:
     tab, bus = shown.tab, shown.server.bus
     cmd_vel = bus.advertise(CMD_VEL.key("box_bot1"), make_encoding(Twist, Format.CDR))

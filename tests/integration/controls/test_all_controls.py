@@ -42,6 +42,7 @@ pytestmark = pytest.mark.browser
 
 
 @uses(a_button("", "Pause"), a_button("", "Step"), a_button("", "Reset"), a_button("", "Play"))
+@pytest.mark.smoke
 def test_buttons_of_the_simulation(page: Page) -> None:
     page.controls.click(a_button("", "Pause"))
     before = page.until_info(lambda info: info.state == "paused", "a pause")
@@ -54,6 +55,7 @@ def test_buttons_of_the_simulation(page: Page) -> None:
 
 
 @uses(*(Control("", "tab", title) for title in TABS))
+@pytest.mark.smoke
 def test_tabs_show_their_controls(page: Page) -> None:
     for title, control in {
         "See": a_checkbox("See", "Trails"),

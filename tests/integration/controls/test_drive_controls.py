@@ -107,6 +107,7 @@ HELD: dict[tuple[str, str], tuple[str, Callable[[Twist], bool]]] = {
 
 
 @uses(*(a_key(entry) for entry, _ in HELD.values()))
+@pytest.mark.smoke
 def test_held_keys_drive_until_they_are_released(page: Page) -> None:
     page.select("r4")
     with page.commands("r4") as commands:
@@ -118,6 +119,7 @@ def test_held_keys_drive_until_they_are_released(page: Page) -> None:
 
 
 @uses(a_key("Space"))
+@pytest.mark.smoke
 def test_space_stops_while_a_key_is_held(page: Page) -> None:
     page.select("r1")
     with page.commands("r1") as commands, page.controls.holding_key("KeyW", "w"):

@@ -35,6 +35,7 @@ SEARCH = a_field("Entities", "Search")
 
 
 @uses(SEARCH)
+@pytest.mark.smoke
 def test_search_narrows_the_list(page: Page) -> None:
     page.controls.write(SEARCH, "r2")
     page.controls.until_text("1 of 5 found")
@@ -58,6 +59,7 @@ def test_status_narrows_the_list(page: Page) -> None:
     a_button("Entities", "Stop following"),
     a_button("Entities", "Show all"),
 )
+@pytest.mark.smoke
 def test_row_selects_and_buttons_end_it(page: Page) -> None:
     for end in ("Stop following", "Show all"):
         page.controls.click(a_button("Entities", "r1 · no agent"))

@@ -192,6 +192,7 @@ def test_notification_is_closed(page: Page) -> None:
 
 
 @uses(*(a_button("Time", label) for label in ("1 step", "10 steps", "1 s")))
+@pytest.mark.smoke
 def test_world_is_stepped(page: Page) -> None:
     page.server.client.set_simulation_state(State.PAUSED)
     page.controls.until_text("paused")
@@ -209,6 +210,7 @@ FACTOR, FACTOR_FIELD = Control("Time", "slider", "Speed"), a_field("Time", "Spee
 
 
 @uses(FACTOR, FACTOR_FIELD)
+@pytest.mark.smoke
 def test_real_time_factor_is_set(page: Page) -> None:
     page.controls.slide(FACTOR, 0.2)
     page.until_info(lambda info: 1.5 < info.target_real_time_factor < 2.5, "about 2")
