@@ -12,7 +12,7 @@ from zensim.proto.exit_codes import ExitCode
     ("arguments", "message"),
     [
         (("--step-hz", "0"), "--step-hz 0 is out of range; use 1 to 10000"),
-        (("--rtf", "-1"), "--rtf -1 is out of range; use 0 (as fast as possible) or up to 1000"),
+        (("--rtf", "-1"), "--rtf -1 is out of range; use 0 to 1000"),
         (("--lockstep-timeout", "0"), "--lockstep-timeout 0 is out of range; use 0.01 to 3600"),
         (("--seed", "-1"), "--seed -1 is out of range; use 0 to 2^64 - 1"),
         (("--world-name", "my world"), "world 'my world' is not valid; use a letter"),
