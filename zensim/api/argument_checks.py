@@ -1,5 +1,7 @@
 """Checks of arguments: numbers that are numbers, finite, and in range."""
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -63,6 +65,33 @@ def check_range(what: str, number: object, least: float, most: float) -> None:
     if isinstance(number, int | float | np.integer | np.floating) and least <= number <= most:
         return
     raise Invalid(f"{what}={str(number)[:40]} is out of range", hint=f"use {least:g} to {most:g}")
+
+
+def check_whole(what: str, number: object, least: int, most: int) -> None:
+    """Check that a number is whole and within limits.
+
+    Raises:
+        Invalid: It is not, or it is no number.
+    """
+    hint = f"use {least} to {most}"
+    if isinstance(number, bool) or not isinstance(number, int | np.integer):
+        raise Invalid(f"{what}={str(number)[:40]} is not a whole number", hint=hint)
+    if not least <= number <= most:
+        raise Invalid(f"{what}={number} is out of range", hint=hint)
+
+
+def check_real(what: str, number: object) -> None:
+    """Check that an argument is a finite number.
+
+    Raises:
+        Invalid: It is not.
+    """
+    if isinstance(number, bool) or not isinstance(number, int | float | np.integer | np.floating):
+        raise Invalid(f"{what}={str(number)[:40]} is not a number", hint="give a finite number")
+    if not math.isfinite(number):
+        raise Invalid(
+            f"{what}={number} is not finite", slug="not_finite", hint="give a finite number"
+        )
 
 
 def check_text(what: str, given: object) -> None:

@@ -35,6 +35,7 @@ class RobotExpectation:
         Raises:
             AssertionError: It was not there in time.
         """
+        __tracebackhide__ = True
         self._wait(
             lambda: self._robot.pose.distance_to(*point) <= tolerance,
             within,
@@ -51,6 +52,7 @@ class RobotExpectation:
         Raises:
             AssertionError: It still moves then.
         """
+        __tracebackhide__ = True
         self._wait(
             lambda: self._robot.twist.speed <= speed and abs(self._robot.twist.w) <= REST_TURN,
             within,
@@ -68,6 +70,7 @@ class RobotExpectation:
             AssertionError: It has.
             Unsupported: The simulation is not a `World`, which alone has all contacts.
         """
+        __tracebackhide__ = True
         from zensim.api.in_process_world import World  # noqa: PLC0415  needs the server extra
 
         if not isinstance(self._sim, World):
@@ -82,6 +85,7 @@ class RobotExpectation:
     def _wait(
         self, is_met: Callable[[], bool], within: float, what: str, value: Callable[[], str]
     ) -> None:
+        __tracebackhide__ = True
         began = self._sim.time
         try:
             self._sim.wait_until(is_met, within)
@@ -112,6 +116,7 @@ class TopicExpectation:
         Raises:
             AssertionError: It is another one after that time.
         """
+        __tracebackhide__ = True
         try:
             self._sim.wait_until(
                 lambda: math.isclose(self._topic.rate, rate, rel_tol=tolerance), within

@@ -123,13 +123,13 @@ class Robot(EntityHandle):
     def odom(self) -> Odometry:
         """Newest odometry, as on its topic."""
         topic: Topic[Odometry] = self._topic_of("odom")
-        return topic.latest
+        return topic.newest()
 
     @property
     def joints(self) -> JointState:
         """Newest joint states, as on their topic; fields of numbers are arrays."""
         topic: Topic[JointState] = self._topic_of("joint_states")
-        return topic.latest
+        return topic.newest()
 
     @property
     def sensors(self) -> dict[str, "Topic[Any]"]:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from zensim.api.argument_checks import check_range
+from zensim.api.argument_checks import check_whole
 from zensim.api.call_deadline import limited
 from zensim.api.server_access import ServerAccess
 from zensim.api.simulation import Simulation
@@ -158,7 +158,7 @@ class Sim(Simulation):
             Timeout: It was not served in time.
         """
         self._session.check_open()
-        check_range("port", port, 0, MAX_PORT)
+        check_whole("port", port, 0, MAX_PORT)
         page = WorldPage(self.endpoint, self._access.world_name, port, timeout_s)
         self._pages.append(page)
         return page

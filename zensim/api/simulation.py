@@ -16,6 +16,7 @@ from zensim.api.argument_checks import (
     check_finite,
     check_range,
     check_text,
+    check_whole,
     make_numbers,
 )
 from zensim.api.call_deadline import check_deadline, limit, limited
@@ -198,6 +199,7 @@ class Simulation(ClosedOnExit):
             Timeout: No agent drives it.
         """
         check_keywords(options, SpawnKeywords)
+        check_text("name", name)
         description = make_description_order(model, options)
         with (
             limited(options.get("timeout_s")),
@@ -327,7 +329,7 @@ class Simulation(ClosedOnExit):
             Timeout: It took longer.
         """
         self._session.check_open()
-        check_range("count", count, 1, MAX_STEPS)
+        check_whole("count", count, 1, MAX_STEPS)
         with limited(timeout_s):
             self._session.advance(count)
 
@@ -534,7 +536,7 @@ class Simulation(ClosedOnExit):
             check_text(what, text)
         for what, number in (("value", value), ("low", low), ("high", high)):
             check_range(what, number, -MAX_NUMBER, MAX_NUMBER)
-        check_range("seed", seed, 0, MAX_SEED)
+        check_whole("seed", seed, 0, MAX_SEED)
         span = _make_duration(seconds)
         self.call(INJECT_FAULT, InjectFaultRequest(name, kind, part, value, low, high, span, seed))
 
@@ -746,6 +748,13 @@ class Simulation(ClosedOnExit):
             if not is_same:
                 raise
         self._session.access.refresh()
+
+    def __repr__(self) -> str:
+        """Say which world it is, its engine and its time."""
+        kind = type(self).__name__
+        if self._session.is_closed:
+            return f"<{kind}, closed>"
+        return f"<{kind} {self._info.world!r}, {self._info.engine}, {self.time:.3f} s>"
 
     def _read_info(self) -> Info:
         with api_errors():

@@ -1,6 +1,5 @@
 """Requests of a spawn, from a description on this host, and the report of its reply."""
 
-import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.api.api_errors import Invalid
-from zensim.api.argument_checks import check_range, make_numbers
+from zensim.api.argument_checks import check_real, check_whole, make_numbers
 from zensim.api.entity_values import SpawnReport
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.drive_messages import Compat
@@ -161,13 +160,14 @@ def make_spawn_pose(given: SpawnKeywords) -> SpawnPose:
     """Make the pose of a spawn from keyword arguments.
 
     Raises:
-        Invalid: A number is not finite.
+        Invalid: A number is none, or not finite.
     """
+    for name in ("x", "y", "z", "roll", "pitch", "yaw"):
+        number: object = given.get(name, 0.0)
+        if name != "z" or number is not None:
+            check_real(name, number)
     position = given.get("x", 0.0), given.get("y", 0.0), given.get("z")
     angles = given.get("roll", 0.0), given.get("pitch", 0.0), given.get("yaw", 0.0)
-    numbers = [0.0 if one is None else one for one in (*position, *angles)]
-    if not all(map(math.isfinite, numbers)):
-        raise Invalid(f"pose {numbers} is not finite", slug="not_finite", hint="give numbers")
     return position, angles
 
 
@@ -232,7 +232,7 @@ def make_fleet_placements(
     names = check_name(prefix, "prefix") if prefix else derive_prefix(model)
     if poses is None:
         number = DEFAULT_COUNT if count is None else count
-        check_range("count", number, 0, MAX_COUNT)
+        check_whole("count", number, 0, MAX_COUNT)
         layout, spacing = given.get("layout", "grid"), given.get("spacing", 1.0)
         if layout not in LAYOUTS:
             raise Invalid(f"layout {layout!r} is unknown", hint=f"use {', '.join(LAYOUTS)}")

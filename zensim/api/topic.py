@@ -99,20 +99,24 @@ class Topic(Generic[Message]):
         self._dropped = 0
 
     @property
-    def latest(self) -> Message:
-        """The newest message; fields of numbers are arrays.
+    def latest(self) -> Message | None:
+        """The newest message, None before the first one; fields of numbers are arrays."""
+        self.collect()
+        return self._latest
+
+    def newest(self) -> Message:
+        """Return the newest message.
 
         Raises:
             NotFound: There was none yet.
         """
-        self.collect()
-        if self._latest is None:
+        if (latest := self.latest) is None:
             raise NotFound(
                 f"no message on {self.key} yet",
                 slug="no_message",
                 hint="read() waits for one; check the key with 'zensim topic list'",
             )
-        return self._latest
+        return latest
 
     @property
     def rate(self) -> float:

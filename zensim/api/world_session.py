@@ -109,6 +109,11 @@ class WorldSession:
         """Whether the world awaits this client at its control steps; see `Sim.join_lockstep`."""
         self._is_closed = False
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._is_closed
+
     def check_open(self) -> None:
         """Raise what a callback has raised, or that the simulation is closed."""
         if self._is_closed:

@@ -1,6 +1,7 @@
 """Many equal worlds in one process, and environments of Gymnasium and PettingZoo on them."""
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -65,3 +66,7 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
+
+
+if find_spec("gymnasium") is not None:
+    import_module("zensim.envs.gymnasium_ids").register_ids()

@@ -65,15 +65,15 @@ def test_scans_go_on_after_restore_and_with_new_robots() -> None:
         world.run_for(0.5)
         snapshot = world.snapshot()
         world.run_for(0.5)
-        first = topic.latest.ranges
+        first = topic.newest().ranges
 
         world.restore(snapshot)
         world.run_for(0.5)
-        assert np.array_equal(topic.latest.ranges, first)
+        assert np.array_equal(topic.newest().ranges, first)
         other = world.spawn("box_bot_lidar", name="r2", x=1.0)
         other.topic("scan").collect()
         world.run_for(0.5)
-        assert not np.array_equal(other.topic("scan").latest.ranges, topic.latest.ranges)
+        assert not np.array_equal(other.topic("scan").newest().ranges, topic.newest().ranges)
 
 
 def test_camera_of_a_world_in_process_takes_pictures() -> None:
@@ -82,7 +82,7 @@ def test_camera_of_a_world_in_process_takes_pictures() -> None:
         camera = next(iter(robot.sensors.values()))
         camera.collect()
         world.run_for(0.5)
-        picture = camera.latest
+        picture = camera.newest()
         assert len(picture.data) == picture.height * picture.step
         assert len(set(bytes(picture.data))) > 1
 
@@ -93,7 +93,7 @@ def test_subscription_before_the_robot_exists_gets_its_scans() -> None:
         topic.collect()
         world.spawn("box_bot_lidar", name="r1")
         world.run_for(0.5)
-        assert len(topic.latest.ranges)
+        assert len(topic.newest().ranges)
 
 
 def test_callback_that_drives_gives_the_same_run_each_time() -> None:

@@ -126,3 +126,42 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
         ):
             with pytest.raises(zensim.Error, match=re.escape(str(tmp_path))):
                 world.spawn(model, controllers=controllers)
+
+
+@pytest.mark.parametrize(
+    ("call", "argument"),
+    [
+        (lambda world: world.step(1.5), "count=1.5"),
+        (lambda world: world.step(True), "count=True"),  # noqa: FBT003
+        (lambda world: world.spawn_fleet("box_bot", count=2.5), "count=2.5"),
+        (lambda world: world.spawn("box_bot", x="a"), "x=a"),
+        (lambda world: world.spawn("box_bot", yaw=None), "yaw=None"),
+        (lambda world: world.spawn("box_bot", z=float("nan")), "z=nan"),
+        (lambda world: world.spawn("box_bot", name=5), "name=5"),
+    ],
+)
+def test_error_names_the_argument(
+    world: zensim.World, call: Callable[[zensim.World], object], argument: str
+) -> None:
+    with pytest.raises(zensim.Invalid, match=re.escape(argument)):
+        call(world)
+
+
+def test_topic_has_no_newest_message_before_the_first(world: zensim.World) -> None:
+    topic = world.topic("nobody/odom")
+
+    assert topic.latest is None
+    with pytest.raises(zensim.NotFound) as found:
+        topic.newest()
+
+    assert found.value.slug == "no_message"
+
+
+def test_world_says_what_it_is() -> None:
+    with zensim.World("walls", engine="mujoco") as world:
+        world.step(240)
+        text = repr(world)
+
+    assert "mujoco" in text
+    assert "1.000 s" in text
+    assert repr(world) == "<World, closed>"

@@ -35,9 +35,9 @@ def test_scan_is_that_of_the_sensor_process_but_for_noise(world: zensim.World) -
         batch = Batch(own, 1, sensors=["scan"])
         topic = own.robots[batch.names[0]].topic("scan")
         with pytest.raises(zensim.NotFound):
-            topic.latest  # noqa: B018 - subscribes
+            topic.newest()
         own.run_for(0.2)
-        message = topic.latest
+        message = topic.newest()
 
     batch.step(np.zeros((1, 2, 3)), control_steps=16)
 
