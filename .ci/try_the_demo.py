@@ -19,7 +19,7 @@ PATIENCE_S = 120.0
 def main() -> None:
     """Start the demo on free ports, wait until all robots have moved, and end it."""
     endpoint = f"tcp/127.0.0.1:{find_free_port()}"
-    ports = {"ZENSIM_UP_LISTEN": endpoint, "ZENSIM_UP_VIEWER_PORT": "0"}
+    ports = {"ZENSIM_UP_LISTEN": endpoint, "ZENSIM_UP_PORT": "0"}
     began_s = time.monotonic()
     demo = subprocess.Popen(
         ["make", "demo"], env=os.environ | ports, start_new_session=True, stdin=subprocess.DEVNULL

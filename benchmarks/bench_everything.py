@@ -134,7 +134,7 @@ def _run(case: Case, recording: Path, *, is_short: bool) -> Usage:
     words = (
         *("up", "--secure", "--record", str(recording), "--robots", str(case.robots)),
         *("--model", MODEL, "--world", "warehouse", "--layout", "grid"),
-        *("--spacing", str(SPACING_M), "--listen", endpoint, "--viewer-port", "0", "--no-open"),
+        *("--spacing", str(SPACING_M), "--listen", endpoint, "--port", "0", "--no-open"),
         *("--json", *case.options),
     )
     with deployed_by(words, endpoint) as found:

@@ -23,7 +23,7 @@ from tests.integration.processes import children, read_json_line, running
 __all__ = ["rows", "table"]
 
 RUNS = 5
-PAGES = {"without page": ("--no-viewer",), "with page": ("--viewer-port", "0", "--no-open")}
+PAGES = {"without page": ("--no-viewer",), "with page": ("--port", "0", "--no-open")}
 AGENT = "import zenoh, msgspec, xxhash"
 SERVER = "import zenoh, msgspec, rich, typer, numpy, pybullet, lxml.etree"
 

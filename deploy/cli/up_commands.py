@@ -187,7 +187,7 @@ class UpOptions(RosTfOptions, ServeOptions):
         bool, _viewer("--viewer/--no-viewer", metavar="", help="Serve the 3D web page.")
     ] = True
     viewer_port: Annotated[
-        int, _viewer("--viewer-port", metavar="PORT", help="TCP port of the page; 0 = any free.")
+        int, _viewer("--port", metavar="PORT", help="TCP port of the page; 0 = any free.")
     ] = 8080
     page_role: Annotated[
         str,

@@ -57,7 +57,7 @@ def check_page(port: int) -> None:
         )
     if port and is_port_taken("127.0.0.1", port):
         raise OSError(
-            f"another program listens on port {port} of this host; use --viewer-port with "
+            f"another program listens on port {port} of this host; use --port with "
             "another, 0 for any free one, or --no-viewer"
         )
 

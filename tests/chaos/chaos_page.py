@@ -102,7 +102,7 @@ async def _read(page: AsyncConnection) -> None:
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Load a page, then kill it."""
     robots = ROBOTS_WHEN_SHORT if is_short else ROBOTS
-    with running_up("--robots", str(robots), "--viewer-port", "0") as (process, ready, bus):
+    with running_up("--robots", str(robots), "--port", "0") as (process, ready, bus):
         url = str(ready["viewer"])
         yield from _load(bus, url, process.pid, is_short=is_short)
         yield from _kill(url, process.pid, KILLS_WHEN_SHORT if is_short else KILLS)

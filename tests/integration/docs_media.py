@@ -189,7 +189,7 @@ def make_media() -> None:
     with TemporaryDirectory() as folder:
         recording = Path(folder) / "run.mcap"
         options = ("--robots", str(ROBOTS), "--agents", "pooled", "--record", str(recording))
-        with running_up(*options, "--viewer-port", "0") as (_, announced, bus):
+        with running_up(*options, "--port", "0") as (_, announced, bus):
             make_pictures(str(announced["viewer"]), bus)
         with running("view", "--recording", str(recording), "--port", "0") as process:
             assert process.stdout is not None

@@ -129,7 +129,7 @@ def test_program_does_not_serve_other_hosts_without_a_decision(command: str, opt
 
 
 def test_default_deployment_listens_on_loopback_only() -> None:
-    with running_up("--robots", "1", "--viewer-port", "0", "--metrics", "0") as (process, _, _):
+    with running_up("--robots", "1", "--port", "0", "--metrics", "0") as (process, _, _):
         family = [psutil.Process(pid) for pid in (process.pid, *children(process.pid))]
         found = [one for program in family for one in program.net_connections("inet")]
 

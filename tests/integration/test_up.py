@@ -119,7 +119,7 @@ def test_taken_port_of_the_page_is_reported_before_anything_starts() -> None:
         taken.listen()
         port = taken.getsockname()[1]
 
-        done = zensim("up", "--listen", endpoint, "--viewer-port", str(port))
+        done = zensim("up", "--listen", endpoint, "--port", str(port))
 
     assert done.returncode == ExitCode.FAILED
     assert str(port) in done.stderr
@@ -139,7 +139,7 @@ def test_missing_page_is_reported_before_anything_starts(tmp_path: Path) -> None
 
 
 def test_world_goes_on_and_the_page_comes_back_when_the_page_dies() -> None:
-    arguments = ("--robots", "1", "--engine", "mujoco", "--sensors", "0", "--viewer-port", "0")
+    arguments = ("--robots", "1", "--engine", "mujoco", "--sensors", "0", "--port", "0")
     with running("up", "--listen", free_endpoint(), "--json", *arguments) as process:
         ready = read_json_line(process)
         first = eventually(lambda: find_child(process, "view"), 30.0, "the page")
@@ -161,7 +161,7 @@ def test_world_goes_on_and_the_page_comes_back_when_the_page_dies() -> None:
 def test_world_and_page_go_on_when_a_wall_and_a_deleted_robot_are_clicked() -> None:
     arguments = ("--robots", "2", "--world", "walls", "--engine", "mujoco", "--sensors", "0")
     with running(
-        "up", "--listen", free_endpoint(), "--json", *arguments, "--viewer-port", "0"
+        "up", "--listen", free_endpoint(), "--json", *arguments, "--port", "0"
     ) as process:
         ready = read_json_line(process)
         page = find_child(process, "view")
@@ -261,7 +261,7 @@ def test_page_of_a_secured_up_acts_if_its_role_does(
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     given = ("--secure", "--robots", "1", "--behaviour", "none", "--viewer", *options)
 
-    with up(*given, "--viewer-port", "0") as (_, ready):
+    with up(*given, "--port", "0") as (_, ready):
         url, _, token = str(ready["viewer"]).partition("/?")
         secret = token.partition("=")[2]
         cookie = f"{name_cookie(urlsplit(url).port or 0)}={secret}"
