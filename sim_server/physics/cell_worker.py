@@ -108,7 +108,7 @@ def _anonymous_areas() -> Iterator[tuple[int, int]]:
 
 
 def _mmapped_blocks(start: int, end: int) -> Iterator[tuple[int, int]]:
-    """List the whole pages of consecutive blocks that malloc mapped, from an address on."""
+    """List the whole pages of blocks that malloc mapped, and pass over what others mapped."""
     while start + MALLOC_HEADER_BYTES <= end:
         previous_size, word = (ctypes.c_size_t * 2).from_address(start)
         size = word & ~MALLOC_FLAGS
@@ -117,10 +117,11 @@ def _mmapped_blocks(start: int, end: int) -> Iterator[tuple[int, int]]:
             and word & MALLOC_FLAGS == MALLOC_IS_MMAPPED
             and size % mmap.PAGESIZE == 0
         )
-        if not is_block or size < MIN_BLOCK_BYTES or start + size > end:
-            return
-        yield start + mmap.PAGESIZE, start + size
-        start += size
+        if is_block and MIN_BLOCK_BYTES <= size <= end - start:
+            yield start + mmap.PAGESIZE, start + size
+            start += size
+        else:
+            start += mmap.PAGESIZE
 
 
 FORWARDED_METHODS = (

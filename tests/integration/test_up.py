@@ -160,9 +160,7 @@ def test_world_goes_on_and_the_page_comes_back_when_the_page_dies() -> None:
 
 def test_world_and_page_go_on_when_a_wall_and_a_deleted_robot_are_clicked() -> None:
     arguments = ("--robots", "2", "--world", "walls", "--engine", "mujoco", "--sensors", "0")
-    with running(
-        "up", "--listen", free_endpoint(), "--json", *arguments, "--port", "0"
-    ) as process:
+    with running("up", "--listen", free_endpoint(), "--json", *arguments, "--port", "0") as process:
         ready = read_json_line(process)
         page = find_child(process, "view")
         with PageUser(str(ready["viewer"])) as user, connected(str(ready["endpoint"])) as bus:

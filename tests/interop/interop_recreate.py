@@ -12,6 +12,7 @@ from benchmarks.figures import Figure
 from tests.interop.acceptance import all_of
 from tests.interop.foreign_peers import Stage, list_routers, stage
 from zensim.proto.ros2.node_messages import ListParametersRequest, ListParametersResponse
+from zensim.proto.ros2.rmw_keys import make_data_key
 from zensim.proto.ros2.type_hash import find_service_type, hash_service
 
 ROBOTS = 10
@@ -38,7 +39,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 def call_in_turn(network: Stage, robot: str, *options: str) -> int:
     """Run a process that makes the calls; return how many got a reply."""
     request, response = ListParametersRequest, ListParametersResponse
-    service = f"{robot}/agent/list_parameters"
-    key = f"{service}/{find_service_type(request)}/{hash_service(request, response)}"
+    service, ros_type = f"{robot}/agent/list_parameters", find_service_type(request)
+    key = make_data_key(0, service, ros_type, hash_service(request, response))
     calls = ("--key", key, "--calls", str(CALLS))
     return int(network.run("recreate", *calls, *options, within_s=WITHIN_S)["answered"])

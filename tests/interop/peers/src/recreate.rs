@@ -14,7 +14,7 @@ const REPLY_WITHIN: Duration = Duration::from_secs(12);
 
 #[derive(clap::Args)]
 pub struct Recreate {
-    /// Key of the service, without the domain: name, type and hash.
+    /// Data key of the service.
     #[arg(long)]
     key: String,
     #[arg(long, default_value_t = 200)]
@@ -96,10 +96,9 @@ impl Recreate {
         config.insert_json5("scouting/multicast/enabled", "false")?;
         config.insert_json5("connect/endpoints", &json!([network.connect]).to_string())?;
         let session = zenoh::open(config).wait()?;
-        let key = format!("{}/{}", network.domain, self.key);
         let mut answered = 0;
         while answered < self.calls {
-            let client = Arc::new(Client::new(&session, &key)?);
+            let client = Arc::new(Client::new(&session, &self.key)?);
             client.ask(answered, self.held_by_callback)?;
             if !client.waits() {
                 break;
