@@ -1,15 +1,17 @@
 """`zensim view`: serve the 3D page of a running world, or of a recording."""
 
+import os
+import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
 from zensim.proto.cli_options import expand_options, make_app
-from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.verbosity import configure_logging
 from zensim.spawner.cli.view_commands import (
@@ -56,6 +58,14 @@ def view(given: PageOptions) -> None:
         _check_options(given)
         open_source = partial(open_recording if given.recording else open_world, given)
         serve_page(given, open_source, stop)
+    _end_process()
+
+
+def _end_process() -> NoReturn:
+    """End without the clean-up of Python: threads of viser still run, and it aborted at times."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(ExitCode.OK)
 
 
 def open_recording(given: PageOptions, stack: ExitStack) -> PageSource:
