@@ -19,7 +19,8 @@ from benchmarks.figures import Figure, table
 from benchmarks.fleet_server import FleetServer, Spent, run_fleet_server
 from benchmarks.pybullet_floor import PlainLoop, Turn
 from benchmarks.ten_robots import CIRCLE, MILLISECONDS
-from zensim.proto.settings.pace_settings import CONTROL_HZ
+from zensim.proto.settings.pace_settings import CONTROL_HZ, PaceSettings
+from zensim.proto.settings.server_settings import ServerSettings
 from zensim.sim_server.server_config import ServerConfig
 
 __all__ = ["rows", "table"]
@@ -45,7 +46,8 @@ class Case(msgspec.Struct, frozen=True):
     @property
     def config(self) -> ServerConfig:
         """Configuration of its server."""
-        return msgspec.structs.replace(CONFIG, control_hz=self.control_hz)
+        pace = PaceSettings(control_hz=self.control_hz)
+        return msgspec.structs.replace(CONFIG, settings=ServerSettings(pace=pace))
 
     @property
     def label(self) -> str:

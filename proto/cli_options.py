@@ -5,7 +5,7 @@ import inspect
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -129,7 +129,9 @@ def expand_options(action: Callable[..., None]) -> Callable[..., None]:
     added = _list_missing_switches([one.name for one in expanded])
     own_context = next((one.name for one in expanded if one.annotation is typer.Context), "")
     expanded += [*added] if own_context else [*added, RUNNING_CONTEXT]
-    options = frozenset(name for one in expanded for name in _name_settings(one))
+    options: dict[str, str] = {}
+    for one in expanded:
+        options |= name_settings(one.name, one.annotation)
     run.__name__ = action.__name__
     run.__doc__ = action.__doc__
     run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
@@ -148,12 +150,38 @@ def _find_groups(parameters: Iterable[inspect.Parameter]) -> dict[str, type]:
     }
 
 
-def _name_settings(parameter: inspect.Parameter) -> Iterator[str]:
-    """Name the settings of an option, as messages write them: `min_free` of `--min-free`."""
-    yield parameter.name
-    for one in getattr(parameter.annotation, "__metadata__", ()):
-        for spelling in getattr(one, "param_decls", None) or ():
-            yield spelling.lstrip("-").replace("-", "_")
+def name_settings(name: str, kind: object) -> dict[str, str]:
+    """Name the settings of an option, and write each as it is typed.
+
+    Messages name `min_free`, and users type `--min-free`; `-x` where there is no long spelling. An
+    argument is written as help does, in capitals.
+
+    Args:
+        name: Of the field or parameter.
+        kind: Its annotated type.
+    """
+    infos = getattr(kind, "__metadata__", ())
+    if arguments := [one for one in infos if isinstance(one, ArgumentInfo)]:
+        return {name: str(arguments[0].metavar or name.upper())}
+    spellings = [spelling for one in infos for spelling in _list_spellings(one)]
+    long = [one for one in spellings if one.startswith("--")]
+    typed = next(iter((*long, *spellings)), f"--{name.replace('_', '-')}")
+    return {name: typed} | {one.lstrip("-").replace("-", "_"): typed for one in spellings}
+
+
+def name_group(group: type) -> dict[str, str]:
+    """Name the settings of the options of a dataclass; see `name_settings`."""
+    found: dict[str, str] = {}
+    for field in _list_fields(group):
+        found |= name_settings(field.name, field.type)
+    return found
+
+
+def _list_spellings(info: object) -> list[str]:
+    """List the spellings that an option declares; of a switch, those that turn it on."""
+    # In an annotation, the first spelling is where the default is elsewhere.
+    declared = (getattr(info, "default", None), *(getattr(info, "param_decls", None) or ()))
+    return [one.partition("/")[0] for one in declared if isinstance(one, str)]
 
 
 def _name_running_command(context: Any) -> str:  # noqa: ANN401
@@ -174,9 +202,8 @@ def _require_finite(given: Mapping[str, object]) -> None:
     """
     for name, value in given.items():
         if isinstance(value, float) and not abs(value) <= MAX_NUMBER:
-            option = f"--{name.replace('_', '-')}"
             what = "no number" if math.isnan(value) else f"too large; use at most {MAX_NUMBER:g}"
-            raise ValueError(f"{option} {value:g} is {what}")
+            raise ValueError(f"`{name}` {value:g} is {what}")
 
 
 def _list_missing_switches(names: Sequence[str]) -> list[inspect.Parameter]:
@@ -311,10 +338,7 @@ def _index_options(group: type) -> dict[str, tuple["dataclasses.Field[Any]", Opt
     for field in _list_fields(group):
         kind, info = get_args(field.type)
         if isinstance(info, OptionInfo) and (kind is bool or kind in PLAIN_TYPES):
-            # In an annotation, the first spelling is where the default is elsewhere.
-            declared = (info.default, *(info.param_decls or ()))
-            spellings = [one for one in declared if isinstance(one, str)]
-            spellings = spellings or [f"--{field.name.replace('_', '-')}"]
+            spellings = _list_spellings(info) or [f"--{field.name.replace('_', '-')}"]
             found.update(dict.fromkeys(spellings, (field, info)))
     return found
 

@@ -103,8 +103,7 @@ def format_failure(error: Exception) -> str:
 
 def _spell_setting(found: re.Match[str]) -> str:
     """Write a setting that a message names in backticks as the option of the running command."""
-    name = found[1]
-    return f"--{name.replace('_', '-')}" if name in CURRENT.options else found[0]
+    return CURRENT.options.get(found[1], found[0])
 
 
 def print_failure(command: str, error: Exception) -> None:

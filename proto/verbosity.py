@@ -5,6 +5,7 @@ import logging
 import os
 import sys
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Final
 
 from zensim.proto.json_logs import JsonFormatter, RepeatLimit
@@ -26,8 +27,8 @@ class Verbosity:
     log_format = ""
     """Format of `LOG_FORMATS`; empty = as the variable says."""
 
-    options: frozenset[str] = frozenset()
-    """Names of the settings that are options of the command."""
+    options: Mapping[str, str] = MappingProxyType({})
+    """Options of the command as they are typed, by the settings that they give."""
 
 
 CURRENT = Verbosity()

@@ -355,11 +355,11 @@ def _run_plainly(arguments: Sequence[str]) -> bool:
 def _run_with_options(
     group: type[Options], run: Callable[[Options], None], words: Sequence[str]
 ) -> bool:
-    from zensim.proto.cli_options import parse_plain_options
+    from zensim.proto.cli_options import name_group, parse_plain_options
     from zensim.proto.verbosity import CURRENT
 
     given = parse_plain_options(group, words, os.environ)
     if given is not None:
-        CURRENT.options = frozenset(vars(given))
+        CURRENT.options = name_group(group)
         run(given)
     return given is not None

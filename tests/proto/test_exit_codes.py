@@ -180,7 +180,7 @@ def test_command_exits_with_ok_on_a_broken_pipe() -> None:
 def test_setting_of_a_message_is_written_as_an_option_of_the_command(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(CURRENT, "options", frozenset({"step_hz"}))
+    monkeypatch.setattr(CURRENT, "options", {"step_hz": "--step-hz"})
 
     text = format_failure(ValueError("`step_hz` 0 is out of range; see `other` and `zensim up`"))
 
