@@ -242,8 +242,14 @@ def reset(page: Page, act: Callable[[], None]) -> None:
 
 def stop_all(page: Page, act: Callable[[], None]) -> None:
     with page.commands("r2") as commands:
-        act()
-        eventually(is_stopped(commands), WITHIN_S, "a stop")
+
+        def is_sent() -> bool:
+            # What the page publishes before it knows the new subscriber is not sent to it.
+            act()
+            page.tab.evaluate(PAUSE % 1000)
+            return is_stopped(commands)()
+
+        eventually(is_sent, WITHIN_S, "a stop")
 
 
 def take_over(page: Page, act: Callable[[], None]) -> None:
