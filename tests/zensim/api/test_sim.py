@@ -344,7 +344,10 @@ def test_async_iteration_gives_messages_while_another_thread_steps(sim: zensim.S
 
     stamps = asyncio.run(read_three())
 
-    assert np.diff(stamps) == pytest.approx(np.diff(stamps)[0], abs=1e-6)
+    # An agent that is late leaves states out: the messages are whole periods apart.
+    periods = np.diff(stamps) / 0.0125
+    assert (periods > 0.5).all()
+    assert periods == pytest.approx(periods.round(), abs=1e-3)
     assert stamps == sorted(set(stamps))
 
 
