@@ -139,7 +139,11 @@ def copy_sample(sample: zenoh.Sample, payload: zenoh.ZBytes) -> Sample:
 
 
 def to_key_expression(key: str) -> zenoh.KeyExpr:
-    """Check a key or pattern; raises ValueError for one that Zenoh does not know."""
+    """Check a key or pattern.
+
+    Raises:
+        ValueError: It is not a valid key expression of Zenoh.
+    """
     try:
         canonical: zenoh.KeyExpr = zenoh.KeyExpr.autocanonize(key)
     except zenoh.ZError as error:

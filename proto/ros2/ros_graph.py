@@ -118,15 +118,15 @@ class RosGraph:
         group = self._find_free_group()
         is_shared = may_share and group is not self._groups[0]
         shared = self._share_node(group, name) if is_shared else None
-        return self._keep(f"/{namespace.strip('/')}", name, group, shared)
+        return self._make_node(f"/{namespace.strip('/')}", name, group, shared)
 
     def _share_node(self, group: NodeGroup, name: str) -> "RosNode":
         """Find the node that robots of a group share, or add it."""
         if group.shared is None:
-            group.shared = self._keep(f"{SHARED_NAMESPACE}_{group.zid[:8]}", name, group, None)
+            group.shared = self._make_node(f"{SHARED_NAMESPACE}_{group.zid[:8]}", name, group, None)
         return group.shared
 
-    def _keep(
+    def _make_node(
         self, namespace: str, name: str, group: NodeGroup, shared: "RosNode | None"
     ) -> "RosNode":
         node = GraphNode(
@@ -341,10 +341,10 @@ class RosNode:
         while self._tokens:
             self._tokens.pop().close()
         if self.shared is not None and not was_closed:
-            self.shared.leave()
+            self.shared.remove_member()
 
-    def leave(self) -> None:
-        """Take leave of a robot that shared the node; without robots the node is closed."""
+    def remove_member(self) -> None:
+        """Remove a robot that shares the node; the node is closed with its last one."""
         self.members -= 1
         if self.members == 0:
             if self._group.shared is self:

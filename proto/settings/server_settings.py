@@ -20,7 +20,7 @@ class ServerSettings(msgspec.Struct, frozen=True, kw_only=True):
 
 
 USUAL_SERVER: Final = ServerSettings()
-"""Settings of a server that is told nothing."""
+"""Default settings of a server."""
 
 
 class WorldKeywords(StartKeywords, EngineKeywords, PaceKeywords, total=False):
