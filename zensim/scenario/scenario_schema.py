@@ -146,21 +146,24 @@ def _give_default(field: inspect.Field) -> Schema:
 
 
 def make_reference() -> str:
-    """Write the reference of all keys as Markdown: a table for each section and kind."""
+    """Write the reference of all keys as Markdown; keys of all kinds of a section stand once."""
     root = next(_find_structs(inspect.type_info(ScenarioFormat)))
     parts = [_format_table("A scenario", root)]
     for field in root.fields:
         structs = list(_find_structs(field.type))
-        for kind in structs:
-            tag = f", `{kind.tag_field}: {kind.tag}`" if kind.tag_field is not None else ""
-            parts.append(_format_table(f"`{field.encode_name}`{tag}", kind))
-            parts += [
-                _format_table(f"`{inner.encode_name}` of `{field.encode_name}`", one)
-                for inner in kind.fields
-                if kind.tag_field is None or inner.encode_name == "when"
-                for one in _find_structs(inner.type)
-                if kind is structs[0]
-            ]
+        shared = _find_shared_rows(structs)
+        if shared:
+            parts.append(
+                _format_keys(f"`{field.encode_name}`, all kinds", "Keys of each kind.", shared)
+            )
+        parts += [_format_kind(field.encode_name, kind, shared) for kind in structs]
+        parts += [
+            _format_table(f"`{inner.encode_name}` of `{field.encode_name}`", one)
+            for kind in structs[:1]
+            for inner in kind.fields
+            if kind.tag_field is None or inner.encode_name == "when"
+            for one in _find_structs(inner.type)
+        ]
     units = "\n".join(f"| {unit} | {', '.join(words)} |" for unit, words in UNITS.items())
     parts.append(f"### Units\n\n| SI | may be written |\n|---|---|\n{units}\n")
     return "\n".join(parts)
@@ -179,15 +182,36 @@ def _find_structs(kind: inspect.Type) -> Iterator[inspect.StructType]:
             yield from _find_structs(one)
 
 
+def _find_shared_rows(kinds: Sequence[inspect.StructType]) -> list[str]:
+    """Find the rows that several kinds of one section have all."""
+    if not kinds[1:]:
+        return []
+    rows = [_list_rows(kind) for kind in kinds]
+    return [row for row in rows[0] if all(row in others for others in rows[1:])]
+
+
+def _format_kind(section: str, kind: inspect.StructType, shared: Sequence[str]) -> str:
+    tag = f", `{kind.tag_field}: {kind.tag}`" if kind.tag_field is not None else ""
+    own = [row for row in _list_rows(kind) if row not in shared]
+    return _format_keys(f"`{section}`{tag}", _describe_class(kind.cls), own)
+
+
 def _format_table(title: str, kind: inspect.StructType) -> str:
-    rows = [
+    return _format_keys(title, _describe_class(kind.cls), _list_rows(kind))
+
+
+def _list_rows(kind: inspect.StructType) -> list[str]:
+    return [
         f"| `{field.encode_name}` | {_name_type(field.type)} | {_show_default(field)} "
         f"| {_find_description(field.type)} |"
         for field in kind.fields
     ]
+
+
+def _format_keys(title: str, about: str, rows: Sequence[str]) -> str:
     head = "| key | value | default | meaning |\n|---|---|---|---|"
-    table = "\n".join([head, *rows])
-    return f"### {title}\n\n{_describe_class(kind.cls)}\n\n{table}\n"
+    table = "\n".join(["", head, *rows, ""]) if rows else ""
+    return f"### {title}\n\n{about}\n{table}"
 
 
 def _show_default(field: inspect.Field) -> str:
