@@ -109,9 +109,12 @@ def limit_by_other_discs(
         fractions: (n,) fractions allowed for other reasons.
     """
     fractions = fractions.copy()
+    near = _list_near_pairs(moves, one, other)
+    if not len(near.one):
+        return fractions
     for last in range(len(moves.radius) + ROUNDS_UNTIL_STOP):
         way = moves.way if fractions.min() >= 1.0 else moves.way * fractions[:, None]
-        stopped, part = _find_collisions(moves, way, one, other)
+        stopped, part = _find_collisions(moves, way, near)
         if not len(stopped):
             return fractions
         if last >= ROUNDS_UNTIL_STOP:
@@ -120,17 +123,31 @@ def limit_by_other_discs(
     return fractions
 
 
-def _find_collisions(
-    moves: DiscMotions, way: FloatArray, one: IntArray, other: IntArray
-) -> tuple[IntArray, FloatArray]:
-    """Find the discs that run into others, and the fractions of their way until then."""
-    apart = moves.start.take(other, axis=0) - moves.start.take(one, axis=0)
-    square = np.einsum("ij,ij->i", apart, apart)
+@dataclass(frozen=True)
+class _NearPairs:
+    """Pairs (k,) of discs that may meet, `apart` (k, 2), at a distance of the root of `square`."""
+
+    one: IntArray
+    other: IntArray
+    apart: FloatArray
+    square: FloatArray
+
+
+def _list_near_pairs(moves: DiscMotions, one: IntArray, other: IntArray) -> _NearPairs:
+    x, y = np.ascontiguousarray(moves.start.T)
+    ahead, aside = x[other] - x[one], y[other] - y[one]
+    square = ahead * ahead + aside * aside
     within = moves.reach[one] + moves.reach[other]
     near = np.flatnonzero(square < within * within)
-    if not len(near):
-        return NO_INDICES, NO_FRACTIONS
-    one, other, apart, square = one[near], other[near], apart[near], square[near]
+    apart = np.stack([ahead[near], aside[near]], axis=1)
+    return _NearPairs(one[near], other[near], apart, square[near])
+
+
+def _find_collisions(
+    moves: DiscMotions, way: FloatArray, near: _NearPairs
+) -> tuple[IntArray, FloatArray]:
+    """Find the discs that run into others, and the fractions of their way until then."""
+    one, other, apart, square = near.one, near.other, near.apart, near.square
     closing = way.take(other, axis=0) - way.take(one, axis=0)
     b = np.einsum("ij,ij->i", apart, closing)
     a = np.einsum("ij,ij->i", closing, closing)

@@ -17,7 +17,7 @@ from zensim.sim_server.physics.kinematic.tier_body_table import (
     rotate_by_heading,
     select_rows,
 )
-from zensim.sim_server.scene.broad_phase import IntArray
+from zensim.sim_server.scene.broad_phase import IntArray, expand_ranges
 
 MIN_TURN_RAD = 1e-300
 """Replaces a zero rotation, for which an arc has no radius."""
@@ -26,6 +26,14 @@ MIN_TURN_RAD = 1e-300
 def ramp_towards(now: FloatArray, wanted: FloatArray, most: FloatArray | float) -> FloatArray:
     """Change values towards wanted ones, by at most `most`."""
     return np.minimum(np.maximum(wanted, now - most), now + most)
+
+
+def multiply_columns(matrix: FloatArray, speeds: FloatArray) -> FloatArray:
+    """Compute root twists (3, n) by speeds (n, k) of wheels; a row never depends on the others."""
+    found = matrix[:, :1] * speeds[:, 0]
+    for wheel in range(1, speeds.shape[1]):
+        found += matrix[:, wheel : wheel + 1] * speeds[:, wheel]
+    return np.asarray(found)
 
 
 def compute_steered_twists(
@@ -223,6 +231,23 @@ class KinematicRobots:
         self.positions.free(int(self._table.joint_start[row]), vehicle.joint_count)
         self.targets.free(int(self._table.target_start[row]), vehicle.width)
 
+    def tile(self, table: TierBodyTable, rows: IntArray, copies: int) -> "KinematicRobots":
+        """Make the robots of a table tiled by these rows; see `TierBodyTable.tile`."""
+        own, found = self._table, KinematicRobots(table, self._dt_s)
+        joints = expand_ranges(own.joint_start[rows], own.joint_count[rows])[1]
+        targets = expand_ranges(own.target_start[rows], own.width[rows])[1]
+        found.positions.numbers = np.tile(self.positions.numbers[joints], copies)
+        found.velocities = np.tile(self.velocities[joints], copies)
+        found.targets.numbers = np.tile(self.targets.numbers[targets], copies)
+        starts = np.arange(copies)[:, None] * len(rows)
+        for vehicle, group in self._groups.items():
+            members = np.flatnonzero(np.isin(rows, group.all_rows))
+            copied = make_vehicle_group(vehicle)
+            copied.all_rows = (starts + members).reshape(-1)
+            found._groups[vehicle] = copied
+        found.gather()
+        return found
+
     def vehicle(self, row: int) -> PlanarVehicle:
         """Find the vehicle of a robot."""
         return self._vehicles[row]
@@ -302,7 +327,7 @@ class KinematicRobots:
         speeds = ramp_towards(self.velocities[group.driven], targets, most)
         self.velocities[group.driven] = speeds
         if vehicle.matrix:
-            return np.asarray(group.matrix @ speeds.T)
+            return multiply_columns(group.matrix, speeds)
         self._steer(group)
         angles = positions[group.joints[:, list(vehicle.steering)]]
         twists = compute_steered_twists(vehicle, speeds, angles)

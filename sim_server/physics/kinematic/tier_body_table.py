@@ -97,6 +97,18 @@ class TierBodyTable:
         self.tier[row] = Tier.NONE
         heapq.heappush(self._free, row)
 
+    def tile(self, rows: IntColumn, copies: int) -> "TierBodyTable":
+        """Make a table of `copies` times these rows, which pools their joints and targets anew."""
+        found = TierBodyTable()
+        for name, column in vars(self).items():
+            if isinstance(column, np.ndarray):
+                setattr(found, name, np.tile(column[..., rows], copies))
+        found.joint_start = np.cumsum(found.joint_count) - found.joint_count
+        found.target_start = np.cumsum(found.width) - found.width
+        found.reach_m = self.reach_m
+        found._free, found._used = [], len(found.tier)
+        return found
+
     def set_disc(self, row: int, radius_m: float, centre: Sequence[float] | FloatArray) -> None:
         """Set the disc of a body; its centre (2,) is in the root link."""
         self.radius[row], self.centre[:, row] = radius_m, centre

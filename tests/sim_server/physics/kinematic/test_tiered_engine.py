@@ -18,12 +18,12 @@ from tests.sim_server.physics.kinematic.tiered_worlds import (
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.engine_config import EngineConfig
-from zensim.sim_server.physics.kinematic.tiered_engine import (
+from zensim.sim_server.physics.kinematic.proximity_index import (
     MAX_APPENDED_DISCS,
     NEIGHBOUR_MARGIN_M,
     NeighbourLists,
-    TieredEngine,
 )
+from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
 from zensim.sim_server.scene.footprints import StaticEdges
 
 EITHER: tuple[Dynamics, ...] = ("auto", "full")
