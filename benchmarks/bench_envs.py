@@ -5,10 +5,12 @@ curves. Each repetition is compared with MuJoCo alone. It steps the same model i
 worlds equally often, one world after another, in two ways: robots that drive (`mj_step1`, constant
 target speeds of the wheels, `mj_step2`), and robots that stand (`mj_step`). All figures are CPU
 times of this process, measured in turn. The restart is that of one world of ten robots in a batch
-of 16.
+of 16. Kinematic robots take random actions through Gymnasium, with observations, rewards and
+restarts; a step of an environment is 0.1 s. Memory is what Python and NumPy allocate for them.
 """
 
 import time
+import tracemalloc
 from collections.abc import Callable, Iterator
 
 import mujoco
@@ -17,6 +19,7 @@ import numpy as np
 import zensim
 from benchmarks.figures import Figure, table
 from zensim.api.in_process_world import get_server
+from zensim.envs import ZensimEnv, ZensimVectorEnv
 from zensim.envs.batch import Batch
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoReplicas
 
@@ -31,6 +34,9 @@ SETTLING_STEPS = 20
 ENGINE_STEPS = 3
 """Engine steps of a control step."""
 RESTARTS = 50
+KINEMATIC = (("reach", 1024, 4, 1.0), ("avoid", 256, 20, 0.5))
+"""Task, worlds, robots, and their distance at the start [m]."""
+ENV_STEPS, DRAWS = 100, 8
 WHEEL_SPEEDS, STEP_HZ = (8.0, 9.0), 240.0
 """Left and right [rad/s]: 0.3 m/s."""
 
@@ -42,6 +48,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         for worlds in (2,) if is_short else WORLDS:
             yield from _steps(world, worlds, repeats=1 if is_short else REPEATS)
         yield _restarts(world, 2 if is_short else RESTARTS)
+    yield from _kinematic(repeats=1 if is_short else REPEATS)
 
 
 def _steps(world: zensim.World, worlds: int, *, repeats: int) -> Iterator[Figure]:
@@ -72,6 +79,40 @@ def _steps(world: zensim.World, worlds: int, *, repeats: int) -> Iterator[Figure
     shown = f"{what}, speed against MuJoCo with robots that stand"
     yield Figure(what=shown, unit="%", samples=tuple(rests))
     yield Figure(what=f"{what}, control steps of a world", unit="1/s of CPU", samples=tuple(rates))
+
+
+def _kinematic(*, repeats: int) -> Iterator[Figure]:
+    draw = np.random.default_rng(1).uniform
+    for task, worlds, robots, spacing in KINEMATIC:
+        tracemalloc.start()
+        env = ZensimVectorEnv(worlds, task=task, count=robots, spacing=spacing, threads=1)
+        actions = draw(-1.0, 1.0, (DRAWS, worlds, robots, 2))
+        env.reset(seed=1)
+        env.step(actions[0])
+        kib = (tracemalloc.get_traced_memory()[0] - actions.nbytes) / worlds / robots / 1024.0
+        tracemalloc.stop()
+        what = f"{task}, {worlds} worlds of {robots} kinematic robots"
+        rate = _rate(lambda n, env=env, actions=actions: env.step(actions[n % DRAWS]), repeats)  # type: ignore[misc]
+        samples = tuple(worlds * robots * one for one in rate)
+        yield Figure(what=f"{what}, steps of a robot", unit="1/s of CPU", samples=samples)
+        yield Figure(what=f"{what}, memory of a robot", unit="KiB", samples=(kib,))
+    single, one = ZensimEnv("reach"), draw(-1.0, 1.0, (DRAWS, 2))
+    single.reset(seed=1)
+
+    def step(number: int) -> None:
+        if any(single.step(one[number % DRAWS])[2:4]):
+            single.reset()
+
+    what = "one world of one kinematic robot, steps of gymnasium.Env"
+    yield Figure(what=what, unit="1/s of CPU", samples=_rate(step, repeats))
+
+
+def _rate(step: Callable[[int], object], repeats: int) -> tuple[float, ...]:
+    """Measure the steps per second of CPU, some times."""
+    numbers = iter(range(10**9))
+    return tuple(
+        ENV_STEPS / _measure(lambda: step(next(numbers)), ENV_STEPS) for _ in range(repeats)
+    )
 
 
 Pairs = list[tuple[mujoco.MjModel, mujoco.MjData]]
@@ -112,7 +153,7 @@ def _make_standing(world: zensim.World, worlds: int) -> Callable[[], None]:
     return step
 
 
-def _measure(call: Callable[[], None], count: int) -> float:
+def _measure(call: Callable[[], object], count: int) -> float:
     began_s = time.process_time()
     for _ in range(count):
         call()

@@ -7,6 +7,7 @@ in any order and in any batch, after a reset, and whenever the robot was claimed
 import math
 from collections.abc import Sequence
 from hashlib import blake2b
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +28,7 @@ MIX_FACTORS = (np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB))
 MIX_SHIFTS = (np.uint64(30), np.uint64(27), np.uint64(31))
 MANTISSA_SHIFT = np.uint64(11)
 UNIT = 2.0**-53
-WHITE, FIXED_BIAS, COIN, DYNAMIC_BIAS = range(4)
+WHITE, FIXED_BIAS, COIN, DYNAMIC_BIAS, UNIFORM = range(5)
 """Purposes of draws; each has numbers of its own."""
 BLOCK_TIMES = 32.0
 """Correlation times after which a dynamic bias counts as forgotten: e^-32 is 1e-14."""
@@ -46,7 +47,21 @@ def make_noise_key(seed: int, entity: str, sensor: Sensor) -> int:
     return int.from_bytes(blake2b(text.encode(), digest_size=KEY_BYTES).digest(), "little")
 
 
-def draw_normals(keys: KeyArray, counter: int, count: int, purpose: int = WHITE) -> FloatArray:
+Counter: TypeAlias = int | KeyArray
+"""Of all keys, or one of each (n,)."""
+
+
+def draw_uniforms(keys: KeyArray, counter: Counter, count: int) -> FloatArray:
+    """Draw numbers (n, count) in [0, 1), which do not depend on those of other keys."""
+    return _to_unit(draw_words(keys, counter, count))
+
+
+def draw_words(keys: KeyArray, counter: Counter, count: int) -> KeyArray:
+    """Draw words (n, count) of 64 random bits; see `draw_uniforms`."""
+    return _draw_bits(keys, counter, count, UNIFORM)
+
+
+def draw_normals(keys: KeyArray, counter: Counter, count: int, purpose: int = WHITE) -> FloatArray:
     """Draw numbers of the standard normal distribution, by Box-Muller from SplitMix64.
 
     Args:
@@ -69,10 +84,14 @@ def draw_normals(keys: KeyArray, counter: int, count: int, purpose: int = WHITE)
     return found.reshape(len(keys), 2 * pairs)[:, :count]
 
 
-def _draw_bits(keys: KeyArray, counter: int, count: int, purpose: int) -> KeyArray:
+def _draw_bits(keys: KeyArray, counter: Counter, count: int, purpose: int) -> KeyArray:
     """Draw (n, count) words; the two of a pair of numbers are count / 2 columns apart."""
     start = keys + np.uint64((purpose + 1) * GOLDEN_GAMMA % WORD)
-    state = _mix(_mix(start) + np.uint64((counter + 1) * GOLDEN_GAMMA % WORD))
+    if isinstance(counter, int):
+        steps: np.uint64 | KeyArray = np.uint64((counter + 1) * GOLDEN_GAMMA % WORD)
+    else:
+        steps = (counter + np.uint64(1)) * np.uint64(GOLDEN_GAMMA)
+    state = _mix(_mix(start) + steps)
     # Words 1, 3, 5, ..., then 2, 4, 6, ...: pair i is the same, whatever the count.
     order = np.arange(1, count + 1, dtype=np.uint64)
     order = np.concatenate([order[::2], order[1::2]]) * np.uint64(GOLDEN_GAMMA)

@@ -11,6 +11,7 @@ from zensim.proto.rate_limiter import SLACK_NS
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
+ALL_ROWS = slice(None)
 NEW_ROW = -1
 """Former row of a robot that is new."""
 
@@ -130,9 +131,9 @@ class GroupRateLimiter:
         self._opened_ns = remap_ints(self._opened_ns, before)
         self._due_ns = remap_ints(self._due_ns, before)
 
-    def reset(self) -> None:
+    def reset(self, rows: IntArray | slice = ALL_ROWS) -> None:
         """Forget the last openings."""
-        self._has_opened[:] = False
+        self._has_opened[rows] = False
 
     def open(self, time_ns: int) -> tuple[IntArray, FloatArray]:
         """Open the rows that are due.

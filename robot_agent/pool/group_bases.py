@@ -14,6 +14,7 @@ from zensim.robot_agent.base_controller import find_motion_rates
 from zensim.robot_agent.odometry import MotionColumns, find_encoder_motion, find_world_motion
 from zensim.robot_agent.pool.group_key import GroupKey
 from zensim.robot_agent.robot_rows import (
+    ALL_ROWS,
     BoolArray,
     FloatArray,
     GroupRateLimiter,
@@ -109,10 +110,10 @@ class GroupDrive:
         self._last = None
         self._state = remap_floats(self._state, before)
 
-    def reset(self) -> None:
-        """Set the state to 0."""
+    def reset(self, rows: IntArray | slice = ALL_ROWS) -> None:
+        """Set the state of rows to 0."""
         self._last = None
-        self._state[:] = 0.0
+        self._state[rows] = 0.0
 
     def forget_last(self) -> None:
         """Forget the last update: no row is due at the present state."""

@@ -1,7 +1,5 @@
 """AvoidEachOther: robots exchange their places without a collision."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from zensim.envs.robot_task import (
@@ -16,6 +14,7 @@ from zensim.envs.robot_task import (
     find_in_robot,
     turn_into_robot,
 )
+from zensim.envs.world_streams import WorldStreams
 
 SUCCESS, COLLISION, STEP = 1.0, -2.0, -0.01
 """Rewards."""
@@ -44,12 +43,10 @@ class AvoidEachOther(RobotTask):
         """See `RobotTask`."""
         return np.array([FAR_M, FAR_M, FAST, FAST] + [FAR_M, FAR_M, FAST, FAST] * NEIGHBOURS)
 
-    def restart(
-        self, worlds: IntArray, view: FleetView, streams: Sequence[np.random.Generator]
-    ) -> None:
+    def restart(self, worlds: IntArray, view: FleetView, streams: WorldStreams) -> None:
         """See `RobotTask`."""
         robots = view.poses.shape[1]
-        shifts = np.array([streams[world].integers(1, robots) for world in worlds.tolist()])
+        shifts = 1 + (streams.draw(worlds, 1)[:, 0] * (robots - 1)).astype(np.intp)
         rows = (np.arange(robots) + shifts[:, None]) % robots
         goals = np.take_along_axis(view.poses[worlds, :, :2], rows[..., None], axis=1)
         self._progress.restart(worlds, view.poses, goals)

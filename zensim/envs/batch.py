@@ -114,6 +114,20 @@ class Batch(ClosedOnExit):
         return np.concatenate(found, axis=1).reshape(*self.shape, 6)
 
     @property
+    def velocities(self) -> FloatArray:
+        """Forward [m/s] and turn [rad/s] of each robot, (worlds, robots, 2)."""
+        columns = np.ascontiguousarray(self.states.reshape(-1, STATE_COLUMNS).T)
+        x, y, z, w, vx, vy, vz, *spin = columns[3:]
+        ahead, up = _find_axes(x, y, z, w)
+        found = np.stack([_dot(ahead, (vx, vy, vz)), _dot(up, spin)], axis=-1)
+        return found.reshape(*self.shape, 2)
+
+    @property
+    def has_diverged(self) -> bool:
+        """Whether a world has; see `is_diverged`."""
+        return bool(self._is_diverged.any())
+
+    @property
     def is_touching(self) -> BoolArray:
         """Whether each robot touches something that does not carry it, (worlds, robots)."""
         return np.asarray(self._replicas.find_touching()[:, self._layout.robots])
@@ -229,6 +243,18 @@ class Batch(ClosedOnExit):
         self._base = found.base.reshape(worlds, -1, STATE_COLUMNS)
         self._positions = found.joint_positions.reshape(worlds, -1)
         self._velocities = found.joint_velocities.reshape(worlds, -1)
+
+
+def _find_axes(
+    x: FloatArray, y: FloatArray, z: FloatArray, w: FloatArray
+) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Find the axes x and z of frames, by their quaternions."""
+    ahead = [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)]
+    return ahead, [2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)]
+
+
+def _dot(one: Sequence[FloatArray], other: Sequence[FloatArray]) -> FloatArray:
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
 
 
 def _refuse_passing(world: SimulatedWorld) -> None:

@@ -54,9 +54,9 @@ class _DrivesOfKind:
         rows = worlds * len(places)
         self._drive = GroupDrive(kind.drive)
         self._limiters = GroupRateLimiter(kind.drive.update_rate_hz)
-        self._row_of = np.arange(rows)
         self._twists = np.zeros((rows, TWIST_COLUMNS))
-        self._remap(np.full(rows, NEW_ROW))
+        for part in (self._drive, self._limiters):
+            part.remap(np.full(rows, NEW_ROW))
 
     def update(
         self,
@@ -80,7 +80,7 @@ class _DrivesOfKind:
         self._twists[:, (VX, VY, WZ)] = own
         measured = self._joints.shape[1]
         positions, velocities = (
-            values[:, self._joints].reshape(len(self._row_of), measured) for values in joints
+            values[:, self._joints].reshape(len(self._twists), measured) for values in joints
         )
         found = self._drive.update(
             due,
@@ -94,12 +94,9 @@ class _DrivesOfKind:
 
     def restart(self, worlds: BoolArray) -> None:
         """Start the drives of some worlds (worlds,) anew."""
-        is_new = np.repeat(worlds, len(self._places))
-        self._remap(np.where(is_new, NEW_ROW, self._row_of))
-
-    def _remap(self, before: npt.NDArray[np.int64]) -> None:
-        self._drive.remap(before)
-        self._limiters.remap(before)
+        rows = np.flatnonzero(np.repeat(worlds, len(self._places)))
+        self._drive.reset(rows)
+        self._limiters.reset(rows)
 
 
 class BatchDrives:

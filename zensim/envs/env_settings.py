@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from copy import deepcopy
+from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING, Literal, TypedDict
 
 import msgspec
 
@@ -19,17 +20,22 @@ from zensim.envs.formation_task import FollowFormation
 from zensim.envs.reaching_task import ReachGoal
 from zensim.envs.robot_task import RobotTask
 from zensim.proto.process_limits import count_usable_cores
+from zensim.proto.settings.server_settings import WorldKeywords
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from zensim.proto.messages.model_messages import Dynamics
 
 TASKS: dict[str, type[RobotTask]] = {
     "reach": ReachGoal,
     "avoid": AvoidEachOther,
     "formation": FollowFormation,
 }
+KINDS_OF_DYNAMICS = ("", "kinematic", "full")
 RATE_TOLERANCE = 1e-6
+MIN_KINEMATIC_HZ = 10.0
+"""Least rate of steps of kinematic robots, for the limits of their drives."""
 
 
 class EnvKeywords(TypedDict, total=False):
@@ -44,6 +50,8 @@ class EnvKeywords(TypedDict, total=False):
     """Robots in a world."""
     spacing: float
     """Distance of neighbours at the start [m]."""
+    dynamics: Literal["", "kinematic", "full"]
+    """kinematic = robots move by their drives, in arrays; full = by MuJoCo; "" = as the task."""
     sensors: Sequence[SensorName]
     """Sensors whose measurements follow the numbers of the task: scan, imu."""
     rate_hz: float
@@ -65,6 +73,7 @@ class EnvSettings(msgspec.Struct, frozen=True, kw_only=True):
     model: str = "box_bot"
     count: int = 1
     spacing: float = 1.0
+    dynamics: Literal["", "kinematic", "full"] = ""
     sensors: tuple[SensorName, ...] = ()
     rate_hz: float = 10.0
     time_limit_s: float = 30.0
@@ -82,6 +91,8 @@ def make_settings(given: Mapping[str, object]) -> EnvSettings:
     """
     check_keywords(given, EnvKeywords)
     settings = EnvSettings(**given)  # type: ignore[arg-type]
+    if settings.dynamics not in KINDS_OF_DYNAMICS:
+        raise Invalid(f"`dynamics` '{settings.dynamics}' is unknown", hint="use kinematic or full")
     for name, least, most in (
         ("count", 1, 1000),
         ("rate_hz", 1e-3, 1e4),
@@ -107,13 +118,26 @@ def find_task(task: str | RobotTask) -> RobotTask:
     return TASKS[task]()
 
 
-def make_batch(settings: EnvSettings, worlds: int) -> Batch:
-    """Make the worlds; raises what `World`, `spawn_fleet` and `Batch` raise."""
+def make_batch(settings: EnvSettings, worlds: int, dynamics: Dynamics) -> Batch:
+    """Make the worlds; raises what `World`, `spawn_fleet` and `Batch` raise.
+
+    Args:
+        settings: See `EnvKeywords`.
+        worlds: Their number.
+        dynamics: Of the task.
+    """
     threads = settings.threads or min(count_usable_cores(), worlds)
     if isinstance(settings.world, World):
         return Batch(settings.world, worlds, threads=threads, sensors=settings.sensors)
-    with World(settings.world) as world:
-        world.spawn_fleet(settings.model, count=settings.count, spacing=settings.spacing)
+    dynamics, rates = settings.dynamics or dynamics, WorldKeywords()
+    if dynamics == "kinematic":
+        # Arcs are exact: one integration for each step of the environment.
+        hz = settings.rate_hz * max(1, ceil(MIN_KINEMATIC_HZ / settings.rate_hz))
+        rates = WorldKeywords(step_hz=hz, control_hz=hz)
+    with World(settings.world, **rates) as world:
+        world.spawn_fleet(
+            settings.model, count=settings.count, spacing=settings.spacing, dynamics=dynamics
+        )
         return Batch(world, worlds, threads=threads, sensors=settings.sensors)
 
 

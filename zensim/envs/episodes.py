@@ -11,10 +11,9 @@ from zensim.envs.batch import TWIST_COLUMNS
 from zensim.envs.env_settings import EnvSettings, count_control_steps, make_batch
 from zensim.envs.robot_task import FleetView, RobotTask
 from zensim.envs.world_layout import BoolArray, FloatArray
+from zensim.envs.world_streams import WorldStreams
 
 Observations = npt.NDArray[np.float32]
-MAX_SEED = 1 << 62
-"""Bound (exclusive) of the seed of the noise of sensors, which differs by episode."""
 ACTION_COLUMNS = 2
 """Forward velocity and turn, from -1 to 1."""
 
@@ -53,7 +52,7 @@ class Episodes:
         Raises:
             Invalid: The task needs more robots, or the rate does not fit.
         """
-        self.batch = make_batch(settings, worlds)
+        self.batch = make_batch(settings, worlds, task.dynamics)
         self._task, self._settings = task, settings
         robots = self.batch.shape[1]
         if robots < task.least_robots:
@@ -68,8 +67,7 @@ class Episodes:
         self._is_over = np.zeros((worlds, len(self._agents)), np.bool_)
         self._is_success = self._is_over.copy()
         self._view_before: FleetView | None = None
-        self._streams: list[np.random.Generator] = []
-        self.seed(np.random.SeedSequence().spawn(worlds))
+        self._streams = WorldStreams(worlds)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -81,18 +79,21 @@ class Episodes:
         """Least and greatest observation (d,) of a robot."""
         return self._limits
 
-    def seed(self, seeds: Sequence[np.random.SeedSequence | None]) -> None:
-        """Start the streams of worlds anew; None = a world keeps its own."""
-        kept = self._streams or [np.random.default_rng(0)] * len(seeds)
-        self._streams = [
-            stream if seed is None else np.random.default_rng(seed)
-            for seed, stream in zip(seeds, kept, strict=True)
-        ]
+    def seed(self, seed: int, worlds: BoolArray) -> None:
+        """Start the random numbers of some worlds (worlds,) anew."""
+        self._streams.seed(seed, np.flatnonzero(worlds))
+
+    def seed_each(self, seeds: Sequence[int | None]) -> None:
+        """Start worlds anew, each as the first of a seed of its own; None = a world goes on."""
+        self._streams.seed_each(seeds)
 
     def restart(self, worlds: BoolArray) -> FleetView:
         """Start new episodes in some worlds (worlds,); return the view of all."""
         chosen = np.flatnonzero(worlds)
-        seeds = {at: int(self._streams[at].integers(MAX_SEED)) for at in chosen.tolist()}
+        seeds: dict[int, int] = {}
+        if self._settings.sensors:  # noise differs by episode
+            drawn = self._streams.draw_seeds(chosen)
+            seeds = dict(zip(chosen.tolist(), drawn, strict=True))
         self.batch.restart(worlds, seeds)
         self._is_over[worlds] = self._is_success[worlds] = False
         view = self._view()
@@ -122,14 +123,15 @@ class Episodes:
                 slug="wrong_shape",
                 hint=f"use {(*self._is_over.shape, ACTION_COLUMNS)}: worlds, robots, v and w",
             )
-        chosen = np.nan_to_num(self._task.drive(self._view_before))  # NaN of lost worlds
         limited = np.clip(actions, -1.0, 1.0) * self._scale
         is_still = self._is_over
         if restarted is not None:
             is_still = is_still | restarted[:, None]
-        chosen[:, self._agents] = np.where(is_still[..., None], 0.0, limited)
         twists = np.zeros((*self.batch.shape, TWIST_COLUMNS))
-        twists[..., 0], twists[..., 2] = chosen[..., 0], chosen[..., 1]
+        if len(self._agents) < self.batch.shape[1]:
+            driven = np.nan_to_num(self._task.drive(self._view_before))  # NaN of lost worlds
+            twists[..., (0, 2)] = driven
+        twists[:, self._agents, ::2] = np.where(is_still[..., None], 0.0, limited)
         self.batch.step(twists, self._control_steps)
         return self._judge(self._view(), restarted)
 
@@ -164,8 +166,7 @@ class Episodes:
 
     def _view(self) -> FleetView:
         batch = self.batch
-        velocities = batch.twists[..., (0, 5)]
-        view = FleetView(batch.poses2d, velocities, batch.is_touching, batch.times)
+        view = FleetView(batch.poses2d, batch.velocities, batch.is_touching, batch.times)
         self._view_before = view
         return view
 
@@ -174,8 +175,10 @@ class Episodes:
             parts = [self._task.observe(view)]
         measured = {"scan": lambda: self.batch.scans, "imu": lambda: self.batch.imu}
         parts += [measured[name]()[:, self._agents] for name in self._settings.sensors]
-        found = np.nan_to_num(np.concatenate(parts, axis=-1)).astype(np.float32)
-        return np.asarray(np.clip(found, *self._limits))
+        found = np.concatenate(parts, axis=-1) if len(parts) > 1 else parts[0]
+        if self.batch.has_diverged:
+            found = np.nan_to_num(found)
+        return np.asarray(np.clip(found.astype(np.float32), *self._limits))
 
     def _find_limits(self, robots: int) -> tuple[Observations, Observations]:
         bounds = self._task.list_bounds(robots)

@@ -10,7 +10,7 @@ from zensim.api.api_errors import Invalid
 from zensim.envs.env_settings import find_task, make_settings
 from zensim.envs.episodes import ACTION_COLUMNS, Episodes, Observations
 from zensim.envs.robot_task import RobotTask
-from zensim.envs.vector_env import Space, make_spaces, spawn_seeds
+from zensim.envs.vector_env import Space, make_spaces
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -75,7 +75,7 @@ class ZensimParallelEnv(ParallelEnv[str, Observations, Actions]):  # type: ignor
     ) -> tuple[dict[str, Observations], Infos]:
         """Start a new episode of all robots."""
         if seed is not None:
-            self._episodes.seed(spawn_seeds(seed, 1))
+            self._episodes.seed(seed, np.ones(1, np.bool_))
         self._episodes.restart(np.ones(1, np.bool_))
         self.agents = list(self.possible_agents)
         found = dict(zip(self.agents, self._episodes.observe()[0], strict=True))

@@ -1,7 +1,5 @@
 """FollowFormation: robots keep their places about a leader that drives along a curve."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from zensim.envs.robot_task import (
@@ -15,6 +13,7 @@ from zensim.envs.robot_task import (
     find_distances,
     find_in_robot,
 )
+from zensim.envs.world_streams import WorldStreams
 
 COLLISION = -1.0
 """Reward."""
@@ -52,16 +51,14 @@ class FollowFormation(RobotTask):
         """See `RobotTask`."""
         return np.array([FAR_M, FAR_M, 1.0, 1.0, FAST, FAST, FAST, FAST])
 
-    def restart(
-        self, worlds: IntArray, view: FleetView, streams: Sequence[np.random.Generator]
-    ) -> None:
+    def restart(self, worlds: IntArray, view: FleetView, streams: WorldStreams) -> None:
         """See `RobotTask`."""
         if self._offsets.shape[:2] != (len(view.poses), view.poses.shape[1] - 1):
             self._offsets = np.zeros((len(view.poses), view.poses.shape[1] - 1, 2))
             self._turns = np.zeros((len(view.poses), 3))
         leaders, others = view.poses[worlds, :1], view.poses[worlds, 1:, :2]
         self._offsets[worlds] = find_in_robot(leaders, others)
-        drawn = np.array([streams[world].random(3) for world in worlds.tolist()])
+        drawn = streams.draw(worlds, 3)
         low = np.array([TURN_RAD_S[0], PERIOD_S[0], 0.0])
         high = np.array([TURN_RAD_S[1], PERIOD_S[1], 2.0 * np.pi])
         self._turns[worlds] = low + (high - low) * drawn

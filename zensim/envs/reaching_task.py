@@ -1,7 +1,5 @@
 """ReachGoal: each robot drives to a point of its own."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from zensim.envs.robot_task import (
@@ -15,6 +13,7 @@ from zensim.envs.robot_task import (
     RobotTask,
     find_in_robot,
 )
+from zensim.envs.world_streams import WorldStreams
 
 SUCCESS, COLLISION, STEP = 1.0, -1.0, -0.01
 """Rewards."""
@@ -44,12 +43,10 @@ class ReachGoal(RobotTask):
         """See `RobotTask`."""
         return np.array([FAR_M, FAR_M, FAST, FAST])
 
-    def restart(
-        self, worlds: IntArray, view: FleetView, streams: Sequence[np.random.Generator]
-    ) -> None:
+    def restart(self, worlds: IntArray, view: FleetView, streams: WorldStreams) -> None:
         """See `RobotTask`."""
         robots = view.poses.shape[1]
-        drawn = np.array([streams[world].random((robots, 2)) for world in worlds.tolist()])
+        drawn = streams.draw(worlds, 2 * robots).reshape(-1, robots, 2)
         least, most = self._distance_m
         distances = least + (most - least) * drawn[..., 0]
         angles = 2.0 * np.pi * drawn[..., 1]

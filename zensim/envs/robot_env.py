@@ -10,7 +10,7 @@ from zensim.api.api_errors import Invalid
 from zensim.envs.env_settings import find_task, make_settings
 from zensim.envs.episodes import Episodes, Observations, Outcome
 from zensim.envs.robot_task import RobotTask
-from zensim.envs.vector_env import make_spaces, spawn_seeds
+from zensim.envs.vector_env import make_spaces
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -55,7 +55,7 @@ class ZensimEnv(gymnasium.Env[Observations, npt.NDArray[np.float32]]):
         seed = None if seed is None else int(seed)  # Gymnasium refuses integers of NumPy
         super().reset(seed=seed, options=options)
         if seed is not None:
-            self._episodes.seed(spawn_seeds(seed, 1))
+            self._episodes.seed(seed, np.ones(1, np.bool_))
         self._episodes.restart(np.ones(1, np.bool_))
         return self._episodes.observe()[0, 0], {}
 

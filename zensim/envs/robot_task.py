@@ -1,11 +1,13 @@
 """RobotTask: what robots are to do: goals, observations, rewards and ends, in arrays."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
+from zensim.envs.world_streams import WorldStreams
+from zensim.proto.messages.model_messages import Dynamics
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -54,6 +56,8 @@ class RobotTask(ABC):
 
     least_robots = 1
     """Least number of robots in a world."""
+    dynamics: Dynamics = "kinematic"
+    """Of its robots, unless a setting says otherwise; `full` where something is pushed."""
 
     def choose_agents(self, robots: int) -> IntArray:
         """Choose which of the robots (robots,) of a world learn; others are driven by the task."""
@@ -64,15 +68,13 @@ class RobotTask(ABC):
         """List the greatest absolute values (d,) of the numbers of an observation."""
 
     @abstractmethod
-    def restart(
-        self, worlds: IntArray, view: FleetView, streams: Sequence[np.random.Generator]
-    ) -> None:
+    def restart(self, worlds: IntArray, view: FleetView, streams: WorldStreams) -> None:
         """Start episodes in some worlds.
 
         Args:
             worlds: (m,) their rows; all of them at first.
             view: Of all worlds.
-            streams: Random numbers of all worlds.
+            streams: Random numbers of the worlds.
         """
 
     def drive(self, view: FleetView) -> FloatArray:

@@ -35,11 +35,6 @@ def make_spaces(episodes: Episodes, shape: tuple[int, ...]) -> tuple[Space, Spac
     return spaces.Box(low, high, dtype=np.float32), actions
 
 
-def spawn_seeds(seed: int, worlds: int) -> list[np.random.SeedSequence]:
-    """Make the seeds of worlds: that of a world does not depend on their number."""
-    return np.random.SeedSequence(seed).spawn(worlds)
-
-
 class ZensimVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]]):
     """Many worlds in one process; an environment is one world with all its robots.
 
@@ -110,7 +105,7 @@ class ZensimVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]
         if isinstance(seed, int):
             super().reset(seed=seed)
         if seed is not None:
-            self._episodes.seed(self._spread_seeds(seed, chosen))
+            self._seed(seed, chosen)
         self._episodes.restart(chosen)
         self._has_ended[chosen] = False
         self._is_new = False
@@ -159,16 +154,14 @@ class ZensimVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]
             raise Invalid("no world has an episode yet", slug="not_reset", hint="call reset()")
         return chosen
 
-    def _spread_seeds(
-        self, seed: int | Sequence[int | None], chosen: "BoolArray"
-    ) -> list[np.random.SeedSequence | None]:
-        """Make the seed of each world; None for those that are not chosen."""
+    def _seed(self, seed: int | Sequence[int | None], chosen: "BoolArray") -> None:
+        """Seed the worlds that are chosen."""
         if isinstance(seed, int):
-            found: list[np.random.SeedSequence | None] = [*spawn_seeds(seed, self.num_envs)]
-        else:
-            found = [None if one is None else spawn_seeds(one, 1)[0] for one in seed]
-        if len(found) != self.num_envs:
+            self._episodes.seed(seed, chosen)
+            return
+        if len(seed) != self.num_envs:
             raise Invalid(
-                f"{len(found)} seeds for {self.num_envs} worlds", hint="give one, or one for each"
+                f"{len(seed)} seeds for {self.num_envs} worlds", hint="give one, or one for each"
             )
-        return [one if is_chosen else None for one, is_chosen in zip(found, chosen, strict=True)]
+        pairs = zip(seed, chosen.tolist(), strict=True)
+        self._episodes.seed_each([one if is_chosen else None for one, is_chosen in pairs])

@@ -38,6 +38,11 @@ class DiscMotions:
     may_stop: np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 
+def dot_rows(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Multiply vectors (n, 2) pair by pair: a product (n,) never depends on the other rows."""
+    return one[:, 0] * other[:, 0] + one[:, 1] * other[:, 1]
+
+
 def limit_by_edges(
     moves: DiscMotions, disc: IntArray, ends: FloatArray, thick: FloatArray
 ) -> FloatArray:
@@ -55,7 +60,7 @@ def limit_by_edges(
     start, way = moves.start[disc], moves.way[disc]
     length = np.hypot(way[:, 0], way[:, 1])
     away, apart = find_distances_to_edges(start, ends)
-    towards = np.einsum("ij,ij->i", way, away)
+    towards = dot_rows(way, away)
     kept = moves.radius[disc] + thick + STOPPING_GAP_M
     bend = moves.bend[disc]
     goes = (
@@ -87,8 +92,8 @@ def find_distances_to_edges(points: FloatArray, ends: FloatArray) -> tuple[Float
     """Find the unit vectors (k, 2) from edges to points, and the distances (k,)."""
     first, along = ends[:, :2], ends[:, 2:] - ends[:, :2]
     from_first = points - first
-    square = np.einsum("ij,ij->i", along, along)
-    fraction = np.einsum("ij,ij->i", from_first, along) / np.where(square > 0.0, square, 1.0)
+    square = dot_rows(along, along)
+    fraction = dot_rows(from_first, along) / np.where(square > 0.0, square, 1.0)
     away = from_first - along * np.clip(fraction, 0.0, 1.0)[:, None]
     apart = np.hypot(away[:, 0], away[:, 1])
     return away / np.where(apart > 0.0, apart, 1.0)[:, None], apart
@@ -149,8 +154,8 @@ def _find_collisions(
     """Find the discs that run into others, and the fractions of their way until then."""
     one, other, apart, square = near.one, near.other, near.apart, near.square
     closing = way.take(other, axis=0) - way.take(one, axis=0)
-    b = np.einsum("ij,ij->i", apart, closing)
-    a = np.einsum("ij,ij->i", closing, closing)
+    b = dot_rows(apart, closing)
+    a = dot_rows(closing, closing)
     total = moves.radius[one] + moves.radius[other] + STOPPING_GAP_M
     bend = moves.bend[one] + moves.bend[other]
     is_curved = bend > STOPPING_GAP_M / 2.0
@@ -179,8 +184,8 @@ def _limit_approaching(
     fraction: FloatArray,
 ) -> tuple[IntArray, FloatArray]:
     one, other = pairs
-    is_one = (np.einsum("ij,ij->i", way[one], apart) > 0.0) & moves.may_stop[one]
-    is_other = (np.einsum("ij,ij->i", way[other], apart) < 0.0) & moves.may_stop[other]
+    is_one = (dot_rows(way[one], apart) > 0.0) & moves.may_stop[one]
+    is_other = (dot_rows(way[other], apart) < 0.0) & moves.may_stop[other]
     return (
         np.concatenate([one[is_one], other[is_other]]),
         np.concatenate([fraction[is_one], fraction[is_other]]),

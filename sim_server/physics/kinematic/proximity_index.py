@@ -9,6 +9,7 @@ import numpy as np
 
 from zensim.sim_server.physics.kinematic.collision_limits import (
     DiscMotions,
+    dot_rows,
     find_distances_to_edges,
     limit_by_edges,
     limit_by_other_discs,
@@ -223,7 +224,7 @@ class NeighbourLists:
         for number in range(count, len(centres)):
             away = self._centres[:number] - self._centres[number]
             total = reach[:number] + reach[number]
-            near = np.flatnonzero(np.einsum("ij,ij->i", away, away) <= total * total)
+            near = np.flatnonzero(dot_rows(away, away) <= total * total)
             firsts.append(near)
             seconds.append(np.full(len(near), number))
         self.one, self.other = np.concatenate(firsts), np.concatenate(seconds)
@@ -235,7 +236,7 @@ class NeighbourLists:
     def _is_too_far(self, centres: FloatArray, way: FloatArray) -> bool:
         moved = centres - self._centres
         left = self._allowed - way
-        square = np.einsum("ij,ij->i", moved, moved)
+        square = dot_rows(moved, moved)
         return bool(((left < 0.0) | (square > left * left)).any())
 
     def _near_edges(self, centres: FloatArray, reach: FloatArray) -> tuple[IntArray, IntArray]:
@@ -371,7 +372,7 @@ class ProximityIndex:
         one, other = one[chosen], other[chosen]
         apart = table.discs(one) - table.discs(other)
         within = table.radius[one] + table.radius[other] + NEAR_M
-        is_near = np.einsum("ij,ij->i", apart, apart) < within * within
+        is_near = dot_rows(apart, apart) < within * within
         return np.concatenate([stopped, one[is_near], other[is_near]])
 
     def find_overlapping(self, row: int) -> tuple[list[int], bool]:

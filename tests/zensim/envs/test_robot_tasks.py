@@ -7,6 +7,7 @@ from zensim.envs.avoidance_task import AvoidEachOther
 from zensim.envs.formation_task import FollowFormation
 from zensim.envs.reaching_task import ReachGoal
 from zensim.envs.robot_task import FleetView, RobotTask
+from zensim.envs.world_streams import WorldStreams
 
 Rows = list[tuple[float, float, float]]
 
@@ -23,7 +24,7 @@ def view(poses: Rows, *, touching: tuple[int, ...] = (), speeds: float = 0.0) ->
 
 def start(task: RobotTask, poses: Rows) -> np.ndarray:
     first = view(poses)
-    task.restart(np.arange(1), first, [np.random.default_rng(1)])
+    task.restart(np.arange(1), first, WorldStreams(1))
     return np.asarray(task.observe(first)[0])
 
 

@@ -182,7 +182,8 @@ def test_wrong_arguments_are_refused(env: ZensimVectorEnv) -> None:
     with pytest.raises(zensim.Invalid):
         env.step(np.zeros((3, 2)))
     wrong: tuple[dict[str, Any], ...] = (
-        {"rate_hz": 7.0},
+        {"rate_hz": 7.0, "dynamics": "full"},
+        {"dynamics": "auto"},
         {"count": 0},
         {"task": "fly"},
         {"task": "avoid", "count": 1},
