@@ -48,7 +48,7 @@ def make_noise_key(seed: int, entity: str, sensor: Sensor) -> int:
 
 
 Counter: TypeAlias = int | KeyArray
-"""Of all keys, or one of each (n,)."""
+"""One counter for all keys, or one for each (n,)."""
 
 
 def draw_uniforms(keys: KeyArray, counter: Counter, count: int) -> FloatArray:

@@ -88,3 +88,8 @@ class PaceKeywords(TypedDict, total=False):
     """Steps per simulated second; None = of the world file, or 240."""
     control_hz: float | None
     """Most control steps per simulated second; None = 100."""
+
+
+def list_equal_rates(hz: float) -> PaceKeywords:
+    """List the keywords of a world that makes a control step in each step, at this rate [Hz]."""
+    return PaceKeywords(step_hz=hz, control_hz=hz)

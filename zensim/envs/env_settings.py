@@ -20,7 +20,7 @@ from zensim.envs.formation_task import FollowFormation
 from zensim.envs.reaching_task import ReachGoal
 from zensim.envs.robot_task import RobotTask
 from zensim.proto.process_limits import count_usable_cores
-from zensim.proto.settings.server_settings import WorldKeywords
+from zensim.proto.settings.pace_settings import PaceKeywords, list_equal_rates
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -129,11 +129,11 @@ def make_batch(settings: EnvSettings, worlds: int, dynamics: Dynamics) -> Batch:
     threads = settings.threads or min(count_usable_cores(), worlds)
     if isinstance(settings.world, World):
         return Batch(settings.world, worlds, threads=threads, sensors=settings.sensors)
-    dynamics, rates = settings.dynamics or dynamics, WorldKeywords()
+    dynamics, rates = settings.dynamics or dynamics, PaceKeywords()
     if dynamics == "kinematic":
         # Arcs are exact: one integration for each step of the environment.
         hz = settings.rate_hz * max(1, ceil(MIN_KINEMATIC_HZ / settings.rate_hz))
-        rates = WorldKeywords(step_hz=hz, control_hz=hz)
+        rates = list_equal_rates(hz)
     with World(settings.world, **rates) as world:
         world.spawn_fleet(
             settings.model, count=settings.count, spacing=settings.spacing, dynamics=dynamics

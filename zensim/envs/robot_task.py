@@ -57,7 +57,7 @@ class RobotTask(ABC):
     least_robots = 1
     """Least number of robots in a world."""
     dynamics: Dynamics = "kinematic"
-    """Of its robots, unless a setting says otherwise; `full` where something is pushed."""
+    """Dynamics of the robots, unless a setting says otherwise; `full` where something is pushed."""
 
     def choose_agents(self, robots: int) -> IntArray:
         """Choose which of the robots (robots,) of a world learn; others are driven by the task."""
