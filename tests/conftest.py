@@ -41,6 +41,7 @@ WORKSHOP = (
     *("tests/contract/test_wheel.py", "tests/contract/test_workflows.py"),
     *("tests/contract/test_benchmark_page.py", "tests/contract/test_reliability_page.py"),
     *("tests/contract/test_platforms.py", "tests/contract/test_run_tests.py"),
+    "tests/integration/test_tasks.py",
 )
 """Files of `make release`: they test the tools of the project, or start a cluster of Ray."""
 WRITTEN_MARKS = frozenset(
