@@ -18,7 +18,7 @@ from zensim.proto.network_protocols import (
     Sample,
     Subscription,
 )
-from zensim.proto.ros2.node_services import NodeServices
+from zensim.proto.ros2.node_services import NodeParameters, NodeServices
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.topic_catalog import CMD_VEL
 from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory, make_topic_factory
@@ -353,7 +353,9 @@ class IndividualRobots:
             factory.faults = self._faults
             robot = DrivenRobot(factory, claim, self._timeout_ns)
             robot.announce()
-            self._node_services.add(factory.node, partial(list_robot_parameters, claim))
+            self._node_services.add(
+                factory.node, NodeParameters(partial(list_robot_parameters, claim))
+            )
             self.hold(claim.claim, robot)
 
     def hold(self, claim: int, robot: DrivenRobot) -> None:

@@ -18,7 +18,7 @@ from zensim.proto import keys
 from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.operation_server import served_status
-from zensim.proto.ros2.node_services import NodeParameter, ParameterContent
+from zensim.proto.ros2.node_services import NodeParameter, NodeParameters, ParameterContent
 from zensim.proto.settings.setting import read_settings
 from zensim.sim_server.initial_world import load_initial_world, make_initial_world, make_parts
 from zensim.sim_server.journal.server_journal import open_journal
@@ -30,6 +30,7 @@ from zensim.sim_server.ros2_node.server_node import start_server_node
 from zensim.sim_server.runtime.loop import ServerLoop
 from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
 from zensim.sim_server.runtime.memory_trimmer import MemoryTrimmer
+from zensim.sim_server.runtime.node_answers import NodeAnswers
 from zensim.sim_server.runtime.server_metrics import ServerMetrics
 from zensim.sim_server.runtime.step_topics import StepTopics
 from zensim.sim_server.runtime.time_slice import request_short_time_slice
@@ -204,7 +205,8 @@ def _run(
     request_short_time_slice()
     parts, tracker = made
     with ExitStack() as cleanup:
-        node = start_server_node(bus, config.ros, list_server_parameters(config), hooks.collector)
+        answers, parameters = _offer_lockstep(config, parts, bus)
+        node = start_server_node(bus, config.ros, parameters, hooks.collector)
         cleanup.callback(node.close)
         users = None
         if config.secure_folder:
@@ -214,7 +216,7 @@ def _run(
         publisher = BusWorldPublisher(bus, config.world_name, node.topics, node.on_progress)
         status = hooks.status
         loop = ServerLoop(parts, inbox, publisher, HostClock(), tracker, users)
-        loop.status = status
+        loop.status, loop.node_answers = status, answers
         CONTEXT.read_time_ns = lambda: parts.world.clock.time_ns
         engine = choose_engine(config.settings.physics, find_installed_engines())
         metrics = ServerMetrics(parts, engine, loop.request_counts, tracker, config.journal)
@@ -228,6 +230,17 @@ def _run(
         hooks.on_ready(bus, config)
         loop.run(hooks.stop)
         loop.drain(lambda: hooks.stop.is_urgent)
+
+
+def _offer_lockstep(
+    config: ServerConfig, parts: ServerParts, bus: Bus
+) -> tuple[NodeAnswers | None, NodeParameters]:
+    """Let ROS nodes set parameters by which time waits for them, if there is ROS."""
+    own = list_server_parameters(config)
+    if config.ros.domain is None:
+        return None, NodeParameters(lambda: own)
+    answers = NodeAnswers(parts, bus, config.ros.domain)
+    return answers, NodeParameters(lambda: (*own, *answers.list_parameters()), answers.change)
 
 
 def _make_inbox(

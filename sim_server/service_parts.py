@@ -25,6 +25,7 @@ from zensim.sim_server.pacing.lockstep import Lockstep
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.pacing.step_goals import StepGoals
 from zensim.sim_server.pacing.stepping_lease import SteppingLease
+from zensim.sim_server.pacing.topic_answers import TopicAnswers
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.description_cache import DescriptionProvider, list_assets
 from zensim.sim_server.parser_process.mesh_server import PublishedFiles
@@ -69,17 +70,20 @@ class Pacing:
     lockstep: Lockstep = field(default_factory=Lockstep)
     lease: SteppingLease[StepMode] = field(default_factory=SteppingLease)
     joined: JoinedClients = field(init=False)
+    answers: TopicAnswers = field(init=False)
     due_ns: int = 0
     """Wall time at which the next step is due."""
 
     def __post_init__(self) -> None:
         """Let the clients that join be awaited as agents are."""
         self.joined = JoinedClients(self.lockstep)
+        self.answers = TopicAnswers(self.lockstep)
 
     @property
     def is_awaited(self) -> bool:
         """Whether the loop waits at control steps for agents and sensor processes."""
-        return self.lockstep.settings.lockstep or len(self.step_goals) > 0
+        has_clients = self.lockstep.settings.lockstep or self.answers.has_topics
+        return has_clients or len(self.step_goals) > 0
 
     @property
     def is_paced(self) -> bool:

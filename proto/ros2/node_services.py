@@ -45,14 +45,14 @@ FIELD_OF_TYPE: Final = {
 
 
 class NodeParameter(msgspec.Struct, frozen=True):
-    """A parameter of a node; none can be changed by its services."""
+    """A parameter of a node; its services change it if the node says how."""
 
     name: str
     """Parts are separated by dots."""
     value: ParameterContent
     description: str = ""
     reason: str = "it is fixed while the program runs"
-    """Why it cannot be set."""
+    """Why it cannot be set; empty if it can."""
 
 
 USE_SIM_TIME: Final = NodeParameter(
@@ -62,7 +62,11 @@ USE_SIM_TIME: Final = NodeParameter(
     reason="all stamps of a simulator are simulation time",
 )
 """Parameter of every node."""
+Known: TypeAlias = dict[str, NodeParameter]
 ListParameters: TypeAlias = Callable[[], Sequence[NodeParameter]]
+ChangeParameter: TypeAlias = Callable[[str, ParameterContent], str | None]
+"""Changes a parameter, which may be new: returns why it is refused, empty if it is done, or None if
+there is no such parameter that can be changed."""
 
 
 def find_parameter_type(content: ParameterContent) -> ParameterType:
@@ -107,17 +111,32 @@ def _is_listed(name: str, request: messages.ListParametersRequest) -> bool:
     return False
 
 
+def read_parameter_value(value: ParameterValue) -> ParameterContent | None:
+    """Read a value; None if there is none, or one of a type that no parameter has."""
+    kind = next((one for one in FIELD_OF_TYPE if one == value.type), None)
+    content: ParameterContent | None = getattr(value, FIELD_OF_TYPE[kind]) if kind else None
+    return content
+
+
+@dataclass(frozen=True)
+class NodeParameters:
+    """The parameters of a node, and how its services change them."""
+
+    list_all: ListParameters = tuple
+    change: ChangeParameter = lambda _name, _content: None
+
+
 class ParameterServer:
     """Replies of one node to requests about its parameters."""
 
-    __slots__ = ("_list_parameters",)
+    __slots__ = ("_parameters",)
 
-    def __init__(self, list_parameters: ListParameters) -> None:
-        self._list_parameters = list_parameters
+    def __init__(self, parameters: NodeParameters) -> None:
+        self._parameters = parameters
 
     def reply(self, request: msgspec.Struct) -> msgspec.Struct:
         """Find the response to a request of `PARAMETER_SERVICES`."""
-        known = {one.name: one for one in (USE_SIM_TIME, *self._list_parameters())}
+        known = {one.name: one for one in (USE_SIM_TIME, *self._parameters.list_all())}
         match request:
             case messages.ListParametersRequest():
                 return messages.ListParametersResponse(list_names(sorted(known), request))
@@ -133,7 +152,28 @@ class ParameterServer:
                 return messages.DescribeParametersResponse(
                     tuple(_describe(name, known.get(name)) for name in names)
                 )
-        return _refuse_changes(request, known)
+        if isinstance(request, messages.SetParametersRequest):
+            results = tuple(self._set(one, known) for one in request.parameters)
+            return messages.SetParametersResponse(results)
+        assert isinstance(request, messages.SetParametersAtomicallyRequest)
+        return messages.SetParametersAtomicallyResponse(self._set_all(request.parameters, known))
+
+    def _set(self, wanted: messages.NamedParameter, known: Known) -> SetParameterResult:
+        if (content := read_parameter_value(wanted.value)) is not None:
+            reason = self._parameters.change(wanted.name, content)
+            if reason is not None:
+                return SetParameterResult(successful=not reason, reason=reason)
+        return _check_change(wanted, known)
+
+    def _set_all(
+        self, parameters: Sequence[messages.NamedParameter], known: Known
+    ) -> SetParameterResult:
+        """Set one parameter; several are refused unless all have their values already."""
+        if len(parameters) == 1:
+            return self._set(parameters[0], known)
+        results = (_check_change(one, known) for one in parameters)
+        refused = next((one for one in results if not one.successful), None)
+        return refused or SetParameterResult(successful=True)
 
 
 def _find_value(parameter: NodeParameter | None) -> ParameterValue:
@@ -147,25 +187,12 @@ def _describe(name: str, parameter: NodeParameter | None) -> ParameterDescriptor
         name,
         int(find_parameter_type(parameter.value)),
         parameter.description,
-        f"read-only: {parameter.reason}",
-        read_only=True,
+        f"read-only: {parameter.reason}" if parameter.reason else "",
+        read_only=bool(parameter.reason),
     )
 
 
-def _refuse_changes(request: msgspec.Struct, known: dict[str, NodeParameter]) -> msgspec.Struct:
-    """Refuse to set parameters, unless to the values that they have."""
-    if isinstance(request, messages.SetParametersRequest):
-        results = tuple(_check_change(one, known) for one in request.parameters)
-        return messages.SetParametersResponse(results)
-    assert isinstance(request, messages.SetParametersAtomicallyRequest)
-    results = tuple(_check_change(one, known) for one in request.parameters)
-    refused = next((one for one in results if not one.successful), None)
-    return messages.SetParametersAtomicallyResponse(refused or SetParameterResult(successful=True))
-
-
-def _check_change(
-    wanted: messages.NamedParameter, known: dict[str, NodeParameter]
-) -> SetParameterResult:
+def _check_change(wanted: messages.NamedParameter, known: Known) -> SetParameterResult:
     parameter = known.get(wanted.name)
     if parameter is None:
         return SetParameterResult(reason=f"no parameter {wanted.name[:64]!r}; see list_parameters")
@@ -205,14 +232,21 @@ class TypeDescriptions:
 class _ServedNode:
     node: RosNode
     parameters: ParameterServer
-    queue: QueryQueue | None
-    """None where the pattern includes the node."""
+    queues: tuple[QueryQueue, ...]
+    """Empty where the pattern includes the node."""
 
 
 class NodeServices:
     """Parameter services and type descriptions of the nodes of one process."""
 
-    def __init__(self, network: TopicNetwork, domain: int | None, pattern: str = "") -> None:
+    def __init__(
+        self,
+        network: TopicNetwork,
+        domain: int | None,
+        pattern: str = "",
+        *,
+        is_bridged: bool = False,
+    ) -> None:
         """Serve no node yet.
 
         Args:
@@ -220,20 +254,23 @@ class NodeServices:
             domain: Of ROS 2; None = nothing is served.
             pattern: Names that all nodes match, such as `**/agent`, so that one queryable serves
                 all; empty for a queryable a node.
+            is_bridged: Whether nodes that have own queryables are served through bridges, too.
         """
         self._network = network
-        self._domain = domain
+        self._domain, self._is_bridged = domain, is_bridged
         self._served: dict[str, _ServedNode] = {}
         self._unannounced: deque[RosNode] = deque()
         has_pattern = bool(pattern) and domain is not None
         self._shared = self._serve(pattern) if has_pattern else None
 
-    def add(self, node: RosNode | None, list_parameters: ListParameters = tuple) -> None:
+    def add(self, node: RosNode | None, parameters: NodeParameters | None = None) -> None:
         """Serve a node; it is announced later. None is ignored."""
         if node is None or not node.graph.settings.has_node_services:
             return
-        queue = self._serve(node.full_name.strip("/")) if self._shared is None else None
-        self._served[node.full_name] = _ServedNode(node, ParameterServer(list_parameters), queue)
+        queues = () if self._shared else self._serve_node(node.full_name.strip("/"))
+        self._served[node.full_name] = _ServedNode(
+            node, ParameterServer(parameters or NodeParameters()), queues
+        )
         node.on_close = partial(self._remove, node)
         if node.shared is None:
             self._unannounced.append(node)
@@ -244,15 +281,15 @@ class NodeServices:
         """Serve a node no longer; it undeclares its tokens itself."""
         if (served := self._served.pop(node.full_name, None)) is None:
             return
-        if served.queue is not None:
-            served.queue.close()
+        for queue in served.queues:
+            queue.close()
         if node in self._unannounced:
             self._unannounced.remove(node)
 
     def poll(self) -> None:
         """Reply to all queued requests, and announce some nodes."""
         for _ in range(min(MAX_ANNOUNCED_AT_ONCE, len(self._unannounced))):
-            announce_node_services(self._unannounced.popleft())
+            announce_node_services(self._unannounced.popleft(), is_bridged=self._is_bridged)
         for queue in self._list_queues():
             for query in queue.take():
                 self._reply(query)
@@ -267,14 +304,19 @@ class NodeServices:
     def _list_queues(self) -> list[QueryQueue]:
         if self._shared is not None:
             return [self._shared]
-        return [one.queue for one in self._served.values() if one.queue is not None]
+        return [queue for one in self._served.values() for queue in one.queues]
 
     def _serve(self, name: str) -> QueryQueue:
         return self._network.serve(f"{self._domain}/{name}/*/*/*", NODE_QUERY_DEPTH)
 
+    def _serve_node(self, name: str) -> tuple[QueryQueue, ...]:
+        own = self._serve(name)
+        return (own, self._network.serve(f"{name}/*")) if self._is_bridged else (own,)
+
     def _reply(self, query: Query) -> None:
         key = parse_data_key(query.key)
-        node_name, _, service = key.name.rpartition("/") if key else ("", "", "")
+        # Bridges have neither domain nor type in their keys.
+        node_name, _, service = (key.name if key else f"/{query.key}").rpartition("/")
         served, kinds = self._served.get(node_name), ALL_SERVICES.get(service)
         if served is None or kinds is None:
             query.drop()
@@ -300,8 +342,8 @@ class NodeServices:
 ALL_SERVICES: Final = PARAMETER_SERVICES | TYPE_SERVICES
 
 
-def announce_node_services(node: RosNode) -> None:
-    """Announce the services of a node; bridges do not need them."""
+def announce_node_services(node: RosNode, *, is_bridged: bool = False) -> None:
+    """Announce the services of a node, to bridges if they are served there."""
     has_hashes = node.graph.settings.has_hashes
     for name, (request, response) in (ALL_SERVICES if has_hashes else PARAMETER_SERVICES).items():
         node.add_endpoint(
@@ -310,5 +352,5 @@ def announce_node_services(node: RosNode) -> None:
             find_service_type(request),
             type_hash=hash_service(request, response) if has_hashes else NO_HASH,
             qos=PARAMETERS_QOS,
-            bridge_key=None,
+            bridge_key="" if is_bridged else None,
         )

@@ -20,7 +20,7 @@ from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveComm
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import Twist, TwistStamped, Vector3
 from zensim.proto.network_protocols import AgentNetwork, Sample
-from zensim.proto.ros2.node_services import NodeServices
+from zensim.proto.ros2.node_services import NodeParameters, NodeServices
 from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic
 from zensim.proto.ros2.ros_settings import NO_ROS
@@ -549,7 +549,9 @@ class PooledRobots:
                 group_key = self._group_keys.find(claim, topic_keys)
                 member = GroupMember(claim, group_key, topic_keys)
                 member.node = self._join_ros_graph(claim.namespace, topic_keys.cmd_vel)
-                self._robot_services.add(member.node, partial(list_robot_parameters, claim))
+                self._robot_services.add(
+                    member.node, NodeParameters(partial(list_robot_parameters, claim))
+                )
                 member.static_topics = self._static_topics.add(claim, member.node)
                 factory = TopicFactory(self._network, member.node, self._ros)
                 member.joints = make_joint_control(factory, claim, self._timeout_ns)
@@ -560,7 +562,9 @@ class PooledRobots:
                 factory.faults = self._faults
                 robot = DrivenRobot(factory, claim, self._timeout_ns, is_pooled=True)
                 robot.announce()
-                self._robot_services.add(factory.node, partial(list_robot_parameters, claim))
+                self._robot_services.add(
+                    factory.node, NodeParameters(partial(list_robot_parameters, claim))
+                )
                 self._static_topics.add_shared(claim)
                 self._robots[claim.claim] = robot
         self._claims = None

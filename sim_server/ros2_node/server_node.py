@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -38,7 +38,7 @@ from zensim.proto.ros2.action_server import (
     reply_to,
     serve_action,
 )
-from zensim.proto.ros2.node_services import NodeParameter, NodeServices
+from zensim.proto.ros2.node_services import NodeParameters, NodeServices
 from zensim.proto.ros2.rmw_attachment import Attachment, answer_attachment, read_attachment
 from zensim.proto.ros2.rmw_keys import NO_HASH
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode
@@ -337,7 +337,7 @@ class PolledNodeServices:
 def start_server_node(
     bus: ServerNetwork,
     settings: RosSettings,
-    parameters: Sequence[NodeParameter] = (),
+    parameters: NodeParameters | None = None,
     collector: LogCollector | None = None,
 ) -> ServerNode:
     """Declare the server's ROS 2 node as the settings say, or none.
@@ -355,8 +355,8 @@ def start_server_node(
         return ServerNode((), topics, lambda _: None, graph.close)
     announce_services(node)
     steps = _make_steps_action(bus, node, topics)
-    services = NodeServices(bus, node.domain)
-    services.add(node, partial(tuple, parameters))
+    services = NodeServices(bus, node.domain, is_bridged=settings.is_bridged)
+    services.add(node, parameters)
     rosout = Rosout(bus, graph, collector)
     sources: tuple[ServiceCallSource, ...] = (
         serve_rmw_calls(bus, node.domain),

@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Callable
 from functools import partial
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 
@@ -15,7 +15,7 @@ from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.network_protocols import Sample, ServiceCall
 from zensim.proto.program_status import ProgramStatus
-from zensim.proto.topic_catalog import AUDIT, CONTACTS, EVENTS, INPUTS, STATS, STEPS_PROGRESS
+from zensim.proto.topic_catalog import AUDIT, CLOCK, CONTACTS, EVENTS, INPUTS, STATS, STEPS_PROGRESS
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.input_log.log_writer import InputLog
 from zensim.sim_server.journal_protocol import ChangeJournal
@@ -38,6 +38,9 @@ from zensim.sim_server.runtime.world_map import make_world_map
 from zensim.sim_server.runtime.world_telemetry import WorldTelemetry
 from zensim.sim_server.service_parts import ServerParts, ShareGrace
 from zensim.sim_server.services.service_registry import ServiceHandlers
+
+if TYPE_CHECKING:
+    from zensim.sim_server.runtime.node_answers import NodeAnswers
 
 MIN_STATE_INTERVAL_NS = 2_000_000
 """Least wall time between two states when the loop does not wait for commands."""
@@ -366,6 +369,8 @@ class ServerLoop:
         self._world, self._pacing = parts.world, parts.pacing
         self.status = ProgramStatus()
         """Status that notes each turn."""
+        self.node_answers: NodeAnswers | None = None
+        """ROS nodes in lockstep; None without ROS."""
         self._descriptions = parts.descriptions
         self._loop_stats = parts.pacing.loop_stats
         self._inbox = inbox
@@ -471,6 +476,8 @@ class ServerLoop:
             refusals_left -= self._queue(call, may_refuse=refusals_left > 0)
         self._agent_sessions.serve()
         self._sensor_sessions.serve()
+        if self.node_answers is not None:
+            self.node_answers.serve()
         if not self._waits_for_deadline:
             self._budget.begin_slice()
         self._handle_requests()
@@ -543,6 +550,9 @@ class ServerLoop:
                 self._agent_sessions.publish_states()
                 self._sensor_sessions.publish_state()
             self._agent_sessions.wake_joined_clients()
+            if self.node_answers is not None and self._pacing.answers.has_topics:
+                self._publisher.publish(CLOCK, self._telemetry.clock())
+                self.node_answers.note_clock()
 
     def _publish_contacts(self) -> None:
         wanted = [topic for topic in (CONTACTS, EVENTS) if self._publisher.is_wanted(topic)]

@@ -143,9 +143,12 @@ class WorldTelemetry:
         )
         if seen == self._shown and not self._idle_limiter.is_due(now_ns):
             return
-        if self._limiters[CLOCK].is_due(now_ns):
+        is_playing = world.clock.state == State.PLAYING
+        # ROS nodes in lockstep get it once at each control step.
+        is_told = is_playing and self._pacing.answers.has_topics
+        if not is_told and self._limiters[CLOCK].is_due(now_ns):
             yield CLOCK
-        is_between = world.clock.state == State.PLAYING and not world.is_control_step
+        is_between = is_playing and not world.is_control_step
         # All bodies are read for agents at the next control step anyway.
         if is_between and not self._are_control_steps_rare():
             return

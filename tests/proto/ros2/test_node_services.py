@@ -22,6 +22,7 @@ from zensim.proto.ros2.node_messages import NamedParameter, ParameterType, Param
 from zensim.proto.ros2.node_services import (
     ALL_SERVICES,
     NodeParameter,
+    NodeParameters,
     NodeServices,
     ParameterContent,
     make_parameter_value,
@@ -79,7 +80,7 @@ class Network:
         self.node = node
         self.node.add_topic_endpoint("MP", ODOM)
         self.services = NodeServices(self.bus, settings.domain, pattern)
-        self.services.add(self.node, lambda: (WIDTH,))
+        self.services.add(self.node, NodeParameters(lambda: (WIDTH,)))
         self.services.poll()
         self.bus.pumps.append(self.services.poll)
 
@@ -294,3 +295,68 @@ def test_humble_has_parameters_and_no_type_descriptions() -> None:
 
     assert len([one for one in tokens if "/SS/" in one]) == 6
     assert not [one for one in tokens if "RIHS01" in one]
+
+
+def test_parameter_that_a_node_can_change_is_changed_or_refused_with_a_reason() -> None:
+    network, values = Network(), dict[str, ParameterContent]()
+
+    def change(name: str, content: ParameterContent) -> str | None:
+        if not name.startswith("own."):
+            return None
+        values[name] = content
+        return "" if content == "/r1/scan" else "no topic"
+
+    node = network.graph.add_node("r2", "agent")
+    network.services.add(node, NodeParameters(change=change))
+    given = tuple(
+        NamedParameter(name, make_parameter_value(value))
+        for name, value in (("own.a", "/r1/scan"), ("own.b", 3), ("other", 1))
+    )
+    request = messages.SetParametersRequest(given)
+    (payload,) = network.ask(encode(request, Format.CDR), "set_parameters", "/r2/agent")
+    results = decode(messages.SetParametersResponse, payload).results
+
+    assert [one.successful for one in results] == [True, False, False]
+    assert results[1].reason == "no topic"
+    assert values == {"own.a": "/r1/scan", "own.b": 3}
+
+
+def test_only_one_parameter_is_changed_at_a_time_atomically() -> None:
+    network, seen = Network(), list[str]()
+    node = network.graph.add_node("r2", "agent")
+
+    def change(name: str, content: ParameterContent) -> str:
+        del content
+        seen.append(name)
+        return ""
+
+    network.services.add(node, NodeParameters(change=change))
+    given = [NamedParameter(name, make_parameter_value("/x")) for name in ("a", "b")]
+
+    def set_all(*parameters: NamedParameter) -> bool:
+        request = messages.SetParametersAtomicallyRequest(parameters)
+        service = "set_parameters_atomically"
+        (payload,) = network.ask(encode(request, Format.CDR), service, "/r2/agent")
+        return decode(messages.SetParametersAtomicallyResponse, payload).result.successful
+
+    assert not set_all(*given)
+    assert set_all(given[0])
+    assert seen == ["a"]
+
+
+def test_services_are_served_through_bridges_if_asked() -> None:
+    bus = MemoryBus()
+    graph = RosGraph(bus, RosSettings(is_bridged=True))
+    services = NodeServices(bus, 0, is_bridged=True)
+    services.add(graph.add_node("", "sim"))
+    services.poll()
+    bus.pumps.append(services.poll)
+
+    request = encode(messages.GetParametersRequest(("use_sim_time",)), Format.CDR)
+    (reply,) = bus.ask("sim/get_parameters", request, b"")
+
+    (value,) = decode(messages.GetParametersResponse, reply.payload).values
+    assert value.bool_value
+    assert any(
+        "@ros2_lv/SS/sim§get_parameters/" in one for one in bus.list_tokens("@/*/@ros2_lv/**")
+    )
