@@ -46,11 +46,6 @@ class TopicAnswers:
         """Whether any topic is awaited, so that the world is in lockstep."""
         return bool(self.topics)
 
-    @property
-    def follows_clock(self) -> bool:
-        """Whether a topic answers the clock."""
-        return any(one.after == CLOCK_TOPIC for one in self.topics.values())
-
     def set(self, topic: str, after: str) -> None:
         """Await a topic after each message of another from now on; no topic ends it."""
         self.forget(topic)
