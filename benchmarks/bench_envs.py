@@ -12,6 +12,8 @@ restarts; a step of an environment is 0.1 s. Memory is what Python and NumPy all
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import mkdtemp
 
 import mujoco
 import numpy as np
@@ -19,8 +21,9 @@ import numpy as np
 import zensim
 from benchmarks.figures import Figure, table
 from zensim.api.in_process_world import get_server
-from zensim.envs import ZensimEnv, ZensimVectorEnv
+from zensim.envs import EnvKeywords, ZensimEnv, ZensimVectorEnv
 from zensim.envs.batch import Batch
+from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoReplicas
 
 __all__ = ["rows", "table"]
@@ -34,8 +37,12 @@ SETTLING_STEPS = 20
 ENGINE_STEPS = 3
 """Engine steps of a control step."""
 RESTARTS = 50
-KINEMATIC = (("reach", 1024, 4, 1.0), ("avoid", 256, 20, 0.5))
-"""Task, worlds, robots, and their distance at the start [m]."""
+KINEMATIC: tuple[tuple[int, EnvKeywords], ...] = (
+    (1024, {"count": 4}),
+    (256, {"count": 20, "spacing": 0.5}),
+    (256, {"count": 4, "spacing": 0.6, "world": "maze", "sensors": ["scan"]}),
+)
+RAYS = ("<samples>360</samples>", "<samples>90</samples>")
 ENV_STEPS, DRAWS = 100, 8
 WHEEL_SPEEDS, STEP_HZ = (8.0, 9.0), 240.0
 """Left and right [rad/s]: 0.3 m/s."""
@@ -83,15 +90,19 @@ def _steps(world: zensim.World, worlds: int, *, repeats: int) -> Iterator[Figure
 
 def _kinematic(*, repeats: int) -> Iterator[Figure]:
     draw = np.random.default_rng(1).uniform
-    for task, worlds, robots, spacing in KINEMATIC:
+    for worlds, given in KINEMATIC:
+        robots, options = given["count"], given
+        task = what = "avoid" if robots > ROBOTS else "reach"
+        if "sensors" in given:
+            options, what = {**given, "model": _write_lidar()}, "reach in a maze with 90 rays"
         tracemalloc.start()
-        env = ZensimVectorEnv(worlds, task=task, count=robots, spacing=spacing, threads=1)
+        env = ZensimVectorEnv(worlds, task=task, **options)
         actions = draw(-1.0, 1.0, (DRAWS, worlds, robots, 2))
         env.reset(seed=1)
         env.step(actions[0])
         kib = (tracemalloc.get_traced_memory()[0] - actions.nbytes) / worlds / robots / 1024.0
         tracemalloc.stop()
-        what = f"{task}, {worlds} worlds of {robots} kinematic robots"
+        what = f"{what}, {worlds} worlds of {robots} kinematic robots"
         rate = _rate(lambda n, env=env, actions=actions: env.step(actions[n % DRAWS]), repeats)  # type: ignore[misc]
         samples = tuple(worlds * robots * one for one in rate)
         yield Figure(what=f"{what}, steps of a robot", unit="1/s of CPU", samples=samples)
@@ -105,6 +116,13 @@ def _kinematic(*, repeats: int) -> Iterator[Figure]:
 
     what = "one world of one kinematic robot, steps of gymnasium.Env"
     yield Figure(what=what, unit="1/s of CPU", samples=_rate(step, repeats))
+
+
+def _write_lidar() -> str:
+    """Write the model of a robot with a lidar of fewer rays."""
+    path = Path(mkdtemp()) / "lidar.urdf"
+    path.write_text(read_builtin_model("box_bot_lidar").replace(*RAYS))
+    return str(path)
 
 
 def _rate(step: Callable[[int], object], repeats: int) -> tuple[float, ...]:

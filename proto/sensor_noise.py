@@ -204,7 +204,7 @@ class SensorNoise:
     def __init__(
         self,
         noises: Sequence[Noise],
-        keys: Sequence[int],
+        keys: Sequence[int] | KeyArray,
         environment: Environment,
         compat: Compat = "fixed",
     ) -> None:
@@ -230,24 +230,34 @@ class SensorNoise:
             step_s = environment.step_ns / NANOSECONDS
             self._dynamic = DynamicBiases(noises, self._keys, step_s)
 
-    def apply(self, values: FloatArray, step: int) -> FloatArray:
+    @property
+    def is_counted_by_row(self) -> bool:
+        """Whether each sensor may have a step of its own: it has no bias that walks."""
+        return self._dynamic is None
+
+    def apply(self, values: FloatArray, step: Counter) -> FloatArray:
         """Add noise to the measurements (n, columns) of a step; also rounds if quantized.
 
         Args:
             values: Measured exactly; not changed.
-            step: Since the epoch began.
+            step: Since the epoch began; of each sensor (n,) only if `is_counted_by_row`.
+
+        Raises:
+            ValueError: Sensors with a bias that walks have steps of their own.
         """
         if not self.is_noisy:
             return values
         found = values + self._bias
         if self._dynamic is not None:
+            if not isinstance(step, int):
+                raise ValueError("a bias that walks is that of one step of all sensors")
             found += self._dynamic.at(step)
         if self._stddev.any():
             found += self._stddev * draw_normals(self._keys, step, values.shape[1])
         return self._quantize(found)
 
     def apply_to_ranges(
-        self, ranges: FloatArray, step: int, *, range_min_m: float, range_max_m: float
+        self, ranges: FloatArray, step: Counter, *, range_min_m: float, range_max_m: float
     ) -> FloatArray:
         """Add noise to finite ranges (n, rays) [m]; it never leaves the limits.
 

@@ -38,6 +38,7 @@ LONG = (
 WORKSHOP = (
     *("tests/mutation/", "tests/chaos/test_history.py", "tests/benchmarks/"),
     *("tests/hostile/test_coverage_fuzz.py", "tests/deploy/sweep/test_ray_runs.py"),
+    "tests/zensim/envs/test_ray_sampling.py",
     *("tests/contract/test_wheel.py", "tests/contract/test_workflows.py"),
     *("tests/contract/test_benchmark_page.py", "tests/contract/test_reliability_page.py"),
     *("tests/contract/test_platforms.py", "tests/contract/test_run_tests.py"),

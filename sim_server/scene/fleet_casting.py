@@ -1,6 +1,7 @@
 """The caster of all lidars of a world: the planar one for level scans, Embree for the others."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -79,6 +80,49 @@ class FleetCaster:
         self._placed = self._wanted | self._expected if is_known else self._wanted.copy()
         moving = self._layout.place_moving(*state, self._placed)
         self._planar.place(self._layout.place_fixed(*state), moving)
+
+
+class WorldsCaster:
+    """Casts the level lidars of many worlds at once, which share what is fixed."""
+
+    def __init__(
+        self, fixed: PlacedShapes, moving: SceneLayout, models: int, entities: int
+    ) -> None:
+        """Prepare the scenes.
+
+        Args:
+            fixed: Shapes of what never moves; entities are those of one world.
+            moving: Of the entities of all worlds that move, world by world.
+            models: Number of them in a world.
+            entities: Number of all entities of a world.
+        """
+        self._planar = PlanarCaster()
+        self._fixed, self._moving = fixed, moving
+        self._models, self._entities = models, entities
+
+    def cast(
+        self,
+        settings: RaySensor,
+        poses: FloatArray,
+        carriers: IntArray,
+        state: tuple[FloatArray, FloatArray],
+    ) -> FloatArray:
+        """Find the ranges (n, rays) [m] of level lidars; see `ScanCaster.cast`.
+
+        Args:
+            settings: Of all of them.
+            poses: (n, 7) of the sensors in the world of each.
+            carriers: (n,) index of the entity that carries each, among those of `moving`.
+            state: Poses of what moves (worlds * models, 7), and joints (k,).
+        """
+        base, joint_positions = state
+        placed = self._moving.place_moving(base, joint_positions, np.ones(len(base), np.bool_))
+        # Numbers of what moves follow those of what is fixed.
+        numbered = replace(placed, entity=placed.entity + self._entities)
+        self._planar.place(self._fixed, numbered, placed.entity // self._models)
+        ignored, start_m = choose_ignored(settings, carriers + self._entities)
+        scan = make_level_scan(settings.horizontal, settings.range_max_m, start_m)
+        return self._planar.cast(scan, poses, ignored, worlds=carriers // self._models)
 
 
 def are_level(settings: RaySensor, poses: FloatArray) -> npt.NDArray[np.bool_]:

@@ -104,14 +104,17 @@ def make_level_scan(axis: ScanAxis, range_max_m: float, start_m: float = 0.0) ->
 
 @dataclass(frozen=True)
 class _Lidars:
-    """Level lidars (l,), each with the index of an entity that its rays pass through."""
+    """Level lidars (l,), each with its world, and an entity that its rays pass through."""
 
     origins: FloatArray  # (l, 3)
     yaws: FloatArray
     ignored: IntArray
+    worlds: IntArray
 
     def take(self, chosen: IntArray | slice) -> "_Lidars":
-        return _Lidars(self.origins[chosen], self.yaws[chosen], self.ignored[chosen])
+        return _Lidars(
+            self.origins[chosen], self.yaws[chosen], self.ignored[chosen], self.worlds[chosen]
+        )
 
 
 @dataclass(frozen=True)
@@ -196,14 +199,39 @@ class _Section:
 
 
 class _MovingSection(_Section):
-    """What is placed anew at each tick."""
+    """What is placed anew at each tick; of many worlds, each lidar sees what is in its own."""
+
+    def __init__(
+        self,
+        shapes: PlacedShapes,
+        bounds: ShapeBounds,
+        band: tuple[float, float],
+        worlds: IntArray | None,
+    ) -> None:
+        super().__init__(shapes, bounds, band)
+        self._worlds = worlds
+        if worlds is not None:
+            own = worlds[self.bounds.shape]
+            self._order = np.argsort(own, kind="stable")
+            self._first = np.searchsorted(own[self._order], np.arange(int(worlds.max()) + 2))
+
+    def _find_near(self, lidars: _Lidars, reach: FloatArray) -> _Pairs:
+        """Pair lidars with the shapes at a distance of at most their reach (s,)."""
+        x, y = self.bounds.centres[:, :2].T
+        if self._worlds is None:
+            ahead, aside = x - lidars.origins[:, :1], y - lidars.origins[:, 1:2]
+            return _Pairs(*np.nonzero(ahead * ahead + aside * aside <= reach * reach))
+        first = self._first[lidars.worlds]
+        lidar, place = expand_ranges(first, self._first[lidars.worlds + 1] - first)
+        shape = self._order[place]
+        ahead, aside = x[shape] - lidars.origins[lidar, 0], y[shape] - lidars.origins[lidar, 1]
+        is_near = ahead * ahead + aside * aside <= (reach * reach)[shape]
+        return _Pairs(lidar, shape).take(is_near)
 
     def find_pairs(self, lidars: _Lidars, scan: LevelScan) -> tuple[_Pairs, _Pairs]:
         """Pair lidars with the edges and the solids in range."""
         bounds = self.bounds
-        (x, y), reach = bounds.centres[:, :2].T, bounds.radii + scan.range_max_m
-        ahead, aside = x - lidars.origins[:, :1], y - lidars.origins[:, 1:2]
-        near = _Pairs(*np.nonzero(ahead * ahead + aside * aside <= reach * reach))
+        near = self._find_near(lidars, bounds.radii + scan.range_max_m)
         near = near.take(self.entity[near.other] != lidars.ignored[near.lidar])
         starts = np.searchsorted(self.edges.shape, bounds.shape, side="left")
         counts = np.searchsorted(self.edges.shape, bounds.shape, side="right") - starts
@@ -400,19 +428,24 @@ class PlanarCaster:
         self._bands: dict[int, _FixedSection] = {}
         self._fixed = self._moving = PlacedShapes((), nothing, nothing, np.zeros((0, 7)))
         self._fixed_bounds = self._moving_bounds = bound_shapes(self._fixed, nothing)
+        self._moving_worlds: IntArray | None = None
 
-    def place(self, fixed: PlacedShapes, moving: PlacedShapes) -> None:
+    def place(
+        self, fixed: PlacedShapes, moving: PlacedShapes, moving_worlds: IntArray | None = None
+    ) -> None:
         """Take the shapes of one step.
 
         Args:
             fixed: What is kept of them is valid while it is the same object.
             moving: Those that rays may reach.
+            moving_worlds: (m,) world of each of these, 0, 1, 2...; None = all are in one.
         """
         if fixed is not self._fixed:
             self._fixed, self._bands = fixed, {}
             self._fixed_bounds = bound_shapes(fixed, np.arange(len(fixed.geometry)))
         self._moving = moving
         self._moving_bounds = bound_shapes(moving, np.arange(len(moving.geometry)))
+        self._moving_worlds = moving_worlds
 
     def cast(
         self,
@@ -420,6 +453,7 @@ class PlanarCaster:
         sensors: FloatArray,
         ignored: IntArray,
         entities: IntArray | None = None,
+        worlds: IntArray | None = None,
     ) -> FloatArray:
         """Find the ranges (n, rays) [m] of level lidars; infinite where nothing is in range.
 
@@ -429,12 +463,16 @@ class PlanarCaster:
                 whether they are inverted.
             ignored: (n,) index of the entity that a lidar's rays pass through, or `NO_ENTITY`.
             entities: (n, rays) is filled with what is hit; see `RayHits.entities`.
+            worlds: (n,) world of each lidar, if what moves is in several.
         """
         ranges = np.empty((len(sensors), scan.count))
+        if worlds is None:
+            worlds = np.zeros(len(sensors), np.intp)
         is_inverted = to_matrix(sensors[:, 3:])[:, 2, 2] < 0.0
         for is_chosen, seen, step in ((~is_inverted, scan, 1), (is_inverted, scan.mirrored(), -1)):
             chosen = np.flatnonzero(is_chosen)
-            lidars = _Lidars(sensors[chosen, :3], to_yaw(sensors[chosen, 3:]), ignored[chosen])
+            poses = sensors[chosen]
+            lidars = _Lidars(poses[:, :3], to_yaw(poses[:, 3:]), ignored[chosen], worlds[chosen])
             for rows, hits in self._cast_blocks(seen, lidars):
                 found = hits.reciprocals.reshape(-1, scan.count)[:, ::step]
                 is_hit = found > 0.0
@@ -450,7 +488,7 @@ class PlanarCaster:
         if not len(heights):
             return
         span = float(heights.min()), float(heights.max())
-        moving = _MovingSection(self._moving, self._moving_bounds, span)
+        moving = _MovingSection(self._moving, self._moving_bounds, span, self._moving_worlds)
         for start in range(0, len(heights), LIDARS_PER_BLOCK):
             rows = slice(start, start + LIDARS_PER_BLOCK)
             block = lidars.take(rows)

@@ -139,7 +139,7 @@ class Batch(ClosedOnExit):
         Raises:
             Invalid: The batch was made without `scan`.
         """
-        return self._sensors.measure_scans(self._steps.tolist(), self._base, self._positions)
+        return self._sensors.measure_scans(self._steps, self._base, self._positions)
 
     @property
     def imu(self) -> FloatArray:

@@ -7,21 +7,22 @@ import numpy as np
 
 from zensim.api.api_errors import Invalid, NotFound
 from zensim.api.in_process_server import InProcessServer
-from zensim.envs.world_layout import FloatArray, WorldLayout
+from zensim.envs.world_layout import FloatArray, IntArray, WorldLayout
 from zensim.proto.messages.model_messages import IDENTITY, Model, Sensor
 from zensim.proto.messages.sensor_messages import Environment, ImuSensor, RaySensor
-from zensim.proto.sensor_noise import SensorNoise, make_noise_key
+from zensim.proto.sensor_noise import KeyArray, SensorNoise, make_noise_key
 from zensim.proto.topic_catalog import IMU
 from zensim.robot_agent.mounted_sensors import list_state_sensors, mount_sensors
 from zensim.robot_agent.robot_rows import NEW_ROW, StateRows
 from zensim.robot_agent.state_sensors import SensorIdentity, StateSensor, make_state_sensor
-from zensim.sim_server.scene.fleet_casting import make_scan_caster
+from zensim.sim_server.scene.fleet_casting import WorldsCaster, are_level, make_scan_caster
+from zensim.sim_server.scene.scene import SceneLayout
 from zensim.sim_server.sensors.ray_sensors import limit_ranges
 from zensim.sim_server.sensors.scene_roster import (
     POSE_COLUMNS,
     SceneMeshes,
     SceneRoster,
-    SensorPlaces,
+    SensorMount,
 )
 from zensim.spawner.client.service_client import ServiceClient
 
@@ -56,7 +57,7 @@ class BatchSensors:
         for name in names:
             if name not in SENSORS:
                 raise Invalid(f"sensor '{name}' is unknown", hint=f"use {', '.join(SENSORS)}")
-        self._lidars = BatchLidars(server, layout) if "scan" in names else None
+        self._lidars = BatchLidars(server, layout, worlds) if "scan" in names else None
         self._imus: BatchImus | None = None
         if "imu" in names:
             found = ServiceClient(server.network, server.world.name).models()
@@ -102,9 +103,7 @@ class BatchSensors:
             raise Invalid("this batch measures no imu", hint="make it with sensors=('imu',)")
         return np.array(self._imus.numbers)
 
-    def measure_scans(
-        self, steps: Sequence[int], base: FloatArray, positions: FloatArray
-    ) -> FloatArray:
+    def measure_scans(self, steps: IntArray, base: FloatArray, positions: FloatArray) -> FloatArray:
         """See `Batch.scans`; steps are those of each world."""
         if self._lidars is None:
             raise Invalid("this batch measures no scan", hint="make it with sensors=('scan',)")
@@ -131,33 +130,42 @@ def _require_equal(name: str, settings: Sequence[object]) -> None:
 
 
 class BatchLidars:
-    """The lidars of all robots, measured by the caster of the sensor process."""
+    """The lidars of all robots of all worlds, cast at once."""
 
-    def __init__(self, server: InProcessServer, layout: WorldLayout) -> None:
-        """Prepare the scene; see `BatchSensors`."""
+    def __init__(self, server: InProcessServer, layout: WorldLayout, worlds: int) -> None:
+        """Prepare the scenes; see `BatchSensors`."""
         self._layout = layout
         roster = SceneRoster(ServiceClient(server.network, server.world.name).models())
         self._environment = roster.environment
         meshes = SceneMeshes(server.network, server.world.name)
         meshes.fetch(roster.meshes)
-        self._caster = make_scan_caster(roster.make_layout(meshes))
         robots = zip(layout.names, layout.models, strict=True)
-        chosen = {name: _find_sensor("scan", name, model) for name, model in robots}
-        self._sensors = tuple(chosen.items())
-        settings = [sensor.settings for sensor in chosen.values()]
+        self._sensors = [(name, _find_sensor("scan", name, model)) for name, model in robots]
+        settings = [sensor.settings for _, sensor in self._sensors]
         _require_equal("scan", settings)
         assert isinstance(settings[0], RaySensor)
         self._settings = settings[0]
-        mounted = [one for one in roster.sensors if one.sensor == chosen.get(one.entity)]
-        self._places = SensorPlaces(mounted, roster)
-        self._noises: dict[int, SensorNoise] = {}
-        """Noise by world."""
+        self._mounts = [
+            SensorMount(model, sensor)
+            for model, (_, sensor) in zip(layout.models, self._sensors, strict=True)
+        ]
+        own = roster.make_layout(meshes)
+        self._caster = make_scan_caster(own)
+        start = layout.start
+        self._worlds_caster = WorldsCaster(
+            own.place_fixed(start.base, start.joint_positions),
+            SceneLayout([roster.models[row] for row in layout.read] * worlds, meshes.find_corners),
+            len(layout.read),
+            len(layout.entities),
+        )
+        self._keys = np.zeros((worlds, len(self._sensors)), np.uint64)
+        self._noises: list[SensorNoise] = []
+        """One for all rows, or one for each world if it has a bias that walks; empty if old."""
 
     def restart(self, world: int, seed: int) -> None:
         """See `BatchSensors.restart`."""
-        keys = [make_noise_key(seed, robot, sensor) for robot, sensor in self._sensors]
-        compat = self._sensors[0][1].compat
-        self._noises[world] = SensorNoise([self._settings.noise], keys, self._environment, compat)
+        self._keys[world] = [make_noise_key(seed, name, sensor) for name, sensor in self._sensors]
+        self._noises = []
 
     @property
     def limits(self) -> tuple[FloatArray, FloatArray]:
@@ -166,30 +174,71 @@ class BatchLidars:
         rays = settings.horizontal.count * settings.vertical.count
         return np.full(rays, settings.range_min_m), np.full(rays, settings.range_max_m)
 
-    def measure(self, steps: Sequence[int], base: FloatArray, positions: FloatArray) -> FloatArray:
+    def measure(self, steps: IntArray, base: FloatArray, positions: FloatArray) -> FloatArray:
         """Measure all scans (worlds, robots, rays); see `Batch.scans`."""
-        all_base, all_positions = self._layout.fill_in(base, positions)
-        poses = all_base[:, :, :POSE_COLUMNS]
-        found = [
-            self._measure_world(world, step, poses[world], all_positions[world])
-            for world, step in enumerate(steps)
-        ]
-        return np.stack(found)
+        is_lost = np.asarray(~np.isfinite(base).all(axis=(1, 2)))
+        if is_lost.any():
+            start = self._layout.start
+            base = np.where(is_lost[:, None, None], start.base[self._layout.read], base)
+            start_positions = start.joint_positions[self._layout.read_joints]
+            positions = np.where(is_lost[:, None], start_positions, positions)
+        found = self._add_noise(limit_ranges(self._cast(base, positions), self._settings), steps)
+        low, high = self.limits
+        found = np.clip(found, low, high).reshape(*self._keys.shape, -1)
+        found[is_lost] = high
+        return found
 
-    def _measure_world(
-        self, world: int, step: int, base: FloatArray, positions: FloatArray
+    def _cast(self, base: FloatArray, positions: FloatArray) -> FloatArray:
+        """Cast all rays (worlds * robots, rays)."""
+        worlds, models = base.shape[:2]
+        poses = self._find_poses(base, positions)
+        if not are_level(self._settings, poses).all():
+            return self._cast_by_world(base, positions, poses)
+        state = base[..., :POSE_COLUMNS].reshape(-1, POSE_COLUMNS), positions.reshape(-1)
+        carriers = np.arange(worlds)[:, None] * models + self._layout.robots
+        return self._worlds_caster.cast(self._settings, poses, carriers.reshape(-1), state)
+
+    def _cast_by_world(
+        self, base: FloatArray, positions: FloatArray, poses: FloatArray
     ) -> FloatArray:
-        settings, carriers = self._settings, self._layout.robot_rows
-        least, most = settings.range_min_m, settings.range_max_m
-        if not np.isfinite(base).all():
-            return np.tile(self.limits[1], (len(carriers), 1))
-        self._caster.place(base, positions)
-        poses = self._places.find_poses(base, positions)
-        exact = limit_ranges(self._caster.cast(settings, poses, carriers), settings)
-        noisy = self._noises[world].apply_to_ranges(
-            exact, step, range_min_m=least, range_max_m=most
+        """Cast the rays of lidars that are not level, world by world."""
+        robots, found = self._layout.robot_rows, []
+        all_base, all_positions = self._layout.fill_in(base, positions)
+        own = poses.reshape(len(base), len(robots), POSE_COLUMNS)
+        for world, placed in enumerate(own):
+            self._caster.place(all_base[world, :, :POSE_COLUMNS], all_positions[world])
+            found.append(self._caster.cast(self._settings, placed, robots))
+        return np.concatenate(found)
+
+    def _find_poses(self, base: FloatArray, positions: FloatArray) -> FloatArray:
+        """Find the poses (worlds * robots, 7) of the sensors."""
+        layout = self._layout
+        found = [
+            mount.find_poses(base[:, row, :POSE_COLUMNS], positions[:, first + mount.joints])
+            for mount, row, first in zip(
+                self._mounts, layout.robots, layout.first_joints, strict=True
+            )
+        ]
+        return np.stack(found, axis=1).reshape(-1, POSE_COLUMNS)
+
+    def _add_noise(self, ranges: FloatArray, steps: IntArray) -> FloatArray:
+        settings, robots = self._settings, self._keys.shape[1]
+        if not self._noises:
+            self._noises = [self._make_noise(self._keys.reshape(-1))]
+            if not self._noises[0].is_counted_by_row:
+                self._noises = [self._make_noise(keys) for keys in self._keys]
+        limits = {"range_min_m": settings.range_min_m, "range_max_m": settings.range_max_m}
+        if self._noises[0].is_counted_by_row:
+            counters = np.repeat(steps, robots).astype(np.uint64)
+            return self._noises[0].apply_to_ranges(ranges, counters, **limits)
+        parts = zip(self._noises, np.split(ranges, len(steps)), steps.tolist(), strict=True)
+        return np.concatenate(
+            [noise.apply_to_ranges(part, step, **limits) for noise, part, step in parts]
         )
-        return np.clip(noisy, least, most)
+
+    def _make_noise(self, keys: KeyArray) -> SensorNoise:
+        compat = self._sensors[0][1].compat
+        return SensorNoise([self._settings.noise], keys, self._environment, compat)
 
 
 class BatchImus:

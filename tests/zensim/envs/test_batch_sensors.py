@@ -1,12 +1,14 @@
 """Lidars and inertial units of a batch."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import zensim
 from zensim.envs.batch import Batch
+from zensim.sim_server.description.builtin_models import read_builtin_model
 
 MODEL = "box_bot_lidar"
 AHEAD = [0.3, 0.0, 0.0]
@@ -85,3 +87,56 @@ def test_robot_without_the_sensor_is_refused() -> None:
             Batch(own, 1, sensors=["scan"])
         with pytest.raises(zensim.Invalid):
             Batch(own, 1, sensors=["radar"])  # type: ignore[list-item]
+
+
+NOISE = "<noise><type>gaussian</type><mean>0</mean><stddev>0.01</stddev></noise>"
+WALKING = NOISE.replace(
+    "</noise>",
+    "<dynamic_bias_stddev>0.05</dynamic_bias_stddev>"
+    "<dynamic_bias_correlation_time>2</dynamic_bias_correlation_time></noise>",
+)
+LEVEL = '<sensor type="ray" name="lidar">'
+LEANING = f"{LEVEL}<pose>0 0 0 0 0.3 0</pose>"
+
+
+def write_model(folder: Path, old: str, new: str) -> Path:
+    """Write a box_bot_lidar in which a text is replaced."""
+    text = read_builtin_model(MODEL)
+    assert old in text
+    path = folder / "changed.urdf"
+    path.write_text(text.replace(old, new))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("", ""), (NOISE, WALKING), (LEVEL, LEANING)],
+    ids=["level", "walking bias", "leaning"],
+)
+def test_scan_of_a_world_does_not_depend_on_others(tmp_path: Path, old: str, new: str) -> None:
+    twists = np.random.default_rng(1).normal(size=(5, 3, 3)) * (0.3, 0.0, 1.0)
+    with zensim.World("maze", step_hz=10.0, control_hz=10.0) as own:
+        model = write_model(tmp_path, old, new)
+        own.spawn_fleet(model, count=3, spacing=0.6, dynamics="kinematic")
+        many, alone = (Batch(own, worlds, sensors=["scan"]) for worlds in (5, 1))
+    many.restart(seeds={world: world for world in range(5)})
+    alone.restart(seeds={0: 4})
+
+    for _ in range(10):
+        many.step(twists)
+        alone.step(twists[4:])
+
+    assert (many.scans[4] == alone.scans[0]).all()
+    assert (many.scans[3] != alone.scans[0]).any()
+
+
+def test_robots_of_other_worlds_are_not_seen() -> None:
+    with zensim.World(step_hz=10.0, control_hz=10.0) as own:
+        own.spawn_fleet(MODEL, poses=[(0.0, 0.0), (0.8, 0.0)], dynamics="kinematic")
+        batch = Batch(own, 2, sensors=["scan"])
+
+    for _ in range(20):
+        batch.step([[[0.0] * 3, [0.5, 0.0, 0.0]], [[0.0] * 3, [0.0] * 3]])
+
+    assert batch.scans[0, 0].min() == pytest.approx(1.7, abs=0.1)
+    assert batch.scans[1, 0].min() == pytest.approx(0.7, abs=0.1)
